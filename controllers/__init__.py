@@ -1,0 +1,1 @@
+"""Controllers, one a file, by name."""

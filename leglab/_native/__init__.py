@@ -1,0 +1,1 @@
+"""Compiled parts: the MuJoCo plugin library and the nanobind modules."""

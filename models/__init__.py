@@ -1,0 +1,1 @@
+"""MJCF models that ship with leglab."""
