@@ -1,1 +1,16 @@
+// Registers every plugin of the library when it is loaded.
 #include <mujoco/mujoco.h>
+
+#include "plugin/cylinder.h"
+#include "plugin/joint_friction.h"
+#include "plugin/sensor.h"
+#include "plugin/spring_damper.h"
+#include "plugin/supply.h"
+
+mjPLUGIN_LIB_INIT(leglab) {
+  leglab::plugin::register_cylinder();
+  leglab::plugin::register_joint_friction();
+  leglab::plugin::register_sensor();
+  leglab::plugin::register_spring_damper();
+  leglab::plugin::register_supply();
+}

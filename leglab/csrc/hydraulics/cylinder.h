@@ -1,0 +1,150 @@
+// One valve-controlled cylinder with its parameters turned into coefficients.
+#pragma once
+
+#include <cmath>
+#include <numbers>
+
+#include "fluid.h"
+#include "friction.h"
+#include "parameters.h"
+#include "valve.h"
+
+namespace leglab::hydraulics {
+
+// Coefficients that change only when somebody sets a parameter.
+struct CylinderCoefficients {
+  double area_a, area_b;             // m^2
+  double half_stroke;                // m
+  double gain_positive, gain_negative;  // K of the edges open at x_s > 0 and x_s < 0
+  double transition_squared;         // Pa^2
+  double mu_40;                      // Pa s
+  Oil oil;
+  Viscosity viscosity;
+
+  static CylinderCoefficients from(const CylinderParameters& p) {
+    constexpr double quarter_pi = std::numbers::pi / 4.0;
+    const double gain = p.rated_flow_ / std::sqrt(p.rated_pressure_drop_ / 2.0);
+    const Viscosity viscosity = Viscosity::from_two_points(p.viscosity_40_, p.viscosity_100_);
+    return {
+        .area_a = quarter_pi * p.bore_ * p.bore_,
+        .area_b = quarter_pi * (p.bore_ * p.bore_ - p.rod_ * p.rod_),
+        .half_stroke = 0.5 * p.stroke_,
+        .gain_positive = gain * (1.0 + p.flow_asymmetry_),
+        .gain_negative = gain * (1.0 - p.flow_asymmetry_),
+        .transition_squared = p.laminar_transition_pressure_ * p.laminar_transition_pressure_,
+        .mu_40 = viscosity.kinematic(40.0) * p.density_ * relative_density(40.0),
+        .oil = {p.entrained_air_, 1.0 / p.polytropic_index_, 1.0 / p.bulk_modulus_},
+        .viscosity = viscosity,
+    };
+  }
+};
+
+// What follows from the oil temperature and the seal clearance.
+struct OilCondition {
+  double internal_leakage, external_leakage_a, external_leakage_b;  // m^3/s/Pa
+  double viscous;                                                   // N s/m
+
+  static OilCondition from(const CylinderParameters& p, const CylinderCoefficients& c) {
+    const double t = p.oil_temperature_;
+    const double mu = c.viscosity.kinematic(t) * p.density_ * relative_density(t);
+    const double clearance = p.seal_clearance_;
+    const double gap = clearance * clearance * clearance * c.mu_40 / mu;
+    return {p.internal_leakage_ * gap, p.external_leakage_a_ * gap, p.external_leakage_b_ * gap,
+            p.viscous_ * mu / c.mu_40};
+  }
+};
+
+struct Volumes {
+  double a, b;  // m^3
+
+  // Beyond the stops the chambers keep a tenth of their dead volume, so that they stay positive.
+  static Volumes at(const CylinderParameters& p, const CylinderCoefficients& c, double x) {
+    return {std::max(p.dead_volume_a_ + c.area_a * x, 0.1 * p.dead_volume_a_),
+            std::max(p.dead_volume_b_ + c.area_b * (p.stroke_ - x), 0.1 * p.dead_volume_b_)};
+  }
+};
+
+// Both chambers at the piston position x: expansions of the oil about their pressures, and amounts.
+struct Chambers {
+  Oil::Expansion a, b;
+  double amount_a, amount_b;  // m^3
+
+  double gauge_a() const { return a.p - kAtmosphere; }
+  double gauge_b() const { return b.p - kAtmosphere; }
+};
+
+inline Chambers chambers_at(const CylinderParameters& p, const CylinderCoefficients& c,
+                            const CylinderState& s, double x) {
+  const Volumes volume = Volumes::at(p, c, x);
+  const double guess_a = s.pressure_a_ + kAtmosphere, guess_b = s.pressure_b_ + kAtmosphere;
+  Chambers k;
+  // An amount of zero: the pressure was prescribed and holds wherever the piston is.
+  if (s.amount_a_ > 0.0) {
+    k.a = c.oil.solve(volume.a / s.amount_a_, guess_a);
+    k.amount_a = s.amount_a_;
+  } else {
+    k.a = c.oil.expand(std::max(guess_a, kPressureFloor));
+    k.amount_a = volume.a / k.a.w;
+  }
+  if (s.amount_b_ > 0.0) {
+    k.b = c.oil.solve(volume.b / s.amount_b_, guess_b);
+    k.amount_b = s.amount_b_;
+  } else {
+    k.b = c.oil.expand(std::max(guess_b, kPressureFloor));
+    k.amount_b = volume.b / k.b.w;
+  }
+  return k;
+}
+
+// Forces on the piston, extension positive [N].
+struct PistonForces {
+  double pressure, friction, stop;
+
+  double total() const { return pressure - friction + stop; }
+};
+
+inline double stop_force(const CylinderParameters& p, double x, double v) {
+  if (x < 0.0) return std::max(-p.stop_stiffness_ * x - p.stop_damping_ * v, 0.0);
+  if (x > p.stroke_) {
+    return std::min(p.stop_stiffness_ * (p.stroke_ - x) - p.stop_damping_ * v, 0.0);
+  }
+  return 0.0;
+}
+
+// Level of the Stribeck curve g at a velocity and the chamber pressures (gauge).
+inline double bristle_level(const CylinderParameters& p, double v, double pressure_a,
+                            double pressure_b) {
+  const double seal = p.pressure_coefficient_ * (pressure_a + pressure_b);
+  return stribeck(v, p.coulomb_ + seal, p.static_ + seal, p.stribeck_velocity_);
+}
+
+// Smaller of two loads of one sign, else zero: an impact of one step is not carried on.
+inline double sustained(double load, double before) {
+  if (load * before <= 0.0) return 0.0;
+  return std::abs(load) < std::abs(before) ? load : before;
+}
+
+// Forces that act over the next step. Friction is F = sigma_0 z + D v*, with D the slope of the
+// LuGre law in v and v* the velocity at the END of the step, predicted with the effective mass
+// and the load seen over the last steps: cold oil (b x 13) stays stable where hD/m > 2, and a
+// steady speed sees exactly D v. With mass = infinity v* = v.
+inline PistonForces piston_forces(const CylinderParameters& p, const CylinderCoefficients& c,
+                                  const OilCondition& oil, const CylinderState& s,
+                                  const Chambers& k, double x, double v, double step_over_mass) {
+  PistonForces f;
+  f.pressure = k.gauge_a() * c.area_a - k.gauge_b() * c.area_b;
+  f.stop = stop_force(p, x, v);
+  const double g = bristle_level(p, v, k.gauge_a(), k.gauge_b());
+  const double bristle_force = p.sigma_0_ * s.bristle_;
+  const double alignment = std::copysign(1.0, v) * bristle_force / g;
+  const double slope = oil.viscous + p.sigma_1_ * std::max(1.0 - alignment, 0.0);
+  double v_end = v;
+  if (step_over_mass > 0.0 && s.amount_a_ > 0.0) {
+    const double others = f.pressure + f.stop - bristle_force + sustained(s.load_, s.previous_load_);
+    v_end = (v + step_over_mass * others) / (1.0 + step_over_mass * slope);
+  }
+  f.friction = bristle_force + slope * v_end;
+  return f;
+}
+
+}  // namespace leglab::hydraulics

@@ -1,0 +1,43 @@
+// Named, validated attributes of a plugin instance.
+#pragma once
+
+#include <cmath>
+#include <cstddef>
+#include <span>
+#include <string>
+#include <vector>
+
+#include <mujoco/mujoco.h>
+
+#include "hydraulics/parameters.h"
+
+namespace leglab::plugin {
+
+using hydraulics::ParameterSpec;
+
+// Stops loading with a message that names plugin, instance and what is wrong; does not return.
+[[noreturn]] void refuse(const mjModel* m, int instance, const std::string& message);
+
+// Text of an attribute, empty where it is absent.
+std::string text_attribute(const mjModel* m, int instance, const char* key);
+
+// Reads all attributes of a table into `values`; defaults where absent. Refuses what is missing
+// without a default, is not a finite number, or lies outside its bounds.
+void read_parameters(const mjModel* m, int instance, std::span<const ParameterSpec> specs,
+                     double* values);
+
+// Attribute names of a table and further text attributes, as mjpPlugin wants them.
+std::vector<const char*> attribute_names(std::span<const ParameterSpec> specs,
+                                         std::initializer_list<const char*> texts);
+
+// Degree of freedom and joint that the attribute `joint` names; hinge or slide.
+int joint_attribute(const mjModel* m, int instance);
+
+// Plugin instances need a time integrator that calls `advance` once per evaluation of the forces.
+void require_single_stage_integrator(const mjModel* m, int instance);
+
+inline mjtNum* state_of(const mjModel* m, mjData* d, int instance) {
+  return d->plugin_state + m->plugin_stateadr[instance];
+}
+
+}  // namespace leglab::plugin

@@ -1,0 +1,63 @@
+// Actuator plugin `leglab.cylinder`: servovalve, cylinder, seals and oil of one joint.
+#pragma once
+
+#include <string>
+
+#include <mujoco/mujoco.h>
+
+#include "hydraulics/step.h"
+
+namespace leglab::plugin {
+
+// What an instance keeps beside its state: ids, coefficients that follow from the parameters
+// (refreshed whenever these differ from `seen`), and the outputs of the latest `compute`.
+class Cylinder {
+ public:
+  // Reads and checks the configuration; refuses what is wrong.
+  Cylinder(const mjModel* m, int instance);
+
+  void reset(mjtNum* plugin_state) const;
+  void compute(const mjModel* m, mjData* d);
+  void advance(const mjModel* m, mjData* d);
+  void visualize(const mjModel* m, mjData* d, mjvScene* scene) const;
+
+  // Chambers and forces at the latest compute, for sensors.
+  const hydraulics::Chambers& chambers() const { return chambers_; }
+  double piston_position() const { return x_; }
+  const std::string& supply_name() const { return supply_name_; }
+
+  static constexpr int kStateCount =
+      hydraulics::kCylinderParameterCount + hydraulics::kCylinderStateCount;
+
+ private:
+  struct Slots {
+    hydraulics::CylinderParameters& parameters;
+    hydraulics::CylinderState& state;
+  };
+  Slots slots(const mjModel* m, mjData* d) const;
+  void refresh(const hydraulics::CylinderParameters& p, double timestep);
+  double supply_pressure(const mjModel* m, mjData* d, const hydraulics::CylinderParameters& p) const;
+  double effective_mass(const mjModel* m, mjData* d) const;
+  void check_timestep(const mjModel* m) const;
+
+  int instance_;
+  int actuator_ = -1;
+  int supply_ = -1;
+  std::string supply_name_;
+  hydraulics::CylinderParameters initial_;
+
+  hydraulics::CylinderParameters seen_{};
+  double seen_timestep_ = 0;
+  hydraulics::CylinderCoefficients coefficients_{};
+  hydraulics::StepCoefficients step_{};
+  hydraulics::OilCondition oil_{};
+
+  hydraulics::Chambers chambers_{};
+  hydraulics::PistonForces forces_{};
+  double x_ = 0, v_ = 0, mass_ = 0;
+};
+
+void register_cylinder();
+extern const char kCylinderName[];
+
+}  // namespace leglab::plugin

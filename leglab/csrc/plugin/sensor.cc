@@ -1,0 +1,105 @@
+#include "plugin/sensor.h"
+
+#include <algorithm>
+#include <cstddef>
+#include <cstring>
+#include <sstream>
+
+#include "plugin/config.h"
+#include "plugin/cylinder.h"
+#include "plugin/lifecycle.h"
+
+namespace leglab::plugin {
+namespace {
+
+using hydraulics::CylinderParameters;
+using hydraulics::CylinderState;
+using hydraulics::kCylinderParameterCount;
+
+struct Quantity {
+  const char* name;
+  int offset;  // in the state of the cylinder; negative: an output of the latest compute
+};
+
+constexpr int state_offset(std::size_t bytes) {
+  return static_cast<int>(kCylinderParameterCount + bytes / sizeof(double));
+}
+
+constexpr int kPressureA = -1, kPressureB = -2, kPistonPosition = -3;
+constexpr Quantity kQuantities[] = {
+    {"pressure_a", kPressureA},
+    {"pressure_b", kPressureB},
+    {"piston_position", kPistonPosition},
+    {"flow_a", state_offset(offsetof(CylinderState, flow_a_))},
+    {"flow_b", state_offset(offsetof(CylinderState, flow_b_))},
+    {"supply_flow", state_offset(offsetof(CylinderState, supply_flow_))},
+    {"spool_position", state_offset(offsetof(CylinderState, spool_position_))},
+    {"oil_temperature", offsetof(CylinderParameters, oil_temperature_) / sizeof(double)},
+};
+
+std::vector<int> listed_quantities(const mjModel* m, int instance) {
+  std::istringstream words(text_attribute(m, instance, "quantity"));
+  std::vector<int> offsets;
+  for (std::string word; words >> word;) {
+    const auto* found = std::find_if(std::begin(kQuantities), std::end(kQuantities),
+                                     [&](const Quantity& q) { return word == q.name; });
+    if (found == std::end(kQuantities)) {
+      offsets.clear();
+      break;
+    }
+    offsets.push_back(found->offset);
+  }
+  if (offsets.empty()) {
+    std::string known;
+    for (const Quantity& q : kQuantities) known += std::string(known.empty() ? "" : ", ") + q.name;
+    refuse(m, instance, "attribute 'quantity' = '" + text_attribute(m, instance, "quantity") +
+                            "'; allowed: one or more of " + known);
+  }
+  return offsets;
+}
+
+}  // namespace
+
+int Sensor::dimension(const mjModel* m, int instance) {
+  return static_cast<int>(listed_quantities(m, instance).size());
+}
+
+Sensor::Sensor(const mjModel* m, int instance) : quantities_(listed_quantities(m, instance)) {
+  for (int i = 0; i < m->nsensor; ++i) {
+    if (m->sensor_type[i] == mjSENS_PLUGIN && m->sensor_plugin[i] == instance) sensor_ = i;
+  }
+  if (sensor_ < 0) refuse(m, instance, "serves no sensor; allowed: one sensor an instance");
+  const std::string name = text_attribute(m, instance, "actuator");
+  const int actuator = mj_name2id(m, mjOBJ_ACTUATOR, name.c_str());
+  if (actuator >= 0) cylinder_ = m->actuator_plugin[actuator];
+  if (cylinder_ < 0 || std::strcmp(mjp_getPluginAtSlot(m->plugin[cylinder_])->name, kCylinderName) != 0) {
+    refuse(m, instance, "attribute 'actuator' = '" + name + "'; allowed: the name of a " + kCylinderName +
+                            " actuator");
+  }
+}
+
+void Sensor::compute(const mjModel* m, mjData* d) {
+  mjtNum* out = d->sensordata + m->sensor_adr[sensor_];
+  const auto* cylinder = instance_of<Cylinder>(d, cylinder_);
+  const mjtNum* state = state_of(m, d, cylinder_);
+  for (int offset : quantities_) {
+    switch (offset) {
+      case kPressureA: *out++ = cylinder->chambers().gauge_a(); break;
+      case kPressureB: *out++ = cylinder->chambers().gauge_b(); break;
+      case kPistonPosition: *out++ = cylinder->piston_position(); break;
+      default: *out++ = state[offset];
+    }
+  }
+}
+
+void register_sensor() {
+  static const std::vector<const char*> names{"actuator", "quantity"};
+  register_plugin<Sensor>("leglab.sensor", mjPLUGIN_SENSOR, names, [](mjpPlugin& plugin) {
+    plugin.needstage = mjSTAGE_ACC;
+    plugin.nsensordata = +[](const mjModel* m, int instance, int) {
+      return Sensor::dimension(m, instance);
+    };
+  });
+}
+
+}  // namespace leglab::plugin

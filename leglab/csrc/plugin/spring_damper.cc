@@ -1,0 +1,45 @@
+#include "plugin/spring_damper.h"
+
+#include <cmath>
+#include <cstring>
+
+#include "plugin/config.h"
+#include "plugin/lifecycle.h"
+
+namespace leglab::plugin {
+
+SpringDamper::SpringDamper(const mjModel* m, int instance) : instance_(instance) {
+  const int joint = joint_attribute(m, instance);
+  qpos_ = m->jnt_qposadr[joint];
+  dof_ = m->jnt_dofadr[joint];
+  read_parameters(m, instance, kSpringParameters, reinterpret_cast<double*>(&initial_));
+  if (initial_.stop_lower_ >= initial_.stop_upper_) {
+    refuse(m, instance, "attribute 'stop_lower' = " + std::to_string(initial_.stop_lower_) +
+                            " rad; allowed: less than stop_upper = " +
+                            std::to_string(initial_.stop_upper_));
+  }
+}
+
+void SpringDamper::reset(mjtNum* plugin_state) const {
+  std::memcpy(plugin_state, &initial_, sizeof initial_);
+}
+
+// tau = -(k1 y + k2 y^3 sin^2 y) - d1 y' - d2 |y'| y' - stops.
+void SpringDamper::compute(const mjModel* m, mjData* d) {
+  const auto& p = *reinterpret_cast<const SpringParameters*>(state_of(m, d, instance_));
+  const double q = d->qpos[qpos_], v = d->qvel[dof_];
+  const double y = q - p.rest_position_;
+  const double sine = std::sin(y);
+  double force = -(p.k1_ + p.k2_ * y * y * sine * sine) * y -
+                 (p.d1_ + p.quadratic_damping_ * std::abs(v)) * v;
+  if (q < p.stop_lower_) force += p.stop_stiffness_ * (p.stop_lower_ - q) - p.stop_damping_ * v;
+  if (q > p.stop_upper_) force += p.stop_stiffness_ * (p.stop_upper_ - q) - p.stop_damping_ * v;
+  d->qfrc_passive[dof_] += force;
+}
+
+void register_spring_damper() {
+  static const std::vector<const char*> names = attribute_names(kSpringParameters, {"joint"});
+  register_plugin<SpringDamper>("leglab.spring_damper", mjPLUGIN_PASSIVE, names);
+}
+
+}  // namespace leglab::plugin
