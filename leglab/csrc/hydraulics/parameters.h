@@ -64,7 +64,7 @@ inline constexpr double kInfinity = __builtin_inf();
   X(ambient_temperature, "degC", 20.0, -60.0, 150.0, true, "of the surroundings")                  \
   X(initial_pressure_a, "Pa", 6e6, 0.0, 1e8, true, "gauge, after a reset")                         \
   X(initial_pressure_b, "Pa", 9.846e6, 0.0, 1e8, true, "gauge, after a reset")                     \
-  X(substeps, "1", 4.0, 1.0, 64.0, true, "hydraulic sub-steps in a time step")                     \
+  X(substeps, "1", 2.0, 1.0, 64.0, true, "hydraulic sub-steps in a time step")                     \
   /* these two are parameters that the machine itself changes */                                   \
   X(seal_clearance, "1", 1.0, 0.0, 100.0, true, "relative to the new seal; leakage grows with its cube") \
   X(oil_temperature, "degC", 40.0, -40.0, 150.0, true, "of the oil in the cylinder")

@@ -3,45 +3,9 @@
 
 #include <mujoco/mujoco.h>
 
-#include "hydraulics/parameters.h"
+#include "plugin/joint_friction_parameters.h"
 
 namespace leglab::plugin {
-
-// X(name, unit, nominal, minimum, maximum, minimum_allowed, description); N is N m at a hinge.
-#define LEGLAB_FRICTION_PARAMETERS(X)                                                              \
-  X(sigma_0, "N/rad", 1e3, 0.0, 1e9, true, "bristle stiffness")                                    \
-  X(sigma_1, "N s/rad", 1.0, 0.0, 1e6, true, "bristle damping")                                    \
-  X(viscous, "N s/rad", 0.0, 0.0, 1e6, true, "viscous friction")                                   \
-  X(coulomb, "N", 0.0, 0.0, 1e6, true, "Coulomb friction")                                         \
-  X(static, "N", 0.0, 0.0, 1e6, true, "breakaway friction, at least coulomb")                      \
-  X(stribeck_velocity, "rad/s", 0.1, 0.0, 1e3, false, "Stribeck velocity")                         \
-  X(direction_asymmetry, "1", 0.0, -1.0, 1.0, true, "friction x (1 + a) for v > 0, (1 - a) for v < 0") \
-  X(wear_rate, "1/rad", 0.0, 0.0, 1e3, true, "relative growth per path travelled (Archard 1953)")  \
-  X(drift_amplitude, "1", 0.0, 0.0, 1.0, true, "relative slow sinusoidal change")                  \
-  X(drift_period, "s", 60.0, 0.0, 1e6, false, "period of the slow change")                         \
-  X(wear, "1", 1.0, 0.0, 1e3, true, "relative friction level; the machine itself changes it")
-
-#define LEGLAB_FRICTION_STATES(X)  \
-  X(bristle, "rad", "LuGre bristle deflection z") \
-  X(sliding_distance, "rad", "path since the reset")
-
-#define LEGLAB_FIELD(name, ...) double name##_;
-struct FrictionParameters {
-  LEGLAB_FRICTION_PARAMETERS(LEGLAB_FIELD)
-};
-struct FrictionState {
-  LEGLAB_FRICTION_STATES(LEGLAB_FIELD)
-};
-#undef LEGLAB_FIELD
-#define LEGLAB_SPEC(name, unit, nominal, lo, hi, closed, text) \
-  {#name, unit, nominal, lo, hi, closed, text},
-inline constexpr hydraulics::ParameterSpec kFrictionParameters[] = {
-    LEGLAB_FRICTION_PARAMETERS(LEGLAB_SPEC)};
-#undef LEGLAB_SPEC
-#define LEGLAB_STATE_SPEC(name, unit, text) {#name, unit, text},
-inline constexpr hydraulics::StateSpec kFrictionStates[] = {
-    LEGLAB_FRICTION_STATES(LEGLAB_STATE_SPEC)};
-#undef LEGLAB_STATE_SPEC
 
 class JointFriction {
  public:

@@ -3,32 +3,9 @@
 
 #include <mujoco/mujoco.h>
 
-#include "hydraulics/parameters.h"
+#include "plugin/spring_damper_parameters.h"
 
 namespace leglab::plugin {
-
-// X(name, unit, nominal, minimum, maximum, minimum_allowed, description); N is N m at a hinge.
-#define LEGLAB_SPRING_PARAMETERS(X)                                                                \
-  X(k1, "N/rad", 0.0, 0.0, 1e6, true, "linear stiffness (Eq. 23 of Folgheraiter)")                 \
-  X(k2, "N/rad^3", 0.0, -1e6, 1e6, true, "hardening (Eq. 23)")                                     \
-  X(d1, "N s/rad", 0.0, 0.0, 1e5, true, "linear damping (Eq. 23)")                                 \
-  X(quadratic_damping, "N s^2/rad^2", 0.0, 0.0, 1e5, true, "damping with the speed squared")       \
-  X(rest_position, "rad", 0.0, -100.0, 100.0, true, "joint position without spring force")         \
-  X(stop_lower, "rad", -1e3, -1e3, 1e3, true, "below it the soft stop acts")                       \
-  X(stop_upper, "rad", 1e3, -1e3, 1e3, true, "above it the soft stop acts")                        \
-  X(stop_stiffness, "N/rad", 0.0, 0.0, 1e9, true, "of the soft stops")                             \
-  X(stop_damping, "N s/rad", 0.0, 0.0, 1e6, true, "of the soft stops")
-
-#define LEGLAB_FIELD(name, ...) double name##_;
-struct SpringParameters {
-  LEGLAB_SPRING_PARAMETERS(LEGLAB_FIELD)
-};
-#undef LEGLAB_FIELD
-#define LEGLAB_SPEC(name, unit, nominal, lo, hi, closed, text) \
-  {#name, unit, nominal, lo, hi, closed, text},
-inline constexpr hydraulics::ParameterSpec kSpringParameters[] = {
-    LEGLAB_SPRING_PARAMETERS(LEGLAB_SPEC)};
-#undef LEGLAB_SPEC
 
 class SpringDamper {
  public:

@@ -1,0 +1,49 @@
+"""Types of the compiled hydraulics core."""
+
+import numpy as np
+
+def parameter_tables() -> dict[
+    str,
+    tuple[
+        list[tuple[str, str, float, float, float, bool, str]],
+        list[tuple[str, str, str]],
+    ],
+]: ...
+
+class CylinderModel:
+    def __init__(self, parameters: np.ndarray) -> None: ...
+    def derivative(
+        self,
+        state: np.ndarray,
+        command: float,
+        supply_pressure: float,
+        mass: float,
+        load: float,
+        ideal_valve: bool,
+        blocked: bool,
+        out: np.ndarray,
+    ) -> None: ...
+    def simulate(
+        self,
+        commands: np.ndarray,
+        timestep: float,
+        supply_pressure: float,
+        mass: float,
+        load: float,
+        x0: float,
+        v0: float,
+        pa0: float,
+        pb0: float,
+        out: np.ndarray,
+    ) -> None: ...
+    def flows(
+        self, spool: float, supply_pressure: float, pa: float, pb: float
+    ) -> tuple[float, float, float]: ...
+    def areas(self) -> tuple[float, float]: ...
+    def volumes(self, x: float) -> tuple[float, float]: ...
+    def bulk_modulus(self, gauge: float) -> float: ...
+    def relative_volume(self, gauge: float) -> float: ...
+    def pressure_at(self, relative_volume: float, guess: float) -> float: ...
+    def kinematic_viscosity(self, celsius: float) -> float: ...
+    def condition(self) -> tuple[float, float, float, float]: ...
+    def steady_friction(self, v: float, pa: float, pb: float) -> float: ...

@@ -1,0 +1,157 @@
+// nanobind module of the hydraulics core: parameter tables, fluid laws, the continuous model and
+// the fixed-step scheme on a free mass.
+#include <cstring>
+#include <span>
+
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
+
+#include "hydraulics/continuous.h"
+#include "hydraulics/supply.h"
+#include "plugin/tables.h"
+
+namespace nb = nanobind;
+using namespace leglab::hydraulics;
+
+using Vector = nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using ConstVector = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using SpecRow = std::tuple<std::string, std::string, double, double, double, bool, std::string>;
+
+namespace {
+
+std::vector<SpecRow> rows(std::span<const ParameterSpec> specs) {
+  std::vector<SpecRow> out;
+  for (const auto& s : specs) {
+    out.emplace_back(s.name, s.unit, s.nominal, s.minimum, s.maximum, s.minimum_allowed, s.description);
+  }
+  return out;
+}
+
+std::vector<std::tuple<std::string, std::string, std::string>> rows(std::span<const StateSpec> specs) {
+  std::vector<std::tuple<std::string, std::string, std::string>> out;
+  for (const auto& s : specs) out.emplace_back(s.name, s.unit, s.description);
+  return out;
+}
+
+void require(std::size_t got, std::size_t wanted, const char* what) {
+  if (got != wanted) {
+    throw nb::value_error((std::string(what) + " needs " + std::to_string(wanted) + " values, got " +
+                           std::to_string(got)).c_str());
+  }
+}
+
+// One cylinder by its parameters in table order.
+class CylinderModel {
+ public:
+  explicit CylinderModel(ConstVector parameters) {
+    require(parameters.shape(0), kCylinderParameterCount, "parameters");
+    std::memcpy(&p_, parameters.data(), sizeof p_);
+    c_ = CylinderCoefficients::from(p_);
+    oil_ = OilCondition::from(p_, c_);
+  }
+
+  void derivative(ConstVector state, double command, double supply_pressure, double mass, double load,
+                  bool ideal_valve, bool blocked, Vector out) const {
+    require(state.shape(0), kContinuousCount, "state");
+    require(out.shape(0), kContinuousCount, "out");
+    continuous_derivative(p_, c_, oil_, {command, supply_pressure, mass, load, ideal_valve, blocked},
+                          state.data(), out.data());
+  }
+
+  // Valve flows [m^3/s] into A and B and the leakage A -> B at steady pressures.
+  std::tuple<double, double, double> flows(double spool, double supply_pressure, double pa, double pb) const {
+    const CylinderFlows f =
+        flows_at(c_, oil_, Edges::at(p_, c_, spool), supply_pressure, p_.tank_pressure_, pa, pb);
+    return {f.a - f.leak - f.leak_a, f.b + f.leak - f.leak_b, f.leak};
+  }
+
+  // The plugin's scheme on a free mass: commands held over each step, positions and pressures out.
+  // `out` has shape (n, 6): x, v, pA, pB, spool, bristle after each step.
+  void simulate(ConstVector commands, double timestep, double supply_pressure, double mass, double load,
+                double x0, double v0, double pa0, double pb0,
+                nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu> out) const {
+    require(out.shape(0), commands.shape(0), "out rows");
+    require(out.shape(1), 6, "out columns");
+    CylinderParameters p = p_;
+    OilCondition oil = oil_;
+    const StepCoefficients step = StepCoefficients::from(p, timestep);
+    CylinderState s{};
+    s.pressure_a_ = pa0;
+    s.pressure_b_ = pb0;
+    double x = x0, v = v0;
+    for (std::size_t i = 0; i < commands.shape(0); ++i) {
+      if (p.thermal_capacity_ > 0 || p.seal_wear_rate_ > 0) oil = OilCondition::from(p, c_);
+      const Chambers k = chambers_at(p, c_, s, x);
+      const PistonForces f = piston_forces(p, c_, oil, s, k, x, v, timestep / mass);
+      const double next = v + timestep * (f.total() - load) / mass;
+      advance_cylinder(p, c_, step, oil, k, {x, v, next, f.total(), f.pressure - f.total(), mass},
+                       commands.data()[i], supply_pressure, s);
+      v = next;
+      x += timestep * v;
+      const double row[6] = {x, v, s.pressure_a_, s.pressure_b_, s.spool_position_, s.bristle_};
+      std::memcpy(out.data() + 6 * i, row, sizeof row);
+    }
+  }
+
+  std::tuple<double, double> areas() const { return {c_.area_a, c_.area_b}; }
+  std::tuple<double, double> volumes(double x) const {
+    const Volumes v = Volumes::at(p_, c_, x);
+    return {v.a, v.b};
+  }
+  double bulk_modulus(double gauge) const {
+    return c_.oil.expand(std::max(gauge + kAtmosphere, kPressureFloor)).bulk_modulus();
+  }
+  double pressure_at(double relative_volume, double guess) const {
+    return c_.oil.solve(relative_volume, guess + kAtmosphere).p - kAtmosphere;
+  }
+  double relative_volume(double gauge) const {
+    return c_.oil.expand(std::max(gauge + kAtmosphere, kPressureFloor)).w;
+  }
+  double kinematic_viscosity(double celsius) const { return c_.viscosity.kinematic(celsius); }
+  std::tuple<double, double, double, double> condition() const {
+    return {oil_.internal_leakage, oil_.external_leakage_a, oil_.external_leakage_b, oil_.viscous};
+  }
+  double steady_friction(double v, double pa, double pb) const {
+    if (v == 0) return 0;
+    return std::copysign(bristle_level(p_, v, pa, pb), v) + oil_.viscous * v;
+  }
+
+ private:
+  CylinderParameters p_;
+  CylinderCoefficients c_;
+  OilCondition oil_;
+};
+
+}  // namespace
+
+NB_MODULE(hydraulics, m) {
+  m.doc() = "Hydraulics core of leglab.";
+  m.def("parameter_tables", [] {
+    nb::dict tables;
+    for (const auto& t : leglab::plugin::kTables) {
+      tables[t.plugin] = nb::make_tuple(rows(t.parameters), rows(t.states));
+    }
+    return tables;
+  });
+  nb::class_<CylinderModel>(m, "CylinderModel")
+      .def(nb::init<ConstVector>(), nb::arg("parameters"))
+      .def("derivative", &CylinderModel::derivative, nb::arg("state"), nb::arg("command"),
+           nb::arg("supply_pressure"), nb::arg("mass"), nb::arg("load"), nb::arg("ideal_valve"),
+           nb::arg("blocked"), nb::arg("out"))
+      .def("simulate", &CylinderModel::simulate, nb::arg("commands"), nb::arg("timestep"),
+           nb::arg("supply_pressure"), nb::arg("mass"), nb::arg("load"), nb::arg("x0"), nb::arg("v0"),
+           nb::arg("pa0"), nb::arg("pb0"), nb::arg("out"))
+      .def("flows", &CylinderModel::flows, nb::arg("spool"), nb::arg("supply_pressure"), nb::arg("pa"),
+           nb::arg("pb"))
+      .def("areas", &CylinderModel::areas)
+      .def("volumes", &CylinderModel::volumes, nb::arg("x"))
+      .def("bulk_modulus", &CylinderModel::bulk_modulus, nb::arg("gauge"))
+      .def("relative_volume", &CylinderModel::relative_volume, nb::arg("gauge"))
+      .def("pressure_at", &CylinderModel::pressure_at, nb::arg("relative_volume"), nb::arg("guess"))
+      .def("kinematic_viscosity", &CylinderModel::kinematic_viscosity, nb::arg("celsius"))
+      .def("condition", &CylinderModel::condition)
+      .def("steady_friction", &CylinderModel::steady_friction, nb::arg("v"), nb::arg("pa"), nb::arg("pb"));
+}
