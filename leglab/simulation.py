@@ -1,0 +1,250 @@
+"""A model with its data: loading, hydraulic states by name, stepping."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+import leglab.models
+import leglab.plugin
+from leglab.errors import LeglabError, unknown_name
+from leglab.parameters import Parameter, PluginTable, plugin_tables
+
+CYLINDER = "leglab.cylinder"
+# Beyond this joint speed [rad/s or m/s] a leg simulation has blown up.
+SPEED_LIMIT = 1e3
+
+
+class SimulationError(LeglabError):
+    """The simulation blew up: the message says when and which state."""
+
+
+def model_names() -> tuple[str, ...]:
+    """Names of the models that ship with leglab."""
+    return tuple(sorted(path.stem for path in _model_folder().glob("*.xml")))
+
+
+def load_model(model: str | Path, *, timestep: float | None = None) -> mujoco.MjModel:
+    """Loads a model with the plugins registered.
+
+    Args:
+        model: A name from `model_names()` or the path of an MJCF file.
+        timestep: Overrides the file's time step [s].
+
+    Raises:
+        LeglabError: If there is no such model or MuJoCo refuses it; one line.
+    """
+    leglab.plugin.load()
+    path = _model_folder() / f"{model}.xml"
+    if not path.exists():
+        path = Path(model)
+        if not path.is_file():
+            if path.suffix == ".xml":
+                raise LeglabError(f"model file {str(model)!r} does not exist")
+            raise unknown_name("model", str(model), model_names())
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        if timestep is not None:
+            spec.option.timestep = timestep
+        compiled = spec.compile()
+        mujoco.MjData(compiled)  # the plugins check the compiled model once more
+    except (ValueError, mujoco.FatalError) as error:
+        raise LeglabError(f"{path.name}: {_one_line(error)}") from error
+    return compiled
+
+
+class Simulation:
+    """A model whose joints are driven by cylinders, with its states by name.
+
+    Args:
+        model: The model; every actuator must be a `leglab.cylinder` that moves one joint.
+        keyframe: Name of the keyframe to start from; None for the model's zero position.
+
+    Attributes:
+        model: The MuJoCo model.
+        data: The MuJoCo data.
+        actuators: Names of the actuators, in MuJoCo's order.
+        joints: Name of the joint that each actuator drives.
+
+    Raises:
+        LeglabError: If an actuator is of another kind, or w_h h exceeds 1 at the keyframe.
+    """
+
+    def __init__(self, model: mujoco.MjModel, *, keyframe: str | None = "home") -> None:
+        self.model = model
+        self.data = mujoco.MjData(model)
+        self.actuators = tuple(model.actuator(i).name for i in range(model.nu))
+        if not self.actuators:
+            raise LeglabError("the model has no actuator; allowed: one leglab.cylinder a joint")
+        self._elements = self._find_elements()
+        for name in self.actuators:
+            if name not in self._elements or self._elements[name][1].plugin != CYLINDER:
+                raise LeglabError(f"actuator {name!r} is no {CYLINDER}; allowed: only those")
+        mujoco.mj_forward(model, self.data)
+        self._joint_ids = np.array([self._driven_joint(i) for i in range(model.nu)])
+        self.joints = tuple(model.joint(i).name for i in self._joint_ids)
+        self.qpos_index = model.jnt_qposadr[self._joint_ids]
+        self.dof_index = model.jnt_dofadr[self._joint_ids]
+        self.reset(keyframe)
+
+    def reset(self, keyframe: str | None = "home") -> None:
+        """Resets everything, parameters included, to a keyframe of the model.
+
+        Raises:
+            LeglabError: If the model has keyframes, but none of this name.
+        """
+        if keyframe is None or self.model.nkey == 0:
+            mujoco.mj_resetData(self.model, self.data)
+        else:
+            names = [self.model.key(i).name for i in range(self.model.nkey)]
+            if keyframe not in names:
+                raise unknown_name("keyframe", keyframe, names)
+            mujoco.mj_resetDataKeyframe(self.model, self.data, names.index(keyframe))
+        mujoco.mj_forward(self.model, self.data)
+
+    @property
+    def elements(self) -> dict[str, str]:
+        """Names of all elements with parameters and the plugin each belongs to."""
+        return {name: table.plugin for name, (_, table) in self._elements.items()}
+
+    def slot(self, element: str, name: str) -> int:
+        """Index in `data.plugin_state` of a parameter or state of an element.
+
+        Raises:
+            LeglabError: If the element or the parameter does not exist.
+        """
+        if element not in self._elements:
+            raise unknown_name("element", element, self._elements)
+        address, table = self._elements[element]
+        return address + table.entry(name).offset
+
+    def slots(self, name: str) -> np.ndarray:
+        """Indices in `data.plugin_state` of a parameter or state of all cylinders, (actuators,)."""
+        return np.array([self.slot(element, name) for element in self.actuators])
+
+    def parameter(self, element: str, name: str) -> float:
+        """Current value of a parameter or state, in its SI unit."""
+        return float(self.data.plugin_state[self.slot(element, name)])
+
+    def set_parameter(self, element: str, name: str, value: float) -> None:
+        """Sets a physical parameter of an element from now on.
+
+        Raises:
+            LeglabError: If element or name do not exist or the value is out of bounds.
+        """
+        slot = self.slot(element, name)
+        entry = self._elements[element][1].entry(name)
+        if isinstance(entry, Parameter):
+            value = entry.check(value, f"element {element!r}")
+        self.data.plugin_state[slot] = value
+
+    def set_pressures(self, pressure_a: np.ndarray, pressure_b: np.ndarray) -> None:
+        """Prescribes all chamber pressures [Pa], each (actuators,), at the present position.
+
+        Needed whenever joint positions were moved by hand: the oil in the chambers is kept
+        otherwise, and is compressed or stretched by the move.
+        """
+        state = self.data.plugin_state
+        state[self.slots("pressure_a")] = pressure_a
+        state[self.slots("pressure_b")] = pressure_b
+        state[self.slots("amount_a")] = 0.0
+        state[self.slots("amount_b")] = 0.0
+
+    def cylinder_parameters(self, actuator: str) -> dict[str, float]:
+        """All parameters of a cylinder as they are now, with its supply's present pressure."""
+        address, table = self._elements[actuator]
+        values = {
+            name: float(self.data.plugin_state[address + parameter.offset])
+            for name, parameter in table.parameters.items()
+        }
+        instance = self.model.actuator_plugin[self.model.actuator(actuator).id]
+        supply = leglab.plugin.text_attribute(self.model, instance)  # its first attribute
+        if supply:
+            values["supply_pressure"] = self.parameter(supply, "pressure")
+        return values
+
+    def position(self) -> np.ndarray:
+        """True joint positions [rad], (joints,)."""
+        return self.data.qpos[self.qpos_index]
+
+    def velocity(self) -> np.ndarray:
+        """True joint velocities [rad/s], (joints,)."""
+        return self.data.qvel[self.dof_index]
+
+    def joint_range(self) -> np.ndarray:
+        """Lower and upper joint positions [rad], (joints, 2)."""
+        return self.model.jnt_range[self._joint_ids]
+
+    def levers(self) -> np.ndarray:
+        """Lever arm of each cylinder on its joint [m/rad], (joints,), positive if q extends it."""
+        moment = np.zeros((self.model.nu, self.model.nv))
+        mujoco.mju_sparse2dense(
+            moment,
+            self.data.actuator_moment,
+            self.data.moment_rownnz,
+            self.data.moment_rowadr,
+            self.data.moment_colind,
+        )
+        return moment[np.arange(self.model.nu), self.dof_index]
+
+    def step(self, count: int = 1) -> None:
+        """Advances by a number of time steps with the present `data.ctrl`."""
+        mujoco.mj_step(self.model, self.data, count)
+
+    def check(self) -> None:
+        """Raises if the simulation has blown up.
+
+        Raises:
+            SimulationError: Names the time, the joint and its value.
+        """
+        speed = np.abs(self.data.qvel)
+        if np.all(speed < SPEED_LIMIT):  # false for NaN as well
+            return
+        dof = int(np.argmax(np.where(np.isfinite(speed), speed, np.inf)))
+        joint = self.model.joint(self.model.dof_jntid[dof]).name
+        raise SimulationError(
+            f"the simulation blew up at {self.data.time:.6g} s: velocity of joint {joint!r} is "
+            f"{self.data.qvel[dof]:g}, allowed below {SPEED_LIMIT:g}"
+        )
+
+    def _driven_joint(self, actuator: int) -> int:
+        address, count = self.data.moment_rowadr[actuator], self.data.moment_rownnz[actuator]
+        row = np.abs(self.data.actuator_moment[address : address + count])
+        if not row.any():
+            raise LeglabError(f"actuator {self.actuators[actuator]!r} moves no joint")
+        dof = self.data.moment_colind[address + int(np.argmax(row))]
+        return int(self.model.dof_jntid[dof])
+
+    def _find_elements(self) -> dict[str, tuple[int, PluginTable]]:
+        model, tables = self.model, plugin_tables()
+        slots = leglab.plugin.slots(tables)
+        owners = {int(model.actuator_plugin[i]): name for i, name in enumerate(self.actuators)}
+        found = {}
+        for i in range(model.nplugin):
+            if model.plugin[i] in slots:
+                table = tables[slots[model.plugin[i]]]
+                name = owners.get(i) or _name(model, i)
+                found[name] = (int(model.plugin_stateadr[i]), table)
+        return found
+
+
+def _name(model: mujoco.MjModel, instance: int) -> str:
+    start = int(model.name_pluginadr[instance])
+    return bytes(model.names[start:]).split(b"\0", 1)[0].decode()
+
+
+def _model_folder() -> Path:
+    return Path(leglab.models.__path__[0])
+
+
+def _one_line(error: Exception) -> str:
+    """MuJoCo's message without its decoration; for an unknown attribute, with those that exist."""
+    lines: Sequence[str] = [line.strip() for line in str(error).splitlines() if line.strip()]
+    text = "; ".join(lines).removeprefix("Error: ").removeprefix("engine error: ")
+    if "unrecognized attribute 'plugin:" in text:
+        key = text.split("'plugin:")[1].split("'")[0]
+        for plugin, table in plugin_tables().items():
+            if plugin in text:
+                text += f": {unknown_name('attribute', key, table.parameters)}"
+    return text
