@@ -7,27 +7,13 @@ from typing import Any
 import numpy as np
 
 from leglab.errors import LeglabError
+from leglab.schedule import Phase
 
 # Re-adapted means: no worse than this many times the error before the change.
 READAPTATION_RATIO = 1.25
 
 # Share of a sampling period by which time stamps may be off through rounding.
 _ROUNDING = 1e-6
-
-
-@dataclass(frozen=True, kw_only=True)
-class Phase:
-    """A named part of a run.
-
-    Attributes:
-        name: "whole", or "before", "during" and "after" a change.
-        start: First time [s].
-        end: Last time [s], not included where another phase follows.
-    """
-
-    name: str
-    start: float
-    end: float
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,7 +6,6 @@ from hypothesis.extra import numpy as hnp
 
 from leglab.errors import LeglabError
 from leglab.metrics import (
-    Phase,
     peak,
     percentile,
     phase_table,
@@ -14,6 +13,7 @@ from leglab.metrics import (
     rms,
     sliding_rms,
 )
+from leglab.schedule import Phase
 
 errors = hnp.arrays(
     np.float64,
