@@ -1,0 +1,175 @@
+"""The gate for dirty data: what is wrong with a table, where, and what is safe to repair."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from leglab.errors import LeglabError
+from leglab.recording import Recording
+
+# An interval this much longer than the usual one has lost at least one sample: between 1 (none
+# lost) and 2 (one lost), with room for jitter on both sides.
+_GAP = 1.5
+
+# Kinds that leave no valid time axis: nothing can be computed before they are dealt with.
+_FATAL = frozenset({"empty", "missing_time", "repeated_time", "reversed_time"})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One thing that is wrong with a table.
+
+    Attributes:
+        kind: "empty", "missing_time", "repeated_time", "repeated_row", "reversed_time", "gap",
+            "nan_run", "infinite" or "constant".
+        column: The column.
+        row: The first row, from 0.
+        count: How many rows it covers.
+        message: One line with the row, the column, the value and what is usual.
+    """
+
+    kind: str
+    column: str
+    row: int
+    count: int
+    message: str
+
+    @property
+    def fatal(self) -> bool:
+        """Whether the table cannot become a recording as it is."""
+        return self.kind in _FATAL
+
+
+def inspect(table: Recording | Mapping[str, np.ndarray]) -> tuple[Finding, ...]:
+    """Lists what is wrong with a table, in the order of columns and rows.
+
+    Args:
+        table: A recording, or arrays of shape (n,) by column name, `time` among them.
+
+    Returns:
+        Findings; none for clean data.
+    """
+    if isinstance(table, Recording):
+        table = {"time": table.time, **table.columns}
+    if table["time"].size == 0:
+        return (_finding("empty", "time", 0, 0, "there is no sample"),)
+    findings = list(_inspect_time(table))
+    for name, samples in table.items():
+        if name != "time":
+            findings.extend(_inspect_column(name, samples))
+    return tuple(findings)
+
+
+def drop_redundant_rows(
+    table: Mapping[str, np.ndarray],
+) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+    """Drops rows that hold nothing: exact repetitions of the row before, empty rows at the end.
+
+    Nothing is invented: no value is interpolated, no row is moved.
+
+    Args:
+        table: Arrays of shape (n,) by column name, `time` among them.
+
+    Returns:
+        The repaired table, and one line for each kind of repair that was made.
+    """
+    stacked = np.column_stack(list(table.values()))
+    filled = np.flatnonzero(~np.isnan(stacked).all(axis=1))
+    length = int(filled[-1]) + 1 if filled.size else 0
+    keep = np.arange(len(stacked)) < length
+    notes = []
+    if length < len(stacked):
+        notes.append(f"dropped {len(stacked) - length} empty rows at the end, from row {length}")
+    repeated = _repeated_rows(table) & keep
+    if repeated.any():
+        first = int(np.argmax(repeated))
+        notes.append(f"dropped {repeated.sum()} exact repetitions of a row, the first is {first}")
+    keep &= ~repeated
+    return {name: samples[keep] for name, samples in table.items()}, tuple(notes)
+
+
+def to_recording(
+    table: Mapping[str, np.ndarray], metadata: Mapping[str, Any], *, source: str, repair: bool
+) -> Recording:
+    """Builds a recording from a table as it was read.
+
+    Args:
+        table: Arrays of shape (n,) by column name, `time` among them.
+        metadata: The recording's metadata.
+        source: Where the table came from, for messages.
+        repair: Whether safe repairs are made; they are noted in the metadata under "repairs".
+
+    Raises:
+        LeglabError: The time axis is not valid; the first reason is given, and how many more.
+    """
+    if repair:
+        table, notes = drop_redundant_rows(table)
+        if notes:
+            metadata = {**metadata, "repairs": [*metadata.get("repairs", ()), *notes]}
+    fatal = [finding for finding in inspect(table) if finding.fatal]
+    if not repair and table["time"].size:
+        fatal.extend(f for f in _inspect_time(table) if f.kind == "repeated_row")
+    if fatal:
+        more = f" ({len(fatal) - 1} more such findings)" if len(fatal) > 1 else ""
+        raise LeglabError(f"{source}: {fatal[0].message}{more}")
+    columns = {name: samples for name, samples in table.items() if name != "time"}
+    return Recording(time=table["time"], columns=columns, metadata=metadata)
+
+
+def _inspect_time(table: Mapping[str, np.ndarray]) -> Iterator[Finding]:
+    time = table["time"]
+    for row, count in _runs(~np.isfinite(time)):
+        yield _finding("missing_time", "time", row, count, f"{time[row]} is not a finite time")
+    with np.errstate(invalid="ignore"):
+        interval = np.diff(time)
+    forward = interval[interval > 0]
+    usual = float(np.median(forward)) if forward.size else np.nan
+    same = _repeated_rows(table)
+    for row in (np.flatnonzero(interval == 0) + 1).tolist():
+        if same[row]:
+            message = f"repeats row {row - 1} exactly"
+            yield _finding("repeated_row", "time", row, 1, message)
+        else:
+            message = f"{time[row]:.9g} s again, with other values than row {row - 1}"
+            yield _finding("repeated_time", "time", row, 1, message)
+    for row in (np.flatnonzero(interval < 0) + 1).tolist():
+        message = f"{time[row]:.9g} s comes after {time[row - 1]:.9g} s"
+        yield _finding("reversed_time", "time", row, 1, message)
+    for row in (np.flatnonzero(interval > _GAP * usual) + 1).tolist():
+        message = f"{interval[row - 1]:.6g} s after the row before, usual are {usual:.6g} s"
+        yield _finding("gap", "time", row, 1, message)
+
+
+def _inspect_column(name: str, samples: np.ndarray) -> Iterator[Finding]:
+    for row, count in _runs(np.isnan(samples)):
+        yield _finding("nan_run", name, row, count, f"{count} samples without a number")
+    for row, count in _runs(np.isinf(samples)):
+        yield _finding("infinite", name, row, count, f"{count} infinite samples")
+    finite = samples[np.isfinite(samples)]
+    if finite.size > 1 and (finite == finite[0]).all():
+        message = f"{finite[0]:.9g} in every row: is the sensor connected?"
+        yield _finding("constant", name, 0, samples.size, message)
+
+
+def _repeated_rows(table: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Returns which rows equal the row before in every column, NaN being equal to NaN."""
+    stacked = np.column_stack(list(table.values()))
+    same = np.zeros(len(stacked), dtype=bool)
+    one, two = stacked[:-1], stacked[1:]
+    same[1:] = ((one == two) | (np.isnan(one) & np.isnan(two))).all(axis=1)
+    # Without a time stamp nothing says that two rows are one sample.
+    return same & ~np.isnan(table["time"])
+
+
+def _runs(mask: np.ndarray) -> Iterator[tuple[int, int]]:
+    """Yields first row and length of every run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
+    for start, end in zip(edges[::2], edges[1::2], strict=True):
+        yield int(start), int(end - start)
+
+
+def _finding(kind: str, column: str, row: int, count: int, message: str) -> Finding:
+    message = f"column {column!r}, row {row}: {message}"
+    return Finding(kind=kind, column=column, row=row, count=count, message=message)

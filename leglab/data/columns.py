@@ -1,0 +1,55 @@
+"""From Arrow tables to plain arrays, the same for every format."""
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+
+from leglab.errors import LeglabError
+
+
+def to_arrays(table: pa.Table, path: Path) -> dict[str, np.ndarray]:
+    """Turns an Arrow table into float64 arrays; empty cells become NaN.
+
+    Args:
+        table: The table.
+        path: Where it came from, for messages.
+
+    Returns:
+        Arrays of shape (n,) by column name.
+
+    Raises:
+        LeglabError: A column is named twice, is not numeric, or there is no `time`.
+    """
+    names = table.column_names
+    for name in names:
+        if names.count(name) > 1:
+            raise LeglabError(f"{path}: column {name!r} is there {names.count(name)} times")
+    if "time" not in names:
+        raise LeglabError(f"{path}: no column 'time', found {', '.join(names) or 'no column'}")
+    return {name: _to_array(table.column(name), name, path) for name in names}
+
+
+def to_table(time: np.ndarray, columns: dict[str, np.ndarray]) -> pa.Table:
+    """Builds an Arrow table with `time` first."""
+    return pa.table({"time": time, **columns})
+
+
+def _to_array(column: pa.ChunkedArray, name: str, path: Path) -> np.ndarray:
+    kind = column.type
+    if pa.types.is_null(kind):
+        return np.full(len(column), np.nan)
+    if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind):
+        return column.cast(pa.float64(), safe=False).to_numpy().astype(np.float64)
+    for row, value in enumerate(column.to_pylist()):
+        if value is not None and not _is_number(value):
+            raise LeglabError(f"{path}: column {name!r}, row {row}: {value!r} is not a number")
+    raise LeglabError(f"{path}: column {name!r} holds {kind}, allowed are numbers")
+
+
+def _is_number(text: object) -> bool:
+    try:
+        float(str(text))
+    except ValueError:
+        return False
+    return not isinstance(text, bool)

@@ -1,0 +1,61 @@
+"""Recordings as CSV: a line of column names, then one line a sample."""
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pc
+
+from leglab.data.columns import to_arrays, to_table
+from leglab.data.files import write_atomically
+from leglab.errors import LeglabError
+from leglab.recording import Recording
+
+# What stands for a missing sample; all other text is refused.
+_MISSING = ["", "nan", "NaN", "NAN", "null", "NULL", "NA", "n/a"]
+
+
+def read_table(path: Path) -> tuple[dict[str, np.ndarray], dict]:
+    """Reads all columns of a CSV file. Row 0 is the first line after the names.
+
+    Returns:
+        Arrays of shape (n,) by column name, and the metadata, which CSV cannot hold: empty.
+
+    Raises:
+        LeglabError: A line has too few or too many cells (as the last one of a truncated file), or
+            a cell is not a number; names the row.
+    """
+    broken: list[pc.InvalidRow] = []
+
+    def note(row: pc.InvalidRow) -> str:
+        broken.append(row)
+        return "skip"
+
+    try:
+        table = pc.read_csv(
+            path,
+            # One thread: only then are invalid rows numbered.
+            read_options=pc.ReadOptions(use_threads=False),
+            parse_options=pc.ParseOptions(invalid_row_handler=note),
+            convert_options=pc.ConvertOptions(null_values=_MISSING, strings_can_be_null=True),
+        )
+    except (pa.ArrowException, OSError) as error:
+        raise LeglabError(f"{path}: not a CSV file: {str(error).splitlines()[0]}") from error
+    if broken:
+        row = broken[0]
+        raise LeglabError(
+            f"{path}: row {row.number - 2} has {row.actual_columns} cells instead of "
+            f"{row.expected_columns} ({row.text!r}); is the file truncated?"
+        )
+    return to_arrays(table, path), {}
+
+
+def write(recording: Recording, path: Path) -> None:
+    """Writes a recording with all digits; its metadata is lost.
+
+    Raises:
+        LeglabError: The folder does not exist or cannot be written to.
+    """
+    table = to_table(recording.time, dict(recording.columns))
+    options = pc.WriteOptions(quoting_style="needed", quoting_header="none")
+    write_atomically(path, lambda stream: pc.write_csv(table, stream, options))

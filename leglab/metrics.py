@@ -1,0 +1,197 @@
+"""How well a run tracked its reference. Pure functions of arrays; errors in rad, times in s."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from leglab.errors import LeglabError
+from leglab.schedule import Phase
+
+# Re-adapted means: no worse than this many times the error before the change.
+READAPTATION_RATIO = 1.25
+
+# Share of a sampling period by which time stamps may be off through rounding.
+_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Readaptation:
+    """How soon a run was good again after a change.
+
+    Attributes:
+        time: Time from the change until the windowed error stays below the threshold [s]; None
+            where it never does, or nothing can be said.
+        threshold: The windowed error that may not be exceeded [rad]; None where nothing can be
+            said.
+        reason: Why nothing can be said; empty otherwise.
+    """
+
+    time: float | None
+    threshold: float | None
+    reason: str = ""
+
+
+def rms(error: np.ndarray) -> np.ndarray:
+    """Returns the root mean square over the samples.
+
+    Args:
+        error: Tracking error. Shape (n, joints).
+
+    Returns:
+        Shape (joints,), in the error's unit.
+    """
+    return np.sqrt(np.mean(np.square(_samples(error)), axis=0))
+
+
+def peak(error: np.ndarray) -> np.ndarray:
+    """Returns the largest magnitude over the samples. Shapes as in `rms`."""
+    return np.max(np.abs(_samples(error)), axis=0)
+
+
+def percentile(error: np.ndarray, percent: float) -> np.ndarray:
+    """Returns the magnitude that this percentage of samples does not exceed, as in `rms`.
+
+    Raises:
+        LeglabError: The percentage is outside [0, 100].
+    """
+    if not 0 <= percent <= 100:
+        raise LeglabError(f"percentile {percent!r} is outside [0, 100]")
+    return np.percentile(np.abs(_samples(error)), percent, axis=0)
+
+
+def phase_table(
+    time: np.ndarray, error: np.ndarray, joints: Sequence[str], phases: Iterable[Phase]
+) -> list[dict[str, Any]]:
+    """Summarises the tracking error in each phase.
+
+    Args:
+        time: Sample times [s], increasing. Shape (n,).
+        error: Tracking error [rad]. Shape (n, joints).
+        joints: Names of the columns.
+        phases: Parts of the run; the last one includes its end.
+
+    Returns:
+        One dict a phase with `name`, `start`, `end` [s], and `rms_rad` and `peak_rad`, each by
+        joint and under "all", which pools the samples of all joints. A phase that the run did not
+        reach is left out.
+
+    Raises:
+        LeglabError: Shapes do not fit, or a joint is called "all".
+    """
+    error = _samples(error)
+    if error.shape != (len(time), len(joints)):
+        raise LeglabError(
+            f"error has shape {error.shape}, {len(time)} samples of {len(joints)} joints need "
+            f"({len(time)}, {len(joints)})"
+        )
+    if "all" in joints:
+        raise LeglabError("a joint named 'all' cannot be told from all joints: rename it")
+    phases = tuple(phases)
+    table = []
+    for phase in phases:
+        first = np.searchsorted(time, phase.start)
+        end = np.searchsorted(time, phase.end, "right" if phase is phases[-1] else "left")
+        if first >= end:
+            continue
+        part = error[first:end]
+        row: dict[str, Any] = {"name": phase.name, "start": phase.start, "end": phase.end}
+        for key, figure in (("rms_rad", rms), ("peak_rad", peak)):
+            row[key] = dict(zip(joints, figure(part).tolist(), strict=True))
+            row[key]["all"] = float(figure(part.reshape(-1, 1))[0])
+        table.append(row)
+    return table
+
+
+def sliding_rms(time: np.ndarray, error: np.ndarray, window: float) -> np.ndarray:
+    """Returns the RMS error, all joints pooled, over the window that ends at each sample.
+
+    Takes a running sum, so the cost does not grow with the window.
+
+    Args:
+        time: Sample times [s], increasing. Shape (n,).
+        error: Tracking error [rad]. Shape (n, joints).
+        window: Length of the window [s]: samples in (t - window, t] count.
+
+    Returns:
+        Windowed RMS error [rad], NaN where the window starts before the run. Shape (n,).
+
+    Raises:
+        LeglabError: The window is not positive.
+    """
+    if not window > 0:
+        raise LeglabError(f"window {window!r} s must be positive")
+    error = _samples(error)
+    # Extended precision: the sum over the whole run must not swamp a window of small errors.
+    total = np.zeros(len(time) + 1, dtype=np.longdouble)
+    np.cumsum(np.mean(np.square(error), axis=1), dtype=np.longdouble, out=total[1:])
+    first = np.searchsorted(time, time - window + _ROUNDING * _first_period(time), side="right")
+    last = np.arange(1, len(time) + 1)
+    mean = np.maximum(total[last] - total[first], 0) / (last - first)
+    result = np.sqrt(mean).astype(np.float64)
+    result[time - time[0] < _span(time, window)] = np.nan
+    return result
+
+
+def readaptation(
+    time: np.ndarray,
+    error: np.ndarray,
+    change: float,
+    window: float,
+    ratio: float = READAPTATION_RATIO,
+) -> Readaptation:
+    """Measures how soon the error is back near its value before a change.
+
+    The error is the RMS over a sliding window that ends now (`sliding_rms`); its value before the
+    change is that of the last window without a sample from the change on. The window still holds
+    samples from before the change for one window length after it, so it may take that long to see
+    a lasting increase; it then has to fall below the threshold and stay there to the end.
+
+    Args:
+        time: Sample times [s], increasing. Shape (n,).
+        error: Tracking error [rad]. Shape (n, joints).
+        change: When the machine starts to change [s].
+        window: One stride [s], so that every window holds the same motion.
+        ratio: Threshold as a multiple of the error before the change.
+
+    Returns:
+        The re-adaptation time, 0 where the error never exceeds the threshold, and the threshold.
+    """
+    windowed = sliding_rms(time, error, window)
+    first = int(np.searchsorted(time, change))
+    if first == 0 or np.isnan(windowed[first - 1]):
+        reason = f"the change at {change:g} s leaves no full window of {window:g} s before it"
+        return Readaptation(time=None, threshold=None, reason=reason)
+    threshold = float(ratio * windowed[first - 1])
+    if first == len(time) or time[-1] - change < _span(time, window):
+        reason = f"the run ends less than a window of {window:g} s after the change"
+        return Readaptation(time=None, threshold=threshold, reason=reason)
+    exceeding = np.flatnonzero(windowed[first:] > threshold)
+    if exceeding.size == 0:
+        return Readaptation(time=0.0, threshold=threshold)
+    settled = first + int(exceeding[-1]) + 1
+    if settled == len(time):
+        return Readaptation(time=None, threshold=threshold)
+    return Readaptation(time=float(time[settled] - change), threshold=threshold)
+
+
+def _first_period(time: np.ndarray) -> float:
+    return float(time[1] - time[0]) if len(time) > 1 else 0.0
+
+
+def _span(time: np.ndarray, window: float) -> float:
+    """Returns the least time from the first to the last sample of a full window [s]."""
+    return window - (1 + _ROUNDING) * _first_period(time)
+
+
+def _samples(error: np.ndarray) -> np.ndarray:
+    """Returns the error as a float array of shape (n, joints), n >= 1, without NaN or infinity."""
+    error = np.asarray(error, dtype=np.float64)
+    if error.ndim != 2 or error.size == 0:
+        raise LeglabError(f"error has shape {error.shape}, allowed is (n, joints) with n >= 1")
+    finite = np.isfinite(error)
+    if not finite.all():
+        row, column = np.argwhere(~finite)[0]
+        raise LeglabError(f"error, row {row}, joint {column}: {error[row, column]} is not finite")
+    return error

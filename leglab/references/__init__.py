@@ -1,0 +1,34 @@
+"""Reference trajectories by name: position, velocity and acceleration of every joint, exactly.
+
+Joint angles count as in anatomy: hip_pitch and knee in flexion, hip_roll in adduction, hip_yaw in
+internal rotation, ankle_pitch in dorsiflexion, ankle_roll in inversion [rad], zero when standing
+upright.
+"""
+
+from leglab.references.base import (
+    Joint,
+    Reference,
+    Samples,
+    make_reference,
+    reference_names,
+    reference_summary,
+    register_reference,
+)
+from leglab.references.sine_sweep import SineSweep
+from leglab.references.squat import Squat
+from leglab.references.step import Step
+from leglab.references.walking_stride import WalkingStride
+
+__all__ = [
+    "Joint",
+    "Reference",
+    "Samples",
+    "SineSweep",
+    "Squat",
+    "Step",
+    "WalkingStride",
+    "make_reference",
+    "reference_names",
+    "reference_summary",
+    "register_reference",
+]

@@ -1,0 +1,202 @@
+"""What a reference trajectory is, how one is made by name, and the checks all of them share."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from leglab.configuration import Configuration, validate_configuration
+from leglab.errors import LeglabError
+from leglab.registry import Registry
+
+
+@dataclass(frozen=True, kw_only=True)
+class Joint:
+    """A joint that follows a reference.
+
+    Attributes:
+        name: Name in the model.
+        rest: Position in the rest pose [rad], where every trajectory starts.
+        lower: Smallest position [rad].
+        upper: Largest position [rad].
+        velocity_limit: Largest speed that its cylinder can give it [rad/s].
+    """
+
+    name: str
+    rest: float = 0.0
+    lower: float = -math.inf
+    upper: float = math.inf
+    velocity_limit: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not self.lower <= self.rest <= self.upper:
+            raise LeglabError(
+                f"joint {self.name!r}: rest position {self.rest:g} rad is outside "
+                f"[{self.lower:g}, {self.upper:g}] rad"
+            )
+        if not self.velocity_limit > 0:
+            raise LeglabError(
+                f"joint {self.name!r}: velocity limit {self.velocity_limit:g} rad/s is not > 0"
+            )
+
+
+class Samples(NamedTuple):
+    """A sampled trajectory. Each of shape (n, joints): [rad], [rad/s], [rad/s^2]."""
+
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+
+
+# Evaluates a trajectory at times [s] of shape (n,).
+Motion = Callable[[np.ndarray], Samples]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reference:
+    """A trajectory of some joints.
+
+    Attributes:
+        name: Name it was made by.
+        joints: The joints, in the order of the samples' columns.
+        period: Time after which the motion repeats [s], or its slowest period where it does not:
+            the window over which a tracking error is averaged.
+        motion: Evaluates it, without checks.
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+    period: float
+    motion: Motion
+
+    def sample(self, times: np.ndarray) -> Samples:
+        """Evaluates the trajectory.
+
+        Args:
+            times: Times [s]; up to 0 the joints are at rest. Shape (n,).
+
+        Returns:
+            Position, velocity and acceleration.
+
+        Raises:
+            LeglabError: A joint would leave its range or exceed its velocity limit; names the
+                joint, the time, the value and the limit.
+        """
+        times = np.asarray(times, dtype=np.float64)
+        if times.ndim != 1:
+            raise LeglabError(f"times of a reference have shape {times.shape}, allowed is (n,)")
+        samples = self.motion(times)
+        self._check(times, samples)
+        return samples
+
+    def _check(self, times: np.ndarray, samples: Samples) -> None:
+        lower = np.array([joint.lower for joint in self.joints])
+        upper = np.array([joint.upper for joint in self.joints])
+        speed = np.array([joint.velocity_limit for joint in self.joints])
+        position, velocity = samples.position, samples.velocity
+        for values, bad, verb, unit, limit in (
+            (position, (position < lower) | (position > upper), "goes to", "rad", self._range),
+            (velocity, np.abs(velocity) > speed, "moves at", "rad/s", self._speed),
+        ):
+            if bad.any():
+                row, column = np.argwhere(bad)[0]
+                joint = self.joints[column]
+                raise LeglabError(
+                    f"reference {self.name!r}: joint {joint.name!r} {verb} "
+                    f"{values[row, column]:.4g} {unit} at {times[row]:.4g} s, {limit(joint)}"
+                )
+
+    @staticmethod
+    def _range(joint: Joint) -> str:
+        return f"its range is [{joint.lower:g}, {joint.upper:g}] rad"
+
+    @staticmethod
+    def _speed(joint: Joint) -> str:
+        return f"its limit is {joint.velocity_limit:g} rad/s"
+
+
+# Makes the motion of some joints and says its period [s].
+Builder = Callable[[tuple[Joint, ...], Any], tuple[Motion, float]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Entry:
+    build: Builder
+    summary: str
+    configuration: type[Configuration]
+
+
+_references: Registry[_Entry] = Registry("reference")
+
+
+def register_reference(
+    name: str, *, summary: str, configuration: type[Configuration]
+) -> Callable[[Builder], Builder]:
+    """Registers the decorated builder under a name.
+
+    Args:
+        name: Name that users give.
+        summary: One line for listings.
+        configuration: Settings that the builder takes, all with a default.
+    """
+
+    def register(build: Builder) -> Builder:
+        entry = _Entry(build=build, summary=summary, configuration=configuration)
+        _references.add(name, entry, build)
+        return build
+
+    return register
+
+
+def make_reference(
+    name: str, joints: Sequence[Joint], config: Mapping[str, Any] | None = None
+) -> Reference:
+    """Makes a reference trajectory.
+
+    Args:
+        name: One of `reference_names()`.
+        joints: Joints that follow it; those that the motion does not know stay at rest.
+        config: Settings of this trajectory.
+
+    Raises:
+        LeglabError: The name or a setting is not known or not allowed, or no joint moves.
+    """
+    entry = _references.get(name)
+    owner = f"reference {name!r}"
+    settings = validate_configuration(entry.configuration, config, owner)
+    if not joints:
+        raise LeglabError(f"{owner} needs at least one joint")
+    motion, period = entry.build(tuple(joints), settings)
+    return Reference(name=name, joints=tuple(joints), period=period, motion=motion)
+
+
+def reference_names() -> tuple[str, ...]:
+    """Returns the names of all reference trajectories."""
+    return _references.names()
+
+
+def reference_summary(name: str) -> str:
+    """Returns the line that describes a reference trajectory."""
+    return _references.get(name).summary
+
+
+def rest_pose(joints: Sequence[Joint]) -> np.ndarray:
+    """Returns the rest positions [rad]. Shape (joints,)."""
+    return np.array([joint.rest for joint in joints])
+
+
+def moving_joints(joints: Sequence[Joint], known: Sequence[str], name: str) -> list[int]:
+    """Returns the indices of the joints that a motion knows.
+
+    Raises:
+        LeglabError: It knows none of them.
+    """
+    indices = [i for i, joint in enumerate(joints) if joint.name in known]
+    if not indices:
+        raise LeglabError(
+            f"reference {name!r} moves {', '.join(known)}, none of which is among the joints "
+            f"{', '.join(joint.name for joint in joints)}"
+        )
+    return indices

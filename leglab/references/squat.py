@@ -1,0 +1,48 @@
+"""Squat: hip, knee and ankle flex together, the foot stays flat."""
+
+import numpy as np
+from pydantic import Field
+
+from leglab.configuration import Configuration
+from leglab.references.base import (
+    Joint,
+    Motion,
+    Samples,
+    moving_joints,
+    register_reference,
+    rest_pose,
+)
+from leglab.references.blending import fade_in
+
+# Thigh and shank are about equally long, so the hip stays above the ankle, and the foot flat, when
+# hip and ankle each flex half as much as the knee.
+_SHARE = {"hip_pitch": 0.5, "knee": 1.0, "ankle_pitch": 0.5}
+
+
+class Squat(Configuration):
+    """Settings of `squat`.
+
+    Attributes:
+        depth: Knee flexion at the lowest point, from the rest pose [rad].
+        period: Time for down and up [s].
+        fade_in: Time in which the motion grows from the rest pose [s].
+    """
+
+    depth: float = Field(default=0.8, gt=0)
+    period: float = Field(default=3.0, gt=0)
+    fade_in: float = Field(default=1.0, gt=0)
+
+
+@register_reference("squat", summary="down and up, the foot flat", configuration=Squat)
+def squat(joints: tuple[Joint, ...], config: Squat) -> tuple[Motion, float]:
+    """Makes the motion depth (1 - cos(2 pi t/period))/2; other joints stay at rest."""
+    moving_joints(joints, tuple(_SHARE), "squat")
+    half = config.depth / 2 * np.array([_SHARE.get(joint.name, 0.0) for joint in joints])
+    rate = 2 * np.pi / config.period
+
+    def bend(times: np.ndarray) -> Samples:
+        angle = rate * times[:, None]
+        cos, sin = np.cos(angle), np.sin(angle)
+        return Samples(half * (1 - cos), half * rate * sin, half * rate**2 * cos)
+
+    return fade_in(bend, rest_pose(joints), config.fade_in), config.period

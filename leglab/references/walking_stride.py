@@ -1,0 +1,69 @@
+"""Walking: the joint angles of an adult's stride, over and over."""
+
+import numpy as np
+from pydantic import Field
+
+from leglab.configuration import Configuration
+from leglab.references.base import (
+    Joint,
+    Motion,
+    Samples,
+    moving_joints,
+    register_reference,
+    rest_pose,
+)
+from leglab.references.blending import fade_in
+from leglab.references.gait import GAIT
+
+# Share of the knee's extra flexion that hip and ankle take, so that the foot keeps its attitude.
+_BEND_SHARE = {"hip_pitch": 0.5, "knee": 1.0, "ankle_pitch": 0.5}
+
+
+class WalkingStride(Configuration):
+    """Settings of `walking_stride`.
+
+    Attributes:
+        period: Duration of a stride, two steps [s].
+        amplitude: Factor on the deviation from each joint's mean angle.
+        knee_bend: Extra knee flexion throughout [rad]; people straighten the knee to 0.04 rad, a
+            machine keeps away from its end stop.
+        phase: Share of the stride at which time 0 falls; 0 is heel contact.
+        fade_in: Time in which the motion grows from the rest pose [s].
+    """
+
+    period: float = Field(default=1.2, gt=0)
+    amplitude: float = Field(default=1.0, ge=0, le=2)
+    knee_bend: float = Field(default=0.08, ge=0, le=1)
+    phase: float = Field(default=0.0, ge=0, le=1)
+    fade_in: float = Field(default=1.0, gt=0)
+
+
+@register_reference(
+    "walking_stride", summary="an adult's stride, repeated", configuration=WalkingStride
+)
+def walking_stride(joints: tuple[Joint, ...], config: WalkingStride) -> tuple[Motion, float]:
+    """Makes the motion; joints that are not of a leg stay at rest."""
+    moving = moving_joints(joints, tuple(GAIT), "walking_stride")
+    harmonics = max(len(series.cosine) for series in GAIT.values())
+    mean = np.zeros(len(joints))
+    cosine, sine = np.zeros((2, harmonics, len(joints)))
+    for i in moving:
+        series = GAIT[joints[i].name]
+        mean[i] = np.radians(series.mean) + config.knee_bend * _BEND_SHARE.get(joints[i].name, 0.0)
+        mean[i] -= joints[i].rest
+        scale = np.radians(config.amplitude)
+        cosine[: len(series.cosine), i] = scale * np.array(series.cosine)
+        sine[: len(series.sine), i] = scale * np.array(series.sine)
+    rate = 2 * np.pi / config.period * np.arange(1, harmonics + 1)
+    start = config.phase * config.period
+
+    def stride(times: np.ndarray) -> Samples:
+        angle = np.outer(times + start, rate)
+        cos, sin = np.cos(angle), np.sin(angle)
+        return Samples(
+            mean + cos @ cosine + sin @ sine,
+            (cos * rate) @ sine - (sin * rate) @ cosine,
+            -(cos * rate**2) @ cosine - (sin * rate**2) @ sine,
+        )
+
+    return fade_in(stride, rest_pose(joints), config.fade_in), config.period

@@ -1,0 +1,34 @@
+"""The piston seals wear out half way.
+
+Leakage grows with the cube of the seal's clearance (physics.md, "Values"): x2, x10 and x50 stand
+for 1.26, 2.15 and 3.68 times the clearance.
+"""
+
+from leglab.scenario import Options, Severity, register_scenario
+from leglab.schedule import ParameterChange
+
+
+@register_scenario(
+    "seal_wear",
+    summary="all piston seals leak ten times as much from half time on",
+    severity=Severity(
+        meaning="internal leakage ratio [1]", default=10.0, lowest=1.0, highest=1000.0
+    ),
+)
+def seal_wear(options: Options) -> tuple[ParameterChange, ...]:
+    """Multiplies the internal leakage of every cylinder by the severity."""
+    return (
+        ParameterChange(
+            parameter="internal_leakage",
+            kind="scale",
+            value=options.severity,
+            start=options.half,
+            ramp_duration=options.ramp_duration,
+        ),
+    )
+
+
+if __name__ == "__main__":
+    from leglab.cli import run_scenario_as_script
+
+    run_scenario_as_script("seal_wear")

@@ -1,0 +1,192 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from leglab.errors import LeglabError
+from leglab.metrics import (
+    peak,
+    percentile,
+    phase_table,
+    readaptation,
+    rms,
+    sliding_rms,
+)
+from leglab.schedule import Phase
+
+errors = hnp.arrays(
+    np.float64,
+    st.tuples(st.integers(2, 60), st.integers(1, 4)),
+    elements=st.floats(-2, 2).filter(lambda x: x == 0 or abs(x) > 1e-6),
+)
+
+
+def windows_by_brute_force(time, error, window):
+    """The definition, sample by sample; times are integers, so nothing is rounded."""
+    result = np.full(len(time), np.nan)
+    for i, now in enumerate(time):
+        if now - window >= time[0] - (time[1] - time[0]):
+            inside = [j for j in range(i + 1) if time[j] > now - window]
+            result[i] = np.sqrt(np.mean(error[inside] ** 2))
+    return result
+
+
+@given(errors)
+def test_figures_follow_their_definition(error):
+    for joint in range(error.shape[1]):
+        samples = error[:, joint]
+        assert rms(error)[joint] == pytest.approx(np.sqrt(sum(samples**2) / len(samples)))
+        assert peak(error)[joint] == max(abs(samples))
+        assert percentile(error, 100)[joint] == max(abs(samples))
+        assert percentile(error, 50)[joint] == pytest.approx(np.median(abs(samples)))
+
+
+def test_rms_of_a_sine():
+    time = np.arange(1000) / 1000
+    error = 0.3 * np.sin(2 * np.pi * time)[:, None]
+    assert rms(error) == pytest.approx(0.3 / np.sqrt(2))
+
+
+def test_phases_split_the_run_without_overlap():
+    time = np.arange(0, 10.5, 0.5)
+    error = np.column_stack([np.where(time < 5, 0.1, 0.3), np.where(time < 5, 0.2, 0.6)])
+    phases = [Phase(name="before", start=0, end=5), Phase(name="after", start=5, end=10)]
+    before, after = phase_table(time, error, ["hip", "knee"], phases)
+    assert before == {
+        "name": "before",
+        "start": 0,
+        "end": 5,
+        "rms_rad": pytest.approx({"hip": 0.1, "knee": 0.2, "all": np.sqrt(0.025)}),
+        "peak_rad": pytest.approx({"hip": 0.1, "knee": 0.2, "all": 0.2}),
+    }
+    assert after["rms_rad"] == pytest.approx({"hip": 0.3, "knee": 0.6, "all": np.sqrt(0.225)})
+
+
+def test_the_last_sample_belongs_to_the_last_phase():
+    time = np.arange(5.0)
+    error = np.array([0, 0, 0, 0, 9.0])[:, None]
+    (row,) = phase_table(time, error, ["knee"], [Phase(name="whole", start=0, end=4)])
+    assert row["peak_rad"]["knee"] == 9
+
+
+def test_a_phase_that_was_not_reached_is_left_out():
+    phases = [Phase(name="before", start=0, end=5), Phase(name="after", start=5, end=10)]
+    table = phase_table(np.arange(3.0), np.ones((3, 1)), ["knee"], phases)
+    assert [row["name"] for row in table] == ["before"]
+
+
+@pytest.mark.parametrize(
+    ("error", "joints", "message"),
+    [
+        (np.ones((3, 2)), ["knee"], r"shape \(3, 2\), 3 samples of 1 joints need \(3, 1\)"),
+        (np.ones(3), ["knee"], r"shape \(3,\)"),
+        (np.ones((3, 1)), ["all"], "joint named 'all'"),
+        (np.array([[0], [np.nan], [0]]), ["knee"], "row 1, joint 0: nan is not finite"),
+    ],
+)
+def test_bad_errors_are_named(error, joints, message):
+    with pytest.raises(LeglabError, match=message):
+        phase_table(np.arange(3.0), error, joints, [Phase(name="whole", start=0, end=2)])
+
+
+def test_bad_window_and_percentile():
+    with pytest.raises(LeglabError, match="window 0"):
+        sliding_rms(np.arange(3.0), np.ones((3, 1)), 0)
+    with pytest.raises(LeglabError, match="percentile 101"):
+        percentile(np.ones((3, 1)), 101)
+
+
+@given(errors, st.integers(1, 70))
+def test_sliding_rms_equals_brute_force(error, window):
+    time = np.arange(len(error)) * 1.0
+    expected = windows_by_brute_force(time, error, window)
+    np.testing.assert_allclose(sliding_rms(time, error, window), expected, rtol=1e-9, atol=1e-12)
+
+
+def test_sliding_rms_with_lost_samples_equals_brute_force():
+    rng = np.random.default_rng(1)
+    time = np.concatenate(([0, 1], np.flatnonzero(rng.random(300) < 0.7) + 2)) * 1.0
+    error = rng.normal(size=(len(time), 3))
+    expected = windows_by_brute_force(time, error, 17)
+    np.testing.assert_allclose(sliding_rms(time, error, 17), expected, rtol=1e-12)
+
+
+def test_a_stride_of_rounded_time_stamps_holds_a_whole_number_of_samples():
+    time = np.arange(5000) * 0.002
+    wave = np.sin(2 * np.pi * time / 1.2)[:, None]
+    windowed = sliding_rms(time, wave, 1.2)
+    assert np.isnan(windowed[:599]).all()
+    np.testing.assert_allclose(windowed[599:], 1 / np.sqrt(2), rtol=1e-12)
+
+
+def test_small_errors_after_large_ones_keep_their_digits():
+    time = np.arange(60000) * 0.001
+    error = np.where(time < 30, 1.0, 1e-6)[:, None]
+    assert sliding_rms(time, error, 1.2)[-1] == pytest.approx(1e-6, rel=1e-4)
+
+
+def run_with(level):
+    """A run sampled at 10 ms for 30 s whose error is the level at each time."""
+    time = np.arange(3001) * 0.01
+    return time, level(time)[:, None]
+
+
+def test_readaptation_of_a_pulse():
+    time, error = run_with(lambda t: np.where((t >= 10) & (t < 13), 1.0, 0.1))
+    result = readaptation(time, error, change=10, window=1)
+    assert result.threshold == pytest.approx(0.125)
+    # Above the threshold while more than 0.57 % of the window is bad: until 1 s after 13 s.
+    assert result.time == pytest.approx(4.0, abs=0.011)
+
+
+def test_readaptation_counts_the_last_relapse():
+    bad = [(10, 11), (15, 16)]
+    time, error = run_with(
+        lambda t: np.where(np.any([(t >= a) & (t < b) for a, b in bad], axis=0), 1.0, 0.1)
+    )
+    assert readaptation(time, error, change=10, window=1).time == pytest.approx(7.0, abs=0.011)
+
+
+def test_a_change_that_does_not_hurt():
+    time, error = run_with(lambda t: np.where(t < 10, 0.1, 0.12))
+    assert readaptation(time, error, change=10, window=1).time == 0
+
+
+def test_never_re_adapts():
+    time, error = run_with(lambda t: np.where(t < 10, 0.1, 0.13))
+    result = readaptation(time, error, change=10, window=1)
+    assert result.time is None
+    assert result.threshold == pytest.approx(0.125)
+    assert result.reason == ""
+
+
+def test_only_the_window_before_the_change_sets_the_threshold():
+    time, error = run_with(lambda t: np.where(t < 5, 5.0, np.where(t < 10, 0.1, 0.2)))
+    assert readaptation(time, error, change=10, window=1).threshold == pytest.approx(0.125)
+
+
+def test_too_short_runs_say_so():
+    time, error = run_with(lambda t: 0.1 + 0 * t)
+    early = readaptation(time, error, change=0.5, window=1)
+    assert (early.time, early.threshold) == (None, None)
+    assert "no full window of 1 s before" in early.reason
+    late = readaptation(time, error, change=29.5, window=1)
+    assert late.time is None
+    assert "less than a window of 1 s after" in late.reason
+
+
+@given(errors, st.integers(1, 20), st.integers(0, 60))
+def test_readaptation_equals_brute_force(error, window, change):
+    time = np.arange(len(error)) * 1.0
+    result = readaptation(time, error, change, window)
+    windowed = windows_by_brute_force(time, error, window)
+    if result.reason:
+        assert change < window or time[-1] - change < window - 1 or change >= len(time)
+        return
+    threshold = 1.25 * windowed[change - 1]
+    # A window exactly at the threshold may fall either way by rounding: leave those cases out.
+    if np.any(np.abs(windowed[change:] - threshold) < 1e-9):
+        return
+    good = [t for t in range(change, len(time)) if all(w <= threshold for w in windowed[t:])]
+    assert result.time == (good[0] - change if good else None)

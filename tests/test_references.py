@@ -1,0 +1,228 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from leglab.errors import LeglabError
+from leglab.references import Joint, make_reference, reference_names, reference_summary
+from leglab.references.gait import GAIT
+
+LEG = tuple(Joint(name=name, rest=0.05) for name in GAIT)
+BENCH = (Joint(name="knee", rest=0.9, lower=0.0, upper=1.8),)
+SMOOTH = {
+    "walking_stride": {},
+    "squat": {},
+    "sine_sweep": {"duration": 6.0, "end_frequency": 3.0},
+    "step": {"start": 0.3, "hold": 0.7, "rise_time": 0.25},
+}
+
+
+def test_every_reference_is_tested_here():
+    assert set(SMOOTH) == set(reference_names())
+    assert all(reference_summary(name) for name in SMOOTH)
+
+
+@pytest.mark.parametrize("joints", [LEG, BENCH], ids=["leg", "bench"])
+@pytest.mark.parametrize(("name", "config"), SMOOTH.items())
+def test_derivatives_are_those_of_the_position(name, config, joints):
+    reference = make_reference(name, joints, config)
+    times = np.linspace(-0.2, 7.0, 1801)
+    h = 1e-5
+    before, now, after = (reference.sample(times + shift) for shift in (-h, 0, h))
+    velocity = (after.position - before.position) / (2 * h)
+    acceleration = (after.velocity - before.velocity) / (2 * h)
+    # Central differences are off by h^2/6 of the third derivative, by h/2 of its jumps where
+    # quintics meet (60 amplitude/rise^3), and by rounding.
+    np.testing.assert_allclose(now.velocity, velocity, atol=2e-7)
+    np.testing.assert_allclose(now.acceleration, acceleration, atol=0.01)
+
+
+@pytest.mark.parametrize(("name", "config"), SMOOTH.items())
+def test_acceleration_is_continuous(name, config):
+    reference = make_reference(name, LEG, config)
+
+    def largest_jump(step):
+        times = np.arange(-0.1, 6.5, step)
+        return np.abs(np.diff(reference.sample(times).acceleration, axis=0)).max()
+
+    # A jump would stay as it is when the time step shrinks tenfold; a slope shrinks tenfold.
+    assert largest_jump(1e-4) < 0.15 * largest_jump(1e-3)
+
+
+@pytest.mark.parametrize(("name", "config"), SMOOTH.items())
+def test_starts_at_rest(name, config):
+    reference = make_reference(name, LEG, config)
+    position, velocity, acceleration = reference.sample(np.array([-1.0, 0.0]))
+    np.testing.assert_array_equal(position, 0.05)
+    np.testing.assert_array_equal(velocity, 0)
+    np.testing.assert_array_equal(acceleration, 0)
+
+
+@pytest.mark.parametrize(("name", "config"), SMOOTH.items())
+def test_samples_do_not_depend_on_their_neighbours(name, config):
+    reference = make_reference(name, LEG, config)
+    times = np.linspace(0, 5, 40)
+    together = reference.sample(times)
+    for i in (0, 7, 39):
+        alone = reference.sample(times[i : i + 1])
+        for one, all_ in zip(alone, together, strict=True):
+            np.testing.assert_allclose(one[0], all_[i], rtol=1e-12, atol=1e-12)
+    again = reference.sample(times)
+    assert all((a == b).all() for a, b in zip(together, again, strict=True))
+
+
+@pytest.mark.parametrize("name", ["walking_stride", "squat"])
+def test_repeats_after_its_period(name):
+    reference = make_reference(name, LEG)
+    times = np.linspace(1.5, 4, 100)
+    for one, two in zip(
+        reference.sample(times), reference.sample(times + reference.period), strict=True
+    ):
+        np.testing.assert_allclose(one, two, atol=1e-10)
+
+
+def test_walking_follows_the_gait_literature():
+    """Landmarks of normal gait, Perry and Burnfield 2010, and Winter 2009, within 5 deg."""
+    reference = make_reference("walking_stride", LEG, {"knee_bend": 0})
+    percent = np.arange(100)
+    angle = np.degrees(reference.sample(12 + 0.012 * percent).position)
+    curve = dict(zip(GAIT, angle.T, strict=True))
+    assert curve["knee"].max() == pytest.approx(60, abs=5)
+    assert percent[curve["knee"].argmax()] == pytest.approx(72, abs=3)
+    assert curve["knee"][:30].max() == pytest.approx(18, abs=5)  # loading response
+    assert curve["hip_pitch"].min() == pytest.approx(-15, abs=5)
+    assert percent[curve["hip_pitch"].argmin()] == pytest.approx(52, abs=4)
+    assert np.ptp(curve["hip_pitch"]) == pytest.approx(42, abs=5)
+    assert curve["ankle_pitch"].max() == pytest.approx(10, abs=5)
+    assert curve["ankle_pitch"].min() == pytest.approx(-15, abs=5)
+    assert percent[curve["ankle_pitch"].argmin()] == pytest.approx(63, abs=4)
+    assert percent[curve["ankle_roll"].argmax()] == pytest.approx(52, abs=4)
+
+
+def test_walking_knee_stays_clear_of_the_end_stop():
+    position = make_reference("walking_stride", BENCH).sample(np.linspace(2, 5, 1000)).position
+    assert position.min() == pytest.approx(0.1, abs=0.03)
+    assert position.max() == pytest.approx(1.1, abs=0.03)
+
+
+def test_knee_bend_keeps_the_foot_level():
+    times = np.linspace(2, 4, 50)
+    names = [joint.name for joint in LEG]
+    attitude = []
+    for bend in (0.0, 0.3):
+        angle = make_reference("walking_stride", LEG, {"knee_bend": bend}).sample(times).position
+        hip, knee, ankle = (
+            angle[:, names.index(name)] for name in ("hip_pitch", "knee", "ankle_pitch")
+        )
+        attitude.append(hip - knee + ankle)
+    np.testing.assert_allclose(*attitude, atol=1e-12)
+
+
+@settings(max_examples=20)
+@given(st.floats(0, 2), st.floats(0.5, 3), st.floats(0, 1))
+def test_walking_amplitude_scales_about_the_mean(amplitude, period, phase):
+    config = {"amplitude": amplitude, "period": period, "phase": phase}
+    joints = (Joint(name="knee"),)
+    reference = make_reference("walking_stride", joints, config)
+    times = 10 + period * np.arange(200) / 200
+    position = reference.sample(times).position[:, 0]
+    mean = np.radians(GAIT["knee"].mean) + 0.08
+    assert position.mean() == pytest.approx(mean)
+    full = make_reference("walking_stride", joints, {**config, "amplitude": 1.0})
+    np.testing.assert_allclose(
+        position - mean, amplitude * (full.sample(times).position[:, 0] - mean), atol=1e-12
+    )
+
+
+def test_order_of_joints_is_the_order_of_columns():
+    times = np.linspace(0, 3, 30)
+    forward = make_reference("walking_stride", LEG).sample(times).position
+    backward = make_reference("walking_stride", LEG[::-1]).sample(times).position
+    np.testing.assert_allclose(forward, backward[:, ::-1], atol=1e-14)
+
+
+def test_other_joints_stay_at_rest():
+    joints = (*BENCH, Joint(name="elbow", rest=0.4))
+    for name in ("walking_stride", "squat"):
+        samples = make_reference(name, joints).sample(np.linspace(0, 5, 50))
+        np.testing.assert_array_equal(samples.position[:, 1], 0.4)
+        assert np.ptp(samples.position[:, 0]) > 0.5
+        with pytest.raises(LeglabError, match="none of which is among the joints elbow"):
+            make_reference(name, joints[1:])
+
+
+def test_squat_reaches_its_depth():
+    samples = make_reference("squat", LEG, {"depth": 1.0, "period": 2.0}).sample(np.array([3.0]))
+    bends = dict(zip(GAIT, samples.position[0] - 0.05, strict=True))
+    assert bends["knee"] == pytest.approx(1.0)
+    assert bends["hip_pitch"] == bends["ankle_pitch"] == pytest.approx(0.5)
+    assert bends["hip_roll"] == 0
+
+
+def test_sweep_covers_its_frequencies():
+    config = {"start_frequency": 0.5, "end_frequency": 4.0, "duration": 30.0, "amplitude": 0.2}
+    reference = make_reference("sine_sweep", BENCH, config)
+    times = np.arange(0, 40, 0.001)
+    position = reference.sample(times).position[:, 0] - 0.9
+    assert np.abs(position).max() == pytest.approx(0.2, rel=1e-3)
+    assert (position[times > 30] == 0).all()
+    crossings = times[1:][np.diff(np.sign(position)) != 0]
+    for now, expected in [(5, 0.5 * 8 ** (5 / 30)), (25, 0.5 * 8 ** (25 / 30))]:
+        i = np.searchsorted(crossings, now)
+        assert 0.5 / (crossings[i] - crossings[i - 1]) == pytest.approx(expected, rel=0.1)
+
+
+def test_true_step_has_no_ramp():
+    config = {"start": 1.0, "hold": 0.5, "rise_time": 0, "amplitude": -0.3}
+    times = np.array([0.99, 1.0, 1.2, 1.49, 1.51, 1.99, 2.01])
+    samples = make_reference("step", BENCH, config).sample(times)
+    expected = 0.9 + np.array([0, -0.3, -0.3, -0.3, 0, 0, -0.3])
+    np.testing.assert_allclose(samples.position[:, 0], expected)
+    assert not samples.velocity.any()
+
+
+def test_excitation_of_chosen_joints():
+    samples = make_reference("step", LEG, {"joints": ["knee"]}).sample(np.array([1.5]))
+    moved = samples.position[0] != 0.05
+    assert [joint.name for joint, m in zip(LEG, moved, strict=True) if m] == ["knee"]
+
+
+@pytest.mark.parametrize(
+    ("name", "joints", "config", "message"),
+    [
+        ("walk", BENCH, {}, "unknown reference 'walk': choose one of"),
+        ("squat", (), {}, "reference 'squat' needs at least one joint"),
+        ("squat", BENCH, {"depht": 1}, "unknown setting of reference 'squat' 'depht'"),
+        ("squat", BENCH, {"period": 0}, "setting 'period' is 0: input should be greater than 0"),
+        ("step", BENCH, {"rise_time": 2}, "rise_time 2 s must not exceed hold 1 s"),
+        ("step", BENCH, {"joints": ["hip"]}, "unknown joint of reference 'step' 'hip'"),
+        ("sine_sweep", BENCH, {"fade": 15}, "fade 15 s must not exceed half"),
+        ("sine_sweep", BENCH, {"end_frequency": 0.2}, "end_frequency 0.2 Hz must differ"),
+    ],
+)
+def test_bad_settings(name, joints, config, message):
+    with pytest.raises(LeglabError, match=message):
+        make_reference(name, joints, config)
+
+
+def test_range_is_checked():
+    reference = make_reference("squat", BENCH, {"depth": 1.2})
+    with pytest.raises(LeglabError, match=r"'squat': joint 'knee' goes to 1\.\d+ rad at .* s, its"):
+        reference.sample(np.linspace(0, 3, 100))
+    with pytest.raises(LeglabError, match=r"range is \[0, 1.8\] rad"):
+        reference.sample(np.linspace(0, 3, 100))
+
+
+def test_speed_is_checked():
+    joints = (Joint(name="hip_pitch"), Joint(name="knee", velocity_limit=2.0))
+    with pytest.raises(LeglabError, match=r"joint 'knee' moves at -?\d.* its limit is 2 rad/s"):
+        make_reference("walking_stride", joints).sample(np.linspace(0, 3, 300))
+
+
+def test_bad_joints_and_times():
+    with pytest.raises(LeglabError, match=r"joint 'knee': rest position 2 rad is outside \[0, 1"):
+        Joint(name="knee", rest=2, lower=0, upper=1)
+    with pytest.raises(LeglabError, match="velocity limit 0 rad/s is not > 0"):
+        Joint(name="knee", velocity_limit=0)
+    with pytest.raises(LeglabError, match=r"shape \(\)"):
+        make_reference("squat", BENCH).sample(1.0)
