@@ -7,7 +7,7 @@ of small arrays, and what can be computed once belongs into a controller's const
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
@@ -87,7 +87,8 @@ class ControllerSetup:
     Attributes:
         joints: Names of the joints; all arrays follow this order.
         control_period: Time from one command to the next [s].
-        machine: Nominal data by name: calibrations, limits, piston areas, ... in SI units.
+        machine: Nominal data by name: calibrations, limits, piston areas, ... in SI units. A value
+            that takes long to find may be a function without arguments; `require` calls it.
     """
 
     joints: tuple[str, ...]
@@ -117,7 +118,15 @@ class ControllerSetup:
             raise LeglabError(
                 f"controller {controller!r} needs {name!r} of the machine, which gives {known}"
             )
-        return self.machine[name]
+        value = self.machine[name]
+        return value() if callable(value) else value
+
+    def wrong_length(self, name: str, values: Sequence, controller: str) -> LeglabError:
+        """Builds the error for a setting that needs one value a joint and has another number."""
+        return LeglabError(
+            f"controller {controller!r}: setting {name!r} has {len(values)} values, needed is one "
+            f"for each of {', '.join(self.joints)}"
+        )
 
 
 # Makes a controller: usually its class, called with the setup and its validated configuration.

@@ -119,6 +119,17 @@ class Simulation:
         address, table = self._elements[element]
         return address + table.entry(name).offset
 
+    def has(self, element: str, name: str) -> bool:
+        """Says whether an element has a parameter or state of this name."""
+        _, table = self._elements[element]
+        return name in table.parameters or name in table.states
+
+    @property
+    def supply_slot(self) -> int:
+        """Index in `data.plugin_state` of the supply pressure [Pa] that the cylinders see."""
+        supply = self._supply_of(self.actuators[0])
+        return self.slot(*((supply, "pressure") if supply else (self.actuators[0], "supply_pressure")))
+
     def slots(self, name: str) -> np.ndarray:
         """Indices in `data.plugin_state` of a parameter or state of all cylinders, (actuators,)."""
         return np.array([self.slot(element, name) for element in self.actuators])
@@ -158,8 +169,7 @@ class Simulation:
             name: float(self.data.plugin_state[address + parameter.offset])
             for name, parameter in table.parameters.items()
         }
-        instance = self.model.actuator_plugin[self.model.actuator(actuator).id]
-        supply = leglab.plugin.text_attribute(self.model, instance)  # its first attribute
+        supply = self._supply_of(actuator)
         if supply:
             values["supply_pressure"] = self.parameter(supply, "pressure")
         return values
@@ -207,6 +217,11 @@ class Simulation:
             f"the simulation blew up at {self.data.time:.6g} s: velocity of joint {joint!r} is "
             f"{self.data.qvel[dof]:g}, allowed below {SPEED_LIMIT:g}"
         )
+
+    def _supply_of(self, actuator: str) -> str:
+        """Name of the supply instance that a cylinder draws from; empty for its own constant one."""
+        instance = self.model.actuator_plugin[self.model.actuator(actuator).id]
+        return leglab.plugin.text_attribute(self.model, instance)  # its first attribute
 
     def _driven_joint(self, actuator: int) -> int:
         address, count = self.data.moment_rowadr[actuator], self.data.moment_rownnz[actuator]

@@ -10,6 +10,7 @@ import numpy as np
 
 from leglab.errors import LeglabError
 from leglab.hydraulics import CONTINUOUS_STATES, Cylinder
+from leglab.measurement import SensorConfiguration, velocity_filter_coefficient
 from leglab.simulation import Simulation
 
 GAIN_MARGIN_DB = 6.0
@@ -123,18 +124,11 @@ def _loops(
     return plants
 
 
-def velocity_filter_coefficient(period: float, cutoff_hz: float) -> float:
-    """Coefficient a of v[k] += a ((q[k] - q[k-1])/T - v[k-1]), first order with the cutoff."""
-    return 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * period)
-
-
 def tune(
     simulation: Simulation,
     joint: int,
     *,
-    period: float,
-    latency: float,
-    cutoff_hz: float,
+    sensors: SensorConfiguration,
     poses: Sequence[np.ndarray] | None = None,
 ) -> Gains:
     """Finds the PD gains with the greatest K_p that keep 6 dB and 45 degrees everywhere.
@@ -145,9 +139,7 @@ def tune(
     Args:
         simulation: The nominal machine; its positions are changed.
         joint: Index of the joint.
-        period: Control period [s].
-        latency: Age of a measurement when its command takes effect [s], at most one period.
-        cutoff_hz: Of the velocity filter [Hz].
+        sensors: Control period, latency and velocity filter of the loop.
         poses: Positions (nq,) at which to linearise; None for the present one and the joint at a
             quarter and three quarters of its range.
     """
@@ -159,12 +151,13 @@ def tune(
             pose = home.copy()
             pose[simulation.qpos_index[joint]] = low + fraction * (high - low)
             poses.append(pose)
+    period, latency = sensors.control_period, sensors.latency
     frequencies = np.geomspace(0.05, math.pi / period * 0.999, 4000)
     z = np.exp(1j * frequencies * period)
     responses = [
         plant(z).ravel() for plant in _loops(simulation, joint, poses, period, latency)
     ]
-    alpha = velocity_filter_coefficient(period, cutoff_hz)
+    alpha = velocity_filter_coefficient(period, sensors.velocity_cutoff)
     derivative = alpha * (1 - 1 / z) / period / (1 - (1 - alpha) / z)
 
     def margins(kp: float, kv: float) -> tuple[float, float, float]:

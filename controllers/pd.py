@@ -1,0 +1,51 @@
+"""Proportional-derivative control of every joint on its own: the loop that others build upon."""
+
+import numpy as np
+from pydantic import Field
+
+from leglab.configuration import Configuration
+from leglab.control import ControllerSetup, Measurement, ReferencePoint, register_controller
+
+
+class PdConfiguration(Configuration):
+    """Settings of `pd`.
+
+    Attributes:
+        position_gain: Valve command per position error [1/rad], one a joint; None for the tuned
+            gains of the model (`leglab tune`).
+        velocity_gain: Valve command per velocity error [s/rad], one a joint; None as above.
+    """
+
+    position_gain: tuple[float, ...] | None = Field(default=None)
+    velocity_gain: tuple[float, ...] | None = Field(default=None)
+
+
+@register_controller("pd", summary="PD with tuned gains", configuration=PdConfiguration)
+class Pd:
+    """u = s (K_p (r - q) + K_v (r' - q')), s the sign with which a command moves the joint."""
+
+    def __init__(self, setup: ControllerSetup, config: PdConfiguration) -> None:
+        direction = np.asarray(setup.require("direction", "pd"), dtype=float)
+        gains = []
+        for name in ("position_gain", "velocity_gain"):
+            values = getattr(config, name)
+            if values is None:
+                values = setup.require(name, "pd")
+            if len(values) != len(setup.joints):
+                raise setup.wrong_length(name, values, "pd")
+            gains.append(direction * np.asarray(values, dtype=float))
+        self._position_gain, self._velocity_gain = gains
+        self._feedback = np.zeros(len(setup.joints))
+
+    def reset(self, measurement: Measurement) -> None:
+        """Starts a run; the law has no memory."""
+
+    def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
+        """Valve commands in [-1, 1] before clipping, (joints,)."""
+        self._feedback = self._position_gain * (reference.position - measurement.position)
+        self._feedback += self._velocity_gain * (reference.velocity - measurement.velocity)
+        return self._feedback
+
+    def diagnostics(self) -> dict[str, np.ndarray]:
+        """The feedback part of the command, (joints,)."""
+        return {"feedback": self._feedback}

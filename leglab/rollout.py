@@ -1,0 +1,251 @@
+"""The closed loop: machine, sensors, controller and a scenario's changes, headless."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from leglab.control import (
+    Controller,
+    ControllerSetup,
+    Measurement,
+    ReferencePoint,
+    check_command,
+)
+from leglab.errors import LeglabError
+from leglab.measurement import (
+    SensorConfiguration,
+    loop_timing,
+    quantise,
+    velocity_filter_coefficient,
+)
+from leglab.references import Reference
+from leglab.scenario import Scenario
+from leglab.simulation import Simulation
+
+# Periods between two looks at the clock, the blow-up check and the progress report.
+_CHECK_INTERVAL = 50
+
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class History:
+    """Everything that a closed loop left behind, one row a control period.
+
+    Attributes:
+        time: [s], shape (n,).
+        position: True joint positions [rad], (n, joints).
+        velocity: True joint velocities [rad/s], (n, joints).
+        command: Valve commands in [-1, 1] from `time` on, (n, joints).
+        reference: Position [rad], velocity [rad/s] and acceleration [rad/s^2], each (n, joints).
+        states: Values of the plugin states asked for, by column name, each (n,).
+        diagnostics: What the controller reports, by name, each (n, joints).
+        wall_time: Of the loop alone [s].
+        failure: Why the loop ended early; empty if it did not.
+    """
+
+    time: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    command: np.ndarray
+    reference: ReferencePoint
+    states: dict[str, np.ndarray]
+    diagnostics: dict[str, np.ndarray]
+    wall_time: float
+    failure: str = ""
+
+    @property
+    def error(self) -> np.ndarray:
+        """True tracking error, position less reference [rad], (n, joints)."""
+        return self.position - self.reference.position
+
+
+class Schedule:
+    """Writes a scenario's parameter changes into a simulation.
+
+    Raises:
+        LeglabError: If a change matches no element of the model.
+    """
+
+    def __init__(self, scenario: Scenario, simulation: Simulation) -> None:
+        self._scenario, self._simulation = scenario, simulation
+        self._nominal: dict[tuple[str, str], float] = {}
+        for change in scenario.changes:
+            matched = [
+                element
+                for element in simulation.elements
+                if change.applies_to(element) and simulation.has(element, change.parameter)
+            ]
+            if not matched:
+                raise LeglabError(
+                    f"scenario {scenario.name!r} changes {change.parameter!r} of "
+                    f"{change.element!r}, which no element of the model has"
+                )
+            for element in matched:
+                key = (element, change.parameter)
+                self._nominal[key] = simulation.parameter(*key)
+        self._previous = -np.inf
+        self._next = 0.0 if scenario.changes else np.inf
+
+    @property
+    def parameters(self) -> tuple[tuple[str, str], ...]:
+        """Element and parameter of everything that changes."""
+        return tuple(self._nominal)
+
+    def apply(self, now: float) -> None:
+        """Sets the parameters of this time [s]; cheap while nothing changes."""
+        if now < self._next:
+            return
+        scenario = self._scenario
+        for change in scenario.moving(self._previous, now):
+            for (element, parameter), nominal in self._nominal.items():
+                if parameter == change.parameter and change.applies_to(element):
+                    value = scenario.value_at(now, parameter, element, nominal)
+                    self._simulation.set_parameter(element, parameter, value)
+        self._previous = now
+        ramping = any(c.start <= now < c.end for c in scenario.changes)
+        later = [c.start for c in scenario.changes if c.start > now]
+        self._next = now if ramping else min(later, default=np.inf)
+
+
+def closed_loop(
+    simulation: Simulation,
+    controller: Controller,
+    setup: ControllerSetup,
+    reference: Reference,
+    scenario: Scenario,
+    sensors: SensorConfiguration,
+    *,
+    seed: int,
+    name: str,
+    progress: Progress | None = None,
+) -> History:
+    """Runs a controller on a machine from its present state through a scenario.
+
+    The loop ends early, and keeps what was recorded, if the simulation blows up, the controller
+    gives something that is no command, or the user interrupts it.
+
+    Args:
+        simulation: The machine, at the start of the run.
+        controller: Sees measurements and references only.
+        setup: What the controller was made with.
+        reference: Trajectory of the driven joints.
+        scenario: Duration and changes.
+        sensors: Resolution, noise and timing.
+        seed: Of the sensor noise.
+        name: Of the controller, for messages.
+        progress: Called now and then with the simulated time [s].
+
+    Raises:
+        LeglabError: If the timing or the reference does not fit the machine.
+    """
+    model, data = simulation.model, simulation.data
+    timing = loop_timing(sensors, model.opt.timestep)
+    period = sensors.control_period
+    count = round(scenario.duration / period) + 1
+    times = np.arange(count) * period
+    wanted = reference.sample(times)
+    schedule = Schedule(scenario, simulation)
+    joints = len(setup.joints)
+
+    noise = np.random.default_rng(seed)
+    position_noise = noise.normal(0.0, sensors.position_noise, (count, joints))
+    pressures = bool(getattr(controller, "uses_pressures", False))
+    columns, slots = _state_columns(simulation, schedule)
+    pressure_slots = np.concatenate([simulation.slots("pressure_a"), simulation.slots("pressure_b")])
+    supply_slot = slots[columns.index("supply_pressure")]
+    filter_gain = velocity_filter_coefficient(period, sensors.velocity_cutoff) / period
+    leak = 1.0 - filter_gain * period
+
+    position, velocity = np.empty((count, joints)), np.empty((count, joints))
+    command, states = np.empty((count, joints)), np.empty((count, len(slots)))
+    reports: dict[str, np.ndarray] = {}
+
+    qpos, qvel, ctrl, plugin_state = data.qpos, data.qvel, data.ctrl, data.plugin_state
+    qpos_index, dof_index = simulation.qpos_index, simulation.dof_index
+    sample = qpos[qpos_index]
+    sampled_pressures = plugin_state[pressure_slots]
+    previous = quantise(sample + position_noise[0], sensors.encoder_counts)
+    estimate = np.zeros(joints)
+    pressure_a = pressure_b = supply = None
+    failure, rows = "", 0
+    start = time.perf_counter()
+    try:
+        for k in range(count):
+            now = times[k]
+            schedule.apply(now)
+            measured = quantise(sample + position_noise[k], sensors.encoder_counts)
+            estimate = leak * estimate + filter_gain * (measured - previous)
+            previous = measured
+            if pressures:
+                noisy = sampled_pressures + noise.normal(0.0, sensors.pressure_noise, 2 * joints)
+                pressure_a, pressure_b = noisy[:joints], noisy[joints:]
+                supply = float(plugin_state[supply_slot])
+            measurement = Measurement(now, measured, estimate, pressure_a, pressure_b, supply)
+            point = ReferencePoint(*[part[k] for part in wanted])
+            if k == 0:
+                controller.reset(measurement)
+            wish = check_command(controller.command(measurement, point), setup, name, now)
+
+            position[k], velocity[k] = qpos[qpos_index], qvel[dof_index]
+            plugin_state.take(slots, out=states[k])
+            np.minimum(np.maximum(wish, -1.0), 1.0, out=command[k])
+            ctrl[:] = command[k]
+            if reports or k == 0:
+                _record(reports, controller.diagnostics(), k, (count, joints))
+            rows = k + 1
+            if timing.to_sample:
+                simulation.step(timing.to_sample)
+            sample = qpos[qpos_index]
+            if pressures:
+                sampled_pressures = plugin_state[pressure_slots]
+            if timing.to_command:
+                simulation.step(timing.to_command)
+            if k % _CHECK_INTERVAL == 0:
+                simulation.check()
+                if progress:
+                    progress(now)
+    except LeglabError as error:
+        failure = str(error)
+    except KeyboardInterrupt:
+        failure = f"interrupted at {data.time:.6g} s"
+    wall_time = time.perf_counter() - start
+    if rows == 0:
+        raise LeglabError(failure)
+    return History(
+        time=times[:rows],
+        position=position[:rows],
+        velocity=velocity[:rows],
+        command=command[:rows],
+        reference=ReferencePoint(*[part[:rows] for part in wanted]),
+        states={column: states[:rows, i] for i, column in enumerate(columns)},
+        diagnostics={key: values[:rows] for key, values in reports.items()},
+        wall_time=wall_time,
+        failure=failure,
+    )
+
+
+def _record(
+    reports: dict[str, np.ndarray], values: dict[str, np.ndarray], k: int, shape: tuple[int, int]
+) -> None:
+    for key, value in values.items():
+        if key not in reports:
+            reports[key] = np.full(shape, np.nan)
+        reports[key][k] = value
+
+
+def _state_columns(simulation: Simulation, schedule: Schedule) -> tuple[list[str], np.ndarray]:
+    """Columns of the plugin states that every run records, and their places."""
+    columns, slots = [], []
+    for joint, actuator in zip(simulation.joints, simulation.actuators, strict=True):
+        for quantity in ("pressure_a", "pressure_b", "oil_temperature", "spool_position"):
+            columns.append(f"{joint}_{quantity}")
+            slots.append(simulation.slot(actuator, quantity))
+    columns.append("supply_pressure")
+    slots.append(simulation.supply_slot)
+    for element, parameter in schedule.parameters:
+        columns.append(f"{element}_{parameter}")
+        slots.append(simulation.slot(element, parameter))
+    return columns, np.array(slots)

@@ -1,0 +1,314 @@
+"""One scenario from names to results: model, controller, closed loop, metrics."""
+
+import functools
+import platform
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import leglab.controllers
+import leglab.scenarios  # noqa: F401  registers the scenarios
+from leglab import __version__, metrics
+from leglab.calibration import directions, settle, speed_limits, valve_maps
+from leglab.configuration import validate_configuration
+from leglab.control import ControllerSetup, make_controller
+from leglab.errors import LeglabError
+from leglab.measurement import SensorConfiguration
+from leglab.recording import Recording
+from leglab.references import Joint, Reference, make_reference
+from leglab.rollout import History, Progress, closed_loop
+from leglab.scenario import Scenario, get_scenario
+from leglab.simulation import Simulation, load_model
+from leglab.tuning import tune
+
+# Tuned once by `leglab tune`, and not touched afterwards.
+GAINS_FILE = Path(leglab.controllers.__path__[0]) / "pd_gains.toml"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSettings:
+    """Everything that decides a run, as `run.json` stores it.
+
+    Attributes:
+        scenario: Name of the scenario.
+        controller: Name of the controller.
+        model: Name of a model or path of an MJCF file.
+        duration: [s]; None for the scenario's own.
+        seed: Of sensor noise and of everything random.
+        severity: Of the scenario's change, in its own unit; None for its own.
+        ramp_duration: How long the change takes [s].
+        reference: Name of the reference; None for the scenario's own.
+        reference_config: Settings of the reference.
+        controller_config: Settings of the controller.
+        sensors: Settings of sensors and timing.
+        timestep: Of the simulation [s]; None for the model's own.
+    """
+
+    scenario: str
+    controller: str = "pd"
+    model: str = "leg"
+    duration: float | None = None
+    seed: int = 0
+    severity: float | None = None
+    ramp_duration: float = 0.0
+    reference: str | None = None
+    reference_config: Mapping[str, Any] = field(default_factory=dict)
+    controller_config: Mapping[str, Any] = field(default_factory=dict)
+    sensors: Mapping[str, Any] = field(default_factory=dict)
+    timestep: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """A finished run, or as much of it as there is.
+
+    Attributes:
+        settings: What was asked for.
+        scenario: The scenario as it was built.
+        recording: What sensors and commands were; format of `leglab.recording`.
+        history: True states and everything else of the loop.
+        metrics: Content of `metrics.json`.
+        configuration: Content of `run.json`.
+        window: Window of the sliding error [s].
+    """
+
+    settings: RunSettings
+    scenario: Scenario
+    recording: Recording
+    history: History
+    metrics: dict[str, Any]
+    configuration: dict[str, Any]
+    window: float
+
+
+def run_scenario(settings: RunSettings, progress: Progress | None = None) -> Run:
+    """Runs a scenario headless.
+
+    Args:
+        settings: What to run.
+        progress: Called now and then with the simulated time [s].
+
+    Raises:
+        LeglabError: If a name, a setting or the machine does not fit. A run that fails half way
+            does not raise: `history.failure` says why it ended.
+    """
+    if settings.seed < 0:
+        raise LeglabError(f"seed {settings.seed} is negative; allowed: 0 or more")
+    scenario = get_scenario(
+        settings.scenario,
+        duration=settings.duration,
+        severity=settings.severity,
+        ramp_duration=settings.ramp_duration,
+    )
+    sensors = validate_configuration(SensorConfiguration, settings.sensors, "sensors")
+    simulation = Simulation(load_model(settings.model, timestep=settings.timestep))
+    setup = controller_setup(simulation, settings.model, sensors)
+    controller = make_controller(settings.controller, setup, settings.controller_config)
+    reference = make_reference(
+        settings.reference or scenario.reference,
+        reference_joints(simulation),
+        settings.reference_config,
+    )
+    settle(simulation)
+    history = closed_loop(
+        simulation,
+        controller,
+        setup,
+        reference,
+        scenario,
+        sensors,
+        seed=settings.seed,
+        name=settings.controller,
+        progress=progress,
+    )
+    configuration = _configuration(settings, scenario, sensors, simulation, reference)
+    return Run(
+        settings=settings,
+        scenario=scenario,
+        recording=_recording(history, simulation, sensors, settings),
+        history=history,
+        metrics=_metrics(settings, scenario, reference, history, setup.joints),
+        configuration=configuration,
+        window=reference.period,
+    )
+
+
+def reference_joints(simulation: Simulation) -> tuple[Joint, ...]:
+    """The driven joints with their limits, at rest in the present pose."""
+    rows = zip(
+        simulation.joints,
+        simulation.position(),
+        simulation.joint_range(),
+        speed_limits(simulation),
+        strict=True,
+    )
+    return tuple(
+        Joint(name=name, rest=float(rest), lower=low, upper=high, velocity_limit=float(speed))
+        for name, rest, (low, high), speed in rows
+    )
+
+
+def controller_setup(
+    simulation: Simulation, model: str, sensors: SensorConfiguration
+) -> ControllerSetup:
+    """What a controller may know of the nominal machine.
+
+    Items: `direction` (joints,), `position_gain`, `velocity_gain` (joints,) and `valve_maps`.
+    """
+
+    @functools.cache
+    def gains() -> list[tuple[float, float]]:
+        return stored_gains(model, simulation, sensors) or tuned_gains(model, sensors)
+
+    return ControllerSetup(
+        joints=simulation.joints,
+        control_period=sensors.control_period,
+        machine={
+            "direction": directions(simulation),
+            "position_gain": lambda: [gain[0] for gain in gains()],
+            "velocity_gain": lambda: [gain[1] for gain in gains()],
+            # A machine of its own: calibration moves it through its whole range.
+            "valve_maps": lambda: valve_maps(Simulation(simulation.model)),
+        },
+    )
+
+
+def stored_gains(
+    model: str, simulation: Simulation, sensors: SensorConfiguration
+) -> list[tuple[float, float]] | None:
+    """Gains of a shipped model from `GAINS_FILE`; None where it has none for this loop."""
+    if not GAINS_FILE.exists():
+        return None
+    entry = tomllib.loads(GAINS_FILE.read_text()).get(str(model))
+    timing = ("control_period", "latency", "velocity_cutoff")
+    if entry is None or any(entry[name] != getattr(sensors, name) for name in timing):
+        return None
+    joints = entry["joints"]
+    if any(name not in joints for name in simulation.joints):
+        return None
+    return [(joints[name]["position"], joints[name]["velocity"]) for name in simulation.joints]
+
+
+def tuned_gains(model: str, sensors: SensorConfiguration) -> list[tuple[float, float]]:
+    """Gains tuned now, for a model or a timing without stored ones."""
+    simulation = Simulation(load_model(model))
+    result = []
+    for joint in range(len(simulation.joints)):
+        simulation.reset()
+        gains = tune(simulation, joint, sensors=sensors)
+        result.append((gains.position, gains.velocity))
+    return result
+
+
+def _recording(
+    history: History, simulation: Simulation, sensors: SensorConfiguration, settings: RunSettings
+) -> Recording:
+    from leglab.measurement import quantise
+
+    noise = np.random.default_rng([settings.seed, 1])
+    columns = {}
+    for i, (joint, actuator) in enumerate(
+        zip(simulation.joints, simulation.actuators, strict=True)
+    ):
+        true = history.position[:, i]
+        noisy = true + noise.normal(0.0, sensors.position_noise, len(true))
+        columns[f"{joint}_position"] = quantise(noisy, sensors.encoder_counts)
+        columns[f"{joint}_true_position"] = true
+        columns[f"{joint}_true_velocity"] = history.velocity[:, i]
+        columns[f"{actuator}_command"] = history.command[:, i]
+        for suffix, values in zip(
+            ("reference", "reference_velocity", "reference_acceleration"),
+            history.reference,
+            strict=True,
+        ):
+            columns[f"{joint}_{suffix}"] = values[:, i]
+        for name, values in history.diagnostics.items():
+            columns[f"{joint}_{name}"] = values[:, i]
+    for name, values in history.states.items():
+        pressure = name.endswith(("_pressure_a", "_pressure_b"))
+        extra = noise.normal(0.0, sensors.pressure_noise, len(values)) if pressure else 0.0
+        columns[name] = values + extra
+    return Recording(
+        time=history.time,
+        columns=columns,
+        metadata={
+            "scenario": settings.scenario,
+            "controller": settings.controller,
+            "model": str(settings.model),
+            "seed": settings.seed,
+        },
+    )
+
+
+def _metrics(
+    settings: RunSettings,
+    scenario: Scenario,
+    reference: Reference,
+    history: History,
+    joints: tuple[str, ...],
+) -> dict[str, Any]:
+    error, time = history.error, history.time
+    finite = np.isfinite(error).all(axis=1)
+    error, time = error[finite], time[finite]
+    changes = scenario.changes
+    result: dict[str, Any] = {
+        "scenario": settings.scenario,
+        "controller": settings.controller,
+        "model": str(settings.model),
+        "seed": settings.seed,
+        "duration": float(history.time[-1]),
+        "severity": scenario.severity,
+        "real_time_factor": float(history.time[-1] / max(history.wall_time, 1e-9)),
+        "completed": not history.failure,
+        "failure": history.failure or None,
+        "phases": metrics.phase_table(time, error, joints, scenario.phases),
+        "readaptation": {"time_s": None, "threshold": None, "reason": "nothing changes"},
+    }
+    if changes:
+        found = metrics.readaptation(time, error, changes[0].start, reference.period)
+        result["readaptation"] = {
+            "time_s": found.time,
+            "threshold": found.threshold,
+            "reason": found.reason or None,
+        }
+    return result
+
+
+def _configuration(
+    settings: RunSettings,
+    scenario: Scenario,
+    sensors: SensorConfiguration,
+    simulation: Simulation,
+    reference: Reference,
+) -> dict[str, Any]:
+    packages = ("mujoco", "numpy", "scipy", "control", "pyarrow")
+    return {
+        "settings": {
+            **{name: getattr(settings, name) for name in settings.__dataclass_fields__},
+            "model": str(settings.model),
+            "reference": reference.name,
+            "duration": scenario.duration,
+            "severity": scenario.severity,
+            "reference_config": dict(settings.reference_config),
+            "controller_config": dict(settings.controller_config),
+            "sensors": sensors.model_dump(),
+            "timestep": simulation.model.opt.timestep,
+        },
+        "changes": [
+            {name: getattr(change, name) for name in change.__dataclass_fields__}
+            for change in scenario.changes
+        ],
+        "elements": {
+            name: simulation.cylinder_parameters(name) for name in simulation.actuators
+        },
+        "versions": {
+            "leglab": __version__,
+            "python": platform.python_version(),
+            **{package: metadata.version(package) for package in packages},
+        },
+    }
