@@ -27,6 +27,14 @@ from leglab.simulation import Simulation
 # Periods between two looks at the clock, the blow-up check and the progress report.
 _CHECK_INTERVAL = 50
 
+# Columns of a recording by plugin state; `_position` is kept for joints.
+_RECORDED = {
+    "pressure_a": "pressure_a",
+    "pressure_b": "pressure_b",
+    "oil_temperature": "oil_temperature",
+    "spool": "spool_position",
+}
+
 Progress = Callable[[float], None]
 
 
@@ -240,8 +248,8 @@ def _state_columns(simulation: Simulation, schedule: Schedule) -> tuple[list[str
     """Columns of the plugin states that every run records, and their places."""
     columns, slots = [], []
     for joint, actuator in zip(simulation.joints, simulation.actuators, strict=True):
-        for quantity in ("pressure_a", "pressure_b", "oil_temperature", "spool_position"):
-            columns.append(f"{joint}_{quantity}")
+        for column, quantity in _RECORDED.items():
+            columns.append(f"{joint}_{column}")
             slots.append(simulation.slot(actuator, quantity))
     columns.append("supply_pressure")
     slots.append(simulation.supply_slot)

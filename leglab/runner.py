@@ -18,7 +18,7 @@ from leglab.calibration import directions, settle, speed_limits, valve_maps
 from leglab.configuration import validate_configuration
 from leglab.control import ControllerSetup, make_controller
 from leglab.errors import LeglabError
-from leglab.measurement import SensorConfiguration
+from leglab.measurement import SensorConfiguration, quantise
 from leglab.recording import Recording
 from leglab.references import Joint, Reference, make_reference
 from leglab.rollout import History, Progress, closed_loop
@@ -208,8 +208,6 @@ def tuned_gains(model: str, sensors: SensorConfiguration) -> list[tuple[float, f
 def _recording(
     history: History, simulation: Simulation, sensors: SensorConfiguration, settings: RunSettings
 ) -> Recording:
-    from leglab.measurement import quantise
-
     noise = np.random.default_rng([settings.seed, 1])
     columns = {}
     for i, (joint, actuator) in enumerate(
@@ -218,8 +216,8 @@ def _recording(
         true = history.position[:, i]
         noisy = true + noise.normal(0.0, sensors.position_noise, len(true))
         columns[f"{joint}_position"] = quantise(noisy, sensors.encoder_counts)
-        columns[f"{joint}_true_position"] = true
-        columns[f"{joint}_true_velocity"] = history.velocity[:, i]
+        columns[f"{joint}_truth"] = true
+        columns[f"{joint}_truth_velocity"] = history.velocity[:, i]
         columns[f"{actuator}_command"] = history.command[:, i]
         for suffix, values in zip(
             ("reference", "reference_velocity", "reference_acceleration"),

@@ -25,6 +25,13 @@ def model_names() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in _model_folder().glob("*.xml")))
 
 
+def model_summary(name: str) -> str:
+    """First sentence of the comment at the head of a shipped model."""
+    text = (_model_folder() / f"{name}.xml").read_text()
+    comment = " ".join(text.partition("<!--")[2].partition("-->")[0].split())
+    return comment.partition(". ")[0].rstrip(".")
+
+
 def load_model(model: str | Path, *, timestep: float | None = None) -> mujoco.MjModel:
     """Loads a model with the plugins registered.
 

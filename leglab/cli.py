@@ -1,0 +1,213 @@
+"""The command line. Exit status: 0 done, 1 a check failed, 2 bad input, 130 interrupted."""
+
+import json
+import sys
+import traceback
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from leglab import __version__
+from leglab.errors import LeglabError
+
+app = typer.Typer(
+    help="Testbed for hydraulic humanoid-leg control on MuJoCo.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+_errors = Console(stderr=True, highlight=False, soft_wrap=True)
+_output = Console(highlight=False)
+
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the folder of an earlier run.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"leglab {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _common(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+    verbose: Annotated[
+        bool, typer.Option("-v", "--verbose", help="Show the traceback of an error.")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def run(
+    scenario: Annotated[str, typer.Argument(help="Name of a scenario; `leglab list` shows them.")],
+    controller: Annotated[str, typer.Option(help="Name of a controller.")] = "pd",
+    model: Annotated[str, typer.Option(help="leg, leg_rail, knee_bench, or an MJCF file.")] = "leg",
+    duration: Annotated[float | None, typer.Option(help="Seconds; default: the scenario's.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of sensor noise.")] = 0,
+    severity: Annotated[
+        float | None, typer.Option(help="How bad the change is, in the scenario's own unit.")
+    ] = None,
+    ramp: Annotated[float, typer.Option(help="Seconds the change takes; 0 is a step.")] = 0.0,
+    reference: Annotated[
+        str | None, typer.Option(help="walking_stride, squat, sine_sweep or step.")
+    ] = None,
+    timestep: Annotated[float | None, typer.Option(help="Simulation step [s].")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Output folder; default runs/SCENARIO-CONTROLLER-MODEL-SEED.")
+    ] = None,
+    overwrite: Overwrite = False,
+    figures: Annotated[bool, typer.Option(help="Draw plots.")] = True,
+    as_json: Json = False,
+) -> None:
+    """Runs a scenario headless and writes metrics, recording, configuration and plots."""
+    from leglab.report.run_folder import check_folder, write_run
+    from leglab.runner import RunSettings, run_scenario
+
+    folder = out or Path("runs") / f"{scenario}-{controller}-{Path(model).stem}-{seed}"
+    settings = RunSettings(
+        scenario=scenario,
+        controller=controller,
+        model=model,
+        duration=duration,
+        seed=seed,
+        severity=severity,
+        ramp_duration=ramp,
+        reference=reference,
+        timestep=timestep,
+    )
+    check_folder(folder, overwrite=overwrite)
+    with _progress() as bar:
+        task = bar.add_task(f"{scenario} · {controller}", total=duration)
+
+        def show(now: float) -> None:
+            bar.update(task, completed=now)
+
+        from leglab.scenario import get_scenario
+
+        bar.update(task, total=get_scenario(scenario, duration=duration).duration)
+        result = run_scenario(settings, show)
+        bar.update(task, description="writing", completed=result.scenario.duration)
+        write_run(result, folder, overwrite=overwrite, figures=figures)
+    if as_json:
+        typer.echo(json.dumps(result.metrics, indent=2))
+    else:
+        _output.print(_metrics_table(result.metrics))
+        _output.print(f"written to {folder}")
+    failure = result.history.failure
+    if failure:
+        interrupted = failure.startswith("interrupted")
+        _errors.print(f"[red]error:[/red] {failure}; what was recorded is in {folder}")
+        raise typer.Exit(130 if interrupted else 2)
+
+
+@app.command("list")
+def list_names(as_json: Json = False) -> None:
+    """Shows scenarios, controllers, references and models."""
+    import leglab.controllers
+    import leglab.scenarios  # noqa: F401
+    from leglab.control import controller_names, controller_summary
+    from leglab.references import reference_names, reference_summary
+    from leglab.scenario import scenario_names, scenario_summary
+    from leglab.simulation import model_names, model_summary
+
+    groups = {
+        "scenarios": {name: scenario_summary(name) for name in scenario_names()},
+        "controllers": {name: controller_summary(name) for name in controller_names()},
+        "references": {name: reference_summary(name) for name in reference_names()},
+        "models": {name: model_summary(name) for name in model_names()},
+    }
+    if as_json:
+        typer.echo(json.dumps(groups, indent=2))
+        return
+    for title, entries in groups.items():
+        table = Table(title=title, title_justify="left", box=None, show_header=False)
+        for name, summary in entries.items():
+            table.add_row(f"  [bold]{name}[/bold]", summary)
+        _output.print(table)
+
+
+@app.command()
+def tune(
+    model: Annotated[list[str] | None, typer.Option(help="Models to tune; default: all.")] = None,
+    write: Annotated[bool, typer.Option(help="Write the gains file of the package.")] = False,
+) -> None:
+    """Finds the PD gains that keep 6 dB and 45 degrees of margin on the linearised plant."""
+    from leglab.gains import TUNED_MODELS, gains_text
+
+    names = model or list(TUNED_MODELS)
+    with _progress() as bar:
+        task = bar.add_task("tuning", total=None)
+        text = gains_text(names, lambda label: bar.update(task, description=label))
+    if write:
+        from leglab.runner import GAINS_FILE
+
+        GAINS_FILE.write_text(text)
+        _output.print(f"written to {GAINS_FILE}")
+    else:
+        typer.echo(text, nl=False)
+
+
+def run_scenario_as_script(name: str) -> None:
+    """What `python -m leglab.scenarios.NAME` does: `leglab run NAME` with further options."""
+    main(["run", name, *sys.argv[1:]])
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Runs the command line; errors are one line on stderr."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    try:
+        app(args=arguments, prog_name="leglab")
+    except LeglabError as error:
+        if "-v" in arguments or "--verbose" in arguments:
+            traceback.print_exc()
+        _errors.print(f"[red]error:[/red] {error}")
+        sys.exit(2)
+    except KeyboardInterrupt:
+        _errors.print("[red]interrupted[/red]")
+        sys.exit(130)
+
+
+def _progress() -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeRemainingColumn(),
+        console=_errors,
+        transient=True,
+    )
+
+
+def _metrics_table(metrics: dict[str, Any]) -> Table:
+    joints = [name for name in metrics["phases"][0]["rms_rad"] if name != "all"]
+    columns = ["all", *joints] if len(joints) > 1 else joints
+    table = Table(
+        title=f"{metrics['scenario']}, {metrics['controller']}: tracking error, RMS / peak [mrad]",
+        title_justify="left",
+    )
+    table.add_column("phase")
+    for name in columns:
+        table.add_column(name, justify="right")
+    for phase in metrics["phases"]:
+        cells = [
+            f"{1e3 * phase['rms_rad'][name]:.1f} / {1e3 * phase['peak_rad'][name]:.1f}"
+            for name in columns
+        ]
+        table.add_row(f"{phase['name']} {phase['start']:g}-{phase['end']:g} s", *cells)
+    found = metrics["readaptation"]
+    if found["threshold"] is not None:
+        time = "never" if found["time_s"] is None else f"{found['time_s']:.2f} s"
+        table.caption = f"re-adaptation: {time} (threshold {1e3 * found['threshold']:.1f} mrad)"
+    return table
+
+
+if __name__ == "__main__":
+    main()
