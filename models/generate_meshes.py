@@ -9,43 +9,36 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
+from scipy.interpolate import CubicSpline, PchipInterpolator
 
 FOLDER = Path(__file__).parent / "meshes"
 
 
-def write_grid(name: str, rings: np.ndarray, *, cap: bool = True) -> None:
-    """Writes a tube of closed rings as OBJ with texture coordinates.
+def write_grid(name: str, rings: np.ndarray, *, texture: bool = False) -> None:
+    """Writes a tube of closed rings, with a fan over each end, as OBJ.
 
     Args:
         name: File name without the suffix.
         rings: Points in mm, shape (number of rings, points a ring, 3); counter-clockwise seen
             from the last ring, so that normals point outwards.
-        cap: Whether to close both ends with a fan around the ring's centre.
+        texture: Whether to write texture coordinates: around the ring and along the tube.
     """
     count, around, _ = rings.shape
-    points = rings.reshape(-1, 3)
-    arc = np.linspace(0.0, 1.0, around, endpoint=False)
-    along = np.linspace(0.0, 1.0, count)
-    # The pattern runs there and back around the ring: no seam without doubled vertices.
-    texture = np.stack(np.meshgrid(along, 1 - abs(2 * arc - 1), indexing="ij"), -1)[..., ::-1]
-    texture = texture.reshape(-1, 2)
-    faces = []
-    for i in range(count - 1):
-        for j in range(around):
-            a, b = i * around + j, i * around + (j + 1) % around
-            faces += [(a, b, b + around), (a, b + around, a + around)]
-    if cap:
-        first, last = len(points), len(points) + 1
-        points = np.vstack([points, rings[0].mean(0), rings[-1].mean(0)])
-        texture = np.vstack([texture, [0.5, 0.0], [0.5, 1.0]])
-        end = (count - 1) * around
-        for j in range(around):
-            k = (j + 1) % around
-            faces += [(first, k, j), (last, end + j, end + k)]
+    points = np.vstack([rings.reshape(-1, 3), rings[0].mean(0), rings[-1].mean(0)])
+    first, last, end = count * around, count * around + 1, (count - 1) * around
+    faces: list[tuple[int, ...]] = []
+    for j in range(around):
+        k = (j + 1) % around
+        faces += [(i + j, i + k, i + k + around, i + j + around) for i in range(0, end, around)]
+        faces += [(first, k, j), (last, end + j, end + k)]
     lines = [f"v {x:.1f} {y:.1f} {z:.1f}" for x, y, z in points]
-    lines += [f"vt {u:.2f} {v:.2f}" for u, v in texture]
-    lines += ["f " + " ".join(f"{k + 1}/{k + 1}" for k in face) for face in faces]
+    if texture:
+        # The pattern runs there and back around the ring: no seam, no doubled vertices.
+        across = 1 - abs(2 * np.linspace(0.0, 1.0, around, endpoint=False) - 1)
+        lines += [f"vt {u:.2f} {v:.2f}" for v in np.linspace(0.0, 1.0, count) for u in across]
+        lines += ["vt 0.5 0", "vt 0.5 1"]
+    form = "{0}/{0}" if texture else "{0}"
+    lines += ["f " + " ".join(form.format(k + 1) for k in face) for face in faces]
     (FOLDER / f"{name}.obj").write_text("\n".join(lines) + "\n")
 
 
@@ -65,6 +58,7 @@ def loft(
     around: int = 20,
     exponent: float = 2.6,
     count: int = 20,
+    texture: bool = True,
 ) -> None:
     """Lofts superellipses along an axis through a table of extents.
 
@@ -77,6 +71,7 @@ def loft(
         around: Points a section.
         exponent: Of the superellipse; 2 is an ellipse, more is boxier.
         count: Number of sections.
+        texture: Whether the carbon weave goes on it.
     """
     rows = np.asarray(table, float)
     at: Callable[[np.ndarray], np.ndarray] = PchipInterpolator(rows[:, 0], rows[:, 1:])
@@ -90,7 +85,7 @@ def loft(
         b = (low2 + high2) / 2 + (high2 - low2) / 2 * unit[:, 1]
         flat = np.full_like(a, p)
         rings.append(np.stack([a, b, flat] if axis == 2 else [flat, a, b], -1))
-    write_grid(name, np.asarray(rings))
+    write_grid(name, np.asarray(rings), texture=texture)
 
 
 def lever(name: str, length: float, big: float, small: float, thickness: float) -> None:
@@ -127,11 +122,23 @@ def helix(name: str, radius: float, wire: float, pitch: float, turns: int) -> No
     outward = np.stack([np.cos(t), np.sin(t), 0 * t], -1)
     up = np.array([0.0, 0.0, 1.0])
     angle = np.linspace(0.0, 2 * np.pi, 6, endpoint=False)
-    section = wire * (np.cos(angle)[:, None] * up + 0.0)
-    rings = [
-        c + section + wire * np.sin(angle)[:, None] * o for c, o in zip(centre, outward, strict=True)
-    ]
-    write_grid(name, np.asarray(rings)[:, ::-1])
+    section = wire * np.cos(angle)[:, None] * up
+    radial = wire * np.sin(angle)[:, None] * outward[:, None]
+    write_grid(name, (centre[:, None] + section + radial)[:, ::-1])
+
+
+def tube(name: str, knots: list[tuple[float, float, float]], radius: float) -> None:
+    """Writes a hose along a smooth curve through the knots, mm."""
+    t = np.linspace(0.0, len(knots) - 1.0, 5 * len(knots))
+    curve = CubicSpline(range(len(knots)), np.asarray(knots, float))
+    along = curve(t, 1)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    side = np.cross(along, [1.0, 0.0, 0.0])
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    other = np.cross(along, side)
+    angle = np.linspace(0.0, 2 * np.pi, 7, endpoint=False)[None, :, None]
+    ring = np.cos(angle) * side[:, None] + np.sin(angle) * other[:, None]
+    write_grid(name, curve(t)[:, None] + radius * ring)
 
 
 def rounded(rows: list[tuple[float, ...]], start: float, end: float) -> list[tuple[float, ...]]:
@@ -152,9 +159,10 @@ def rounded(rows: list[tuple[float, ...]], start: float, end: float) -> list[tup
 def main() -> None:
     """Writes all meshes."""
     FOLDER.mkdir(exist_ok=True)
+    # Waisted: the cylinders in front and behind stay in sight from the side.
     thigh = [
-        (-422, -42, 42, 42, 57), (-370, -38, 40, 41, 58), (-300, -46, 43, 41, 60),
-        (-210, -55, 50, 41, 63), (-120, -52, 50, 41, 62), (-60, -46, 46, 42, 60),
+        (-422, -42, 42, 42, 57), (-372, -36, 37, 41, 58), (-300, -33, 33, 41, 60),
+        (-222, -37, 36, 41, 63), (-140, -34, 33, 41, 62), (-60, -37, 37, 42, 60),
         (0, -44, 44, 42, 57),
     ]  # fmt: skip
     loft("thigh_shell", rounded(thigh, 42, 44), axis=2, exponent=3.0, count=26)
@@ -169,7 +177,7 @@ def main() -> None:
         (0, -33, 36, -80, -58), (60, -37, 44, -80, -58), (120, -41, 50, -80, -58),
         (160, -38, 45, -79, -58), (182, -26, 32, -75, -58), (190, -12, 18, -70, -59),
     ]  # fmt: skip
-    loft("foot_sole", sole, axis=0, exponent=4.5, around=20, count=20)
+    loft("foot_sole", sole, axis=0, exponent=4.5, around=24, count=24, texture=False)
     upper = [
         (-60, -14, 16, -60, -46), (-55, -22, 24, -61, -38), (-38, -28, 30, -61, -32),
         (0, -29, 31, -61, -32), (40, -32, 36, -61, -26), (75, -35, 41, -61, -28),
@@ -177,22 +185,37 @@ def main() -> None:
         (184, -10, 16, -61, -56),
     ]  # fmt: skip
     loft("foot_upper", upper, axis=0, exponent=3.0, around=20, count=20)
+    toe_cap = [
+        (132, -39, 47, -59, -41), (150, -36, 43.5, -59, -44), (168, -29.5, 36, -59, -48),
+        (180, -20, 26, -59, -52), (186, -10, 16, -59, -55),
+    ]  # fmt: skip
+    loft("toe_cap", toe_cap, axis=0, exponent=3.0, around=20, count=12, texture=False)
     pelvis = [
-        (-295, -40, 40, 190, 250), (-260, -52, 52, 184, 262), (-160, -66, 66, 180, 268),
-        (-60, -72, 72, 178, 266), (20, -70, 68, 178, 258), (52, -60, 56, 180, 246),
+        (-298, -48, 48, 186, 252), (-200, -58, 58, 183, 262), (-60, -68, 68, 180, 264),
+        (20, -66, 66, 180, 256), (46, -58, 58, 182, 248),
     ]  # fmt: skip
     # Lofted along x and turned by the geom: (y, z) of the section are then (x, z) of the pelvis.
-    loft("pelvis_shell", rounded(pelvis, 6, 16), axis=0, exponent=3.6, around=20, count=16)
+    loft("pelvis_shell", rounded(pelvis, 4, 12), axis=0, exponent=7.0, around=28, count=14)
     lever("yaw_lever", 52, 34, 11, 14)
+    lever("yoke_top", 102, 44, 28, 16)
+    lever("yoke_back", 108, 40, 28, 15)
+    lever("roll_arm", 66, 26, 16, 14)
     lever("roll_lever", 50, 27, 11, 12)
     lever("hip_lug", 55, 30, 10, 6)
     lever("hip_strut_lever", 44, 22, 9, 6)
     lever("knee_lug", 48, 28, 10, 6)
     lever("knee_strut_lever", 42, 22, 9, 6)
-    lever("ankle_lug", 34, 18, 8, 5)
+    lever("ankle_lug", 36, 18, 8, 5)
     lever("ankle_strut_lever", 36, 14, 7, 5)
-    lever("ankle_roll_arm", 63, 15, 13, 6)
+    lever("ankle_roll_arm", 62.8, 15, 13, 6)
     helix("torsion_coil", 27, 2.2, 6.0, 5)
+    thigh_hose = [(8, -84, -262), (10, -86, -300), (6, -76, -350), (0, -76, -400), (0, -70, -422)]
+    tube("thigh_hose", thigh_hose, 3.6)
+    shank_hose = [
+        (0, -70, 0), (-2, -74, -30), (-14, -66, -80), (-18, -56, -140), (-14, -50, -200),
+        (2, -40, -250), (14, -28, -285), (22, -20, -300),
+    ]  # fmt: skip
+    tube("shank_hose", shank_hose, 3.6)
 
 
 if __name__ == "__main__":

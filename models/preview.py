@@ -6,6 +6,7 @@ the pictures need no plugin.
 
 import argparse
 import os
+from itertools import pairwise
 from pathlib import Path
 
 os.environ.setdefault("MUJOCO_GL", "egl")
@@ -62,7 +63,7 @@ def draw_coil(scene, base, rod, radius=0.0105, wire=0.0018, turns=9):
     t = np.linspace(0.0, 1.0, 12 * turns + 1)[:, None]
     angle = 2 * np.pi * turns * t
     points = start + t * (end - start) + radius * (np.cos(angle) * side + np.sin(angle) * other)
-    for a, b in zip(points[:-1], points[1:], strict=True):
+    for a, b in pairwise(points):
         add_segment(scene, a, b, wire, (0.88, 0.33, 0.06, 1), mujoco.mjtGeom.mjGEOM_CAPSULE)
 
 
