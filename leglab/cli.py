@@ -135,6 +135,30 @@ def list_names(as_json: Json = False) -> None:
 
 
 @app.command()
+def video(
+    folder: Annotated[Path, typer.Argument(help="Folder of a run.")],
+    out: Annotated[Path | None, typer.Option(help="MP4 file; default FOLDER/video.mp4.")] = None,
+    start: Annotated[float | None, typer.Option(help="First second shown.")] = None,
+    duration: Annotated[float | None, typer.Option(help="Seconds shown; default: all.")] = None,
+    camera: Annotated[str, typer.Option(help="Camera of the model.")] = "three_quarter",
+) -> None:
+    """Renders a run to MP4, headless, with EGL or OSMesa."""
+    from leglab.report.video import render_run
+
+    with _progress() as bar:
+        task = bar.add_task("rendering", total=1.0)
+        path = render_run(
+            folder,
+            out or folder / "video.mp4",
+            start=start,
+            duration=duration,
+            camera=camera,
+            progress=lambda share: bar.update(task, completed=share),
+        )
+    _output.print(f"written to {path}")
+
+
+@app.command()
 def tune(
     model: Annotated[list[str] | None, typer.Option(help="Models to tune; default: all.")] = None,
     write: Annotated[bool, typer.Option(help="Write the gains file of the package.")] = False,
@@ -187,25 +211,23 @@ def _progress() -> Progress:
 
 
 def _metrics_table(metrics: dict[str, Any]) -> Table:
-    joints = [name for name in metrics["phases"][0]["rms_rad"] if name != "all"]
-    columns = ["all", *joints] if len(joints) > 1 else joints
-    table = Table(
-        title=f"{metrics['scenario']}, {metrics['controller']}: tracking error, RMS / peak [mrad]",
-        title_justify="left",
-    )
-    table.add_column("phase")
-    for name in columns:
-        table.add_column(name, justify="right")
-    for phase in metrics["phases"]:
-        cells = [
+    phases = metrics["phases"]
+    joints = [name for name in phases[0]["rms_rad"] if name != "all"]
+    table = Table(title="tracking error, RMS / peak, mrad", title_justify="left", min_width=46)
+    table.add_column(f"{metrics['scenario']}, {metrics['controller']}")
+    for phase in phases:
+        table.add_column(f"{phase['name']} {phase['start']:g}-{phase['end']:g} s", justify="right")
+    for name in joints if len(joints) == 1 else [*joints, "all"]:
+        cells = (
             f"{1e3 * phase['rms_rad'][name]:.1f} / {1e3 * phase['peak_rad'][name]:.1f}"
-            for name in columns
-        ]
-        table.add_row(f"{phase['name']} {phase['start']:g}-{phase['end']:g} s", *cells)
+            for phase in phases
+        )
+        table.add_row(name, *cells)
     found = metrics["readaptation"]
     if found["threshold"] is not None:
         time = "never" if found["time_s"] is None else f"{found['time_s']:.2f} s"
-        table.caption = f"re-adaptation: {time} (threshold {1e3 * found['threshold']:.1f} mrad)"
+        table.caption = f"re-adaptation: {time}, threshold {1e3 * found['threshold']:.1f} mrad"
+        table.caption_justify = "left"
     return table
 
 

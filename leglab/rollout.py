@@ -44,8 +44,9 @@ class History:
 
     Attributes:
         time: [s], shape (n,).
-        position: True joint positions [rad], (n, joints).
-        velocity: True joint velocities [rad/s], (n, joints).
+        position: True positions of the driven joints [rad], (n, joints).
+        velocity: True velocities of the driven joints [rad/s], (n, joints).
+        passive: True positions of joints that no cylinder drives, by joint [rad or m], each (n,).
         command: Valve commands in [-1, 1] from `time` on, (n, joints).
         reference: Position [rad], velocity [rad/s] and acceleration [rad/s^2], each (n, joints).
         states: Values of the plugin states asked for, by column name, each (n,).
@@ -57,6 +58,7 @@ class History:
     time: np.ndarray
     position: np.ndarray
     velocity: np.ndarray
+    passive: dict[str, np.ndarray]
     command: np.ndarray
     reference: ReferencePoint
     states: dict[str, np.ndarray]
@@ -167,7 +169,7 @@ def closed_loop(
     filter_gain = velocity_filter_coefficient(period, sensors.velocity_cutoff) / period
     leak = 1.0 - filter_gain * period
 
-    position, velocity = np.empty((count, joints)), np.empty((count, joints))
+    all_qpos, all_qvel = np.empty((count, model.nq)), np.empty((count, model.nv))
     command, states = np.empty((count, joints)), np.empty((count, len(slots)))
     reports: dict[str, np.ndarray] = {}
 
@@ -197,7 +199,7 @@ def closed_loop(
                 controller.reset(measurement)
             wish = check_command(controller.command(measurement, point), setup, name, now)
 
-            position[k], velocity[k] = qpos[qpos_index], qvel[dof_index]
+            all_qpos[k], all_qvel[k] = qpos, qvel
             plugin_state.take(slots, out=states[k])
             np.minimum(np.maximum(wish, -1.0), 1.0, out=command[k])
             ctrl[:] = command[k]
@@ -224,8 +226,11 @@ def closed_loop(
         raise LeglabError(failure)
     return History(
         time=times[:rows],
-        position=position[:rows],
-        velocity=velocity[:rows],
+        position=all_qpos[:rows, qpos_index],
+        velocity=all_qvel[:rows, dof_index],
+        passive={
+            name: all_qpos[:rows, index] for name, index in simulation.passive_joints.items()
+        },
         command=command[:rows],
         reference=ReferencePoint(*[part[:rows] for part in wanted]),
         states={column: states[:rows, i] for i, column in enumerate(columns)},

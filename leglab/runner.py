@@ -227,6 +227,8 @@ def _recording(
             columns[f"{joint}_{suffix}"] = values[:, i]
         for name, values in history.diagnostics.items():
             columns[f"{joint}_{name}"] = values[:, i]
+    for name, values in history.passive.items():
+        columns[f"{name}_truth"] = values
     for name, values in history.states.items():
         pressure = name.endswith(("_pressure_a", "_pressure_b"))
         extra = noise.normal(0.0, sensors.pressure_noise, len(values)) if pressure else 0.0

@@ -189,6 +189,17 @@ class Simulation:
         """True joint velocities [rad/s], (joints,)."""
         return self.data.qvel[self.dof_index]
 
+    @property
+    def passive_joints(self) -> dict[str, int]:
+        """Index in qpos of the hinge and slide joints that no cylinder drives, by name."""
+        model = self.model
+        simple = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+        return {
+            model.joint(i).name: int(model.jnt_qposadr[i])
+            for i in range(model.njnt)
+            if i not in self._joint_ids and model.jnt_type[i] in simple
+        }
+
     def joint_range(self) -> np.ndarray:
         """Lower and upper joint positions [rad], (joints, 2)."""
         return self.model.jnt_range[self._joint_ids]
