@@ -299,6 +299,7 @@ def _configuration(
             "sensors": sensors.model_dump(),
             "timestep": simulation.model.opt.timestep,
         },
+        "window": reference.period,
         "changes": [
             {name: getattr(change, name) for name in change.__dataclass_fields__}
             for change in scenario.changes

@@ -13,7 +13,7 @@ from leglab.recording import Recording
 from leglab.simulation import Simulation, load_model
 
 _INK, _SOFT, _ALARM, _TRACE = (28, 32, 38), (110, 118, 128), (196, 58, 28), (0, 98, 155)
-_STRIP = 132  # height of the error strip [px]
+_STRIP = 176  # height of the error strip below the picture [px]
 
 
 class RunFrames:
@@ -32,11 +32,12 @@ class RunFrames:
         self._simulation = Simulation(load_model(settings["model"]))
         model = self._simulation.model
         width, height = size
-        self._renderer = mujoco.Renderer(model, height, width)
+        self._renderer = mujoco.Renderer(model, height - _STRIP, width)
         names = [model.camera(i).name for i in range(model.ncam)]
         self._camera = camera if camera in names else -1
         self._title = f"{settings['scenario']} · {settings['controller']}"
         self._changes = run["changes"]
+        self._window = run["window"]
         self._size = size
         face = font_manager.findfont("DejaVu Sans")
         self._large, self._small = (ImageFont.truetype(face, points) for points in (26, 17))
@@ -60,7 +61,8 @@ class RunFrames:
         """The frame at a time [s], (height, width, 3) uint8."""
         self._place(time)
         self._renderer.update_scene(self._simulation.data, self._camera)
-        image = Image.fromarray(self._renderer.render())
+        image = Image.new("RGB", self._size, (255, 255, 255))
+        image.paste(Image.fromarray(self._renderer.render()))
         self._write(image, time)
         return np.asarray(image)
 
@@ -83,9 +85,9 @@ class RunFrames:
     def _prepare_strip(self) -> None:
         recording = self._recording
         error = _errors(recording, self._simulation.joints)
-        window = min(0.5, max(recording.duration / 4, 1e-3))
-        self._windowed = metrics.sliding_rms(recording.time, error, window)
-        self._top = float(np.nanmax(self._windowed)) or 1.0
+        self._windowed = metrics.sliding_rms(recording.time, error, self._window)
+        finite = self._windowed[np.isfinite(self._windowed)]
+        self._top = float(finite.max(initial=0.0)) or 1.0
 
     def _write(self, image: Image.Image, time: float) -> None:
         width, height = self._size
@@ -97,14 +99,13 @@ class RunFrames:
                 verb = "×" if change["kind"] == "scale" else "="
                 text = f"{change['parameter'].replace('_', ' ')} {verb} {change['value']:g}"
                 draw.text((120, 58), text, font=self._small, fill=_ALARM)
-        top, bottom = height - _STRIP, height - 24
-        draw.rectangle((0, top - 34, width, height), fill=(255, 255, 255, 205))
-        label = "RMS tracking error of all joints, 0.5 s window"
-        draw.text((28, top - 28), label, font=self._small, fill=_SOFT)
-        value = self._windowed[int(np.searchsorted(self._recording.time, time)) - 1]
+        top, bottom = height - _STRIP + 52, height - 22
+        label = f"RMS tracking error of all joints over {self._window:g} s"
+        draw.text((28, top - 40), label, font=self._small, fill=_SOFT)
+        value = self._windowed[max(int(np.searchsorted(self._recording.time, time)) - 1, 0)]
         if np.isfinite(value):
             text = f"{1e3 * value:.1f} mrad"
-            draw.text((width - 28, top - 28), text, font=self._small, fill=_TRACE, anchor="ra")
+            draw.text((width - 28, top - 40), text, font=self._small, fill=_TRACE, anchor="ra")
         times = self._recording.time
         left, right = 28, width - 28
         span = self.end - self.start

@@ -1,0 +1,34 @@
+# Everything a fresh machine needs: `make demo` runs the main job, `make test` passes the tests.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/installed
+SOURCES := pyproject.toml CMakeLists.txt $(shell find leglab/csrc -type f)
+
+.PHONY: demo test lint clean
+
+demo: $(STAMP)
+	$(BIN)/leglab run seal_wear --controller pd --out out/demo --overwrite
+	@$(BIN)/leglab video out/demo --start 6 --duration 8 || true
+	@echo "numbers in out/demo/metrics.json, plots beside it"
+
+test: $(STAMP)
+	$(BIN)/python -m pytest
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+$(STAMP): $(SOURCES)
+	@$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11)' || { echo "leglab needs Python 3.11 or newer: make PYTHON=/path/to/python3.11"; exit 2; }
+	@$(PYTHON) -c 'import ensurepip, venv' || { echo "Python's venv is missing: sudo apt-get install -y python3-venv"; exit 2; }
+	@command -v c++ > /dev/null || { echo "a C++ compiler is missing: sudo apt-get install -y g++"; exit 2; }
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade 'pip>=25.1'
+	$(BIN)/python -m pip install --quiet --editable . --group dev
+	touch $@
+
+clean:
+	rm -rf $(VENV) build out
