@@ -87,7 +87,7 @@ def joint_plant(simulation: Simulation, joint: int, speed: float) -> control.Sta
     return control.ss(a, b, np.eye(6)[5:], 0)
 
 
-def _discrete(plant: control.StateSpace, period: float, latency: float) -> control.StateSpace:
+def sampled_plant(plant: control.StateSpace, period: float, latency: float) -> control.StateSpace:
     """Samples a plant behind a zero-order hold, measured `latency` <= period before the command.
 
     The measurement at t - latency comes from the state one period earlier, moved on by
@@ -120,7 +120,7 @@ def _loops(
             except LeglabError:
                 continue  # the cylinder cannot run at this speed under this load
             direction = float(np.sign(simulation.levers()[joint]))
-            plants.append(_discrete(direction * plant, period, latency))
+            plants.append(sampled_plant(direction * plant, period, latency))
     return plants
 
 

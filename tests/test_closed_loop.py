@@ -1,0 +1,167 @@
+"""The closed loop: determinism, changes, and everything a controller can do wrong."""
+
+import numpy as np
+import pytest
+
+from leglab.control import make_controller
+from leglab.errors import LeglabError
+from leglab.measurement import SensorConfiguration, loop_timing, quantise
+from leglab.references import make_reference
+from leglab.rollout import closed_loop
+from leglab.runner import RunSettings, controller_setup, reference_joints, run_scenario
+from leglab.scenario import Scenario, get_scenario
+from leglab.schedule import ParameterChange
+from leglab.simulation import Simulation, load_model
+
+
+def settings(**changes) -> RunSettings:
+    base = {"scenario": "seal_wear", "model": "knee_bench", "duration": 4.0}
+    return RunSettings(**{**base, **changes})
+
+
+def test_same_seed_same_bits_and_other_seed_other_bits():
+    first, again, other = (run_scenario(settings(seed=seed)) for seed in (3, 3, 4))
+    assert first.recording == again.recording
+    assert first.recording != other.recording
+
+
+def test_a_worn_seal_costs_tracking_and_is_recorded():
+    run = run_scenario(settings(duration=8.0))
+    before, after = run.metrics["phases"]
+    assert (before["name"], after["name"]) == ("before", "after")
+    assert after["rms_rad"]["knee"] > 1.05 * before["rms_rad"]["knee"]
+    leakage = run.recording["knee_valve_internal_leakage"]
+    assert set(np.unique(leakage)) == {1.7e-13, 1.7e-12}
+    assert np.all((run.recording.time >= 4.0) == (leakage > 1e-12))
+
+
+def test_a_ramp_is_followed():
+    run = run_scenario(settings(duration=8.0, ramp_duration=2.0))
+    assert [phase["name"] for phase in run.metrics["phases"]] == ["before", "during", "after"]
+    time, leakage = run.recording.time, run.recording["knee_valve_internal_leakage"]
+    expected = 1.7e-13 * (1 + 9 * np.clip((time - 4.0) / 2.0, 0, 1))
+    np.testing.assert_allclose(leakage, expected, rtol=1e-9)
+
+
+def test_feedforward_beats_pd_on_the_nominal_machine():
+    pd, feedforward = (
+        run_scenario(settings(scenario="nominal", controller=name)).metrics["phases"][0]
+        for name in ("pd", "static_feedforward")
+    )
+    assert feedforward["rms_rad"]["all"] < 0.2 * pd["rms_rad"]["all"]
+
+
+def test_controllers_see_measurements_not_the_truth():
+    run = run_scenario(settings(scenario="nominal"))
+    measured, truth = run.recording["knee_position"], run.recording["knee_truth"]
+    difference = measured - truth
+    resolution = 2 * np.pi / 131072
+    expected = np.hypot(2e-5, resolution / np.sqrt(12))
+    assert np.std(difference) == pytest.approx(expected, rel=0.1)
+    np.testing.assert_allclose(np.round(measured / resolution) * resolution, measured, atol=1e-12)
+
+
+def test_replay_of_the_recorded_commands_gives_the_recorded_motion():
+    run = run_scenario(settings(scenario="nominal", duration=1.0))
+    simulation = Simulation(load_model("knee_bench"))
+    from leglab.calibration import settle
+
+    settle(simulation)
+    for command, position in zip(run.history.command, run.history.position, strict=True):
+        assert simulation.position()[0] == position[0]
+        simulation.data.ctrl[:] = command
+        simulation.step(4)
+
+
+class _Broken:
+    def __init__(self, value):
+        self.value = value
+
+    def reset(self, measurement):
+        pass
+
+    def command(self, measurement, reference):
+        return self.value if measurement.time >= 0.5 else np.zeros(1)
+
+    def diagnostics(self):
+        return {}
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (np.array([np.nan]), "'broken' gave nan for joint 'knee' at 0.5 s"),
+        (np.zeros(3), r"'broken' gave shape \(3,\) at 0.5 s"),
+        (None, "'broken' gave NoneType at 0.5 s"),
+    ],
+)
+def test_a_broken_controller_stops_the_run_and_the_record_is_kept(value, message):
+    simulation = Simulation(load_model("knee_bench"))
+    sensors = SensorConfiguration()
+    history = closed_loop(
+        simulation,
+        _Broken(value),
+        controller_setup(simulation, "knee_bench", sensors),
+        make_reference("walking_stride", reference_joints(simulation)),
+        get_scenario("nominal", duration=2.0),
+        sensors,
+        seed=0,
+        name="broken",
+    )
+    import re
+
+    assert re.search(message, history.failure)
+    assert history.time[-1] == pytest.approx(0.498)
+
+
+def test_a_change_that_fits_no_element_is_refused():
+    simulation = Simulation(load_model("knee_bench"))
+    sensors = SensorConfiguration()
+    setup = controller_setup(simulation, "knee_bench", sensors)
+    change = ParameterChange(parameter="lap", element="hip_*", value=2.0, start=0.1)
+    with pytest.raises(LeglabError, match="'odd' changes 'lap' of 'hip_\\*'"):
+        closed_loop(
+            simulation,
+            make_controller("pd", setup),
+            setup,
+            make_reference("walking_stride", reference_joints(simulation)),
+            Scenario(name="odd", duration=1.0, changes=(change,)),
+            sensors,
+            seed=0,
+            name="pd",
+        )
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"seed": -1}, "seed -1 is negative"),
+        ({"controller": "pdd"}, "unknown controller 'pdd'.*did you mean 'pd'"),
+        ({"scenario": "seal_ware"}, "unknown scenario.*did you mean 'seal_wear'"),
+        ({"reference": "moonwalk"}, "unknown reference"),
+        ({"reference": "squat", "reference_config": {"depth": 2.5}}, "'knee' goes to.*range"),
+        ({"reference": "walking_stride", "reference_config": {"period": 0.2}}, "'knee' moves at"),
+        ({"sensors": {"control_period": 0.0012}}, "multiple of the model's timestep"),
+        ({"sensors": {"latency": 0.003}}, "latency.*at most control_period"),
+        ({"sensors": {"latancy": 0.003}}, "did you mean 'latency'"),
+        ({"severity": 1e9}, "severity.*outside"),
+        ({"duration": -1.0}, "duration -1.0 s is not allowed"),
+        ({"timestep": 0.01}, "too long"),
+        ({"controller_config": {"position_gain": [1.0, 2.0]}}, "'position_gain' has 2 values"),
+    ],
+)
+def test_bad_settings_get_one_line(change, message):
+    with pytest.raises(LeglabError, match=message) as caught:
+        run_scenario(settings(**change))
+    assert "\n" not in str(caught.value)
+
+
+def test_timing_counts_steps():
+    timing = loop_timing(SensorConfiguration(), 5e-4)
+    assert (timing.to_sample, timing.to_command) == (2, 2)
+
+
+def test_quantise_rounds_to_counts():
+    np.testing.assert_allclose(quantise(np.array([0.1]), 4), [0.0])
+    np.testing.assert_allclose(quantise(np.array([1.5]), 4), [np.pi / 2])
+    np.testing.assert_array_equal(quantise(np.array([0.1]), 0), [0.1])

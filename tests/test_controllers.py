@@ -1,0 +1,101 @@
+"""Every controller by name; the laws that can be checked in closed form."""
+
+import control
+import numpy as np
+import pytest
+from scipy.interpolate import RegularGridInterpolator
+
+import leglab.controllers  # noqa: F401
+from leglab.calibration import ValveMap
+from leglab.control import ControllerSetup, Measurement, ReferencePoint, controller_names, make_controller
+from leglab.controllers.static_feedforward import ValveMapTable
+from leglab.measurement import SensorConfiguration, velocity_filter_coefficient
+from leglab.runner import RunSettings, run_scenario, stored_gains
+from leglab.simulation import Simulation, load_model
+from leglab.tuning import SPEEDS, joint_plant, sampled_plant, tune
+
+
+@pytest.mark.parametrize("name", controller_names())
+def test_every_controller_runs_and_stays_within_range(name):
+    run = run_scenario(
+        RunSettings(scenario="nominal", controller=name, model="knee_bench", duration=2.0)
+    )
+    assert run.metrics["completed"]
+    assert np.abs(run.history.error).max() < 0.6
+    assert np.abs(run.history.command).max() <= 1.0
+
+
+def test_pd_law():
+    setup = ControllerSetup(
+        joints=("a", "b"), control_period=0.002, machine={"direction": [1.0, -1.0]}
+    )
+    pd = make_controller("pd", setup, {"position_gain": [2.0, 3.0], "velocity_gain": [0.1, 0.2]})
+    measurement = Measurement(0.0, np.array([0.1, 0.2]), np.array([1.0, 2.0]))
+    point = ReferencePoint(np.array([0.3, 0.5]), np.array([1.5, 2.5]), np.zeros(2))
+    pd.reset(measurement)
+    np.testing.assert_allclose(
+        pd.command(measurement, point), [2 * 0.2 + 0.1 * 0.5, -(3 * 0.3 + 0.2 * 0.5)]
+    )
+
+
+def test_valve_map_table_is_bilinear():
+    random = np.random.default_rng(0)
+    fractions = np.array([-1.0, -0.3, -0.1, 0.0, 0.1, 0.3, 1.0])
+    maps = [
+        ValveMap(
+            position=np.linspace(low, low + 1, 5),
+            velocity=speed * fractions,
+            command=random.normal(size=(5, 7)),
+        )
+        for low, speed in ((0.0, 3.0), (-1.0, 8.0))
+    ]
+    table = ValveMapTable(maps)
+    for _ in range(200):
+        q = np.array([random.uniform(0, 1), random.uniform(-1, 0)])
+        v = np.array([random.uniform(-3, 3), random.uniform(-8, 8)])
+        expected = [
+            RegularGridInterpolator((m.position, m.velocity), m.command)([[a, b]])[0]
+            for m, a, b in zip(maps, q, v, strict=True)
+        ]
+        np.testing.assert_allclose(table(q, v), expected, rtol=1e-12, atol=1e-14)
+    edge = table(np.array([9.0, -9.0]), np.array([9.0, -9.0]))
+    np.testing.assert_allclose(edge, [maps[0].command[-1, -1], maps[1].command[0, 0]])
+
+
+def stability(simulation: Simulation, joint: int, kp: float, kv: float) -> tuple[float, float]:
+    """Smallest margins [dB], [deg] in the present pose, by python-control's own routine."""
+    sensors = SensorConfiguration()
+    period = sensors.control_period
+    alpha = velocity_filter_coefficient(period, sensors.velocity_cutoff)
+    law = kp + kv * alpha / period * control.tf([1, -1], [1, -(1 - alpha)], period)
+    worst = [np.inf, np.inf]
+    for speed in SPEEDS:
+        plant = sampled_plant(joint_plant(simulation, joint, speed), period, sensors.latency)
+        sign = float(np.sign(simulation.levers()[joint]))
+        loop = control.ss(law) * (sign * plant)
+        gains, phases, *_ = control.stability_margins(loop, returnall=True)
+        up = [20 * np.log10(g) for g in gains if g > 1]
+        worst = [min([worst[0], *up]), min([worst[1], *np.abs(phases)])]
+        assert not [g for g in gains if 0.01 < g < 1], "unstable already"
+    return worst[0], worst[1]
+
+
+@pytest.mark.parametrize("model", ["knee_bench", "leg"])
+def test_stored_gains_keep_their_margins(model):
+    sensors = SensorConfiguration()
+    simulation = Simulation(load_model(model))
+    gains = stored_gains(model, simulation, sensors)
+    assert gains is not None
+    for joint, (kp, kv) in enumerate(gains):
+        decibel, degree = stability(simulation, joint, kp, kv)
+        assert decibel >= 5.99, simulation.joints[joint]
+        assert degree >= 44.9, simulation.joints[joint]
+
+
+def test_stored_gains_are_what_tuning_gives_and_more_would_break_a_margin():
+    sensors = SensorConfiguration()
+    simulation = Simulation(load_model("knee_bench"))
+    gains = tune(simulation, 0, sensors=sensors)
+    simulation.reset()
+    assert stored_gains("knee_bench", simulation, sensors) == [(gains.position, gains.velocity)]
+    assert min(gains.gain_margin_db - 6.0, gains.phase_margin_deg - 45.0) < 0.2

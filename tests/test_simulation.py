@@ -1,0 +1,124 @@
+"""Models by name, parameters by name, standing still, blowing up."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+import leglab.models
+from leglab.calibration import holding_forces, settle, speed_limits, valve_maps
+from leglab.errors import LeglabError
+from leglab.hydraulics import Cylinder
+from leglab.simulation import Simulation, SimulationError, load_model, model_names, model_summary
+
+
+@pytest.fixture(scope="module")
+def bench_model() -> mujoco.MjModel:
+    return load_model("knee_bench")
+
+
+@pytest.fixture
+def bench(bench_model: mujoco.MjModel) -> Simulation:
+    return Simulation(bench_model)
+
+
+@pytest.mark.parametrize("name", [n for n in model_names() if n != "leg_motor"])
+def test_every_hydraulic_model_stands_still_once_settled(name):
+    simulation = Simulation(load_model(name))
+    if simulation.passive_joints:
+        pytest.skip("stands on the ground: contact decides the load")
+    settle(simulation)
+    start = simulation.position().copy()
+    simulation.step(round(1.0 / simulation.model.opt.timestep))
+    np.testing.assert_allclose(simulation.position(), start, atol=2e-4)
+
+
+@pytest.mark.parametrize("name", model_names())
+def test_every_model_has_a_summary(name):
+    assert len(model_summary(name)) > 10
+
+
+def test_unknown_model_lists_the_known_ones():
+    with pytest.raises(LeglabError, match="unknown model 'knee_bnech'.*knee_bench"):
+        load_model("knee_bnech")
+
+
+def test_missing_file_is_named(tmp_path):
+    with pytest.raises(LeglabError, match="there.xml' does not exist"):
+        load_model(tmp_path / "there.xml")
+
+
+def edited_bench(tmp_path, old: str, new: str):
+    text = (Path(leglab.models.__path__[0]) / "knee_bench.xml").read_text()
+    assert old in text
+    path = tmp_path / "edited.xml"
+    path.write_text(text.replace(old, new))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('key="bore"', 'key="boer"', "boer.*did you mean 'bore'"),
+        ('key="dead_volume_a" value="2.903e-6"', 'key="dead_volume_a" value="0"',
+         "knee_valve.*dead_volume_a.*= 0.*allowed"),
+        ('key="supply_pressure" value="16e6"', 'key="supply_pressure" value="-1"',
+         "knee_valve.*supply_pressure.*= -1.*allowed"),
+        ('<site site="knee_cylinder_rod"/>', '<site site="nowhere"/>', "nowhere"),
+        ('timestep="0.0005"', 'timestep="0.02"', "knee_valve.*timestep.*too long.*use at most"),
+        ('integrator="implicitfast"', 'integrator="RK4"', "RK4.*allowed"),
+        ("</mujoco>", "", "edited.xml"),
+    ],
+)
+def test_bad_models_get_one_line(tmp_path, old, new, message):
+    with pytest.raises(LeglabError, match=message) as caught:
+        load_model(edited_bench(tmp_path, old, new))
+    assert "\n" not in str(caught.value)
+
+
+def test_parameters_by_name(bench):
+    assert bench.parameter("knee_valve", "internal_leakage") == 1.7e-13
+    bench.set_parameter("knee_valve", "internal_leakage", 5e-13)
+    assert bench.parameter("knee_valve", "internal_leakage") == 5e-13
+    bench.reset()
+    assert bench.parameter("knee_valve", "internal_leakage") == 1.7e-13
+    with pytest.raises(LeglabError, match="knee_valve.*lap = 5.*allowed"):
+        bench.set_parameter("knee_valve", "lap", 5.0)
+    with pytest.raises(LeglabError, match="unknown leglab.cylinder parameter 'leakage'"):
+        bench.parameter("knee_valve", "leakage")
+    with pytest.raises(LeglabError, match="unknown element 'hip_valve'.*knee_valve"):
+        bench.parameter("hip_valve", "lap")
+    with pytest.raises(LeglabError, match="unknown keyframe 'swing'"):
+        bench.reset("swing")
+
+
+def test_a_blown_up_simulation_names_time_and_joint(bench):
+    bench.step(10)
+    bench.data.qvel[0] = np.nan
+    with pytest.raises(SimulationError, match=r"blew up at 0\.005 s.*joint 'knee' is nan"):
+        bench.check()
+
+
+def test_holding_force_is_gravity_and_spring_over_the_lever(bench):
+    q = bench.position()[0]
+    torque = 4.5 * 9.81 * 0.22 * np.sin(q)  # gravity extends the knee; the spring rests at 0.9
+    assert holding_forces(bench)[0] == pytest.approx(torque / bench.levers()[0], rel=1e-9)
+
+
+def test_speed_limit_is_the_no_load_speed(bench):
+    values = bench.cylinder_parameters("knee_valve")
+    ideal = Cylinder({**values, "lap": 0, "edge_rounding": 0, "internal_leakage": 0, "viscous": 0,
+                      "coulomb": 0, "static": 0})
+    piston = speed_limits(bench)[0] * abs(bench.levers()[0])
+    assert ideal.steady_state(-0.9 * piston, 0.0).spool == pytest.approx(-0.9, abs=1e-3)
+
+
+def test_calibration_leaves_the_machine_where_it_was(bench):
+    before = bench.data.qpos.copy(), bench.data.qvel.copy()
+    valve_map = valve_maps(bench)[0]
+    np.testing.assert_array_equal(bench.data.qpos, before[0])
+    np.testing.assert_array_equal(bench.data.qvel, before[1])
+    # The knee's cylinder retracts to flex it: faster flexion needs a lower command.
+    middle = valve_map.command[len(valve_map.position) // 2]
+    assert np.all(np.diff(middle) < 0)
