@@ -191,12 +191,12 @@ def main() -> None:
     ]  # fmt: skip
     loft("toe_cap", toe_cap, axis=0, exponent=3.0, around=20, count=12, texture=False)
     pelvis = [
-        (-298, -48, 48, 186, 252), (-200, -58, 58, 183, 262), (-60, -68, 68, 180, 264),
-        (20, -66, 66, 180, 256), (46, -58, 58, 182, 248),
+        (-298, -48, 48, 200, 266), (-200, -58, 58, 197, 276), (-60, -68, 68, 194, 278),
+        (20, -66, 66, 194, 270), (46, -58, 58, 196, 262),
     ]  # fmt: skip
     # Lofted along x and turned by the geom: (y, z) of the section are then (x, z) of the pelvis.
     loft("pelvis_shell", rounded(pelvis, 4, 12), axis=0, exponent=7.0, around=28, count=14)
-    lever("yaw_lever", 52, 34, 11, 14)
+    lever("yaw_lever", 52, 30, 10, 4)
     lever("yoke_top", 102, 44, 28, 16)
     lever("yoke_back", 108, 40, 28, 15)
     lever("roll_arm", 66, 26, 16, 14)
