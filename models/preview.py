@@ -41,7 +41,9 @@ def add_segment(
 ) -> None:
     """Adds a cylinder or capsule between two points, m, to the scene."""
     geom = scene.geoms[scene.ngeom]
-    mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), np.float32(rgba))
+    mujoco.mjv_initGeom(
+        geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), np.asarray(rgba, np.float32)
+    )
     geom.specular, geom.shininess = 0.9, 0.7
     mujoco.mjv_connector(geom, kind, radius, start, end)
     scene.ngeom += 1

@@ -1,4 +1,4 @@
-"""Loads a hydraulic leg with native motors on the same lines, where the plugin library is missing."""
+"""Loads a hydraulic leg with native motors on the same lines: needs no plugin library."""
 
 from pathlib import Path
 
