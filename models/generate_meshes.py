@@ -5,7 +5,7 @@ Every mesh is one of three kinds: a loft through superellipse sections, a lever 
 outline of two circles, extruded, with a chamfer), or a helix.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,32 +14,40 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 FOLDER = Path(__file__).parent / "meshes"
 
 
-def write_grid(name: str, rings: np.ndarray, *, texture: bool = False) -> None:
-    """Writes a tube of closed rings, with a fan over each end, as OBJ.
+def write_grid(name: str, *grids: np.ndarray, texture: bool = False) -> None:
+    """Writes tubes of closed rings, with a fan over each end, as one OBJ.
 
     Args:
         name: File name without the suffix.
-        rings: Points in mm, shape (number of rings, points a ring, 3); counter-clockwise seen
-            from the last ring, so that normals point outwards.
+        grids: Points in mm, each of shape (number of rings, points a ring, 3); counter-clockwise
+            seen from the last ring, so that normals point outwards.
         texture: Whether to write texture coordinates: around the ring and along the tube.
     """
-    count, around, _ = rings.shape
-    points = np.vstack([rings.reshape(-1, 3), rings[0].mean(0), rings[-1].mean(0)])
-    first, last, end = count * around, count * around + 1, (count - 1) * around
-    faces: list[tuple[int, ...]] = []
-    for j in range(around):
-        k = (j + 1) % around
-        faces += [(i + j, i + k, i + k + around, i + j + around) for i in range(0, end, around)]
-        faces += [(first, k, j), (last, end + j, end + k)]
-    lines = [f"v {x:.1f} {y:.1f} {z:.1f}" for x, y, z in points]
-    if texture:
-        # The pattern runs there and back around the ring: no seam, no doubled vertices.
-        across = 1 - abs(2 * np.linspace(0.0, 1.0, around, endpoint=False) - 1)
-        lines += [f"vt {u:.2f} {v:.2f}" for v in np.linspace(0.0, 1.0, count) for u in across]
-        lines += ["vt 0.5 0", "vt 0.5 1"]
+    vertices: list[str] = []
+    coordinates: list[str] = []
+    faces: list[str] = []
     form = "{0}/{0}" if texture else "{0}"
-    lines += ["f " + " ".join(form.format(k + 1) for k in face) for face in faces]
-    (FOLDER / f"{name}.obj").write_text("\n".join(lines) + "\n")
+    for rings in grids:
+        count, around, _ = rings.shape
+        offset = len(vertices) + 1
+        centres = [rings[0].mean(0), rings[-1].mean(0)]
+        points = np.vstack([rings.reshape(-1, 3), *centres])
+        vertices += [f"v {x:.1f} {y:.1f} {z:.1f}" for x, y, z in points]
+        if texture:
+            # The pattern runs there and back around the ring: no seam, no doubled vertices.
+            across = 1 - abs(2 * np.linspace(0.0, 1.0, around, endpoint=False) - 1)
+            along = np.linspace(0.0, 1.0, count)
+            coordinates += [f"vt {u:.2f} {v:.2f}" for v in along for u in across]
+            coordinates += ["vt 0.5 0", "vt 0.5 1"]
+        first, last, end = count * around, count * around + 1, (count - 1) * around
+        for j in range(around):
+            k = (j + 1) % around
+            corners: list[tuple[int, ...]] = [(first, k, j), (last, end + j, end + k)]
+            corners += [
+                (i + j, i + k, i + k + around, i + j + around) for i in range(0, end, around)
+            ]
+            faces += ["f " + " ".join(form.format(offset + i) for i in c) for c in corners]
+    (FOLDER / f"{name}.obj").write_text("\n".join(vertices + coordinates + faces) + "\n")
 
 
 def superellipse(around: int, exponent: float) -> np.ndarray:
@@ -52,7 +60,7 @@ def superellipse(around: int, exponent: float) -> np.ndarray:
 
 def loft(
     name: str,
-    table: list[tuple[float, float, float, float, float]],
+    table: Sequence[tuple[float, ...]],
     *,
     axis: int,
     around: int = 20,
@@ -127,7 +135,19 @@ def helix(name: str, radius: float, wire: float, pitch: float, turns: int) -> No
     write_grid(name, (centre[:, None] + section + radial)[:, ::-1])
 
 
-def tube(name: str, knots: list[tuple[float, float, float]], radius: float) -> None:
+def bolt_circle(name: str, radius: float, count: int) -> None:
+    """Writes a circle of screw heads in the xy plane, 5 mm across and 4 mm high, mm."""
+    angle = np.linspace(0.0, 2 * np.pi, count, endpoint=False)
+    outline = superellipse(8, 2.0)
+    heads = []
+    for centre in radius * np.stack([np.cos(angle), np.sin(angle)], -1):
+        layers = [(2.6, -2.0), (2.6, 1.4), (2.0, 2.0)]
+        rings = [np.column_stack([centre + r * outline, np.full(8, z)]) for r, z in layers]
+        heads.append(np.asarray(rings))
+    write_grid(name, *heads)
+
+
+def tube(name: str, knots: Sequence[tuple[float, float, float]], radius: float) -> None:
     """Writes a hose along a smooth curve through the knots, mm."""
     t = np.linspace(0.0, len(knots) - 1.0, 5 * len(knots))
     curve = CubicSpline(range(len(knots)), np.asarray(knots, float))
@@ -141,7 +161,7 @@ def tube(name: str, knots: list[tuple[float, float, float]], radius: float) -> N
     write_grid(name, curve(t)[:, None] + radius * ring)
 
 
-def rounded(rows: list[tuple[float, ...]], start: float, end: float) -> list[tuple[float, ...]]:
+def rounded(rows: Sequence[tuple[float, ...]], start: float, end: float) -> list[tuple[float, ...]]:
     """Adds quarter-circle ends of the given radii to a loft table, shrinking its first extent."""
     out = []
     for radius, sign, row in ((start, -1.0, rows[0]), (end, 1.0, rows[-1])):
@@ -153,7 +173,7 @@ def rounded(rows: list[tuple[float, ...]], start: float, end: float) -> list[tup
             mid2, half2 = (low2 + high2) / 2, (high2 - low2) / 2 * max(shrink**0.3, 0.3)
             position = z + sign * radius * np.sin(t)
             out.append((position, middle - half, middle + half, mid2 - half2, mid2 + half2))
-    return sorted(out + list(rows))
+    return sorted([*out, *rows])
 
 
 def main() -> None:
@@ -191,12 +211,12 @@ def main() -> None:
     ]  # fmt: skip
     loft("toe_cap", toe_cap, axis=0, exponent=3.0, around=20, count=12, texture=False)
     pelvis = [
-        (-298, -48, 48, 186, 252), (-200, -58, 58, 183, 262), (-60, -68, 68, 180, 264),
-        (20, -66, 66, 180, 256), (46, -58, 58, 182, 248),
+        (-298, -48, 48, 200, 266), (-200, -58, 58, 197, 276), (-60, -68, 68, 194, 278),
+        (20, -66, 66, 194, 270), (46, -58, 58, 196, 262),
     ]  # fmt: skip
     # Lofted along x and turned by the geom: (y, z) of the section are then (x, z) of the pelvis.
     loft("pelvis_shell", rounded(pelvis, 4, 12), axis=0, exponent=7.0, around=28, count=14)
-    lever("yaw_lever", 52, 34, 11, 14)
+    lever("yaw_lever", 52, 30, 10, 4)
     lever("yoke_top", 102, 44, 28, 16)
     lever("yoke_back", 108, 40, 28, 15)
     lever("roll_arm", 66, 26, 16, 14)
@@ -209,6 +229,8 @@ def main() -> None:
     lever("ankle_strut_lever", 36, 14, 7, 5)
     lever("ankle_roll_arm", 62.8, 15, 13, 6)
     helix("torsion_coil", 27, 2.2, 6.0, 5)
+    bolt_circle("bolts_65", 32.5, 8)
+    bolt_circle("bolts_44", 22, 6)
     thigh_hose = [(8, -84, -262), (10, -86, -300), (6, -76, -350), (0, -76, -400), (0, -70, -422)]
     tube("thigh_hose", thigh_hose, 3.6)
     shank_hose = [
