@@ -15,11 +15,11 @@ from scipy.interpolate import PchipInterpolator
 
 HARMONICS = 6
 
-# leglab's joint, OpenSim's coordinate, and the sign between them: OpenSim counts knee flexion
-# negative.
+# leglab's joint, OpenSim's coordinate, and the sign between them: OpenSim counts internal rotation
+# and adduction positive and knee flexion negative.
 SOURCES = {
-    "hip_yaw": ("hip_rotation_r", 1),
-    "hip_roll": ("hip_adduction_r", 1),
+    "hip_yaw": ("hip_rotation_r", -1),
+    "hip_roll": ("hip_adduction_r", -1),
     "hip_pitch": ("hip_flexion_r", 1),
     "knee": ("knee_angle_r", -1),
     "ankle_pitch": ("ankle_angle_r", 1),
@@ -61,7 +61,7 @@ def main() -> None:
     angle = np.array(list(INVERSION.values()))
     turns = PchipInterpolator(np.concatenate([phase - 1, phase, phase + 1]), np.tile(angle, 3))
     dense = np.arange(100) / 100
-    show("ankle_roll", *fit(dense, turns(dense), INVERSION_HARMONICS))
+    show("ankle_roll", *fit(dense, -turns(dense), INVERSION_HARMONICS))
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 """Reference trajectories by name: position, velocity and acceleration of every joint, exactly.
 
-Joint angles count as in anatomy: hip_pitch and knee in flexion, hip_roll in adduction, hip_yaw in
-internal rotation, ankle_pitch in dorsiflexion, ankle_roll in inversion [rad], zero when standing
-upright.
+Joint angles count as in leg.xml: hip_yaw positive with the toes outwards, hip_roll in abduction,
+hip_pitch and knee in flexion, ankle_pitch in dorsiflexion, ankle_roll in eversion [rad], zero when
+standing upright.
 """
 
 from leglab.references.base import (

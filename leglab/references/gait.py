@@ -5,7 +5,7 @@ averaged normal gait of OpenSim's introductory tutorial (opensim-org/opensim-mod
 have the form and size of those in Winter, Biomechanics and Motor Control of Human Movement, 4th
 ed. 2009, and Perry and Burnfield, Gait Analysis, 2nd ed. 2010. Six harmonics hold nearly all of
 the power of natural gait (Winter et al. 1974, J. Biomechanics 7(6)); the comments give the RMS
-residual. ankle_roll goes through key points after Perry and Burnfield's description of the
+residual. Signs are leg.xml's. ankle_roll goes through key points after Perry and Burnfield's description of the
 subtalar joint. Phase 0 is heel contact, the toe leaves the ground near 0.6.
 """
 
@@ -29,14 +29,14 @@ class Harmonics:
 
 GAIT = {
     "hip_yaw": Harmonics(  # 0.39 deg
-        mean=-0.007,
-        cosine=(-0.456, 0.177, 0.127, 0.110, -0.667, -0.012),
-        sine=(2.330, 2.145, 0.622, -0.224, -0.122, -0.060),
+        mean=0.007,
+        cosine=(0.456, -0.177, -0.127, -0.110, 0.667, 0.012),
+        sine=(-2.330, -2.145, -0.622, 0.224, 0.122, 0.060),
     ),
     "hip_roll": Harmonics(  # 0.04 deg
-        mean=1.705,
-        cosine=(0.527, 0.159, -1.212, 0.083, -0.144, -0.021),
-        sine=(4.064, -0.687, 0.379, 0.017, -0.187, 0.030),
+        mean=-1.705,
+        cosine=(-0.527, -0.159, 1.212, -0.083, 0.144, 0.021),
+        sine=(-4.064, 0.687, -0.379, -0.017, 0.187, -0.030),
     ),
     "hip_pitch": Harmonics(  # 0.04 deg
         mean=7.689,
@@ -54,8 +54,8 @@ GAIT = {
         sine=(5.018, -5.808, 0.521, -0.054, -1.083, 0.386),
     ),
     "ankle_roll": Harmonics(  # 0.24 deg
-        mean=0.542,
-        cosine=(-2.076, 2.546, 0.168, 0.704),
-        sine=(-2.980, -0.144, -0.591, 0.225),
+        mean=-0.542,
+        cosine=(2.076, -2.546, -0.168, -0.704),
+        sine=(2.980, 0.144, 0.591, -0.225),
     ),
 }
