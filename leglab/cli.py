@@ -23,7 +23,9 @@ app = typer.Typer(
 _errors = Console(stderr=True, highlight=False, soft_wrap=True)
 _output = Console(highlight=False)
 
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the folder of an earlier run.")]
+Overwrite = Annotated[
+    bool, typer.Option("--overwrite", help="Replace the folder of an earlier run.")
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 
 
@@ -50,7 +52,9 @@ def run(
     scenario: Annotated[str, typer.Argument(help="Name of a scenario; `leglab list` shows them.")],
     controller: Annotated[str, typer.Option(help="Name of a controller.")] = "pd",
     model: Annotated[str, typer.Option(help="leg, leg_rail, knee_bench, or an MJCF file.")] = "leg",
-    duration: Annotated[float | None, typer.Option(help="Seconds; default: the scenario's.")] = None,
+    duration: Annotated[
+        float | None, typer.Option(help="Seconds; default: the scenario's.")
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of sensor noise.")] = 0,
     severity: Annotated[
         float | None, typer.Option(help="How bad the change is, in the scenario's own unit.")
@@ -61,7 +65,8 @@ def run(
     ] = None,
     timestep: Annotated[float | None, typer.Option(help="Simulation step [s].")] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Output folder; default runs/SCENARIO-CONTROLLER-MODEL-SEED.")
+        Path | None,
+        typer.Option(help="Output folder; default runs/SCENARIO-CONTROLLER-MODEL-SEED."),
     ] = None,
     overwrite: Overwrite = False,
     figures: Annotated[bool, typer.Option(help="Draw plots.")] = True,

@@ -17,9 +17,8 @@ def library_path() -> Path:
         path = Path(folder) / "libleglab_plugin.so"
         if path.exists():
             return path
-    raise FileNotFoundError(
-        f"libleglab_plugin.so is not in {list(leglab._native.__path__)}: install with `pip install .`"
-    )
+    folders = ", ".join(leglab._native.__path__)
+    raise FileNotFoundError(f"libleglab_plugin.so is not in {folders}: run `pip install .`")
 
 
 @functools.cache

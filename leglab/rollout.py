@@ -164,7 +164,9 @@ def closed_loop(
     position_noise = noise.normal(0.0, sensors.position_noise, (count, joints))
     pressures = bool(getattr(controller, "uses_pressures", False))
     columns, slots = _state_columns(simulation, schedule)
-    pressure_slots = np.concatenate([simulation.slots("pressure_a"), simulation.slots("pressure_b")])
+    pressure_slots = np.concatenate(
+        [simulation.slots("pressure_a"), simulation.slots("pressure_b")]
+    )
     supply_slot = slots[columns.index("supply_pressure")]
     filter_gain = velocity_filter_coefficient(period, sensors.velocity_cutoff) / period
     leak = 1.0 - filter_gain * period
@@ -228,9 +230,7 @@ def closed_loop(
         time=times[:rows],
         position=all_qpos[:rows, qpos_index],
         velocity=all_qvel[:rows, dof_index],
-        passive={
-            name: all_qpos[:rows, index] for name, index in simulation.passive_joints.items()
-        },
+        passive={name: all_qpos[:rows, index] for name, index in simulation.passive_joints.items()},
         command=command[:rows],
         reference=ReferencePoint(*[part[:rows] for part in wanted]),
         states={column: states[:rows, i] for i, column in enumerate(columns)},

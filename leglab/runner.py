@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import leglab.controllers
-import leglab.scenarios  # noqa: F401  registers the scenarios
+import leglab.scenarios
 from leglab import __version__, metrics
 from leglab.calibration import directions, settle, speed_limits, valve_maps
 from leglab.configuration import validate_configuration
@@ -304,9 +304,7 @@ def _configuration(
             {name: getattr(change, name) for name in change.__dataclass_fields__}
             for change in scenario.changes
         ],
-        "elements": {
-            name: simulation.cylinder_parameters(name) for name in simulation.actuators
-        },
+        "elements": {name: simulation.cylinder_parameters(name) for name in simulation.actuators},
         "versions": {
             "leglab": __version__,
             "python": platform.python_version(),

@@ -135,7 +135,9 @@ class Simulation:
     def supply_slot(self) -> int:
         """Index in `data.plugin_state` of the supply pressure [Pa] that the cylinders see."""
         supply = self._supply_of(self.actuators[0])
-        return self.slot(*((supply, "pressure") if supply else (self.actuators[0], "supply_pressure")))
+        return self.slot(
+            *((supply, "pressure") if supply else (self.actuators[0], "supply_pressure"))
+        )
 
     def slots(self, name: str) -> np.ndarray:
         """Indices in `data.plugin_state` of a parameter or state of all cylinders, (actuators,)."""
@@ -237,7 +239,7 @@ class Simulation:
         )
 
     def _supply_of(self, actuator: str) -> str:
-        """Name of the supply instance that a cylinder draws from; empty for its own constant one."""
+        """Name of the supply that a cylinder draws from; empty where it has its own constant one."""
         instance = self.model.actuator_plugin[self.model.actuator(actuator).id]
         return leglab.plugin.text_attribute(self.model, instance)  # its first attribute
 

@@ -154,9 +154,7 @@ def tune(
     period, latency = sensors.control_period, sensors.latency
     frequencies = np.geomspace(0.05, math.pi / period * 0.999, 4000)
     z = np.exp(1j * frequencies * period)
-    responses = [
-        plant(z).ravel() for plant in _loops(simulation, joint, poses, period, latency)
-    ]
+    responses = [plant(z).ravel() for plant in _loops(simulation, joint, poses, period, latency)]
     alpha = velocity_filter_coefficient(period, sensors.velocity_cutoff)
     derivative = alpha * (1 - 1 / z) / period / (1 - (1 - alpha) / z)
 

@@ -7,7 +7,13 @@ from scipy.interpolate import RegularGridInterpolator
 
 import leglab.controllers  # noqa: F401
 from leglab.calibration import ValveMap
-from leglab.control import ControllerSetup, Measurement, ReferencePoint, controller_names, make_controller
+from leglab.control import (
+    ControllerSetup,
+    Measurement,
+    ReferencePoint,
+    controller_names,
+    make_controller,
+)
 from leglab.controllers.static_feedforward import ValveMapTable
 from leglab.measurement import SensorConfiguration, velocity_filter_coefficient
 from leglab.runner import RunSettings, run_scenario, stored_gains

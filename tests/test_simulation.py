@@ -61,10 +61,16 @@ def edited_bench(tmp_path, old: str, new: str):
     ("old", "new", "message"),
     [
         ('key="bore"', 'key="boer"', "boer.*did you mean 'bore'"),
-        ('key="dead_volume_a" value="2.903e-6"', 'key="dead_volume_a" value="0"',
-         "knee_valve.*dead_volume_a.*= 0.*allowed"),
-        ('key="supply_pressure" value="16e6"', 'key="supply_pressure" value="-1"',
-         "knee_valve.*supply_pressure.*= -1.*allowed"),
+        (
+            'key="dead_volume_a" value="2.903e-6"',
+            'key="dead_volume_a" value="0"',
+            "knee_valve.*dead_volume_a.*= 0.*allowed",
+        ),
+        (
+            'key="supply_pressure" value="16e6"',
+            'key="supply_pressure" value="-1"',
+            "knee_valve.*supply_pressure.*= -1.*allowed",
+        ),
         ('<site site="knee_cylinder_rod"/>', '<site site="nowhere"/>', "nowhere"),
         ('timestep="0.0005"', 'timestep="0.02"', "knee_valve.*timestep.*too long.*use at most"),
         ('integrator="implicitfast"', 'integrator="RK4"', "RK4.*allowed"),
@@ -108,8 +114,17 @@ def test_holding_force_is_gravity_and_spring_over_the_lever(bench):
 
 def test_speed_limit_is_the_no_load_speed(bench):
     values = bench.cylinder_parameters("knee_valve")
-    ideal = Cylinder({**values, "lap": 0, "edge_rounding": 0, "internal_leakage": 0, "viscous": 0,
-                      "coulomb": 0, "static": 0})
+    ideal = Cylinder(
+        {
+            **values,
+            "lap": 0,
+            "edge_rounding": 0,
+            "internal_leakage": 0,
+            "viscous": 0,
+            "coulomb": 0,
+            "static": 0,
+        }
+    )
     piston = speed_limits(bench)[0] * abs(bench.levers()[0])
     assert ideal.steady_state(-0.9 * piston, 0.0).spool == pytest.approx(-0.9, abs=1e-3)
 

@@ -76,7 +76,9 @@ class RunFrames:
                 state.qpos[model.jnt_qposadr[i]] = recording[f"{name}_truth"][row]
         simulation.set_pressures(
             *(
-                np.array([max(recording[f"{joint}_{name}"][row], 0.0) for joint in simulation.joints])
+                np.array(
+                    [max(recording[f"{joint}_{name}"][row], 0.0) for joint in simulation.joints]
+                )
                 for name in ("pressure_a", "pressure_b")
             )
         )
@@ -96,7 +98,7 @@ class RunFrames:
         draw.text((28, 58), f"{time:6.2f} s", font=self._small, fill=_SOFT)
         for change in self._changes:
             if time >= change["start"]:
-                verb = "×" if change["kind"] == "scale" else "="
+                verb = "x" if change["kind"] == "scale" else "="
                 text = f"{change['parameter'].replace('_', ' ')} {verb} {change['value']:g}"
                 draw.text((120, 58), text, font=self._small, fill=_ALARM)
         top, bottom = height - _STRIP + 52, height - 22

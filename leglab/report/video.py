@@ -111,7 +111,9 @@ def _render(job: dict) -> None:
         context.free()
     except Exception as error:
         backend = os.environ["MUJOCO_GL"]
-        raise LeglabError(f"no OpenGL library for {backend} ({error})".replace("\n", " ")) from error
+        raise LeglabError(
+            f"no OpenGL library for {backend} ({error})".replace("\n", " ")
+        ) from error
 
     import imageio_ffmpeg
 
