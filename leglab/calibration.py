@@ -1,5 +1,6 @@
 """What a bench calibration of the nominal machine tells a controller: signs, speeds, valve maps."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import mujoco
@@ -96,12 +97,23 @@ def valve_maps(simulation: Simulation) -> tuple[ValveMap, ...]:
     """Calibrates the steady valve map of every joint on the machine as it is now.
 
     One joint at a time runs at constant speed through its range, the others stand in the present
-    pose; loads are gravity, springs and dampers, friction and leakage those of the cylinder.
+    pose; loads are gravity, springs and dampers, friction and leakage those of the cylinder. The
+    leg hangs free, as on a stand: contact with the ground is off.
     """
+    model, data = simulation.model, simulation.data
+    flags = model.opt.disableflags
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    try:
+        return tuple(_hanging_valve_maps(simulation))
+    finally:
+        model.opt.disableflags = flags
+        mujoco.mj_forward(model, data)
+
+
+def _hanging_valve_maps(simulation: Simulation) -> Iterator[ValveMap]:
     model, data = simulation.model, simulation.data
     pose = data.qpos.copy()
     limits, ranges = speed_limits(simulation), simulation.joint_range()
-    maps = []
     for joint, actuator in enumerate(simulation.actuators):
         cylinder = Cylinder(simulation.cylinder_parameters(actuator))
         velocity = SPEED_FRACTIONS * limits[joint]
@@ -121,7 +133,5 @@ def valve_maps(simulation: Simulation) -> tuple[ValveMap, ...]:
                     command[i, j] = cylinder.steady_state(lever * speed, force).spool
                 except LeglabError:
                     command[i, j] = np.sign(lever * speed)  # beyond what the valve can give
-        maps.append(ValveMap(position=position, velocity=velocity, command=command))
-    data.qpos[:], data.qvel[:] = pose, 0.0
-    mujoco.mj_forward(model, data)
-    return tuple(maps)
+        data.qpos[:], data.qvel[:] = pose, 0.0
+        yield ValveMap(position=position, velocity=velocity, command=command)

@@ -1,5 +1,6 @@
 """One scenario from names to results: model, controller, closed loop, metrics."""
 
+import copy
 import functools
 import platform
 import tomllib
@@ -173,7 +174,7 @@ def controller_setup(
             "position_gain": lambda: [gain[0] for gain in gains()],
             "velocity_gain": lambda: [gain[1] for gain in gains()],
             # A machine of its own: calibration moves it through its whole range.
-            "valve_maps": lambda: valve_maps(Simulation(simulation.model)),
+            "valve_maps": lambda: valve_maps(Simulation(copy.copy(simulation.model))),
         },
     )
 

@@ -195,7 +195,7 @@ class Simulation:
     def passive_joints(self) -> dict[str, int]:
         """Index in qpos of the hinge and slide joints that no cylinder drives, by name."""
         model = self.model
-        simple = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+        simple = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
         return {
             model.joint(i).name: int(model.jnt_qposadr[i])
             for i in range(model.njnt)

@@ -1,0 +1,127 @@
+"""The command line as a user meets it: files, exit status, one-line errors."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from leglab import data
+from leglab.cli import main
+from leglab.controllers.pd import Pd
+
+RUN = ["run", "seal_wear", "--model", "knee_bench", "--duration", "4", "--no-figures"]
+
+
+def leglab(*arguments: str, capsys) -> tuple[int, str, str]:
+    try:
+        main(list(arguments))
+        status = 0
+    except SystemExit as exit_:
+        status = exit_.code or 0
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+def test_run_writes_everything(tmp_path, capsys):
+    out = tmp_path / "deep" / "run"
+    arguments = [a for a in RUN if a != "--no-figures"]
+    status, printed, _ = leglab(*arguments, "--out", str(out), "--seed", "7", capsys=capsys)
+    assert status == 0
+    assert "knee" in printed
+    names = {path.name for path in out.iterdir()}
+    assert {"metrics.json", "recording.parquet", "run.json", "tracking.png"} <= names
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert metrics["scenario"] == "seal_wear"
+    assert metrics["controller"] == "pd"
+    assert metrics["model"] == "knee_bench"
+    assert metrics["seed"] == 7
+    assert metrics["duration"] == pytest.approx(4.0)
+    assert metrics["real_time_factor"] > 0
+    assert [phase["name"] for phase in metrics["phases"]] == ["before", "after"]
+    assert set(metrics["phases"][0]["rms_rad"]) == {"knee", "all"}
+    assert set(metrics["readaptation"]) == {"time_s", "threshold", "reason"}
+    run = json.loads((out / "run.json").read_text())
+    assert run["settings"]["seed"] == 7
+    assert run["versions"]["mujoco"]
+    assert run["elements"]["knee_valve"]["bore"] == 0.016
+    recording = data.read(out / "recording.parquet")
+    for column in ("knee_position", "knee_valve_command", "knee_pressure_a", "knee_reference"):
+        assert column in recording
+    assert recording.duration == pytest.approx(4.0)
+
+
+def test_list_as_json(capsys):
+    status, printed, _ = leglab("list", "--json", capsys=capsys)
+    names = json.loads(printed)
+    assert status == 0
+    assert {"nominal", "seal_wear", "cold_oil", "hot_oil"} <= set(names["scenarios"])
+    assert {"pd", "static_feedforward"} <= set(names["controllers"])
+    assert {"leg", "leg_rail", "knee_bench"} <= set(names["models"])
+    assert {"walking_stride", "squat", "sine_sweep", "step"} == set(names["references"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["run", "seal_were"], "unknown scenario 'seal_were'"),
+        (["run", "nominal", "--controller", "lqr"], "unknown controller 'lqr'"),
+        (["run", "nominal", "--model", "arm"], "unknown model 'arm'"),
+        (["run", "nominal", "--model", "arm.xml"], "'arm.xml' does not exist"),
+        (["run", "nominal", "--model", "knee_bench", "--timestep", "0.01"], "too long"),
+        (["run", "nominal", "--severity", "2"], "has no severity"),
+        (["video", "nowhere"], "'nowhere' is not the folder of a run"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(arguments, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    status, _, errors = leglab(*arguments, capsys=capsys)
+    lines = [line for line in errors.splitlines() if line.strip()]
+    assert status == 2
+    assert len(lines) == 1
+    assert message in lines[0]
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_existing_folder_is_left_alone(tmp_path, capsys):
+    out = tmp_path / "run"
+    assert leglab(*RUN, "--out", str(out), capsys=capsys)[0] == 0
+    before = (out / "metrics.json").read_text()
+    status, _, errors = leglab(*RUN, "--out", str(out), capsys=capsys)
+    assert status == 2
+    assert "exists" in errors
+    assert (out / "metrics.json").read_text() == before
+    assert leglab(*RUN, "--out", str(out), "--overwrite", capsys=capsys)[0] == 0
+    other = tmp_path / "precious"
+    other.mkdir()
+    (other / "thesis.tex").write_text("years")
+    status, _, errors = leglab(*RUN, "--out", str(other), "--overwrite", capsys=capsys)
+    assert status == 2
+    assert (other / "thesis.tex").read_text() == "years"
+
+
+def test_what_a_failed_run_recorded_is_kept(tmp_path, capsys, monkeypatch):
+    def command(self, measurement, reference):
+        return reference.position * float("nan" if measurement.time > 1 else 0)
+
+    monkeypatch.setattr(Pd, "command", command)
+    out = tmp_path / "run"
+    status, _, errors = leglab(*RUN, "--out", str(out), capsys=capsys)
+    assert status == 2
+    assert "gave nan for joint 'knee' at 1.002 s" in errors
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert metrics["completed"] is False
+    assert data.read(out / "recording.parquet").duration == pytest.approx(1.0)
+
+
+def test_a_scenario_runs_as_a_script(tmp_path):
+    arguments = ["--model", "knee_bench", "--duration", "2", "--no-figures", "--out", "run"]
+    subprocess.run(
+        [sys.executable, "-m", "leglab.scenarios.seal_wear", *arguments],
+        cwd=tmp_path,
+        check=True,
+        capture_output=True,
+    )
+    metrics = json.loads((Path(tmp_path) / "run" / "metrics.json").read_text())
+    assert metrics["scenario"] == "seal_wear"
