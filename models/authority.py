@@ -92,18 +92,21 @@ def walk(model: mujoco.MjModel, samples: int = 1000) -> tuple[np.ndarray, np.nda
     """
     data, sizes = mujoco.MjData(model), cylinders()
     phase = np.linspace(0.0, 1.0, samples, endpoint=False)
-    tau, flow, margins = [], [], []
+    tau: list[np.ndarray] = []
+    flow: list[float] = []
+    margins: list[list[np.ndarray]] = []
     for p, motion in zip(phase, stride(phase).swapaxes(0, 1), strict=True):
         # The weight comes and goes within a tenth of the stance.
         share = np.clip(min(p, STANCE - p) / (0.1 * STANCE), 0.0, 1.0)
         ahead = HEEL + (BALL - HEEL) * min(p / STANCE, 1.0)
         tau.append(torques(model, data, motion, 9.81 * model.body_mass.sum() * share, ahead))
         lever = np.diag(lever_rows(model, data))
-        speed, needed, reserve, used = lever * motion[1], tau[-1] / lever, [], 0.0
+        speed, needed = lever * motion[1], tau[-1] / lever
+        reserve, used = np.zeros(6), 0.0
         for i, j in enumerate(JOINTS):
             way = 1 if speed[i] > 0 else -1
             needed[i] += sizes[j].viscous * speed[i] + way * sizes[j].coulomb
-            reserve.append(sizes[j].speed(way * needed[i], way) / max(abs(speed[i]), 1e-9))
+            reserve[i] = sizes[j].speed(way * needed[i], way) / max(abs(speed[i]), 1e-9)
             used += sizes[j].areas[0 if way > 0 else 1] * abs(speed[i])
         margins.append([force_margins(needed), reserve])
         flow.append(used)
