@@ -1,16 +1,15 @@
-"""Linkages, sizes and masses of the leg models (docs/leg_design.md)."""
+"""Joints, masses, linkages and shapes of the leg models (docs/leg_design.md)."""
 
 from pathlib import Path
-from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 import pytest
 
 from leglab.models import generate_meshes
+from leglab.models.linkage import JOINTS, cylinders, lever_rows, place, sample_poses
 from leglab.models.swap import FOLDER, load_with_motors
 
-JOINTS = ("hip_yaw", "hip_roll", "hip_pitch", "knee", "ankle_pitch", "ankle_roll")
 POSES = ("home", "stand", "swing", "squat")
 # Extending the cylinder turns the joint this way (leg.xml, header comment).
 SIGN = dict.fromkeys(JOINTS, -1) | {"hip_yaw": 1}
@@ -23,9 +22,6 @@ SHORTEST_LEVER = {
     "ankle_pitch": 0.026,
     "ankle_roll": 0.019,
 }
-USUAL_LOW = np.array([-0.3, -0.15, -0.3, 0.05, -0.35, -0.2])
-USUAL_HIGH = np.array([0.3, 0.3, 1.2, 1.6, 0.5, 0.2])
-BULK_MODULUS, SUPPLY_PRESSURE = 1.4e9, 16e6  # Pa, shared/physics.md
 
 
 def load(name: str) -> mujoco.MjModel:
@@ -49,49 +45,9 @@ def rail() -> mujoco.MjModel:
     return load("leg_rail")
 
 
-@pytest.fixture(scope="module")
-def cylinders() -> dict[str, dict[str, float]]:
-    """Configuration of every cylinder by joint, from the MJCF."""
-    found = {}
-    for plugin in ElementTree.parse(FOLDER / "parts" / "cylinders.xml").iterfind("actuator/plugin"):
-        values = {c.get("key"): c.get("value") for c in plugin.iterfind("config")}
-        assert values.pop("supply") == "supply"
-        found[plugin.get("name").removesuffix("_valve")] = {k: float(v) for k, v in values.items()}
-    return found
-
-
-def areas(cylinder: dict[str, float]) -> tuple[float, float]:
-    """Piston and annulus area, m^2."""
-    piston = np.pi / 4 * cylinder["bore"] ** 2
-    return piston, piston - np.pi / 4 * cylinder["rod"] ** 2
-
-
-def lever_rows(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-    """Jacobian of the six cylinder lengths, m/rad, shape (6, nv), at data's positions."""
-    jacobian = np.zeros((model.ntendon, model.nv))
-    mujoco.mju_sparse2dense(
-        jacobian, data.ten_J, model.ten_J_rownnz, model.ten_J_rowadr, model.ten_J_colind
-    )
-    return np.ascontiguousarray(jacobian[[model.tendon(f"{j}_cylinder").id for j in JOINTS]])
-
-
-def place(model: mujoco.MjModel, data: mujoco.MjData, angles: np.ndarray) -> None:
-    """Sets the six leg angles, rad, and computes positions and the mass matrix."""
-    for joint, angle in zip(JOINTS, angles, strict=True):
-        data.joint(joint).qpos[0] = angle
-    mujoco.mj_fwdPosition(model, data)
-
-
-def sample_poses(low: np.ndarray, high: np.ndarray, count: int) -> np.ndarray:
-    """All 64 corners of the box and uniform samples inside, shape (64 + count, 6)."""
-    corners = np.array(np.meshgrid(*np.stack([low, high], -1), indexing="ij")).reshape(6, -1).T
-    inside = np.random.default_rng(7).uniform(low, high, (count, 6))
-    return np.vstack([corners, inside])
-
-
-def full_range(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    low, high = np.array([model.joint(j).range for j in JOINTS]).T
-    return low, high
+def full_range(model: mujoco.MjModel) -> np.ndarray:
+    """Limits of the six joints, rad, shape (6, 2)."""
+    return np.array([model.joint(j).range for j in JOINTS])
 
 
 @pytest.mark.parametrize("name", ["leg", "leg_rail", "leg_motor"])
@@ -156,7 +112,7 @@ def test_segments_follow_de_leva(leg):
 
 def test_levers_keep_sign_and_touch_one_joint(leg):
     data = mujoco.MjData(leg)
-    for angles in sample_poses(*full_range(leg), 300):
+    for angles in sample_poses(full_range(leg), 300):
         place(leg, data, angles)
         levers = lever_rows(leg, data)
         np.testing.assert_allclose(levers, np.diag(np.diag(levers)), atol=1e-12)
@@ -168,7 +124,7 @@ def test_lever_is_the_derivative_of_length(leg):
     data = mujoco.MjData(leg)
     step = 1e-6
     ids = [leg.tendon(f"{j}_cylinder").id for j in JOINTS]
-    for angles in sample_poses(*full_range(leg), 5)[-5:]:
+    for angles in sample_poses(full_range(leg), 5)[-5:]:
         place(leg, data, angles + step)
         longer = data.ten_length[ids].copy()
         place(leg, data, angles - step)
@@ -177,99 +133,31 @@ def test_lever_is_the_derivative_of_length(leg):
         np.testing.assert_allclose(np.diag(lever_rows(leg, data)), difference, rtol=1e-5)
 
 
-def test_pistons_stay_clear_of_their_ends(leg, cylinders):
+def test_pistons_stay_clear_of_their_ends(leg):
     data = mujoco.MjData(leg)
-    low, high = full_range(leg)
+    low, high = full_range(leg).T
+    sizes = cylinders()
     for fraction in np.linspace(0.0, 1.0, 101):
         place(leg, data, low + fraction * (high - low))
         for joint in JOINTS:
-            c = cylinders[joint]
-            position = c["stroke"] / 2 + data.tendon(f"{joint}_cylinder").length[0]
-            position -= c["mid_length"]
-            assert 0.002 <= position <= c["stroke"] - 0.002, joint
+            position = sizes[joint].position(data.tendon(f"{joint}_cylinder").length[0])
+            assert 0.002 <= position <= sizes[joint].stroke - 0.002, joint
 
 
-@pytest.mark.parametrize(
-    ("span", "bound"), [("usual", 0.7), ("full", 1.0)], ids=["usual", "joint range"]
-)
-def test_hydraulic_resonance_fits_the_step(leg, cylinders, span, bound):
-    """w_h h of each cylinder alone, and of all six locked together."""
-    data = mujoco.MjData(leg)
-    low, high = (USUAL_LOW, USUAL_HIGH) if span == "usual" else full_range(leg)
-    worst = 0.0
-    for angles in sample_poses(low, high, 600):
-        place(leg, data, angles)
-        levers = lever_rows(leg, data)
-        solved = np.zeros_like(levers)
-        mujoco.mj_solveM(leg, data, solved, levers)
-        inverse_mass = levers @ solved.T
-        stiffness = []
-        for joint in JOINTS:
-            c = cylinders[joint]
-            piston, annulus = areas(c)
-            x = c["stroke"] / 2 + data.tendon(f"{joint}_cylinder").length[0] - c["mid_length"]
-            volume_a = c["dead_volume_a"] + piston * x
-            volume_b = c["dead_volume_b"] + annulus * (c["stroke"] - x)
-            stiffness.append(BULK_MODULUS * (piston**2 / volume_a + annulus**2 / volume_b))
-        root = np.sqrt(stiffness)
-        coupled = np.linalg.eigvalsh(root[:, None] * inverse_mass * root)[-1]
-        single = np.max(stiffness * np.diag(inverse_mass))
-        worst = max(worst, coupled, single)
-    assert np.sqrt(worst) * leg.opt.timestep <= bound
-
-
-def test_single_leg_squat_is_within_160_bar(leg, cylinders):
-    """Static hold at 1.4 rad knee flexion, weight under the hip or anywhere from heel to ball."""
-    data = mujoco.MjData(leg)
-    mujoco.mj_resetDataKeyframe(leg, data, leg.key("squat").id)
-    mujoco.mj_forward(leg, data)
-    data.qacc[:] = 0.0
-    mujoco.mj_inverse(leg, data)
-    gravity = data.qfrc_inverse + data.qfrc_passive
-    weight = 9.81 * leg.body_mass.sum()
-    ankle, hip = data.body("ankle_cross").xpos, data.body("thigh").xpos
-    levers = np.diag(lever_rows(leg, data))
-    for x in (hip[0], *(ankle[0] + np.linspace(-0.04, 0.12, 9))):
-        jacobian = np.zeros((3, leg.nv))
-        point = np.array([x, hip[1], ankle[2] - 0.08])
-        mujoco.mj_jac(leg, data, jacobian, None, point, leg.body("foot").id)
-        force = (gravity - jacobian.T @ [0.0, 0.0, weight]) / levers
-        for joint, needed in zip(JOINTS, force, strict=True):
-            piston, annulus = areas(cylinders[joint])
-            limit = SUPPLY_PRESSURE * (piston if needed > 0 else annulus)
-            assert limit >= 1.3 * abs(needed), (joint, x)
-
-
-def test_knee_is_fast_enough_for_a_stride(leg, cylinders):
-    """6 rad/s anywhere in 0 to 1.05 rad against 40 N m, at 160 bar with a fully open valve."""
-    data = mujoco.MjData(leg)
-    c = cylinders["knee"]
-    piston, annulus = areas(c)
-    gain = c["rated_flow"] / np.sqrt(7.0e6 / 2)
-    friction = c["coulomb"]
-    for knee in np.linspace(0.0, 1.05, 22):
-        place(leg, data, np.array([0, 0, 0.3, knee, 0, 0]))
-        lever = abs(np.diag(lever_rows(leg, data))[JOINTS.index("knee")])
-        speed = 6.0 * lever
-        load = 40.0 / lever + friction + c["viscous"] * speed
-        for area in (piston, annulus):
-            drop = area * SUPPLY_PRESSURE - load
-            assert gain * np.sqrt(drop / (piston**3 + annulus**3)) >= 1.3 * speed
-
-
-def test_cylinder_rods_run_free(leg, cylinders):
+def test_cylinder_rods_run_free(leg):
     """No drawn part lies in the rod's way, 18 mm from either pin: axis and four lines around it."""
     data = mujoco.MjData(leg)
     groups = np.array([0, 1, 0, 0, 0, 0], np.uint8)
     hit = np.zeros(1, np.int32)
-    for angles in sample_poses(*full_range(leg), 100):
+    sizes = cylinders()
+    for angles in sample_poses(full_range(leg), 100):
         place(leg, data, angles)
         for joint in JOINTS:
             base = data.site(f"{joint}_cylinder_base").xpos
             rod = data.site(f"{joint}_cylinder_rod").xpos
             length = np.linalg.norm(rod - base)
             line = (rod - base) / length
-            across = np.linalg.svd(line[None])[2][1:] * cylinders[joint]["rod"] / 2
+            across = np.linalg.svd(line[None])[2][1:] * sizes[joint].rod / 2
             for offset in (np.zeros(3), *across, *-across):
                 start = base + 0.018 * line + offset
                 distance = mujoco.mj_ray(leg, data, start, line, groups, 1, -1, hit)
@@ -278,7 +166,7 @@ def test_cylinder_rods_run_free(leg, cylinders):
 
 @pytest.mark.parametrize("pose", POSES)
 def test_keyframes_are_inside_the_ranges(leg, pose):
-    low, high = full_range(leg)
+    low, high = full_range(leg).T
     angles = leg.key(pose).qpos
     assert np.all((angles >= low) & (angles <= high))
 
@@ -315,13 +203,6 @@ def test_variants_share_the_leg(leg, name):
             site, twin = (m.site(f"{joint}_cylinder_{end}") for m in (leg, other))
             np.testing.assert_array_equal(site.pos, twin.pos)
             assert leg.body(site.bodyid[0]).name == other.body(twin.bodyid[0]).name
-
-
-def test_motor_gear_is_the_push_at_160_bar(cylinders):
-    model = load("leg_motor")
-    for joint in JOINTS:
-        push = SUPPLY_PRESSURE * areas(cylinders[joint])[0]
-        assert model.actuator(f"{joint}_valve").gear[0] == pytest.approx(push, rel=1e-3)
 
 
 def test_meshes_are_what_the_script_writes(tmp_path: Path, monkeypatch):
