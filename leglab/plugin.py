@@ -1,11 +1,26 @@
-"""Loads the MuJoCo plugin library, once a process."""
+"""Loads the MuJoCo plugin library, once a process, and explains what MuJoCo refuses."""
 
 import functools
+import re
 from pathlib import Path
 
 import mujoco
 
 import leglab._native
+from leglab.errors import LeglabError, unknown_name
+from leglab.parameters import plugin_tables
+
+# Attributes of the plugins that are names, not numbers.
+_TEXT_ATTRIBUTES = {
+    "leglab.cylinder": ("supply",),
+    "leglab.spring_damper": ("joint",),
+    "leglab.joint_friction": ("joint",),
+    "leglab.sensor": ("actuator", "quantity"),
+}
+_UNKNOWN_ATTRIBUTE = re.compile(
+    r"unrecognized attribute 'plugin:(?P<attribute>[^']*)' for plugin (?P<plugin>[\w.]+)"
+)
+_ELEMENT = re.compile(r"\nElement name '(?P<element>[^']*)'.*", re.DOTALL)
 
 
 def library_path() -> Path:
@@ -24,3 +39,32 @@ def library_path() -> Path:
 def load() -> None:
     """Registers leglab's plugins with MuJoCo; further calls do nothing."""
     mujoco.mj_loadPluginLibrary(str(library_path()))
+
+
+def attribute_names(plugin: str) -> tuple[str, ...]:
+    """MJCF attributes of one of leglab's plugins, empty for a plugin of somebody else."""
+    table = plugin_tables().get(plugin)
+    return (*_TEXT_ATTRIBUTES.get(plugin, ()), *(table.parameters if table else ()))
+
+
+def load_error(error: Exception, where: str) -> LeglabError:
+    """Turns MuJoCo's error about a model into one line.
+
+    Args:
+        error: What `MjModel.from_xml_path`, `MjSpec.compile` or `MjData` raised.
+        where: The file or model.
+
+    Returns:
+        The error with the element's name; a wrong plugin attribute lists those that exist.
+    """
+    text = str(error).removeprefix("Error: ").removeprefix("engine error: ")
+    element = _ELEMENT.search(text)
+    if element:
+        text = text[: element.start()]
+        where = f"{where}: element {element['element']!r}"
+    unknown = _UNKNOWN_ATTRIBUTE.search(text)
+    if unknown and attribute_names(unknown["plugin"]):
+        known = attribute_names(unknown["plugin"])
+        detail = unknown_name(f"{unknown['plugin']} attribute", unknown["attribute"], known)
+        return LeglabError(f"{where}: {detail}")
+    return LeglabError(f"{where}: {' '.join(text.split())}")

@@ -59,9 +59,13 @@ inline CylinderFlows flows_at(const CylinderCoefficients& c, const OilCondition&
 
 // Averages over a time step, for sensors and the energy books.
 struct StepTotals {
-  double flow_a = 0, flow_b = 0, supply = 0, tank = 0;          // m^3
-  double edges = 0, leakage = 0, stored = 0;                    // J
+  double flow_a = 0, flow_b = 0, supply = 0;  // m^3
+  double edges = 0, leakage = 0, stored = 0;      // J
 };
+
+// Within a step pressures follow the amounts to (1e-2)^3 of themselves; nothing accumulates,
+// because the amounts are the state and the next step solves for its pressures exactly.
+inline constexpr double kPressureReach = 1e-2;
 
 // One sub-step of the L-stable two-stage Rosenbrock method ROS2 (Verwer et al. 1999,
 // gamma = 1 - 1/sqrt 2; order two for any Jacobian) on the amounts of oil:
@@ -112,10 +116,8 @@ inline void advance_chambers(const CylinderCoefficients& c, const OilCondition& 
   const double nb_end = std::max(k.amount_b + dt * (1.5 * k1b + 0.5 * k2b), 0.5 * k.amount_b);
   k.amount_a = na_end;
   k.amount_b = nb_end;
-  k.a = c.oil.expand(k.a.pressure_at(volume_end.a / na_end));
-  k.b = c.oil.expand(k.b.pressure_at(volume_end.b / nb_end));
-  k.a.p = k.a.pressure_at(volume_end.a / na_end);
-  k.b.p = k.b.pressure_at(volume_end.b / nb_end);
+  k.a = c.oil.follow(k.a, volume_end.a / na_end, kPressureReach);
+  k.b = c.oil.follow(k.b, volume_end.b / nb_end, kPressureReach);
 
   const double half = 0.5 * dt;
   totals.flow_a += half * (f1.a + f2.a);
@@ -162,8 +164,6 @@ inline void advance_cylinder(CylinderParameters& p, const CylinderCoefficients& 
     edges = edges_end;
     volume = volume_end;
   }
-  k.a = c.oil.solve(volume.a / k.amount_a, k.a.p);
-  k.b = c.oil.solve(volume.b / k.amount_b, k.b.p);
 
   const double g = bristle_level(p, piston.v, k.gauge_a(), k.gauge_b());
   s.bristle_ = advance_bristle(s.bristle_, piston.v, g, p.sigma_0_, timestep);
