@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -106,7 +107,9 @@ class Cylinder:
             state[CONTINUOUS_STATES.index(name)] = value
         return state
 
-    def solve(self, state: np.ndarray, duration: float, *, rtol: float = 1e-10, **inputs: float):
+    def solve(
+        self, state: np.ndarray, duration: float, *, rtol: float = 1e-10, **inputs: Any
+    ) -> Any:
         """Integrates the continuous model with scipy's stiff Radau solver.
 
         Args:

@@ -31,7 +31,8 @@ def library_path() -> Path:
         if path.exists():
             return path
     raise FileNotFoundError(
-        f"libleglab_plugin.so is not in {list(leglab._native.__path__)}: install with `pip install .`"
+        f"libleglab_plugin.so is not in {list(leglab._native.__path__)}: "
+        "install with `pip install .`"
     )
 
 

@@ -57,10 +57,12 @@ struct Oil {
       return std::max({p + step, 0.25 * p, kPressureFloor});
     }
 
-    // The expansion at a pressure nearby, to second order; `target` is w there. Where the oil has
-    // boiled (p at the floor) the vapour fills what is left of it.
+    // The expansion at a pressure nearby, to second order; `target` is w there, unless the oil has
+    // boiled (pressure at the floor) and vapour makes up the rest of `target`.
     Expansion moved_to(double pressure, double target) const {
-      return {pressure, target, slope + curvature * (pressure - p), curvature};
+      const double step = pressure - p;
+      const double there = pressure > kPressureFloor ? target : std::min(target, w + slope * step);
+      return {pressure, there, slope + curvature * step, curvature};
     }
   };
 

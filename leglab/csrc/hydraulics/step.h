@@ -84,9 +84,15 @@ inline void advance_chambers(const CylinderCoefficients& c, const OilCondition& 
   const double slope_aa = f1.da_dpa - oil.internal_leakage - oil.external_leakage_a;
   const double slope_bb = f1.db_dpb - oil.internal_leakage - oil.external_leakage_b;
   // dp/dV = 1/(w' N) at constant amount, dp/dN = -w dp/dV at constant volume.
-  const double stiff_a = 1.0 / (k.a.slope * k.amount_a), stiff_b = 1.0 / (k.b.slope * k.amount_b);
-  const double rise_a = stiff_a * (volume_end.a - volume.a), rise_b = stiff_b * (volume_end.b - volume.b);
-  const double inverse_wa = k.amount_a / volume.a, inverse_wb = k.amount_b / volume.b;
+  // Vapour holds the pressure at the floor whatever enters or moves.
+  const double stiff_a = k.a.p > kPressureFloor ? 1.0 / (k.a.slope * k.amount_a) : 0.0;
+  const double stiff_b = k.b.p > kPressureFloor ? 1.0 / (k.b.slope * k.amount_b) : 0.0;
+  // A chamber that opens falls to the floor at most.
+  const double rise_a = std::max(stiff_a * (volume_end.a - volume.a), kPressureFloor - k.a.p);
+  const double rise_b = std::max(stiff_b * (volume_end.b - volume.b), kPressureFloor - k.b.p);
+  // Where vapour fills part of a chamber, oil still enters with the volume it has at the floor.
+  const double inverse_wa = std::max(k.amount_a / volume.a, c.inverse_w_floor);
+  const double inverse_wb = std::max(k.amount_b / volume.b, c.inverse_w_floor);
 
   // Matrix I - gamma dt J of (N_A', N_B').
   const double m_aa = 1.0 + gdt * slope_aa * stiff_a;
@@ -107,8 +113,10 @@ inline void advance_chambers(const CylinderCoefficients& c, const OilCondition& 
   const double pa2 = k.a.pressure_at(volume_end.a / na) - kAtmosphere;
   const double pb2 = k.b.pressure_at(volume_end.b / nb) - kAtmosphere;
   const CylinderFlows f2 = flows_at(c, oil, edges_end, supply_pressure, tank_pressure, pa2, pb2);
-  const double r2a = (f2.a - f2.leak - f2.leak_a) * na / volume_end.a - 2.0 * k1a - drift_a;
-  const double r2b = (f2.b + f2.leak - f2.leak_b) * nb / volume_end.b - 2.0 * k1b - drift_b;
+  const double inverse_wa2 = std::max(na / volume_end.a, c.inverse_w_floor);
+  const double inverse_wb2 = std::max(nb / volume_end.b, c.inverse_w_floor);
+  const double r2a = (f2.a - f2.leak - f2.leak_a) * inverse_wa2 - 2.0 * k1a - drift_a;
+  const double r2b = (f2.b + f2.leak - f2.leak_b) * inverse_wb2 - 2.0 * k1b - drift_b;
   const double k2a = (m_bb * r2a - m_ab * r2b) * inverse_det;
   const double k2b = (m_aa * r2b - m_ba * r2a) * inverse_det;
 
@@ -154,7 +162,8 @@ inline void advance_cylinder(CylinderParameters& p, const CylinderCoefficients& 
   const double target = std::clamp(s.play_output_ + p.null_bias_, -1.0, 1.0);
 
   Edges edges = Edges::at(p, c, s.spool_position_);
-  Volumes volume = Volumes::at(p, c, piston.x);
+  const Volumes first = Volumes::at(p, c, piston.x);
+  Volumes volume = first;
   for (int i = 1; i <= step.substeps; ++i) {
     step.spool.advance(target, s.spool_position_, s.spool_velocity_);
     const Edges edges_end = Edges::at(p, c, s.spool_position_);
@@ -176,12 +185,11 @@ inline void advance_cylinder(CylinderParameters& p, const CylinderCoefficients& 
   // Compression work p V/beta dp as p (dV_in - dV), trapezoid in p.
   const double mean_a = 0.5 * (start.gauge_a() + k.gauge_a());
   const double mean_b = 0.5 * (start.gauge_b() + k.gauge_b());
-  const auto stored = [](const Oil::Expansion& e0, const Oil::Expansion& e1, double n0, double n1,
-                         double mean) {
-    return mean * 0.5 * (n0 + n1) * (e0.w - e1.w);
+  const auto shrinkage = [](double v0, double v1, double n0, double n1) {
+    return 0.5 * (n0 + n1) * (v0 / n0 - v1 / n1);
   };
-  totals.stored = stored(start.a, k.a, start.amount_a, k.amount_a, mean_a) +
-                  stored(start.b, k.b, start.amount_b, k.amount_b, mean_b);
+  totals.stored = mean_a * shrinkage(first.a, volume.a, start.amount_a, k.amount_a) +
+                  mean_b * shrinkage(first.b, volume.b, start.amount_b, k.amount_b);
   const double distance = piston.v * timestep;
   const double returned = totals.supply - totals.flow_a - totals.flow_b;  // to the tank
   const double friction_loss = piston.friction * distance;
