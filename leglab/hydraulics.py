@@ -53,13 +53,17 @@ class Cylinder:
             `mid_length` is not used here.
 
     Raises:
-        LeglabError: If a name is unknown, a value is out of bounds, or a required one is missing.
+        LeglabError: If a name is unknown, a value is out of bounds or contradicts another, or a
+            required one is missing.
     """
 
     def __init__(self, parameters: Mapping[str, float]) -> None:
         values = {"mid_length": 0.0, **parameters}
         self.vector = parameter_vector("leglab.cylinder", values)
-        self.native = _native.CylinderModel(self.vector)
+        try:
+            self.native = _native.CylinderModel(self.vector)
+        except ValueError as error:
+            raise LeglabError(f"leglab.cylinder: {error}") from None
         self.supply_pressure = values.get("supply_pressure", 16e6)
         self.area_a, self.area_b = self.native.areas()
 

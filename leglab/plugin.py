@@ -1,13 +1,28 @@
-"""Loads the MuJoCo plugin library, once a process."""
+"""Loads the MuJoCo plugin library, once a process, and explains what MuJoCo refuses."""
 
 import ctypes
 import functools
+import re
 from collections.abc import Iterable
 from pathlib import Path
 
 import mujoco
 
 import leglab._native
+from leglab.errors import LeglabError, unknown_name
+from leglab.parameters import plugin_tables
+
+# Attributes of the plugins that are names, not numbers.
+_TEXT_ATTRIBUTES = {
+    "leglab.cylinder": ("supply",),
+    "leglab.spring_damper": ("joint",),
+    "leglab.joint_friction": ("joint",),
+    "leglab.sensor": ("actuator", "quantity"),
+}
+_UNKNOWN_ATTRIBUTE = re.compile(
+    r"unrecognized attribute 'plugin:(?P<attribute>[^']*)' for plugin (?P<plugin>[\w.]+)"
+)
+_ELEMENT = re.compile(r"\nElement name '(?P<element>[^']*)'.*", re.DOTALL)
 
 
 def library_path() -> Path:
@@ -46,3 +61,32 @@ def text_attribute(model: mujoco.MjModel, instance: int, index: int = 0) -> str:
     """Text of an attribute of a plugin instance by its place among the plugin's attributes."""
     start = int(model.plugin_attradr[instance])
     return bytes(model.plugin_attr[start:]).split(b"\0", index + 1)[index].decode()
+
+
+def attribute_names(plugin: str) -> tuple[str, ...]:
+    """MJCF attributes of one of leglab's plugins, empty for a plugin of somebody else."""
+    table = plugin_tables().get(plugin)
+    return (*_TEXT_ATTRIBUTES.get(plugin, ()), *(table.parameters if table else ()))
+
+
+def load_error(error: Exception, where: str) -> LeglabError:
+    """Turns MuJoCo's error about a model into one line.
+
+    Args:
+        error: What `MjModel.from_xml_path`, `MjSpec.compile` or `MjData` raised.
+        where: The file or model.
+
+    Returns:
+        The error with the element's name; a wrong plugin attribute lists those that exist.
+    """
+    text = str(error).removeprefix("Error: ").removeprefix("engine error: ")
+    element = _ELEMENT.search(text)
+    if element:
+        text = text[: element.start()]
+        where = f"{where}: element {element['element']!r}"
+    unknown = _UNKNOWN_ATTRIBUTE.search(text)
+    if unknown and attribute_names(unknown["plugin"]):
+        known = attribute_names(unknown["plugin"])
+        detail = unknown_name(f"{unknown['plugin']} attribute", unknown["attribute"], known)
+        return LeglabError(f"{where}: {detail}")
+    return LeglabError(f"{where}: {' '.join(text.split())}")

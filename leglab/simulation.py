@@ -1,6 +1,5 @@
 """A model with its data: loading, hydraulic states by name, stepping."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
@@ -57,7 +56,7 @@ def load_model(model: str | Path, *, timestep: float | None = None) -> mujoco.Mj
         compiled = spec.compile()
         mujoco.MjData(compiled)  # the plugins check the compiled model once more
     except (ValueError, mujoco.FatalError) as error:
-        raise LeglabError(f"{path.name}: {_one_line(error)}") from error
+        raise leglab.plugin.load_error(error, path.name) from error
     return compiled
 
 
@@ -239,7 +238,7 @@ class Simulation:
         )
 
     def _supply_of(self, actuator: str) -> str:
-        """Name of the supply that a cylinder draws from; empty where it has its own constant one."""
+        """Name of the supply that a cylinder draws from; empty where its pressure is its own."""
         instance = self.model.actuator_plugin[self.model.actuator(actuator).id]
         return leglab.plugin.text_attribute(self.model, instance)  # its first attribute
 
@@ -271,15 +270,3 @@ def _name(model: mujoco.MjModel, instance: int) -> str:
 
 def _model_folder() -> Path:
     return Path(leglab.models.__path__[0])
-
-
-def _one_line(error: Exception) -> str:
-    """MuJoCo's message without its decoration; for an unknown attribute, with those that exist."""
-    lines: Sequence[str] = [line.strip() for line in str(error).splitlines() if line.strip()]
-    text = "; ".join(lines).removeprefix("Error: ").removeprefix("engine error: ")
-    if "unrecognized attribute 'plugin:" in text:
-        key = text.split("'plugin:")[1].split("'")[0]
-        for plugin, table in plugin_tables().items():
-            if plugin in text:
-                text += f": {unknown_name('attribute', key, table.parameters)}"
-    return text

@@ -47,7 +47,9 @@ def test_a_missing_library_is_said_with_the_line_that_installs_it(folder, tmp_pa
     real = subprocess.Popen
 
     def without_libraries(command, env, **options):
-        return real(command, env={**env, "MUJOCO_GL": "egl", "PYOPENGL_PLATFORM": "osmesa"}, **options)
+        return real(
+            command, env={**env, "MUJOCO_GL": "egl", "PYOPENGL_PLATFORM": "osmesa"}, **options
+        )
 
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     monkeypatch.setattr(video.subprocess, "Popen", without_libraries)

@@ -9,6 +9,7 @@
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
+#include "hydraulics/checks.h"
 #include "hydraulics/continuous.h"
 #include "hydraulics/supply.h"
 #include "plugin/tables.h"
@@ -49,6 +50,8 @@ class CylinderModel {
   explicit CylinderModel(ConstVector parameters) {
     require(parameters.shape(0), kCylinderParameterCount, "parameters");
     std::memcpy(&p_, parameters.data(), sizeof p_);
+    const std::string wrong = contradiction(p_);
+    if (!wrong.empty()) throw nb::value_error(wrong.c_str());
     c_ = CylinderCoefficients::from(p_);
     oil_ = OilCondition::from(p_, c_);
   }

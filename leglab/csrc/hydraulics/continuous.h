@@ -26,7 +26,7 @@ inline void continuous_derivative(const CylinderParameters& p, const CylinderCoe
   const double x = y[kX], v = in.blocked ? 0.0 : y[kV];
   const double pa = y[kPressureA], pb = y[kPressureB];
   const double command = std::clamp(in.command + p.null_bias_, -1.0, 1.0);
-  const double spool = in.ideal_valve ? command : y[kSpool];
+  const double spool = in.ideal_valve ? command : std::clamp(y[kSpool], -1.0, 1.0);
   const double w = 2.0 * std::numbers::pi * p.bandwidth_hz_;
 
   const CylinderFlows f = flows_at(c, oil, Edges::at(p, c, spool), in.supply_pressure,

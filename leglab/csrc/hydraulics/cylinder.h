@@ -18,6 +18,7 @@ struct CylinderCoefficients {
   double gain_positive, gain_negative;  // K of the edges open at x_s > 0 and x_s < 0
   double transition_squared;         // Pa^2
   double mu_40;                      // Pa s
+  double inverse_w_floor;            // 1/w at the pressure floor
   Oil oil;
   Viscosity viscosity;
 
@@ -25,6 +26,7 @@ struct CylinderCoefficients {
     constexpr double quarter_pi = std::numbers::pi / 4.0;
     const double gain = p.rated_flow_ / std::sqrt(p.rated_pressure_drop_ / 2.0);
     const Viscosity viscosity = Viscosity::from_two_points(p.viscosity_40_, p.viscosity_100_);
+    const Oil oil{p.entrained_air_, 1.0 / p.polytropic_index_, 1.0 / p.bulk_modulus_};
     return {
         .area_a = quarter_pi * p.bore_ * p.bore_,
         .area_b = quarter_pi * (p.bore_ * p.bore_ - p.rod_ * p.rod_),
@@ -33,7 +35,8 @@ struct CylinderCoefficients {
         .gain_negative = gain * (1.0 - p.flow_asymmetry_),
         .transition_squared = p.laminar_transition_pressure_ * p.laminar_transition_pressure_,
         .mu_40 = viscosity.kinematic(40.0) * p.density_ * relative_density(40.0),
-        .oil = {p.entrained_air_, 1.0 / p.polytropic_index_, 1.0 / p.bulk_modulus_},
+        .inverse_w_floor = 1.0 / oil.expand(kPressureFloor).w,
+        .oil = oil,
         .viscosity = viscosity,
     };
   }
@@ -125,9 +128,10 @@ inline double sustained(double load, double before) {
 }
 
 // Forces that act over the next step. Friction is F = sigma_0 z + D v*, with D the slope of the
-// LuGre law in v and v* the velocity at the END of the step, predicted with the effective mass
-// and the load seen over the last steps: cold oil (b x 13) stays stable where hD/m > 2, and a
-// steady speed sees exactly D v. With mass = infinity v* = v.
+// LuGre law in v and v* between the velocities before and after the step, the latter predicted
+// with the effective mass and the load seen over the last steps. Half way is of order two; where
+// k = h D/m > 2 (cold oil has b x 13) v* moves on to 1 - 1/k of the way, which damps within one
+// step and never overshoots. A steady speed sees exactly D v. With mass = infinity v* = v.
 inline PistonForces piston_forces(const CylinderParameters& p, const CylinderCoefficients& c,
                                   const OilCondition& oil, const CylinderState& s,
                                   const Chambers& k, double x, double v, double step_over_mass) {
@@ -138,12 +142,14 @@ inline PistonForces piston_forces(const CylinderParameters& p, const CylinderCoe
   const double bristle_force = p.sigma_0_ * s.bristle_;
   const double alignment = std::copysign(1.0, v) * bristle_force / g;
   const double slope = oil.viscous + p.sigma_1_ * std::max(1.0 - alignment, 0.0);
-  double v_end = v;
+  double v_between = v;
   if (step_over_mass > 0.0 && s.amount_a_ > 0.0) {
     const double others = f.pressure + f.stop - bristle_force + sustained(s.load_, s.previous_load_);
-    v_end = (v + step_over_mass * others) / (1.0 + step_over_mass * slope);
+    const double k = step_over_mass * slope;
+    const double way = k > 2.0 ? 1.0 - 1.0 / k : 0.5;
+    v_between += way * step_over_mass * (others - slope * v) / (1.0 + way * k);
   }
-  f.friction = bristle_force + slope * v_end;
+  f.friction = bristle_force + slope * v_between;
   return f;
 }
 

@@ -50,10 +50,19 @@ struct Oil {
 
     // Pressure at relative volume `target` by one Halley step; the floor is vapour pressure.
     double pressure_at(double target) const {
-      const double newton = (target - w) / slope;
-      const double denominator = 1.0 + 0.5 * newton * curvature / slope;
+      const double inverse = 1.0 / slope;
+      const double newton = (target - w) * inverse;
+      const double denominator = 1.0 + 0.5 * newton * (curvature * inverse);
       const double step = denominator > 0.25 ? newton / denominator : 4.0 * newton;
       return std::max({p + step, 0.25 * p, kPressureFloor});
+    }
+
+    // The expansion at a pressure nearby, to second order; `target` is w there, unless the oil has
+    // boiled (pressure at the floor) and vapour makes up the rest of `target`.
+    Expansion moved_to(double pressure, double target) const {
+      const double step = pressure - p;
+      const double there = pressure > kPressureFloor ? target : std::min(target, w + slope * step);
+      return {pressure, there, slope + curvature * step, curvature};
     }
   };
 
@@ -67,16 +76,24 @@ struct Oil {
             -gas_slope * (inverse_index + 1.0) / p - liquid_slope * inverse_modulus};
   }
 
-  // Expansion at the pressure where w = target, from a guess; converges cubically.
-  Expansion solve(double target, double guess) const {
+  // Expansion at the pressure where w = target, from a guess. Halley's error shrinks with the
+  // cube of the step: a last step of `reach` p leaves at most about reach^3 p, so that 1e-5 is
+  // exact in double precision.
+  Expansion solve(double target, double guess, double reach = 1e-5) const {
     Expansion e = expand(std::max(guess, kPressureFloor));
-    for (int i = 0; i < 60; ++i) {
-      const double p = e.pressure_at(target);
-      const bool done = std::abs(p - e.p) <= 1e-9 + 1e-13 * p;
-      if (done) break;
+    double p = e.pressure_at(target);
+    for (int i = 0; i < 60 && std::abs(p - e.p) > reach * e.p; ++i) {
       e = expand(p);
+      p = e.pressure_at(target);
     }
-    return e;
+    return e.moved_to(p, target);
+  }
+
+  // The same, starting from a known expansion.
+  Expansion follow(const Expansion& from, double target, double reach) const {
+    const double p = from.pressure_at(target);
+    return std::abs(p - from.p) <= reach * from.p ? from.moved_to(p, target)
+                                                  : solve(target, p, reach);
   }
 };
 

@@ -59,9 +59,13 @@ inline CylinderFlows flows_at(const CylinderCoefficients& c, const OilCondition&
 
 // Averages over a time step, for sensors and the energy books.
 struct StepTotals {
-  double flow_a = 0, flow_b = 0, supply = 0, tank = 0;          // m^3
-  double edges = 0, leakage = 0, stored = 0;                    // J
+  double flow_a = 0, flow_b = 0, supply = 0;  // m^3
+  double edges = 0, leakage = 0, stored = 0;      // J
 };
+
+// Within a step pressures follow the amounts to (1e-2)^3 of themselves; nothing accumulates,
+// because the amounts are the state and the next step solves for its pressures exactly.
+inline constexpr double kPressureReach = 1e-2;
 
 // One sub-step of the L-stable two-stage Rosenbrock method ROS2 (Verwer et al. 1999,
 // gamma = 1 - 1/sqrt 2; order two for any Jacobian) on the amounts of oil:
@@ -80,9 +84,15 @@ inline void advance_chambers(const CylinderCoefficients& c, const OilCondition& 
   const double slope_aa = f1.da_dpa - oil.internal_leakage - oil.external_leakage_a;
   const double slope_bb = f1.db_dpb - oil.internal_leakage - oil.external_leakage_b;
   // dp/dV = 1/(w' N) at constant amount, dp/dN = -w dp/dV at constant volume.
-  const double stiff_a = 1.0 / (k.a.slope * k.amount_a), stiff_b = 1.0 / (k.b.slope * k.amount_b);
-  const double rise_a = stiff_a * (volume_end.a - volume.a), rise_b = stiff_b * (volume_end.b - volume.b);
-  const double inverse_wa = k.amount_a / volume.a, inverse_wb = k.amount_b / volume.b;
+  // Vapour holds the pressure at the floor whatever enters or moves.
+  const double stiff_a = k.a.p > kPressureFloor ? 1.0 / (k.a.slope * k.amount_a) : 0.0;
+  const double stiff_b = k.b.p > kPressureFloor ? 1.0 / (k.b.slope * k.amount_b) : 0.0;
+  // A chamber that opens falls to the floor at most.
+  const double rise_a = std::max(stiff_a * (volume_end.a - volume.a), kPressureFloor - k.a.p);
+  const double rise_b = std::max(stiff_b * (volume_end.b - volume.b), kPressureFloor - k.b.p);
+  // Where vapour fills part of a chamber, oil still enters with the volume it has at the floor.
+  const double inverse_wa = std::max(k.amount_a / volume.a, c.inverse_w_floor);
+  const double inverse_wb = std::max(k.amount_b / volume.b, c.inverse_w_floor);
 
   // Matrix I - gamma dt J of (N_A', N_B').
   const double m_aa = 1.0 + gdt * slope_aa * stiff_a;
@@ -103,8 +113,10 @@ inline void advance_chambers(const CylinderCoefficients& c, const OilCondition& 
   const double pa2 = k.a.pressure_at(volume_end.a / na) - kAtmosphere;
   const double pb2 = k.b.pressure_at(volume_end.b / nb) - kAtmosphere;
   const CylinderFlows f2 = flows_at(c, oil, edges_end, supply_pressure, tank_pressure, pa2, pb2);
-  const double r2a = (f2.a - f2.leak - f2.leak_a) * na / volume_end.a - 2.0 * k1a - drift_a;
-  const double r2b = (f2.b + f2.leak - f2.leak_b) * nb / volume_end.b - 2.0 * k1b - drift_b;
+  const double inverse_wa2 = std::max(na / volume_end.a, c.inverse_w_floor);
+  const double inverse_wb2 = std::max(nb / volume_end.b, c.inverse_w_floor);
+  const double r2a = (f2.a - f2.leak - f2.leak_a) * inverse_wa2 - 2.0 * k1a - drift_a;
+  const double r2b = (f2.b + f2.leak - f2.leak_b) * inverse_wb2 - 2.0 * k1b - drift_b;
   const double k2a = (m_bb * r2a - m_ab * r2b) * inverse_det;
   const double k2b = (m_aa * r2b - m_ba * r2a) * inverse_det;
 
@@ -112,10 +124,8 @@ inline void advance_chambers(const CylinderCoefficients& c, const OilCondition& 
   const double nb_end = std::max(k.amount_b + dt * (1.5 * k1b + 0.5 * k2b), 0.5 * k.amount_b);
   k.amount_a = na_end;
   k.amount_b = nb_end;
-  k.a = c.oil.expand(k.a.pressure_at(volume_end.a / na_end));
-  k.b = c.oil.expand(k.b.pressure_at(volume_end.b / nb_end));
-  k.a.p = k.a.pressure_at(volume_end.a / na_end);
-  k.b.p = k.b.pressure_at(volume_end.b / nb_end);
+  k.a = c.oil.follow(k.a, volume_end.a / na_end, kPressureReach);
+  k.b = c.oil.follow(k.b, volume_end.b / nb_end, kPressureReach);
 
   const double half = 0.5 * dt;
   totals.flow_a += half * (f1.a + f2.a);
@@ -152,7 +162,8 @@ inline void advance_cylinder(CylinderParameters& p, const CylinderCoefficients& 
   const double target = std::clamp(s.play_output_ + p.null_bias_, -1.0, 1.0);
 
   Edges edges = Edges::at(p, c, s.spool_position_);
-  Volumes volume = Volumes::at(p, c, piston.x);
+  const Volumes first = Volumes::at(p, c, piston.x);
+  Volumes volume = first;
   for (int i = 1; i <= step.substeps; ++i) {
     step.spool.advance(target, s.spool_position_, s.spool_velocity_);
     const Edges edges_end = Edges::at(p, c, s.spool_position_);
@@ -162,8 +173,6 @@ inline void advance_cylinder(CylinderParameters& p, const CylinderCoefficients& 
     edges = edges_end;
     volume = volume_end;
   }
-  k.a = c.oil.solve(volume.a / k.amount_a, k.a.p);
-  k.b = c.oil.solve(volume.b / k.amount_b, k.b.p);
 
   const double g = bristle_level(p, piston.v, k.gauge_a(), k.gauge_b());
   s.bristle_ = advance_bristle(s.bristle_, piston.v, g, p.sigma_0_, timestep);
@@ -176,12 +185,11 @@ inline void advance_cylinder(CylinderParameters& p, const CylinderCoefficients& 
   // Compression work p V/beta dp as p (dV_in - dV), trapezoid in p.
   const double mean_a = 0.5 * (start.gauge_a() + k.gauge_a());
   const double mean_b = 0.5 * (start.gauge_b() + k.gauge_b());
-  const auto stored = [](const Oil::Expansion& e0, const Oil::Expansion& e1, double n0, double n1,
-                         double mean) {
-    return mean * 0.5 * (n0 + n1) * (e0.w - e1.w);
+  const auto shrinkage = [](double v0, double v1, double n0, double n1) {
+    return 0.5 * (n0 + n1) * (v0 / n0 - v1 / n1);
   };
-  totals.stored = stored(start.a, k.a, start.amount_a, k.amount_a, mean_a) +
-                  stored(start.b, k.b, start.amount_b, k.amount_b, mean_b);
+  totals.stored = mean_a * shrinkage(first.a, volume.a, start.amount_a, k.amount_a) +
+                  mean_b * shrinkage(first.b, volume.b, start.amount_b, k.amount_b);
   const double distance = piston.v * timestep;
   const double returned = totals.supply - totals.flow_a - totals.flow_b;  // to the tank
   const double friction_loss = piston.friction * distance;

@@ -5,13 +5,14 @@
 #include <cstring>
 
 namespace leglab::plugin {
-namespace {
 
 std::string number(double value) {
   char text[32];
   std::snprintf(text, sizeof text, "%g", value);
   return text;
 }
+
+namespace {
 
 std::string range(const ParameterSpec& spec) {
   return std::string(spec.minimum_allowed ? "[" : "(") + number(spec.minimum) + ", " +

@@ -18,6 +18,9 @@ using hydraulics::ParameterSpec;
 // Stops loading with a message that names plugin, instance and what is wrong; does not return.
 [[noreturn]] void refuse(const mjModel* m, int instance, const std::string& message);
 
+// A value as messages show it.
+std::string number(double value);
+
 // Text of an attribute, empty where it is absent.
 std::string text_attribute(const mjModel* m, int instance, const char* key);
 

@@ -3,6 +3,7 @@
 #include <cstdio>
 #include <cstring>
 
+#include "hydraulics/checks.h"
 #include "plugin/config.h"
 #include "plugin/lifecycle.h"
 #include "plugin/supply.h"
@@ -23,21 +24,8 @@ Cylinder::Cylinder(const mjModel* m, int instance) : instance_(instance) {
   if (actuator_ < 0) refuse(m, instance, "drives no actuator; allowed: one actuator an instance");
 
   read_parameters(m, instance, kCylinderParameters, reinterpret_cast<double*>(&initial_));
-  const CylinderParameters& p = initial_;
-  const auto text = [](double v) { char t[32]; std::snprintf(t, sizeof t, "%g", v); return std::string(t); };
-  if (p.rod_ >= p.bore_) {
-    refuse(m, instance, "attribute 'rod' = " + text(p.rod_) + " m; allowed: less than bore = " + text(p.bore_));
-  }
-  if (p.static_ < p.coulomb_) {
-    refuse(m, instance, "attribute 'static' = " + text(p.static_) + " N; allowed: at least coulomb = " + text(p.coulomb_));
-  }
-  if (p.viscosity_100_ >= p.viscosity_40_) {
-    refuse(m, instance, "attribute 'viscosity_100' = " + text(p.viscosity_100_) +
-                            " m^2/s; allowed: less than viscosity_40 = " + text(p.viscosity_40_));
-  }
-  if (p.substeps_ != std::floor(p.substeps_)) {
-    refuse(m, instance, "attribute 'substeps' = " + text(p.substeps_) + "; allowed: a whole number");
-  }
+  const std::string wrong = contradiction(initial_);
+  if (!wrong.empty()) refuse(m, instance, wrong);
   supply_name_ = text_attribute(m, instance, "supply");
   if (!supply_name_.empty()) {
     supply_ = mj_name2id(m, mjOBJ_PLUGIN, supply_name_.c_str());
@@ -46,8 +34,7 @@ Cylinder::Cylinder(const mjModel* m, int instance) : instance_(instance) {
                               kSupplyName + " instance");
     }
   }
-  refresh(initial_, m->opt.timestep);
-  check_timestep(m);
+  refresh(m, initial_);
 }
 
 // Symplectic coupling of the oil spring and the mechanism is accurate while w_h h <= 0.7 and
@@ -93,7 +80,8 @@ Cylinder::Slots Cylinder::slots(const mjModel* m, mjData* d) const {
           *reinterpret_cast<CylinderState*>(head + kCylinderParameterCount)};
 }
 
-void Cylinder::refresh(const CylinderParameters& p, double timestep) {
+void Cylinder::refresh(const mjModel* m, const CylinderParameters& p) {
+  const double timestep = m->opt.timestep;
   if (std::memcmp(&p, &seen_, sizeof p) == 0 && timestep == seen_timestep_) return;
   CylinderParameters same = p;  // but for the two that the machine itself changes
   same.oil_temperature_ = seen_.oil_temperature_;
@@ -102,6 +90,7 @@ void Cylinder::refresh(const CylinderParameters& p, double timestep) {
     coefficients_ = CylinderCoefficients::from(p);
     step_ = StepCoefficients::from(p, timestep);
   }
+  if (timestep != seen_timestep_) check_timestep(m);
   oil_ = OilCondition::from(p, coefficients_);
   seen_ = p;
   seen_timestep_ = timestep;
@@ -127,7 +116,8 @@ double Cylinder::effective_mass(const mjModel* m, mjData* d) const {
 
 void Cylinder::compute(const mjModel* m, mjData* d) {
   const auto [p, s] = slots(m, d);
-  refresh(p, m->opt.timestep);
+  if (m->opt.integrator == mjINT_RK4) require_single_stage_integrator(m, instance_);
+  refresh(m, p);
   x_ = coefficients_.half_stroke + d->actuator_length[actuator_] - p.mid_length_;
   v_ = d->actuator_velocity[actuator_];
   mass_ = effective_mass(m, d);

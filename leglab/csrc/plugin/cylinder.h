@@ -35,7 +35,7 @@ class Cylinder {
     hydraulics::CylinderState& state;
   };
   Slots slots(const mjModel* m, mjData* d) const;
-  void refresh(const hydraulics::CylinderParameters& p, double timestep);
+  void refresh(const mjModel* m, const hydraulics::CylinderParameters& p);
   double supply_pressure(const mjModel* m, mjData* d, const hydraulics::CylinderParameters& p) const;
   double effective_mass(const mjModel* m, mjData* d) const;
   void check_timestep(const mjModel* m) const;

@@ -1,5 +1,6 @@
 #include "plugin/joint_friction.h"
 
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <numbers>
@@ -11,12 +12,17 @@
 namespace leglab::plugin {
 namespace {
 
-// Relative friction at a time: wear times slow drift times the direction of sliding.
+// Relative friction at a time: wear times slow drift times the direction of sliding. It may be
+// zero; the bristle then sees a vanishing, not a zero, friction.
 double level(const FrictionParameters& p, double time, double v) {
   const double drift =
       1.0 + p.drift_amplitude_ * std::sin(2.0 * std::numbers::pi * time / p.drift_period_);
   const double side = v > 0 ? 1.0 + p.direction_asymmetry_ : 1.0 - p.direction_asymmetry_;
   return p.wear_ * drift * (v == 0 ? 1.0 : side);
+}
+
+double sliding_force(const FrictionParameters& p, double scale, double v) {
+  return hydraulics::stribeck(v, scale * p.coulomb_, scale * p.static_, p.stribeck_velocity_);
 }
 
 }  // namespace
@@ -26,8 +32,8 @@ JointFriction::JointFriction(const mjModel* m, int instance) : instance_(instanc
   dof_ = m->jnt_dofadr[joint_attribute(m, instance)];
   read_parameters(m, instance, kFrictionParameters, reinterpret_cast<double*>(&initial_));
   if (initial_.static_ < initial_.coulomb_) {
-    refuse(m, instance, "attribute 'static' = " + std::to_string(initial_.static_) +
-                            "; allowed: at least coulomb = " + std::to_string(initial_.coulomb_));
+    refuse(m, instance, "attribute 'static' = " + number(initial_.static_) +
+                            " N; allowed: at least coulomb = " + number(initial_.coulomb_));
   }
 }
 
@@ -43,8 +49,12 @@ void JointFriction::compute(const mjModel* m, mjData* d) {
   const auto& s = *reinterpret_cast<const FrictionState*>(head + kParameterCount);
   const double v = d->qvel[dof_];
   const double scale = level(p, d->time, v);
-  const double g = scale * hydraulics::stribeck(v, p.coulomb_, p.static_, p.stribeck_velocity_);
-  const double rate = v - p.sigma_0_ * std::abs(v) * s.bristle_ / g;
+  const double g = sliding_force(p, scale, v);
+  // z'/v = 1 - sgn(v) sigma_0 z / g. Bounded, since g may fall at once (wear set anew, a direction
+  // without friction) and the bristle follows only with the next step.
+  const double relative_rate =
+      std::clamp(1.0 - std::copysign(p.sigma_0_ * s.bristle_ / g, v * s.bristle_), -4.0, 4.0);
+  const double rate = v * relative_rate;
   d->qfrc_passive[dof_] -= p.sigma_0_ * s.bristle_ + p.sigma_1_ * rate + scale * p.viscous_ * v;
 }
 
@@ -53,8 +63,7 @@ void JointFriction::advance(const mjModel* m, mjData* d) {
   auto& p = *reinterpret_cast<FrictionParameters*>(head);
   auto& s = *reinterpret_cast<FrictionState*>(head + kParameterCount);
   const double v = d->qvel[dof_], h = m->opt.timestep;
-  const double g = level(p, d->time, v) *
-                   hydraulics::stribeck(v, p.coulomb_, p.static_, p.stribeck_velocity_);
+  const double g = sliding_force(p, level(p, d->time, v), v);
   s.bristle_ = hydraulics::advance_bristle(s.bristle_, v, g, p.sigma_0_, h);
   s.sliding_distance_ += std::abs(v) * h;
   p.wear_ += p.wear_rate_ * std::abs(v) * h;

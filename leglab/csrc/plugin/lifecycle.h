@@ -11,7 +11,7 @@
 namespace leglab::plugin {
 
 template <class T>
-T* instance_of(mjData* d, int instance) {
+T* instance_of(const mjData* d, int instance) {
   return reinterpret_cast<T*>(d->plugin_data[instance]);
 }
 
@@ -37,6 +37,11 @@ void register_plugin(const char* name, int capability, const std::vector<const c
   };
   plugin.reset = +[](const mjModel*, mjtNum* state, void* data, int) {
     static_cast<T*>(data)->reset(state);
+  };
+  // A copy of the data also holds the outputs of the latest `compute`, so that it may go on from
+  // between the stages of a step.
+  plugin.copy = +[](mjData* to, const mjModel*, const mjData* from, int instance) {
+    *instance_of<T>(to, instance) = *instance_of<T>(from, instance);
   };
   plugin.compute = +[](const mjModel* m, mjData* d, int instance, int) {
     instance_of<T>(d, instance)->compute(m, d);

@@ -14,9 +14,8 @@ SpringDamper::SpringDamper(const mjModel* m, int instance) : instance_(instance)
   dof_ = m->jnt_dofadr[joint];
   read_parameters(m, instance, kSpringParameters, reinterpret_cast<double*>(&initial_));
   if (initial_.stop_lower_ >= initial_.stop_upper_) {
-    refuse(m, instance, "attribute 'stop_lower' = " + std::to_string(initial_.stop_lower_) +
-                            " rad; allowed: less than stop_upper = " +
-                            std::to_string(initial_.stop_upper_));
+    refuse(m, instance, "attribute 'stop_lower' = " + number(initial_.stop_lower_) +
+                            " rad; allowed: less than stop_upper = " + number(initial_.stop_upper_));
   }
 }
 

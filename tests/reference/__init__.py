@@ -1,0 +1,1 @@
+"""Independent plain-NumPy implementations that the compiled code is compared with."""
