@@ -72,8 +72,9 @@ def velocity_filter_coefficient(period: float, cutoff_hz: float) -> float:
 
 
 def quantise(position: np.ndarray, counts: int) -> np.ndarray:
-    """Rounds positions [rad] to encoder counts."""
+    """Rounds positions [rad] to encoder counts; 0 counts a turn stand for infinite resolution."""
     if counts == 0:
         return position
-    resolution = 2.0 * math.pi / counts
-    return np.rint(position / resolution) * resolution
+    rounded = np.rint(position * (counts / (2.0 * math.pi)))
+    rounded *= 2.0 * math.pi / counts
+    return rounded

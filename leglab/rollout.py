@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from mujoco import mj_step as step
 
 from leglab.control import (
     Controller,
@@ -175,20 +176,25 @@ def closed_loop(
     command, states = np.empty((count, joints)), np.empty((count, len(slots)))
     reports: dict[str, np.ndarray] = {}
 
+    # The loop runs thousands of times a second: everything that can be looked up once is.
     qpos, qvel, ctrl, plugin_state = data.qpos, data.qvel, data.ctrl, data.plugin_state
-    qpos_index, dof_index = simulation.qpos_index, simulation.dof_index
-    sample = qpos[qpos_index]
-    sampled_pressures = plugin_state[pressure_slots]
-    previous = quantise(sample + position_noise[0], sensors.encoder_counts)
+    qpos_index, counts = simulation.qpos_index, sensors.encoder_counts
+    to_sample, to_command = timing
+    sample = qpos.take(qpos_index)
+    sampled_pressures = plugin_state.take(pressure_slots)
+    previous = quantise(sample + position_noise[0], counts)
     estimate = np.zeros(joints)
     pressure_a = pressure_b = supply = None
     failure, rows = "", 0
     start = time.perf_counter()
+    rows_of = zip(
+        times.tolist(), map(ReferencePoint, *wanted), position_noise, command, strict=True
+    )
     try:
-        for k in range(count):
-            now = times[k]
+        for k, (now, point, disturbance, output) in enumerate(rows_of):
             schedule.apply(now)
-            measured = quantise(sample + position_noise[k], sensors.encoder_counts)
+            sample += disturbance
+            measured = quantise(sample, counts)
             estimate = leak * estimate + filter_gain * (measured - previous)
             previous = measured
             if pressures:
@@ -196,25 +202,26 @@ def closed_loop(
                 pressure_a, pressure_b = noisy[:joints], noisy[joints:]
                 supply = float(plugin_state[supply_slot])
             measurement = Measurement(now, measured, estimate, pressure_a, pressure_b, supply)
-            point = ReferencePoint(*[part[k] for part in wanted])
             if k == 0:
                 controller.reset(measurement)
             wish = check_command(controller.command(measurement, point), setup, name, now)
 
-            all_qpos[k], all_qvel[k] = qpos, qvel
+            all_qpos[k] = qpos
+            all_qvel[k] = qvel
             plugin_state.take(slots, out=states[k])
-            np.minimum(np.maximum(wish, -1.0), 1.0, out=command[k])
-            ctrl[:] = command[k]
+            np.minimum(wish, 1.0, out=output)
+            np.maximum(output, -1.0, out=output)
+            ctrl[:] = output
             if reports or k == 0:
                 _record(reports, controller.diagnostics(), k, (count, joints))
             rows = k + 1
-            if timing.to_sample:
-                simulation.step(timing.to_sample)
-            sample = qpos[qpos_index]
+            if to_sample:
+                step(model, data, to_sample)
+            sample = qpos.take(qpos_index)
             if pressures:
-                sampled_pressures = plugin_state[pressure_slots]
-            if timing.to_command:
-                simulation.step(timing.to_command)
+                sampled_pressures = plugin_state.take(pressure_slots)
+            if to_command:
+                step(model, data, to_command)
             if k % _CHECK_INTERVAL == 0:
                 simulation.check()
                 if progress:
@@ -229,7 +236,7 @@ def closed_loop(
     return History(
         time=times[:rows],
         position=all_qpos[:rows, qpos_index],
-        velocity=all_qvel[:rows, dof_index],
+        velocity=all_qvel[:rows, simulation.dof_index],
         passive={name: all_qpos[:rows, index] for name, index in simulation.passive_joints.items()},
         command=command[:rows],
         reference=ReferencePoint(*[part[:rows] for part in wanted]),

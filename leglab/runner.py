@@ -107,7 +107,7 @@ def run_scenario(settings: RunSettings, progress: Progress | None = None) -> Run
         ramp_duration=settings.ramp_duration,
     )
     sensors = validate_configuration(SensorConfiguration, settings.sensors, "sensors")
-    simulation = Simulation(load_model(settings.model, timestep=settings.timestep))
+    simulation = Simulation(load_model(settings.model, timestep=settings.timestep, visual=False))
     setup = controller_setup(simulation, settings.model, sensors)
     controller = make_controller(settings.controller, setup, settings.controller_config)
     reference = make_reference(

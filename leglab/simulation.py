@@ -31,12 +31,16 @@ def model_summary(name: str) -> str:
     return comment.partition(". ")[0].rstrip(".")
 
 
-def load_model(model: str | Path, *, timestep: float | None = None) -> mujoco.MjModel:
+def load_model(
+    model: str | Path, *, timestep: float | None = None, visual: bool = True
+) -> mujoco.MjModel:
     """Loads a model with the plugins registered.
 
     Args:
         model: A name from `model_names()` or the path of an MJCF file.
         timestep: Overrides the file's time step [s].
+        visual: Whether to keep shapes that are there to be seen only; without them a model moves
+            in just the same way, faster.
 
     Raises:
         LeglabError: If there is no such model or MuJoCo refuses it; one line.
@@ -53,6 +57,7 @@ def load_model(model: str | Path, *, timestep: float | None = None) -> mujoco.Mj
         spec = mujoco.MjSpec.from_file(str(path))
         if timestep is not None:
             spec.option.timestep = timestep
+        spec.compiler.discardvisual = not visual
         compiled = spec.compile()
         mujoco.MjData(compiled)  # the plugins check the compiled model once more
     except (ValueError, mujoco.FatalError) as error:
