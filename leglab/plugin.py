@@ -15,7 +15,7 @@ from leglab.parameters import plugin_tables
 # Attributes of the plugins that are names, not numbers.
 _TEXT_ATTRIBUTES = {
     "leglab.cylinder": ("supply",),
-    "leglab.spring_damper": ("joint",),
+    "leglab.spring_damper": ("joint", "strut"),
     "leglab.joint_friction": ("joint",),
     "leglab.sensor": ("actuator", "quantity"),
 }

@@ -5,6 +5,7 @@
 
 #include "hydraulics/checks.h"
 #include "plugin/config.h"
+#include "plugin/drawing.h"
 #include "plugin/lifecycle.h"
 #include "plugin/supply.h"
 
@@ -14,7 +15,7 @@ using namespace hydraulics;
 
 const char kCylinderName[] = "leglab.cylinder";
 
-Cylinder::Cylinder(const mjModel* m, int instance) : instance_(instance) {
+Cylinder::Cylinder(const mjModel* m, int instance) : instance_(instance), half_solved_(m->nv, 0.0) {
   require_single_stage_integrator(m, instance);
   for (int i = 0; i < m->nu; ++i) {
     if (m->actuator_plugin[i] != instance) continue;
@@ -89,6 +90,7 @@ void Cylinder::refresh(const mjModel* m, const CylinderParameters& p) {
   if (std::memcmp(&same, &seen_, sizeof p) != 0 || timestep != seen_timestep_) {
     coefficients_ = CylinderCoefficients::from(p);
     step_ = StepCoefficients::from(p, timestep);
+    observed_ = kNothing;
   }
   if (timestep != seen_timestep_) check_timestep(m);
   oil_ = OilCondition::from(p, coefficients_);
@@ -100,28 +102,48 @@ double Cylinder::supply_pressure(const mjModel* m, mjData* d, const CylinderPara
   return supply_ < 0 ? p.supply_pressure_ : Supply::pressure(m, d, supply_);
 }
 
-// 1/(J M^-1 J'), with J the row of the actuator moment.
-double Cylinder::effective_mass(const mjModel* m, mjData* d) const {
-  mj_markStack(d);
-  mjtNum* row = mj_stackAllocNum(d, m->nv);
-  mjtNum* solved = mj_stackAllocNum(d, m->nv);
-  mju_zero(row, m->nv);
+// 1/(J M^-1 J') with J the row of the actuator moment: M = L' D L, so half a solve is enough. L
+// shares the sparsity of M, rows holding a degree of freedom's ancestors and itself last.
+double Cylinder::effective_mass(const mjModel* m, mjData* d) {
   const int address = d->moment_rowadr[actuator_], count = d->moment_rownnz[actuator_];
-  for (int i = address; i < address + count; ++i) row[d->moment_colind[i]] = d->actuator_moment[i];
-  mj_solveM(m, d, solved, row, 1);
-  const double inverse = mju_dot(row, solved, m->nv);
-  mj_freeStack(d);
+  int top = -1;
+  for (int i = address; i < address + count; ++i) {
+    half_solved_[d->moment_colind[i]] = d->actuator_moment[i];
+    top = std::max(top, d->moment_colind[i]);
+  }
+  double inverse = 0;
+  for (int i = top; i >= 0; --i) {
+    const double value = half_solved_[i];
+    if (value == 0) continue;
+    half_solved_[i] = 0;
+    inverse += value * value * d->qLDiagInv[i];
+    const int row = m->M_rowadr[i], ancestors = m->M_rownnz[i] - 1;
+    for (int k = row; k < row + ancestors; ++k) {
+      half_solved_[m->M_colind[k]] -= d->qLD[k] * value;
+    }
+  }
   return inverse > 0 ? 1.0 / inverse : 0.0;
+}
+
+const Chambers& Cylinder::observe(const mjModel* m, mjData* d) {
+  const auto [p, s] = slots(m, d);
+  refresh(m, p);
+  const double x = coefficients_.half_stroke + d->actuator_length[actuator_] - p.mid_length_;
+  const Observed now{x, s.pressure_a_, s.pressure_b_, s.amount_a_, s.amount_b_};
+  if (std::memcmp(&now, &observed_, sizeof now) != 0) {
+    observed_ = now;
+    x_ = x;
+    chambers_ = chambers_at(p, coefficients_, s, x);
+  }
+  return chambers_;
 }
 
 void Cylinder::compute(const mjModel* m, mjData* d) {
   const auto [p, s] = slots(m, d);
   if (m->opt.integrator == mjINT_RK4) require_single_stage_integrator(m, instance_);
-  refresh(m, p);
-  x_ = coefficients_.half_stroke + d->actuator_length[actuator_] - p.mid_length_;
+  observe(m, d);
   v_ = d->actuator_velocity[actuator_];
   mass_ = effective_mass(m, d);
-  chambers_ = chambers_at(p, coefficients_, s, x_);
   forces_ = piston_forces(p, coefficients_, oil_, s, chambers_, x_, v_,
                           mass_ > 0 ? m->opt.timestep / mass_ : 0.0);
   d->actuator_force[actuator_] = forces_.total();
@@ -141,44 +163,17 @@ void Cylinder::advance(const mjModel* m, mjData* d) {
                    supply_pressure(m, d, p), s);
 }
 
-// Barrel and rod along the tendon; the barrel takes its colour from the cap-side pressure.
-void Cylinder::visualize(const mjModel* m, mjData* d, mjvScene* scene) const {
-  if (m->actuator_trntype[actuator_] != mjTRN_TENDON || scene->ngeom + 3 > scene->maxgeom) return;
-  const int tendon = m->actuator_trnid[2 * actuator_];
-  const int first = d->ten_wrapadr[tendon], last = first + d->ten_wrapnum[tendon] - 1;
-  if (last <= first) return;
-  const mjtNum* base = d->wrap_xpos + 3 * first;
-  const mjtNum* end = d->wrap_xpos + 3 * last;
-  mjtNum axis[3];
-  mju_sub3(axis, end, base);
-  mju_normalize3(axis);
-  const auto point = [&](double at, mjtNum* out) { mju_addScl3(out, base, axis, at); };
-
-  const auto& p = *reinterpret_cast<const CylinderParameters*>(state_of(m, d, instance_));
-  const double retracted = p.mid_length_ - 0.5 * p.stroke_;
-  const double barrel = std::max(retracted - 0.5 * p.bore_, 0.5 * retracted);
-  const double level =
-      std::clamp(chambers_.gauge_a() / std::max(supply_pressure(m, d, p), 1e5), 0.0, 1.0);
-  const float steel[4] = {0.86f, 0.87f, 0.90f, 1.0f};
-  const float paint[4] = {0.16f + 0.70f * static_cast<float>(level), 0.30f,
-                          0.72f - 0.56f * static_cast<float>(level), 1.0f};
-  const float dark[4] = {0.12f, 0.12f, 0.14f, 1.0f};
-  const auto draw = [&](double from, double to, double radius, const float* rgba, float shine) {
-    mjtNum a[3], b[3];
-    point(from, a);
-    point(to, b);
-    mjvGeom* geom = scene->geoms + scene->ngeom++;
-    mjv_initGeom(geom, mjGEOM_CYLINDER, nullptr, nullptr, nullptr, rgba);
-    mjv_connector(geom, mjGEOM_CYLINDER, radius, a, b);
-    geom->objtype = mjOBJ_UNKNOWN;
-    geom->objid = -1;
-    geom->category = mjCAT_DECOR;
-    geom->specular = shine;
-    geom->shininess = shine;
-  };
-  draw(0, barrel, 0.68 * p.bore_, paint, 0.6f);
-  draw(barrel - 0.5 * p.bore_, barrel + 0.15 * p.bore_, 0.78 * p.bore_, dark, 0.3f);
-  draw(barrel, d->ten_length[tendon], 0.5 * p.rod_, steel, 1.0f);
+// Barrel and rod along the tendon.
+void Cylinder::visualize(const mjModel* m, mjData* d, mjvScene* scene) {
+  mjtNum base[3], end[3];
+  if (m->actuator_trntype[actuator_] != mjTRN_TENDON ||
+      !tendon_ends(m, d, m->actuator_trnid[2 * actuator_], base, end)) {
+    return;
+  }
+  const CylinderParameters& p = slots(m, d).parameters;
+  const double supply = std::max(supply_pressure(m, d, p), 1e5);
+  const double level = std::clamp(observe(m, d).gauge_a() / supply, 0.0, 1.0);
+  draw_cylinder(scene, base, end, p.bore_, p.rod_, p.stroke_ + 0.02, level);
 }
 
 void register_cylinder() {

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
 #include <mujoco/mujoco.h>
 
@@ -19,10 +20,11 @@ class Cylinder {
   void reset(mjtNum* plugin_state) const;
   void compute(const mjModel* m, mjData* d);
   void advance(const mjModel* m, mjData* d);
-  void visualize(const mjModel* m, mjData* d, mjvScene* scene) const;
+  void visualize(const mjModel* m, mjData* d, mjvScene* scene);
 
-  // Chambers and forces at the latest compute, for sensors.
-  const hydraulics::Chambers& chambers() const { return chambers_; }
+  // Chambers at the present lengths and amounts of oil; solved anew only where these differ.
+  const hydraulics::Chambers& observe(const mjModel* m, mjData* d);
+  // Piston position [m] at the latest `observe`.
   double piston_position() const { return x_; }
   const std::string& supply_name() const { return supply_name_; }
 
@@ -37,7 +39,7 @@ class Cylinder {
   Slots slots(const mjModel* m, mjData* d) const;
   void refresh(const mjModel* m, const hydraulics::CylinderParameters& p);
   double supply_pressure(const mjModel* m, mjData* d, const hydraulics::CylinderParameters& p) const;
-  double effective_mass(const mjModel* m, mjData* d) const;
+  double effective_mass(const mjModel* m, mjData* d);
   void check_timestep(const mjModel* m) const;
 
   int instance_;
@@ -52,9 +54,15 @@ class Cylinder {
   hydraulics::StepCoefficients step_{};
   hydraulics::OilCondition oil_{};
 
+  struct Observed {
+    double x, pressure_a, pressure_b, amount_a, amount_b;
+  };
+  static constexpr Observed kNothing{__builtin_nan(""), 0, 0, 0, 0};
+  Observed observed_ = kNothing;  // what `chambers_` were solved for
   hydraulics::Chambers chambers_{};
   hydraulics::PistonForces forces_{};
   double x_ = 0, v_ = 0, mass_ = 0;
+  std::vector<double> half_solved_;  // scratch, shape (nv,), zero between uses
 };
 
 void register_cylinder();

@@ -80,12 +80,13 @@ Sensor::Sensor(const mjModel* m, int instance) : quantities_(listed_quantities(m
 
 void Sensor::compute(const mjModel* m, mjData* d) {
   mjtNum* out = d->sensordata + m->sensor_adr[sensor_];
-  const auto* cylinder = instance_of<Cylinder>(d, cylinder_);
+  auto* cylinder = instance_of<Cylinder>(d, cylinder_);
+  const hydraulics::Chambers& chambers = cylinder->observe(m, d);
   const mjtNum* state = state_of(m, d, cylinder_);
   for (int offset : quantities_) {
     switch (offset) {
-      case kPressureA: *out++ = cylinder->chambers().gauge_a(); break;
-      case kPressureB: *out++ = cylinder->chambers().gauge_b(); break;
+      case kPressureA: *out++ = chambers.gauge_a(); break;
+      case kPressureB: *out++ = chambers.gauge_b(); break;
       case kPistonPosition: *out++ = cylinder->piston_position(); break;
       default: *out++ = state[offset];
     }
@@ -95,7 +96,8 @@ void Sensor::compute(const mjModel* m, mjData* d) {
 void register_sensor() {
   static const std::vector<const char*> names{"actuator", "quantity"};
   register_plugin<Sensor>("leglab.sensor", mjPLUGIN_SENSOR, names, [](mjpPlugin& plugin) {
-    plugin.needstage = mjSTAGE_ACC;
+    // Lengths are known by then; a later stage would make MuJoCo compute accelerations of bodies.
+    plugin.needstage = mjSTAGE_VEL;
     plugin.nsensordata = +[](const mjModel* m, int instance, int) {
       return Sensor::dimension(m, instance);
     };

@@ -4,6 +4,7 @@
 #include <cstring>
 
 #include "plugin/config.h"
+#include "plugin/drawing.h"
 #include "plugin/lifecycle.h"
 
 namespace leglab::plugin {
@@ -16,6 +17,11 @@ SpringDamper::SpringDamper(const mjModel* m, int instance) : instance_(instance)
   if (initial_.stop_lower_ >= initial_.stop_upper_) {
     refuse(m, instance, "attribute 'stop_lower' = " + number(initial_.stop_lower_) +
                             " rad; allowed: less than stop_upper = " + number(initial_.stop_upper_));
+  }
+  const std::string strut = text_attribute(m, instance, "strut");
+  if (!strut.empty()) {
+    strut_ = mj_name2id(m, mjOBJ_TENDON, strut.c_str());
+    if (strut_ < 0) refuse(m, instance, "attribute 'strut' = '" + strut + "' names no tendon");
   }
 }
 
@@ -36,8 +42,13 @@ void SpringDamper::compute(const mjModel* m, mjData* d) {
   d->qfrc_passive[dof_] += force;
 }
 
+void SpringDamper::visualize(const mjModel* m, mjData* d, mjvScene* scene) const {
+  mjtNum base[3], end[3];
+  if (strut_ >= 0 && tendon_ends(m, d, strut_, base, end)) draw_strut(scene, base, end);
+}
+
 void register_spring_damper() {
-  static const std::vector<const char*> names = attribute_names(kSpringParameters, {"joint"});
+  static const std::vector<const char*> names = attribute_names(kSpringParameters, {"joint", "strut"});
   register_plugin<SpringDamper>("leglab.spring_damper", mjPLUGIN_PASSIVE, names);
 }
 
