@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -182,6 +183,32 @@ def tune(
         _output.print(f"written to {GAINS_FILE}")
     else:
         typer.echo(text, nl=False)
+
+
+@app.command()
+def parameters(
+    plugin: Annotated[str | None, typer.Argument(help="Name of a plugin; default: all.")] = None,
+    markdown: Annotated[bool, typer.Option(help="Print Markdown, as in docs/.")] = False,
+) -> None:
+    """Shows the physical parameters of the plugins: units, defaults, bounds, sources."""
+    from leglab.errors import unknown_name
+    from leglab.parameters import markdown_tables, plugin_tables
+
+    tables = plugin_tables()
+    if plugin is not None and plugin not in tables:
+        raise unknown_name("plugin", plugin, tables)
+    chosen = [tables[plugin]] if plugin else list(tables.values())
+    if markdown:
+        typer.echo(markdown_tables(chosen), nl=False)
+        return
+    for entry in chosen:
+        table = Table(title=entry.plugin, title_justify="left")
+        for column in ("parameter", "default", "allowed", "meaning"):
+            table.add_column(column)
+        for row in entry.parameters.values():
+            default = "required" if row.nominal != row.nominal else f"{row.nominal:g}"
+            table.add_row(row.name, default, escape(row.allowed), escape(row.description))
+        _output.print(table)
 
 
 def run_scenario_as_script(name: str) -> None:

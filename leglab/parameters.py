@@ -6,7 +6,7 @@ entry; this module mirrors them, so that a name is spelled in one place.
 
 import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -136,3 +136,23 @@ def parameter_vector(plugin: str, values: Mapping[str, float]) -> np.ndarray:
             raise LeglabError(f"{plugin}: {name} is missing; allowed {parameter.allowed}")
         vector[parameter.offset] = parameter.check(values.get(name, parameter.nominal), plugin)
     return vector
+
+
+def markdown_tables(tables: Iterable[PluginTable]) -> str:
+    """Parameters and states as Markdown, the content of docs/parameters.md."""
+    lines = [
+        "# Parameters and states of the plugins",
+        "",
+        "Made by `leglab parameters --markdown > docs/parameters.md`. SI units, temperatures in degC.",
+    ]
+    for table in tables:
+        lines += ["", f"## {table.plugin}", ""]
+        lines += ["| parameter | default | allowed | meaning |", "|---|---|---|---|"]
+        for row in table.parameters.values():
+            default = "required" if math.isnan(row.nominal) else f"{row.nominal:g}"
+            lines.append(f"| `{row.name}` | {default} | {row.allowed} | {row.description} |")
+        if table.states:
+            lines += ["", "| state | unit | meaning |", "|---|---|---|"]
+            for state in table.states.values():
+                lines.append(f"| `{state.name}` | {state.unit} | {state.description} |")
+    return "\n".join(lines) + "\n"

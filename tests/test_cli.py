@@ -62,6 +62,15 @@ def test_list_as_json(capsys):
     assert {"walking_stride", "squat", "sine_sweep", "step"} == set(names["references"])
 
 
+def test_the_parameter_page_is_up_to_date(capsys):
+    page = Path(__file__).parent.parent / "docs" / "parameters.md"
+    _, printed, _ = leglab("parameters", "--markdown", capsys=capsys)
+    assert printed == page.read_text()
+    status, printed, _ = leglab("parameters", "leglab.supply", capsys=capsys)
+    assert status == 0
+    assert "accumulator_precharge" in printed
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -71,6 +80,7 @@ def test_list_as_json(capsys):
         (["run", "nominal", "--model", "arm.xml"], "'arm.xml' does not exist"),
         (["run", "nominal", "--model", "knee_bench", "--timestep", "0.01"], "too long"),
         (["run", "nominal", "--severity", "2"], "has no severity"),
+        (["parameters", "leglab.supplly"], "did you mean 'leglab.supply'"),
         (["video", "nowhere"], "'nowhere' is not the folder of a run"),
     ],
 )
