@@ -85,7 +85,7 @@ void draw_cylinder(mjvScene* scene, const mjtNum base[3], const mjtNum end[3], d
 
 void draw_strut(mjvScene* scene, const mjtNum base[3], const mjtNum end[3]) {
   constexpr double radius = 0.0105, wire = 0.0018, plate = 0.018;
-  constexpr int turns = 9, pieces = 12 * turns;
+  constexpr int turns = 9, pieces = 10 * turns;
   const Line line(scene, base, end);
   const double start = plate, span = line.length() - 2 * plate;
   line.segment(0, line.length(), 0.004, kChrome);
