@@ -84,12 +84,11 @@ inline void advance_chambers(const CylinderCoefficients& c, const OilCondition& 
   const double slope_aa = f1.da_dpa - oil.internal_leakage - oil.external_leakage_a;
   const double slope_bb = f1.db_dpb - oil.internal_leakage - oil.external_leakage_b;
   // dp/dV = 1/(w' N) at constant amount, dp/dN = -w dp/dV at constant volume.
-  // Vapour holds the pressure at the floor whatever enters or moves.
-  const double stiff_a = k.a.p > kPressureFloor ? 1.0 / (k.a.slope * k.amount_a) : 0.0;
-  const double stiff_b = k.b.p > kPressureFloor ? 1.0 / (k.b.slope * k.amount_b) : 0.0;
-  // A chamber that opens falls to the floor at most.
-  const double rise_a = std::max(stiff_a * (volume_end.a - volume.a), kPressureFloor - k.a.p);
-  const double rise_b = std::max(stiff_b * (volume_end.b - volume.b), kPressureFloor - k.b.p);
+  const double stiff_a = 1.0 / (k.a.slope * k.amount_a), stiff_b = 1.0 / (k.b.slope * k.amount_b);
+  // Vapour holds the pressure at the floor while the piston moves; its stiffness against oil is
+  // kept, so that a chamber which fills up within the sub-step does not overshoot.
+  const double rise_a = k.a.p > kPressureFloor ? stiff_a * (volume_end.a - volume.a) : 0.0;
+  const double rise_b = k.b.p > kPressureFloor ? stiff_b * (volume_end.b - volume.b) : 0.0;
   // Where vapour fills part of a chamber, oil still enters with the volume it has at the floor.
   const double inverse_wa = std::max(k.amount_a / volume.a, c.inverse_w_floor);
   const double inverse_wb = std::max(k.amount_b / volume.b, c.inverse_w_floor);
