@@ -162,7 +162,7 @@ def worn_stall() -> Iterator[Row]:
             },
             mass=HELD,
             command=constant(spool),
-            duration=0.1,
+            duration=0.2,
         )
         yield Row(
             case="k",
