@@ -1,0 +1,93 @@
+"""Runs all checks and prints them as tables."""
+
+from collections import defaultdict
+from collections.abc import Iterable
+from itertools import chain
+
+from rich.console import Console
+from rich.table import Table
+
+from leglab.errors import LeglabError
+from leglab.verification import replay
+from leglab.verification.bench import nominal_folder
+from leglab.verification.conformance import CASES
+from leglab.verification.rows import Row
+
+
+def table(title: str, rows: Iterable[Row]) -> Table:
+    """A table of rows, failures in red."""
+    grid = Table(title=title, title_justify="left")
+    for heading in (
+        "case",
+        "quantity",
+        "solver",
+        "expected",
+        "got",
+        "unit",
+        "deviation",
+        "allowed",
+    ):
+        right = heading in {"expected", "got", "deviation", "allowed"}
+        grid.add_column(heading, justify="right" if right else "left")
+    for row in rows:
+        grid.add_row(
+            row.case,
+            row.quantity,
+            row.solver,
+            f"{row.expected:.6g}",
+            f"{row.got:.6g}",
+            row.unit,
+            f"{row.deviation:.1e}",
+            f"{row.tolerance:.0e}",
+            style=None if row.passed else "bold red",
+        )
+    return grid
+
+
+def summary(rows: Iterable[Row]) -> Table:
+    """One line a case and solver: how many rows pass, and the one closest to its limit."""
+    groups: dict[tuple[str, str], list[Row]] = defaultdict(list)
+    for row in rows:
+        groups[row.case, row.solver].append(row)
+    grid = Table(title="Cases of physics.md: the row closest to its limit", title_justify="left")
+    for heading in ("case", "solver", "passed", "closest row", "deviation", "allowed"):
+        grid.add_column(heading)
+    for (case, solver), group in groups.items():
+        worst = max(group, key=lambda row: row.deviation / row.tolerance)
+        passed = sum(row.passed for row in group)
+        grid.add_row(
+            case,
+            solver,
+            f"{passed} of {len(group)}",
+            worst.quantity,
+            f"{worst.deviation:.1e}",
+            f"{worst.tolerance:.0e}",
+            style=None if passed == len(group) else "bold red",
+        )
+    return grid
+
+
+def verify(*, full: bool = True, console: Console | None = None) -> bool:
+    """Compares the hydraulics with closed forms and with recordings of the knee bench.
+
+    Args:
+        full: Print every row, not only the summary.
+        console: Where to print; standard output if None.
+
+    Returns:
+        Whether every check passed. Missing recordings are said and do not count as failures.
+    """
+    out = console or Console()
+    rows = list(chain.from_iterable(case() for case in CASES.values()))
+    if full:
+        out.print(table("Cases of physics.md", rows))
+    out.print(summary(rows))
+    passed = all(row.passed for row in rows)
+    try:
+        folder = nominal_folder()
+    except LeglabError as error:
+        out.print(f"Replay of recordings left out: {error}")
+        return passed
+    results = list(replay.replay_all(folder))
+    out.print(replay.table(results))
+    return passed and all(result.passed for result in results)
