@@ -186,6 +186,15 @@ def tune(
 
 
 @app.command()
+def verify() -> None:
+    """Checks the physics against closed forms, stiff solvers and recordings; status 1 if one fails."""
+    from leglab.verification import verify as run_checks
+
+    if not run_checks():
+        raise typer.Exit(1)
+
+
+@app.command()
 def parameters(
     plugin: Annotated[str | None, typer.Argument(help="Name of a plugin; default: all.")] = None,
     markdown: Annotated[bool, typer.Option(help="Print Markdown, as in docs/.")] = False,

@@ -143,7 +143,7 @@ def markdown_tables(tables: Iterable[PluginTable]) -> str:
     lines = [
         "# Parameters and states of the plugins",
         "",
-        "Made by `leglab parameters --markdown > docs/parameters.md`. SI units, °C for temperatures.",
+        "Made by `leglab parameters --markdown > docs/parameters.md`. SI units, °C for oil.",
     ]
     for table in tables:
         lines += ["", f"## {table.plugin}", ""]
