@@ -187,7 +187,7 @@ def tune(
 
 @app.command()
 def verify() -> None:
-    """Checks the physics against closed forms, stiff solvers and recordings; status 1 if one fails."""
+    """Checks the physics against closed forms and recordings; status 1 where a check fails."""
     from leglab.verification import verify as run_checks
 
     if not run_checks():
