@@ -1,0 +1,61 @@
+// What the bank needs to know about each model: its parameters in order, and its diagnostics.
+#pragma once
+
+#include "bindings/identification_settings.h"
+
+namespace leglab::bindings {
+
+// Parameters in the order theta, first-layer weights, bias, second-layer weights.
+template <class T, class Visitor>
+void visit_parameters(id::Bsnn<T>& network, Visitor&& visit) {
+  const auto& settings = network.settings();
+  for (int i = 0; i < settings.neurons(); ++i) visit(network.weights()[i]);
+  if (settings.bias) visit(network.bias());
+  if (settings.two_layers) {
+    for (int j = 0; j < settings.inputs; ++j) visit(network.output_weights()[j]);
+  }
+}
+
+template <class T, class Visitor>
+void visit_parameters(id::BsnnArx<T>& model, Visitor&& visit) {
+  for (int i = 0; i < model.parameters(); ++i) visit(model.rls().theta()[i]);
+  visit_parameters(model.network(), visit);
+}
+
+template <class T>
+nb::dict describe_samples(const id::Guard<T>& guard) {
+  static constexpr const char* names[] = {"learned",    "frozen",      "recovering", "dropped",
+                                          "not_finite", "implausible", "saturated",  "stuck"};
+  static_assert(std::size(names) == std::size_t(id::Sample::count));
+  nb::dict out;
+  for (std::size_t i = 0; i < std::size(names); ++i) out[names[i]] = guard.state().tally[i];
+  return out;
+}
+
+template <class T>
+void describe_rls(const id::Rls<T>& rls, nb::dict& out) {
+  out["changes"] = rls.change().changes;
+  out["rejected"] = rls.tally().rejected;
+  out["forgetting_factor"] = double(rls.tally().factor);
+  out["fast_error"] = double(rls.change().fast);
+  out["slow_error"] = double(rls.change().slow);
+  out["gain_trace"] = double(rls.gain().trace());
+}
+
+template <class T>
+void describe_network(const id::Bsnn<T>& network, nb::dict& out) {
+  out["clipped"] = network.tally().clipped;
+  out["bound_violations"] = network.tally().violations;
+  out["largest_contraction"] = double(network.tally().largest_contraction);
+}
+
+template <class T>
+nb::dict describe(id::BsnnArx<T>& model) {
+  nb::dict out = describe_samples(model.guard());
+  describe_rls(model.rls(), out);
+  describe_network(model.network(), out);
+  out["openness"] = double(model.openness());
+  return out;
+}
+
+}  // namespace leglab::bindings
