@@ -2,8 +2,10 @@
 
 from leglab.identification.basis import Basis
 from leglab.identification.bsnn_arx import Bsnn, BsnnArx, BsnnArxSettings
+from leglab.identification.features import Constant, Hammerstein, Lags, Signal, Spline
 from leglab.identification.front import Identifier
 from leglab.identification.settings import ChangeDetection, Guard, Rls
+from leglab.identification.spline_narx import SplineNarx, SplineNarxSettings
 
 __all__ = [
     "Basis",
@@ -11,7 +13,14 @@ __all__ = [
     "BsnnArx",
     "BsnnArxSettings",
     "ChangeDetection",
+    "Constant",
     "Guard",
+    "Hammerstein",
     "Identifier",
+    "Lags",
     "Rls",
+    "Signal",
+    "Spline",
+    "SplineNarx",
+    "SplineNarxSettings",
 ]

@@ -83,7 +83,7 @@ class Basis:
         width: float,
         outside: Outside = "linear",
     ) -> "Basis":
-        """Builds a full basis whose knots are equidistant in asinh((x - centre) / width).
+        """Builds a full basis with knots spaced evenly on the scale asinh((x - centre) / width).
 
         So knots are dense within about `width` of `centre` and sparse far from it: what friction
         and valve overlap need around zero velocity or command.

@@ -1,7 +1,7 @@
 """The paper's model: B-spline network and ARX model learning together (Algorithm 1)."""
 
 from dataclasses import dataclass, field
-from typing import get_args
+from typing import ClassVar, get_args
 
 import numpy as np
 from numpy.random import Generator
@@ -109,7 +109,7 @@ class BsnnArxSettings:
 class BsnnArx(Identifier):
     """The paper's BSNN-ARX model, adapted online sample by sample (Algorithm 1)."""
 
-    _banks = {"float64": native.BsnnArx64, "float32": native.BsnnArx32}
+    _banks: ClassVar = {"float64": native.BsnnArx64, "float32": native.BsnnArx32}
     settings: BsnnArxSettings
 
     @property

@@ -57,7 +57,8 @@ class Rls:
         memory: N_0 of variable forgetting [samples].
         noise_variance: Of variable forgetting, in squared (scaled) output units; 0 uses the
             slow mean of the squared error.
-        gain_bound: trace(F) never exceeds this times the number of parameters.
+        gain_bound: trace(F) never exceeds this times the number of parameters; None takes ten
+            times the initial gain.
         change: Change detection, or None.
     """
 
@@ -66,7 +67,7 @@ class Rls:
     forgetting_factor: float = 1.0
     memory: float = 400.0
     noise_variance: float = 0.0
-    gain_bound: float = 1e6
+    gain_bound: float | None = None
     change: ChangeDetection | None = None
 
     def __post_init__(self) -> None:
@@ -75,6 +76,9 @@ class Rls:
         checks.number("rls forgetting_factor", self.forgetting_factor, least=0.5, most=1.0)
         checks.number("rls memory", self.memory, least=1.0)
         checks.number("rls noise_variance", self.noise_variance, least=0.0)
+        if self.gain_bound is None:
+            object.__setattr__(self, "gain_bound", 10 * self.initial_gain)
+        assert self.gain_bound is not None
         checks.number("rls gain_bound", self.gain_bound, least=self.initial_gain)
         if self.change is not None and self.change.gain > self.gain_bound:
             raise LeglabError(

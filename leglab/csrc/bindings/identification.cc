@@ -31,11 +31,16 @@ void bind_bank(nb::module_& module, const char* name) {
 template <class T>
 using BsnnArxBank = Bank<id::BsnnArx<T>, id::BsnnArxSettings<T>, T>;
 
+template <class T>
+using SplineNarxBank = Bank<id::SplineNarx<T>, id::SplineNarxSettings<T>, T>;
+
 }  // namespace
 
 NB_MODULE(identification, module) {
   bind_bank<BsnnArxBank<double>>(module, "BsnnArx64");
   bind_bank<BsnnArxBank<float>>(module, "BsnnArx32");
+  bind_bank<SplineNarxBank<double>>(module, "SplineNarx64");
+  bind_bank<SplineNarxBank<float>>(module, "SplineNarx32");
 }
 
 }  // namespace leglab::bindings

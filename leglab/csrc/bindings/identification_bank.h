@@ -19,7 +19,7 @@ template <class Model, class Settings, class T>
 class Bank {
  public:
   Bank(nb::object settings, int joints) : joints_(joints) {
-    settings_ = read_settings(settings, knots_, static_cast<const Model*>(nullptr));
+    settings_ = read_settings(settings, store_, static_cast<const Model*>(nullptr));
     id::Workspace measure;
     Model().layout(measure, settings_);
     stride_ = (measure.used() + id::Workspace::alignment - 1) / id::Workspace::alignment;
@@ -31,7 +31,7 @@ class Bank {
     }
   }
 
-  // Models point into the block and into the knots.
+  // Models point into the block and the store.
   Bank(const Bank&) = delete;
   Bank& operator=(const Bank&) = delete;
 
@@ -165,7 +165,7 @@ class Bank {
 
   int joints_;
   Settings settings_;
-  KnotStore<T> knots_;
+  Store<T> store_;
   std::size_t stride_ = 0;
   std::unique_ptr<Line[]> block_;
   std::vector<Model> models_;

@@ -22,6 +22,12 @@ void visit_parameters(id::BsnnArx<T>& model, Visitor&& visit) {
   visit_parameters(model.network(), visit);
 }
 
+template <class T, class Visitor>
+void visit_parameters(id::SplineNarx<T>& model, Visitor&& visit) {
+  for (int i = 0; i < model.parameters(); ++i) visit(model.rls().theta()[i]);
+  for (int i = 0; i < model.weight_count(); ++i) visit(model.weights()[i]);
+}
+
 template <class T>
 nb::dict describe_samples(const id::Guard<T>& guard) {
   static constexpr const char* names[] = {"learned",    "frozen",      "recovering", "dropped",
@@ -55,6 +61,16 @@ nb::dict describe(id::BsnnArx<T>& model) {
   describe_rls(model.rls(), out);
   describe_network(model.network(), out);
   out["openness"] = double(model.openness());
+  return out;
+}
+
+template <class T>
+nb::dict describe(id::SplineNarx<T>& model) {
+  nb::dict out = describe_samples(model.guard());
+  describe_rls(model.rls(), out);
+  out["clipped"] = model.state().clipped;
+  out["projected"] = model.state().projected;
+  out["resynchronised"] = model.refines() ? model.simulation().state().resynchronised : 0;
   return out;
 }
 

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "identification/bsnn_arx.h"
+#include "identification/spline_narx.h"
 
 namespace leglab::bindings {
 
@@ -33,15 +34,18 @@ inline int choice(nb::handle settings, const char* name, std::initializer_list<c
   throw std::invalid_argument(std::string(name) + ": unknown choice " + value);
 }
 
-// Memory of the knots: a deque never moves what it holds.
+// Memory that the core's settings point into; a deque never moves what it holds.
 template <class T>
-using KnotStore = std::deque<std::vector<T>>;
+struct Store {
+  std::deque<std::vector<T>> knots;
+  std::vector<id::Block<T>> blocks;
+};
 
 template <class T>
-id::QuadraticBasis<T> read_basis(nb::handle settings, KnotStore<T>& store) {
+id::QuadraticBasis<T> read_basis(nb::handle settings, Store<T>& store) {
   std::vector<T> knots;
   for (double k : get<std::vector<double>>(settings, "knots")) knots.push_back(T(k));
-  auto& extended = store.emplace_back(knots.size() + 4);
+  auto& extended = store.knots.emplace_back(knots.size() + 4);
   const bool full = choice(settings, "kind", {"paper", "full"}) == 1;
   auto basis = id::make_basis<T>(knots.data(), int(knots.size()), extended.data(), full);
   basis.outside =
@@ -87,7 +91,7 @@ id::GuardSettings<T> read_guard(nb::handle settings) {
 }
 
 template <class T>
-id::BsnnSettings<T> read_network(nb::handle settings, KnotStore<T>& store) {
+id::BsnnSettings<T> read_network(nb::handle settings, Store<T>& store) {
   id::BsnnSettings<T> out;
   const nb::object bases = settings.attr("basis");
   const auto constants = get<std::vector<double>>(settings, "learning_constant");
@@ -104,7 +108,7 @@ id::BsnnSettings<T> read_network(nb::handle settings, KnotStore<T>& store) {
 }
 
 template <class T>
-id::BsnnArxSettings<T> read_settings(nb::handle settings, KnotStore<T>& store,
+id::BsnnArxSettings<T> read_settings(nb::handle settings, Store<T>& store,
                                      const id::BsnnArx<T>*) {
   id::BsnnArxSettings<T> out;
   out.na = get<int>(settings, "na");
@@ -115,6 +119,47 @@ id::BsnnArxSettings<T> read_settings(nb::handle settings, KnotStore<T>& store,
   out.guard = read_guard<T>(settings.attr("guard"));
   out.opening = T(get<double>(settings, "opening"));
   out.fading = T(get<double>(settings, "fading"));
+  return out;
+}
+
+template <class T>
+id::Block<T> read_block(nb::handle settings, Store<T>& store) {
+  id::Block<T> out;
+  out.feature = static_cast<id::Feature>(
+      choice(settings, "feature", {"lags", "constant", "spline", "hammerstein"}));
+  out.signal = get<int>(settings, "signal");
+  out.lag = get<int>(settings, "lag");
+  out.lags = get<int>(settings, "lags");
+  out.factor_signal = get<int>(settings, "factor_signal");
+  out.factor_lag = get<int>(settings, "factor_lag");
+  out.learning_constant = T(get<double>(settings, "learning_constant"));
+  const nb::object basis = settings.attr("basis");
+  if (!basis.is_none()) out.basis = read_basis<T>(basis, store);
+  return out;
+}
+
+template <class T>
+id::Scale<T> read_scale(nb::handle signal) {
+  return {T(get<double>(signal, "centre")), T(get<double>(signal, "half_range"))};
+}
+
+template <class T>
+id::SplineNarxSettings<T> read_settings(nb::handle settings, Store<T>& store,
+                                        const id::SplineNarx<T>*) {
+  id::SplineNarxSettings<T> out;
+  for (nb::handle block : settings.attr("blocks")) {
+    store.blocks.push_back(read_block<T>(block, store));
+  }
+  const nb::object inputs = settings.attr("inputs");
+  out.structure = {store.blocks.data(), int(store.blocks.size()), int(nb::len(inputs))};
+  out.output = read_scale<T>(settings.attr("output"));
+  for (int j = 0; j < out.structure.inputs; ++j) out.input[j] = read_scale<T>(inputs[j]);
+  out.rls = read_rls<T>(settings.attr("rls"));
+  out.guard = read_guard<T>(settings.attr("guard"));
+  out.output_error_after = get<int>(settings, "output_error_after");
+  out.resynchronise_above =
+      T(get<double>(settings, "resynchronise_above")) / out.output.half_range;
+  out.pole_limit = T(get<double>(settings, "pole_limit"));
   return out;
 }
 
