@@ -9,7 +9,9 @@ namespace leglab::bindings {
 template <class T, class Visitor>
 void visit_parameters(id::Bsnn<T>& network, Visitor&& visit) {
   const auto& settings = network.settings();
-  for (int i = 0; i < settings.neurons(); ++i) visit(network.weights()[i]);
+  for (int j = 0; j < settings.inputs; ++j) {
+    for (int i = 0; i < settings.basis[j].count; ++i) visit(network.weights(j)[i]);
+  }
   if (settings.bias) visit(network.bias());
   if (settings.two_layers) {
     for (int j = 0; j < settings.inputs; ++j) visit(network.output_weights()[j]);

@@ -42,8 +42,31 @@ struct QuadraticBasis {
     return (knots[i + offset + 1] + knots[i + offset + 2]) / T(2);
   }
 
-  LocalBasis<T> evaluate(T u) const { return locate<false>(u); }
-  LocalBasis<T> evaluate_with_slope(T u) const { return locate<true>(u); }
+  // Places of an array of weights with `offset` unused ones at each end; see evaluate_padded.
+  int padded() const { return count + 2 * offset; }
+
+  LocalBasis<T> evaluate(T u) const {
+    LocalBasis<T> local = locate<false>(u);
+    if (offset != 0) fold<false>(local);
+    return local;
+  }
+  LocalBasis<T> evaluate_with_slope(T u) const {
+    LocalBasis<T> local = locate<true>(u);
+    if (offset != 0) fold<true>(local);
+    return local;
+  }
+
+  // As evaluate, but `first` counts from the padding and dropped splines have value zero: no
+  // branch depends on the input.
+  LocalBasis<T> evaluate_padded(T u) const {
+    LocalBasis<T> local = locate<false>(u);
+    local.first += offset;
+    for (int k = 0; k < 3; ++k) {
+      const int i = local.first + k;
+      local.value[k] = (i >= offset) & (i < offset + count) ? local.value[k] : T(0);
+    }
+    return local;
+  }
 
  private:
   template <bool Slope>
@@ -91,7 +114,6 @@ struct QuadraticBasis {
       for (int k = 0; k < 3; ++k) local.slope[k] = T(0);
     }
     local.first = interval - offset;
-    if (offset != 0) fold<Slope>(local);
     return local;
   }
 

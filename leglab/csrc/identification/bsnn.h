@@ -19,9 +19,9 @@ struct BsnnSettings {
   bool bias = true;                      // b of Eq. 10
   bool saturation = true;                // factor (1 - |w|)
 
-  int neurons() const {
+  int padded() const {
     int sum = 0;
-    for (int j = 0; j < inputs; ++j) sum += basis[j].count;
+    for (int j = 0; j < inputs; ++j) sum += basis[j].padded();
     return sum;
   }
 };
@@ -39,7 +39,7 @@ class Bsnn {
 
   void layout(Workspace& workspace, const BsnnSettings<T>& settings) {
     settings_ = settings;
-    weights_ = workspace.take<T>(settings.neurons());
+    weights_ = workspace.take<T>(settings.padded());
     output_weights_ = workspace.take<T>(settings.inputs);
     branch_ = workspace.take<T>(settings.inputs);
     local_ = workspace.take<LocalBasis<T>>(settings.inputs);
@@ -50,7 +50,12 @@ class Bsnn {
   }
 
   const BsnnSettings<T>& settings() const { return settings_; }
-  T* weights() { return weights_; }
+  // Weights of one input, basis[input].count of them.
+  T* weights(int input) {
+    T* w = weights_;
+    for (int j = 0; j < input; ++j) w += settings_.basis[j].padded();
+    return w + settings_.basis[input].offset;
+  }
   T* output_weights() { return output_weights_; }
   T& bias() { return tally_->bias; }
   const Tally& tally() const { return *tally_; }
@@ -61,10 +66,10 @@ class Bsnn {
     T sum = settings_.bias ? tally_->bias : T(0);
     const T* w = weights_;
     for (int j = 0; j < settings_.inputs; ++j) {
-      local_[j] = settings_.basis[j].evaluate(u[j]);
+      local_[j] = settings_.basis[j].evaluate_padded(u[j]);
       branch_[j] = dot(w + local_[j].first, local_[j].value);
       sum += settings_.two_layers ? output_weights_[j] * branch_[j] : branch_[j];
-      w += settings_.basis[j].count;
+      w += settings_.basis[j].padded();
     }
     return sum;
   }
@@ -78,7 +83,7 @@ class Bsnn {
       const T share = settings_.two_layers ? output_weights_[j] : T(1);
       const T eta = settings_.learning_constant[j] * tally_->learning_scale;
       contraction += share * share * move(w + local_[j].first, local_[j].value, 3, eta, share * error);
-      w += settings_.basis[j].count;
+      w += settings_.basis[j].padded();
       tally_->clipped += local_[j].clipped;
     }
     if (settings_.two_layers) {

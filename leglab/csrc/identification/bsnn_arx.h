@@ -76,15 +76,12 @@ class BsnnArx {
   // on a copy of the workspace.
   T predict_next(const T* u) { return predict(network_.output(u)); }
   void remember(T y) {
-    for (int i = settings_.na - 1; i > 0; --i) phi_[i] = phi_[i - 1];
-    if (settings_.na > 0) phi_[0] = -y;
+    push(phi_, settings_.na - 1, -y);
   }
 
  private:
   T predict(T n) {
-    const int last = settings_.nk + settings_.nb - 1;
-    for (int i = last; i > 0; --i) delayed_[i] = delayed_[i - 1];
-    delayed_[0] = n;
+    push(delayed_, settings_.nk + settings_.nb - 1, n);
     for (int i = 0; i < settings_.nb; ++i) phi_[settings_.na + i] = delayed_[settings_.nk + i];
     return rls_.predict(phi_);
   }

@@ -75,11 +75,6 @@ struct History {
   }
 };
 
-template <class T>
-void push(T* past, int depth, T newest) {
-  for (int k = depth; k > 0; --k) past[k] = past[k - 1];
-  past[0] = newest;
-}
 
 template <class T>
 class Features {

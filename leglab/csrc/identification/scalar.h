@@ -24,4 +24,15 @@ constexpr bool is_finite(T x) {
   return x - x == T(0);
 }
 
+// Shifts the newest value into past[0 .. depth]. The carry keeps compilers from calling memmove,
+// which costs more than a few values are worth.
+template <class T>
+void push(T* past, int depth, T newest) {
+  for (int k = 0; k <= depth; ++k) {
+    const T old = past[k];
+    past[k] = newest;
+    newest = old;
+  }
+}
+
 }  // namespace leglab::identification

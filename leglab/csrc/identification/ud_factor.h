@@ -68,13 +68,12 @@ class UdFactor {
 
   // F <- (F - beta F phi phi^T F / (alpha + beta phi^T F phi)) * scale after project(phi).
   // beta may be negative (directional forgetting) as long as alpha + beta phi^T F phi stays
-  // positive. With bound > 0 every column's share of the trace is kept within it.
+  // positive. Where F can have grown, every column's share of the trace is kept within bound.
   void update(T alpha, T beta, T scale, T bound) {
-    switch (n_) {
-      case 6: return rotate<6>(alpha, beta, scale, bound);
-      case 7: return rotate<7>(alpha, beta, scale, bound);
-      default: return rotate<0>(alpha, beta, scale, bound);
-    }
+    if (n_ == 6 && first_ == 0) fixed_rotate<6>(alpha, beta, scale);
+    else if (n_ == 7 && first_ == 0) fixed_rotate<7>(alpha, beta, scale);
+    else rotate(alpha, beta, scale);
+    if (scale > T(1) || beta < T(0)) limit(bound);
   }
 
   // F <- F + amount I, as n rank-one updates (Agee and Turner 1972).
@@ -111,63 +110,114 @@ class UdFactor {
     return sum;
   }
 
-  T dispatch_project(const T* phi) {
-    switch (n_) {
-      case 6: return project_dense<6>(phi);
-      case 7: return project_dense<7>(phi);
-      default: return project_dense<0>(phi);
+  void limit(T bound) {
+    for (int j = 0; j < n_; ++j) {
+      const T power = column_power(j);
+      if (d_[j] * power > bound) d_[j] = larger(bound / power, floor);
     }
   }
 
-  // N is the number of parameters where the compiler may know it, else 0.
-  template <int N>
-  T project_dense(const T* phi) {
-    const int n = N > 0 ? N : n_;
+  T dispatch_project(const T* phi) {
     T power = T(0);
-    for (int j = 0; j < n; ++j) {
-      const T* column = u_ + j * (j - 1) / 2;
-      // Two sums: the additions of one wait for each other.
-      T even = phi[j], odd = T(0);
-      int i = 0;
-      for (; i + 1 < j; i += 2) {
-        even += column[i] * phi[i];
-        odd += column[i + 1] * phi[i + 1];
-      }
-      if (i < j) even += column[i] * phi[i];
-      f_[j] = even + odd;
-      v_[j] = d_[j] * f_[j];
-      power += f_[j] * v_[j];
+    switch (n_) {
+      case 6: fixed_project<6, 0>(phi, power); break;
+      case 7: fixed_project<7, 0>(phi, power); break;
+      default: project_columns(phi, power);
     }
     return power;
   }
 
-  template <int N>
-  void rotate(T alpha, T beta, T scale, T bound) {
-    const int n = N > 0 ? N : n_;
+  void project_columns(const T* phi, T& power) {
+    for (int j = 0; j < n_; ++j) {
+      const T* column = u_ + j * (j - 1) / 2;
+      // Four sums: the additions of one wait for each other.
+      T sum[4] = {phi[j], T(0), T(0), T(0)};
+      int i = 0;
+      for (; i + 3 < j; i += 4) {
+        for (int k = 0; k < 4; ++k) sum[k] += column[i + k] * phi[i + k];
+      }
+      for (; i < j; ++i) sum[0] += column[i] * phi[i];
+      f_[j] = (sum[0] + sum[1]) + (sum[2] + sum[3]);
+      v_[j] = d_[j] * f_[j];
+      power += f_[j] * v_[j];
+    }
+  }
+
+  // Running state of one update: alpha of the columns done so far, and its inverse.
+  struct Sweep {
+    T alpha, beta, scale, inverse;
+  };
+
+  // Factor by which column j of U takes up b; advances the sweep and D.
+  T turn(Sweep& sweep, int j) {
+    const T f = sweep.beta * f_[j];
+    const T ratio = -f * sweep.inverse;
+    T next = sweep.alpha + f * v_[j];
+    // Exactly, the last alpha is lambda (1 + phi^T F phi) > 0.25 where beta < 0.
+    if (sweep.beta < T(0)) next = larger(next, T(0.25));
+    sweep.inverse = T(1) / next;
+    d_[j] = larger(d_[j] * (sweep.scale * sweep.alpha * sweep.inverse), floor);
+    sweep.alpha = next;
+    return ratio;
+  }
+
+  void rotate(T alpha, T beta, T scale) {
+    Sweep sweep{alpha, beta, scale, T(1) / alpha};
     T* __restrict b = b_;
-    for (int i = 0; i < first_; ++i) b[i] = T(0);
-    const bool grows = bound > T(0) && (scale > T(1) || beta < T(0));
-    for (int j = first_; j < n; ++j) {
+    for (int i = 0; i < first_; ++i) {
+      b[i] = T(0);
+      d_[i] *= scale;
+    }
+    for (int j = first_; j < n_; ++j) {
       T* __restrict column = u_ + j * (j - 1) / 2;
-      const T v = v_[j];
-      T next = alpha + beta * f_[j] * v;
-      if (beta < T(0)) next = larger(next, T(0.25));  // exactly lambda (1 + r) > 0.25 at the end
-      const T ratio = -beta * f_[j] / alpha;
+      const T v = v_[j], ratio = turn(sweep, j);
       for (int i = 0; i < j; ++i) {
         const T old = column[i];
         column[i] = old + ratio * b[i];
         b[i] += v * old;
       }
       b[j] = v;
-      d_[j] = larger(d_[j] * (scale * alpha / next), floor);
-      alpha = next;
     }
-    if (!grows && scale == T(1)) return;
-    for (int j = 0; j < n; ++j) {
-      if (j < first_) d_[j] *= scale;
-      if (!grows) continue;
-      const T power = column_power(j);
-      if (d_[j] * power > bound) d_[j] = larger(bound / power, floor);
+  }
+
+  // The same for N parameters known to the compiler, unrolled by recursion over the columns.
+  template <int N, int J>
+  [[gnu::always_inline]] void fixed_project(const T* phi, T& power) {
+    if constexpr (J < N) {
+      const T* column = u_ + J * (J - 1) / 2;
+      T even = phi[J], odd = T(0);
+      for (int i = 0; i + 1 < J; i += 2) {
+        even += column[i] * phi[i];
+        odd += column[i + 1] * phi[i + 1];
+      }
+      if (J % 2 == 1) even += column[J - 1] * phi[J - 1];
+      f_[J] = even + odd;
+      v_[J] = d_[J] * f_[J];
+      power += f_[J] * v_[J];
+      fixed_project<N, J + 1>(phi, power);
+    }
+  }
+
+  template <int N>
+  void fixed_rotate(T alpha, T beta, T scale) {
+    Sweep sweep{alpha, beta, scale, T(1) / alpha};
+    T b[N];
+    fixed_columns<N, 0>(sweep, b);
+    for (int i = 0; i < N; ++i) b_[i] = b[i];
+  }
+
+  template <int N, int J>
+  [[gnu::always_inline]] void fixed_columns(Sweep& sweep, T* b) {
+    if constexpr (J < N) {
+      T* column = u_ + J * (J - 1) / 2;
+      const T v = v_[J], ratio = turn(sweep, J);
+      for (int i = 0; i < J; ++i) {
+        const T old = column[i];
+        column[i] = old + ratio * b[i];
+        b[i] += v * old;
+      }
+      b[J] = v;
+      fixed_columns<N, J + 1>(sweep, b);
     }
   }
 
