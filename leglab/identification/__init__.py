@@ -6,6 +6,7 @@ from leglab.identification.features import Constant, Hammerstein, Lags, Signal, 
 from leglab.identification.front import Identifier
 from leglab.identification.settings import ChangeDetection, Guard, Rls
 from leglab.identification.spline_narx import SplineNarx, SplineNarxSettings
+from leglab.identification.storage import load, restore, save
 
 __all__ = [
     "Basis",
@@ -23,4 +24,7 @@ __all__ = [
     "Spline",
     "SplineNarx",
     "SplineNarxSettings",
+    "load",
+    "restore",
+    "save",
 ]

@@ -83,15 +83,15 @@ class Basis:
         width: float,
         outside: Outside = "linear",
     ) -> "Basis":
-        """Builds a full basis with knots spaced evenly on the scale asinh((x - centre) / width).
+        """Builds a full basis with knots dense around a centre: evenly spaced on an asinh scale.
 
-        So knots are dense within about `width` of `centre` and sparse far from it: what friction
-        and valve overlap need around zero velocity or command.
+        They are equidistant in asinh of (x - centre) / width, so dense within about `width` of
+        `centre` and sparse far from it: what friction and valve overlap need around zero.
         """
         checks.interval("basis range", (lower, upper))
         checks.number("basis width", width, above=0.0)
-        ends = [math.asinh((end - centre) / width) for end in (lower, upper)]
-        grid = centre + width * np.sinh(np.linspace(*ends, _knots_for(splines, "full")))
+        first, last = (math.asinh((end - centre) / width) for end in (lower, upper))
+        grid = centre + width * np.sinh(np.linspace(first, last, _knots_for(splines, "full")))
         grid[0], grid[-1] = lower, upper
         return cls(knots=tuple(grid), outside=outside)
 

@@ -3,13 +3,15 @@
 from dataclasses import dataclass, field
 from typing import ClassVar, get_args
 
+import control
 import numpy as np
 from numpy.random import Generator
+from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from leglab._native import identification as native
 from leglab.errors import LeglabError
-from leglab.identification import checks
+from leglab.identification import checks, linear
 from leglab.identification.basis import Basis
 from leglab.identification.front import Array, Identifier
 from leglab.identification.settings import MAX_INPUTS, Guard, Rls, Scalar
@@ -154,3 +156,17 @@ class BsnnArx(Identifier):
             weights = weights * np.atleast_2d(self.parameters)[joint, -first]
         bias = float(np.atleast_1d(self.bias)[joint]) if len(network.basis) == 1 else 0.0
         return basis.spline(weights, bias)
+
+    def transfer_function(
+        self, joint: int = 0, *, timestep: float | bool = True
+    ) -> control.TransferFunction:
+        """ARX part (Eq. 1) from the network's output n to y; timestep in seconds."""
+        theta = np.atleast_2d(self.theta)[joint]
+        na, nk = self.settings.na, self.settings.nk
+        return linear.transfer_function(
+            -theta[:na], np.concatenate((np.zeros(nk), theta[na:])), timestep
+        )
+
+    def poles(self, joint: int = 0) -> NDArray[np.complex128]:
+        """Poles of the ARX part, complex, (na,)."""
+        return linear.poles(-np.atleast_2d(self.theta)[joint, : self.settings.na])

@@ -1,7 +1,6 @@
 """Feature blocks of the deployed identifier's regressor, and the signals they are made of."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from leglab.identification import checks
 from leglab.identification.basis import Basis
@@ -112,7 +111,8 @@ class Hammerstein:
 Feature = Lags | Constant | Spline | Hammerstein
 
 
-class Block(NamedTuple):
+@dataclass(frozen=True)
+class Block:
     """A feature as the core reads it: signals by number, knots scaled."""
 
     feature: str

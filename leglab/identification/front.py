@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from leglab.errors import LeglabError
+from leglab.identification import checks
 
 Array = NDArray[np.float64]
 
@@ -172,6 +173,15 @@ class Identifier:
     def diagnostics(self, joint: int = 0) -> dict[str, float]:
         """Counts of samples by what became of them, changes, forgetting and gain of one joint."""
         return dict(self._bank.diagnostics(joint))
+
+    def project_poles(self, radius: float = 0.999) -> bool:
+        """Moves the poles of the linear part inside the radius, all by one factor.
+
+        Returns:
+            Whether any joint's poles had to move.
+        """
+        checks.number("radius", radius, above=0.0, most=1.0)
+        return bool(self._bank.project_poles(radius))
 
     def copy(self) -> Self:
         """Returns an independent identifier in the same state."""

@@ -76,14 +76,12 @@ class Rls:
         checks.number("rls forgetting_factor", self.forgetting_factor, least=0.5, most=1.0)
         checks.number("rls memory", self.memory, least=1.0)
         checks.number("rls noise_variance", self.noise_variance, least=0.0)
-        if self.gain_bound is None:
-            object.__setattr__(self, "gain_bound", 10 * self.initial_gain)
-        assert self.gain_bound is not None
-        checks.number("rls gain_bound", self.gain_bound, least=self.initial_gain)
-        if self.change is not None and self.change.gain > self.gain_bound:
+        bound = 10 * self.initial_gain if self.gain_bound is None else self.gain_bound
+        object.__setattr__(self, "gain_bound", bound)
+        checks.number("rls gain_bound", bound, least=self.initial_gain)
+        if self.change is not None and self.change.gain > bound:
             raise LeglabError(
-                f"change gain is {self.change.gain!r}: must not exceed gain_bound "
-                f"{self.gain_bound!r}"
+                f"change gain is {self.change.gain!r}: must not exceed gain_bound {bound!r}"
             )
 
     @classmethod

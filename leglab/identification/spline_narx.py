@@ -1,13 +1,18 @@
 """The deployed identifier: a NARX model of lags and splines of any signal, linear in parameters."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import ClassVar, get_args
 
+import control
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+
 from leglab._native import identification as native
 from leglab.errors import LeglabError, unknown_name
-from leglab.identification import checks
+from leglab.identification import checks, linear
 from leglab.identification.basis import Basis
 from leglab.identification.features import (
     Block,
@@ -35,7 +40,8 @@ class SplineNarxSettings:
         output_error_after: Learned samples after which learning minimises the error of the
             model's own simulation (recursive prediction error method); 0 never.
         resynchronise_above: Simulation error, in units of the output, at which the simulation
-            restarts from the measurements; that sample teaches nothing.
+            restarts from the measurements; that sample teaches nothing. None takes a quarter of
+            the output's range.
         pole_limit: Largest allowed radius of the poles of the lags of the output; they are moved
             inside after each update. 0 allows any.
         scalar: Arithmetic of the core.
@@ -59,9 +65,10 @@ class SplineNarxSettings:
         if not self.features:
             raise LeglabError("features is empty: the model needs at least one")
         checks.whole("output_error_after", self.output_error_after, least=0)
-        if self.resynchronise_above is None:
-            object.__setattr__(self, "resynchronise_above", self.output.half_range / 2)
-        checks.number("resynchronise_above", self.resynchronise_above, above=0.0)
+        threshold = self.resynchronise_above
+        threshold = self.output.half_range / 2 if threshold is None else threshold
+        object.__setattr__(self, "resynchronise_above", threshold)
+        checks.number("resynchronise_above", threshold, above=0.0)
         checks.number("pole_limit", self.pole_limit, least=0.0, most=1.0)
         checks.choice("scalar", self.scalar, get_args(Scalar))
         self.guard.check_inputs(len(self.inputs))
@@ -158,3 +165,111 @@ class SplineNarx(Identifier):
         """Parameters of all features, in their order and in scaled units, (..., n)."""
         count = sum(block.count for block in self.settings.blocks)
         return self.parameters[..., :count]
+
+    def linearise(self, joint: int = 0, at: Mapping[str, float] | None = None) -> Array:
+        """Gain of every lag of every signal: d y(t) / d x(t - k), in physical units.
+
+        Args:
+            joint: Which joint.
+            at: Value of every signal at the operating point, by name. None takes the `Lags` and
+                `Hammerstein` features alone, the latter with slope one.
+
+        Returns:
+            (1 + inputs, lags + 1); row 0 is the output, its first entry zero.
+
+        Raises:
+            LeglabError: A signal is missing in `at`, or unknown.
+        """
+        signals = (self.settings.output, *self.settings.inputs)
+        point = np.zeros(len(signals))
+        if at is not None:
+            names = [signal.name for signal in signals]
+            for name in at:
+                if name not in names:
+                    raise unknown_name("signal", name, names)
+            for i, signal in enumerate(signals):
+                if signal.name not in at:
+                    raise LeglabError(f"operating point lacks signal {signal.name!r}")
+                point[i] = (at[signal.name] - signal.centre) / signal.half_range
+        parameters = np.atleast_2d(self.parameters)[joint]
+        gains = np.zeros((len(signals), self.lags + 1))
+        start, weight = 0, len(np.atleast_2d(self.theta)[joint])
+        for block in self.settings.blocks:
+            theta = parameters[start : start + block.count]
+            start += block.count
+            row, lags = gains[block.signal], slice(block.lag, block.lag + block.lags)
+            if block.feature == "lags":
+                row[lags] += theta
+            elif block.feature == "hammerstein" and block.basis is not None:
+                slope = 1.0
+                if at is not None:
+                    w = parameters[weight : weight + block.weights]
+                    slope = _value(block.basis, w, point[block.signal], 1)
+                weight += block.weights
+                row[lags] += theta * slope
+            elif block.feature == "spline" and block.basis is not None and at is not None:
+                factor = 1.0 if block.factor_signal < 0 else point[block.factor_signal]
+                row[block.lag] += _value(block.basis, theta, point[block.signal], 1) * factor
+                if block.factor_signal >= 0:
+                    value = _value(block.basis, theta, point[block.signal], 0)
+                    gains[block.factor_signal, block.factor_lag] += value
+        scale = np.array([signal.half_range for signal in signals])
+        return gains * (scale[0] / scale[:, None])
+
+    def transfer_function(
+        self,
+        joint: int = 0,
+        *,
+        signal: str | None = None,
+        at: Mapping[str, float] | None = None,
+        timestep: float | bool = True,
+    ) -> control.TransferFunction:
+        """Transfer function from one input (the first by default) to y; see `linearise`."""
+        names = [s.name for s in self.settings.inputs]
+        name = names[0] if signal is None else signal
+        if name not in names:
+            raise unknown_name("input", name, names)
+        gains = self.linearise(joint, at)
+        return linear.transfer_function(gains[0, 1:], gains[1 + names.index(name)], timestep)
+
+    def poles(
+        self, joint: int = 0, at: Mapping[str, float] | None = None
+    ) -> NDArray[np.complex128]:
+        """Poles of the output's lags, complex; see `linearise` for `at`."""
+        return linear.poles(np.trim_zeros(self.linearise(joint, at)[0, 1:], "b"))
+
+    def static_spline(self, feature: int = 0, joint: int = 0) -> BSpline:
+        """Static map of one feature as a SciPy spline in physical units.
+
+        Args:
+            feature: Position among the settings' features: a `Spline` gives its share of y, a
+                `Hammerstein` n in units of its input.
+            joint: Which joint.
+
+        Raises:
+            LeglabError: The feature has no spline.
+        """
+        chosen, block = self.settings.features[feature], self.settings.blocks[feature]
+        if not isinstance(chosen, Spline | Hammerstein):
+            raise LeglabError(f"feature {feature} is {type(chosen).__name__}: it has no spline")
+        parameters = np.atleast_2d(self.parameters)[joint]
+        before = self.settings.blocks[:feature]
+        if isinstance(chosen, Spline):
+            start = sum(b.count for b in before)
+            theta = parameters[start : start + block.count]
+            return chosen.basis.spline(theta * self.settings.output.half_range)
+        start = len(np.atleast_2d(self.theta)[joint]) + sum(b.weights for b in before)
+        signal = self.settings.inputs[block.signal - 1]
+        weights = parameters[start : start + block.weights]
+        return chosen.basis.spline(weights * signal.half_range, signal.centre)
+
+
+def _value(basis: Basis, weights: Array, at: float, derivative: int) -> float:
+    inside = min(max(at, basis.knots[0]), basis.knots[-1])
+    if inside != at and basis.outside == "clamp" and derivative:
+        return 0.0
+    spline = basis.spline(weights)
+    if basis.outside == "quadratic" or inside == at:
+        return float(spline(at, derivative))
+    tangent = basis.outside == "linear" and not derivative
+    return float(spline(inside, derivative)) + tangent * (at - inside) * float(spline(inside, 1))

@@ -23,6 +23,7 @@ void bind_bank(nb::module_& module, const char* name) {
       .def("set_parameters", &B::set_parameters)
       .def("gain", &B::gain)
       .def("gain_diagonal", &B::gain_diagonal)
+      .def("project_poles", &B::project_poles)
       .def("diagnostics", &B::diagnostics)
       .def_prop_ro("joints", &B::joints)
       .def_prop_ro("inputs", &B::inputs);
@@ -36,7 +37,11 @@ using SplineNarxBank = Bank<id::SplineNarx<T>, id::SplineNarxSettings<T>, T>;
 
 }  // namespace
 
+// Raise whenever the memory layout of any identifier changes: saved files carry it.
+constexpr int state_version = 1;
+
 NB_MODULE(identification, module) {
+  module.attr("STATE_VERSION") = state_version;
   bind_bank<BsnnArxBank<double>>(module, "BsnnArx64");
   bind_bank<BsnnArxBank<float>>(module, "BsnnArx32");
   bind_bank<SplineNarxBank<double>>(module, "SplineNarx64");

@@ -132,6 +132,12 @@ class Bank {
     return {factor.diagonal(), factor.diagonal() + factor.size()};
   }
 
+  bool project_poles(double radius) {
+    bool moved = false;
+    for (auto& model : models_) moved |= model.project_poles(T(radius));
+    return moved;
+  }
+
   nb::dict diagnostics(int joint) { return describe(models_[std::size_t(joint)]); }
 
   int joints() const { return joints_; }

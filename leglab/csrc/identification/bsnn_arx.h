@@ -4,6 +4,7 @@
 
 #include "identification/bsnn.h"
 #include "identification/guard.h"
+#include "identification/poles.h"
 #include "identification/rls.h"
 
 namespace leglab::identification {
@@ -42,6 +43,7 @@ class BsnnArx {
     state_ = workspace.take<State>(1);
     phi_ = workspace.take<T>(parameters_);
     delayed_ = workspace.take<T>(settings.nk + settings.nb);
+    poles_ = workspace.take<T>(3 * settings.na);
     if (workspace.measuring()) return;
     rls_.start(settings_.rls);
     state_->openness = T(1);
@@ -79,6 +81,18 @@ class BsnnArx {
     push(phi_, settings_.na - 1, -y);
   }
 
+  // Moves the poles of the ARX part inside the radius; true where they had to move.
+  bool project_poles(T radius) {
+    T* a = rls_.theta();
+    const T g = pole_contraction(a, settings_.na, radius, poles_);
+    T power = T(1);
+    for (int i = 0; i < settings_.na; ++i) {
+      power *= g;
+      a[i] *= power;
+    }
+    return g != T(1);
+  }
+
  private:
   T predict(T n) {
     push(delayed_, settings_.nk + settings_.nb - 1, n);
@@ -100,6 +114,7 @@ class BsnnArx {
   State* state_ = nullptr;
   T* phi_ = nullptr;
   T* delayed_ = nullptr;  // n(t), n(t-1), ...
+  T* poles_ = nullptr;    // scratch
 };
 
 }  // namespace leglab::identification
