@@ -11,6 +11,7 @@ from leglab.identification import (
     ChangeDetection,
     Constant,
     Hammerstein,
+    Identifier,
     Lags,
     Rls,
     Signal,
@@ -193,7 +194,7 @@ def _recovery(u: Array, y: Array, rls: Rls) -> Recovery:
     )
 
 
-def learn(model: SplineNarx, u: Array, y: Array) -> Array:
+def learn(model: Identifier, u: Array, y: Array) -> Array:
     """One online pass that learns once the regressor holds measured samples only.
 
     An equation on an empty history has an error hundreds of times the later ones, and least

@@ -41,12 +41,13 @@ class Settings:
         return replace(base, network=network, rls=Rls(initial_gain=self.initial_gain))
 
 
-BETTER_FIT = (5234, Settings(initial_gain=3.3, learning_constant=0.25))
-"""Noise seed and settings nearer to Table 1 for the online models than paper mode.
+BETTER_FIT = (13382, Settings(initial_gain=3.3, learning_constant=0.215))
+"""Noise seed and settings nearer to Table 1 than paper mode.
 
 Found by a random search over 21 000 noise seeds, half of them with other plants, kept where y
-has the spread that Table 1 implies (5 %), twelve draws each of F(0) in [1.5, 12] and of the
-learning constant in [0.04, 0.3]; the criterion was the RMS of the log ratios to the table.
+has the spread that Table 1 implies (5 %), with twelve draws each of F(0) in [1.5, 12] and of the
+learning constant in [0.04, 0.3]; the criterion was the RMS of the log ratios of the online
+models' means to the table. Of the thirty best, the one whose networks fit best too.
 """
 
 

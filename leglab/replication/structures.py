@@ -1,0 +1,23 @@
+"""Structures of the deployed identifier that `selection` chose for the measured benchmarks."""
+
+from typing import Any
+
+SILVERBOX: dict[str, Any] = {
+    "na": 4,
+    "nb": 5,
+    "nk": 0,
+    "splines": 8,
+    "output_lags": (1,),
+    "reach": 0.85,
+    "outside": "quadratic",
+    "output_error_after": 2000,
+}
+
+ACTUATOR: dict[str, Any] = {
+    "na": 6,
+    "nb": 6,
+    "nk": 1,
+    "splines": 12,
+    "input_lags": (1, 2, 3),
+    "initial_gain": 30.0,
+}
