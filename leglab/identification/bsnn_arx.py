@@ -72,6 +72,7 @@ class BsnnArxSettings:
         network: The static part.
         rls: Recursive least squares of the linear part.
         guard: Which samples are refused.
+        output_limit: Largest plausible |y| in units of y; 0 allows any.
         opening: Learning constants are multiplied by 1 + opening * g, where g starts at 1, fades,
             and returns to 1 on a detected change. 0 keeps them constant as the paper does.
         fading: Time constant of g [samples].
@@ -84,6 +85,7 @@ class BsnnArxSettings:
     network: Bsnn
     rls: Rls = field(default_factory=Rls)
     guard: Guard = field(default_factory=Guard)
+    output_limit: float = 0.0
     opening: float = 0.0
     fading: float = 300.0
     scalar: Scalar = "float64"
@@ -92,6 +94,7 @@ class BsnnArxSettings:
         checks.whole("na", self.na, least=0, most=1000)
         checks.whole("nb", self.nb, least=1, most=1000)
         checks.whole("nk", self.nk, least=0, most=1000)
+        checks.number("output_limit", self.output_limit, least=0.0)
         checks.number("opening", self.opening, least=0.0)
         checks.number("fading", self.fading, least=1.0)
         checks.choice("scalar", self.scalar, get_args(Scalar))

@@ -103,19 +103,16 @@ class Guard:
     regressor holds only good ones.
 
     Attributes:
-        output_limit: Largest plausible |y| in units of y; 0 allows any.
         stuck_samples: Output bit-identical for so many samples while an input moves counts as a
             stuck sensor; 0 never.
         input_limits: (lower, upper) for each input in its units: a command at or beyond them is
             saturated. Empty for none.
     """
 
-    output_limit: float = 0.0
     stuck_samples: int = 0
     input_limits: tuple[tuple[float, float], ...] = field(default=())
 
     def __post_init__(self) -> None:
-        checks.number("guard output_limit", self.output_limit, least=0.0)
         checks.whole("guard stuck_samples", self.stuck_samples, least=0)
         limits = tuple((float(low), float(high)) for low, high in self.input_limits)
         object.__setattr__(self, "input_limits", limits)

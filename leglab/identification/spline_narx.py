@@ -37,6 +37,8 @@ class SplineNarxSettings:
         features: Blocks of the regressor; theta has their parameters in this order.
         rls: Recursive least squares; errors and gains are in scaled units.
         guard: Which samples are refused.
+        plausible_range: A signal farther from the middle of its declared range than this many
+            half ranges is refused as implausible; 0 allows any.
         output_error_after: Learned samples after which learning minimises the error of the
             model's own simulation (recursive prediction error method); 0 never.
         resynchronise_above: Simulation error, in units of the output, at which the simulation
@@ -52,6 +54,7 @@ class SplineNarxSettings:
     features: tuple[Feature, ...]
     rls: Rls = field(default_factory=Rls.adaptive)
     guard: Guard = field(default_factory=Guard)
+    plausible_range: float = 5.0
     output_error_after: int = 0
     resynchronise_above: float | None = None
     pole_limit: float = 0.0
@@ -64,6 +67,7 @@ class SplineNarxSettings:
             raise LeglabError(f"signal names are {', '.join(names)}: must differ")
         if not self.features:
             raise LeglabError("features is empty: the model needs at least one")
+        checks.number("plausible_range", self.plausible_range, least=0.0)
         checks.whole("output_error_after", self.output_error_after, least=0)
         threshold = self.resynchronise_above
         threshold = self.output.half_range / 2 if threshold is None else threshold

@@ -5,64 +5,67 @@ gain is a full matrix, and everything is computed in extended precision, so that
 differs is the rounding of the core. Equation numbers are those of Folgheraiter's paper.
 """
 
-from collections.abc import Sequence
+from bisect import bisect_right
 
 import numpy as np
 
 REAL = np.longdouble
 
 
-def splines(
-    u: float,
-    knots: Sequence[float],
-    kind: str = "full",
-    outside: str = "clamp",
-    middle: str = "corrected",
-    slope: bool = False,
-) -> np.ndarray:
-    """All splines (or their slopes) at u by Eq. 9, generalised to unequal knots, (count,)."""
-    k = np.asarray(knots, dtype=REAL)
-    x = REAL(u)
-    first, last = k[1] - k[0], k[-1] - k[-2]
-    t = np.concatenate(([k[0] - 2 * first, k[0] - first], k, [k[-1] + last, k[-1] + 2 * last]))
-    inside = min(max(x, k[0]), k[-1])
-    # The interval of the clamped input decides which polynomial piece holds.
-    interval = min(int(np.searchsorted(k, inside, side="right")) - 1, len(k) - 2) + 2
-    at = x if outside == "quadratic" else inside
+class Splines:
+    """Quadratic B-splines by Eq. 9, generalised to unequal knots."""
 
-    def piece(i: int, at: REAL, derivative: bool) -> REAL:
-        a, b, c, d = t[i : i + 4]
+    def __init__(self, knots, kind="full", outside="clamp", middle="corrected"):
+        k = np.asarray(knots, dtype=REAL)
+        a, b = k[1] - k[0], k[-1] - k[-2]
+        ends = [k[0] - 2 * a, k[0] - a], [k[-1] + b, k[-1] + 2 * b]
+        self.t = [*ends[0], *k, *ends[1]]
+        self.k, self.kind, self.outside, self.middle = list(k), kind, outside, middle
+        self.count = len(k) + 1 if kind == "full" else len(k) - 3
+
+    def values(self, u):
+        """All splines at u, (count,)."""
+        u = REAL(u)
+        inside = min(max(u, self.k[0]), self.k[-1])
+        value = self._all(u if self.outside == "quadratic" else inside, inside, False)
+        if self.outside == "linear" and u != inside:
+            value += (u - inside) * self._all(inside, inside, True)
+        return self._kept(value)
+
+    def slopes(self, u):
+        """Derivatives of all splines at u, (count,)."""
+        u = REAL(u)
+        inside = min(max(u, self.k[0]), self.k[-1])
+        if self.outside == "clamp" and u != inside:
+            return np.zeros(self.count, dtype=REAL)
+        return self._kept(self._all(u if self.outside == "quadratic" else inside, inside, True))
+
+    def _kept(self, value):
+        return value[2:-2] if self.kind == "paper" else value
+
+    def _all(self, at, inside, derivative):
+        # The interval of the clamped input says which polynomial piece holds; the last interval
+        # includes its right end.
+        interval = min(bisect_right(self.k, inside) - 1, len(self.k) - 2) + 2
+        value = np.zeros(len(self.k) + 1, dtype=REAL)
+        for i in range(interval - 2, interval + 1):  # all others are "0 otherwise"
+            value[i] = self._piece(i, interval, at, derivative)
+        return value
+
+    def _piece(self, i, interval, u, derivative):
+        a, b, c, d = self.t[i : i + 4]
         if interval == i:
-            return (
-                2 * (at - a) / ((c - a) * (b - a))
-                if derivative
-                else (at - a) ** 2 / ((c - a) * (b - a))
-            )
-        if interval == i + 1:
-            p, q = 1 / ((c - a) * (c - b)), 1 / ((d - b) * (c - b))
-            if middle == "printed":  # (u - k_i + dk) where (u - k_i - dk) belongs
-                dk = b - a
-                if derivative:
-                    return p * (c + a - 2 * at) + q * (d + a - dk - 2 * at)
-                return p * (at - a) * (c - at) + q * (d - at) * (at - a + dk)
-            if derivative:
-                return p * (c + a - 2 * at) + q * (d + b - 2 * at)
-            return p * (at - a) * (c - at) + q * (d - at) * (at - b)
+            scale = (c - a) * (b - a)
+            return 2 * (u - a) / scale if derivative else (u - a) ** 2 / scale
         if interval == i + 2:
-            return (
-                -2 * (d - at) / ((d - b) * (d - c))
-                if derivative
-                else (d - at) ** 2 / ((d - b) * (d - c))
-            )
-        return REAL(0)
-
-    count = len(k) + 1
-    value = np.array([piece(i, at, slope) for i in range(count)], dtype=REAL)
-    if outside == "linear" and x != inside and not slope:
-        value += (x - inside) * np.array([piece(i, inside, True) for i in range(count)])
-    if outside == "clamp" and x != inside and slope:
-        value[:] = 0
-    return value[2:-2] if kind == "paper" else value
+            scale = (d - b) * (d - c)
+            return -2 * (d - u) / scale if derivative else (d - u) ** 2 / scale
+        # (u - k_i + dk) as printed, (u - k_i - dk) as corrected.
+        start = a - (b - a) if self.middle == "printed" else b
+        p, q = (c - a) * (c - b), (d - b) * (c - b)
+        if derivative:
+            return (a + c - 2 * u) / p + (d + start - 2 * u) / q
+        return (u - a) * (c - u) / p + (d - u) * (u - start) / q
 
 
 class ChangeDetector:
@@ -171,16 +174,14 @@ class Bsnn:
     def __init__(self, bases, eta, eta2=0.0, two_layers=False, bias=True, saturation=True):
         self.bases, self.eta, self.eta2 = bases, [REAL(e) for e in eta], REAL(eta2)
         self.two_layers, self.has_bias, self.saturation = two_layers, bias, saturation
-        self.w1 = [np.zeros(len(splines(b["knots"][0], **b)), dtype=REAL) for b in bases]
+        self.w1 = [np.zeros(basis.count, dtype=REAL) for basis in bases]
         self.w2 = np.ones(len(bases), dtype=REAL)
         self.b = REAL(0)
         self.violations = 0
         self.largest = REAL(0)
 
     def output(self, u):
-        self.n = [
-            splines(x, **basis) for x, basis in zip(np.atleast_1d(u), self.bases, strict=True)
-        ]
+        self.n = [b.values(x) for x, b in zip(np.atleast_1d(u), self.bases, strict=True)]
         self.branch = np.array([w @ n for w, n in zip(self.w1, self.n, strict=True)], dtype=REAL)
         return self.w2 @ self.branch + (self.b if self.has_bias else 0)
 

@@ -79,7 +79,6 @@ id::RlsSettings<T> read_rls(nb::handle settings) {
 template <class T>
 id::GuardSettings<T> read_guard(nb::handle settings) {
   id::GuardSettings<T> out;
-  out.output_limit = T(get<double>(settings, "output_limit"));
   out.stuck_samples = get<int>(settings, "stuck_samples");
   const auto limits = get<std::vector<std::vector<double>>>(settings, "input_limits");
   out.saturates = !limits.empty();
@@ -117,6 +116,7 @@ id::BsnnArxSettings<T> read_settings(nb::handle settings, Store<T>& store,
   out.network = read_network<T>(settings.attr("network"), store);
   out.rls = read_rls<T>(settings.attr("rls"));
   out.guard = read_guard<T>(settings.attr("guard"));
+  out.guard.output_limit = T(get<double>(settings, "output_limit"));
   out.opening = T(get<double>(settings, "opening"));
   out.fading = T(get<double>(settings, "fading"));
   return out;
@@ -157,6 +157,13 @@ id::SplineNarxSettings<T> read_settings(nb::handle settings, Store<T>& store,
   out.rls = read_rls<T>(settings.attr("rls"));
   out.guard = read_guard<T>(settings.attr("guard"));
   out.output_error_after = get<int>(settings, "output_error_after");
+  const T plausible = T(get<double>(settings, "plausible_range"));
+  out.guard.output_centre = out.output.centre;
+  out.guard.output_limit = plausible * out.output.half_range;
+  for (int j = 0; j < out.structure.inputs; ++j) {
+    out.guard.input_centre[j] = out.input[j].centre;
+    out.guard.input_limit[j] = plausible * out.input[j].half_range;
+  }
   out.resynchronise_above =
       T(get<double>(settings, "resynchronise_above")) / out.output.half_range;
   out.pole_limit = T(get<double>(settings, "pole_limit"));

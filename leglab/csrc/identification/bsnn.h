@@ -109,8 +109,9 @@ class Bsnn {
   // Eq. 12 (14, 15) for `count` weights; returns their share of Eq. 21's sum, with the weights
   // from before the step. The factor (1 - |w|) keeps |w| < 1 only while |eta N e| < 1;
   // that product is limited just below one, or a single wild error would throw w out for good.
+  // Rounding must not carry w to one either: there the factor is zero and w would be dead.
   T move(T* w, const T* value, int count, T eta, T error) const {
-    constexpr T limit = T(1) - T(1) / T(1024);
+    constexpr T limit = T(1) - T(1) / T(1024), most = T(1) - T(1) / T(1 << 20);
     T sum = T(0);
     for (int i = 0; i < count; ++i) {
       const T pull = eta * value[i];
@@ -122,7 +123,8 @@ class Bsnn {
       } else {
         sum += pull * value[i];
       }
-      const T moved = w[i] + step;
+      T moved = w[i] + step;
+      if (settings_.saturation) moved = smaller(larger(moved, -most), most);
       if (is_finite(moved)) w[i] = moved;
     }
     return sum;

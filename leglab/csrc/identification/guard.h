@@ -15,7 +15,7 @@ enum class Sample : int {
   recovering,   // good, but the regressor still holds a bad one
   dropped,      // the caller said that it is missing
   not_finite,   // NaN or infinite
-  implausible,  // output beyond output_limit
+  implausible,  // beyond what the signal can be
   saturated,    // input at or beyond its limits
   stuck,        // output unchanged for stuck_samples although an input moved
   count,
@@ -25,7 +25,10 @@ template <class T>
 struct GuardSettings {
   static constexpr int max_inputs = 8;
   int inputs = 1;
-  T output_limit = T(0);  // largest plausible |y|; 0: any
+  T output_centre = T(0);
+  T output_limit = T(0);  // largest plausible distance of y from its centre; 0: any
+  T input_centre[max_inputs] = {};
+  T input_limit[max_inputs] = {};
   int stuck_samples = 0;  // 0: never
   int memory = 0;         // samples a bad value stays in the regressor
   bool saturates = false;  // whether the limits below apply
@@ -57,8 +60,11 @@ class Guard {
     State& s = *state_;
     Sample verdict = present ? Sample::learned : Sample::dropped;
     for (int j = 0; j < settings_.inputs; ++j) {
-      if (!present || !is_finite(u[j])) {
-        if (present) verdict = Sample::not_finite;
+      const bool finite = is_finite(u[j]);
+      const bool plausible = settings_.input_limit[j] == T(0) ||
+                             magnitude(u[j] - settings_.input_centre[j]) <= settings_.input_limit[j];
+      if (!present || !finite || !plausible) {
+        if (present) verdict = finite ? Sample::implausible : Sample::not_finite;
         u[j] = s.input[j];
         continue;
       }
@@ -70,12 +76,10 @@ class Guard {
       }
     }
     if (present && !is_finite(y)) verdict = Sample::not_finite;
-    if (settings_.output_limit > T(0) && magnitude(y) > settings_.output_limit &&
-        verdict == Sample::learned) {
-      verdict = Sample::implausible;
-    }
-    if (verdict == Sample::dropped || verdict == Sample::not_finite ||
-        verdict == Sample::implausible) {
+    const bool plausible = settings_.output_limit == T(0) ||
+                           magnitude(y - settings_.output_centre) <= settings_.output_limit;
+    if (!plausible && verdict == Sample::learned) verdict = Sample::implausible;
+    if (!present || !is_finite(y) || !plausible) {
       y = s.output;
     } else {
       if (settings_.stuck_samples > 0) watch(y, verdict);

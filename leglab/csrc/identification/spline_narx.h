@@ -34,6 +34,8 @@ struct SplineNarxSettings {
 template <class T>
 class SplineNarx {
  public:
+  static constexpr T weight_limit = T(10);
+
   struct State {
     std::int64_t learned;
     std::int64_t clipped;    // spline evaluations outside their knots while learning
@@ -154,7 +156,9 @@ class SplineNarx {
   }
 
   // Gradient step through the sensitivity of the output; the step is bounded as in normalised
-  // least mean squares, and is the plain gradient where the sensitivity is small.
+  // least mean squares, and is the plain gradient where the sensitivity is small. Scaled weights
+  // are about one (the identity), and theta takes up any gain: weights beyond the limit
+  // are not needed, and would only let wild data drive the product of both to infinity.
   void move_weights(const T* slope, T error) {
     const Structure<T>& structure = settings_.structure;
     T* w = weights_;
@@ -165,7 +169,7 @@ class SplineNarx {
       const T step = structure.blocks[b].learning_constant * error / power;
       for (int i = 0; i < count; ++i) {
         const T moved = w[i] + step * slope[i];
-        if (is_finite(moved)) w[i] = moved;
+        if (is_finite(moved)) w[i] = smaller(larger(moved, -weight_limit), weight_limit);
       }
       w += count;
       slope += count;

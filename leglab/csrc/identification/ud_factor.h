@@ -70,10 +70,12 @@ class UdFactor {
   // beta may be negative (directional forgetting) as long as alpha + beta phi^T F phi stays
   // positive. Where F can have grown, every column's share of the trace is kept within bound.
   void update(T alpha, T beta, T scale, T bound) {
-    if (n_ == 6 && first_ == 0) fixed_rotate<6>(alpha, beta, scale);
-    else if (n_ == 7 && first_ == 0) fixed_rotate<7>(alpha, beta, scale);
-    else rotate(alpha, beta, scale);
-    if (scale > T(1) || beta < T(0)) limit(bound);
+    Sweep sweep{alpha, beta, scale, T(1) / alpha, false};
+    if (n_ == 6 && first_ == 0) fixed_rotate<6>(sweep);
+    else if (n_ == 7 && first_ == 0) fixed_rotate<7>(sweep);
+    else rotate(sweep);
+    // Exactly, F can only have grown in the first two cases; rounding adds the others.
+    if (scale > T(1) || beta < T(0) || sweep.floored || sweep.alpha > T(1e8)) limit(bound);
   }
 
   // F <- F + amount I, as n rank-one updates (Agee and Turner 1972).
@@ -110,10 +112,17 @@ class UdFactor {
     return sum;
   }
 
+  // Scales D where a column's share of the trace is beyond the bound. A column that would need
+  // less than the floor, or is no longer finite, forgets its correlations instead.
   void limit(T bound) {
     for (int j = 0; j < n_; ++j) {
       const T power = column_power(j);
-      if (d_[j] * power > bound) d_[j] = larger(bound / power, floor);
+      if (d_[j] * power <= bound) continue;
+      d_[j] = bound / power;
+      if (d_[j] >= floor) continue;
+      d_[j] = floor;
+      T* column = u_ + j * (j - 1) / 2;
+      for (int i = 0; i < j; ++i) column[i] = T(0);
     }
   }
 
@@ -146,6 +155,7 @@ class UdFactor {
   // Running state of one update: alpha of the columns done so far, and its inverse.
   struct Sweep {
     T alpha, beta, scale, inverse;
+    bool floored;  // an entry of D was held at the floor
   };
 
   // Factor by which column j of U takes up b; advances the sweep and D.
@@ -156,17 +166,18 @@ class UdFactor {
     // Exactly, the last alpha is lambda (1 + phi^T F phi) > 0.25 where beta < 0.
     if (sweep.beta < T(0)) next = larger(next, T(0.25));
     sweep.inverse = T(1) / next;
-    d_[j] = larger(d_[j] * (sweep.scale * sweep.alpha * sweep.inverse), floor);
+    const T d = d_[j] * (sweep.scale * sweep.alpha * sweep.inverse);
+    sweep.floored |= d < floor;
+    d_[j] = larger(d, floor);
     sweep.alpha = next;
     return ratio;
   }
 
-  void rotate(T alpha, T beta, T scale) {
-    Sweep sweep{alpha, beta, scale, T(1) / alpha};
+  void rotate(Sweep& sweep) {
     T* __restrict b = b_;
     for (int i = 0; i < first_; ++i) {
       b[i] = T(0);
-      d_[i] *= scale;
+      d_[i] *= sweep.scale;
     }
     for (int j = first_; j < n_; ++j) {
       T* __restrict column = u_ + j * (j - 1) / 2;
@@ -199,8 +210,7 @@ class UdFactor {
   }
 
   template <int N>
-  void fixed_rotate(T alpha, T beta, T scale) {
-    Sweep sweep{alpha, beta, scale, T(1) / alpha};
+  void fixed_rotate(Sweep& sweep) {
     T b[N];
     fixed_columns<N, 0>(sweep, b);
     for (int i = 0; i < N; ++i) b_[i] = b[i];
