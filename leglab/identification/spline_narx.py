@@ -42,8 +42,8 @@ class SplineNarxSettings:
         output_error_after: Learned samples after which learning minimises the error of the
             model's own simulation (recursive prediction error method); 0 never.
         resynchronise_above: Simulation error, in units of the output, at which the simulation
-            restarts from the measurements; that sample teaches nothing. None takes a quarter of
-            the output's range.
+            restarts from the measurements; that sample teaches through its one-step error. None
+            takes a quarter of the output's range.
         pole_limit: Largest allowed radius of the poles of the lags of the output; they are moved
             inside after each update. 0 allows any.
         scalar: Arithmetic of the core.

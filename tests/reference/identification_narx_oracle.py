@@ -51,7 +51,7 @@ class SplineNarx:
         own = target
         if self.running:
             own = self._refine(target)
-        else:
+        if not self.running:
             error = target - prediction
             slopes = self._weight_slopes()
             self.rls.update(phi, error)

@@ -91,9 +91,9 @@ class SplineNarx {
       state_->clipped += features_.clipped();
     }
     T own = measured;  // what the simulation takes for y(t)
-    if (refines() && simulation_.state().running) {
-      own = refine(measured, verdict);
-    } else if (learns) {
+    if (refines() && simulation_.state().running) own = refine(measured, verdict);
+    // Also where the simulation has just been lost: a model that is far off must still learn.
+    if (learns && !(refines() && simulation_.state().running)) {
       learn(features_.phi(), features_.support(), measured - prediction);
     }
     if (learns && settings_.pole_limit > T(0)) project_poles(settings_.pole_limit);
@@ -131,7 +131,8 @@ class SplineNarx {
     return features_.predict(rls_.theta());
   }
 
-  // Gauss-Newton step on the simulation error; returns the simulated output.
+  // Gauss-Newton step on the simulation error; returns the simulated output, or ends the simulation
+  // and returns the measured one.
   T refine(T measured, Sample verdict) {
     const T simulated = simulation_.simulate(past_, rls_.theta(), weights_);
     const T error = measured - simulated;
