@@ -7,8 +7,10 @@ python benchmarks/real_data.py --select   # how the structures were chosen (minu
 import argparse
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from leglab.identification import (
     Basis,
@@ -100,6 +102,30 @@ def network_rows(data: Dataset) -> list[tuple]:
     return rows
 
 
+def figures(data: Dataset, deployed: dict, folder: Path) -> None:
+    """Free run of the deployed identifier on each test: output, and residual below it."""
+    model = real_data.train(SplineNarx(real_data.spline_narx(data, **deployed)), data)
+    unit, factor = data.unit
+    for test, part in data.tests.items():
+        if "no extrapolation" in test:  # the head of the arrow
+            continue
+        y = data.y[part]
+        run = model.free_run(data.u[part], y[: data.given])
+        figure = Figure(figsize=(7.0, 4.6), layout="constrained")
+        top, bottom = figure.subplots(2, 1, sharex=True)
+        top.plot(y * factor, "k", linewidth=0.8, label="measured")
+        if len(y) < 2000:  # they could not be told apart on longer ones
+            top.plot(run * factor, "r--", linewidth=1.0, label="free run")
+            top.legend(loc="lower center", ncols=2)
+        shown = f" [{unit}]" if unit else ""
+        top.set(title=f"{data.name}, {test}: one online pass, then free run")
+        top.set_ylabel(f"measured output{shown}")
+        bottom.plot((y - run) * factor, "r", linewidth=0.6)
+        bottom.set(ylabel=f"residual{shown}", xlabel="sample")
+        stem = f"{data.name} {test}".lower().replace(" ", "_")
+        figure.savefig(folder / f"{stem}.png", dpi=110)
+
+
 def show_selection(data: Dataset, grid: list, splits: tuple) -> None:
     ranked = selection.select(data, grid, splits)
     print(f"{data.name}: {len(grid)} candidates, mean error on held-out training data; best ten:")
@@ -114,6 +140,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--select", action="store_true", help="choose the structures again")
     parser.add_argument("--no-networks", action="store_true", help="leave out NNARX and NNOE")
+    parser.add_argument("--figures", type=Path, help="folder for figures of the free runs")
     options = parser.parse_args()
     cases = (
         (real_data.silverbox(), SILVERBOX, selection.silverbox_grid, selection.SILVERBOX_SPLITS),
@@ -122,6 +149,10 @@ def main() -> None:
     for data, deployed, grid, splits in cases:
         if options.select:
             show_selection(data, grid(), splits)
+            continue
+        if options.figures:
+            options.figures.mkdir(parents=True, exist_ok=True)
+            figures(data, deployed, options.figures)
             continue
         print(f"## {data.name}\n")
         print(table(data, deployed, networks=not options.no_networks))

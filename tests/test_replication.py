@@ -150,6 +150,7 @@ def test_deployed_forgetting_recovers_within_2_s():
     results = deployed.readaptation(range(20), chosen)
     for change, recovery in results[deployed.DEPLOYED_MODE].items():
         assert np.max(recovery.samples) <= 400, change
+        assert recovery.pooled <= 400, change
         assert recovery.before <= 1.1 * results["plain"][change].before
 
 

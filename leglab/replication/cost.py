@@ -14,6 +14,7 @@ Array = NDArray[np.float64]
 
 ORDERS = (1, 2, 3, 5, 8, 12, 20, 32)
 """na = nb of the ARX part; its parameters are twice that."""
+ROUNDS = 9
 SPLINES = (4, 8, 16, 32, 64, 128)
 
 
@@ -36,7 +37,7 @@ def measure(samples: int = 20_000) -> list[tuple[int, int, int, float]]:
     """Times batch updates of models of growing size.
 
     Args:
-        samples: Samples of a timed call; the best of five calls counts.
+        samples: Samples of a timed call; the best of `ROUNDS` calls counts.
 
     Returns:
         Rows (ARX parameters, neurons, multiplications as counted, nanoseconds a sample).
@@ -45,12 +46,16 @@ def measure(samples: int = 20_000) -> list[tuple[int, int, int, float]]:
     u = rng.uniform(0.0, 0.8, samples)
     y = 0.5 * np.concatenate([[0.0], u[:-1]]) + 0.01 * rng.standard_normal(samples)
     sizes = [(order, 8) for order in ORDERS] + [(3, n) for n in SPLINES if n != 8]
-    rows = []
+    models = []
     for order, neurons in sizes:
         base = Settings().bsnn_arx()
         basis = Basis.uniform(0.0, 0.8, neurons, kind="paper")
         settings = replace(base, na=order, nb=order, network=replace(base.network, basis=(basis,)))
-        best = min(_time(BsnnArx(settings), u, y) for _ in range(5))
+        models.append(settings)
+    # Sizes take turns, so that a slow spell of the machine does not fall on one of them.
+    rounds = [[_time(BsnnArx(settings), u, y) for settings in models] for _ in range(ROUNDS)]
+    rows = []
+    for (order, neurons), best in zip(sizes, np.min(rounds, axis=0).tolist(), strict=True):
         count = multiplications(2 * order, neurons)
         rows.append((2 * order, neurons, count, best / samples * 1e9))
     return rows

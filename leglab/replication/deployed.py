@@ -147,6 +147,7 @@ class Recovery:
     Attributes:
         samples: Until the one-step RMS over the next `WINDOW` samples is back to 1.1 times its
             value before the change, for each seed; `AFTER` where it never is. Shape (S,).
+        pooled: The same for the root mean square over all seeds, which fluctuates less.
         before: One-step RMS over the last 2000 samples before the change, mean over the seeds.
         after: The same over the last 2000 samples.
         error: One-step RMS over `WINDOW` samples against the sample it starts at, from 1000
@@ -154,6 +155,7 @@ class Recovery:
     """
 
     samples: Array
+    pooled: int
     before: float
     after: float
     error: Array
@@ -185,13 +187,20 @@ def _recovery(u: Array, y: Array, rls: Rls) -> Recovery:
     total = np.cumsum(np.pad(squared, ((0, 0), (1, 0))), axis=1)
     windowed = (total[:, WINDOW:] - total[:, :-WINDOW]) / WINDOW
     back = np.sqrt(np.abs(windowed[:, CHANGE_AT:])) <= 1.1 * before[:, None]
-    samples = np.where(back.any(axis=1), back.argmax(axis=1), AFTER).astype(float)
+    together = np.mean(windowed, axis=0)
+    level = 1.21 * np.mean(before**2)
     return Recovery(
-        samples=samples,
+        samples=np.array([_first(seed) for seed in back]),
+        pooled=_first(together[CHANGE_AT:] <= level),
         before=float(np.mean(before)),
         after=float(np.mean(np.sqrt(np.mean(squared[:, -2000:], axis=1)))),
-        error=np.sqrt(np.mean(np.abs(windowed[:, CHANGE_AT - 1000 :]), axis=0)),
+        error=np.sqrt(np.abs(together[CHANGE_AT - 1000 :])),
     )
+
+
+def _first(met: NDArray[np.bool_]) -> int:
+    """First sample at which a condition is met, `AFTER` if never."""
+    return int(np.argmax(met)) if met.any() else AFTER
 
 
 def learn(model: Identifier, u: Array, y: Array) -> Array:

@@ -145,5 +145,16 @@ def traces(
         axis.plot(x[1], values, label=label, linewidth=1.0)
     axis.set(xlabel=x[0], ylabel=y_label, title=title, yscale="log" if log_y else "linear")
     axis.grid(alpha=0.3)
-    axis.legend(ncols=2, fontsize="small")
+    figure.legend(loc="outside lower center", ncols=3, fontsize="small")
+    return _save(figure, path)
+
+
+def cost(path: Path, title: str, x: tuple[str, Sequence[float]], measured: Sequence[float]) -> Path:
+    """Time of an update against a size, both from zero."""
+    figure, (axis,) = _figure(height=2.8)
+    axis.plot(x[1], measured, "o-", markersize=4)
+    axis.set(xlabel=x[0], ylabel="ns a sample", title=title)
+    axis.set_xlim(left=0)
+    axis.set_ylim(bottom=0)
+    axis.grid(alpha=0.3)
     return _save(figure, path)

@@ -9,11 +9,21 @@ from numpy.typing import NDArray
 from leglab.replication import figures, sensitivity
 from leglab.replication.comparison import Comparison
 from leglab.replication.convergence import Convergence
-from leglab.replication.deployed import CHANGES, WINDOW, Recovery
+from leglab.replication.deployed import CHANGES, DEPLOYED_MODE, WINDOW, Recovery
 from leglab.replication.online import BETTER_FIT
 from leglab.replication.scores import markdown, table_1, worst_deviation
 
 Array = NDArray[np.float64]
+
+SHOWN_MODES = (
+    "plain",
+    "directional 0.99",
+    "exponential 0.998",
+    "Fortescue, N_0 400",
+    "plain, reset on change",
+    DEPLOYED_MODE,
+)
+"""Forgetting modes drawn; the table has all."""
 
 
 class Page:
@@ -170,11 +180,9 @@ def costs(page: Page, rows: list[tuple[int, int, int, float]], seconds: float) -
         ("cost_bsnn", linear, "neurons (6 ARX parameters)"),
     ):
         column = 0 if stem == "cost_rls" else 1
-        x = (label, [float(row[column]) for row in part])
-        path = page.folder / f"{stem}.png"
-        curve = {"measured": [row[3] for row in part]}
         title = f"Time of an update against {label.split(' (')[0]}"
-        page.figure(figures.lines(path, title, x, "ns a sample", curve, log_y=True))
+        sizes, times = [row[column] for row in part], [row[3] for row in part]
+        page.figure(figures.cost(page.folder / f"{stem}.png", title, (label, sizes), times))
 
 
 def deployed(
@@ -197,24 +205,25 @@ def readaptation(page: Page, recoveries: Mapping[str, Mapping[str, Recovery]]) -
     seeds = len(next(iter(recoveries.values()))[CHANGES[0]].samples)
     page.text(
         f"Samples until the one-step RMS over the next {WINDOW} samples is back to 1.1 times its "
-        f"value before: median and worst of {seeds} seeds. Steady state is the one-step RMS before "
-        "the change, and its ratio to plain recursive least squares."
+        f"value before: median / worst of {seeds} seeds / all seeds pooled. Steady state is the "
+        "one-step RMS before the change, and its ratio to plain recursive least squares."
     )
     plain = recoveries["plain"][CHANGES[0]].before
     rows = []
     for mode, by_change in recoveries.items():
         cells = []
         for name in CHANGES:
-            samples = by_change[name].samples
-            cells.append(f"{np.median(samples):.0f} / {np.max(samples):.0f}")
+            samples, pooled = by_change[name].samples, by_change[name].pooled
+            cells.append(f"{np.median(samples):.0f} / {np.max(samples):.0f} / {pooled}")
         steady = by_change[CHANGES[0]].before
         rows.append((mode, *cells, steady, steady / plain))
     head = ("mode", *(f"{name} x 2" for name in CHANGES), "steady state", "/ plain")
     page.text(markdown(head, rows))
     for name in CHANGES:
-        curves = {mode: by_change[name].error for mode, by_change in recoveries.items()}
+        curves = {mode: recoveries[mode][name].error for mode in SHOWN_MODES}
         first = next(iter(curves.values()))
         time = (np.arange(len(first)) - 1000) * figures.SAMPLING_TIME
         path = page.folder / f"readaptation_{name}.png"
-        title = f"One-step RMS around a doubling of {name} at 0 s"
-        page.figure(figures.traces(path, title, ("time [s]", time), "RMS", curves))
+        title = f"One-step error around a doubling of {name} at 0 s"
+        label = f"RMS over the next {WINDOW * figures.SAMPLING_TIME} s"
+        page.figure(figures.traces(path, title, ("time [s]", time), label, curves))
