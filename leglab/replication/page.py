@@ -103,6 +103,7 @@ def convergence(page: Page, y: Array, result: Convergence) -> None:
 def sensitivities(
     page: Page,
     rows: list[sensitivity.Row],
+    variances: list[sensitivity.Row],
     gains: Mapping[str, list[float]],
     constants: Mapping[str, list[float]],
     free: Mapping[str, float],
@@ -112,13 +113,16 @@ def sensitivities(
     head = ("reading", "std of y", *sensitivity.ONLINE)
     page.text("Validation RMS, one step ahead:\n")
     page.text(markdown(head, rows))
+    page.text("By variance of the noise (0.0049 is a standard deviation of 0.07):\n")
+    page.text(markdown(("variance", *head[1:]), variances))
     u, shapes = sensitivity.spline_shapes()
     title = "Third spline of Eq. 9: the printed middle piece jumps at its knots"
     path = page.folder / "eq_9.png"
     page.figure(figures.traces(path, title, ("u", u), "N_3(u)", shapes, log_y=False))
     free_text = ", ".join(f"{model} {value:.4f}" for model, value in free.items())
     page.text(
-        f"In free run instead of one step, paper mode: {free_text}: hardly better than a constant."
+        f"In free run instead of one step, paper mode: {free_text}; a constant would have the "
+        f"standard deviation of y, {rows[0][1]:.4f}."
     )
     curves = {label: values for label, values in gains.items() if "share" not in label}
     page.figure(

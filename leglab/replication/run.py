@@ -88,6 +88,7 @@ def replicate(
     page.sensitivities(
         sheet,
         sensitivity.readings(u, y, instances, seed),
+        sensitivity.input_variance(instances, seed),
         sensitivity.initial_gain(all_u, all_y, 10, seed),
         sensitivity.learning_constant(u, y, instances, seed),
         comparison.online.free_run_scores(y),
