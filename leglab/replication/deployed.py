@@ -111,7 +111,7 @@ def free_runs(seeds: range) -> tuple[float, list[tuple[str, int, float, float, f
             free.append(model.free_run(inputs[n:]) - outputs[n:])
         errors = _rms(np.array(free))
         mean = float(np.mean(errors))
-        row = (name, model.theta.size, float(np.mean(_rms(np.array(one)))), mean)
+        row = (name, model.parameters.size, float(np.mean(_rms(np.array(one)))), mean)
         rows.append((*row, float(np.max(errors)), mean / floor))
     return floor, rows
 
