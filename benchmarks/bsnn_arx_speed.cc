@@ -1,13 +1,8 @@
 // Time per sample of the paper's model (8 splines, na = nb = 3): the core against a bare loop of
-// the same arithmetic, and the core's cost against the number of splines and of parameters.
-// Prints lines "name size nanoseconds"; run by bsnn_arx_speed.py.
+// the same arithmetic. A library for bsnn_arx_speed.py, which takes the times.
 #include <algorithm>
-#include <chrono>
 #include <cmath>
-#include <cstdio>
 #include <cstdlib>
-#include <memory>
-#include <random>
 #include <vector>
 
 #include "identification/bsnn_arx.h"
@@ -15,23 +10,6 @@
 namespace id = leglab::identification;
 
 namespace {
-
-constexpr int samples = 20000;
-
-struct Data {
-  std::vector<double> u, y;
-};
-
-Data make_data() {
-  std::mt19937 generator(1);
-  std::uniform_real_distribution<double> uniform(0.0, 0.8);
-  Data data{std::vector<double>(samples), std::vector<double>(samples)};
-  for (int t = 0; t < samples; ++t) {
-    data.u[t] = uniform(generator);
-    data.y[t] = t < 2 ? 0 : 1.2 * data.y[t - 1] - 0.5 * data.y[t - 2] + 0.1 * std::tanh(data.u[t]);
-  }
-  return data;
-}
 
 // Everything fixed at compile time, nothing guarded, the gain as a full matrix (Eqs. 5 to 12).
 struct Bare {
@@ -79,22 +57,6 @@ struct Bare {
   }
 };
 
-double sink = 0;
-
-// Least of several passes: what disturbs a pass can only make it slower.
-template <class Make>
-double nanoseconds(const Data& data, Make make, int passes = 15) {
-  double best = 1e300;
-  for (int pass = 0; pass < passes; ++pass) {
-    auto model = make();
-    const auto start = std::chrono::steady_clock::now();
-    for (int t = 0; t < samples; ++t) sink += model->update(data.u[t], data.y[t]);
-    const std::chrono::duration<double, std::nano> spent = std::chrono::steady_clock::now() - start;
-    best = std::min(best, spent.count() / samples);
-  }
-  return best;
-}
-
 template <class T>
 struct Core {
   Core(int splines, int na, int nb) : extended(std::size_t(splines) + 7) {
@@ -123,26 +85,29 @@ struct Core {
   id::BsnnArx<T> model;
 };
 
+template <class Model>
+double pass(Model& model, const double* u, const double* y, int samples) {
+  double sum = 0;
+  for (int t = 0; t < samples; ++t) sum += model.update(u[t], y[t]);
+  return sum;
+}
+
 }  // namespace
 
-int main() {
-  const Data data = make_data();
-  for (int repeat = 0; repeat < 3; ++repeat) {
-    std::printf("bare 6 %.2f\n", nanoseconds(data, [] { return std::make_unique<Bare>(); }));
-    std::printf("core_double 6 %.2f\n",
-                nanoseconds(data, [] { return std::make_unique<Core<double>>(8, 3, 3); }));
-    std::printf("core_float 6 %.2f\n",
-                nanoseconds(data, [] { return std::make_unique<Core<float>>(8, 3, 3); }));
-  }
-  for (int splines : {8, 16, 32, 64, 128, 256, 512}) {
-    std::printf("splines %d %.2f\n", splines, nanoseconds(data, [&] {
-                  return std::make_unique<Core<double>>(splines, 3, 3);
-                }, 5));
-  }
-  for (int n : {4, 6, 8, 12, 16, 24, 32, 48, 64, 96}) {
-    std::printf("rls %d %.2f\n", n, nanoseconds(data, [&] {
-                  return std::make_unique<Core<double>>(8, n / 2, n / 2);
-                }, 5));
-  }
-  return sink == 42 ? 1 : 0;
+// One pass over the samples with a fresh model; the sum of predictions keeps the work alive.
+extern "C" double bare(const double* u, const double* y, int samples) {
+  Bare model;
+  return pass(model, u, y, samples);
+}
+
+extern "C" double core_double(const double* u, const double* y, int samples, int splines,
+                              int parameters) {
+  Core<double> model(splines, parameters / 2, parameters / 2);
+  return pass(model, u, y, samples);
+}
+
+extern "C" double core_float(const double* u, const double* y, int samples, int splines,
+                             int parameters) {
+  Core<float> model(splines, parameters / 2, parameters / 2);
+  return pass(model, u, y, samples);
 }

@@ -119,6 +119,29 @@ def test_free_run_feeds_back_its_own_output(kind):
     np.testing.assert_array_equal(resumed[:1], want)
 
 
+def test_predict_takes_nothing(kind):
+    model, settings = kind
+    u, y = record(settings, joints=3)
+    m = model(settings, joints=3)
+    m.run(u[:500], y[:500])
+    other = m.copy()
+    have = other.predict(u[500])
+    np.testing.assert_array_equal(have, m.update(u[500], y[500]))
+    np.testing.assert_array_equal(other.update(u[500], y[500]), have)
+    np.testing.assert_array_equal(other.run(u[501:], y[501:]), m.run(u[501:], y[501:]))
+
+
+def test_same_samples_same_bits(kind):
+    model, settings = kind
+    u, y = record(settings)
+    states = []
+    for _ in range(2):
+        m = model(settings)
+        m.run(u, y)
+        states.append(m._bank.state())
+    assert states[0] == states[1]
+
+
 def test_save_and_load_resume_bit_exactly(kind, tmp_path):
     model, settings = kind
     u, y = record(settings, joints=2)

@@ -32,6 +32,7 @@ class Identifier:
         self._bank = self._banks[settings.scalar](settings, joints)
         self.inputs = int(self._bank.inputs)
         self._single = joints == 1 and self.inputs == 1
+        self._u_one = self._u_shape(())
         self._update = self._bank.update
 
     def update(self, u: Any, y: Any) -> Any:
@@ -39,7 +40,7 @@ class Identifier:
 
         Args:
             u: Input at this sample: a number, (M,), (J,) or (J, M).
-            y: Output measured at this sample: a number or (J,). NaN where it is missing.
+            y: Output measured at this sample: a number or (J,). NaN (or None) where it is missing.
 
         Returns:
             A number, or (J,) for several joints.
@@ -47,15 +48,40 @@ class Identifier:
         Raises:
             LeglabError: A shape is wrong or a value is no number; nothing has been learned.
         """
-        if self._single:
-            try:
+        try:  # without copies or checks where the arguments are what they should be
+            if self._single:
                 return self._update(u, y)
-            except TypeError:
-                raise LeglabError(f"update got u {u!r} and y {y!r}: must be two numbers") from None
-        u_array = _array("u", u, self._u_shape(()))
+            if u.shape == self._u_one:
+                if self.joints == 1:
+                    return self._bank.update_row(u, y)
+                if y.shape == (self.joints,):
+                    prediction = np.empty(self.joints)
+                    self._bank.update_many(u, y, prediction)
+                    return prediction
+        except (TypeError, AttributeError):
+            pass
+        u_array = _array("u", u, self._u_one)
         y_array = _array("y", y, (self.joints,) if self.joints > 1 else ())
         prediction = np.empty(self.joints)
         self._bank.update_many(u_array.reshape(-1), y_array.reshape(-1), prediction)
+        return prediction if self.joints > 1 else float(prediction[0])
+
+    def predict(self, u: Any) -> Any:
+        """Predicts the next y for an input u that is not taken; changes nothing.
+
+        So a model without lags is a map that learns from one input and is asked at another, as
+        feed-forward does: it learns from the measurement and is asked at the reference.
+
+        Args:
+            u: As in `update`.
+
+        Raises:
+            LeglabError: The shape is wrong or a value is not finite.
+        """
+        u_array = _array("u", u, self._u_one)
+        _require_finite("u", u_array.reshape(-1))
+        prediction = np.empty(self.joints)
+        self._bank.peek(u_array.reshape(-1), prediction)
         return prediction if self.joints > 1 else float(prediction[0])
 
     def run(self, u: ArrayLike, y: ArrayLike, *, missing: str = "raise") -> Array:
@@ -232,6 +258,6 @@ def _require_finite(name: str, array: Array) -> None:
     bad = np.argwhere(~np.isfinite(array))
     if len(bad):
         raise LeglabError(
-            f"{name} is {array[tuple(bad[0])]} at sample {bad[0][0]} ({len(bad)} values are not "
-            "finite): remove them or pass missing='skip'"
+            f"{name} is {array[tuple(bad[0])]} at index {bad[0][0]} ({len(bad)} values are not "
+            "finite): must be finite; `run` can skip such samples"
         )

@@ -40,8 +40,27 @@ class Bank {
     return double(models_[0].update(&input, T(y)));
   }
 
+  // One sample of every joint, or of one joint with several inputs: the latter's y is a number.
   void update_many(Input u, Input y, Output prediction) {
+    if (u.size() != models_.size() * inputs() || y.size() != models_.size()) {
+      throw nb::type_error("wrong number of values");
+    }
     sweep(u.data(), y.data(), prediction.data(), 1);
+  }
+  double update_row(Input u, double y) {
+    if (models_.size() != 1 || u.size() != inputs()) throw nb::type_error("wrong size");
+    double prediction;
+    sweep(u.data(), &y, &prediction, 1);
+    return prediction;
+  }
+
+  // u: (joints, inputs); the next output for an input that is not taken.
+  void peek(Input u, Output prediction) {
+    T input[id::GuardSettings<T>::max_inputs];
+    for (std::size_t j = 0; j < models_.size(); ++j) {
+      for (std::size_t i = 0; i < inputs(); ++i) input[i] = T(u.data()[j * inputs() + i]);
+      prediction.data()[j] = double(models_[j].peek(input));
+    }
   }
 
   // u: (samples, joints, inputs), y and prediction: (samples, joints).
@@ -151,11 +170,16 @@ class Bank {
 
   void sweep(const double* u, const double* y, double* prediction, int samples) {
     const std::size_t width = inputs();
-    T input[id::GuardSettings<T>::max_inputs];
     for (int t = 0; t < samples; ++t) {
       for (auto& model : models_) {
-        for (std::size_t i = 0; i < width; ++i) input[i] = T(*u++);
-        *prediction++ = double(model.update(input, T(*y++)));
+        if constexpr (std::is_same_v<T, double>) {
+          *prediction++ = model.update(u, *y++);
+        } else {
+          T input[id::GuardSettings<T>::max_inputs];
+          for (std::size_t i = 0; i < width; ++i) input[i] = T(u[i]);
+          *prediction++ = double(model.update(input, T(*y++)));
+        }
+        u += width;
       }
     }
   }

@@ -16,9 +16,9 @@ enum class Outside : int {
 template <class T>
 struct LocalBasis {
   int first;
+  int clipped;  // 1 where the input was outside the knots
   T value[3];
-  T slope[3];  // d value / d input; filled by evaluate_with_slope
-  bool clipped;  // the input was outside the knots
+  T slope[3] = {};  // d value / d input; filled by evaluate_with_slope
 };
 
 // Basis over p knots. The full basis (offset 0, p + 1 splines) extends the knots by two on each

@@ -114,18 +114,16 @@ class Bsnn {
     constexpr T limit = T(1) - T(1) / T(1024), most = T(1) - T(1) / T(1 << 20);
     T sum = T(0);
     for (int i = 0; i < count; ++i) {
-      const T pull = eta * value[i];
-      T step = pull * error;
+      const T pull = eta * value[i], step = pull * error;
       if (settings_.saturation) {
         const T room = T(1) - magnitude(w[i]);
         sum += pull * value[i] * room;
-        step = (step > limit ? limit : step < -limit ? -limit : step) * room;
+        const T moved = w[i] + (step > limit ? limit : step > -limit ? step : -limit) * room;
+        w[i] = moved > most ? most : moved > -most ? moved : -most;
       } else {
         sum += pull * value[i];
+        if (is_finite(w[i] + step)) w[i] += step;
       }
-      T moved = w[i] + step;
-      if (settings_.saturation) moved = smaller(larger(moved, -most), most);
-      if (is_finite(moved)) w[i] = moved;
     }
     return sum;
   }

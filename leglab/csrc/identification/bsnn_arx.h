@@ -81,6 +81,16 @@ class BsnnArx {
     push(phi_, settings_.na - 1, -y);
   }
 
+  // Prediction of the next output for an input that is not taken; changes nothing.
+  T peek(const T* u) {
+    const T n = network_.output(u);
+    for (int i = 0; i < settings_.nb; ++i) {
+      const int lag = settings_.nk + i;
+      phi_[settings_.na + i] = lag == 0 ? n : delayed_[lag - 1];
+    }
+    return rls_.predict(phi_);
+  }
+
   // Moves the poles of the ARX part inside the radius; true where they had to move.
   bool project_poles(T radius) {
     T* a = rls_.theta();

@@ -50,7 +50,14 @@ class Guard {
   };
 
   void layout(Workspace& workspace) { state_ = workspace.take<State>(1); }
-  void configure(const GuardSettings<T>& settings) { settings_ = settings; }
+
+  void configure(const GuardSettings<T>& settings) {
+    settings_ = settings;
+    // "Any" is the largest number: then one comparison also refuses NaN and the infinities.
+    constexpr T any = sizeof(T) == 4 ? T(3.4e38) : T(1.7e308);
+    if (!(settings_.output_limit > T(0))) settings_.output_limit = any;
+    for (T& limit : settings_.input_limit) limit = limit > T(0) ? limit : any;
+  }
 
   State& state() { return *state_; }
   const State& state() const { return *state_; }
@@ -60,11 +67,8 @@ class Guard {
     State& s = *state_;
     Sample verdict = present ? Sample::learned : Sample::dropped;
     for (int j = 0; j < settings_.inputs; ++j) {
-      const bool finite = is_finite(u[j]);
-      const bool plausible = settings_.input_limit[j] == T(0) ||
-                             magnitude(u[j] - settings_.input_centre[j]) <= settings_.input_limit[j];
-      if (!present || !finite || !plausible) {
-        if (present) verdict = finite ? Sample::implausible : Sample::not_finite;
+      if (!present || !(magnitude(u[j] - settings_.input_centre[j]) <= settings_.input_limit[j])) {
+        if (present) verdict = is_finite(u[j]) ? Sample::implausible : Sample::not_finite;
         u[j] = s.input[j];
         continue;
       }
@@ -75,11 +79,9 @@ class Guard {
         u[j] = u[j] <= settings_.lower[j] ? settings_.lower[j] : settings_.upper[j];
       }
     }
-    if (present && !is_finite(y)) verdict = Sample::not_finite;
-    const bool plausible = settings_.output_limit == T(0) ||
-                           magnitude(y - settings_.output_centre) <= settings_.output_limit;
-    if (!plausible && verdict == Sample::learned) verdict = Sample::implausible;
-    if (!present || !is_finite(y) || !plausible) {
+    if (!present || !(magnitude(y - settings_.output_centre) <= settings_.output_limit)) {
+      if (present && !is_finite(y)) verdict = Sample::not_finite;
+      if (verdict == Sample::learned) verdict = Sample::implausible;
       y = s.output;
     } else {
       if (settings_.stuck_samples > 0) watch(y, verdict);

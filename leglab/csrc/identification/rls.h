@@ -93,12 +93,12 @@ class Rls {
     const T weight = error / denominator;
     const T* gain = factor_.gain_vector();
     const int n = size();
-    bool finite = true;
+    T sum = T(0);  // finite only if every term is
     for (int i = 0; i < n; ++i) {
       step_[i] = theta_[i] + gain[i] * weight;
-      finite &= is_finite(step_[i]);
+      sum += step_[i];
     }
-    if (!finite) {
+    if (!is_finite(sum)) {
       ++tally_->rejected;
       return changed;
     }

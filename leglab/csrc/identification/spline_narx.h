@@ -57,6 +57,7 @@ class SplineNarx {
     features_.layout(workspace, structure);
     past_.output = workspace.take<T>(past_.depth + 1);
     past_.inputs = workspace.take<T>((past_.depth + 1) * structure.inputs);
+    kept_ = workspace.take<T>((past_.depth + 1) * structure.inputs);
     weights_ = workspace.take<T>(weight_count_);
     weight_slope_ = workspace.take<T>(weight_count_);
     poles_ = workspace.take<T>(4 * past_.depth);
@@ -106,6 +107,15 @@ class SplineNarx {
   // validation and free run on a copy of the workspace.
   T predict_next(const T* u) { return settings_.output.undo(expect(u)); }
   void remember(T y) { remember_scaled(settings_.output.apply(y)); }
+
+  // Prediction of the next output for an input that is not taken; changes nothing.
+  T peek(const T* u) {
+    const int count = (past_.depth + 1) * inputs();
+    for (int i = 0; i < count; ++i) kept_[i] = past_.inputs[i];
+    const T prediction = expect(u);
+    for (int i = 0; i < count; ++i) past_.inputs[i] = kept_[i];
+    return settings_.output.undo(prediction);
+  }
 
   // Moves the poles of the lags of y inside the radius; true where they had to move.
   bool project_poles(T radius) {
@@ -222,6 +232,7 @@ class SplineNarx {
   Features<T> features_;
   OutputError<T> simulation_;
   History<T> past_;
+  T* kept_ = nullptr;
   T* weights_ = nullptr;
   T* weight_slope_ = nullptr;
   T* poles_ = nullptr;
