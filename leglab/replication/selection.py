@@ -76,7 +76,7 @@ ACTUATOR_SPLITS = (
 
 
 def silverbox_grid() -> list[dict[str, Any]]:
-    """Orders and splines of y(t-1); the spline range is that of the training output (+-2 %)."""
+    """Orders, splines of y over the range of the training output (+-2 %), start of stage 2."""
     return [
         {**rest, "nb": rest["na"] + 1}
         for rest in _product(
@@ -86,7 +86,7 @@ def silverbox_grid() -> list[dict[str, Any]]:
             output_lags=((1,), (1, 2)),
             reach=(0.85,),
             outside=("quadratic",),
-            output_error_after=(2000,),
+            output_error_after=(1000, 2000, 5000),
         )
     ]
 
