@@ -197,7 +197,11 @@ class Identifier:
         return out
 
     def diagnostics(self, joint: int = 0) -> dict[str, float]:
-        """Counts of samples by what became of them, changes, forgetting and gain of one joint."""
+        """Counts of samples by what became of them, changes, forgetting and gain of one joint.
+
+        In the output-error stage also `simulation_rms`, the error of the model's own simulation
+        over about 500 samples in units of the output: free run before it is learned from.
+        """
         return dict(self._bank.diagnostics(joint))
 
     def project_poles(self, radius: float = 0.999) -> bool:

@@ -28,7 +28,7 @@ class SplineNarx:
                         dtype=REAL,
                     )
                 )
-        self.learned = self.resynchronised = 0
+        self.taken = self.learned = self.resynchronised = 0
         self.running = False
 
     @staticmethod
@@ -47,11 +47,13 @@ class SplineNarx:
         target = (REAL(y) - centre) / half
         phi = self._regressor(self.y)
         prediction = self.rls.theta @ phi
-        self.learned += 1
+        self.taken += 1
+        learns = self.taken > self.depth  # before, the regressor holds no samples yet
+        self.learned += learns
         own = target
         if self.running:
             own = self._refine(target)
-        if not self.running:
+        if learns and not self.running:
             error = target - prediction
             slopes = self._weight_slopes()
             self.rls.update(phi, error)

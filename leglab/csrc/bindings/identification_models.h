@@ -1,6 +1,8 @@
 // What the bank needs to know about each model: its parameters in order, and its diagnostics.
 #pragma once
 
+#include <cmath>
+
 #include "bindings/identification_settings.h"
 
 namespace leglab::bindings {
@@ -44,6 +46,7 @@ template <class T>
 void describe_rls(const id::Rls<T>& rls, nb::dict& out) {
   out["changes"] = rls.change().changes;
   out["rejected"] = rls.tally().rejected;
+  out["restarts"] = rls.tally().restarts;
   out["forgetting_factor"] = double(rls.tally().factor);
   out["fast_error"] = double(rls.change().fast);
   out["slow_error"] = double(rls.change().slow);
@@ -72,7 +75,12 @@ nb::dict describe(id::SplineNarx<T>& model) {
   describe_rls(model.rls(), out);
   out["clipped"] = model.state().clipped;
   out["projected"] = model.state().projected;
-  out["resynchronised"] = model.refines() ? model.simulation().state().resynchronised : 0;
+  if (model.refines()) {
+    const auto& simulation = model.simulation().state();
+    out["resynchronised"] = simulation.resynchronised;
+    out["simulation_rms"] =
+        std::sqrt(double(simulation.mean_square)) * double(model.settings().output.half_range);
+  }
   return out;
 }
 

@@ -72,7 +72,8 @@ struct QuadraticBasis {
   template <bool Slope>
   LocalBasis<T> locate(T u) const {
     LocalBasis<T> local;
-    const T nearest = u < lower() ? lower() : (upper() < u ? upper() : u);
+    // NaN (a diverged simulation) goes to the lower end: the interval must exist whatever u is.
+    const T nearest = !(u >= lower()) ? lower() : (upper() < u ? upper() : u);
     local.clipped = nearest != u;
     int interval;  // nearest lies in [knots[interval + 2], knots[interval + 3])
     const bool outside_slope = local.clipped && outside == Outside::linear;

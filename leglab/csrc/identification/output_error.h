@@ -11,8 +11,12 @@ namespace leglab::identification {
 template <class T>
 class OutputError {
  public:
+  static constexpr T window = T(500);  // samples of the mean square
+
   struct State {
     std::int64_t resynchronised;
+    std::int64_t samples;
+    T mean_square;  // of the simulation error: what free run would cost, before it is learned
     bool running;
   };
 
@@ -56,6 +60,15 @@ class OutputError {
       for (int i = 0; i < width_; ++i) psi_[i] += slope_[k] * psi_[k * width_ + i];
     }
     return features_.predict(theta);
+  }
+
+  void score(T error) {
+    const T squared = error * error;
+    if (!is_finite(squared)) return;
+    State& s = *state_;
+    ++s.samples;
+    const T share = larger(T(1) / window, T(1) / static_cast<T>(s.samples));
+    s.mean_square += share * (squared - s.mean_square);
   }
 
   void remember(T y) {

@@ -36,6 +36,8 @@ class Rls {
  public:
   struct Tally {
     std::int64_t rejected;  // updates refused because they would not have stayed finite
+    std::int64_t in_a_row;  // of them
+    std::int64_t restarts;  // times that theta and F were given up for that
     T factor;               // forgetting factor of the last update
   };
 
@@ -80,7 +82,7 @@ class Rls {
     T power = factor_.project(phi, support);
     const T squared = error * error;
     if (!is_finite(power) || !is_finite(squared)) {
-      ++tally_->rejected;
+      reject();
       return false;
     }
     if (watch_ && detector_.observe(squared)) {
@@ -99,14 +101,26 @@ class Rls {
       sum += step_[i];
     }
     if (!is_finite(sum)) {
-      ++tally_->rejected;
+      reject();
       return changed;
     }
+    tally_->in_a_row = 0;
     for (int i = 0; i < n; ++i) theta_[i] = step_[i];
     return changed;
   }
 
  private:
+  // Parameters so large that their error overflows could never learn again.
+  void reject() {
+    constexpr std::int64_t patience = 10;
+    ++tally_->rejected;
+    if (++tally_->in_a_row < patience) return;
+    for (int i = 0; i < size(); ++i) theta_[i] = T(0);
+    factor_.reset(settings_.initial_gain);
+    tally_->in_a_row = 0;
+    ++tally_->restarts;
+  }
+
   // Updates F; returns what the gain F phi is divided by.
   T forget(T power, T squared) {
     const T one = T(1);

@@ -66,6 +66,9 @@ class SplineNarx {
     if (workspace.measuring()) return;
     rls_.start(settings_.rls);
     start_weights();
+    // The zeros of the empty history are no samples: equations with them would be remembered by
+    // least squares for the whole pass.
+    guard_.state().dirty = past_.depth;
   }
 
   const SplineNarxSettings<T>& settings() const { return settings_; }
@@ -146,6 +149,7 @@ class SplineNarx {
   T refine(T measured, Sample verdict) {
     const T simulated = simulation_.simulate(past_, rls_.theta(), weights_);
     const T error = measured - simulated;
+    simulation_.score(error);
     bool usable = magnitude(error) <= settings_.resynchronise_above;  // false for NaN
     const T* psi = simulation_.sensitivity();
     for (int i = 0; i < parameters_; ++i) usable &= is_finite(psi[i]);
@@ -162,7 +166,8 @@ class SplineNarx {
 
   void learn(const T* phi, Support support, T error) {
     if (weight_count_ > 0) features_.weight_slopes(rls_.theta(), weight_slope_);
-    rls_.update(phi, error, support.count < parameters_ ? support : Support{});
+    // Gathering pays only where most of the regressor is zero.
+    rls_.update(phi, error, support.count * 3 <= parameters_ ? support : Support{});
     move_weights(weight_slope_, error);
   }
 

@@ -53,14 +53,19 @@ class UdFactor {
     int below = 0;  // nonzero regressors with an index below j
     for (int j = first_; j < n_; ++j) {
       const T* column = u_ + j * (j - 1) / 2;
-      T sum = T(0);
-      for (int k = 0; k < below; ++k) sum += column[support.index[k]] * phi[support.index[k]];
+      T even = T(0), odd = T(0);
+      int k = 0;
+      for (; k + 1 < below; k += 2) {
+        even += column[support.index[k]] * phi[support.index[k]];
+        odd += column[support.index[k + 1]] * phi[support.index[k + 1]];
+      }
+      if (k < below) even += column[support.index[k]] * phi[support.index[k]];
       if (below < support.count && support.index[below] == j) {
-        sum += phi[j];
+        even += phi[j];
         ++below;
       }
-      f_[j] = sum;
-      v_[j] = d_[j] * sum;
+      f_[j] = even + odd;
+      v_[j] = d_[j] * f_[j];
       power += f_[j] * v_[j];
     }
     return power;
