@@ -171,14 +171,8 @@ def ours(problem: Problem, make: Callable[[], object], *, single: bool = False) 
     def learn() -> object:
         model = make()
         if single:
-            fill = model.lags if isinstance(model, SplineNarx) else 0
-            model.freeze()
-            model.run(u[:fill], y[:fill])
-            model.freeze(False)
-            for pair in zip(u[fill:].tolist(), y[fill:].tolist(), strict=True):
+            for pair in zip(u.tolist(), y.tolist(), strict=True):
                 model.update(*pair)
-        elif isinstance(model, SplineNarx):
-            deployed.learn(model, u, y)
         else:
             model.run(u, y)
         return model

@@ -133,7 +133,7 @@ def show_selection(data: Dataset, grid: list, splits: tuple) -> None:
         settings = real_data.spline_narx(data, **candidate.structure)
         errors = real_data.free_run_errors(real_data.train(SplineNarx(settings), data), data)
         shown = ", ".join(f"{value:.3f}" for value in errors.values())
-        print(f"  {candidate.error:.3f}  tests (not looked at): {shown}  {candidate.structure}")
+        print(f"  {candidate.error:.3f}  tests, for information: {shown}  {candidate.structure}")
 
 
 def main() -> None:

@@ -11,7 +11,6 @@ from leglab.identification import (
     ChangeDetection,
     Constant,
     Hammerstein,
-    Identifier,
     Lags,
     Rls,
     Signal,
@@ -105,7 +104,7 @@ def free_runs(seeds: range) -> tuple[float, list[tuple[str, int, float, float, f
         one, free = [], []
         for inputs, outputs in zip(u, y, strict=True):
             model = SplineNarx(model_settings)
-            learn(model, inputs[:n], outputs[:n])
+            model.run(inputs[:n], outputs[:n])
             model.freeze()
             one.append(model.one_step(inputs[n:], outputs[n:], resume=True) - outputs[n:])
             free.append(model.free_run(inputs[n:]) - outputs[n:])
@@ -182,7 +181,7 @@ def readaptation(
 
 def _recovery(u: Array, y: Array, rls: Rls) -> Recovery:
     model = SplineNarx(settings(na=3, nb=4, rls=rls), joints=len(u))
-    squared = (learn(model, u.T, y.T) - y.T).T ** 2
+    squared = (model.run(u.T, y.T) - y.T).T ** 2
     before = np.sqrt(np.mean(squared[:, CHANGE_AT - 2000 : CHANGE_AT], axis=1))
     total = np.cumsum(np.pad(squared, ((0, 0), (1, 0))), axis=1)
     windowed = (total[:, WINDOW:] - total[:, :-WINDOW]) / WINDOW
@@ -201,18 +200,6 @@ def _recovery(u: Array, y: Array, rls: Rls) -> Recovery:
 def _first(met: NDArray[np.bool_]) -> int:
     """First sample at which a condition is met, `AFTER` if never."""
     return int(np.argmax(met)) if met.any() else AFTER
-
-
-def learn(model: Identifier, u: Array, y: Array) -> Array:
-    """One online pass that learns once the regressor holds measured samples only.
-
-    An equation on an empty history has an error hundreds of times the later ones, and least
-    squares without forgetting would carry it to the end.
-    """
-    model.freeze()
-    head = model.run(u[: model.lags], y[: model.lags])
-    model.freeze(False)
-    return np.concatenate([head, model.run(u[model.lags :], y[model.lags :])])
 
 
 def _rms(residuals: Array) -> Array:

@@ -26,7 +26,6 @@ from leglab.identification import (
     Spline,
     SplineNarxSettings,
 )
-from leglab.replication.deployed import learn
 
 Array = NDArray[np.float64]
 
@@ -174,7 +173,7 @@ def spline_narx(
 
 def train(model: Identifier, data: Dataset) -> Identifier:
     """Learns the training part in one online pass and freezes."""
-    learn(model, data.u[data.train], data.y[data.train])
+    model.run(data.u[data.train], data.y[data.train])
     model.freeze()
     return model
 

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from leglab.identification import SplineNarx
-from leglab.replication.deployed import learn
 from leglab.replication.real_data import Dataset, free_run_error, spline_narx
 
 
@@ -37,7 +36,7 @@ def select(
         settings, errors = spline_narx(data, **structure), []
         for learned, held_out in splits:
             model = SplineNarx(settings)
-            learn(model, u[learned], y[learned])
+            model.run(u[learned], y[learned])
             errors.append(free_run_error(model, u[held_out], y[held_out], data.given))
         ranked.append(Candidate(float(np.mean(errors)) * data.unit[1], structure))
     return sorted(ranked, key=lambda candidate: candidate.error)
