@@ -1,0 +1,162 @@
+"""Every model of this project on the measured benchmarks, next to the published rows.
+
+python benchmarks/real_data.py            # the table
+python benchmarks/real_data.py --select   # how the structures were chosen (minutes)
+"""
+
+import argparse
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from leglab.identification import (
+    Basis,
+    BsnnArx,
+    Constant,
+    Hammerstein,
+    Identifier,
+    Lags,
+    SplineNarx,
+)
+from leglab.replication import real_data, selection
+from leglab.replication.networks import LAGS
+from leglab.replication.networks import train as train_network
+from leglab.replication.online import Settings
+from leglab.replication.real_data import Dataset
+from leglab.replication.scores import markdown
+from leglab.replication.structures import ACTUATOR, SILVERBOX
+
+
+class Scaled:
+    """The paper's model has no scaling of its own: its weights saturate at 1."""
+
+    def __init__(self, data: Dataset, initial_gain: float) -> None:
+        base = Settings(initial_gain=initial_gain).bsnn_arx()
+        basis = Basis.uniform(-1.0, 1.0, 8)
+        self.model = BsnnArx(replace(base, network=replace(base.network, basis=(basis,))))
+        self.model.randomise(np.random.default_rng(0))
+        u, y = data.u / data.ranges[0], data.y / data.ranges[1]
+        unit = (data.unit[0], data.unit[1] * data.ranges[1])
+        self.data = replace(data, u=u, y=y, unit=unit)
+
+
+def online_models(data: Dataset, deployed: dict) -> dict[str, tuple[Identifier, Dataset]]:
+    """Identifiers by name with the data they learn from, the deployed one last."""
+    linear = {"na": 3, "nb": 3, "nk": 1}
+    base = real_data.spline_narx(data, **linear)
+    spline = Hammerstein(
+        signal="u",
+        first=1,
+        count=3,
+        basis=Basis.uniform(-data.ranges[0], data.ranges[0], 8, outside="linear"),
+    )
+    sensitivity = replace(base, features=(Lags(signal="y", count=3), spline, Constant()))
+    over = real_data.spline_narx(data, **linear, splines=8, input_lags=(1, 2, 3))
+    models = {}
+    for gain in (5.6, 1e4):
+        scaled = Scaled(data, gain)
+        models[f"BSNN-ARX (paper), F(0) = {gain:g} I"] = (scaled.model, scaled.data)
+    models["ARX (3, 3) + constant"] = (SplineNarx(base), data)
+    models["BSNN-ARX, spline through the ARX sensitivity"] = (SplineNarx(sensitivity), data)
+    models["Hammerstein, over-parameterised (3, 3)"] = (SplineNarx(over), data)
+    same = {**deployed, "output_error_after": 0}
+    without = real_data.spline_narx(data, **{**same, "input_lags": (), "output_lags": ()})
+    models["deployed, without its splines"] = (SplineNarx(without), data)
+    if deployed.get("output_error_after"):
+        equation = real_data.spline_narx(data, **same)
+        models["deployed, equation error only"] = (SplineNarx(equation), data)
+    models["deployed"] = (SplineNarx(real_data.spline_narx(data, **deployed)), data)
+    return models
+
+
+def table(data: Dataset, deployed: dict, *, networks: bool) -> str:
+    rows = []
+    for name, (model, its_data) in online_models(data, deployed).items():
+        start = time.perf_counter()
+        real_data.train(model, its_data)
+        nanoseconds = (time.perf_counter() - start) / len(data.u[data.train]) * 1e9
+        errors = real_data.free_run_errors(model, its_data)
+        rows.append((name, len(model.parameters), f"{nanoseconds:.0f}", *errors.values()))
+    if networks:
+        rows += network_rows(data)
+    rows += [(f"published: {name}", "", "", *row) for name, row in data.published.items()]
+    unit = f" [{data.unit[0]}]" if data.unit[0] else ""
+    return markdown(("model", "parameters", "ns a sample", *(t + unit for t in data.tests)), rows)
+
+
+def network_rows(data: Dataset) -> list[tuple]:
+    rows = []
+    for name, output_error in (("NNARX (batch)", False), ("NNOE (batch)", True)):
+        rng = np.random.default_rng(0)
+        u, y = data.u[data.train], data.y[data.train]
+        network = train_network(u, y, output_error=output_error, rng=rng)
+        errors = []
+        for part in data.tests.values():
+            run = network.free_run(data.u[part], data.y[part][:LAGS])
+            residual = (run - data.y[part])[data.given :]
+            errors.append(float(np.sqrt(np.mean(residual**2))) * data.unit[1])
+        rows.append((name, len(network.weights), "", *errors))
+    return rows
+
+
+def figures(data: Dataset, deployed: dict, folder: Path) -> None:
+    """Free run of the deployed identifier on each test: output, and residual below it."""
+    model = real_data.train(SplineNarx(real_data.spline_narx(data, **deployed)), data)
+    unit, factor = data.unit
+    for test, part in data.tests.items():
+        if "no extrapolation" in test:  # the head of the arrow
+            continue
+        y = data.y[part]
+        run = model.free_run(data.u[part], y[: data.given])
+        figure = Figure(figsize=(7.0, 4.6), layout="constrained")
+        top, bottom = figure.subplots(2, 1, sharex=True)
+        top.plot(y * factor, "k", linewidth=0.8, label="measured")
+        if len(y) < 2000:  # they could not be told apart on longer ones
+            top.plot(run * factor, "r--", linewidth=1.0, label="free run")
+            top.legend(loc="lower center", ncols=2)
+        shown = f" [{unit}]" if unit else ""
+        top.set(title=f"{data.name}, {test}: one online pass, then free run")
+        top.set_ylabel(f"measured output{shown}")
+        bottom.plot((y - run) * factor, "r", linewidth=0.6)
+        bottom.set(ylabel=f"residual{shown}", xlabel="sample")
+        stem = f"{data.name} {test}".lower().replace(" ", "_")
+        figure.savefig(folder / f"{stem}.png", dpi=110)
+
+
+def show_selection(data: Dataset, grid: list, splits: tuple) -> None:
+    ranked = selection.select(data, grid, splits)
+    print(f"{data.name}: {len(grid)} candidates, mean error on held-out training data; best ten:")
+    for candidate in ranked[:10]:
+        settings = real_data.spline_narx(data, **candidate.structure)
+        errors = real_data.free_run_errors(real_data.train(SplineNarx(settings), data), data)
+        shown = ", ".join(f"{value:.3f}" for value in errors.values())
+        print(f"  {candidate.error:.3f}  tests, for information: {shown}  {candidate.structure}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--select", action="store_true", help="choose the structures again")
+    parser.add_argument("--no-networks", action="store_true", help="leave out NNARX and NNOE")
+    parser.add_argument("--figures", type=Path, help="folder for figures of the free runs")
+    options = parser.parse_args()
+    cases = (
+        (real_data.silverbox(), SILVERBOX, selection.silverbox_grid, selection.SILVERBOX_SPLITS),
+        (real_data.actuator(), ACTUATOR, selection.actuator_grid, selection.ACTUATOR_SPLITS),
+    )
+    for data, deployed, grid, splits in cases:
+        if options.select:
+            show_selection(data, grid(), splits)
+            continue
+        if options.figures:
+            options.figures.mkdir(parents=True, exist_ok=True)
+            figures(data, deployed, options.figures)
+            continue
+        print(f"## {data.name}\n")
+        print(table(data, deployed, networks=not options.no_networks))
+
+
+if __name__ == "__main__":
+    main()

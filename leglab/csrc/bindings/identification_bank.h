@@ -1,0 +1,204 @@
+// A bank of identifiers of one structure, one for each joint, behind one Python object.
+#pragma once
+
+#include <nanobind/ndarray.h>
+
+#include <cstring>
+#include <memory>
+#include <new>
+
+#include "bindings/identification_models.h"
+
+namespace leglab::bindings {
+
+// Row-major arrays in double; the front-end has checked their shapes.
+using Input = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
+using Output = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
+
+template <class Model, class Settings, class T>
+class Bank {
+ public:
+  Bank(nb::object settings, int joints) : joints_(joints) {
+    settings_ = read_settings(settings, store_, static_cast<const Model*>(nullptr));
+    id::Workspace measure;
+    Model().layout(measure, settings_);
+    stride_ = (measure.used() + id::Workspace::alignment - 1) / id::Workspace::alignment;
+    block_ = std::make_unique<Line[]>(stride_ * std::size_t(joints));
+    models_.resize(std::size_t(joints));
+    for (int j = 0; j < joints; ++j) {
+      id::Workspace workspace(memory() + std::size_t(j) * stride_ * sizeof(Line));
+      models_[std::size_t(j)].layout(workspace, settings_);
+    }
+  }
+
+  // Models point into the block and the store.
+  Bank(const Bank&) = delete;
+  Bank& operator=(const Bank&) = delete;
+
+  double update(double u, double y) {
+    const T input = T(u);
+    return double(models_[0].update(&input, T(y)));
+  }
+
+  // One sample of every joint, or of one joint with several inputs: the latter's y is a number.
+  void update_many(Input u, Input y, Output prediction) {
+    if (u.size() != models_.size() * inputs() || y.size() != models_.size()) {
+      throw nb::type_error("wrong number of values");
+    }
+    sweep(u.data(), y.data(), prediction.data(), 1);
+  }
+  double update_row(Input u, double y) {
+    if (models_.size() != 1 || u.size() != inputs()) throw nb::type_error("wrong size");
+    double prediction;
+    sweep(u.data(), &y, &prediction, 1);
+    return prediction;
+  }
+
+  // u: (joints, inputs); the next output for an input that is not taken.
+  void peek(Input u, Output prediction) {
+    T input[id::GuardSettings<T>::max_inputs];
+    for (std::size_t j = 0; j < models_.size(); ++j) {
+      for (std::size_t i = 0; i < inputs(); ++i) input[i] = T(u.data()[j * inputs() + i]);
+      prediction.data()[j] = double(models_[j].peek(input));
+    }
+  }
+
+  // u: (samples, joints, inputs), y and prediction: (samples, joints).
+  void run(Input u, Input y, Output prediction) {
+    const int samples = int(y.shape(0));
+    nb::gil_scoped_release release;
+    sweep(u.data(), y.data(), prediction.data(), samples);
+  }
+
+  // As run; also writes every joint's parameters after each sample: (samples, joints, count).
+  void run_recorded(Input u, Input y, Output prediction, Output trajectory) {
+    const int samples = int(y.shape(0));
+    const std::size_t count = std::size_t(parameter_count());
+    for (int t = 0; t < samples; ++t) {
+      const std::size_t at = std::size_t(t) * models_.size();
+      sweep(u.data() + at * inputs(), y.data() + at, prediction.data() + at, 1);
+      for (std::size_t j = 0; j < models_.size(); ++j) {
+        copy_parameters(models_[j], trajectory.data() + (at + j) * count);
+      }
+    }
+  }
+
+  // Predictions with frozen parameters; history and everything else is as before afterwards.
+  // The first `given` outputs are taken as they are; then measured outputs (one step ahead) or
+  // the model's own (free run) enter the history.
+  void simulate(Input u, Input y, Output prediction, int given, bool free_run) {
+    const std::vector<Line> saved(block_.get(), block_.get() + stride_ * models_.size());
+    const int samples = int(prediction.shape(0));
+    const std::size_t joints = models_.size(), width = inputs();
+    T input[id::GuardSettings<T>::max_inputs];
+    for (std::size_t j = 0; j < joints; ++j) {
+      for (int t = 0; t < samples; ++t) {
+        const std::size_t at = std::size_t(t) * joints + j;
+        for (std::size_t i = 0; i < width; ++i) input[i] = T(u.data()[at * width + i]);
+        T predicted = models_[j].predict_next(input);
+        if (t < given) predicted = T(y.data()[at]);
+        prediction.data()[at] = double(predicted);
+        models_[j].remember(free_run || t < given ? predicted : T(y.data()[at]));
+      }
+    }
+    std::memcpy(block_.get(), saved.data(), saved.size() * sizeof(Line));
+  }
+
+  void freeze(bool frozen) {
+    for (auto& model : models_) model.guard().state().frozen = frozen;
+  }
+  bool frozen() { return models_[0].guard().state().frozen; }
+
+  nb::bytes state() const {
+    return nb::bytes(reinterpret_cast<const char*>(block_.get()), state_size());
+  }
+  std::size_t state_size() const { return stride_ * models_.size() * sizeof(Line); }
+  void set_state(nb::bytes state) {
+    if (state.size() != state_size()) throw std::invalid_argument("state of another size");
+    std::memcpy(block_.get(), state.c_str(), state_size());
+  }
+
+  int parameter_count() { return count_parameters(models_[0]); }
+  void parameters(Output out) {
+    for (std::size_t j = 0; j < models_.size(); ++j) {
+      copy_parameters(models_[j], out.data() + j * std::size_t(parameter_count()));
+    }
+  }
+  void set_parameters(Input in) {
+    for (std::size_t j = 0; j < models_.size(); ++j) {
+      const double* from = in.data() + j * std::size_t(parameter_count());
+      visit_parameters(models_[j], [&](T& value) { value = T(*from++); });
+    }
+  }
+
+  // Full gain matrix of one joint, (n, n).
+  void gain(int joint, Output out) {
+    const auto& factor = models_[std::size_t(joint)].rls().gain();
+    const int n = factor.size();
+    const auto u = [&](int i, int j) {
+      return i == j ? 1.0 : i > j ? 0.0 : double(factor.upper()[j * (j - 1) / 2 + i]);
+    };
+    for (int i = 0; i < n; ++i) {
+      for (int j = 0; j < n; ++j) {
+        double sum = 0;
+        for (int k = std::max(i, j); k < n; ++k) sum += u(i, k) * double(factor.diagonal()[k]) * u(j, k);
+        out.data()[i * n + j] = sum;
+      }
+    }
+  }
+  std::vector<double> gain_diagonal(int joint) {
+    const auto& factor = models_[std::size_t(joint)].rls().gain();
+    return {factor.diagonal(), factor.diagonal() + factor.size()};
+  }
+
+  bool project_poles(double radius) {
+    bool moved = false;
+    for (auto& model : models_) moved |= model.project_poles(T(radius));
+    return moved;
+  }
+
+  nb::dict diagnostics(int joint) { return describe(models_[std::size_t(joint)]); }
+
+  int joints() const { return joints_; }
+  std::size_t inputs() const { return std::size_t(models_[0].inputs()); }
+
+ private:
+  struct alignas(id::Workspace::alignment) Line {
+    std::byte bytes[id::Workspace::alignment];
+  };
+  std::byte* memory() { return reinterpret_cast<std::byte*>(block_.get()); }
+
+  void sweep(const double* u, const double* y, double* prediction, int samples) {
+    const std::size_t width = inputs();
+    for (int t = 0; t < samples; ++t) {
+      for (auto& model : models_) {
+        if constexpr (std::is_same_v<T, double>) {
+          *prediction++ = model.update(u, *y++);
+        } else {
+          T input[id::GuardSettings<T>::max_inputs];
+          for (std::size_t i = 0; i < width; ++i) input[i] = T(u[i]);
+          *prediction++ = double(model.update(input, T(*y++)));
+        }
+        u += width;
+      }
+    }
+  }
+
+  static int count_parameters(Model& model) {
+    int count = 0;
+    visit_parameters(model, [&](T&) { ++count; });
+    return count;
+  }
+  static void copy_parameters(Model& model, double* out) {
+    visit_parameters(model, [&](T& value) { *out++ = double(value); });
+  }
+
+  int joints_;
+  Settings settings_;
+  Store<T> store_;
+  std::size_t stride_ = 0;
+  std::unique_ptr<Line[]> block_;
+  std::vector<Model> models_;
+};
+
+}  // namespace leglab::bindings

@@ -1,0 +1,183 @@
+// Quadratic B-splines on increasing knots, evaluated locally: at most three are not zero.
+#pragma once
+
+#include "identification/scalar.h"
+
+namespace leglab::identification {
+
+// How a basis continues outside its knots.
+enum class Outside : int {
+  clamp,      // the value at the nearest end
+  linear,     // tangent at the nearest end
+  quadratic,  // polynomial of the outermost interval
+};
+
+// Values of the splines first, first + 1 and first + 2 at one input; all others are zero.
+template <class T>
+struct LocalBasis {
+  int first;
+  int clipped;  // 1 where the input was outside the knots
+  T value[3];
+  T slope[3] = {};  // d value / d input; filled by evaluate_with_slope
+};
+
+// Basis over p knots. The full basis (offset 0, p + 1 splines) extends the knots by two on each
+// side and sums to one on all of [lower, upper]; the basis of the paper (offset 2, p - 3
+// splines, Eq. 9) keeps only the splines whose support lies within the knots.
+template <class T>
+struct QuadraticBasis {
+  const T* knots = nullptr;  // p + 4 extended knots, increasing; owned by the caller
+  int knot_count = 0;        // p
+  int count = 0;             // splines
+  int offset = 0;            // full splines dropped on each side
+  T inverse_spacing = 0;     // 1 / knot distance, or 0 where the knots are not equidistant
+  Outside outside = Outside::clamp;
+  bool printed = false;         // middle piece of Eq. 9 as printed, (u - k_i + dk)
+
+  T lower() const { return knots[2]; }
+  T upper() const { return knots[knot_count + 1]; }
+
+  // Abscissa at which weight i makes the network the identity (Greville; full basis).
+  T greville(int i) const {
+    return (knots[i + offset + 1] + knots[i + offset + 2]) / T(2);
+  }
+
+  // Places of an array of weights with `offset` unused ones at each end; see evaluate_padded.
+  int padded() const { return count + 2 * offset; }
+
+  LocalBasis<T> evaluate(T u) const {
+    LocalBasis<T> local = locate<false>(u);
+    if (offset != 0) fold<false>(local);
+    return local;
+  }
+  LocalBasis<T> evaluate_with_slope(T u) const {
+    LocalBasis<T> local = locate<true>(u);
+    if (offset != 0) fold<true>(local);
+    return local;
+  }
+
+  // As evaluate, but `first` counts from the padding and dropped splines have value zero: no
+  // branch depends on the input.
+  LocalBasis<T> evaluate_padded(T u) const {
+    LocalBasis<T> local = locate<false>(u);
+    local.first += offset;
+    for (int k = 0; k < 3; ++k) {
+      const int i = local.first + k;
+      local.value[k] = (i >= offset) & (i < offset + count) ? local.value[k] : T(0);
+    }
+    return local;
+  }
+
+ private:
+  template <bool Slope>
+  LocalBasis<T> locate(T u) const {
+    LocalBasis<T> local;
+    // NaN (a diverged simulation) goes to the lower end: the interval must exist whatever u is.
+    const T nearest = !(u >= lower()) ? lower() : (upper() < u ? upper() : u);
+    local.clipped = nearest != u;
+    int interval;  // nearest lies in [knots[interval + 2], knots[interval + 3])
+    const bool outside_slope = local.clipped && outside == Outside::linear;
+    const T inside = outside == Outside::quadratic ? u : nearest;
+    if (inverse_spacing > T(0)) {
+      const T s = (nearest - lower()) * inverse_spacing;
+      interval = smaller(static_cast<int>(s), knot_count - 2);
+      T x = s - static_cast<T>(interval);
+      if (inside != nearest) x += (inside - nearest) * inverse_spacing;
+      const T rest = T(1) - x;
+      local.value[0] = rest * rest * T(0.5);
+      local.value[1] = T(0.5) + x * rest;
+      local.value[2] = x * x * T(0.5);
+      if (printed) local.value[1] += T(2) - x;
+      if (Slope || outside_slope) {
+        local.slope[0] = -rest * inverse_spacing;
+        local.slope[1] = (rest - x) * inverse_spacing;
+        local.slope[2] = x * inverse_spacing;
+        if (printed) local.slope[1] -= inverse_spacing;
+      }
+    } else {
+      interval = search(nearest);
+      const T* t = knots + interval + 1;
+      const T gap = t[2] - t[1];
+      const T left = T(1) / ((t[2] - t[0]) * gap), right = T(1) / ((t[3] - t[1]) * gap);
+      const T up = inside - t[1], down = t[2] - inside;
+      local.value[0] = down * down * left;
+      local.value[1] = (inside - t[0]) * down * left + (t[3] - inside) * up * right;
+      local.value[2] = up * up * right;
+      if (Slope || outside_slope) {
+        local.slope[0] = T(-2) * down * left;
+        local.slope[2] = T(2) * up * right;
+        local.slope[1] = -(local.slope[0] + local.slope[2]);
+      }
+    }
+    if (outside_slope) {
+      for (int k = 0; k < 3; ++k) local.value[k] += local.slope[k] * (u - inside);
+    } else if (Slope && local.clipped && outside == Outside::clamp) {
+      for (int k = 0; k < 3; ++k) local.slope[k] = T(0);
+    }
+    local.first = interval - offset;
+    return local;
+  }
+
+  // Last interval whose left knot is not above u; the last one is closed on the right.
+  int search(T u) const {
+    int low = 0, high = knot_count - 1;
+    while (high - low > 1) {
+      const int middle = (low + high) / 2;
+      if (knots[middle + 2] <= u) low = middle; else high = middle;
+    }
+    return low;
+  }
+
+  // Drops the splines that the basis of the paper lacks, keeping three valid indices.
+  template <bool Slope>
+  void fold(LocalBasis<T>& local) const {
+    const int shift = local.first < 0 ? -local.first
+                      : local.first > count - 3 ? count - 3 - local.first : 0;
+    if (shift == 0) return;
+    T value[3] = {0, 0, 0}, slope[3] = {0, 0, 0};
+    for (int k = 0; k < 3; ++k) {
+      const int from = k + shift;
+      if (from < 0 || from > 2) continue;
+      value[k] = local.value[from];
+      if (Slope) slope[k] = local.slope[from];
+    }
+    for (int k = 0; k < 3; ++k) {
+      local.value[k] = value[k];
+      if (Slope) local.slope[k] = slope[k];
+    }
+    local.first += shift;
+  }
+};
+
+// Extends p knots by two at each end, repeating the outermost gap. Returns the common distance
+// if the knots are equidistant to `tolerance` of a gap, else zero.
+template <class T>
+T extend_knots(const T* knots, int p, T* extended, T tolerance) {
+  for (int i = 0; i < p; ++i) extended[i + 2] = knots[i];
+  const T head = knots[1] - knots[0], tail = knots[p - 1] - knots[p - 2];
+  extended[1] = knots[0] - head;
+  extended[0] = knots[0] - T(2) * head;
+  extended[p + 2] = knots[p - 1] + tail;
+  extended[p + 3] = knots[p - 1] + T(2) * tail;
+  const T mean = (knots[p - 1] - knots[0]) / static_cast<T>(p - 1);
+  for (int i = 1; i < p; ++i) {
+    if (magnitude(knots[i] - knots[i - 1] - mean) > tolerance * mean) return T(0);
+  }
+  return mean;
+}
+
+// Basis over `p` knots; `extended` needs p + 4 places and must outlive the basis.
+template <class T>
+QuadraticBasis<T> make_basis(const T* knots, int p, T* extended, bool full) {
+  QuadraticBasis<T> basis;
+  const T tolerance = sizeof(T) == 4 ? T(1e-4) : T(1e-9);
+  const T spacing = extend_knots(knots, p, extended, tolerance);
+  basis.knots = extended;
+  basis.knot_count = p;
+  basis.offset = full ? 0 : 2;
+  basis.count = full ? p + 1 : p - 3;
+  basis.inverse_spacing = spacing > T(0) ? T(1) / spacing : T(0);
+  return basis;
+}
+
+}  // namespace leglab::identification

@@ -1,0 +1,198 @@
+// Regressor of a model that is linear in its parameters, made of blocks of features.
+#pragma once
+
+#include "identification/basis.h"
+#include "identification/ud_factor.h"
+#include "identification/workspace.h"
+
+namespace leglab::identification {
+
+enum class Feature : int {
+  lags,         // x(t - lag), x(t - lag - 1), ...
+  constant,     // 1
+  spline,       // N_i(x(t - lag)), optionally times another signal's lag
+  hammerstein,  // n(t - lag), n(t - lag - 1), ... with n = sum_i w_i N_i(x)
+};
+
+// Signal 0 is the output, whose lags start at 1; signals 1, 2, ... are the inputs.
+template <class T>
+struct Block {
+  Feature feature = Feature::constant;
+  int signal = 0;
+  int lag = 0;
+  int lags = 1;  // number of them, of lags and hammerstein
+  QuadraticBasis<T> basis;
+  int factor_signal = -1;  // of spline; -1: none
+  int factor_lag = 0;
+  T learning_constant = T(0);  // of hammerstein
+
+  int count() const {
+    return feature == Feature::spline ? basis.count : feature == Feature::constant ? 1 : lags;
+  }
+  int locals() const {
+    return feature == Feature::spline ? 1 : feature == Feature::hammerstein ? lags : 0;
+  }
+  int weights() const { return feature == Feature::hammerstein ? basis.count : 0; }
+  int deepest() const {
+    const int last = feature == Feature::constant ? 0
+                     : feature == Feature::spline ? lag : lag + lags - 1;
+    return factor_signal >= 0 ? larger(last, factor_lag) : last;
+  }
+};
+
+template <class T>
+struct Structure {
+  const Block<T>* blocks = nullptr;  // owned by the caller
+  int block_count = 0;
+  int inputs = 1;
+
+  template <class Measure>
+  int sum(Measure measure) const {
+    int total = 0;
+    for (int b = 0; b < block_count; ++b) total += measure(blocks[b]);
+    return total;
+  }
+  int parameters() const { return sum([](const Block<T>& b) { return b.count(); }); }
+  int weights() const { return sum([](const Block<T>& b) { return b.weights(); }); }
+  int locals() const { return sum([](const Block<T>& b) { return b.locals(); }); }
+  // Samples of history: the largest lag in use.
+  int depth() const {
+    int most = 1;
+    for (int b = 0; b < block_count; ++b) most = larger(most, blocks[b].deepest());
+    return most;
+  }
+};
+
+// Past of all signals: x(t - lag) at [lag].
+template <class T>
+struct History {
+  int depth = 0;
+  T* output = nullptr;  // [0] is not used
+  T* inputs = nullptr;
+
+  T at(int signal, int lag) const {
+    return signal == 0 ? output[lag] : inputs[(signal - 1) * (depth + 1) + lag];
+  }
+};
+
+
+template <class T>
+class Features {
+ public:
+  void layout(Workspace& workspace, const Structure<T>& structure) {
+    structure_ = structure;
+    phi_ = workspace.take<T>(structure.parameters());
+    local_ = workspace.take<LocalBasis<T>>(structure.locals());
+    support_ = workspace.take<int>(structure.parameters());
+  }
+
+  const T* phi() const { return phi_; }
+  Support support() const { return {support_, nonzero_}; }
+
+  // Number of spline evaluations outside their knots in the last build.
+  int clipped() const { return clipped_; }
+
+  // Fills the regressor; `weights` are those of the hammerstein blocks.
+  template <bool Slopes = false>
+  void build(const History<T>& past, const T* weights) {
+    LocalBasis<T>* local = local_;
+    int at = 0;
+    nonzero_ = clipped_ = 0;
+    for (int b = 0; b < structure_.block_count; ++b) {
+      const Block<T>& block = structure_.blocks[b];
+      const QuadraticBasis<T>& basis = block.basis;
+      switch (block.feature) {
+        case Feature::constant: set(at, T(1)); break;
+        case Feature::lags:
+          for (int k = 0; k < block.lags; ++k) set(at + k, past.at(block.signal, block.lag + k));
+          break;
+        case Feature::spline: {
+          for (int i = 0; i < 3; ++i) phi_[at + local->first + i] = T(0);
+          *local = Slopes ? basis.evaluate_with_slope(past.at(block.signal, block.lag))
+                          : basis.evaluate(past.at(block.signal, block.lag));
+          clipped_ += local->clipped;
+          const T factor =
+              block.factor_signal < 0 ? T(1) : past.at(block.factor_signal, block.factor_lag);
+          for (int i = 0; i < 3; ++i) set(at + local->first + i, local->value[i] * factor);
+          ++local;
+          break;
+        }
+        case Feature::hammerstein:
+          for (int k = 0; k < block.lags; ++k, ++local) {
+            *local = basis.evaluate(past.at(block.signal, block.lag + k));
+            clipped_ += local->clipped;
+            T sum = T(0);
+            for (int i = 0; i < 3; ++i) sum += weights[local->first + i] * local->value[i];
+            set(at + k, sum);
+          }
+          weights += basis.count;
+          break;
+      }
+      at += block.count();
+    }
+  }
+
+  // theta^T phi.
+  T predict(const T* theta) const {
+    T sum = T(0);
+    for (int k = 0; k < nonzero_; ++k) sum += theta[support_[k]] * phi_[support_[k]];
+    return sum;
+  }
+
+  // d (theta^T phi) / d y(t - lag) at [lag], for lag 1 ... depth; after build<true>.
+  void output_slopes(const T* theta, const History<T>& past, T* slope) const {
+    for (int k = 0; k <= past.depth; ++k) slope[k] = T(0);
+    const LocalBasis<T>* local = local_;
+    for (int b = 0; b < structure_.block_count; ++b) {
+      const Block<T>& block = structure_.blocks[b];
+      if (block.feature == Feature::lags && block.signal == 0) {
+        for (int k = 0; k < block.lags; ++k) slope[block.lag + k] += theta[k];
+      } else if (block.feature == Feature::spline) {
+        T rise = T(0), value = T(0);
+        for (int i = 0; i < 3; ++i) {
+          rise += theta[local->first + i] * local->slope[i];
+          value += theta[local->first + i] * local->value[i];
+        }
+        const bool plain = block.factor_signal < 0;
+        if (block.signal == 0) {
+          slope[block.lag] += plain ? rise : rise * past.at(block.factor_signal, block.factor_lag);
+        }
+        if (block.factor_signal == 0) slope[block.factor_lag] += value;
+      }
+      theta += block.count();
+      local += block.locals();
+    }
+  }
+
+  // d (theta^T phi) / d weights of the hammerstein blocks.
+  void weight_slopes(const T* theta, T* slope) const {
+    const LocalBasis<T>* local = local_;
+    for (int b = 0; b < structure_.block_count; ++b) {
+      const Block<T>& block = structure_.blocks[b];
+      if (block.feature == Feature::hammerstein) {
+        for (int i = 0; i < block.basis.count; ++i) slope[i] = T(0);
+        for (int k = 0; k < block.lags; ++k) {
+          for (int i = 0; i < 3; ++i) slope[local[k].first + i] += theta[k] * local[k].value[i];
+        }
+        slope += block.basis.count;
+      }
+      theta += block.count();
+      local += block.locals();
+    }
+  }
+
+ private:
+  void set(int index, T value) {
+    phi_[index] = value;
+    support_[nonzero_++] = index;
+  }
+
+  Structure<T> structure_;
+  int nonzero_ = 0;
+  int clipped_ = 0;
+  T* phi_ = nullptr;
+  LocalBasis<T>* local_ = nullptr;
+  int* support_ = nullptr;
+};
+
+}  // namespace leglab::identification

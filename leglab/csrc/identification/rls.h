@@ -1,0 +1,161 @@
+// Recursive least squares on the factorised gain, with four ways to forget.
+#pragma once
+
+#include <cstdint>
+
+#include "identification/change_detector.h"
+#include "identification/ud_factor.h"
+
+namespace leglab::identification {
+
+enum class Forgetting : int {
+  none,         // Eq. 8 of the paper: never forgets
+  exponential,  // constant factor
+  directional,  // forgets only where the regressor excites (Kulhavy 1987)
+  variable,     // factor from the error (Fortescue, Kershenbaum and Ydstie 1981)
+};
+
+enum class OnChange : int { reset, inflate };
+
+template <class T>
+struct RlsSettings {
+  int parameters = 0;
+  T initial_gain = T(1e4);           // F(0) = initial_gain * I
+  Forgetting forgetting = Forgetting::none;
+  T forgetting_factor = T(1);        // lambda; the smallest one allowed in variable forgetting
+  T memory = T(400);                 // N_0 of variable forgetting [samples]
+  T noise_variance = T(0);           // of variable forgetting; 0: the detector's slow mean
+  T gain_bound = T(1e6);             // trace(F) <= parameters * gain_bound
+  ChangeSettings<T> change;
+  OnChange on_change = OnChange::reset;
+  T change_gain = T(1e4);            // F := change_gain * I, or F += change_gain * I
+};
+
+template <class T>
+class Rls {
+ public:
+  struct Tally {
+    std::int64_t rejected;  // updates refused because they would not have stayed finite
+    std::int64_t in_a_row;  // of them
+    std::int64_t restarts;  // times that theta and F were given up for that
+    T factor;               // forgetting factor of the last update
+  };
+
+  void layout(Workspace& workspace, int parameters) {
+    factor_.layout(workspace, parameters);
+    detector_.layout(workspace);
+    theta_ = workspace.take<T>(parameters);
+    step_ = workspace.take<T>(parameters);
+    tally_ = workspace.take<Tally>(1);
+  }
+
+  // Call once, after layout on real memory.
+  void start(const RlsSettings<T>& settings) {
+    settings_ = settings;
+    detector_.configure(settings.change);
+    factor_.reset(settings.initial_gain);
+    tally_->factor = T(1);
+    watch_ = settings.change.enabled || settings.forgetting == Forgetting::variable;
+  }
+
+  int size() const { return factor_.size(); }
+  T* theta() { return theta_; }
+  const T* theta() const { return theta_; }
+  const UdFactor<T>& gain() const { return factor_; }
+  const Tally& tally() const { return *tally_; }
+  const typename ChangeDetector<T>::State& change() const { return detector_.state(); }
+
+  T predict(const T* phi) const {
+    T even = T(0), odd = T(0);
+    const int n = size();
+    int i = 0;
+    for (; i + 1 < n; i += 2) {
+      even += theta_[i] * phi[i];
+      odd += theta_[i + 1] * phi[i + 1];
+    }
+    return i < n ? even + odd + theta_[i] * phi[i] : even + odd;
+  }
+
+  // One update with regressor phi and a-priori error; true where a change was detected.
+  bool update(const T* phi, T error, Support support = {}) {
+    bool changed = false;
+    T power = factor_.project(phi, support);
+    const T squared = error * error;
+    if (!is_finite(power) || !is_finite(squared)) {
+      reject();
+      return false;
+    }
+    if (watch_ && detector_.observe(squared)) {
+      changed = true;
+      if (settings_.on_change == OnChange::reset) factor_.reset(settings_.change_gain);
+      else factor_.inflate(settings_.change_gain);
+      power = factor_.project(phi, support);
+    }
+    const T denominator = forget(power, squared);
+    const T weight = error / denominator;
+    const T* gain = factor_.gain_vector();
+    const int n = size();
+    T sum = T(0);  // finite only if every term is
+    for (int i = 0; i < n; ++i) {
+      step_[i] = theta_[i] + gain[i] * weight;
+      sum += step_[i];
+    }
+    if (!is_finite(sum)) {
+      reject();
+      return changed;
+    }
+    tally_->in_a_row = 0;
+    for (int i = 0; i < n; ++i) theta_[i] = step_[i];
+    return changed;
+  }
+
+ private:
+  // Parameters so large that their error overflows could never learn again.
+  void reject() {
+    constexpr std::int64_t patience = 10;
+    ++tally_->rejected;
+    if (++tally_->in_a_row < patience) return;
+    for (int i = 0; i < size(); ++i) theta_[i] = T(0);
+    factor_.reset(settings_.initial_gain);
+    tally_->in_a_row = 0;
+    ++tally_->restarts;
+  }
+
+  // Updates F; returns what the gain F phi is divided by.
+  T forget(T power, T squared) {
+    const T one = T(1);
+    T factor = one;
+    switch (settings_.forgetting) {
+      case Forgetting::none: break;
+      case Forgetting::exponential: factor = settings_.forgetting_factor; break;
+      case Forgetting::directional: {
+        const T beta = settings_.forgetting_factor - (one - settings_.forgetting_factor) / power;
+        // Without excitation there is nothing to forget, and 1 / power overflows.
+        const bool excited = power > T(1e-12);
+        factor_.update(one, excited ? beta : T(0), one, settings_.gain_bound);
+        return one + power;
+      }
+      case Forgetting::variable: {
+        const T noise = settings_.noise_variance > T(0) ? settings_.noise_variance
+                                                        : detector_.state().slow;
+        const T information = (one + power) * settings_.memory * noise;
+        if (information > T(0)) factor = one - squared / information;
+        factor = larger(factor, settings_.forgetting_factor);
+        break;
+      }
+    }
+    tally_->factor = factor;
+    factor_.update(factor, one, one / factor, settings_.gain_bound);
+    return factor + power;
+  }
+
+  RlsSettings<T> settings_;
+  UdFactor<T> factor_;
+  ChangeDetector<T> detector_;
+  bool watch_ = false;
+  T* theta_ = nullptr;
+  T* step_ = nullptr;
+  Tally* tally_ = nullptr;
+};
+
+}  // namespace leglab::identification

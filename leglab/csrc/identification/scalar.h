@@ -1,0 +1,38 @@
+// Arithmetic helpers that need no standard library, so that the core compiles freestanding.
+#pragma once
+
+namespace leglab::identification {
+
+template <class T>
+constexpr T magnitude(T x) {
+  return x < T(0) ? -x : x;
+}
+
+template <class T>
+constexpr T smaller(T a, T b) {
+  return b < a ? b : a;
+}
+
+template <class T>
+constexpr T larger(T a, T b) {
+  return a < b ? b : a;
+}
+
+// NaN and the infinities are the only values whose difference with themselves is not zero.
+template <class T>
+constexpr bool is_finite(T x) {
+  return x - x == T(0);
+}
+
+// Shifts the newest value into past[0 .. depth]. The carry keeps compilers from calling memmove,
+// which costs more than a few values are worth.
+template <class T>
+void push(T* past, int depth, T newest) {
+  for (int k = 0; k <= depth; ++k) {
+    const T old = past[k];
+    past[k] = newest;
+    newest = old;
+  }
+}
+
+}  // namespace leglab::identification

@@ -1,0 +1,247 @@
+// The deployed identifier: a NARX model, linear in its parameters, of lags, splines of lags and a
+// Hammerstein input, learned by recursive least squares and optionally refined as output-error.
+#pragma once
+
+#include "identification/guard.h"
+#include "identification/output_error.h"
+#include "identification/poles.h"
+#include "identification/rls.h"
+
+namespace leglab::identification {
+
+// Declared range of a signal: scaled to [-1, 1] before anything else is done with it.
+template <class T>
+struct Scale {
+  T centre = T(0);
+  T half_range = T(1);
+
+  T apply(T x) const { return (x - centre) / half_range; }
+  T undo(T x) const { return centre + half_range * x; }
+};
+
+template <class T>
+struct SplineNarxSettings {
+  Structure<T> structure;  // knots in scaled units
+  Scale<T> output;
+  Scale<T> input[GuardSettings<T>::max_inputs];
+  RlsSettings<T> rls;
+  GuardSettings<T> guard;
+  int output_error_after = 0;       // learned samples until the output-error stage; 0: never
+  T resynchronise_above = T(0.5);   // simulation error that restarts the simulation (scaled)
+  T pole_limit = T(0);              // largest pole radius of the lags of y; 0: any
+};
+
+template <class T>
+class SplineNarx {
+ public:
+  static constexpr T weight_limit = T(10);
+
+  struct State {
+    std::int64_t learned;
+    std::int64_t clipped;    // spline evaluations outside their knots while learning
+    std::int64_t projected;  // samples after which the poles were moved inside the limit
+  };
+
+  void layout(Workspace& workspace, const SplineNarxSettings<T>& settings) {
+    settings_ = settings;
+    const Structure<T>& structure = settings.structure;
+    parameters_ = structure.parameters();
+    weight_count_ = structure.weights();
+    past_.depth = structure.depth();
+    settings_.rls.parameters = parameters_;
+    settings_.guard.inputs = structure.inputs;
+    settings_.guard.memory = past_.depth;
+    rls_.layout(workspace, parameters_);
+    guard_.layout(workspace);
+    guard_.configure(settings_.guard);
+    features_.layout(workspace, structure);
+    past_.output = workspace.take<T>(past_.depth + 1);
+    past_.inputs = workspace.take<T>((past_.depth + 1) * structure.inputs);
+    kept_ = workspace.take<T>((past_.depth + 1) * structure.inputs);
+    weights_ = workspace.take<T>(weight_count_);
+    weight_slope_ = workspace.take<T>(weight_count_);
+    poles_ = workspace.take<T>(4 * past_.depth);
+    state_ = workspace.take<State>(1);
+    if (settings.output_error_after > 0) simulation_.layout(workspace, structure);
+    if (workspace.measuring()) return;
+    rls_.start(settings_.rls);
+    start_weights();
+    // The zeros of the empty history are no samples: equations with them would be remembered by
+    // least squares for the whole pass.
+    guard_.state().dirty = past_.depth;
+  }
+
+  const SplineNarxSettings<T>& settings() const { return settings_; }
+  int parameters() const { return parameters_; }
+  int weight_count() const { return weight_count_; }
+  int inputs() const { return settings_.structure.inputs; }
+  T* weights() { return weights_; }
+  Rls<T>& rls() { return rls_; }
+  Guard<T>& guard() { return guard_; }
+  const State& state() const { return *state_; }
+  bool refines() const { return settings_.output_error_after > 0; }
+  const OutputError<T>& simulation() const { return simulation_; }
+
+  // Takes the sample (u(t), y(t)); returns the a-priori prediction of y(t).
+  T update(const T* input, T y, bool present = true) {
+    T u[GuardSettings<T>::max_inputs];
+    for (int j = 0; j < inputs(); ++j) u[j] = input[j];
+    const Sample verdict = guard_.judge(u, y, present);
+    const T prediction = expect(u);
+    const T measured = settings_.output.apply(y);
+    const bool learns = verdict == Sample::learned;
+    if (learns) {
+      ++state_->learned;
+      state_->clipped += features_.clipped();
+    }
+    T own = measured;  // what the simulation takes for y(t)
+    if (refines() && simulation_.state().running) own = refine(measured, verdict);
+    // Also where the simulation has just been lost: a model that is far off must still learn.
+    if (learns && !(refines() && simulation_.state().running)) {
+      learn(features_.phi(), features_.support(), measured - prediction);
+    }
+    if (learns && settings_.pole_limit > T(0)) project_poles(settings_.pole_limit);
+    remember_scaled(measured);
+    if (refines()) advance(own);
+    return settings_.output.undo(prediction);
+  }
+
+  // Prediction without learning, and the output that is to stand for y(t) afterwards; for
+  // validation and free run on a copy of the workspace.
+  T predict_next(const T* u) { return settings_.output.undo(expect(u)); }
+  void remember(T y) { remember_scaled(settings_.output.apply(y)); }
+
+  // Prediction of the next output for an input that is not taken; changes nothing.
+  T peek(const T* u) {
+    const int count = (past_.depth + 1) * inputs();
+    for (int i = 0; i < count; ++i) kept_[i] = past_.inputs[i];
+    const T prediction = expect(u);
+    for (int i = 0; i < count; ++i) past_.inputs[i] = kept_[i];
+    return settings_.output.undo(prediction);
+  }
+
+  // Moves the poles of the lags of y inside the radius; true where they had to move.
+  bool project_poles(T radius) {
+    T* a = poles_;
+    for (int k = 0; k < past_.depth; ++k) a[k] = T(0);
+    visit_output_lags([&](int lag, T& theta) { a[lag - 1] -= theta; });
+    const T g = pole_contraction(a, past_.depth, radius, poles_ + past_.depth);
+    if (g == T(1)) return false;
+    visit_output_lags([&](int lag, T& theta) {
+      for (int k = 0; k < lag; ++k) theta *= g;
+    });
+    ++state_->projected;
+    return true;
+  }
+
+ private:
+  T expect(const T* u) {
+    const int depth = past_.depth;
+    for (int j = 0; j < inputs(); ++j) {
+      push(past_.inputs + j * (depth + 1), depth, settings_.input[j].apply(u[j]));
+    }
+    features_.build(past_, weights_);
+    return features_.predict(rls_.theta());
+  }
+
+  // Gauss-Newton step on the simulation error; returns the simulated output, or ends the simulation
+  // and returns the measured one.
+  T refine(T measured, Sample verdict) {
+    const T simulated = simulation_.simulate(past_, rls_.theta(), weights_);
+    const T error = measured - simulated;
+    simulation_.score(error);
+    bool usable = magnitude(error) <= settings_.resynchronise_above;  // false for NaN
+    const T* psi = simulation_.sensitivity();
+    for (int i = 0; i < parameters_; ++i) usable &= is_finite(psi[i]);
+    if (!usable) {
+      ++simulation_.state().resynchronised;
+      simulation_.state().running = false;
+      return measured;
+    }
+    if (verdict != Sample::learned) return simulated;
+    rls_.update(psi, error);
+    move_weights(psi + parameters_, error);
+    return simulated;
+  }
+
+  void learn(const T* phi, Support support, T error) {
+    if (weight_count_ > 0) features_.weight_slopes(rls_.theta(), weight_slope_);
+    // Gathering pays only where most of the regressor is zero.
+    rls_.update(phi, error, support.count * 3 <= parameters_ ? support : Support{});
+    move_weights(weight_slope_, error);
+  }
+
+  // Gradient step through the sensitivity of the output; the step is bounded as in normalised
+  // least mean squares, and is the plain gradient where the sensitivity is small. Scaled weights
+  // are about one (the identity), and theta takes up any gain: weights beyond the limit
+  // are not needed, and would only let wild data drive the product of both to infinity.
+  void move_weights(const T* slope, T error) {
+    const Structure<T>& structure = settings_.structure;
+    T* w = weights_;
+    for (int b = 0; b < structure.block_count; ++b) {
+      const int count = structure.blocks[b].weights();
+      T power = T(1);
+      for (int i = 0; i < count; ++i) power += slope[i] * slope[i];
+      const T step = structure.blocks[b].learning_constant * error / power;
+      for (int i = 0; i < count; ++i) {
+        const T moved = w[i] + step * slope[i];
+        if (is_finite(moved)) w[i] = smaller(larger(moved, -weight_limit), weight_limit);
+      }
+      w += count;
+      slope += count;
+    }
+  }
+
+  void advance(T own) {
+    OutputError<T>& simulation = simulation_;
+    if (simulation.state().running) {
+      simulation.remember(own);
+    } else if (state_->learned >= settings_.output_error_after) {
+      simulation.synchronise(past_);
+    }
+  }
+
+  void remember_scaled(T y) {
+    past_.output[0] = y;
+    push(past_.output, past_.depth, y);
+  }
+
+  void start_weights() {
+    const Structure<T>& structure = settings_.structure;
+    T* w = weights_;
+    for (int b = 0; b < structure.block_count; ++b) {
+      for (int i = 0; i < structure.blocks[b].weights(); ++i) {
+        *w++ = structure.blocks[b].basis.greville(i);
+      }
+    }
+  }
+
+  template <class Visitor>
+  void visit_output_lags(Visitor visit) {
+    const Structure<T>& structure = settings_.structure;
+    T* theta = rls_.theta();
+    for (int b = 0; b < structure.block_count; ++b) {
+      const Block<T>& block = structure.blocks[b];
+      if (block.feature == Feature::lags && block.signal == 0) {
+        for (int k = 0; k < block.lags; ++k) visit(block.lag + k, theta[k]);
+      }
+      theta += block.count();
+    }
+  }
+
+  SplineNarxSettings<T> settings_;
+  int parameters_ = 0;
+  int weight_count_ = 0;
+  Rls<T> rls_;
+  Guard<T> guard_;
+  Features<T> features_;
+  OutputError<T> simulation_;
+  History<T> past_;
+  T* kept_ = nullptr;
+  T* weights_ = nullptr;
+  T* weight_slope_ = nullptr;
+  T* poles_ = nullptr;
+  State* state_ = nullptr;
+};
+
+}  // namespace leglab::identification

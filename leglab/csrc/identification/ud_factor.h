@@ -1,0 +1,248 @@
+// Gain matrix F = U D U^T of recursive least squares, kept as its factors (Bierman 1976).
+#pragma once
+
+#include "identification/scalar.h"
+#include "identification/workspace.h"
+
+namespace leglab::identification {
+
+// Which regressors are not zero; index == nullptr means all of them.
+struct Support {
+  const int* index = nullptr;  // increasing
+  int count = 0;
+};
+
+// U is unit upper triangular, its columns packed one behind the other; D is positive. F is
+// symmetric positive definite by construction: no rounding can undo it, and what
+// keeps D above `floor` and the columns below a bound only ever changes positive factors.
+template <class T>
+class UdFactor {
+ public:
+  // Smallest entry of D: far below any useful gain, far above underflow of its products.
+  static constexpr T floor = sizeof(T) == 4 ? T(1e-24) : T(1e-100);
+
+  void layout(Workspace& workspace, int n) {
+    n_ = n;
+    u_ = workspace.take<T>(n * (n - 1) / 2);
+    d_ = workspace.take<T>(n);
+    f_ = workspace.take<T>(n);
+    v_ = workspace.take<T>(n);
+    b_ = workspace.take<T>(n);
+  }
+
+  void reset(T gain) {
+    for (int i = 0; i < n_ * (n_ - 1) / 2; ++i) u_[i] = T(0);
+    for (int i = 0; i < n_; ++i) d_[i] = gain;
+  }
+
+  int size() const { return n_; }
+  const T* upper() const { return u_; }
+  const T* diagonal() const { return d_; }
+  const T* gain_vector() const { return b_; }  // F phi of the last update, before it
+
+  // Computes f = U^T phi and v = D f; returns phi^T F phi.
+  T project(const T* phi, Support support) {
+    first_ = 0;
+    if (support.index == nullptr) return dispatch_project(phi);
+    if (support.count == 0) {
+      first_ = n_;
+      return T(0);
+    }
+    first_ = support.index[0];
+    T power = T(0);
+    int below = 0;  // nonzero regressors with an index below j
+    for (int j = first_; j < n_; ++j) {
+      const T* column = u_ + j * (j - 1) / 2;
+      T even = T(0), odd = T(0);
+      int k = 0;
+      for (; k + 1 < below; k += 2) {
+        even += column[support.index[k]] * phi[support.index[k]];
+        odd += column[support.index[k + 1]] * phi[support.index[k + 1]];
+      }
+      if (k < below) even += column[support.index[k]] * phi[support.index[k]];
+      if (below < support.count && support.index[below] == j) {
+        even += phi[j];
+        ++below;
+      }
+      f_[j] = even + odd;
+      v_[j] = d_[j] * f_[j];
+      power += f_[j] * v_[j];
+    }
+    return power;
+  }
+
+  // F <- (F - beta F phi phi^T F / (alpha + beta phi^T F phi)) * scale after project(phi).
+  // beta may be negative (directional forgetting) as long as alpha + beta phi^T F phi stays
+  // positive. Where F can have grown, every column's share of the trace is kept within bound.
+  void update(T alpha, T beta, T scale, T bound) {
+    Sweep sweep{alpha, beta, scale, T(1) / alpha, false};
+    if (n_ == 6 && first_ == 0) fixed_rotate<6>(sweep);
+    else if (n_ == 7 && first_ == 0) fixed_rotate<7>(sweep);
+    else rotate(sweep);
+    // Exactly, F can only have grown in the first two cases; rounding adds the others.
+    if (scale > T(1) || beta < T(0) || sweep.floored || sweep.alpha > T(1e8)) limit(bound);
+  }
+
+  // F <- F + amount I, as n rank-one updates (Agee and Turner 1972).
+  void inflate(T amount) {
+    for (int m = 0; m < n_; ++m) {
+      for (int i = 0; i < m; ++i) b_[i] = T(0);
+      b_[m] = T(1);
+      T c = amount;
+      for (int j = m; j >= 0 && c > T(0); --j) {
+        const T old = d_[j];
+        d_[j] = old + c * b_[j] * b_[j];
+        const T ratio = c * b_[j] / d_[j];
+        T* column = u_ + j * (j - 1) / 2;
+        for (int i = 0; i < j; ++i) {
+          b_[i] -= b_[j] * column[i];
+          column[i] += ratio * b_[i];
+        }
+        c *= old / d_[j];
+      }
+    }
+  }
+
+  T trace() const {
+    T sum = T(0);
+    for (int j = 0; j < n_; ++j) sum += d_[j] * column_power(j);
+    return sum;
+  }
+
+ private:
+  T column_power(int j) const {
+    const T* column = u_ + j * (j - 1) / 2;
+    T sum = T(1);
+    for (int i = 0; i < j; ++i) sum += column[i] * column[i];
+    return sum;
+  }
+
+  // Scales D where a column's share of the trace is beyond the bound. A column that would need
+  // less than the floor, or is no longer finite, forgets its correlations instead.
+  void limit(T bound) {
+    for (int j = 0; j < n_; ++j) {
+      const T power = column_power(j);
+      if (d_[j] * power <= bound) continue;
+      d_[j] = bound / power;
+      if (d_[j] >= floor) continue;
+      d_[j] = floor;
+      T* column = u_ + j * (j - 1) / 2;
+      for (int i = 0; i < j; ++i) column[i] = T(0);
+    }
+  }
+
+  T dispatch_project(const T* phi) {
+    T power = T(0);
+    switch (n_) {
+      case 6: fixed_project<6, 0>(phi, power); break;
+      case 7: fixed_project<7, 0>(phi, power); break;
+      default: project_columns(phi, power);
+    }
+    return power;
+  }
+
+  void project_columns(const T* phi, T& power) {
+    for (int j = 0; j < n_; ++j) {
+      const T* column = u_ + j * (j - 1) / 2;
+      // Four sums: the additions of one wait for each other.
+      T sum[4] = {phi[j], T(0), T(0), T(0)};
+      int i = 0;
+      for (; i + 3 < j; i += 4) {
+        for (int k = 0; k < 4; ++k) sum[k] += column[i + k] * phi[i + k];
+      }
+      for (; i < j; ++i) sum[0] += column[i] * phi[i];
+      f_[j] = (sum[0] + sum[1]) + (sum[2] + sum[3]);
+      v_[j] = d_[j] * f_[j];
+      power += f_[j] * v_[j];
+    }
+  }
+
+  // Running state of one update: alpha of the columns done so far, and its inverse.
+  struct Sweep {
+    T alpha, beta, scale, inverse;
+    bool floored;  // an entry of D was held at the floor
+  };
+
+  // Factor by which column j of U takes up b; advances the sweep and D.
+  T turn(Sweep& sweep, int j) {
+    const T f = sweep.beta * f_[j];
+    const T ratio = -f * sweep.inverse;
+    T next = sweep.alpha + f * v_[j];
+    // Exactly, the last alpha is lambda (1 + phi^T F phi) > 0.25 where beta < 0.
+    if (sweep.beta < T(0)) next = larger(next, T(0.25));
+    sweep.inverse = T(1) / next;
+    const T d = d_[j] * (sweep.scale * sweep.alpha * sweep.inverse);
+    sweep.floored |= d < floor;
+    d_[j] = larger(d, floor);
+    sweep.alpha = next;
+    return ratio;
+  }
+
+  void rotate(Sweep& sweep) {
+    T* __restrict b = b_;
+    for (int i = 0; i < first_; ++i) {
+      b[i] = T(0);
+      d_[i] *= sweep.scale;
+    }
+    for (int j = first_; j < n_; ++j) {
+      T* __restrict column = u_ + j * (j - 1) / 2;
+      const T v = v_[j], ratio = turn(sweep, j);
+      for (int i = 0; i < j; ++i) {
+        const T old = column[i];
+        column[i] = old + ratio * b[i];
+        b[i] += v * old;
+      }
+      b[j] = v;
+    }
+  }
+
+  // The same for N parameters known to the compiler, unrolled by recursion over the columns.
+  template <int N, int J>
+  [[gnu::always_inline]] void fixed_project(const T* phi, T& power) {
+    if constexpr (J < N) {
+      const T* column = u_ + J * (J - 1) / 2;
+      T even = phi[J], odd = T(0);
+      for (int i = 0; i + 1 < J; i += 2) {
+        even += column[i] * phi[i];
+        odd += column[i + 1] * phi[i + 1];
+      }
+      if (J % 2 == 1) even += column[J - 1] * phi[J - 1];
+      f_[J] = even + odd;
+      v_[J] = d_[J] * f_[J];
+      power += f_[J] * v_[J];
+      fixed_project<N, J + 1>(phi, power);
+    }
+  }
+
+  template <int N>
+  void fixed_rotate(Sweep& sweep) {
+    T b[N];
+    fixed_columns<N, 0>(sweep, b);
+    for (int i = 0; i < N; ++i) b_[i] = b[i];
+  }
+
+  template <int N, int J>
+  [[gnu::always_inline]] void fixed_columns(Sweep& sweep, T* b) {
+    if constexpr (J < N) {
+      T* column = u_ + J * (J - 1) / 2;
+      const T v = v_[J], ratio = turn(sweep, J);
+      for (int i = 0; i < J; ++i) {
+        const T old = column[i];
+        column[i] = old + ratio * b[i];
+        b[i] += v * old;
+      }
+      b[J] = v;
+      fixed_columns<N, J + 1>(sweep, b);
+    }
+  }
+
+  int n_ = 0;
+  int first_ = 0;
+  T* u_ = nullptr;
+  T* d_ = nullptr;
+  T* f_ = nullptr;
+  T* v_ = nullptr;
+  T* b_ = nullptr;
+};
+
+}  // namespace leglab::identification

@@ -1,0 +1,135 @@
+"""Feature blocks of the deployed identifier's regressor, and the signals they are made of."""
+
+from dataclasses import dataclass
+
+from leglab.identification import checks
+from leglab.identification.basis import Basis
+
+
+@dataclass(frozen=True, kw_only=True)
+class Signal:
+    """A signal and its declared range, which is scaled to [-1, 1] (never from data seen later).
+
+    Attributes:
+        name: How features refer to it.
+        lower: Lower end of the range in units of the signal.
+        upper: Upper end.
+    """
+
+    name: str
+    lower: float = -1.0
+    upper: float = 1.0
+
+    def __post_init__(self) -> None:
+        checks.interval(f"range of signal {self.name!r}", (self.lower, self.upper))
+
+    @property
+    def centre(self) -> float:
+        """Middle of the range."""
+        return (self.lower + self.upper) / 2
+
+    @property
+    def half_range(self) -> float:
+        """Half the width of the range."""
+        return (self.upper - self.lower) / 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lags:
+    """Linear features x(t - first), ..., x(t - first - count + 1).
+
+    Attributes:
+        signal: Name of x.
+        first: Smallest lag [samples]; at least 1 for the output.
+        count: How many.
+    """
+
+    signal: str
+    first: int = 1
+    count: int = 1
+
+    def __post_init__(self) -> None:
+        checks.whole(f"first lag of {self.signal!r}", self.first, least=0, most=1000)
+        checks.whole(f"count of lags of {self.signal!r}", self.count, least=1, most=1000)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Constant:
+    """The feature 1."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spline:
+    """Features N_i(x(t - lag)), each with its own parameter, learned by least squares.
+
+    Attributes:
+        signal: Name of x.
+        lag: Samples; at least 1 for the output.
+        basis: The splines, with knots in units of x.
+        times: Optional (signal, lag) that multiplies every spline: a gain that depends on x.
+    """
+
+    signal: str
+    lag: int = 1
+    basis: Basis
+    times: tuple[str, int] | None = None
+
+    def __post_init__(self) -> None:
+        checks.whole(f"spline lag of {self.signal!r}", self.lag, least=0, most=1000)
+        if self.times is not None:
+            checks.whole(f"factor lag of {self.times[0]!r}", self.times[1], least=0, most=1000)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hammerstein:
+    """Features n(t - first), ... of n = sum_i w_i N_i(x); w learns through their sensitivity.
+
+    The weights start as the identity and follow the gradient of the squared error with
+    respect to them, d y / d w_i = sum_k theta_k N_i(x(t - k)), unlike the paper's rule, which
+    trains the network towards y itself.
+
+    Attributes:
+        signal: Name of the input x.
+        first: Smallest lag [samples].
+        count: How many.
+        basis: The splines, full, with knots in units of x.
+        learning_constant: mu in [0, 2) of the gradient step.
+    """
+
+    signal: str
+    first: int = 1
+    count: int = 3
+    basis: Basis
+    learning_constant: float = 0.1
+
+    def __post_init__(self) -> None:
+        checks.whole(f"first lag of {self.signal!r}", self.first, least=0, most=1000)
+        checks.whole(f"count of lags of {self.signal!r}", self.count, least=1, most=1000)
+        checks.number("hammerstein learning_constant", self.learning_constant, least=0.0, most=2.0)
+
+
+Feature = Lags | Constant | Spline | Hammerstein
+
+
+@dataclass(frozen=True)
+class Block:
+    """A feature as the core reads it: signals by number, knots scaled."""
+
+    feature: str
+    signal: int = 0
+    lag: int = 0
+    lags: int = 1
+    basis: Basis | None = None
+    factor_signal: int = -1
+    factor_lag: int = 0
+    learning_constant: float = 0.0
+
+    @property
+    def count(self) -> int:
+        """Parameters in theta."""
+        return self.basis.count if self.feature == "spline" and self.basis else self.lags
+
+    @property
+    def weights(self) -> int:
+        """Weights of a hammerstein block."""
+        return self.basis.count if self.feature == "hammerstein" and self.basis else 0

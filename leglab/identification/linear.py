@@ -1,0 +1,31 @@
+"""Linear part of an identifier: transfer functions and poles from coefficients of lags."""
+
+import control
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+def transfer_function(
+    output: ArrayLike, inputs: ArrayLike, timestep: float | bool = True
+) -> control.TransferFunction:
+    """Transfer function of y(t) = sum_k output_k y(t-k) + sum_k inputs_k u(t-k).
+
+    Args:
+        output: Coefficients of y(t - 1), y(t - 2), ...
+        inputs: Coefficients of u(t), u(t - 1), ...
+        timestep: Sampling time [s]; True leaves it unspecified.
+    """
+    a, b = np.asarray(output, dtype=float), np.asarray(inputs, dtype=float)
+    order = max(len(a), len(b) - 1)
+    denominator = np.zeros(order + 1)
+    denominator[0] = 1.0
+    denominator[1 : len(a) + 1] = -a
+    numerator = np.zeros(order + 1)
+    numerator[: len(b)] = b
+    return control.TransferFunction(numerator, denominator, timestep)
+
+
+def poles(output: ArrayLike) -> NDArray[np.complex128]:
+    """Poles of the same difference equation, complex, (lags of y,)."""
+    roots = np.roots(np.concatenate(([1.0], -np.asarray(output, dtype=float))))
+    return roots.astype(np.complex128)

@@ -1,0 +1,127 @@
+"""Settings that both identifiers share: forgetting, change detection and sample guards."""
+
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+from leglab.errors import LeglabError
+from leglab.identification import checks
+
+Forgetting = Literal["none", "exponential", "directional", "variable"]
+ChangeAction = Literal["reset", "inflate"]
+Scalar = Literal["float64", "float32"]
+MAX_INPUTS = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChangeDetection:
+    """Opens the gain when the a-priori error grows: fast at first, slow later.
+
+    A change is seen where the mean squared error over about `fast_window` samples exceeds `ratio`
+    times that over `slow_window`. A ratio of 2 false-alarms, 4 misses.
+
+    Attributes:
+        fast_window: Samples of the quick exponential mean.
+        slow_window: Samples of the slow exponential mean.
+        ratio: Of the means of squares at which a change is declared.
+        hold_off: Samples after the start and after a change without (another) alarm.
+        action: "reset" sets F to gain * I, "inflate" adds gain * I.
+        gain: See action.
+    """
+
+    fast_window: int = 20
+    slow_window: int = 500
+    ratio: float = 3.0
+    hold_off: int = 200
+    action: ChangeAction = "reset"
+    gain: float = 1e4
+
+    def __post_init__(self) -> None:
+        checks.whole("change fast_window", self.fast_window, least=1)
+        checks.whole("change slow_window", self.slow_window, least=self.fast_window + 1)
+        checks.number("change ratio", self.ratio, above=1.0)
+        checks.whole("change hold_off", self.hold_off, least=0)
+        checks.choice("change action", self.action, get_args(ChangeAction))
+        checks.number("change gain", self.gain, above=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rls:
+    """Recursive least squares (Eqs. 6 to 8) and how it forgets.
+
+    Attributes:
+        initial_gain: F(0) is this times the identity.
+        forgetting: "none" is Eq. 8. "exponential" has a constant factor. "directional" forgets
+            only along the regressor (Kulhavy 1987). "variable" chooses the factor from the
+            error (Fortescue, Kershenbaum and Ydstie 1981).
+        forgetting_factor: Lambda in [0.5, 1]; the least one allowed in variable forgetting.
+        memory: N_0 of variable forgetting [samples].
+        noise_variance: Of variable forgetting, in squared (scaled) output units; 0 uses the
+            slow mean of the squared error.
+        gain_bound: trace(F) never exceeds this times the number of parameters; None takes ten
+            times the initial gain.
+        change: Change detection, or None.
+    """
+
+    initial_gain: float = 1e4
+    forgetting: Forgetting = "none"
+    forgetting_factor: float = 1.0
+    memory: float = 400.0
+    noise_variance: float = 0.0
+    gain_bound: float | None = None
+    change: ChangeDetection | None = None
+
+    def __post_init__(self) -> None:
+        checks.number("rls initial_gain", self.initial_gain, above=0.0)
+        checks.choice("rls forgetting", self.forgetting, get_args(Forgetting))
+        checks.number("rls forgetting_factor", self.forgetting_factor, least=0.5, most=1.0)
+        checks.number("rls memory", self.memory, least=1.0)
+        checks.number("rls noise_variance", self.noise_variance, least=0.0)
+        bound = 10 * self.initial_gain if self.gain_bound is None else self.gain_bound
+        object.__setattr__(self, "gain_bound", bound)
+        checks.number("rls gain_bound", bound, least=self.initial_gain)
+        if self.change is not None and self.change.gain > bound:
+            raise LeglabError(
+                f"change gain is {self.change.gain!r}: must not exceed gain_bound {bound!r}"
+            )
+
+    @classmethod
+    def adaptive(cls, initial_gain: float = 1e4) -> "Rls":
+        """Variable forgetting (N_0 400) with reset on change: what re-adapts fastest."""
+        return cls(
+            initial_gain=initial_gain,
+            forgetting="variable",
+            forgetting_factor=0.9,
+            change=ChangeDetection(gain=initial_gain),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Guard:
+    """Which samples teach nothing. They are counted, and the last good value stands in.
+
+    NaN and infinite values are always refused. After a bad sample learning waits until the
+    regressor holds only good ones.
+
+    Attributes:
+        stuck_samples: Output bit-identical for so many samples while an input moves counts as a
+            stuck sensor; 0 never.
+        input_limits: (lower, upper) for each input in its units: a command at or beyond them is
+            saturated. Empty for none.
+    """
+
+    stuck_samples: int = 0
+    input_limits: tuple[tuple[float, float], ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        checks.whole("guard stuck_samples", self.stuck_samples, least=0)
+        limits = tuple((float(low), float(high)) for low, high in self.input_limits)
+        object.__setattr__(self, "input_limits", limits)
+        for j, limit in enumerate(limits):
+            checks.interval(f"guard input_limits[{j}]", limit)
+
+    def check_inputs(self, inputs: int) -> None:
+        """Requires limits for all of `inputs` inputs or for none."""
+        if self.input_limits and len(self.input_limits) != inputs:
+            raise LeglabError(
+                f"guard has limits for {len(self.input_limits)} inputs: the model has {inputs}"
+            )

@@ -1,0 +1,279 @@
+"""The deployed identifier: a NARX model of lags and splines of any signal, linear in parameters."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import ClassVar, get_args
+
+import control
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+
+from leglab._native import identification as native
+from leglab.errors import LeglabError, unknown_name
+from leglab.identification import checks, linear
+from leglab.identification.basis import Basis
+from leglab.identification.features import (
+    Block,
+    Constant,
+    Feature,
+    Hammerstein,
+    Lags,
+    Signal,
+    Spline,
+)
+from leglab.identification.front import Array, Identifier
+from leglab.identification.settings import MAX_INPUTS, Guard, Rls, Scalar
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplineNarxSettings:
+    """Structure and constants of a `SplineNarx`.
+
+    Attributes:
+        output: The output and its declared range.
+        inputs: Inputs in the order in which samples carry them.
+        features: Blocks of the regressor; theta has their parameters in this order.
+        rls: Recursive least squares; errors and gains are in scaled units.
+        guard: Which samples are refused.
+        plausible_range: A signal farther from the middle of its declared range than this many
+            half ranges is refused as implausible; 0 allows any.
+        output_error_after: Learned samples after which learning minimises the error of the
+            model's own simulation (recursive prediction error method); 0 never.
+        resynchronise_above: Simulation error, in units of the output, at which the simulation
+            restarts from the measurements; that sample teaches through its one-step error. None
+            takes a quarter of the output's range.
+        pole_limit: Largest allowed radius of the poles of the lags of the output; they are moved
+            inside after each update. 0 allows any.
+        scalar: Arithmetic of the core.
+    """
+
+    output: Signal = field(default_factory=lambda: Signal(name="y"))
+    inputs: tuple[Signal, ...] = field(default_factory=lambda: (Signal(name="u"),))
+    features: tuple[Feature, ...]
+    rls: Rls = field(default_factory=Rls.adaptive)
+    guard: Guard = field(default_factory=Guard)
+    plausible_range: float = 5.0
+    output_error_after: int = 0
+    resynchronise_above: float | None = None
+    pole_limit: float = 0.0
+    scalar: Scalar = "float64"
+
+    def __post_init__(self) -> None:
+        checks.whole("number of inputs", len(self.inputs), least=1, most=MAX_INPUTS)
+        names = [self.output.name, *(signal.name for signal in self.inputs)]
+        if len(set(names)) != len(names):
+            raise LeglabError(f"signal names are {', '.join(names)}: must differ")
+        if not self.features:
+            raise LeglabError("features is empty: the model needs at least one")
+        checks.number("plausible_range", self.plausible_range, least=0.0)
+        checks.whole("output_error_after", self.output_error_after, least=0)
+        threshold = self.resynchronise_above
+        threshold = self.output.half_range / 2 if threshold is None else threshold
+        object.__setattr__(self, "resynchronise_above", threshold)
+        checks.number("resynchronise_above", threshold, above=0.0)
+        checks.number("pole_limit", self.pole_limit, least=0.0, most=1.0)
+        checks.choice("scalar", self.scalar, get_args(Scalar))
+        self.guard.check_inputs(len(self.inputs))
+        for block in self.blocks:
+            self._check(block)
+
+    @classmethod
+    def standard(
+        cls,
+        *,
+        output: Signal,
+        inputs: Iterable[Signal],
+        na: int = 3,
+        nb: int = 3,
+        nk: int = 0,
+        output_splines: int = 5,
+        rls: Rls | None = None,
+    ) -> "SplineNarxSettings":
+        """Lags of y and of every input, a constant, and splines of y(t - 1) over its range."""
+        inputs = tuple(inputs)
+        features: list[Feature] = []
+        if output_splines:
+            basis = Basis.uniform(output.lower, output.upper, output_splines, outside="linear")
+            features.append(Spline(signal=output.name, lag=1, basis=basis))
+        if na:
+            features.append(Lags(signal=output.name, first=1, count=na))
+        features += [Lags(signal=signal.name, first=nk, count=nb) for signal in inputs]
+        features.append(Constant())
+        rls = Rls.adaptive() if rls is None else rls
+        return cls(output=output, inputs=inputs, features=tuple(features), rls=rls)
+
+    @cached_property
+    def blocks(self) -> tuple[Block, ...]:
+        """Features as the core reads them."""
+        return tuple(self._block(feature) for feature in self.features)
+
+    @cached_property
+    def lags(self) -> int:
+        """Samples of history the regressor reaches back."""
+        ends = [b.lag + (0 if b.feature == "spline" else b.lags - 1) for b in self.blocks]
+        return max(1, *ends, *(b.factor_lag for b in self.blocks))
+
+    def _index(self, name: str) -> int:
+        names = [self.output.name, *(signal.name for signal in self.inputs)]
+        if name not in names:
+            raise unknown_name("signal", name, names)
+        return names.index(name)
+
+    def _block(self, feature: Feature) -> Block:
+        if isinstance(feature, Constant):
+            return Block("constant")
+        index = self._index(feature.signal)
+        if isinstance(feature, Lags):
+            return Block("lags", index, feature.first, feature.count)
+        signal = (self.output, *self.inputs)[index]
+        knots = [(k - signal.centre) / signal.half_range for k in feature.basis.knots]
+        basis = replace(feature.basis, knots=tuple(knots))
+        if isinstance(feature, Hammerstein):
+            mu = feature.learning_constant
+            return Block("hammerstein", index, feature.first, feature.count, basis, -1, 0, mu)
+        if feature.times is None:
+            return Block("spline", index, feature.lag, 1, basis)
+        factor, lag = feature.times
+        return Block("spline", index, feature.lag, 1, basis, self._index(factor), lag)
+
+    def _check(self, block: Block) -> None:
+        least = 1 if block.signal == 0 and block.feature != "constant" else 0
+        name = self.output.name
+        if block.lag < least or (block.factor_signal == 0 and block.factor_lag < 1):
+            raise LeglabError(
+                f"a {block.feature} feature has lag 0 of the output {name!r}: must be at least 1"
+            )
+        if block.feature != "hammerstein" or block.basis is None:
+            return
+        if block.signal == 0:
+            raise LeglabError(f"a hammerstein feature is of output {name!r}: must be of an input")
+        if block.basis.kind != "full":
+            raise LeglabError("a hammerstein feature has basis kind 'paper': must be 'full'")
+
+
+class SplineNarx(Identifier):
+    """The identifier for use on a machine; see `SplineNarxSettings`."""
+
+    _banks: ClassVar = {"float64": native.SplineNarx64, "float32": native.SplineNarx32}
+    settings: SplineNarxSettings
+
+    @property
+    def lags(self) -> int:
+        """Samples of history the regressor reaches back."""
+        return self.settings.lags
+
+    @property
+    def theta(self) -> Array:
+        """Parameters of all features, in their order and in scaled units, (..., n)."""
+        count = sum(block.count for block in self.settings.blocks)
+        return self.parameters[..., :count]
+
+    def linearise(self, joint: int = 0, at: Mapping[str, float] | None = None) -> Array:
+        """Gain of every lag of every signal: d y(t) / d x(t - k), in physical units.
+
+        Args:
+            joint: Which joint.
+            at: Value of every signal at the operating point, by name. None takes the `Lags` and
+                `Hammerstein` features alone, the latter with slope one.
+
+        Returns:
+            (1 + inputs, lags + 1); row 0 is the output, its first entry zero.
+
+        Raises:
+            LeglabError: A signal is missing in `at`, or unknown.
+        """
+        signals = (self.settings.output, *self.settings.inputs)
+        point = np.zeros(len(signals))
+        if at is not None:
+            names = [signal.name for signal in signals]
+            for name in at:
+                if name not in names:
+                    raise unknown_name("signal", name, names)
+            for i, signal in enumerate(signals):
+                if signal.name not in at:
+                    raise LeglabError(f"operating point lacks signal {signal.name!r}")
+                point[i] = (at[signal.name] - signal.centre) / signal.half_range
+        parameters = np.atleast_2d(self.parameters)[joint]
+        gains = np.zeros((len(signals), self.lags + 1))
+        start, weight = 0, len(np.atleast_2d(self.theta)[joint])
+        for block in self.settings.blocks:
+            theta = parameters[start : start + block.count]
+            start += block.count
+            row, lags = gains[block.signal], slice(block.lag, block.lag + block.lags)
+            if block.feature == "lags":
+                row[lags] += theta
+            elif block.feature == "hammerstein" and block.basis is not None:
+                slope = 1.0
+                if at is not None:
+                    w = parameters[weight : weight + block.weights]
+                    slope = _value(block.basis, w, point[block.signal], 1)
+                weight += block.weights
+                row[lags] += theta * slope
+            elif block.feature == "spline" and block.basis is not None and at is not None:
+                factor = 1.0 if block.factor_signal < 0 else point[block.factor_signal]
+                row[block.lag] += _value(block.basis, theta, point[block.signal], 1) * factor
+                if block.factor_signal >= 0:
+                    value = _value(block.basis, theta, point[block.signal], 0)
+                    gains[block.factor_signal, block.factor_lag] += value
+        scale = np.array([signal.half_range for signal in signals])
+        return gains * (scale[0] / scale[:, None])
+
+    def transfer_function(
+        self,
+        joint: int = 0,
+        *,
+        signal: str | None = None,
+        at: Mapping[str, float] | None = None,
+        timestep: float | bool = True,
+    ) -> control.TransferFunction:
+        """Transfer function from one input (the first by default) to y; see `linearise`."""
+        names = [s.name for s in self.settings.inputs]
+        name = names[0] if signal is None else signal
+        if name not in names:
+            raise unknown_name("input", name, names)
+        gains = self.linearise(joint, at)
+        return linear.transfer_function(gains[0, 1:], gains[1 + names.index(name)], timestep)
+
+    def poles(
+        self, joint: int = 0, at: Mapping[str, float] | None = None
+    ) -> NDArray[np.complex128]:
+        """Poles of the output's lags, complex; see `linearise` for `at`."""
+        return linear.poles(np.trim_zeros(self.linearise(joint, at)[0, 1:], "b"))
+
+    def static_spline(self, feature: int = 0, joint: int = 0) -> BSpline:
+        """Static map of one feature as a SciPy spline in physical units.
+
+        Args:
+            feature: Position among the settings' features: a `Spline` gives its share of y, a
+                `Hammerstein` n in units of its input.
+            joint: Which joint.
+
+        Raises:
+            LeglabError: The feature has no spline.
+        """
+        chosen, block = self.settings.features[feature], self.settings.blocks[feature]
+        if not isinstance(chosen, Spline | Hammerstein):
+            raise LeglabError(f"feature {feature} is {type(chosen).__name__}: it has no spline")
+        parameters = np.atleast_2d(self.parameters)[joint]
+        before = self.settings.blocks[:feature]
+        if isinstance(chosen, Spline):
+            start = sum(b.count for b in before)
+            theta = parameters[start : start + block.count]
+            return chosen.basis.spline(theta * self.settings.output.half_range)
+        start = len(np.atleast_2d(self.theta)[joint]) + sum(b.weights for b in before)
+        signal = self.settings.inputs[block.signal - 1]
+        weights = parameters[start : start + block.weights]
+        return chosen.basis.spline(weights * signal.half_range, signal.centre)
+
+
+def _value(basis: Basis, weights: Array, at: float, derivative: int) -> float:
+    inside = min(max(at, basis.knots[0]), basis.knots[-1])
+    if inside != at and basis.outside == "clamp" and derivative:
+        return 0.0
+    spline = basis.spline(weights)
+    if basis.outside == "quadratic" or inside == at:
+        return float(spline(at, derivative))
+    tangent = basis.outside == "linear" and not derivative
+    return float(spline(inside, derivative)) + tangent * (at - inside) * float(spline(inside, 1))

@@ -1,0 +1,160 @@
+"""One file that holds an identifier: settings, parameters and state, resuming bit-exactly.
+
+Layout: the line `leglab-identifier VERSION`, one line of JSON (model, joints, settings, size and
+SHA-256 of the state), then the state of the core as it lies in memory.
+"""
+
+import dataclasses
+import hashlib
+import json
+import os
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from leglab._native import identification as native
+from leglab.errors import LeglabError, unknown_name
+from leglab.identification import basis, bsnn_arx, features, settings, spline_narx
+from leglab.identification.front import Identifier
+
+VERSION = 1
+MAGIC = b"leglab-identifier"
+_MODELS: dict[str, type[Identifier]] = {
+    "BsnnArx": bsnn_arx.BsnnArx,
+    "SplineNarx": spline_narx.SplineNarx,
+}
+_PARTS: dict[str, Any] = {
+    part.__name__: part
+    for part in (
+        basis.Basis,
+        bsnn_arx.Bsnn,
+        bsnn_arx.BsnnArxSettings,
+        features.Constant,
+        features.Hammerstein,
+        features.Lags,
+        features.Signal,
+        features.Spline,
+        settings.ChangeDetection,
+        settings.Guard,
+        settings.Rls,
+        spline_narx.SplineNarxSettings,
+    )
+}
+
+
+def save(identifier: Identifier, path: str | Path) -> None:
+    """Writes the identifier to `path`, all or nothing: an interrupted write leaves the old file.
+
+    Raises:
+        LeglabError: The file cannot be written.
+    """
+    path = Path(path)
+    state = identifier._bank.state()
+    header = {
+        "model": type(identifier).__name__,
+        "joints": identifier.joints,
+        "settings": _encode(identifier.settings),
+        "state_version": native.STATE_VERSION,
+        "byte_order": sys.byteorder,
+        "size": len(state),
+        "sha256": hashlib.sha256(state).hexdigest(),
+    }
+    try:
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(MAGIC + b" %d\n" % VERSION)
+                file.write(json.dumps(header).encode() + b"\n")
+                file.write(state)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(name, path)
+        except BaseException:
+            os.unlink(name)
+            raise
+    except OSError as error:
+        raise LeglabError(f"cannot write {path}: {error.strerror}") from None
+
+
+def load(path: str | Path) -> Identifier:
+    """Builds the identifier that `save` wrote; it goes on exactly where the saved one stopped.
+
+    Raises:
+        LeglabError: The file is missing, truncated, damaged or of another version.
+    """
+    header, state = _read(Path(path))
+    model = _MODELS[header["model"]](header["settings"], joints=header["joints"])
+    model._bank.set_state(state)
+    return model
+
+
+def restore(identifier: Identifier, path: str | Path) -> None:
+    """Puts the saved state into an identifier of the same settings; untouched if it fails.
+
+    Raises:
+        LeglabError: As `load`, or the file is of another model, settings or number of joints.
+    """
+    header, state = _read(Path(path))
+    wanted = (type(identifier).__name__, identifier.joints, identifier.settings)
+    found = (header["model"], header["joints"], header["settings"])
+    for what, want, have in zip(("model", "joints", "settings"), wanted, found, strict=True):
+        if want != have:
+            detail = "" if what == "settings" else f" {have!r}, the identifier {want!r}"
+            raise LeglabError(f"{path} has other {what}{detail}: must agree")
+    identifier._bank.set_state(state)
+
+
+def _read(path: Path) -> tuple[dict[str, Any], bytes]:
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise LeglabError(f"cannot read {path}: {error.strerror}") from None
+    first, _, rest = content.partition(b"\n")
+    magic, _, version = first.partition(b" ")
+    if magic != MAGIC:
+        raise LeglabError(f"{path} is no saved identifier")
+    if version != b"%d" % VERSION:
+        shown = version[:20].decode(errors="replace")
+        raise LeglabError(f"{path} has version {shown!r}: this leglab reads {VERSION}")
+    line, _, state = rest.partition(b"\n")
+    try:
+        header = json.loads(line)
+        header["settings"] = _decode(header["settings"])
+        if header["model"] not in _MODELS:
+            raise unknown_name("model", header["model"], _MODELS)
+        size, digest = header["size"], header["sha256"]
+        layout = (header["state_version"], header["byte_order"])
+        int(header["joints"])
+    except LeglabError as error:
+        raise LeglabError(f"{path} is damaged: {error}") from None
+    except (ValueError, KeyError, TypeError):
+        raise LeglabError(f"{path} is truncated or damaged in its header") from None
+    if layout != (native.STATE_VERSION, sys.byteorder):
+        raise LeglabError(
+            f"{path} holds state version {layout[0]!r}, {layout[1]!r}-endian: this leglab reads "
+            f"{native.STATE_VERSION}, {sys.byteorder!r}-endian"
+        )
+    if len(state) != size:
+        raise LeglabError(f"{path} is truncated: {len(state)} of {size} bytes of state")
+    if hashlib.sha256(state).hexdigest() != digest:
+        raise LeglabError(f"{path} is damaged: the checksum of its state does not agree")
+    return header, state
+
+
+def _encode(value: Any) -> Any:
+    if dataclasses.is_dataclass(value):
+        fields = {f.name: _encode(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        return {"type": type(value).__name__, **fields}
+    if isinstance(value, tuple):
+        return [_encode(item) for item in value]
+    return value
+
+
+def _decode(value: Any) -> Any:
+    if isinstance(value, dict):
+        fields = {name: _decode(item) for name, item in value.items() if name != "type"}
+        return _PARTS[value["type"]](**fields)
+    if isinstance(value, list):
+        return tuple(_decode(item) for item in value)
+    return value

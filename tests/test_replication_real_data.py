@@ -1,0 +1,69 @@
+"""The deployed identifier on measured benchmarks; skipped where the recordings are absent."""
+
+import pytest
+
+from leglab.errors import LeglabError
+from leglab.identification import SplineNarx
+from leglab.replication import real_data, selection
+from leglab.replication.structures import ACTUATOR, SILVERBOX
+
+
+def recording(load):
+    try:
+        return load()
+    except LeglabError as reason:
+        pytest.skip(str(reason))
+
+
+def free_run_errors(data, structure):
+    model = SplineNarx(real_data.spline_narx(data, **structure))
+    return real_data.free_run_errors(real_data.train(model, data), data)
+
+
+def test_silverbox_after_one_online_pass():
+    errors = free_run_errors(recording(real_data.silverbox), SILVERBOX)
+    assert errors["multisine"] <= 0.50  # mV
+    assert errors["arrow, no extrapolation"] <= 0.50
+    assert errors["arrow"] <= 2.3
+
+
+def test_silverbox_without_splines_stays_linear():
+    data = recording(real_data.silverbox)
+    structure = {**SILVERBOX, "output_lags": (), "output_error_after": 0}
+    errors = free_run_errors(data, structure)
+    linear = dict(zip(data.tests, data.published["ARX"], strict=True))
+    assert errors == pytest.approx(linear, rel=0.02)
+
+
+def test_actuator_after_one_online_pass():
+    errors = free_run_errors(recording(real_data.actuator), ACTUATOR)
+    assert errors["second half"] <= 0.55
+
+
+def test_selection_looks_at_the_training_part_alone():
+    data = recording(real_data.actuator)
+    grid = [{"na": na, "nb": 4, "nk": 1, "splines": 5, "input_lags": (1,)} for na in (2, 3, 4)]
+    ranked = selection.select(data, grid, selection.ACTUATOR_SPLITS)
+    data.y[512:] = data.u[512:] = 0.0
+    assert selection.select(data, grid, selection.ACTUATOR_SPLITS) == ranked
+    assert [c.error for c in ranked] == sorted(c.error for c in ranked)
+
+
+def test_structures_are_in_their_grids():
+    for structure, grid in (
+        (SILVERBOX, selection.silverbox_grid()),
+        (ACTUATOR, selection.actuator_grid()),
+    ):
+        assert any(structure.items() <= candidate.items() for candidate in grid)
+
+
+def test_missing_folder_is_named(monkeypatch, tmp_path):
+    monkeypatch.setenv("LEGLAB_DATA", str(tmp_path / "nowhere"))
+    with pytest.raises(LeglabError, match="nowhere"):
+        real_data.silverbox()
+
+
+def test_missing_recording_is_named(monkeypatch, tmp_path):
+    monkeypatch.setenv("LEGLAB_DATA", str(tmp_path))
+    with pytest.raises(LeglabError, match="SNLS80mV"):
+        real_data.silverbox()
