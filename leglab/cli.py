@@ -186,6 +186,31 @@ def tune(
 
 
 @app.command()
+def replicate(
+    instances: Annotated[int, typer.Option(help="Instances of each model.")] = 100,
+    seed: Annotated[int | None, typer.Option(help="Default: the seed of the paper mode.")] = None,
+    out: Annotated[Path, typer.Option(help="Folder of page and figures.")] = Path(
+        "out/replication"
+    ),
+) -> None:
+    """Replicates the BSNN-ARX paper: Table 1, figures, sensitivities, on one page."""
+    from leglab.replication import paper
+    from leglab.replication import replicate as run_replication
+
+    with _progress() as bar:
+        task = bar.add_task("replicating", total=None)
+        result = run_replication(
+            instances,
+            out,
+            paper.SEED if seed is None else seed,
+            progress=lambda line: bar.update(task, description=line),
+        )
+    _output.print(result.table, soft_wrap=True)
+    _output.print(f"largest deviation of a validation mean: {result.worst_deviation:.1%}")
+    _output.print(f"written to {result.page}")
+
+
+@app.command()
 def verify() -> None:
     """Checks the physics against closed forms and recordings; status 1 where a check fails."""
     from leglab.verification import verify as run_checks

@@ -80,6 +80,7 @@ def test_the_parameter_page_is_up_to_date(capsys):
         (["run", "nominal", "--model", "arm.xml"], "'arm.xml' does not exist"),
         (["run", "nominal", "--model", "knee_bench", "--timestep", "0.01"], "too long"),
         (["run", "nominal", "--severity", "2"], "has no severity"),
+        (["replicate", "--instances", "0"], "instances is 0"),
         (["parameters", "leglab.supplly"], "did you mean 'leglab.supply'"),
         (["video", "nowhere"], "'nowhere' is not the folder of a run"),
     ],

@@ -7,7 +7,6 @@ is the output.
 """
 
 import numpy as np
-
 from reference.identification_oracle import REAL
 
 
