@@ -102,17 +102,9 @@ def errors(got: np.ndarray, wanted: np.ndarray) -> tuple[str, str, str]:
 
 def timed(title: str, parameters: dict[str, float], report: Callable[[object], None]) -> None:
     grid = Table(title=title, title_justify="left")
-    for heading in (
-        "solver",
-        "h ms",
-        "n",
-        "x rms mm",
-        "x max mm",
-        "p rms bar",
-        "ns a step",
-        "us a ms",
-    ):
-        grid.add_column(heading, justify="left" if heading == "solver" else "right")
+    grid.add_column("solver")
+    for heading in ("h ms", "n", "x rms mm", "x max mm", "p rms bar", "ns a step", "us a ms"):
+        grid.add_column(heading, justify="right")
     cylinder = Cylinder({**SIZE, **parameters})
     exact, spent = reference(cylinder, "LSODA", 1e-10)
     count = round(DURATION / HOLD)
