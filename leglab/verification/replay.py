@@ -75,7 +75,8 @@ def replay(recording: Recording, timestep: float) -> tuple[Replay, Replay]:
     """
     rig = KneeBench(timestep)
     starts = reconstruct(recording, rig)
-    measured = np.stack([starts.position, starts.pressure_a, starts.pressure_b], axis=1)
+    # Raw samples: a filter would smear what a stepped valve does to the pressures.
+    measured = np.stack([recording.position, recording.pressure_a, recording.pressure_b], axis=1)
     firsts = np.arange(0, len(recording.position) - WINDOW, 100)
     errors = np.array(
         [rig.run(starts, recording.command, int(k)) - measured[k + WINDOW] for k in firsts]

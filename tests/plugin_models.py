@@ -1,0 +1,104 @@
+"""Small MJCF models with leglab's plugins."""
+
+import mujoco
+import numpy as np
+
+from leglab import plugin
+from leglab.parameters import plugin_tables
+
+plugin.load()
+
+CYLINDER = {"bore": 0.016, "rod": 0.010, "stroke": 0.080, "mid_length": 0.040}
+
+
+def config(values):
+    return "".join(
+        f'<config key="{key}" value="{value}"/>'
+        for key, value in values.items()
+        if value is not None
+    )
+
+
+def valve(name, joint="rod", **attributes):
+    return (
+        f'<plugin name="{name}" plugin="leglab.cylinder" joint="{joint}">'
+        f"{config({**CYLINDER, **attributes})}</plugin>"
+    )
+
+
+def instance(plugin_name, name, **attributes):
+    return (
+        f'<plugin plugin="{plugin_name}"><instance name="{name}">'
+        f"{config(attributes)}</instance></plugin>"
+    )
+
+
+def slides(
+    actuators,
+    joints=("rod",),
+    *,
+    mass=20.0,
+    timestep=5e-4,
+    extension="",
+    sensor="",
+    extra="",
+    option="",
+):
+    """Masses on slide joints, by default one; qpos is the piston position, 0.04 m at first."""
+    bodies = "".join(
+        f'<body><joint name="{joint}" type="slide" axis="1 0 0" ref="0.04"/>'
+        f'<inertial pos="0 0 0" mass="{mass}" diaginertia="1 1 1"/></body>'
+        for joint in joints
+    )
+    used = [name for name in plugin_tables() if f'<plugin plugin="{name}">' not in extension]
+    declared = "".join(f'<plugin plugin="{name}"/>' for name in [*used, "leglab.sensor"])
+    return f"""
+      <mujoco>
+        <option timestep="{timestep}" gravity="0 0 0" integrator="implicitfast"/>
+        <extension>{declared}{extension}</extension>
+        <worldbody>{bodies}</worldbody>
+        <actuator>{actuators}</actuator>
+        <sensor>{sensor}</sensor>
+        {extra}
+      </mujoco>"""
+
+
+def compiled(xml):
+    model = mujoco.MjModel.from_xml_string(xml)
+    return model, mujoco.MjData(model)
+
+
+class Slots:
+    """Parameters and states of one plugin instance in an MjData, by name."""
+
+    def __init__(self, model, data, name):
+        actuator = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
+        self.instance = (
+            model.actuator_plugin[actuator]
+            if actuator >= 0
+            else mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_PLUGIN, name)
+        )
+        size = model.plugin_statenum[self.instance]
+        self.start = model.plugin_stateadr[self.instance]
+        self.table = next(
+            table
+            for table in plugin_tables().values()
+            if len(table.parameters) + len(table.states) == size
+        )
+        self.data = data
+
+    def address(self, name):
+        return self.start + self.table.entry(name).offset
+
+    def __getitem__(self, name):
+        return self.data.plugin_state[self.address(name)]
+
+    def __setitem__(self, name, value):
+        self.data.plugin_state[self.address(name)] = value
+
+
+def full_physics(model, data):
+    kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
+    state = np.empty(mujoco.mj_stateSize(model, kind))
+    mujoco.mj_getState(model, data, state, kind)
+    return state
