@@ -9,7 +9,6 @@ import hashlib
 import json
 import os
 import sys
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -60,19 +59,18 @@ def save(identifier: Identifier, path: str | Path) -> None:
         "size": len(state),
         "sha256": hashlib.sha256(state).hexdigest(),
     }
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")
     try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
         try:
-            with os.fdopen(handle, "wb") as file:
+            with part.open("wb") as file:
                 file.write(MAGIC + b" %d\n" % VERSION)
                 file.write(json.dumps(header).encode() + b"\n")
                 file.write(state)
                 file.flush()
                 os.fsync(file.fileno())
-            os.replace(name, path)
-        except BaseException:
-            os.unlink(name)
-            raise
+            os.replace(part, path)
+        finally:
+            part.unlink(missing_ok=True)
     except OSError as error:
         raise LeglabError(f"cannot write {path}: {error.strerror}") from None
 

@@ -132,6 +132,7 @@ class Rls:
             identity = np.eye(len(phi), dtype=REAL)
             kept = 0 if self.action == "reset" else self.gain
             self.gain = kept + self.change_gain * identity
+            self._limit()
         spread = self.gain @ phi
         power = phi @ spread
         if self.forgetting == "directional":

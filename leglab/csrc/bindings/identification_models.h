@@ -75,6 +75,7 @@ nb::dict describe(id::SplineNarx<T>& model) {
   describe_rls(model.rls(), out);
   out["clipped"] = model.state().clipped;
   out["projected"] = model.state().projected;
+  out["resynchronised"] = 0;
   if (model.refines()) {
     const auto& simulation = model.simulation().state();
     out["resynchronised"] = simulation.resynchronised;

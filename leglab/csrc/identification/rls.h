@@ -88,7 +88,7 @@ class Rls {
     if (watch_ && detector_.observe(squared)) {
       changed = true;
       if (settings_.on_change == OnChange::reset) factor_.reset(settings_.change_gain);
-      else factor_.inflate(settings_.change_gain);
+      else factor_.inflate(settings_.change_gain, settings_.gain_bound);
       power = factor_.project(phi, support);
     }
     const T denominator = forget(power, squared);

@@ -83,8 +83,8 @@ class UdFactor {
     if (scale > T(1) || beta < T(0) || sweep.floored || sweep.alpha > T(1e8)) limit(bound);
   }
 
-  // F <- F + amount I, as n rank-one updates (Agee and Turner 1972).
-  void inflate(T amount) {
+  // F <- F + amount I, as n rank-one updates (Agee and Turner 1972), within the bound.
+  void inflate(T amount, T bound) {
     for (int m = 0; m < n_; ++m) {
       for (int i = 0; i < m; ++i) b_[i] = T(0);
       b_[m] = T(1);
@@ -101,6 +101,7 @@ class UdFactor {
         c *= old / d_[j];
       }
     }
+    limit(bound);
   }
 
   T trace() const {
