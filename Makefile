@@ -13,7 +13,7 @@ demo: $(STAMP)
 	@echo "numbers in out/demo/metrics.json, plots beside it"
 
 test: $(STAMP)
-	$(BIN)/python -m pytest
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -14,9 +14,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 import test_identification_robustness as robustness
-from reference import adversary
 
 from leglab.identification import BsnnArx, BsnnArxSettings, Rls
+from tests.reference import adversary
 
 
 def main() -> None:

@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from reference import identification_oracle as oracle
-from reference.identification_narx_oracle import SplineNarx as OracleNarx
 
 from leglab.identification import (
     Basis,
@@ -20,6 +18,8 @@ from leglab.identification import (
     SplineNarx,
     SplineNarxSettings,
 )
+from tests.reference import identification_oracle as oracle
+from tests.reference.identification_narx_oracle import SplineNarx as OracleNarx
 
 SAMPLES = 100_000
 TOLERANCE = 1e-12

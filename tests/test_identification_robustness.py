@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from reference import adversary
 
 from leglab.identification import (
     Basis,
@@ -18,6 +17,7 @@ from leglab.identification import (
     SplineNarx,
     SplineNarxSettings,
 )
+from tests.reference import adversary
 
 UPDATES = 1_000_000
 SCALARS = ("float64", "float32")

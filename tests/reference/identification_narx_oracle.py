@@ -7,7 +7,8 @@ is the output.
 """
 
 import numpy as np
-from reference.identification_oracle import REAL
+
+from tests.reference.identification_oracle import REAL
 
 
 class SplineNarx:
