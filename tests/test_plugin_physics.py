@@ -32,6 +32,35 @@ def test_plugin_and_core_take_the_same_steps(timestep):
     np.testing.assert_allclose(states, core[:, :4], rtol=1e-6, atol=1e-8)
 
 
+@pytest.mark.parametrize("air", [0.0, 0.005])
+def test_closed_valve_keeps_the_amounts_of_oil_to_the_last_bit(air):
+    closed = {"lap": 0, "edge_rounding": 0, "internal_leakage": 0, "entrained_air": air}
+    model, data = compiled(slides(valve("v", **closed), timestep=1e-3))
+    data.qvel[0] = 0.3
+    slots = Slots(model, data, "v")
+    mujoco.mj_step(model, data)
+    amounts = slots["amount_a"], slots["amount_b"]
+    run(model, data, 5.0, 0.0)
+    assert (slots["amount_a"], slots["amount_b"]) == amounts
+    assert slots["sliding_distance"] > 1e-3
+
+
+def test_cavitated_chamber_finds_its_oil_again():
+    """Pulled until it boils and let go, the piston returns with the amounts it had."""
+    closed = {"lap": 0, "edge_rounding": 0, "internal_leakage": 0, "viscous": 3000}
+    model, data = compiled(slides(valve("v", **closed)))
+    slots = Slots(model, data, "v")
+    run(model, data, 0.5, 0.0)
+    amounts, position = (slots["amount_a"], slots["amount_b"]), data.qpos[0]
+    data.qfrc_applied[0] = 6000.0
+    run(model, data, 0.5, 0.0)
+    assert slots["pressure_a"] < -0.8e5  # nothing but expanded air
+    data.qfrc_applied[0] = 0.0
+    run(model, data, 2.0, 0.0)
+    assert (slots["amount_a"], slots["amount_b"]) == amounts
+    assert data.qpos[0] == pytest.approx(position, abs=2e-4)
+
+
 def test_shared_supply_droops_and_recovers():
     """0.04 l at 100 bar gas: the second cylinder feels what the first one draws."""
     unit = instance("leglab.supply", "unit", accumulator_volume=4e-5, pump_flow=5e-5)

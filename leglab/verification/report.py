@@ -78,6 +78,8 @@ def verify(*, full: bool = True, console: Console | None = None) -> bool:
         Whether every check passed. Missing recordings are said and do not count as failures.
     """
     out = console or Console()
+    if not out.is_terminal and console is None:
+        out = Console(width=160)  # a file or a pipe: keep rows on one line
     rows = list(chain.from_iterable(case() for case in CASES.values()))
     if full:
         out.print(table("Cases of physics.md", rows))
