@@ -250,3 +250,20 @@ def test_linearise_is_the_derivative_of_the_prediction(signal):
     for lag in range(1 if signal == "angle" else 0, m.lags + 1):
         slope = (predict(lag, 1e-6) - predict(lag, -1e-6)) / 2e-6
         assert gains[lag] == pytest.approx(slope, abs=1e-7)
+
+
+def test_hammerstein_input_is_learned():
+    """A dead zone before a linear system: the sensitivity form finds it, lags alone cannot."""
+    u = np.random.default_rng(1).uniform(-1, 1, 6000)
+    n, y = np.sign(u) * np.maximum(np.abs(u) - 0.2, 0), np.zeros(6000)
+    for t in range(2, 6000):
+        y[t] = 1.5 * y[t - 1] - 0.7 * y[t - 2] + 0.1 * n[t - 1] + 0.05 * n[t - 2]
+    error = {}
+    for name, drive in {
+        "lags": Lags(signal="u", count=3),
+        "hammerstein": Hammerstein(signal="u", basis=Basis.uniform(-1, 1, 8)),
+    }.items():
+        m = SplineNarx(SplineNarxSettings(features=(drive, Lags(signal="y", count=3), Constant())))
+        m.run(u[:4500], y[:4500])
+        error[name] = np.std(m.free_run(u[4500:], y[4500:4503]) - y[4500:])
+    assert error["hammerstein"] < 0.2 * error["lags"]

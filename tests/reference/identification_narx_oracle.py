@@ -149,4 +149,4 @@ class SplineNarx:
     def _move(self, slopes, error):
         constants = [f[5] for f in self.features if f[0] == "hammerstein"]
         for h, (slope, mu) in enumerate(zip(slopes, constants, strict=True)):
-            self.w[h] = self.w[h] + REAL(mu) * error * slope / (1 + slope @ slope)
+            self.w[h] = self.w[h] + REAL(mu) * error * slope / (REAL(0.01) + slope @ slope)
