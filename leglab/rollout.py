@@ -4,8 +4,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
-from mujoco import mj_step as step
 
 from leglab.control import (
     Controller,
@@ -23,7 +23,7 @@ from leglab.measurement import (
 )
 from leglab.references import Reference
 from leglab.scenario import Scenario
-from leglab.simulation import Simulation
+from leglab.simulation import Simulation, SimulationError
 
 # Periods between two looks at the clock, the blow-up check and the progress report.
 _CHECK_INTERVAL = 50
@@ -177,6 +177,7 @@ def closed_loop(
     reports: dict[str, np.ndarray] = {}
 
     # The loop runs thousands of times a second: everything that can be looked up once is.
+    step = mujoco.mj_step
     qpos, qvel, ctrl, plugin_state = data.qpos, data.qvel, data.ctrl, data.plugin_state
     qpos_index, counts = simulation.qpos_index, sensors.encoder_counts
     to_sample, to_command = timing
@@ -186,6 +187,8 @@ def closed_loop(
     estimate = np.zeros(joints)
     pressure_a = pressure_b = supply = None
     failure, rows = "", 0
+    # MuJoCo would write its warnings to a log file; what they warn of is checked here.
+    mujoco.set_mju_user_warning(_ignore)
     start = time.perf_counter()
     rows_of = zip(
         times.tolist(), map(ReferencePoint, *wanted), position_noise, command, strict=True
@@ -226,10 +229,13 @@ def closed_loop(
                 simulation.check()
                 if progress:
                     progress(now)
+        simulation.check()
     except LeglabError as error:
-        failure = str(error)
+        failure, rows = _first_failure(simulation, times[:rows], all_qvel[:rows], error)
     except KeyboardInterrupt:
         failure = f"interrupted at {data.time:.6g} s"
+    finally:
+        mujoco.set_mju_user_warning(None)
     wall_time = time.perf_counter() - start
     if rows == 0:
         raise LeglabError(failure)
@@ -245,6 +251,22 @@ def closed_loop(
         wall_time=wall_time,
         failure=failure,
     )
+
+
+def _ignore(warning: str) -> None:
+    pass
+
+
+def _first_failure(
+    simulation: Simulation, times: np.ndarray, velocity: np.ndarray, error: LeglabError
+) -> tuple[str, int]:
+    """Why a loop failed, and how many rows are sound: blow-ups are looked for now and then only."""
+    for row, values in enumerate(velocity):
+        try:
+            simulation.check(float(times[row]), values)
+        except SimulationError as first:
+            return str(first), max(row, 1)
+    return str(error), len(times)
 
 
 def _record(

@@ -116,6 +116,7 @@ def run_scenario(settings: RunSettings, progress: Progress | None = None) -> Run
         settings.reference_config,
     )
     settle(simulation)
+    configuration = _configuration(settings, scenario, sensors, simulation, reference)
     history = closed_loop(
         simulation,
         controller,
@@ -127,7 +128,6 @@ def run_scenario(settings: RunSettings, progress: Progress | None = None) -> Run
         name=settings.controller,
         progress=progress,
     )
-    configuration = _configuration(settings, scenario, sensors, simulation, reference)
     return Run(
         settings=settings,
         scenario=scenario,

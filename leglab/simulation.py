@@ -58,6 +58,8 @@ def load_model(
         if timestep is not None:
             spec.option.timestep = timestep
         spec.compiler.discardvisual = not visual
+        # A simulation that blows up stays as it is, to be seen, instead of starting anew.
+        spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         compiled = spec.compile()
         mujoco.MjData(compiled)  # the plugins check the compiled model once more
     except (ValueError, mujoco.FatalError) as error:
@@ -226,20 +228,25 @@ class Simulation:
         """Advances by a number of time steps with the present `data.ctrl`."""
         mujoco.mj_step(self.model, self.data, count)
 
-    def check(self) -> None:
+    def check(self, time: float | None = None, velocity: np.ndarray | None = None) -> None:
         """Raises if the simulation has blown up.
+
+        Args:
+            time: Of the velocities [s]; None for now.
+            velocity: Velocities of all degrees of freedom, (nv,); None for the present ones.
 
         Raises:
             SimulationError: Names the time, the joint and its value.
         """
-        speed = np.abs(self.data.qvel)
+        velocity = self.data.qvel if velocity is None else velocity
+        speed = np.abs(velocity)
         if np.all(speed < SPEED_LIMIT):  # false for NaN as well
             return
         dof = int(np.argmax(np.where(np.isfinite(speed), speed, np.inf)))
         joint = self.model.joint(self.model.dof_jntid[dof]).name
         raise SimulationError(
-            f"the simulation blew up at {self.data.time:.6g} s: velocity of joint {joint!r} is "
-            f"{self.data.qvel[dof]:g}, allowed below {SPEED_LIMIT:g}"
+            f"the simulation blew up at {self.data.time if time is None else time:.6g} s: velocity "
+            f"of joint {joint!r} is {velocity[dof]:g}, allowed below {SPEED_LIMIT:g}"
         )
 
     def _supply_of(self, actuator: str) -> str:

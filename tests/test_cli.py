@@ -1,12 +1,15 @@
 """The command line as a user meets it: files, exit status, one-line errors."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import leglab.models as leglab_models
 from leglab import data
 from leglab.cli import main
 from leglab.controllers.pd import Pd
@@ -124,6 +127,24 @@ def test_what_a_failed_run_recorded_is_kept(tmp_path, capsys, monkeypatch):
     metrics = json.loads((out / "metrics.json").read_text())
     assert metrics["completed"] is False
     assert data.read(out / "recording.parquet").duration == pytest.approx(1.0)
+
+
+def test_a_run_that_blows_up_says_when_and_which_joint(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = (Path(leglab_models.__path__[0]) / "knee_bench.xml").read_text()
+    # A spring that pushes away from its rest, without stops: the knee runs off.
+    text = text.replace('key="k2" value="60"', 'key="k2" value="-1e6"')
+    text = text.replace('key="stop_stiffness" value="2000"', 'key="stop_stiffness" value="0"')
+    Path("runaway.xml").write_text(text)
+    arguments = ["run", "nominal", "--model", "runaway.xml", "--duration", "2", "--no-figures"]
+    status, _, errors = leglab(*arguments, "--out", "run", capsys=capsys)
+    assert status == 2
+    found = re.search(r"blew up at (\S+) s: velocity of joint 'knee'", errors)
+    assert found
+    recording = data.read("run/recording.parquet")
+    assert 0.1 < recording.time[-1] == pytest.approx(float(found[1]) - 0.002)
+    assert np.abs(recording["knee_truth_velocity"]).max() < 1000
+    assert {path.name for path in tmp_path.iterdir()} == {"runaway.xml", "run"}
 
 
 def test_a_scenario_runs_as_a_script(tmp_path):
