@@ -24,6 +24,7 @@ lint: $(STAMP)
 $(STAMP): $(SOURCES)
 	@$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11)' || { echo "leglab needs Python 3.11 or newer: make PYTHON=/path/to/python3.11"; exit 2; }
 	@$(PYTHON) -c 'import ensurepip, venv' || { echo "Python's venv is missing: sudo apt-get install -y python3-venv"; exit 2; }
+	@$(PYTHON) -c 'import os, sysconfig; assert os.path.exists(sysconfig.get_path("include") + "/Python.h")' || { echo "Python's headers are missing: sudo apt-get install -y python3-dev"; exit 2; }
 	@command -v c++ > /dev/null || { echo "a C++ compiler is missing: sudo apt-get install -y g++"; exit 2; }
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade 'pip>=25.1'
