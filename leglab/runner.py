@@ -19,7 +19,7 @@ from leglab.calibration import directions, settle, speed_limits, valve_maps
 from leglab.configuration import validate_configuration
 from leglab.control import ControllerSetup, make_controller
 from leglab.errors import LeglabError
-from leglab.measurement import SensorConfiguration, quantise
+from leglab.measurement import SensorConfiguration, held, quantise
 from leglab.recording import Recording
 from leglab.references import Joint, Reference, make_reference
 from leglab.rollout import History, Progress, closed_loop
@@ -44,7 +44,7 @@ class RunSettings:
         severity: Of the scenario's change, in its own unit; None for its own.
         ramp_duration: How long the change takes [s].
         reference: Name of the reference; None for the scenario's own.
-        reference_config: Settings of the reference.
+        reference_config: Settings of the reference, over those of the scenario.
         controller_config: Settings of the controller.
         sensors: Settings of sensors and timing.
         timestep: Of the simulation [s]; None for the model's own.
@@ -113,7 +113,7 @@ def run_scenario(settings: RunSettings, progress: Progress | None = None) -> Run
     reference = make_reference(
         settings.reference or scenario.reference,
         reference_joints(simulation),
-        settings.reference_config,
+        reference_config(settings, scenario),
     )
     settle(simulation)
     history = closed_loop(
@@ -137,6 +137,12 @@ def run_scenario(settings: RunSettings, progress: Progress | None = None) -> Run
         configuration=configuration,
         window=reference.period,
     )
+
+
+def reference_config(settings: RunSettings, scenario: Scenario) -> dict[str, Any]:
+    """Settings of the reference: the scenario's, for its own reference, below the user's."""
+    own = settings.reference in (None, scenario.reference)
+    return {**(scenario.reference_config if own else {}), **settings.reference_config}
 
 
 def reference_joints(simulation: Simulation) -> tuple[Joint, ...]:
@@ -216,7 +222,9 @@ def _recording(
     ):
         true = history.position[:, i]
         noisy = true + noise.normal(0.0, sensors.position_noise, len(true))
-        columns[f"{joint}_position"] = quantise(noisy, sensors.encoder_counts)
+        noisy += history.encoder_shift[:, i]
+        reading = quantise(noisy, sensors.encoder_counts)
+        columns[f"{joint}_position"] = held(reading, history.encoder_lost[:, i])
         columns[f"{joint}_truth"] = true
         columns[f"{joint}_truth_velocity"] = history.velocity[:, i]
         columns[f"{actuator}_command"] = history.command[:, i]
@@ -295,7 +303,7 @@ def _configuration(
             "reference": reference.name,
             "duration": scenario.duration,
             "severity": scenario.severity,
-            "reference_config": dict(settings.reference_config),
+            "reference_config": reference_config(settings, scenario),
             "controller_config": dict(settings.controller_config),
             "sensors": sensors.model_dump(),
             "timestep": simulation.model.opt.timestep,
