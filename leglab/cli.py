@@ -62,7 +62,7 @@ def run(
     ] = None,
     ramp: Annotated[float, typer.Option(help="Seconds the change takes; 0 is a step.")] = 0.0,
     reference: Annotated[
-        str | None, typer.Option(help="walking_stride, squat, sine_sweep or step.")
+        str | None, typer.Option(help="walking_stride, random_stride, squat, sine_sweep or step.")
     ] = None,
     timestep: Annotated[float | None, typer.Option(help="Simulation step [s].")] = None,
     out: Annotated[
