@@ -14,7 +14,7 @@ import numpy as np
 
 import leglab.controllers
 import leglab.scenarios
-from leglab import __version__, metrics
+from leglab import __version__
 from leglab.calibration import directions, settle, speed_limits, valve_maps
 from leglab.configuration import validate_configuration
 from leglab.control import ControllerSetup, make_controller
@@ -25,6 +25,7 @@ from leglab.references import Joint, Reference, make_reference
 from leglab.rollout import History, Progress, closed_loop
 from leglab.scenario import Scenario, get_scenario
 from leglab.simulation import Simulation, load_model
+from leglab.summary import summary
 from leglab.tuning import tune
 
 # Tuned once by `leglab tune`, and not touched afterwards.
@@ -133,7 +134,13 @@ def run_scenario(settings: RunSettings, progress: Progress | None = None) -> Run
         scenario=scenario,
         recording=_recording(history, simulation, sensors, settings),
         history=history,
-        metrics=_metrics(settings, scenario, reference, history, setup.joints),
+        metrics={
+            "scenario": settings.scenario,
+            "controller": settings.controller,
+            "model": str(settings.model),
+            "seed": settings.seed,
+            **summary(scenario, reference.period, history, setup.joints),
+        },
         configuration=configuration,
         window=reference.period,
     )
@@ -252,40 +259,6 @@ def _recording(
             "seed": settings.seed,
         },
     )
-
-
-def _metrics(
-    settings: RunSettings,
-    scenario: Scenario,
-    reference: Reference,
-    history: History,
-    joints: tuple[str, ...],
-) -> dict[str, Any]:
-    error, time = history.error, history.time
-    finite = np.isfinite(error).all(axis=1)
-    error, time = error[finite], time[finite]
-    changes = scenario.changes
-    result: dict[str, Any] = {
-        "scenario": settings.scenario,
-        "controller": settings.controller,
-        "model": str(settings.model),
-        "seed": settings.seed,
-        "duration": float(history.time[-1]),
-        "severity": scenario.severity,
-        "real_time_factor": float(history.time[-1] / max(history.wall_time, 1e-9)),
-        "completed": not history.failure,
-        "failure": history.failure or None,
-        "phases": metrics.phase_table(time, error, joints, scenario.phases),
-        "readaptation": {"time_s": None, "threshold": None, "reason": "nothing changes"},
-    }
-    if changes:
-        found = metrics.readaptation(time, error, changes[0].start, reference.period)
-        result["readaptation"] = {
-            "time_s": found.time,
-            "threshold": found.threshold,
-            "reason": found.reason or None,
-        }
-    return result
 
 
 def _configuration(

@@ -40,7 +40,9 @@ def test_run_writes_everything(tmp_path, capsys):
     assert metrics["duration"] == pytest.approx(4.0)
     assert metrics["real_time_factor"] > 0
     assert [phase["name"] for phase in metrics["phases"]] == ["before", "after"]
-    assert set(metrics["phases"][0]["rms_rad"]) == {"knee", "all"}
+    for name in ("rms_rad", "peak_rad", "p95_rad", "effort", "valve_activity_per_s", "energy_j"):
+        assert set(metrics["phases"][0][name]) == {"knee", "all"}
+    assert metrics["excess_error_area_rad_s"] >= 0
     assert set(metrics["readaptation"]) == {"time_s", "threshold", "reason"}
     run = json.loads((out / "run.json").read_text())
     assert run["settings"]["seed"] == 7
