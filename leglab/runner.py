@@ -41,7 +41,7 @@ class RunSettings:
         controller: Name of the controller.
         model: Name of a model or path of an MJCF file.
         duration: [s]; None for the scenario's own.
-        seed: Of sensor noise and of everything random.
+        seed: Of sensor noise and of everything random, a random reference included.
         severity: Of the scenario's change, in its own unit; None for its own.
         ramp_duration: How long the change takes [s].
         reference: Name of the reference; None for the scenario's own.
@@ -115,6 +115,7 @@ def run_scenario(settings: RunSettings, progress: Progress | None = None) -> Run
         settings.reference or scenario.reference,
         reference_joints(simulation),
         reference_config(settings, scenario),
+        seed=settings.seed,
     )
     settle(simulation)
     history = closed_loop(

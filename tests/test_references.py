@@ -236,6 +236,11 @@ def test_a_random_stride_is_reproducible_and_does_not_repeat():
         return make_reference("random_stride", LEG, config).sample(times).position
 
     np.testing.assert_array_equal(positions(seed=3), positions(seed=3))
+    seeded = make_reference("random_stride", LEG, seed=3)
+    np.testing.assert_array_equal(seeded.sample(times).position, positions(seed=3))
+    own = make_reference("random_stride", LEG, {"seed": 3}, seed=4)
+    np.testing.assert_array_equal(own.sample(times).position, positions(seed=3))
+    make_reference("squat", LEG, seed=4)  # not random: the seed does not matter
     assert np.abs(positions(seed=3) - positions(seed=4)).max() > 0.1
     knee = positions(seed=3)[:, list(GAIT).index("knee")]
     # Whatever the lag between one and twenty strides, the motion is another one.
