@@ -4,16 +4,16 @@ import json
 import sys
 import traceback
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from leglab import __version__
+from leglab.cli_compare import compare
 from leglab.errors import LeglabError
+from leglab.terminal import Json, Overwrite, errors, metrics_table, output, progress_bar
 
 app = typer.Typer(
     help="Testbed for hydraulic humanoid-leg control on MuJoCo.",
@@ -21,13 +21,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-_errors = Console(stderr=True, highlight=False, soft_wrap=True)
-_output = Console(highlight=False)
-
-Overwrite = Annotated[
-    bool, typer.Option("--overwrite", help="Replace the folder of an earlier run.")
-]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
+app.command()(compare)
 
 
 def _version(wanted: bool) -> None:
@@ -62,7 +56,7 @@ def run(
     ] = None,
     ramp: Annotated[float, typer.Option(help="Seconds the change takes; 0 is a step.")] = 0.0,
     reference: Annotated[
-        str | None, typer.Option(help="walking_stride, squat, sine_sweep or step.")
+        str | None, typer.Option(help="walking_stride, random_stride, squat, sine_sweep or step.")
     ] = None,
     timestep: Annotated[float | None, typer.Option(help="Simulation step [s].")] = None,
     out: Annotated[
@@ -90,7 +84,7 @@ def run(
         timestep=timestep,
     )
     check_folder(folder, overwrite=overwrite)
-    with _progress() as bar:
+    with progress_bar() as bar:
         task = bar.add_task(f"{scenario} · {controller}", total=duration)
 
         def show(now: float) -> None:
@@ -105,12 +99,12 @@ def run(
     if as_json:
         typer.echo(json.dumps(result.metrics, indent=2))
     else:
-        _output.print(_metrics_table(result.metrics))
-        _output.print(f"written to {folder}")
+        output.print(metrics_table(result.metrics))
+        output.print(f"written to {folder}")
     failure = result.history.failure
     if failure:
         interrupted = failure.startswith("interrupted")
-        _errors.print(f"[red]error:[/red] {failure}; what was recorded is in {folder}")
+        errors.print(f"[red]error:[/red] {failure}; what was recorded is in {folder}")
         raise typer.Exit(130 if interrupted else 2)
 
 
@@ -137,7 +131,7 @@ def list_names(as_json: Json = False) -> None:
         table = Table(title=title, title_justify="left", box=None, show_header=False)
         for name, summary in entries.items():
             table.add_row(f"  [bold]{name}[/bold]", summary)
-        _output.print(table)
+        output.print(table)
 
 
 @app.command()
@@ -151,7 +145,7 @@ def video(
     """Renders a run to MP4, headless, with EGL or OSMesa."""
     from leglab.report.video import render_run
 
-    with _progress() as bar:
+    with progress_bar() as bar:
         task = bar.add_task("rendering", total=1.0)
         path = render_run(
             folder,
@@ -161,7 +155,7 @@ def video(
             camera=camera,
             progress=lambda share: bar.update(task, completed=share),
         )
-    _output.print(f"written to {path}")
+    output.print(f"written to {path}")
 
 
 @app.command()
@@ -173,14 +167,14 @@ def tune(
     from leglab.gains import TUNED_MODELS, gains_text
 
     names = model or list(TUNED_MODELS)
-    with _progress() as bar:
+    with progress_bar() as bar:
         task = bar.add_task("tuning", total=None)
         text = gains_text(names, lambda label: bar.update(task, description=label))
     if write:
         from leglab.runner import GAINS_FILE
 
         GAINS_FILE.write_text(text)
-        _output.print(f"written to {GAINS_FILE}")
+        output.print(f"written to {GAINS_FILE}")
     else:
         typer.echo(text, nl=False)
 
@@ -197,7 +191,7 @@ def replicate(
     from leglab.replication import paper
     from leglab.replication import replicate as run_replication
 
-    with _progress() as bar:
+    with progress_bar() as bar:
         task = bar.add_task("replicating", total=None)
         result = run_replication(
             instances,
@@ -205,9 +199,9 @@ def replicate(
             paper.SEED if seed is None else seed,
             progress=lambda line: bar.update(task, description=line),
         )
-    _output.print(result.table, soft_wrap=True)
-    _output.print(f"largest deviation of a validation mean: {result.worst_deviation:.1%}")
-    _output.print(f"written to {result.page}")
+    output.print(result.table, soft_wrap=True)
+    output.print(f"largest deviation of a validation mean: {result.worst_deviation:.1%}")
+    output.print(f"written to {result.page}")
 
 
 @app.command()
@@ -242,7 +236,7 @@ def parameters(
         for row in entry.parameters.values():
             default = "required" if row.nominal != row.nominal else f"{row.nominal:g}"
             table.add_row(row.name, default, escape(row.allowed), escape(row.description))
-        _output.print(table)
+        output.print(table)
 
 
 def run_scenario_as_script(name: str) -> None:
@@ -258,43 +252,11 @@ def main(arguments: list[str] | None = None) -> None:
     except LeglabError as error:
         if "-v" in arguments or "--verbose" in arguments:
             traceback.print_exc()
-        _errors.print(f"[red]error:[/red] {error}")
+        errors.print(f"[red]error:[/red] {error}")
         sys.exit(2)
     except KeyboardInterrupt:
-        _errors.print("[red]interrupted[/red]")
+        errors.print("[red]interrupted[/red]")
         sys.exit(130)
-
-
-def _progress() -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeRemainingColumn(),
-        console=_errors,
-        transient=True,
-    )
-
-
-def _metrics_table(metrics: dict[str, Any]) -> Table:
-    phases = metrics["phases"]
-    joints = [name for name in phases[0]["rms_rad"] if name != "all"]
-    table = Table(title="tracking error, RMS / peak, mrad", title_justify="left", min_width=46)
-    table.add_column(f"{metrics['scenario']}, {metrics['controller']}")
-    for phase in phases:
-        table.add_column(f"{phase['name']} {phase['start']:g}-{phase['end']:g} s", justify="right")
-    for name in joints if len(joints) == 1 else [*joints, "all"]:
-        cells = (
-            f"{1e3 * phase['rms_rad'][name]:.1f} / {1e3 * phase['peak_rad'][name]:.1f}"
-            for phase in phases
-        )
-        table.add_row(name, *cells)
-    found = metrics["readaptation"]
-    if found["threshold"] is not None:
-        time = "never" if found["time_s"] is None else f"{found['time_s']:.2f} s"
-        table.caption = f"re-adaptation: {time}, threshold {1e3 * found['threshold']:.1f} mrad"
-        table.caption_justify = "left"
-    return table
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """How well a run tracked its reference. Pure functions of arrays; errors in rad, times in s."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -61,6 +62,13 @@ def percentile(error: np.ndarray, percent: float) -> np.ndarray:
     return np.percentile(np.abs(_samples(error)), percent, axis=0)
 
 
+_FIGURES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "rms_rad": rms,
+    "peak_rad": peak,
+    "p95_rad": partial(percentile, percent=95),
+}
+
+
 def phase_table(
     time: np.ndarray, error: np.ndarray, joints: Sequence[str], phases: Iterable[Phase]
 ) -> list[dict[str, Any]]:
@@ -73,9 +81,9 @@ def phase_table(
         phases: Parts of the run; the last one includes its end.
 
     Returns:
-        One dict a phase with `name`, `start`, `end` [s], and `rms_rad` and `peak_rad`, each by
-        joint and under "all", which pools the samples of all joints. A phase that the run did not
-        reach is left out.
+        One dict a phase with `name`, `start`, `end` [s], and `rms_rad`, `peak_rad` and `p95_rad`
+        (95 % of the samples are no larger), each by joint and under "all", which pools the samples
+        of all joints. A phase that the run did not reach is left out.
 
     Raises:
         LeglabError: Shapes do not fit, or a joint is called "all".
@@ -88,20 +96,66 @@ def phase_table(
         )
     if "all" in joints:
         raise LeglabError("a joint named 'all' cannot be told from all joints: rename it")
-    phases = tuple(phases)
     table = []
-    for phase in phases:
-        first = np.searchsorted(time, phase.start)
-        end = np.searchsorted(time, phase.end, "right" if phase is phases[-1] else "left")
-        if first >= end:
-            continue
-        part = error[first:end]
+    for phase, part in _parts(time, phases):
         row: dict[str, Any] = {"name": phase.name, "start": phase.start, "end": phase.end}
-        for key, figure in (("rms_rad", rms), ("peak_rad", peak)):
-            row[key] = dict(zip(joints, figure(part).tolist(), strict=True))
-            row[key]["all"] = float(figure(part.reshape(-1, 1))[0])
+        for key, figure in _FIGURES.items():
+            values = figure(error[part])
+            row[key] = dict(zip(joints, values.tolist(), strict=True))
+            row[key]["all"] = float(figure(error[part].reshape(-1, 1))[0])
         table.append(row)
     return table
+
+
+def usage_table(
+    time: np.ndarray,
+    command: np.ndarray,
+    energy: np.ndarray,
+    joints: Sequence[str],
+    phases: Iterable[Phase],
+) -> list[dict[str, Any]]:
+    """Summarises in each phase what tracking cost.
+
+    Args:
+        time: Sample times [s], increasing. Shape (n,).
+        command: Valve commands in [-1, 1]. Shape (n, joints).
+        energy: Hydraulic energy drawn since some time before [J]. Shape (n, joints).
+        joints: Names of the columns.
+        phases: Parts of the run; the last one includes its end.
+
+    Returns:
+        One dict a phase with `effort` (RMS command), `valve_activity_per_s` (RMS rate of the
+        command between samples [1/s]) and `energy_j` (drawn from the supply less given to the tank
+        [J]), each by joint and under "all": the RMS over all joints, and the sum of the energies.
+        Phases as in `phase_table`. A difference belongs to the phase of its later sample.
+    """
+    rate = np.diff(command, axis=0) / np.diff(time)[:, None]
+    table = []
+    for _, part in _parts(time, phases):
+        start = max(part.start, 1)
+        # A phase that is no longer than the first sample has no rate.
+        rates = rate[start - 1 : part.stop - 1] if part.stop > start else np.zeros_like(command[:1])
+        drawn = energy[part.stop - 1] - energy[start - 1]
+        row = {
+            "effort": dict(zip(joints, rms(command[part]).tolist(), strict=True)),
+            "valve_activity_per_s": dict(zip(joints, rms(rates).tolist(), strict=True)),
+            "energy_j": dict(zip(joints, drawn.tolist(), strict=True)),
+        }
+        row["effort"]["all"] = float(rms(command[part].reshape(-1, 1))[0])
+        row["valve_activity_per_s"]["all"] = float(rms(rates.reshape(-1, 1))[0])
+        row["energy_j"]["all"] = float(drawn.sum())
+        table.append(row)
+    return table
+
+
+def _parts(time: np.ndarray, phases: Iterable[Phase]) -> Iterator[tuple[Phase, slice]]:
+    """Yields each phase that has samples, and which they are; the last one includes its end."""
+    phases = tuple(phases)
+    for phase in phases:
+        first = int(np.searchsorted(time, phase.start))
+        end = int(np.searchsorted(time, phase.end, "right" if phase is phases[-1] else "left"))
+        if first < end:
+            yield phase, slice(first, end)
 
 
 def sliding_rms(time: np.ndarray, error: np.ndarray, window: float) -> np.ndarray:
@@ -174,6 +228,32 @@ def readaptation(
     if settled == len(time):
         return Readaptation(time=None, threshold=threshold)
     return Readaptation(time=float(time[settled] - change), threshold=threshold)
+
+
+def excess_error_area(
+    time: np.ndarray, error: np.ndarray, change: float, window: float
+) -> float | None:
+    """Integrates what the windowed error exceeds its value before a change by.
+
+    How much a change costs in all: high and short as low and long. Times at which the error is
+    below its value before do not make up for others.
+
+    Args:
+        time: Sample times [s], increasing. Shape (n,).
+        error: Tracking error [rad]. Shape (n, joints).
+        change: When the machine starts to change [s].
+        window: One stride [s].
+
+    Returns:
+        Area from the change to the end of the run [rad s], trapezoidal; None where there is no full
+        window before the change, or no sample from it on.
+    """
+    windowed = sliding_rms(time, error, window)
+    first = int(np.searchsorted(time, change))
+    if first in (0, len(time)) or np.isnan(windowed[first - 1]):
+        return None
+    excess = np.maximum(windowed[first:] - windowed[first - 1], 0.0)
+    return float(np.trapezoid(excess, time[first:]))
 
 
 def _first_period(time: np.ndarray) -> float:

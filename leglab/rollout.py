@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from leglab.bodies import Bodies
+from leglab.changes import Schedule
 from leglab.control import (
     Controller,
     ControllerSetup,
@@ -16,9 +18,9 @@ from leglab.control import (
 )
 from leglab.errors import LeglabError
 from leglab.measurement import (
+    Encoders,
     SensorConfiguration,
     loop_timing,
-    quantise,
     velocity_filter_coefficient,
 )
 from leglab.references import Reference
@@ -34,6 +36,7 @@ _RECORDED = {
     "pressure_b": "pressure_b",
     "oil_temperature": "oil_temperature",
     "spool": "spool_position",
+    "energy_supply": "energy_supply",
 }
 
 Progress = Callable[[float], None]
@@ -51,6 +54,8 @@ class History:
         command: Valve commands in [-1, 1] from `time` on, (n, joints).
         reference: Position [rad], velocity [rad/s] and acceleration [rad/s^2], each (n, joints).
         states: Values of the plugin states asked for, by column name, each (n,).
+        encoder_shift: Added to every position by encoder faults [rad], (n, joints).
+        encoder_lost: Where an encoder repeated its last reading, (n, joints).
         diagnostics: What the controller reports, by name, each (n, joints).
         wall_time: Of the loop alone [s].
         failure: Why the loop ended early; empty if it did not.
@@ -63,6 +68,8 @@ class History:
     command: np.ndarray
     reference: ReferencePoint
     states: dict[str, np.ndarray]
+    encoder_shift: np.ndarray
+    encoder_lost: np.ndarray
     diagnostics: dict[str, np.ndarray]
     wall_time: float
     failure: str = ""
@@ -71,54 +78,6 @@ class History:
     def error(self) -> np.ndarray:
         """True tracking error, position less reference [rad], (n, joints)."""
         return self.position - self.reference.position
-
-
-class Schedule:
-    """Writes a scenario's parameter changes into a simulation.
-
-    Raises:
-        LeglabError: If a change matches no element of the model.
-    """
-
-    def __init__(self, scenario: Scenario, simulation: Simulation) -> None:
-        self._scenario, self._simulation = scenario, simulation
-        self._nominal: dict[tuple[str, str], float] = {}
-        for change in scenario.changes:
-            matched = [
-                element
-                for element in simulation.elements
-                if change.applies_to(element) and simulation.has(element, change.parameter)
-            ]
-            if not matched:
-                raise LeglabError(
-                    f"scenario {scenario.name!r} changes {change.parameter!r} of "
-                    f"{change.element!r}, which no element of the model has"
-                )
-            for element in matched:
-                key = (element, change.parameter)
-                self._nominal[key] = simulation.parameter(*key)
-        self._previous = -np.inf
-        self._next = 0.0 if scenario.changes else np.inf
-
-    @property
-    def parameters(self) -> tuple[tuple[str, str], ...]:
-        """Element and parameter of everything that changes."""
-        return tuple(self._nominal)
-
-    def apply(self, now: float) -> None:
-        """Sets the parameters of this time [s]; cheap while nothing changes."""
-        if now < self._next:
-            return
-        scenario = self._scenario
-        for change in scenario.moving(self._previous, now):
-            for (element, parameter), nominal in self._nominal.items():
-                if parameter == change.parameter and change.applies_to(element):
-                    value = scenario.value_at(now, parameter, element, nominal)
-                    self._simulation.set_parameter(element, parameter, value)
-        self._previous = now
-        ramping = any(c.start <= now < c.end for c in scenario.changes)
-        later = [c.start for c in scenario.changes if c.start > now]
-        self._next = now if ramping else min(later, default=np.inf)
 
 
 def closed_loop(
@@ -158,7 +117,9 @@ def closed_loop(
     count = round(scenario.duration / period) + 1
     times = np.arange(count) * period
     wanted = reference.sample(times)
-    schedule = Schedule(scenario, simulation)
+    bodies = Bodies(model)
+    encoders = Encoders(setup.joints, sensors, count=count, seed=seed)
+    schedule = Schedule(scenario, simulation, bodies, encoders)
     joints = len(setup.joints)
 
     noise = np.random.default_rng(seed)
@@ -174,16 +135,17 @@ def closed_loop(
 
     all_qpos, all_qvel = np.empty((count, model.nq)), np.empty((count, model.nv))
     command, states = np.empty((count, joints)), np.empty((count, len(slots)))
+    others = np.empty((count, len(schedule.others)))
     reports: dict[str, np.ndarray] = {}
 
     # The loop runs thousands of times a second: everything that can be looked up once is.
     step = mujoco.mj_step
     qpos, qvel, ctrl, plugin_state = data.qpos, data.qvel, data.ctrl, data.plugin_state
-    qpos_index, counts = simulation.qpos_index, sensors.encoder_counts
+    qpos_index = simulation.qpos_index
     to_sample, to_command = timing
     sample = qpos.take(qpos_index)
     sampled_pressures = plugin_state.take(pressure_slots)
-    previous = quantise(sample + position_noise[0], counts)
+    previous = encoders.read(0, sample + position_noise[0])
     estimate = np.zeros(joints)
     pressure_a = pressure_b = supply = None
     failure, rows = "", 0
@@ -197,7 +159,7 @@ def closed_loop(
         for k, (now, point, disturbance, output) in enumerate(rows_of):
             schedule.apply(now)
             sample += disturbance
-            measured = quantise(sample, counts)
+            measured = encoders.read(k, sample)
             estimate = leak * estimate + filter_gain * (measured - previous)
             previous = measured
             if pressures:
@@ -212,6 +174,7 @@ def closed_loop(
             all_qpos[k] = qpos
             all_qvel[k] = qvel
             plugin_state.take(slots, out=states[k])
+            others[k] = schedule.values
             np.minimum(wish, 1.0, out=output)
             np.maximum(output, -1.0, out=output)
             ctrl[:] = output
@@ -236,6 +199,7 @@ def closed_loop(
         failure = f"interrupted at {data.time:.6g} s"
     finally:
         mujoco.set_mju_user_warning(None)
+        bodies.restore()
     wall_time = time.perf_counter() - start
     if rows == 0:
         raise LeglabError(failure)
@@ -246,7 +210,12 @@ def closed_loop(
         passive={name: all_qpos[:rows, index] for name, index in simulation.passive_joints.items()},
         command=command[:rows],
         reference=ReferencePoint(*[part[:rows] for part in wanted]),
-        states={column: states[:rows, i] for i, column in enumerate(columns)},
+        states={
+            **{column: states[:rows, i] for i, column in enumerate(columns)},
+            **{"_".join(key): others[:rows, i] for i, key in enumerate(schedule.others)},
+        },
+        encoder_shift=encoders.shift[:rows],
+        encoder_lost=encoders.lost[:rows],
         diagnostics={key: values[:rows] for key, values in reports.items()},
         wall_time=wall_time,
         failure=failure,

@@ -14,17 +14,18 @@ import numpy as np
 
 import leglab.controllers
 import leglab.scenarios
-from leglab import __version__, metrics
+from leglab import __version__
 from leglab.calibration import directions, settle, speed_limits, valve_maps
 from leglab.configuration import validate_configuration
 from leglab.control import ControllerSetup, make_controller
 from leglab.errors import LeglabError
-from leglab.measurement import SensorConfiguration, quantise
+from leglab.measurement import SensorConfiguration, held, quantise
 from leglab.recording import Recording
 from leglab.references import Joint, Reference, make_reference
 from leglab.rollout import History, Progress, closed_loop
 from leglab.scenario import Scenario, get_scenario
 from leglab.simulation import Simulation, load_model
+from leglab.summary import summary
 from leglab.tuning import tune
 
 # Tuned once by `leglab tune`, and not touched afterwards.
@@ -40,11 +41,11 @@ class RunSettings:
         controller: Name of the controller.
         model: Name of a model or path of an MJCF file.
         duration: [s]; None for the scenario's own.
-        seed: Of sensor noise and of everything random.
+        seed: Of sensor noise and of everything random, a random reference included.
         severity: Of the scenario's change, in its own unit; None for its own.
         ramp_duration: How long the change takes [s].
         reference: Name of the reference; None for the scenario's own.
-        reference_config: Settings of the reference.
+        reference_config: Settings of the reference, over those of the scenario.
         controller_config: Settings of the controller.
         sensors: Settings of sensors and timing.
         timestep: Of the simulation [s]; None for the model's own.
@@ -113,7 +114,8 @@ def run_scenario(settings: RunSettings, progress: Progress | None = None) -> Run
     reference = make_reference(
         settings.reference or scenario.reference,
         reference_joints(simulation),
-        settings.reference_config,
+        reference_config(settings, scenario),
+        seed=settings.seed,
     )
     settle(simulation)
     configuration = _configuration(settings, scenario, sensors, simulation, reference)
@@ -133,10 +135,22 @@ def run_scenario(settings: RunSettings, progress: Progress | None = None) -> Run
         scenario=scenario,
         recording=_recording(history, simulation, sensors, settings),
         history=history,
-        metrics=_metrics(settings, scenario, reference, history, setup.joints),
+        metrics={
+            "scenario": settings.scenario,
+            "controller": settings.controller,
+            "model": str(settings.model),
+            "seed": settings.seed,
+            **summary(scenario, reference.period, history, setup.joints),
+        },
         configuration=configuration,
         window=reference.period,
     )
+
+
+def reference_config(settings: RunSettings, scenario: Scenario) -> dict[str, Any]:
+    """Settings of the reference: the scenario's, for its own reference, below the user's."""
+    own = settings.reference in (None, scenario.reference)
+    return {**(scenario.reference_config if own else {}), **settings.reference_config}
 
 
 def reference_joints(simulation: Simulation) -> tuple[Joint, ...]:
@@ -216,7 +230,9 @@ def _recording(
     ):
         true = history.position[:, i]
         noisy = true + noise.normal(0.0, sensors.position_noise, len(true))
-        columns[f"{joint}_position"] = quantise(noisy, sensors.encoder_counts)
+        noisy += history.encoder_shift[:, i]
+        reading = quantise(noisy, sensors.encoder_counts)
+        columns[f"{joint}_position"] = held(reading, history.encoder_lost[:, i])
         columns[f"{joint}_truth"] = true
         columns[f"{joint}_truth_velocity"] = history.velocity[:, i]
         columns[f"{actuator}_command"] = history.command[:, i]
@@ -246,40 +262,6 @@ def _recording(
     )
 
 
-def _metrics(
-    settings: RunSettings,
-    scenario: Scenario,
-    reference: Reference,
-    history: History,
-    joints: tuple[str, ...],
-) -> dict[str, Any]:
-    error, time = history.error, history.time
-    finite = np.isfinite(error).all(axis=1)
-    error, time = error[finite], time[finite]
-    changes = scenario.changes
-    result: dict[str, Any] = {
-        "scenario": settings.scenario,
-        "controller": settings.controller,
-        "model": str(settings.model),
-        "seed": settings.seed,
-        "duration": float(history.time[-1]),
-        "severity": scenario.severity,
-        "real_time_factor": float(history.time[-1] / max(history.wall_time, 1e-9)),
-        "completed": not history.failure,
-        "failure": history.failure or None,
-        "phases": metrics.phase_table(time, error, joints, scenario.phases),
-        "readaptation": {"time_s": None, "threshold": None, "reason": "nothing changes"},
-    }
-    if changes:
-        found = metrics.readaptation(time, error, changes[0].start, reference.period)
-        result["readaptation"] = {
-            "time_s": found.time,
-            "threshold": found.threshold,
-            "reason": found.reason or None,
-        }
-    return result
-
-
 def _configuration(
     settings: RunSettings,
     scenario: Scenario,
@@ -295,7 +277,7 @@ def _configuration(
             "reference": reference.name,
             "duration": scenario.duration,
             "severity": scenario.severity,
-            "reference_config": dict(settings.reference_config),
+            "reference_config": reference_config(settings, scenario),
             "controller_config": dict(settings.controller_config),
             "sensors": sensors.model_dump(),
             "timestep": simulation.model.opt.timestep,

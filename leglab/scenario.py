@@ -1,7 +1,7 @@
 """Scenarios: what the leg does, and what happens to the machine meanwhile."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -46,6 +46,24 @@ class Options:
         """The middle of the run [s]."""
         return self.duration / 2
 
+    def set(self, parameter: str, value: float, element: str = "*") -> ParameterChange:
+        """A change to a new value, in the parameter's own unit, at half time."""
+        return self._change("set", parameter, value, element)
+
+    def scale(self, parameter: str, factor: float, element: str = "*") -> ParameterChange:
+        """A change by a factor at half time."""
+        return self._change("scale", parameter, factor, element)
+
+    def _change(self, kind: str, parameter: str, value: float, element: str) -> ParameterChange:
+        return ParameterChange(
+            parameter=parameter,
+            element=element,
+            kind=kind,
+            value=value,
+            start=self.half,
+            ramp_duration=self.ramp_duration,
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
@@ -56,6 +74,7 @@ class Scenario:
         summary: One line for listings and reports.
         duration: Duration [s].
         reference: Name of the reference trajectory, unless the user chooses another.
+        reference_config: Settings of that trajectory.
         changes: What happens to the machine, in the order in which it begins. Where two apply to
             one parameter of one element, the second starts from what the first left.
         severity: Severity that the changes have been built with; None without one.
@@ -65,6 +84,7 @@ class Scenario:
     summary: str = ""
     duration: float
     reference: str = "walking_stride"
+    reference_config: Mapping[str, Any] = field(default_factory=dict)
     changes: tuple[ParameterChange, ...] = field(default=())
     severity: float | None = None
 
@@ -141,6 +161,7 @@ class _Entry:
     summary: str
     duration: float
     reference: str
+    reference_config: Mapping[str, Any]
     severity: Severity | None
 
 
@@ -153,6 +174,7 @@ def register_scenario(
     summary: str,
     duration: float = 20.0,
     reference: str = "walking_stride",
+    reference_config: Mapping[str, Any] | None = None,
     severity: Severity | None = None,
 ) -> Callable[[Builder], Builder]:
     """Registers the decorated builder of changes under a name.
@@ -162,12 +184,18 @@ def register_scenario(
         summary: One line for listings and reports.
         duration: Default duration [s].
         reference: Default reference trajectory.
+        reference_config: Settings of that trajectory; None for its own.
         severity: How bad the change can be; None where there is nothing to choose.
     """
 
     def register(build: Builder) -> Builder:
         entry = _Entry(
-            build=build, summary=summary, duration=duration, reference=reference, severity=severity
+            build=build,
+            summary=summary,
+            duration=duration,
+            reference=reference,
+            reference_config=reference_config or {},
+            severity=severity,
         )
         SCENARIOS.add(name, entry, build)
         return build
@@ -206,7 +234,13 @@ def get_scenario(
     changes = entry.build(options)
     if ramp_duration and not changes:
         raise LeglabError(f"scenario {name!r} changes nothing, so it has no ramp_duration")
-    return Scenario(**settled, reference=entry.reference, changes=changes, severity=chosen)
+    return Scenario(
+        **settled,
+        reference=entry.reference,
+        reference_config=entry.reference_config,
+        changes=changes,
+        severity=chosen,
+    )
 
 
 def scenario_names() -> tuple[str, ...]:

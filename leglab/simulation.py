@@ -8,9 +8,12 @@ import numpy as np
 import leglab.models
 import leglab.plugin
 from leglab.errors import LeglabError, unknown_name
+from leglab.hydraulics import Cylinder
 from leglab.parameters import Parameter, PluginTable, plugin_tables
 
 CYLINDER = "leglab.cylinder"
+# Parameters of a cylinder that say how much oil a chamber holds at a pressure.
+_COMPRESSIBILITY = ("bulk_modulus", "entrained_air", "polytropic_index")
 # Beyond this joint speed [rad/s or m/s] a leg simulation has blown up.
 SPEED_LIMIT = 1e3
 
@@ -133,8 +136,13 @@ class Simulation:
         return address + table.entry(name).offset
 
     def has(self, element: str, name: str) -> bool:
-        """Says whether an element has a parameter or state of this name."""
+        """Says whether an element has a parameter or state of this name that takes effect.
+
+        A cylinder on a shared supply sees that one's pressure, not its own `supply_pressure`.
+        """
         _, table = self._elements[element]
+        if name == "supply_pressure" and table.plugin == CYLINDER and self._supply_of(element):
+            return False
         return name in table.parameters or name in table.states
 
     @property
@@ -156,14 +164,28 @@ class Simulation:
     def set_parameter(self, element: str, name: str, value: float) -> None:
         """Sets a physical parameter of an element from now on.
 
+        Where the compressibility of the oil changes, chambers keep their pressures, not the
+        amounts of oil in them.
+
         Raises:
             LeglabError: If element or name do not exist or the value is out of bounds.
         """
         slot = self.slot(element, name)
-        entry = self._elements[element][1].entry(name)
+        table = self._elements[element][1]
+        entry = table.entry(name)
         if isinstance(entry, Parameter):
             value = entry.check(value, f"element {element!r}")
+        if table.plugin != CYLINDER or name not in _COMPRESSIBILITY:
+            self.data.plugin_state[slot] = value
+            return
+        before = Cylinder(self.cylinder_parameters(element)).native
         self.data.plugin_state[slot] = value
+        after = Cylinder(self.cylinder_parameters(element)).native
+        for chamber in "ab":
+            # An amount N fills the volume N w(p); the volume stays.
+            pressure = self.parameter(element, f"pressure_{chamber}")
+            ratio = before.relative_volume(pressure) / after.relative_volume(pressure)
+            self.data.plugin_state[self.slot(element, f"amount_{chamber}")] *= ratio
 
     def set_pressures(self, pressure_a: np.ndarray, pressure_b: np.ndarray) -> None:
         """Prescribes all chamber pressures [Pa], each (actuators,), at the present position.

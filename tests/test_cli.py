@@ -43,7 +43,9 @@ def test_run_writes_everything(tmp_path, capsys):
     assert metrics["duration"] == pytest.approx(4.0)
     assert metrics["real_time_factor"] > 0
     assert [phase["name"] for phase in metrics["phases"]] == ["before", "after"]
-    assert set(metrics["phases"][0]["rms_rad"]) == {"knee", "all"}
+    for name in ("rms_rad", "peak_rad", "p95_rad", "effort", "valve_activity_per_s", "energy_j"):
+        assert set(metrics["phases"][0][name]) == {"knee", "all"}
+    assert metrics["excess_error_area_rad_s"] >= 0
     assert set(metrics["readaptation"]) == {"time_s", "threshold", "reason"}
     run = json.loads((out / "run.json").read_text())
     assert run["settings"]["seed"] == 7
@@ -62,7 +64,8 @@ def test_list_as_json(capsys):
     assert {"nominal", "seal_wear", "cold_oil", "hot_oil"} <= set(names["scenarios"])
     assert {"pd", "static_feedforward"} <= set(names["controllers"])
     assert {"leg", "leg_rail", "knee_bench"} <= set(names["models"])
-    assert {"walking_stride", "squat", "sine_sweep", "step"} == set(names["references"])
+    references = {"walking_stride", "random_stride", "squat", "sine_sweep", "step"}
+    assert references == set(names["references"])
 
 
 def test_the_parameter_page_is_up_to_date(capsys):

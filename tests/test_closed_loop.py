@@ -43,6 +43,15 @@ def test_a_ramp_is_followed():
     np.testing.assert_allclose(leakage, expected, rtol=1e-9)
 
 
+def test_the_energy_of_the_phases_is_that_of_the_recording():
+    run = run_scenario(settings(duration=4.0))
+    drawn = run.recording["knee_energy_supply"]
+    phases = run.metrics["phases"]
+    assert drawn[-1] - drawn[0] == pytest.approx(sum(p["energy_j"]["all"] for p in phases))
+    # The knee needs tens to hundreds of watts: 160 bar times some l/min.
+    assert 10 < phases[1]["energy_j"]["knee"] / 2.0 < 2000
+
+
 def test_feedforward_beats_pd_on_the_nominal_machine():
     pd, feedforward = (
         run_scenario(settings(scenario="nominal", controller=name)).metrics["phases"][0]

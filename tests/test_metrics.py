@@ -1,3 +1,5 @@
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -6,12 +8,14 @@ from hypothesis.extra import numpy as hnp
 
 from leglab.errors import LeglabError
 from leglab.metrics import (
+    excess_error_area,
     peak,
     percentile,
     phase_table,
     readaptation,
     rms,
     sliding_rms,
+    usage_table,
 )
 from leglab.schedule import Phase
 
@@ -59,6 +63,7 @@ def test_phases_split_the_run_without_overlap():
         "end": 5,
         "rms_rad": pytest.approx({"hip": 0.1, "knee": 0.2, "all": np.sqrt(0.025)}),
         "peak_rad": pytest.approx({"hip": 0.1, "knee": 0.2, "all": 0.2}),
+        "p95_rad": pytest.approx({"hip": 0.1, "knee": 0.2, "all": 0.2}),
     }
     assert after["rms_rad"] == pytest.approx({"hip": 0.3, "knee": 0.6, "all": np.sqrt(0.225)})
 
@@ -190,3 +195,60 @@ def test_readaptation_equals_brute_force(error, window, change):
         return
     good = [t for t in range(change, len(time)) if all(w <= threshold for w in windowed[t:])]
     assert result.time == (good[0] - change if good else None)
+
+
+def test_percentile_in_the_table_follows_its_definition():
+    error = np.random.default_rng(0).normal(size=(401, 2))
+    (row,) = phase_table(np.arange(401.0), error, "ab", [Phase(name="whole", start=0, end=400)])
+    for joint, samples in (("a", error[:, 0]), ("b", error[:, 1]), ("all", error.ravel())):
+        exceeding = np.mean(np.abs(samples) > row["p95_rad"][joint])
+        assert exceeding == pytest.approx(0.05, abs=1 / len(samples))
+
+
+def test_usage_equals_brute_force():
+    random = np.random.default_rng(2)
+    time = np.arange(100) * 0.01
+    command, power = random.uniform(-1, 1, (100, 2)), random.uniform(0, 50, (100, 2))
+    energy = 7.0 + np.cumsum(power, axis=0)
+    phases = [Phase(name=n, start=a, end=b) for n, a, b in (("before", 0, 0.4), ("after", 0.4, 1))]
+    table = usage_table(time, command, energy, ["hip", "knee"], phases)
+    for row, samples in zip(table, (range(40), range(40, 100)), strict=True):
+        rates = [(command[i] - command[i - 1]) / 0.01 for i in samples if i > 0]
+        drawn = sum(power[i] for i in samples if i > 0)
+        effort = np.mean([command[i] ** 2 for i in samples], axis=0)
+        activity = np.mean(np.square(rates), axis=0)
+        for j, joint in enumerate(("hip", "knee")):
+            assert row["effort"][joint] == pytest.approx(np.sqrt(effort[j]))
+            assert row["valve_activity_per_s"][joint] == pytest.approx(np.sqrt(activity[j]))
+            assert row["energy_j"][joint] == pytest.approx(drawn[j])
+        assert row["effort"]["all"] == pytest.approx(np.sqrt(effort.mean()))
+        assert row["valve_activity_per_s"]["all"] == pytest.approx(np.sqrt(activity.mean()))
+        assert row["energy_j"]["all"] == pytest.approx(drawn.sum())
+
+
+def test_usage_of_a_run_of_one_sample_is_none():
+    whole = [Phase(name="whole", start=0, end=1)]
+    (row,) = usage_table(np.zeros(1), np.full((1, 1), 0.5), np.ones((1, 1)), ["knee"], whole)
+    assert row["effort"]["knee"] == 0.5
+    assert row["valve_activity_per_s"]["knee"] == row["energy_j"]["knee"] == 0.0
+
+
+@given(errors, st.integers(1, 20), st.integers(0, 60))
+def test_excess_error_area_equals_brute_force(error, window, change):
+    time = np.arange(len(error)) * 1.0
+    area = excess_error_area(time, error, change, window)
+    windowed = windows_by_brute_force(time, error, window)
+    if change == 0 or change >= len(time) or np.isnan(windowed[change - 1]):
+        assert area is None
+        return
+    excess = [max(w - windowed[change - 1], 0.0) for w in windowed[change:]]
+    expected = sum((a + b) / 2 for a, b in itertools.pairwise(excess))
+    assert area == pytest.approx(expected, rel=1e-6, abs=1e-9)
+
+
+def test_excess_error_area_of_a_pulse():
+    time, error = run_with(lambda t: np.where((t >= 10) & (t < 13), 1.1, 0.1))
+    # A rise and a fall of the window add up to about a pulse of its own length and height, and
+    # the RMS lies above the mean while good and bad share the window.
+    area = excess_error_area(time, error, change=10, window=1)
+    assert 3.0 < area < 3.5

@@ -11,6 +11,7 @@ LEG = tuple(Joint(name=name, rest=0.05) for name in GAIT)
 BENCH = (Joint(name="knee", rest=0.9, lower=0.0, upper=1.8),)
 SMOOTH = {
     "walking_stride": {},
+    "random_stride": {"seed": 5},
     "squat": {},
     "sine_sweep": {"duration": 6.0, "end_frequency": 3.0},
     "step": {"start": 0.3, "hold": 0.7, "rise_time": 0.25},
@@ -226,3 +227,45 @@ def test_bad_joints_and_times():
         Joint(name="knee", velocity_limit=0)
     with pytest.raises(LeglabError, match=r"shape \(\)"):
         make_reference("squat", BENCH).sample(1.0)
+
+
+def test_a_random_stride_is_reproducible_and_does_not_repeat():
+    times = np.arange(0, 60, 0.01)
+
+    def positions(**config):
+        return make_reference("random_stride", LEG, config).sample(times).position
+
+    np.testing.assert_array_equal(positions(seed=3), positions(seed=3))
+    seeded = make_reference("random_stride", LEG, seed=3)
+    np.testing.assert_array_equal(seeded.sample(times).position, positions(seed=3))
+    own = make_reference("random_stride", LEG, {"seed": 3}, seed=4)
+    np.testing.assert_array_equal(own.sample(times).position, positions(seed=3))
+    make_reference("squat", LEG, seed=4)  # not random: the seed does not matter
+    assert np.abs(positions(seed=3) - positions(seed=4)).max() > 0.1
+    knee = positions(seed=3)[:, list(GAIT).index("knee")]
+    # Whatever the lag between one and twenty strides, the motion is another one.
+    part = knee[500:2000]
+    differences = [np.std(knee[500 + lag : 2000 + lag] - part) for lag in range(90, 2400)]
+    assert min(differences) > 0.1 * np.std(part)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_random_stride_stays_within_the_regular_one(seed):
+    """Deviations from the mean only shrink, speeds grow by the rate and the amplitude's change."""
+    times = np.arange(2.0, 60, 0.005)
+    regular = make_reference("walking_stride", LEG, {}).sample(times)
+    random = make_reference("random_stride", LEG, {"seed": seed}).sample(times)
+    tolerance = 1e-3  # [rad], the regular stride is sampled
+    assert np.all(random.position.max(axis=0) <= regular.position.max(axis=0) + tolerance)
+    assert np.all(random.position.min(axis=0) >= regular.position.min(axis=0) - tolerance)
+    fastest = np.abs(regular.velocity).max(axis=0)
+    assert np.all(np.abs(random.velocity).max(axis=0) <= 1.5 * fastest)
+
+
+def test_a_random_stride_without_variation_is_the_walking_stride():
+    times = np.arange(0, 6, 0.01)
+    still = {"amplitude_variation": 0.0, "period_variation": 0.0}
+    random = make_reference("random_stride", LEG, still).sample(times)
+    regular = make_reference("walking_stride", LEG).sample(times)
+    for ours, theirs in zip(random, regular, strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-9)

@@ -47,7 +47,10 @@ def test_every_scenario_can_be_built_and_shortened(name):
         assert scenario.name == name
         assert all(change.end <= scenario.duration for change in scenario.changes)
         names = [phase.name for phase in scenario.phases]
-        assert names == (["before", "after"] if scenario.changes else ["whole"])
+        if name == "cold_start":  # changes at once
+            assert names == ["after"]
+        else:
+            assert names == (["before", "after"] if scenario.changes else ["whole"])
     assert scenario.duration == 3.0
 
 
@@ -60,6 +63,8 @@ def test_every_severity_reaches_the_changes(name):
     }
     assert len(ends) == 2
     assert get_scenario(name).severity == severity.default
+    if name == "cold_start":
+        return
     ramped = get_scenario(name, ramp_duration=2.0)
     assert [phase.name for phase in ramped.phases] == ["before", "during", "after"]
 

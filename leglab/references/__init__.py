@@ -14,6 +14,7 @@ from leglab.references.base import (
     reference_summary,
     register_reference,
 )
+from leglab.references.random_stride import RandomStride
 from leglab.references.sine_sweep import SineSweep
 from leglab.references.squat import Squat
 from leglab.references.step import Step
@@ -21,6 +22,7 @@ from leglab.references.walking_stride import WalkingStride
 
 __all__ = [
     "Joint",
+    "RandomStride",
     "Reference",
     "Samples",
     "SineSweep",

@@ -151,7 +151,11 @@ def register_reference(
 
 
 def make_reference(
-    name: str, joints: Sequence[Joint], config: Mapping[str, Any] | None = None
+    name: str,
+    joints: Sequence[Joint],
+    config: Mapping[str, Any] | None = None,
+    *,
+    seed: int | None = None,
 ) -> Reference:
     """Makes a reference trajectory.
 
@@ -159,12 +163,15 @@ def make_reference(
         name: One of `reference_names()`.
         joints: Joints that follow it; those that the motion does not know stay at rest.
         config: Settings of this trajectory.
+        seed: Of a random trajectory, unless `config` has its own.
 
     Raises:
         LeglabError: The name or a setting is not known or not allowed, or no joint moves.
     """
     entry = _references.get(name)
     owner = f"reference {name!r}"
+    if seed is not None and "seed" in entry.configuration.model_fields:
+        config = {"seed": seed, **(config or {})}
     settings = validate_configuration(entry.configuration, config, owner)
     if not joints:
         raise LeglabError(f"{owner} needs at least one joint")

@@ -38,23 +38,44 @@ class WalkingStride(Configuration):
     fade_in: float = Field(default=1.0, gt=0)
 
 
+def gait_series(
+    joints: tuple[Joint, ...], amplitude: float, knee_bend: float, name: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Fourier series of a stride, for joints in any order.
+
+    Args:
+        joints: The joints; those that are not of a leg have zeros.
+        amplitude: Factor on the deviation from each joint's mean angle.
+        knee_bend: Extra knee flexion throughout [rad].
+        name: Of the reference, for messages.
+
+    Returns:
+        Mean displacement from the rest pose [rad], (joints,), and the amplitudes of cosines and
+        sines [rad], each (harmonics, joints).
+
+    Raises:
+        LeglabError: None of the joints is of a leg.
+    """
+    harmonics = max(len(series.cosine) for series in GAIT.values())
+    mean = np.zeros(len(joints))
+    cosine, sine = np.zeros((2, harmonics, len(joints)))
+    for i in moving_joints(joints, tuple(GAIT), name):
+        series = GAIT[joints[i].name]
+        mean[i] = np.radians(series.mean) + knee_bend * _BEND_SHARE.get(joints[i].name, 0.0)
+        mean[i] -= joints[i].rest
+        scale = np.radians(amplitude)
+        cosine[: len(series.cosine), i] = scale * np.array(series.cosine)
+        sine[: len(series.sine), i] = scale * np.array(series.sine)
+    return mean, cosine, sine
+
+
 @register_reference(
     "walking_stride", summary="an adult's stride, repeated", configuration=WalkingStride
 )
 def walking_stride(joints: tuple[Joint, ...], config: WalkingStride) -> tuple[Motion, float]:
     """Makes the motion; joints that are not of a leg stay at rest."""
-    moving = moving_joints(joints, tuple(GAIT), "walking_stride")
-    harmonics = max(len(series.cosine) for series in GAIT.values())
-    mean = np.zeros(len(joints))
-    cosine, sine = np.zeros((2, harmonics, len(joints)))
-    for i in moving:
-        series = GAIT[joints[i].name]
-        mean[i] = np.radians(series.mean) + config.knee_bend * _BEND_SHARE.get(joints[i].name, 0.0)
-        mean[i] -= joints[i].rest
-        scale = np.radians(config.amplitude)
-        cosine[: len(series.cosine), i] = scale * np.array(series.cosine)
-        sine[: len(series.sine), i] = scale * np.array(series.sine)
-    rate = 2 * np.pi / config.period * np.arange(1, harmonics + 1)
+    mean, cosine, sine = gait_series(joints, config.amplitude, config.knee_bend, "walking_stride")
+    rate = 2 * np.pi / config.period * np.arange(1, len(cosine) + 1)
     start = config.phase * config.period
 
     def stride(times: np.ndarray) -> Samples:

@@ -1,0 +1,88 @@
+"""The command `leglab compare`."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from leglab.errors import LeglabError
+from leglab.terminal import Json, comparison_table, errors, output, print_wide, progress_bar
+
+
+def compare(
+    scenarios: Annotated[list[str], typer.Argument(help="Names of scenarios.")],
+    controllers: Annotated[
+        str, typer.Option(help="Names, separated by commas; ratios refer to the first.")
+    ] = "pd,static_feedforward",
+    model: Annotated[str, typer.Option(help="leg, leg_rail, knee_bench, or an MJCF file.")] = "leg",
+    seeds: Annotated[int, typer.Option(help="Number of seeds, from 0 on.")] = 3,
+    duration: Annotated[
+        float | None, typer.Option(help="Seconds; default: the scenario's.")
+    ] = None,
+    severity: Annotated[
+        float | None, typer.Option(help="How bad the changes are, in the scenario's own unit.")
+    ] = None,
+    ramp: Annotated[float, typer.Option(help="Seconds the changes take; 0 is a step.")] = 0.0,
+    reference: Annotated[str | None, typer.Option(help="Name of a reference trajectory.")] = None,
+    jobs: Annotated[int, typer.Option(help="Processes at a time; -1: one a core.")] = -1,
+    out: Annotated[Path, typer.Option(help="Output folder.")] = Path("runs/compare"),
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Repeat runs that are there.")
+    ] = False,
+    figures: Annotated[bool, typer.Option(help="Draw a figure a scenario.")] = True,
+    as_json: Json = False,
+) -> None:
+    """Runs scenarios with several controllers and seeds and compares the tracking errors.
+
+    Writes compare.json and a figure a scenario. Runs that the output folder holds with the same
+    settings and code are not repeated: an interrupted comparison goes on where it was.
+    """
+    from leglab.report.comparison import save_comparison_figure
+    from leglab.sweep import Comparison, run_all
+    from leglab.sweep import compare as summarise
+
+    if jobs == 0:
+        raise LeglabError("jobs is 0; allowed: 1 or more, or -1 for one a core")
+    comparison = Comparison(
+        scenarios=tuple(scenarios),
+        controllers=tuple(name.strip() for name in controllers.split(",") if name.strip()),
+        seeds=seeds,
+        model=model,
+        duration=duration,
+        severity=severity,
+        ramp_duration=ramp,
+        reference=reference,
+    )
+    runs = comparison.runs()
+    finished = 0
+    with progress_bar() as bar:
+        task = bar.add_task("comparing", total=len(runs))
+
+        def show(done: int, total: int, label: str) -> None:
+            nonlocal finished
+            finished = done
+            bar.update(task, completed=done, total=total, description=label or "comparing")
+
+        try:
+            results = run_all(runs, out / "runs", jobs=jobs, overwrite=overwrite, progress=show)
+        except KeyboardInterrupt:
+            bar.stop()
+            errors.print(
+                f"[red]interrupted[/red] after {finished} of {len(runs)} runs: "
+                "the same command goes on from there"
+            )
+            raise typer.Exit(130) from None
+        summary = summarise(comparison, results)
+        (out / "compare.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n")
+        if figures:
+            bar.update(task, description="drawing")
+            for name in comparison.scenarios:
+                shown = [r for r in results if r["metrics"]["scenario"] == name]
+                title = f"{name}, {Path(model).stem}, {seeds} seed{'s' * (seeds > 1)}"
+                save_comparison_figure(shown, out / f"{name}.png", title=title)
+    if as_json:
+        typer.echo(json.dumps(summary, indent=2))
+    else:
+        print_wide(comparison_table(summary))
+        output.print(f"written to {out}")

@@ -1,0 +1,107 @@
+"""What the commands share: consoles, progress bar, options, tables."""
+
+from typing import Annotated, Any
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+errors = Console(stderr=True, highlight=False, soft_wrap=True)
+output = Console(highlight=False)
+
+_WIDE = 120  # characters
+
+Overwrite = Annotated[
+    bool, typer.Option("--overwrite", help="Replace the folder of an earlier run.")
+]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
+
+
+def print_wide(table: Table) -> None:
+    """Prints a table in full, in a terminal or a file that is too narrow as well."""
+    Console(highlight=False, width=max(output.width, _WIDE)).print(table)
+
+
+def progress_bar() -> Progress:
+    """A bar on stderr that leaves nothing behind."""
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeRemainingColumn(),
+        console=errors,
+        transient=True,
+    )
+
+
+def metrics_table(metrics: dict[str, Any]) -> Table:
+    """Tracking error of one run by joint and phase, from the content of `metrics.json`."""
+    phases = metrics["phases"]
+    joints = [name for name in phases[0]["rms_rad"] if name != "all"]
+    table = Table(title="tracking error, RMS / peak, mrad", title_justify="left", min_width=46)
+    table.add_column(f"{metrics['scenario']}, {metrics['controller']}")
+    for phase in phases:
+        table.add_column(f"{phase['name']} {phase['start']:g}-{phase['end']:g} s", justify="right")
+    for name in joints if len(joints) == 1 else [*joints, "all"]:
+        cells = (
+            f"{1e3 * phase['rms_rad'][name]:.1f} / {1e3 * phase['peak_rad'][name]:.1f}"
+            for phase in phases
+        )
+        table.add_row(name, *cells)
+    found = metrics["readaptation"]
+    if found["threshold"] is not None:
+        time = "never" if found["time_s"] is None else f"{found['time_s']:.2f} s"
+        table.caption = f"re-adaptation: {time}, threshold {1e3 * found['threshold']:.1f} mrad"
+        table.caption_justify = "left"
+    return table
+
+
+def comparison_table(summary: dict[str, Any]) -> Table:
+    """Error and re-adaptation by scenario and controller, from the content of `compare.json`."""
+    table = Table(
+        title="RMS tracking error of all joints, mean and half of the 95 % interval, "
+        f"{summary['seeds']} seeds",
+        title_justify="left",
+        box=SIMPLE_HEAD,
+    )
+    table.add_column("", no_wrap=True)
+    first = summary["controllers"][0]
+    for name in ("before [mrad]", "after [mrad]", f"after / {first}", "re-adapted [s]"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for scenario, controllers in summary["results"].items():
+        table.add_row(f"[bold]{scenario}[/bold]")
+        for i, (controller, cell) in enumerate(controllers.items()):
+            table.add_row(
+                f"  {controller}",
+                _interval(cell["rms_before_rad"], 1e3, 2),
+                _interval(cell["rms_after_rad"], 1e3, 2) + _early(cell),
+                _interval(cell["ratio"], 1.0, 3),
+                _readaptation(cell),
+                end_section=i == len(controllers) - 1,
+            )
+    return table
+
+
+def _interval(estimate: dict[str, Any], unit: float, digits: int) -> str:
+    if estimate["mean"] is None:
+        return "-"
+    text = f"{unit * estimate['mean']:.{digits}f}"
+    if estimate["half_width"] is not None:
+        text += f" ± {unit * estimate['half_width']:.{digits}f}"
+    return text
+
+
+def _readaptation(cell: dict[str, Any]) -> str:
+    text = _interval(cell["readaptation_s"], 1.0, 2)
+    never = cell["not_readapted"]
+    if not never:
+        return text
+    of_all = f"never {never}/{cell['runs']}"
+    return of_all if text == "-" else f"{text}, {of_all}"
+
+
+def _early(cell: dict[str, Any]) -> str:
+    failed = len(cell["failures"])
+    return f", failed {failed}/{cell['runs']}" if failed else ""

@@ -1,0 +1,23 @@
+"""The parallel springs tire at half time (k_1 and k_2 of Eq. 23 of Folgheraiter)."""
+
+from leglab.scenario import Options, Severity, register_scenario
+from leglab.schedule import ParameterChange
+
+
+@register_scenario(
+    "spring_fatigue",
+    summary="the parallel springs lose half of their stiffness at half time",
+    severity=Severity(meaning="stiffness ratio [1]", default=0.5, lowest=0.0, highest=1.0),
+)
+def spring_fatigue(options: Options) -> tuple[ParameterChange, ...]:
+    """Multiplies both stiffnesses of every parallel spring."""
+    return (
+        options.scale("k1", options.severity),
+        options.scale("k2", options.severity),
+    )
+
+
+if __name__ == "__main__":
+    from leglab.cli import run_scenario_as_script
+
+    run_scenario_as_script("spring_fatigue")

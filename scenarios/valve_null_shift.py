@@ -1,0 +1,25 @@
+"""The null of all valves shifts at half time.
+
+New servovalves stay within 2 % over temperature and supply pressure (physics.md, "Values").
+"""
+
+from leglab.scenario import Options, Severity, register_scenario
+from leglab.schedule import ParameterChange
+
+
+@register_scenario(
+    "valve_null_shift",
+    summary="the null of all valves shifts at half time",
+    severity=Severity(
+        meaning="null shift, of full command [1]", default=0.03, lowest=-0.3, highest=0.3
+    ),
+)
+def valve_null_shift(options: Options) -> tuple[ParameterChange, ...]:
+    """Sets the null bias of every valve."""
+    return (options.set("null_bias", options.severity),)
+
+
+if __name__ == "__main__":
+    from leglab.cli import run_scenario_as_script
+
+    run_scenario_as_script("valve_null_shift")

@@ -1,0 +1,31 @@
+"""Dirt and wear give all valves a wider dead band and hysteresis from half time on.
+
+A new small servovalve has an overlap of 2 % and less than 3 % of hysteresis (physics.md, "Values").
+"""
+
+from leglab.scenario import Options, Severity, register_scenario
+from leglab.schedule import ParameterChange
+
+
+@register_scenario(
+    "valve_wear",
+    summary="dead band and hysteresis of all valves grow at half time",
+    severity=Severity(
+        meaning="lap and hysteresis, of full spool travel [1]",
+        default=0.06,
+        lowest=0.0,
+        highest=0.3,
+    ),
+)
+def valve_wear(options: Options) -> tuple[ParameterChange, ...]:
+    """Sets overlap and hysteresis of every valve to the severity."""
+    return (
+        options.set("lap", options.severity),
+        options.set("hysteresis", options.severity),
+    )
+
+
+if __name__ == "__main__":
+    from leglab.cli import run_scenario_as_script
+
+    run_scenario_as_script("valve_wear")
