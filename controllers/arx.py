@@ -11,9 +11,11 @@ class ArxConfiguration(AdaptiveConfiguration):
 
     Attributes:
         velocity_splines: None.
+        position_splines: None.
     """
 
     velocity_splines: int = Field(default=0, ge=0, le=0)
+    position_splines: int = Field(default=0, ge=0, le=0)
 
 
 @register_controller(

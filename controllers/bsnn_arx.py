@@ -28,6 +28,7 @@ class AdaptiveConfiguration(PdConfiguration):
         memory: N_0 of variable forgetting [learned samples].
         least_forgetting_factor: Lambda never falls below.
         velocity_splines: Splines of velocity; 0 for a linear map.
+        position_splines: Splines of position; 0 for a linear term.
         limit: Largest feed-forward [valve command].
         rate_limit: Fastest change of the feed-forward [1/s].
         least_speed: Nothing is learned while all joints are slower, as a share of their full speed.
@@ -45,6 +46,7 @@ class AdaptiveConfiguration(PdConfiguration):
     memory: float = Field(default=500.0, ge=1)
     least_forgetting_factor: float = Field(default=0.98, ge=0.5, le=1)
     velocity_splines: int = Field(default=12, ge=0, le=100)
+    position_splines: int = Field(default=5, ge=0, le=100)
     limit: float = Field(default=0.95, gt=0, le=1)
     rate_limit: float = Field(default=50.0, gt=0)
     least_speed: float = Field(default=1e-3, ge=0)
@@ -83,7 +85,12 @@ class AdaptiveController:
         )
         rls = self._rls(config)
         self.adaptation = AdaptiveFeedforward(
-            InverseMap(ranges, rls, velocity_splines=config.velocity_splines),
+            InverseMap(
+                ranges,
+                rls,
+                velocity_splines=config.velocity_splines,
+                position_splines=config.position_splines,
+            ),
             ValveMapTable(maps),
             AdaptationSettings(
                 control_period=setup.control_period,

@@ -96,6 +96,7 @@ class AdaptiveFeedforward:
         self._count = 0
         self._sent = self._feedforward = self.error = self._zeros
         self._squares = np.zeros((2, self._map.joints))  # of learned and calibrated map
+        self._now = np.zeros_like(self._squares)
         self.fallback = np.zeros(self._map.joints, dtype=bool)
         self._falls_back = False
 
@@ -122,23 +123,29 @@ class AdaptiveFeedforward:
         if not speed >= settings.least_speed:  # false for NaN
             return
         usable = window.largest_command() < settings.limit
-        if not usable.all():
+        all_usable = bool(usable.all())
+        if not all_usable:
             command = np.where(usable, command, np.nan)  # refused by the learner, and counted
         if self._map.joints == 1:
             sample = float(command[0])
             error = np.array([sample - self._learner.update(inputs, sample)])
         else:
             error = command - self._learner.update(inputs, command)
-        if not usable.all():
+        if not all_usable:
             error = np.where(usable, error, 0.0)
         self.error = error
         if settings.supervised:
-            self._supervise(command - self._calibrated.predict(inputs), usable)
+            self._supervise(command - self._calibrated.predict(inputs), all_usable)
 
-    def _supervise(self, calibrated: np.ndarray, usable: np.ndarray) -> None:
-        squares = self._squares
-        now = np.stack([self.error, np.where(usable, calibrated, 0.0)])
-        squares += self._forget * (now * now - squares)
+    def _supervise(self, calibrated: np.ndarray, usable: bool) -> None:
+        squares, now = self._squares, self._now
+        now[0], now[1] = self.error, calibrated
+        if not usable:
+            np.nan_to_num(now, copy=False)
+        now *= now
+        now -= squares
+        now *= self._forget
+        squares += now
         learned, margin = squares[0], self._settings.margin
         self.fallback = learned > margin * margin * squares[1] + _NOISE * _NOISE
         self._falls_back = bool(self.fallback.any())

@@ -51,19 +51,23 @@ class InverseMap:
 
     For joint i, with every signal scaled to about one, the command is
 
-        s(v_i) + q_i + j_i + v_i q_i + |v_i| a_i + |v_i| q_i + sum_k (a_k + q_k + v_k),
+        s(v_i) + p(q_i) + j_i + v_i q_i + |v_i| a_i + |v_i| q_i + sum_k (a_k + q_k + v_k),
 
-    each term with a parameter of its own. The spline s carries valve overlap and friction, the
-    sum load (inertia, gravity, hence leakage flow) and its rate of change (hence compression
-    flow), the products lever geometry and the pressure drop that the load leaves at the valve.
+    each term with a parameter of its own. The spline s carries valve overlap and friction, p a
+    joint spring, the sum load (inertia, gravity, hence leakage flow) and its rate of change (hence
+    compression flow), the products lever geometry and the pressure drop that the load leaves at
+    the valve.
 
     Args:
         ranges: Declared ranges.
         rls: How it is learned.
-        velocity_splines: Splines in s; 0 makes s and the products linear: v_i and a constant.
+        velocity_splines: Splines in s; 0 for a linear map: v_i and a constant, no products.
+        position_splines: Splines in p; 0 for a term linear in q_i.
     """
 
-    def __init__(self, ranges: MotionRange, rls: Rls, *, velocity_splines: int = 12) -> None:
+    def __init__(
+        self, ranges: MotionRange, rls: Rls, *, velocity_splines: int, position_splines: int
+    ) -> None:
         self.joints = joints = len(ranges.speed)
         self.ranges = ranges
         half = (ranges.upper - ranges.lower) / 2
@@ -73,7 +77,7 @@ class InverseMap:
         self._offset[0] = (ranges.lower + ranges.upper) / 2 / half
         self._signals = np.empty((7, joints))  # rows: q, v, a, j, v q, |v| q, |v| a
         self._speed = np.empty(joints)
-        self.settings, self._index = _structure(joints, rls, velocity_splines)
+        self.settings, self._index = _structure(joints, rls, velocity_splines, position_splines)
         if joints == 1:
             self._index = self._index[0]
 
@@ -126,7 +130,7 @@ class InverseMap:
 
 
 def _structure(
-    joints: int, rls: Rls, velocity_splines: int
+    joints: int, rls: Rls, velocity_splines: int, position_splines: int
 ) -> tuple[SplineNarxSettings, np.ndarray]:
     """The learner's settings, and where its inputs stand among the signals, (joints, inputs)."""
     inputs = [Signal(name="v")]
@@ -151,7 +155,12 @@ def _structure(
     features: list = [Spline(signal="v", lag=0, basis=basis)]
     if not velocity_splines:
         features = [Lags(signal="v", first=0), Constant()]
-    features += [Lags(signal=signal.name, first=0) for signal in inputs[1:]]
+    linear = [signal.name for signal in inputs[1:]]
+    if position_splines:
+        shape = Basis.uniform(-1, 1, position_splines, outside="linear")
+        features.append(Spline(signal="q", lag=0, basis=shape))
+        linear.remove("q")
+    features += [Lags(signal=name, first=0) for name in linear]
     settings = SplineNarxSettings(
         output=Signal(name="command"), inputs=tuple(inputs), features=tuple(features), rls=rls
     )
