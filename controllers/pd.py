@@ -22,7 +22,11 @@ class PdConfiguration(Configuration):
 
 @register_controller("pd", summary="PD with tuned gains", configuration=PdConfiguration)
 class Pd:
-    """u = s (K_p (r - q) + K_v (r' - q')), s the sign with which a command moves the joint."""
+    """u = s (K_p (r - q) + K_v (r' - q')), s the sign with which a command moves the joint.
+
+    Attributes:
+        position_gain: s K_p [1/rad], (joints,).
+    """
 
     def __init__(self, setup: ControllerSetup, config: PdConfiguration) -> None:
         direction = np.asarray(setup.require("direction", "pd"), dtype=float)
@@ -34,7 +38,7 @@ class Pd:
             if len(values) != len(setup.joints):
                 raise setup.wrong_length(name, values, "pd")
             gains.append(direction * np.asarray(values, dtype=float))
-        self._position_gain, self._velocity_gain = gains
+        self.position_gain, self._velocity_gain = gains
         self._feedback = np.zeros(len(setup.joints))
 
     def reset(self, measurement: Measurement) -> None:
@@ -42,7 +46,7 @@ class Pd:
 
     def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
         """Valve commands in [-1, 1] before clipping, (joints,)."""
-        self._feedback = self._position_gain * (reference.position - measurement.position)
+        self._feedback = self.position_gain * (reference.position - measurement.position)
         self._feedback += self._velocity_gain * (reference.velocity - measurement.velocity)
         return self._feedback
 

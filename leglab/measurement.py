@@ -72,6 +72,15 @@ def velocity_filter_coefficient(period: float, cutoff_hz: float) -> float:
     return 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * period)
 
 
+def velocity_delay(period: float, cutoff_hz: float) -> float:
+    """Age of a velocity estimate [s]: half a period of the difference, and the filter's lag.
+
+    The lag of v[k] += a (x[k] - v[k-1]) on a ramp is T (1 - a)/a.
+    """
+    a = velocity_filter_coefficient(period, cutoff_hz)
+    return period / 2 + period * (1 - a) / a
+
+
 def quantise(position: np.ndarray, counts: int) -> np.ndarray:
     """Rounds positions [rad] to encoder counts; 0 counts a turn stand for infinite resolution."""
     if counts == 0:

@@ -2,6 +2,7 @@
 
 import copy
 import functools
+import math
 import platform
 import tomllib
 from collections.abc import Mapping
@@ -19,7 +20,7 @@ from leglab.calibration import directions, settle, speed_limits, valve_maps
 from leglab.configuration import validate_configuration
 from leglab.control import ControllerSetup, make_controller
 from leglab.errors import LeglabError
-from leglab.measurement import SensorConfiguration, held, quantise
+from leglab.measurement import SensorConfiguration, held, quantise, velocity_delay
 from leglab.recording import Recording
 from leglab.references import Joint, Reference, make_reference
 from leglab.rollout import History, Progress, closed_loop
@@ -109,7 +110,8 @@ def run_scenario(settings: RunSettings, progress: Progress | None = None) -> Run
     )
     sensors = validate_configuration(SensorConfiguration, settings.sensors, "sensors")
     simulation = Simulation(load_model(settings.model, timestep=settings.timestep, visual=False))
-    setup = controller_setup(simulation, settings.model, sensors)
+    first_change = min((change.start for change in scenario.changes), default=math.inf)
+    setup = controller_setup(simulation, settings.model, sensors, first_change)
     controller = make_controller(settings.controller, setup, settings.controller_config)
     reference = make_reference(
         settings.reference or scenario.reference,
@@ -169,11 +171,16 @@ def reference_joints(simulation: Simulation) -> tuple[Joint, ...]:
 
 
 def controller_setup(
-    simulation: Simulation, model: str, sensors: SensorConfiguration
+    simulation: Simulation,
+    model: str,
+    sensors: SensorConfiguration,
+    first_change: float = math.inf,
 ) -> ControllerSetup:
     """What a controller may know of the nominal machine.
 
-    Items: `direction` (joints,), `position_gain`, `velocity_gain` (joints,) and `valve_maps`.
+    Items: `direction` (joints,), `position_gain`, `velocity_gain` (joints,), `valve_maps`;
+    `latency` and `velocity_delay` of the sensors [s]; `first_change`, when the machine is about
+    to change [s], for controllers that only serve as a yardstick.
     """
 
     @functools.cache
@@ -185,6 +192,9 @@ def controller_setup(
         control_period=sensors.control_period,
         machine={
             "direction": directions(simulation),
+            "latency": sensors.latency,
+            "velocity_delay": velocity_delay(sensors.control_period, sensors.velocity_cutoff),
+            "first_change": first_change,
             "position_gain": lambda: [gain[0] for gain in gains()],
             "velocity_gain": lambda: [gain[1] for gain in gains()],
             # A machine of its own: calibration moves it through its whole range.

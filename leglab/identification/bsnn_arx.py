@@ -14,7 +14,9 @@ from leglab.errors import LeglabError
 from leglab.identification import checks, linear
 from leglab.identification.basis import Basis
 from leglab.identification.front import Array, Identifier
-from leglab.identification.settings import MAX_INPUTS, Guard, Rls, Scalar
+from leglab.identification.settings import Guard, Rls, Scalar
+
+MAX_NETWORK_INPUTS = 8  # as in the core (bsnn.h)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +41,7 @@ class Bsnn:
 
     def __post_init__(self) -> None:
         inputs = len(self.basis)
-        checks.whole("bsnn number of inputs", inputs, least=1, most=MAX_INPUTS)
+        checks.whole("bsnn number of inputs", inputs, least=1, most=MAX_NETWORK_INPUTS)
         if len(self.learning_constant) == 1:
             object.__setattr__(self, "learning_constant", self.learning_constant * inputs)
         if len(self.learning_constant) != inputs:

@@ -1,5 +1,6 @@
 """What all identifiers share: samples and arrays in, predictions out."""
 
+import math
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -78,10 +79,15 @@ class Identifier:
         Raises:
             LeglabError: The shape is wrong or a value is not finite.
         """
-        u_array = _array("u", u, self._u_one)
-        _require_finite("u", u_array.reshape(-1))
+        # One dot product instead of a search: NaN and infinity survive it.
         prediction = np.empty(self.joints)
-        self._bank.peek(u_array.reshape(-1), prediction)
+        if getattr(u, "shape", None) == self._u_one and u.dtype == np.float64:
+            flat = u.ravel()  # a view where u is contiguous
+        else:
+            flat = _array("u", u, self._u_one).reshape(-1)
+        if not math.isfinite(flat.dot(flat)):
+            _require_finite("u", flat)
+        self._bank.peek(flat, prediction)
         return prediction if self.joints > 1 else float(prediction[0])
 
     def run(self, u: ArrayLike, y: ArrayLike, *, missing: str = "raise") -> Array:

@@ -9,7 +9,7 @@ from leglab.identification import checks
 Forgetting = Literal["none", "exponential", "directional", "variable"]
 ChangeAction = Literal["reset", "inflate"]
 Scalar = Literal["float64", "float32"]
-MAX_INPUTS = 8
+MAX_INPUTS = 32  # of any identifier, as in the core (guard.h)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,29 @@
+"""Linear adaptive feed-forward beside PD: what learning gives without splines."""
+
+from pydantic import Field
+
+from leglab.control import register_controller
+from leglab.controllers.bsnn_arx import AdaptiveConfiguration, AdaptiveController
+
+
+class ArxConfiguration(AdaptiveConfiguration):
+    """Settings of `arx`: those of `bsnn_arx`, without splines.
+
+    Attributes:
+        velocity_splines: None.
+        position_splines: None.
+    """
+
+    velocity_splines: int = Field(default=0, ge=0, le=0)
+    position_splines: int = Field(default=0, ge=0, le=0)
+
+
+@register_controller(
+    "arx",
+    summary="linear inverse model, learned online with opening gains, beside PD",
+    configuration=ArxConfiguration,
+)
+class Arx(AdaptiveController):
+    """As `bsnn_arx` with a map that is linear in the motion."""
+
+    name = "arx"

@@ -1,0 +1,154 @@
+"""The deployed adaptive feed-forward beside PD: the machine's inverse map, learned as it moves."""
+
+import math
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from leglab.control import ControllerSetup, Measurement, ReferencePoint, register_controller
+from leglab.controllers.pd import Pd, PdConfiguration
+from leglab.controllers.static_feedforward import ValveMapTable
+from leglab.feedforward.adaptive import AdaptationSettings, AdaptiveFeedforward
+from leglab.feedforward.inverse_map import InverseMap, MotionRange
+from leglab.identification import ChangeDetection, Rls
+
+
+class AdaptiveConfiguration(PdConfiguration):
+    """Settings of every controller that learns the inverse map.
+
+    Attributes:
+        stop_time: Adaptation stops then [s]; None for never.
+        window: Samples over which measured motion is smoothed; odd.
+        interval: Control periods from one learned sample to the next.
+        initial_gain: F(0), in squared units of scaled parameters against scaled error.
+        change_gain: Gain to which F is opened on a detected change.
+        change_ratio: Of quick and slow mean squared error at which a change is declared.
+        change_windows: Learned samples in the quick and in the slow mean.
+        hold_off: Learned samples without another alarm after one.
+        memory: N_0 of variable forgetting [learned samples].
+        least_forgetting_factor: Lambda never falls below.
+        velocity_splines: Splines of velocity; 0 for a linear map.
+        position_splines: Splines of position; 0 for a linear term.
+        limit: Largest feed-forward [valve command].
+        rate_limit: Fastest change of the feed-forward [1/s].
+        least_speed: Nothing is learned while all joints are slower, as a share of their full speed.
+        supervised: Whether the calibrated map takes over where it predicts better.
+    """
+
+    stop_time: float | None = Field(default=None, ge=0)
+    window: int = Field(default=21, ge=7, le=201)
+    interval: int = Field(default=4, ge=1, le=100)
+    initial_gain: float = Field(default=1.0, gt=0)
+    change_gain: float = Field(default=1.0, gt=0)
+    change_ratio: float = Field(default=6.0, gt=1)
+    change_windows: tuple[int, int] = Field(default=(20, 750))
+    hold_off: int = Field(default=500, ge=0)
+    memory: float = Field(default=500.0, ge=1)
+    least_forgetting_factor: float = Field(default=0.98, ge=0.5, le=1)
+    velocity_splines: int = Field(default=12, ge=0, le=100)
+    position_splines: int = Field(default=5, ge=0, le=100)
+    limit: float = Field(default=0.95, gt=0, le=1)
+    rate_limit: float = Field(default=50.0, gt=0)
+    least_speed: float = Field(default=1e-3, ge=0)
+    supervised: bool = Field(default=True)
+
+    @field_validator("window")
+    @classmethod
+    def _odd(cls, value: int) -> int:
+        if value % 2 == 0:
+            raise ValueError("allowed are odd numbers")
+        return value
+
+
+@register_controller(
+    "bsnn_arx",
+    summary="the machine's inverse map, learned online with opening gains, beside PD",
+    configuration=AdaptiveConfiguration,
+)
+class AdaptiveController:
+    """u = map(r, r', r'', r''') + PD on the reference as old as the measurement it is held against.
+
+    The map starts as the nominal valve map and learns from what the machine did with the commands
+    it was sent. See `leglab.feedforward`.
+    """
+
+    name = "bsnn_arx"
+
+    def __init__(self, setup: ControllerSetup, config: AdaptiveConfiguration) -> None:
+        self._pd = Pd(setup, config)
+        maps = setup.require("valve_maps", self.name)
+        latency = setup.require("latency", self.name)
+        ranges = MotionRange(
+            lower=np.array([m.position[0] for m in maps]),
+            upper=np.array([m.position[-1] for m in maps]),
+            speed=np.array([m.velocity[-1] for m in maps]),
+        )
+        rls = self._rls(config)
+        self.adaptation = AdaptiveFeedforward(
+            InverseMap(
+                ranges,
+                rls,
+                velocity_splines=config.velocity_splines,
+                position_splines=config.position_splines,
+            ),
+            ValveMapTable(maps),
+            AdaptationSettings(
+                control_period=setup.control_period,
+                latency=latency,
+                velocity_delay=latency + setup.require("velocity_delay", self.name),
+                window=config.window,
+                interval=config.interval,
+                stop_time=self._stop_time(setup, config),
+                limit=config.limit,
+                rate_limit=config.rate_limit,
+                least_speed=config.least_speed,
+                supervised=config.supervised,
+            ),
+        )
+        self._feedforward = np.zeros(len(setup.joints))
+
+    @staticmethod
+    def _rls(config: AdaptiveConfiguration) -> Rls:
+        gain = max(config.initial_gain, config.change_gain)
+        return Rls(
+            initial_gain=config.initial_gain,
+            forgetting="variable",
+            forgetting_factor=config.least_forgetting_factor,
+            memory=config.memory,
+            gain_bound=10 * gain,
+            change=ChangeDetection(
+                ratio=config.change_ratio,
+                gain=config.change_gain,
+                fast_window=config.change_windows[0],
+                slow_window=config.change_windows[1],
+                hold_off=config.hold_off,
+            ),
+        )
+
+    def _stop_time(self, setup: ControllerSetup, config: AdaptiveConfiguration) -> float:
+        return math.inf if config.stop_time is None else config.stop_time
+
+    def reset(self, measurement: Measurement) -> None:
+        """Starts a run with the nominal map around the measured pose."""
+        self._pd.reset(measurement)
+        self.adaptation.reset(measurement.position)
+
+    def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
+        """Valve commands, (joints,)."""
+        adaptation = self.adaptation
+        adaptation.learn(measurement.time, measurement.position)
+        self._feedforward, seen = adaptation.feedforward(reference)
+        command = self._feedforward + self._pd.command(measurement, seen)
+        if not math.isfinite(command.dot(command)):  # a sensor failed: feed-forward alone
+            command = np.where(np.isfinite(command), command, self._feedforward)
+        adaptation.sent(command)
+        return command
+
+    def diagnostics(self) -> dict[str, np.ndarray]:
+        """Feed-forward, feedback, error of the model, and 1 where the nominal map stands in."""
+        return {
+            "feedforward": self._feedforward,
+            "model_error": self.adaptation.error,
+            "fallback": self.adaptation.fallback,
+            **self._pd.diagnostics(),
+        }

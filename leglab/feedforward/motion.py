@@ -1,0 +1,126 @@
+"""Motion from positions: smoothed derivatives of the measured, and the reference in time."""
+
+import math
+
+import numpy as np
+
+from leglab.control import ReferencePoint
+
+
+def smoothing_kernel(window: int, order: int, timestep: float) -> np.ndarray:
+    """Least-squares polynomial over a window: value and three derivatives at its middle.
+
+    Savitzky and Golay 1964, Anal. Chem. 36(8), 1627: the coefficients of the polynomial of
+    least squares are linear in the samples.
+
+    Args:
+        window: Samples, odd, more than `order`.
+        order: Of the polynomial, at least 3.
+        timestep: Between samples [s].
+
+    Returns:
+        (4, window): rows times samples, oldest first, give x, x', x'' and x'''.
+    """
+    half = window // 2
+    offsets = np.arange(-half, half + 1) / half
+    powers = np.linalg.pinv(np.vander(offsets, order + 1, increasing=True))
+    unit = half * timestep
+    return np.stack([math.factorial(d) * powers[d] / unit**d for d in range(4)])
+
+
+class SmoothingWindow:
+    """Recent positions and commands of all joints and what both were in the window's middle.
+
+    Args:
+        joints: How many.
+        window: Samples, odd.
+        timestep: Between samples [s].
+    """
+
+    def __init__(self, joints: int, window: int, timestep: float) -> None:
+        self._window, self._joints = window, joints
+        self._kernel = smoothing_kernel(window, 4, timestep)
+        # Every row is written twice, a window apart, so that a slice is always in order.
+        self._rows = np.zeros((2 * window, 2 * joints))
+        self.clear()
+
+    def clear(self) -> None:
+        """Forgets all samples."""
+        self._next = self._filled = 0
+
+    @property
+    def full(self) -> bool:
+        """Whether there are samples for a whole window."""
+        return self._filled >= self._window
+
+    def push(self, position: np.ndarray, command: np.ndarray) -> None:
+        """Takes one sample of both [rad and in [-1, 1]], (joints,) each."""
+        at, joints = self._next, self._joints
+        self._rows[at, :joints] = position
+        self._rows[at, joints:] = command
+        self._rows[at + self._window] = self._rows[at]
+        self._next = (at + 1) % self._window
+        self._filled += 1
+
+    def middle(self) -> tuple[np.ndarray, np.ndarray]:
+        """Motion (4, joints) and smoothed command (joints,) in the middle of the window."""
+        smooth = np.dot(self._kernel, self._rows[self._next : self._next + self._window])
+        return smooth[:, : self._joints], smooth[0, self._joints :]
+
+    def largest_command(self) -> np.ndarray:
+        """Largest magnitude of the commands in the window, (joints,)."""
+        return np.abs(self._rows[: self._window, self._joints :]).max(axis=0)
+
+
+class ReferenceMotion:
+    """A reference a little later and as the sensors would show it, by Taylor's series.
+
+    Args:
+        joints: How many.
+        timestep: Between calls [s]; the jerk is the difference of two accelerations.
+        lead: How much later than now the motion is wanted [s].
+        position_delay: Age of a position measured now [s].
+        velocity_delay: Age of a velocity estimated now [s].
+    """
+
+    def __init__(
+        self,
+        joints: int,
+        timestep: float,
+        *,
+        lead: float,
+        position_delay: float,
+        velocity_delay: float,
+    ) -> None:
+        self._rate = 1.0 / timestep
+        self._derivatives = np.zeros((4, joints))
+        seen_position, seen_velocity = _taylor(-position_delay)[0], _taylor(-velocity_delay)[1]
+        self._taylor = np.vstack([_taylor(lead), seen_position, seen_velocity])
+        self._started = False
+
+    def clear(self) -> None:
+        """Forgets the last acceleration."""
+        self._started = False
+
+    def take(self, reference: ReferencePoint) -> tuple[np.ndarray, ReferencePoint]:
+        """Takes the reference of this period.
+
+        Returns:
+            Motion (4, joints) `lead` from now, and the reference at the age of the measurements.
+        """
+        now = self._derivatives
+        if not self._started:
+            now[2], self._started = reference.acceleration, True
+        now[3] = self._rate * (reference.acceleration - now[2])
+        now[0], now[1], now[2] = reference
+        out = np.dot(self._taylor, now)
+        return out[:4], ReferencePoint(out[4], out[5], reference.acceleration)
+
+
+def _taylor(by: float) -> np.ndarray:
+    """Matrix (4, 4) that moves position, velocity, acceleration and jerk by a time [s]."""
+    rows = np.eye(4)
+    for row in range(4):
+        for column in range(row, 4):
+            rows[row, column] = by ** (column - row) / math.factorial(column - row)
+    return rows

@@ -1,0 +1,235 @@
+"""Controllers that learn: what they gain, what they must not lose, and what makes them stop."""
+
+import numpy as np
+import pytest
+
+from leglab.control import ControllerSetup, Measurement, ReferencePoint, make_controller
+from leglab.controllers.bsnn_arx import AdaptiveController
+from leglab.errors import LeglabError
+from leglab.feedforward.motion import ReferenceMotion, SmoothingWindow, smoothing_kernel
+from leglab.runner import Run, RunSettings, run_scenario
+
+ADAPTIVE = ("bsnn_arx", "frozen", "arx")
+
+
+def run(controller: str, scenario: str = "seal_wear", **settings) -> Run:
+    options = {"model": "knee_bench", "duration": 16.0, **settings}
+    return run_scenario(RunSettings(scenario=scenario, controller=controller, **options))
+
+
+def rms(result: Run, start: float, end: float) -> float:
+    """RMS tracking error [rad] from start to end [s]."""
+    time = result.history.time
+    return float(np.sqrt(np.mean(result.history.error[(time >= start) & (time < end)] ** 2)))
+
+
+@pytest.fixture(scope="module")
+def worn() -> dict[str, Run]:
+    return {name: run(name) for name in ("pd", "static_feedforward", "frozen", "bsnn_arx")}
+
+
+def test_nominal_machine_is_tracked_far_better_than_by_pd_and_by_its_calibration(worn):
+    error = {name: rms(result, 5, 8) for name, result in worn.items()}
+    assert error["bsnn_arx"] < error["pd"] / 10
+    assert error["bsnn_arx"] < error["static_feedforward"] / 2
+
+
+def test_frozen_is_the_adaptive_controller_until_the_change(worn):
+    time = worn["frozen"].history.time
+    before = time < 8.0
+    np.testing.assert_array_equal(
+        worn["frozen"].history.command[before], worn["bsnn_arx"].history.command[before]
+    )
+
+
+def test_worn_seals_are_learned(worn):
+    assert rms(worn["frozen"], 13, 16) > 2 * rms(worn["frozen"], 5, 8)
+    assert rms(worn["bsnn_arx"], 13, 16) < rms(worn["frozen"], 13, 16) / 3
+
+
+def test_gains_that_open_learn_a_change_sooner_than_gains_that_do_not(worn):
+    closed = run("bsnn_arx", controller_config={"change_ratio": 1e9, "memory": 1e9})
+    assert rms(worn["bsnn_arx"], 10, 12) < 0.7 * rms(closed, 10, 12)
+
+
+def test_same_seed_same_bits(worn):
+    again = run("bsnn_arx")
+    np.testing.assert_array_equal(again.history.command, worn["bsnn_arx"].history.command)
+
+
+def test_window_gives_exact_derivatives_of_a_polynomial():
+    timestep, window = 0.002, 21
+    times = np.arange(40) * timestep
+    coefficients = np.array([0.3, -1.2, 4.0, 30.0, -200.0])
+    position = np.polynomial.polynomial.polyval(times, coefficients)
+    smooth = SmoothingWindow(1, window, timestep)
+    for value in position:
+        assert smooth.full == (smooth._filled >= window)
+        smooth.push(np.array([value]), np.array([2 * value]))
+    motion, command = smooth.middle()
+    middle = times[-1 - window // 2]
+    for order in range(4):
+        exact = np.polynomial.Polynomial(coefficients).deriv(order)(middle)
+        assert motion[order, 0] == pytest.approx(exact, rel=1e-7)
+    assert command[0] == pytest.approx(2 * position[-1 - window // 2], rel=1e-12)
+
+
+def test_smoothing_kernel_is_that_of_savitzky_and_golay():
+    signal = pytest.importorskip("scipy.signal")
+    kernel = smoothing_kernel(15, 4, 0.01)
+    for order in range(4):
+        expected = signal.savgol_coeffs(15, 4, deriv=order, delta=0.01, use="dot")
+        np.testing.assert_allclose(kernel[order], expected, rtol=1e-8, atol=1e-6)
+
+
+def test_reference_is_moved_in_time_both_ways():
+    timestep, lead, late = 0.001, 0.003, 0.002
+    motion = ReferenceMotion(1, timestep, lead=lead, position_delay=late, velocity_delay=2 * late)
+
+    def point(t: float) -> ReferencePoint:
+        s, c = np.sin([3 * t]), np.cos([3 * t])
+        return ReferencePoint(s, 3 * c, -9 * s)
+
+    for k in range(100):
+        later, seen = motion.take(point(k * timestep))
+    now = 99 * timestep
+    wanted = point(now + lead)
+    np.testing.assert_allclose(later[:3], wanted, atol=1e-3)
+    np.testing.assert_allclose(later[:2], wanted[:2], atol=1e-6)
+    np.testing.assert_allclose(seen.position, point(now - late).position, atol=1e-6)
+    np.testing.assert_allclose(seen.velocity, point(now - 2 * late).velocity, atol=1e-5)
+
+
+class FakeMap:
+    """Calibration v/5 of one joint, as `ValveMap`s have it."""
+
+    position = np.linspace(-1.0, 1.0, 9)
+    velocity = np.linspace(-5.0, 5.0, 11)
+    command = np.tile(velocity / 10.0, (9, 1))
+
+
+def controller(config=None, joints=2) -> AdaptiveController:
+    names = tuple(f"joint_{i}" for i in range(joints))
+    setup = ControllerSetup(
+        joints=names,
+        control_period=0.002,
+        machine={
+            "direction": np.ones(joints),
+            "position_gain": [1.0] * joints,
+            "velocity_gain": [0.0] * joints,
+            "valve_maps": [FakeMap] * joints,
+            "latency": 0.001,
+            "velocity_delay": 0.003,
+        },
+    )
+    made = make_controller("bsnn_arx", setup, config)
+    assert isinstance(made, AdaptiveController)
+    return made
+
+
+def drive(made: AdaptiveController, periods: int, joints: int = 2, corrupt=None) -> np.ndarray:
+    """Commands of a controller whose machine follows the reference exactly."""
+    commands = []
+    for k in range(periods):
+        t = 0.002 * k
+        phase = 3.0 * t + np.arange(joints)
+        point = ReferencePoint(0.5 * np.sin(phase), 1.5 * np.cos(phase), -4.5 * np.sin(phase))
+        position = 0.5 * np.sin(phase - 0.003)
+        if corrupt:
+            position = corrupt(k, position)
+        measurement = Measurement(t, position, point.velocity)
+        if k == 0:
+            made.reset(measurement)
+        commands.append(made.command(measurement, point))
+    return np.array(commands)
+
+
+def learned(made: AdaptiveController, joint: int = 0) -> float:
+    return made.adaptation.learner.diagnostics(joint)["learned"]
+
+
+def test_feedforward_starts_as_the_calibration():
+    made = controller()
+    drive(made, 2)
+    np.testing.assert_allclose(made.diagnostics()["feedforward"], 0.15 * np.cos([0, 1]), atol=0.01)
+
+
+def test_a_failed_sensor_neither_teaches_nor_reaches_the_valve():
+    made = controller()
+    drive(made, 400)
+    before = learned(made), made.adaptation.learner.parameters
+    assert before[0] > 50
+
+    def nan_from_start(k, position):
+        return position if k < 30 else np.full_like(position, np.nan)
+
+    made = controller()
+    commands = drive(made, 400, corrupt=nan_from_start)
+    assert np.isfinite(commands).all()
+    assert learned(made) < 5
+    assert np.isfinite(made.adaptation.learner.parameters).all()
+
+
+def test_standing_still_teaches_nothing():
+    made = controller()
+    rest = np.zeros(2)
+    for k in range(300):
+        measurement = Measurement(0.002 * k, rest, rest)
+        if k == 0:
+            made.reset(measurement)
+        made.command(measurement, ReferencePoint(rest, rest, rest))
+    assert learned(made) == 0
+
+
+def test_saturated_commands_teach_nothing():
+    made = controller({"position_gain": [1000.0, 1.0]})
+    drive(made, 400, corrupt=lambda k, position: position + np.array([0.1, 0.0]))
+    assert learned(made, 0) == 0
+    assert learned(made, 1) > 50
+
+
+def test_feedforward_is_limited_in_size_and_rate():
+    made = controller({"limit": 0.1, "rate_limit": 0.2})
+    made.reset(Measurement(0.0, np.zeros(2), np.zeros(2)))
+    last = None
+    for k in range(500):
+        t = 0.002 * k
+        point = ReferencePoint(*(np.full(2, x) for x in (0.0, 3 * np.sin(20 * t), 0.0)))
+        made.command(Measurement(t, np.zeros(2), np.zeros(2)), point)
+        now = made.diagnostics()["feedforward"]
+        assert np.abs(now).max() <= 0.1 + 1e-12
+        if last is not None and k > 1:
+            assert np.abs(now - last).max() <= 0.2 * 0.002 + 1e-12
+        last = now.copy()
+
+
+def test_supervisor_returns_to_the_calibration_where_it_predicts_better():
+    made = controller()
+    drive(made, 400)
+    assert not made.diagnostics()["fallback"].any()
+    spoilt = made.adaptation.learner.parameters
+    spoilt[0] += 0.3  # joint 0 has learned nonsense
+    made.adaptation.learner.parameters = spoilt
+    made.adaptation.learner.freeze()
+    for k in range(400, 500):
+        t = 0.002 * k
+        phase = 3.0 * t + np.arange(2)
+        point = ReferencePoint(0.5 * np.sin(phase), 1.5 * np.cos(phase), -4.5 * np.sin(phase))
+        made.command(Measurement(t, 0.5 * np.sin(phase - 0.003), point.velocity), point)
+    report = made.diagnostics()
+    assert report["fallback"].tolist() == [True, False]
+    assert report["feedforward"][0] == pytest.approx(0.1 * point.velocity[0], abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ({"window": 20}, "odd"),
+        ({"initial_gain": -1.0}, "greater than 0"),
+        ({"limit": 2.0}, "less than or equal to 1"),
+        ({"learning_gain": 1.0}, "learning_gain"),
+    ],
+)
+def test_impossible_settings_are_refused(config, message):
+    with pytest.raises(LeglabError, match=message):
+        controller(config)
