@@ -40,7 +40,7 @@ def compare(
     """
     from leglab.report.comparison import save_comparison_figure
     from leglab.sweep import Comparison, run_all
-    from leglab.sweep import compare as summarise
+    from leglab.sweep_summary import compare as summarise
 
     if jobs == 0:
         raise LeglabError("jobs is 0; allowed: 1 or more, or -1 for one a core")

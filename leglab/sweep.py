@@ -4,7 +4,10 @@ import functools
 import hashlib
 import json
 import math
-from collections.abc import Callable, Iterable, Sequence
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -12,13 +15,11 @@ from typing import Any
 import numpy as np
 from joblib import Parallel, delayed
 from joblib.externals.loky import get_reusable_executor
-from scipy import stats
 
 import leglab._native
 import leglab.controllers
 import leglab.models
 import leglab.scenarios
-from leglab import __version__
 from leglab.control import controller_names
 from leglab.data import write_atomically
 from leglab.errors import LeglabError, unknown_name
@@ -28,7 +29,6 @@ from leglab.scenario import get_scenario
 
 # Distance of the stored samples of the windowed error [s].
 _TRACE_PERIOD = 0.02
-_CONFIDENCE = 0.95
 
 # Told after each run: how many are done, how many there are, what was run.
 SweepProgress = Callable[[int, int, str], None]
@@ -139,7 +139,9 @@ def run_all(
     if todo:
         worker = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
         try:
-            for label in worker(delayed(_run_and_store)(run, folder, code) for run in todo):
+            with _interrupts_ignored():
+                labels = worker(delayed(_run_and_store)(run, folder, code) for run in todo)
+            for label in labels:
                 done += 1
                 if progress:
                     progress(done, len(runs), label)
@@ -148,60 +150,6 @@ def run_all(
             raise
     results = [_stored(run, folder, code) for run in runs]
     return [result for result in results if result is not None]
-
-
-def compare(comparison: Comparison, results: Iterable[dict[str, Any]]) -> dict[str, Any]:
-    """Summarises results over seeds: the content of `compare.json`.
-
-    Args:
-        comparison: What was compared.
-        results: From `run_all`.
-
-    Returns:
-        By scenario and controller: `rms_before_rad`, `rms_after_rad`, `readaptation_s` (of the runs
-        that did re-adapt), `excess_error_area_rad_s` and `ratio` of the error after the change to
-        the first controller's with the same seed, each an estimate (`estimate`); `not_readapted`,
-        the number of runs that never did; `failures`, the reasons of runs that ended early, which
-        are left out of all estimates.
-    """
-    cells: dict[tuple[str, str], dict[int, dict[str, Any]]] = {}
-    for result in results:
-        metrics = result["metrics"]
-        cell = cells.setdefault((metrics["scenario"], metrics["controller"]), {})
-        cell[metrics["seed"]] = metrics
-    first = comparison.controllers[0]
-    return {
-        **asdict(comparison),
-        "version": __version__,
-        "results": {
-            scenario: {
-                controller: _summary(
-                    cells.get((scenario, controller), {}), cells.get((scenario, first), {})
-                )
-                for controller in comparison.controllers
-            }
-            for scenario in comparison.scenarios
-        },
-    }
-
-
-def estimate(values: Iterable[float | None]) -> dict[str, Any]:
-    """Mean of independent runs with its confidence interval by Student's t.
-
-    Args:
-        values: One a run; None where a run has none.
-
-    Returns:
-        `values`; their `mean`, None without any; and `half_width` of the 95 % interval, t s/sqrt(n)
-        with n - 1 degrees of freedom, None with less than two.
-    """
-    numbers = [value for value in values if value is not None]
-    mean = float(np.mean(numbers)) if numbers else None
-    half_width = None
-    if len(numbers) > 1:
-        quantile = float(stats.t.ppf((1 + _CONFIDENCE) / 2, len(numbers) - 1))
-        half_width = quantile * float(np.std(numbers, ddof=1)) / math.sqrt(len(numbers))
-    return {"mean": mean, "half_width": half_width, "values": numbers}
 
 
 @functools.cache
@@ -221,34 +169,6 @@ def fingerprint() -> str:
     return digest.hexdigest()
 
 
-def _summary(cell: dict[int, dict], first: dict[int, dict]) -> dict[str, Any]:
-    whole = {seed: metrics for seed, metrics in cell.items() if metrics["completed"]}
-    after = {seed: _rms(metrics, "after", "whole") for seed, metrics in whole.items()}
-    found = [m["readaptation"] for m in whole.values()]
-    ratios = []
-    for seed, value in after.items():
-        base = _rms(first[seed], "after", "whole") if seed in first else None
-        if value is not None and base and first[seed]["completed"]:
-            ratios.append(value / base)
-    return {
-        "rms_before_rad": estimate(_rms(m, "before") for m in whole.values()),
-        "rms_after_rad": estimate(after.values()),
-        "ratio": estimate(ratios),
-        "readaptation_s": estimate(entry["time_s"] for entry in found),
-        "not_readapted": sum(e["time_s"] is None and e["reason"] is None for e in found),
-        "excess_error_area_rad_s": estimate(m["excess_error_area_rad_s"] for m in whole.values()),
-        "runs": len(cell),
-        "failures": [m["failure"] for m in cell.values() if not m["completed"]],
-    }
-
-
-def _rms(metrics: dict[str, Any], *phases: str) -> float | None:
-    for phase in metrics["phases"]:
-        if phase["name"] in phases:
-            return phase["rms_rad"]["all"]
-    return None
-
-
 def _path(settings: RunSettings, folder: Path) -> Path:
     model = Path(settings.model).stem
     return folder / f"{settings.scenario}-{settings.controller}-{model}-{settings.seed}.json"
@@ -264,8 +184,21 @@ def _stored(settings: RunSettings, folder: Path, code: str) -> dict[str, Any] | 
     return result if same else None
 
 
+@contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    """Processes that start inside ignore Ctrl-C, which reaches them as well: we stop them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
+
+
 def _run_and_store(settings: RunSettings, folder: Path, code: str) -> str:
-    """Makes a run in a process of its own and returns what it was."""
+    """Makes a run, in a process of its own unless there is one job only, and says what it was."""
     run = run_scenario(settings)
     if run.history.failure.startswith("interrupted"):
         raise KeyboardInterrupt

@@ -19,7 +19,8 @@ from leglab.errors import LeglabError
 from leglab.report.comparison import comparison_figure
 from leglab.report.style import VERMILION
 from leglab.runner import RunSettings, run_scenario
-from leglab.sweep import Comparison, compare, estimate, run_all
+from leglab.sweep import Comparison, run_all
+from leglab.sweep_summary import compare, estimate
 
 
 def bench(**changes) -> Comparison:

@@ -20,6 +20,7 @@ from leglab.report.style import BLACK, BLUE, ORANGE, VERMILION, style
 _COLORS = (BLACK, BLUE, ORANGE, "#009E73", "#CC79A7", "#56B4E9")
 _DASHES: tuple[Literal["-", "--", ":"], ...] = ("-", "--", ":")
 _MILLI = 1e3
+_LEGEND_COLUMNS = 4
 _SUBDIVISIONS = (1.0, 2.0, 5.0)
 
 
@@ -62,7 +63,7 @@ def comparison_figure(results: Sequence[dict[str, Any]], *, title: str = "") -> 
         axes.yaxis.set_minor_formatter("")
         axes.xaxis.set_major_locator(MaxNLocator(nbins=10, steps=[1, 2, 5, 10]))
         axes.set_ylabel(f"RMS error over {results[0]['window']:g} s [mrad]")
-        add_head(figure, title, lines)
+        add_head(figure, title, lines, columns=_LEGEND_COLUMNS)
     return figure
 
 

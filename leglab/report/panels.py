@@ -58,13 +58,16 @@ def add_panels(count: int, heights: Sequence[float]) -> tuple[Figure, list[tuple
     return figure, panels
 
 
-def add_head(figure: Figure, title: str, lines: Sequence[Line2D]) -> None:
+def add_head(
+    figure: Figure, title: str, lines: Sequence[Line2D], *, columns: int | None = None
+) -> None:
     """Puts the title and one legend for all panels above them.
 
     Args:
         figure: The figure.
         title: What was run.
         lines: A sample of each kind of line, with its label.
+        columns: Entries in a row of the legend; None puts all into one.
     """
     width, height = figure.get_size_inches()
     left = 0.1 / width
@@ -73,7 +76,7 @@ def add_head(figure: Figure, title: str, lines: Sequence[Line2D]) -> None:
         handles=list(lines),
         loc="upper left",
         bbox_to_anchor=(left, 1 - 0.36 / height),
-        ncols=len(lines),
+        ncols=min(columns or len(lines), len(lines)),
         borderpad=0,
         borderaxespad=0,
     )
