@@ -171,7 +171,7 @@ def tune(
         task = bar.add_task("tuning", total=None)
         text = gains_text(names, lambda label: bar.update(task, description=label))
     if write:
-        from leglab.runner import GAINS_FILE
+        from leglab.gains import GAINS_FILE
 
         GAINS_FILE.write_text(text)
         output.print(f"written to {GAINS_FILE}")

@@ -1,11 +1,16 @@
 """The gains file: PD gains of the shipped models, written by `leglab tune`."""
 
+import tomllib
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
+import leglab.controllers
 from leglab.measurement import SensorConfiguration
 from leglab.simulation import Simulation, load_model
 from leglab.tuning import GAIN_MARGIN_DB, PHASE_MARGIN_DEG, tune
 
+# Tuned once by `leglab tune`, and not touched afterwards.
+GAINS_FILE = Path(leglab.controllers.__path__[0]) / "pd_gains.toml"
 TUNED_MODELS = ("knee_bench", "leg", "leg_rail")
 
 
@@ -37,3 +42,30 @@ def gains_text(models: Sequence[str], progress: Callable[[str], None]) -> str:
                 f"crossover = {gains.crossover:.2f} }}"
             )
     return "\n".join(lines) + "\n"
+
+
+def stored_gains(
+    model: str, simulation: Simulation, sensors: SensorConfiguration
+) -> list[tuple[float, float]] | None:
+    """Gains of a shipped model from `GAINS_FILE`; None where it has none for this loop."""
+    if not GAINS_FILE.exists():
+        return None
+    entry = tomllib.loads(GAINS_FILE.read_text()).get(str(model))
+    timing = ("control_period", "latency", "velocity_cutoff")
+    if entry is None or any(entry[name] != getattr(sensors, name) for name in timing):
+        return None
+    joints = entry["joints"]
+    if any(name not in joints for name in simulation.joints):
+        return None
+    return [(joints[name]["position"], joints[name]["velocity"]) for name in simulation.joints]
+
+
+def tuned_gains(model: str, sensors: SensorConfiguration) -> list[tuple[float, float]]:
+    """Gains tuned now, for a model or a timing without stored ones."""
+    simulation = Simulation(load_model(model))
+    result = []
+    for joint in range(len(simulation.joints)):
+        simulation.reset()
+        gains = tune(simulation, joint, sensors=sensors)
+        result.append((gains.position, gains.velocity))
+    return result

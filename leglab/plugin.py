@@ -10,7 +10,7 @@ import mujoco
 
 import leglab._native
 from leglab.errors import LeglabError, unknown_name
-from leglab.parameters import plugin_tables
+from leglab.parameters import PluginTable, plugin_tables
 
 # Attributes of the plugins that are names, not numbers.
 _TEXT_ATTRIBUTES = {
@@ -61,6 +61,24 @@ def text_attribute(model: mujoco.MjModel, instance: int, index: int = 0) -> str:
     """Text of an attribute of a plugin instance by its place among the plugin's attributes."""
     start = int(model.plugin_attradr[instance])
     return bytes(model.plugin_attr[start:]).split(b"\0", index + 1)[index].decode()
+
+
+def elements(model: mujoco.MjModel) -> dict[str, tuple[int, PluginTable]]:
+    """Instances with parameters: their place in `plugin_state` and their table, by name.
+
+    A cylinder goes by the name of its actuator, every other instance by its own.
+    """
+    tables = plugin_tables()
+    names = slots(tables)
+    owners = {int(model.actuator_plugin[i]): model.actuator(i).name for i in range(model.nu)}
+    found = {}
+    for i in range(model.nplugin):
+        if model.plugin[i] in names:
+            start = int(model.name_pluginadr[i])
+            own = bytes(model.names[start:]).split(b"\0", 1)[0].decode()
+            table = tables[names[model.plugin[i]]]
+            found[owners.get(i) or own] = int(model.plugin_stateadr[i]), table
+    return found
 
 
 def attribute_names(plugin: str) -> tuple[str, ...]:

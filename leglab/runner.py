@@ -4,22 +4,19 @@ import copy
 import functools
 import math
 import platform
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import metadata
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-import leglab.controllers
-import leglab.scenarios
 from leglab import __version__
 from leglab.calibration import directions, settle, speed_limits, valve_maps
 from leglab.configuration import validate_configuration
 from leglab.control import ControllerSetup, make_controller
 from leglab.errors import LeglabError
+from leglab.gains import stored_gains, tuned_gains
 from leglab.measurement import SensorConfiguration, held, quantise, velocity_delay
 from leglab.recording import Recording
 from leglab.references import Joint, Reference, make_reference
@@ -27,10 +24,6 @@ from leglab.rollout import History, Progress, closed_loop
 from leglab.scenario import Scenario, get_scenario
 from leglab.simulation import Simulation, load_model
 from leglab.summary import summary
-from leglab.tuning import tune
-
-# Tuned once by `leglab tune`, and not touched afterwards.
-GAINS_FILE = Path(leglab.controllers.__path__[0]) / "pd_gains.toml"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,33 +194,6 @@ def controller_setup(
             "valve_maps": lambda: valve_maps(Simulation(copy.copy(simulation.model))),
         },
     )
-
-
-def stored_gains(
-    model: str, simulation: Simulation, sensors: SensorConfiguration
-) -> list[tuple[float, float]] | None:
-    """Gains of a shipped model from `GAINS_FILE`; None where it has none for this loop."""
-    if not GAINS_FILE.exists():
-        return None
-    entry = tomllib.loads(GAINS_FILE.read_text()).get(str(model))
-    timing = ("control_period", "latency", "velocity_cutoff")
-    if entry is None or any(entry[name] != getattr(sensors, name) for name in timing):
-        return None
-    joints = entry["joints"]
-    if any(name not in joints for name in simulation.joints):
-        return None
-    return [(joints[name]["position"], joints[name]["velocity"]) for name in simulation.joints]
-
-
-def tuned_gains(model: str, sensors: SensorConfiguration) -> list[tuple[float, float]]:
-    """Gains tuned now, for a model or a timing without stored ones."""
-    simulation = Simulation(load_model(model))
-    result = []
-    for joint in range(len(simulation.joints)):
-        simulation.reset()
-        gains = tune(simulation, joint, sensors=sensors)
-        result.append((gains.position, gains.velocity))
-    return result
 
 
 def _recording(

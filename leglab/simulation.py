@@ -9,7 +9,7 @@ import leglab.models
 import leglab.plugin
 from leglab.errors import LeglabError, unknown_name
 from leglab.hydraulics import Cylinder
-from leglab.parameters import Parameter, PluginTable, plugin_tables
+from leglab.parameters import Parameter
 
 CYLINDER = "leglab.cylinder"
 # Parameters of a cylinder that say how much oil a chamber holds at a pressure.
@@ -84,7 +84,7 @@ class Simulation:
         joints: Name of the joint that each actuator drives.
 
     Raises:
-        LeglabError: If an actuator is of another kind, or w_h h exceeds 1 at the keyframe.
+        LeglabError: If an actuator is of another kind or moves no joint.
     """
 
     def __init__(self, model: mujoco.MjModel, *, keyframe: str | None = "home") -> None:
@@ -93,7 +93,7 @@ class Simulation:
         self.actuators = tuple(model.actuator(i).name for i in range(model.nu))
         if not self.actuators:
             raise LeglabError("the model has no actuator; allowed: one leglab.cylinder a joint")
-        self._elements = self._find_elements()
+        self._elements = leglab.plugin.elements(model)
         for name in self.actuators:
             if name not in self._elements or self._elements[name][1].plugin != CYLINDER:
                 raise LeglabError(f"actuator {name!r} is no {CYLINDER}; allowed: only those")
@@ -283,23 +283,6 @@ class Simulation:
             raise LeglabError(f"actuator {self.actuators[actuator]!r} moves no joint")
         dof = self.data.moment_colind[address + int(np.argmax(row))]
         return int(self.model.dof_jntid[dof])
-
-    def _find_elements(self) -> dict[str, tuple[int, PluginTable]]:
-        model, tables = self.model, plugin_tables()
-        slots = leglab.plugin.slots(tables)
-        owners = {int(model.actuator_plugin[i]): name for i, name in enumerate(self.actuators)}
-        found = {}
-        for i in range(model.nplugin):
-            if model.plugin[i] in slots:
-                table = tables[slots[model.plugin[i]]]
-                name = owners.get(i) or _name(model, i)
-                found[name] = (int(model.plugin_stateadr[i]), table)
-        return found
-
-
-def _name(model: mujoco.MjModel, instance: int) -> str:
-    start = int(model.name_pluginadr[instance])
-    return bytes(model.names[start:]).split(b"\0", 1)[0].decode()
 
 
 def _model_folder() -> Path:

@@ -15,8 +15,9 @@ from leglab.control import (
     make_controller,
 )
 from leglab.controllers.static_feedforward import ValveMapTable
+from leglab.gains import stored_gains
 from leglab.measurement import SensorConfiguration, velocity_filter_coefficient
-from leglab.runner import RunSettings, run_scenario, stored_gains
+from leglab.runner import RunSettings, run_scenario
 from leglab.simulation import Simulation, load_model
 from leglab.tuning import SPEEDS, joint_plant, sampled_plant, tune
 
