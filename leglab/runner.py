@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+import leglab.controllers
+import leglab.scenarios  # noqa: F401  registers the scenarios
 from leglab import __version__
 from leglab.calibration import directions, settle, speed_limits, valve_maps
 from leglab.configuration import validate_configuration
