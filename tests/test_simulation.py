@@ -137,3 +137,19 @@ def test_calibration_leaves_the_machine_where_it_was(bench):
     # The knee's cylinder retracts to flex it: faster flexion needs a lower command.
     middle = valve_map.command[len(valve_map.position) // 2]
     assert np.all(np.diff(middle) < 0)
+
+
+def test_cylinders_know_the_effective_mass_of_the_mechanism():
+    simulation = Simulation(load_model("leg"), keyframe="swing")
+    model, data = simulation.model, simulation.data
+    data.qvel[:] = np.linspace(-1.0, 1.0, model.nv)
+    mujoco.mj_forward(model, data)
+    moment = np.diag(simulation.levers())  # each cylinder moves its joint alone
+    solved = np.empty_like(moment)
+    mujoco.mj_solveM(model, data, solved, moment)
+    mass = 1.0 / np.einsum("ij,ij->i", moment, solved)
+    speed, force = data.actuator_velocity.copy(), data.actuator_force.copy()
+    simulation.step()
+    gained = moment @ data.qvel - speed
+    load = data.plugin_state[simulation.slots("load")]
+    np.testing.assert_allclose(load, mass * gained / model.opt.timestep - force, rtol=1e-9)
