@@ -16,15 +16,7 @@ from leglab.schedule import ParameterChange
 )
 def cold_oil(options: Options) -> tuple[ParameterChange, ...]:
     """Sets the oil temperature of every cylinder to the severity."""
-    return (
-        ParameterChange(
-            parameter="oil_temperature",
-            kind="set",
-            value=options.severity,
-            start=options.half,
-            ramp_duration=options.ramp_duration,
-        ),
-    )
+    return (options.set("oil_temperature", options.severity),)
 
 
 if __name__ == "__main__":

@@ -17,15 +17,7 @@ from leglab.schedule import ParameterChange
 )
 def seal_wear(options: Options) -> tuple[ParameterChange, ...]:
     """Multiplies the internal leakage of every cylinder by the severity."""
-    return (
-        ParameterChange(
-            parameter="internal_leakage",
-            kind="scale",
-            value=options.severity,
-            start=options.half,
-            ramp_duration=options.ramp_duration,
-        ),
-    )
+    return (options.scale("internal_leakage", options.severity),)
 
 
 if __name__ == "__main__":
