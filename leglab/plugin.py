@@ -22,6 +22,7 @@ _TEXT_ATTRIBUTES = {
 _UNKNOWN_ATTRIBUTE = re.compile(
     r"unrecognized attribute 'plugin:(?P<attribute>[^']*)' for plugin (?P<plugin>[\w.]+)"
 )
+_MISSING = re.compile(r"(?P<kind>site|transmission target) '(?P<name>[^']*)' not found")
 _ELEMENT = re.compile(r"\nElement name '(?P<element>[^']*)'.*", re.DOTALL)
 
 
@@ -87,15 +88,17 @@ def attribute_names(plugin: str) -> tuple[str, ...]:
     return (*_TEXT_ATTRIBUTES.get(plugin, ()), *(table.parameters if table else ()))
 
 
-def load_error(error: Exception, where: str) -> LeglabError:
+def load_error(error: Exception, where: str, spec: mujoco.MjSpec | None = None) -> LeglabError:
     """Turns MuJoCo's error about a model into one line.
 
     Args:
         error: What `MjModel.from_xml_path`, `MjSpec.compile` or `MjData` raised.
         where: The file or model.
+        spec: The model's specification, where it could be read.
 
     Returns:
-        The error with the element's name; a wrong plugin attribute lists those that exist.
+        The error with the element's name; a wrong plugin attribute or a missing anchor lists those
+        that exist.
     """
     text = str(error).removeprefix("Error: ").removeprefix("engine error: ")
     element = _ELEMENT.search(text)
@@ -107,4 +110,10 @@ def load_error(error: Exception, where: str) -> LeglabError:
         known = attribute_names(unknown["plugin"])
         detail = unknown_name(f"{unknown['plugin']} attribute", unknown["attribute"], known)
         return LeglabError(f"{where}: {detail}")
+    missing = _MISSING.search(text)
+    if missing and spec is not None:
+        sites = missing["kind"] == "site"
+        parts = [*spec.sites] if sites else [*spec.tendons, *spec.joints]
+        known = [part.name for part in parts if part.name]
+        return LeglabError(f"{where}: {unknown_name(missing['kind'], missing['name'], known)}")
     return LeglabError(f"{where}: {' '.join(text.split())}")

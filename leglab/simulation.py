@@ -56,6 +56,7 @@ def load_model(
             if path.suffix == ".xml":
                 raise LeglabError(f"model file {str(model)!r} does not exist")
             raise unknown_name("model", str(model), model_names())
+    spec = None
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         if timestep is not None:
@@ -66,7 +67,7 @@ def load_model(
         compiled = spec.compile()
         mujoco.MjData(compiled)  # the plugins check the compiled model once more
     except (ValueError, mujoco.FatalError) as error:
-        raise leglab.plugin.load_error(error, path.name) from error
+        raise leglab.plugin.load_error(error, path.name, spec) from error
     return compiled
 
 
