@@ -114,6 +114,6 @@ def load_error(error: Exception, where: str, spec: mujoco.MjSpec | None = None) 
     if missing and spec is not None:
         sites = missing["kind"] == "site"
         parts = [*spec.sites] if sites else [*spec.tendons, *spec.joints]
-        known = [part.name for part in parts if part.name]
-        return LeglabError(f"{where}: {unknown_name(missing['kind'], missing['name'], known)}")
+        names = [part.name for part in parts if part.name]
+        return LeglabError(f"{where}: {unknown_name(missing['kind'], missing['name'], names)}")
     return LeglabError(f"{where}: {' '.join(text.split())}")
