@@ -7,9 +7,9 @@ from pydantic import Field, field_validator
 
 from leglab.control import ControllerSetup, Measurement, ReferencePoint, register_controller
 from leglab.controllers.pd import Pd, PdConfiguration
-from leglab.controllers.static_feedforward import ValveMapTable
 from leglab.feedforward.adaptive import AdaptationSettings, AdaptiveFeedforward
 from leglab.feedforward.inverse_map import InverseMap, MotionRange
+from leglab.feedforward.valve_table import ValveTable
 from leglab.identification import ChangeDetection, Rls
 
 
@@ -91,7 +91,8 @@ class AdaptiveController:
                 velocity_splines=config.velocity_splines,
                 position_splines=config.position_splines,
             ),
-            ValveMapTable(maps),
+            ValveTable.of(maps, np.asarray(setup.require("direction", self.name))),
+            self._pd.position_gain,
             AdaptationSettings(
                 control_period=setup.control_period,
                 latency=latency,
@@ -129,15 +130,16 @@ class AdaptiveController:
         return math.inf if config.stop_time is None else config.stop_time
 
     def reset(self, measurement: Measurement) -> None:
-        """Starts a run with the nominal map around the measured pose."""
+        """Starts a run with the nominal map."""
         self._pd.reset(measurement)
-        self.adaptation.reset(measurement.position)
+        self.adaptation.reset()
 
     def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
         """Valve commands, (joints,)."""
         adaptation = self.adaptation
-        adaptation.learn(measurement.time, measurement.position)
-        self._feedforward, seen = adaptation.feedforward(reference)
+        self._feedforward, seen = adaptation.step(
+            measurement.time, measurement.position, reference
+        )
         command = self._feedforward + self._pd.command(measurement, seen)
         if not math.isfinite(command.dot(command)):  # a sensor failed: feed-forward alone
             command = np.where(np.isfinite(command), command, self._feedforward)
@@ -146,9 +148,10 @@ class AdaptiveController:
 
     def diagnostics(self) -> dict[str, np.ndarray]:
         """Feed-forward, feedback, error of the model, and 1 where the nominal map stands in."""
+        error, fallback = self.adaptation.report()
         return {
             "feedforward": self._feedforward,
-            "model_error": self.adaptation.error,
-            "fallback": self.adaptation.fallback,
+            "model_error": error,
+            "fallback": fallback,
             **self._pd.diagnostics(),
         }

@@ -1,16 +1,19 @@
 """Learns the inverse map while the machine moves, and gives the feed-forward from it, safely."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from leglab._native.identification import Feedforward
 from leglab.control import ReferencePoint
-from leglab.feedforward.inverse_map import InverseMap, StaticMap
-from leglab.feedforward.motion import ReferenceMotion, SmoothingWindow
+from leglab.feedforward.inverse_map import ACCELERATION, JERK, InverseMap
+from leglab.feedforward.motion import smoothing_kernel
+from leglab.feedforward.valve_table import ValveTable
 from leglab.identification import SplineNarx
 
-# Errors of the model below this [valve command] are noise: no reason to distrust it.
-_NOISE = 2e-3
+# Tracking errors below this [rad] are no reason to distrust the model.
+_NOISE = 0.2e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +30,7 @@ class AdaptationSettings:
         limit: Largest feed-forward [valve command].
         rate_limit: Fastest change of the feed-forward [1/s].
         least_speed: Nothing is learned while all joints are slower, as a share of their full speed.
-        supervised: Whether the calibrated map takes over where it predicts better.
+        supervised: Whether the calibrated map takes over where it would track better.
         trust_time: Time constant of the errors by which both maps are judged [s].
         margin: The calibrated map takes over where the learned one's RMS error is so many times
             its own.
@@ -44,126 +47,123 @@ class AdaptationSettings:
     least_speed: float
     supervised: bool
     trust_time: float = 0.5
-    margin: float = 1.1
+    margin: float = 1.05
+
+
+class Step(NamedTuple):
+    """What one control period gives; the arrays are the caller's to keep until the next one.
+
+    Attributes:
+        feedforward: Valve commands, (joints,).
+        seen: The reference as the sensors show it.
+    """
+
+    feedforward: np.ndarray
+    seen: ReferencePoint
 
 
 class AdaptiveFeedforward:
-    """Feed-forward of all joints from a learned map, with the calibrated map to fall back on.
+    """Feed-forward of all joints: the calibrated valve map at the flow that the learner asks for.
 
-    A sample is the motion in the middle of the smoothing window and the command sent one period
-    before its measurement was taken. The reference drives the learned map with the same shift in
+    A sample is the motion in the middle of the smoothing window and the flow there: the speed that
+    the calibrated valve map gives for the command sent, smoothed alike. What the learner takes for
+    its output is the difference of that flow and the motion's own speed: what leaks, what is
+    compressed, what load and oil take away. The reference drives the learner with the same shift in
     time, so whatever delay valve and oil have beyond it is learned as a dependence on the
-    derivatives.
+    derivatives. The core is C++ (`csrc/feedforward`); `tests/reference/feedforward.py` says the
+    same in NumPy.
 
     Args:
-        inverse_map: Structure of the map.
-        static_map: Calibrated commands from positions and velocities: where learning starts.
+        inverse_map: Structure of the learner.
+        table: Calibrated valve maps: where learning starts.
+        position_gain: Of the feedback [1/rad], (joints,); how fast it forgets an error.
         settings: See `AdaptationSettings`.
     """
 
     def __init__(
-        self, inverse_map: InverseMap, static_map: StaticMap, settings: AdaptationSettings
+        self,
+        inverse_map: InverseMap,
+        table: ValveTable,
+        position_gain: np.ndarray,
+        settings: AdaptationSettings,
     ) -> None:
-        self._map, self._static_map, self._settings = inverse_map, static_map, settings
-        joints, period = inverse_map.joints, settings.control_period
-        self._window = SmoothingWindow(joints, settings.window, period)
-        self._reference = ReferenceMotion(
-            joints,
-            period,
-            lead=period - settings.latency,
-            position_delay=settings.latency,
-            velocity_delay=settings.velocity_delay,
+        self._map = inverse_map
+        ranges, period = inverse_map.ranges, settings.control_period
+        width = ranges.upper - ranges.lower
+        # Speed per command of the calibrated valve at half of its range.
+        low, high = np.searchsorted(table.share, [-0.5, 0.5])
+        middle = table.command[:, table.command.shape[1] // 2]
+        rise = np.abs(middle[:, high] - middle[:, low]) / (table.share[high] - table.share[low])
+        self._core = Feedforward(
+            {
+                "control_period": period,
+                "interval": settings.interval,
+                "stop_time": settings.stop_time,
+                "limit": settings.limit,
+                "rate_limit": settings.rate_limit,
+                "least_speed": settings.least_speed,
+                "saturation": settings.limit,
+                "supervised": settings.supervised,
+                "trust_time": settings.trust_time,
+                "margin": settings.margin,
+                "noise": _NOISE,
+                "centre": (ranges.lower + ranges.upper) / 2,
+                "half_range": width / 2,
+                "full_speed": ranges.speed,
+                "acceleration": ACCELERATION,
+                "jerk": JERK,
+                "products": inverse_map.products,
+                "kernel": smoothing_kernel(settings.window, 4, period),
+                "lead": period - settings.latency,
+                "position_delay": settings.latency,
+                "velocity_delay": settings.velocity_delay,
+                "start": table.start,
+                "spacing": table.spacing,
+                "speeds": table.share,
+                "commands": np.ascontiguousarray(table.command),
+                # Calibrated positions end a little before the stops.
+                "learn_lower": ranges.lower - 0.02 * width,
+                "learn_upper": ranges.upper + 0.02 * width,
+                "bandwidth": np.abs(position_gain) * table.full_speed / rise,
+            }
         )
-        # As arrays: NumPy takes longer for a number than for an array of six.
-        self._step = np.full(joints, settings.rate_limit * period)
-        self._limit, self._ones = np.full(joints, settings.limit), np.ones(joints)
-        self._forget = min(1.0, settings.interval * period / settings.trust_time)
-        self._learner = self._calibrated = inverse_map.learner()
-        self._zeros = np.zeros(joints)
+        joints = inverse_map.joints
+        self._out, self._report = np.zeros((3, joints)), np.zeros((2, joints))
+        self._learner = inverse_map.learner()
 
-    def reset(self, position: np.ndarray) -> None:
-        """Forgets everything learned.
-
-        Args:
-            position: Where the joints are [rad], (joints,).
-        """
+    def reset(self) -> None:
+        """Forgets everything learned: the feed-forward is the calibration's."""
         self._learner = self._map.learner()
-        self._learner.parameters = self._map.fitted_to(self._static_map, position)
-        self._calibrated = self._learner.copy()
-        self._calibrated.freeze()
-        self._window.clear()
-        self._reference.clear()
-        self._count = 0
-        self._sent = self._feedforward = self.error = self._zeros
-        self._squares = np.zeros((2, self._map.joints))  # of learned and calibrated map
-        self._now = np.zeros_like(self._squares)
-        self.fallback = np.zeros(self._map.joints, dtype=bool)
-        self._falls_back = False
+        self._core.reset(self._learner.bank)
+        self._report[:] = 0.0
 
     @property
     def learner(self) -> SplineNarx:
-        """The learned map."""
+        """What has been learned."""
         return self._learner
 
-    def learn(self, time: float, position: np.ndarray) -> None:
-        """Takes the positions measured now [rad] and learns; call it once a period.
+    def step(self, time: float, measured: np.ndarray, reference: ReferencePoint) -> Step:
+        """Learns from a measurement and gives the feed-forward; call it once a period.
 
         Args:
             time: Of the measurement [s].
-            position: (joints,); NaN where there is none.
+            measured: Positions [rad], (joints,); NaN where there is none.
+            reference: Of now.
         """
-        settings, window = self._settings, self._window
-        window.push(position, self._sent)
-        self._count += 1
-        if self._count % settings.interval or time >= settings.stop_time or not window.full:
-            return
-        motion, command = window.middle()
-        inputs = self._map.inputs(motion)
-        speed = np.abs(inputs[..., 0]).max()
-        if not speed >= settings.least_speed:  # false for NaN
-            return
-        usable = window.largest_command() < settings.limit
-        all_usable = bool(usable.all())
-        if not all_usable:
-            command = np.where(usable, command, np.nan)  # refused by the learner, and counted
-        if self._map.joints == 1:
-            sample = float(command[0])
-            error = np.array([sample - self._learner.update(inputs, sample)])
-        else:
-            error = command - self._learner.update(inputs, command)
-        if not all_usable:
-            error = np.where(usable, error, 0.0)
-        self.error = error
-        if settings.supervised:
-            self._supervise(command - self._calibrated.predict(inputs), all_usable)
-
-    def _supervise(self, calibrated: np.ndarray, usable: bool) -> None:
-        squares, now = self._squares, self._now
-        now[0], now[1] = self.error, calibrated
-        if not usable:
-            np.nan_to_num(now, copy=False)
-        now *= now
-        now -= squares
-        now *= self._forget
-        squares += now
-        learned, margin = squares[0], self._settings.margin
-        self.fallback = learned > margin * margin * squares[1] + _NOISE * _NOISE
-        self._falls_back = bool(self.fallback.any())
-
-    def feedforward(self, reference: ReferencePoint) -> tuple[np.ndarray, ReferencePoint]:
-        """Valve commands (joints,) for a reference, and the reference as the sensors show it."""
-        motion, seen = self._reference.take(reference)
-        inputs = self._map.inputs(motion)
-        wish = self._learner.predict(inputs)
-        if self._falls_back:
-            wish = np.where(self.fallback, self._calibrated.predict(inputs), wish)
-        wish = np.minimum(np.maximum(wish, -self._limit), self._limit)
-        if self._count > 1:
-            last = self._feedforward
-            wish = np.minimum(np.maximum(wish, last - self._step), last + self._step)
-        self._feedforward = wish
-        return wish, seen
+        position, velocity, acceleration = reference
+        out = self._out
+        self._core.step(time, measured, position, velocity, acceleration, out)
+        return Step(out[0], ReferencePoint(out[1], out[2], acceleration))
 
     def sent(self, command: np.ndarray) -> None:
         """Takes the command that is sent now, (joints,); values beyond [-1, 1] are clipped."""
-        self._sent = np.minimum(np.maximum(command, -self._ones), self._ones)
+        self._core.sent(command)
+
+    def report(self) -> tuple[np.ndarray, np.ndarray]:
+        """Error of the model at the last sample [share of full speed], and 1 where it is not used.
+
+        Returns:
+            Two arrays (joints,).
+        """
+        self._core.report(self._report)
+        return self._report[0].copy(), self._report[1].copy()

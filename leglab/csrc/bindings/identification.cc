@@ -1,5 +1,5 @@
-// Python module leglab._native.identification: banks of identifiers, thin.
-#include "bindings/identification_bank.h"
+// Python module leglab._native.identification: banks of identifiers and what they drive, thin.
+#include "bindings/feedforward.h"
 
 namespace leglab::bindings {
 namespace {
@@ -48,6 +48,7 @@ NB_MODULE(identification, module) {
   bind_bank<BsnnArxBank<float>>(module, "BsnnArx32");
   bind_bank<SplineNarxBank<double>>(module, "SplineNarx64");
   bind_bank<SplineNarxBank<float>>(module, "SplineNarx32");
+  bind_feedforward(module);
 }
 
 }  // namespace leglab::bindings

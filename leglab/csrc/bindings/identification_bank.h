@@ -160,6 +160,7 @@ class Bank {
   nb::dict diagnostics(int joint) { return describe(models_[std::size_t(joint)]); }
 
   int joints() const { return joints_; }
+  Model& model(int joint) { return models_[std::size_t(joint)]; }
   std::size_t inputs() const { return std::size_t(models_[0].inputs()); }
 
  private:

@@ -1,0 +1,106 @@
+// Motion from positions: smoothed derivatives of the measured, and the reference moved in time.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+namespace leglab::feedforward {
+
+// Position and its first three derivatives of all joints: [order][joint].
+using Motion = std::vector<double>;
+
+// Recent positions, flows and commands of all joints, and what they were in the window's middle.
+class SmoothingWindow {
+ public:
+  // kernel: 4 times window, oldest sample first; gives value and three derivatives in the middle.
+  SmoothingWindow(int joints, std::vector<double> kernel)
+      : joints_(joints), window_(int(kernel.size()) / 4), kernel_(std::move(kernel)) {
+    // Every sample is written twice, a window apart, so that the latest are always in order.
+    position_.resize(std::size_t(2 * window_ * joints));
+    flow_ = command_ = position_;
+  }
+
+  void clear() { next_ = filled_ = 0; }
+  bool full() const { return filled_ >= window_; }
+
+  void push(const double* position, const double* flow, const double* command) {
+    for (int copy = 0; copy < 2; ++copy) {
+      const std::size_t at = std::size_t((next_ + copy * window_) * joints_);
+      std::copy_n(position, joints_, position_.data() + at);
+      std::copy_n(flow, joints_, flow_.data() + at);
+      std::copy_n(command, joints_, command_.data() + at);
+    }
+    next_ = (next_ + 1) % window_;
+    if (filled_ < window_) ++filled_;
+  }
+
+  // Motion (4, joints) and smoothed flow (joints) in the middle.
+  void middle(double* motion, double* flow) const {
+    const double* position = position_.data() + next_ * joints_;
+    std::fill_n(motion, 4 * joints_, 0.0);
+    for (int order = 0; order < 4; ++order) {
+      accumulate(position, kernel_.data() + order * window_, motion + order * joints_);
+    }
+    std::fill_n(flow, joints_, 0.0);
+    accumulate(flow_.data() + next_ * joints_, kernel_.data(), flow);
+  }
+
+  double largest_command(int joint) const {
+    double most = 0.0;
+    for (int k = 0; k < window_; ++k) {
+      most = std::max(most, std::abs(command_[std::size_t(k * joints_ + joint)]));
+    }
+    return most;
+  }
+
+ private:
+  void accumulate(const double* samples, const double* weights, double* sum) const {
+    for (int k = 0; k < window_; ++k) {
+      for (int j = 0; j < joints_; ++j) sum[j] += weights[k] * samples[k * joints_ + j];
+    }
+  }
+
+  int joints_, window_;
+  std::vector<double> kernel_, position_, flow_, command_;
+  int next_ = 0, filled_ = 0;
+};
+
+// A reference a little later and as the sensors would show it, by Taylor's series.
+class ReferenceMotion {
+ public:
+  // lead: how much later than now the motion is wanted; delays: ages of what is measured now [s].
+  ReferenceMotion(int joints, double period, double lead, double position_delay,
+                  double velocity_delay)
+      : joints_(joints), rate_(1.0 / period), lead_(lead), position_delay_(position_delay),
+        velocity_delay_(velocity_delay), last_(std::size_t(joints)) {}
+
+  void clear() { started_ = false; }
+
+  // Motion (4, joints) `lead` from now; seen: position and velocity of the ages of measurements.
+  void take(const double* position, const double* velocity, const double* acceleration,
+            double* motion, double* seen_position, double* seen_velocity) {
+    for (int j = 0; j < joints_; ++j) {
+      const double x = position[j], v = velocity[j], a = acceleration[j];
+      const double jerk = started_ ? rate_ * (a - last_[std::size_t(j)]) : 0.0;
+      last_[std::size_t(j)] = a;
+      const double t = lead_;
+      motion[j] = x + t * (v + t * (a / 2 + t * jerk / 6));
+      motion[joints_ + j] = v + t * (a + t * jerk / 2);
+      motion[2 * joints_ + j] = a + t * jerk;
+      motion[3 * joints_ + j] = jerk;
+      const double p = -position_delay_, q = -velocity_delay_;
+      seen_position[j] = x + p * (v + p * (a / 2 + p * jerk / 6));
+      seen_velocity[j] = v + q * (a + q * jerk / 2);
+    }
+    started_ = true;
+  }
+
+ private:
+  int joints_;
+  double rate_, lead_, position_delay_, velocity_delay_;
+  std::vector<double> last_;
+  bool started_ = false;
+};
+
+}  // namespace leglab::feedforward

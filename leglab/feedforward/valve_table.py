@@ -1,0 +1,78 @@
+"""Calibrated valve maps of all joints as one table that can be inverted."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+# Commands from here on are the valve's limit, not a measurement.
+_SATURATED = 0.999
+
+# Least slope of a row: command per share of full speed. Loads alone never make a map flatter.
+_LEAST_SLOPE = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValveTable:
+    """Commands of all joints over position and share of full speed; every row strictly monotone.
+
+    Attributes:
+        start: First positions [rad], (joints,).
+        spacing: Distances of the positions [rad], (joints,).
+        full_speed: Speeds of share 1 [rad/s], (joints,).
+        share: Shares of full speed of the columns, increasing, (columns,).
+        command: Valve commands, (joints, rows, columns); beyond [-1, 1] where the calibrated row
+            ended at the valve's limit and was continued in a straight line.
+    """
+
+    start: np.ndarray
+    spacing: np.ndarray
+    full_speed: np.ndarray
+    share: np.ndarray
+    command: np.ndarray
+
+    @classmethod
+    def of(cls, maps: Sequence, directions: np.ndarray) -> "ValveTable":
+        """Makes the table.
+
+        Args:
+            maps: One a joint, with `position` (p,) [rad], `velocity` (v,) [rad/s] and `command`
+                (p, v); positions equally spaced, velocities alike but for their scale.
+            directions: Sign of the velocity that a positive command gives, (joints,).
+        """
+        share = maps[0].velocity / maps[0].velocity[-1]
+        rows = [
+            _repaired(np.asarray(m.command, dtype=float), share, sign)
+            for m, sign in zip(maps, directions, strict=True)
+        ]
+        return cls(
+            start=np.array([m.position[0] for m in maps]),
+            spacing=np.array([m.position[1] - m.position[0] for m in maps]),
+            full_speed=np.array([m.velocity[-1] for m in maps]),
+            share=share,
+            command=np.stack(rows),
+        )
+
+
+def _repaired(command: np.ndarray, share: np.ndarray, sign: float) -> np.ndarray:
+    """Rows without their saturated ends, strictly monotone; hopeless ones from the next row."""
+    rows: list[np.ndarray | None] = []
+    for row in command:
+        good = np.abs(row) < _SATURATED
+        if good.sum() < len(row) // 2:
+            rows.append(None)
+            continue
+        x, y = share[good], sign * row[good]
+        slopes = np.maximum((y[[1, -1]] - y[[0, -2]]) / (x[[1, -1]] - x[[0, -2]]), _LEAST_SLOPE)
+        y = np.interp(share, x, y)
+        y += slopes[0] * np.minimum(share - x[0], 0) + slopes[1] * np.maximum(share - x[-1], 0)
+        steps = np.maximum(np.diff(y), _LEAST_SLOPE * np.diff(share))
+        middle = len(share) // 2
+        after = y[middle] + np.concatenate([[0.0], np.cumsum(steps[middle:])])
+        before = y[middle] - np.cumsum(steps[:middle][::-1])[::-1]
+        rows.append(sign * np.concatenate([before, after]))
+    known = [i for i, row in enumerate(rows) if row is not None]
+    if not known:  # a machine that cannot hold itself: any line will do
+        return np.tile(sign * share, (len(rows), 1))
+    nearest = [min(known, key=lambda k, i=i: abs(k - i)) for i in range(len(rows))]
+    return np.stack([rows[k] for k in nearest])
