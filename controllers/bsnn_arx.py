@@ -26,7 +26,12 @@ class AdaptiveConfiguration(PdConfiguration):
         change_windows: Learned samples in the quick and in the slow mean.
         hold_off: Learned samples without another alarm after one.
         memory: N_0 of variable forgetting [learned samples].
+        noise: Error of the model [share of full speed] that is no reason to forget; 0 takes the
+            change detector's slow mean.
         least_forgetting_factor: Lambda never falls below.
+        restore_interval: Learned samples from one parameter to the next that is drawn back to the
+            calibration by as much as was forgotten since its last turn; 0 for never.
+        restore_gain: Variance of the parameters about the calibration by which they are drawn.
         velocity_splines: Splines of velocity; 0 for a linear map.
         position_splines: Splines of position; 0 for a linear term.
         limit: Largest feed-forward [valve command].
@@ -36,15 +41,18 @@ class AdaptiveConfiguration(PdConfiguration):
     """
 
     stop_time: float | None = Field(default=None, ge=0)
-    window: int = Field(default=21, ge=7, le=201)
-    interval: int = Field(default=4, ge=1, le=100)
-    initial_gain: float = Field(default=1.0, gt=0)
-    change_gain: float = Field(default=1.0, gt=0)
+    window: int = Field(default=15, ge=7, le=201)
+    interval: int = Field(default=2, ge=1, le=100)
+    initial_gain: float = Field(default=3.0, gt=0)
+    change_gain: float = Field(default=3.0, gt=0)
     change_ratio: float = Field(default=6.0, gt=1)
-    change_windows: tuple[int, int] = Field(default=(20, 750))
-    hold_off: int = Field(default=500, ge=0)
-    memory: float = Field(default=500.0, ge=1)
-    least_forgetting_factor: float = Field(default=0.98, ge=0.5, le=1)
+    change_windows: tuple[int, int] = Field(default=(40, 1500))
+    hold_off: int = Field(default=1000, ge=0)
+    memory: float = Field(default=2000.0, ge=1)
+    noise: float = Field(default=0.01, ge=0)
+    least_forgetting_factor: float = Field(default=0.99, ge=0.5, le=1)
+    restore_interval: int = Field(default=1, ge=0)
+    restore_gain: float = Field(default=30.0, gt=0)
     velocity_splines: int = Field(default=12, ge=0, le=100)
     position_splines: int = Field(default=5, ge=0, le=100)
     limit: float = Field(default=0.95, gt=0, le=1)
@@ -116,7 +124,10 @@ class AdaptiveController:
             forgetting="variable",
             forgetting_factor=config.least_forgetting_factor,
             memory=config.memory,
+            noise_variance=config.noise**2,
             gain_bound=10 * gain,
+            restore_interval=config.restore_interval,
+            restore_gain=config.restore_gain,
             change=ChangeDetection(
                 ratio=config.change_ratio,
                 gain=config.change_gain,

@@ -15,6 +15,9 @@ from leglab.identification import SplineNarx
 # Tracking errors below this [rad] are no reason to distrust the model.
 _NOISE = 0.2e-3
 
+# Readings that bend more [rad/s^2] are no motion: some fifteen times the walking stride's knee.
+_GREATEST_ACCELERATION = 1000.0
+
 
 @dataclass(frozen=True, kw_only=True)
 class AdaptationSettings:
@@ -103,6 +106,7 @@ class AdaptiveFeedforward:
                 "rate_limit": settings.rate_limit,
                 "least_speed": settings.least_speed,
                 "saturation": settings.limit,
+                "greatest_acceleration": _GREATEST_ACCELERATION,
                 "supervised": settings.supervised,
                 "trust_time": settings.trust_time,
                 "margin": settings.margin,

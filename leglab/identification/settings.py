@@ -59,6 +59,10 @@ class Rls:
             slow mean of the squared error.
         gain_bound: trace(F) never exceeds this times the number of parameters; None takes ten
             times the initial gain.
+        restore_interval: Every so many updates one parameter, in turn, gets back what was
+            forgotten of its prior (Gunnarsson 1996): without excitation the model returns to the
+            prior instead of wandering. 0 never.
+        restore_gain: Variance of that prior, whose mean is zero; None takes the initial gain.
         change: Change detection, or None.
     """
 
@@ -68,6 +72,8 @@ class Rls:
     memory: float = 400.0
     noise_variance: float = 0.0
     gain_bound: float | None = None
+    restore_interval: int = 0
+    restore_gain: float | None = None
     change: ChangeDetection | None = None
 
     def __post_init__(self) -> None:
@@ -76,6 +82,10 @@ class Rls:
         checks.number("rls forgetting_factor", self.forgetting_factor, least=0.5, most=1.0)
         checks.number("rls memory", self.memory, least=1.0)
         checks.number("rls noise_variance", self.noise_variance, least=0.0)
+        checks.whole("rls restore_interval", self.restore_interval, least=0)
+        gain = self.initial_gain if self.restore_gain is None else self.restore_gain
+        object.__setattr__(self, "restore_gain", gain)
+        checks.number("rls restore_gain", gain, above=0.0)
         bound = 10 * self.initial_gain if self.gain_bound is None else self.gain_bound
         object.__setattr__(self, "gain_bound", bound)
         checks.number("rls gain_bound", bound, least=self.initial_gain)

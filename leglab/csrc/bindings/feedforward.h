@@ -33,10 +33,9 @@ class Feedforward {
   // Rows of `out`: command, position and velocity that the sensors would show. (3, joints)
   void step(double time, Input measured, Input position, Input velocity, Input acceleration,
             Output out) {
-    core_.learn(time, measured.data());
     const std::size_t n = measured.size();
-    core_.command(position.data(), velocity.data(), acceleration.data(), out.data(),
-                  out.data() + n, out.data() + 2 * n);
+    core_.step(time, measured.data(), {position.data(), velocity.data(), acceleration.data()},
+               out.data(), out.data() + n, out.data() + 2 * n);
   }
   void sent(Input command) { core_.sent(command.data()); }
 
@@ -64,6 +63,7 @@ class Feedforward {
     out.rate_limit = number(parts, "rate_limit");
     out.least_speed = number(parts, "least_speed");
     out.saturation = number(parts, "saturation");
+    out.acceleration = number(parts, "greatest_acceleration");
     out.supervised = nb::cast<bool>(parts["supervised"]);
     out.trust_time = number(parts, "trust_time");
     out.margin = number(parts, "margin");

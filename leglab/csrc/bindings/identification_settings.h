@@ -64,6 +64,8 @@ id::RlsSettings<T> read_rls(nb::handle settings) {
   out.memory = T(get<double>(settings, "memory"));
   out.noise_variance = T(get<double>(settings, "noise_variance"));
   out.gain_bound = T(get<double>(settings, "gain_bound"));
+  out.restore_gain = T(get<double>(settings, "restore_gain"));
+  out.restore_interval = get<int>(settings, "restore_interval");
   const nb::object change = settings.attr("change");
   if (change.is_none()) return out;
   out.change.enabled = true;

@@ -20,10 +20,15 @@ struct AdaptiveSettings {
   double rate_limit = 0.0;      // its fastest change [1/s]
   double least_speed = 0.0;     // share of full speed below which nothing is learned
   double saturation = 1.0;      // a window with a larger command teaches nothing
+  double acceleration = 0.0;    // greatest that a joint can have [rad/s^2]
   bool supervised = true;
   double trust_time = 0.0;      // time constant of the errors that are compared [s]
   double margin = 1.0;          // learned over calibrated RMS at which the calibration takes over
   double noise = 0.0;           // tracking errors below this are no reason to distrust [rad]
+};
+
+struct Reference {
+  const double *position, *velocity, *acceleration;  // [rad], [rad/s], [rad/s^2]
 };
 
 // The learned part is the flow beyond that of the motion itself, as a share of full speed: what
@@ -44,16 +49,15 @@ class AdaptiveFeedforward {
     const std::size_t n = tables_.size();
     motion_.resize(4 * n);
     feedforward_ = error_ = sent_ = flow_ = learned_ = calibrated_ = std::vector<double>(n);
-    tracking_.resize(2 * n);
-    fallback_.assign(n, 0.0);
+    applied_ = withheld_ = fallback_ = last_ = before_last_ = feedforward_;
   }
 
   void reset(std::vector<Learner*> learners) {
     learners_ = std::move(learners);
     window_.clear();
     reference_.clear();
-    for (auto* values : {&feedforward_, &error_, &sent_, &learned_, &calibrated_, &tracking_,
-                         &fallback_}) {
+    for (auto* values : {&feedforward_, &error_, &sent_, &learned_, &calibrated_, &applied_,
+                         &withheld_, &fallback_}) {
       std::fill(values->begin(), values->end(), 0.0);
     }
     count_ = 0;
@@ -62,38 +66,28 @@ class AdaptiveFeedforward {
   const std::vector<double>& error() const { return error_; }
   const std::vector<double>& fallback() const { return fallback_; }
 
-  // Takes the positions measured now; NaN where there is none.
-  void learn(double time, const double* position) {
-    for (std::size_t j = 0; j < tables_.size(); ++j) {
-      flow_[j] = tables_[j].share(position[j], sent_[j]);
-    }
-    window_.push(position, flow_.data(), sent_.data());
-    ++count_;
-    if (count_ % settings_.interval || time >= settings_.stop_time || !window_.full()) return;
-    window_.middle(motion_.data(), flow_.data());
+  // Takes the positions measured now, NaN where there is none, and a reference of now.
+  // out: valve commands; seen: the reference as the sensors show it.
+  void step(double time, const double* measured, const Reference& reference, double* out,
+            double* seen_position, double* seen_velocity) {
+    learn(time, measured);
+    reference_.take(reference.position, reference.velocity, reference.acceleration,
+                    motion_.data(), seen_position, seen_velocity);
     map_.take(motion_.data());
-    if (!(map_.largest_share() >= settings_.least_speed)) return;  // also for NaN
-    for (int j = 0; j < map_.joints(); ++j) learn_joint(j);
-  }
-
-  // Valve commands for a reference of now; seen: the reference as the sensors show it.
-  void command(const double* position, const double* velocity, const double* acceleration,
-               double* out, double* seen_position, double* seen_velocity) {
-    reference_.take(position, velocity, acceleration, motion_.data(), seen_position,
-                    seen_velocity);
-    map_.take(motion_.data());
-    const double step = settings_.rate_limit * settings_.period;
+    const double most = settings_.rate_limit * settings_.period;
     for (int i = 0; i < map_.joints(); ++i) {
       const std::size_t j = std::size_t(i);
       const double share = map_.share(i);
-      double excess = 0.0;
-      if (fallback_[j] == 0.0) {
-        map_.inputs(i, inputs_);
-        excess = learners_[j]->peek(inputs_);
+      map_.inputs(i, inputs_);
+      const ValveTable& table = tables_[j];
+      const double learned = allowed(table.command(motion_[j], share + learners_[j]->peek(inputs_)));
+      const double calibrated = allowed(table.command(motion_[j], share));
+      if (settings_.supervised) {
+        supervise(j, measured[j] - seen_position[j],
+                  table.share(motion_[j], learned) - table.share(motion_[j], calibrated));
       }
-      double wish = tables_[j].command(motion_[j], share + excess);
-      wish = std::clamp(wish, -settings_.limit, settings_.limit);
-      if (count_ > 1) wish = std::clamp(wish, feedforward_[j] - step, feedforward_[j] + step);
+      double wish = fallback_[j] > 0.0 ? calibrated : learned;
+      if (count_ > 1) wish = std::clamp(wish, feedforward_[j] - most, feedforward_[j] + most);
       out[j] = feedforward_[j] = wish;
     }
   }
@@ -104,6 +98,38 @@ class AdaptiveFeedforward {
   }
 
  private:
+  double allowed(double command) const {
+    return std::clamp(command, -settings_.limit, settings_.limit);
+  }
+
+  void learn(double time, const double* position) {
+    for (std::size_t j = 0; j < tables_.size(); ++j) {
+      flow_[j] = tables_[j].share(position[j], sent_[j]);
+    }
+    if (jumps(position)) window_.clear();
+    window_.push(position, flow_.data(), sent_.data());
+    ++count_;
+    if (count_ % settings_.interval || time >= settings_.stop_time || !window_.full()) return;
+    window_.middle(motion_.data(), flow_.data());
+    map_.take(motion_.data());
+    if (!(map_.largest_share() >= settings_.least_speed)) return;  // also for NaN
+    for (int j = 0; j < map_.joints(); ++j) learn_joint(j);
+  }
+
+  // Whether a reading cannot follow from the two before: a lost, shifted or failed encoder. What the
+  // window would make of it is a motion that never was.
+  bool jumps(const double* position) {
+    const double most = settings_.acceleration * settings_.period * settings_.period;
+    bool found = false;
+    for (std::size_t j = 0; j < tables_.size(); ++j) {
+      const double bend = position[j] - 2.0 * last_[j] + before_last_[j];
+      if (count_ > 1) found |= !(std::abs(bend) <= most);  // also for NaN
+      before_last_[j] = last_[j];
+      last_[j] = position[j];
+    }
+    return found;
+  }
+
   void learn_joint(int i) {
     const std::size_t j = std::size_t(i);
     map_.inputs(i, inputs_);
@@ -112,24 +138,26 @@ class AdaptiveFeedforward {
                         motion_[j] > lower_[j] && motion_[j] < upper_[j];
     const double predicted = learners_[j]->update(inputs_, excess, usable);
     error_[j] = usable ? excess - predicted : 0.0;
-    if (settings_.supervised) supervise(j, error_[j], usable ? excess : 0.0);
   }
 
-  // The tracking error that an error of speed leaves behind is that of the feedback loop, a first
-  // order of its crossover frequency. What counts is how far it would have gone with either map.
-  void supervise(std::size_t j, double learned, double calibrated) {
-    const double h = settings_.interval * settings_.period;
-    const double decay = std::exp(-bandwidth_[j] * h);
+  // The feedback loop forgets a flow error as a first order of its crossover frequency. So the
+  // excess that is in use explains a part of the tracking error, and what the error would be with
+  // the learned excess, and what without any, follows from the one that is measured.
+  void supervise(std::size_t j, double tracking, double excess) {
+    if (!(std::abs(tracking) < 1e3)) return;  // no measurement
+    const double h = settings_.period, decay = std::exp(-bandwidth_[j] * h);
     const double gain = (1.0 - decay) / bandwidth_[j] * map_.speed()[j];
-    double* tracking = tracking_.data() + 2 * j;
-    tracking[0] = decay * tracking[0] + gain * learned;
-    tracking[1] = decay * tracking[1] + gain * calibrated;
+    const double used = fallback_[j] > 0.0 ? 0.0 : excess;
+    const double with = tracking + withheld_[j], without = tracking - applied_[j];
+    applied_[j] = decay * applied_[j] + gain * used;
+    withheld_[j] = decay * withheld_[j] + gain * (excess - used);
     const double forget = std::min(1.0, h / settings_.trust_time);
-    learned_[j] += forget * (tracking[0] * tracking[0] - learned_[j]);
-    calibrated_[j] += forget * (tracking[1] * tracking[1] - calibrated_[j]);
-    const double margin = settings_.margin * settings_.margin;
-    const double noise = settings_.noise * settings_.noise;
-    fallback_[j] = learned_[j] > margin * calibrated_[j] + noise ? 1.0 : 0.0;
+    learned_[j] += forget * (with * with - learned_[j]);
+    calibrated_[j] += forget * (without * without - calibrated_[j]);
+    // Where it has lost, the learned map must win clearly to come back.
+    const double margin = fallback_[j] > 0.0 ? 1.0 / settings_.margin : settings_.margin;
+    const double noise = fallback_[j] > 0.0 ? 0.0 : settings_.noise * settings_.noise;
+    fallback_[j] = learned_[j] > margin * margin * calibrated_[j] + noise ? 1.0 : 0.0;
   }
 
   AdaptiveSettings settings_;
@@ -141,8 +169,10 @@ class AdaptiveFeedforward {
   std::vector<double> bandwidth_;      // crossover of the feedback loops [rad/s]
   std::vector<Learner*> learners_;
   std::vector<double> motion_, feedforward_, error_, sent_, flow_, learned_, calibrated_;
-  std::vector<double> tracking_;  // by learned and by calibrated map, joint by joint [rad]
+  // What the excess in use adds to the tracking error, and what the one not in use would [rad].
+  std::vector<double> applied_, withheld_;
   std::vector<double> fallback_;  // 1 where the calibration stands in
+  std::vector<double> last_, before_last_;  // readings [rad]
   double inputs_[identification::GuardSettings<double>::max_inputs] = {};
   long count_ = 0;
 };

@@ -26,6 +26,8 @@ struct RlsSettings {
   T memory = T(400);                 // N_0 of variable forgetting [samples]
   T noise_variance = T(0);           // of variable forgetting; 0: the detector's slow mean
   T gain_bound = T(1e6);             // trace(F) <= parameters * gain_bound
+  T restore_gain = T(1e4);           // prior variance of theta that is given back
+  int restore_interval = 0;          // updates from one restored parameter to the next; 0: never
   ChangeSettings<T> change;
   OnChange on_change = OnChange::reset;
   T change_gain = T(1e4);            // F := change_gain * I, or F += change_gain * I
@@ -39,6 +41,9 @@ class Rls {
     std::int64_t in_a_row;  // of them
     std::int64_t restarts;  // times that theta and F were given up for that
     T factor;               // forgetting factor of the last update
+    T forgotten;            // sum of (1 - factor), since `visit` was last at the first parameter
+    std::int64_t until;     // updates until the next parameter is restored
+    std::int64_t visit;     // which it is
   };
 
   void layout(Workspace& workspace, int parameters) {
@@ -46,6 +51,8 @@ class Rls {
     detector_.layout(workspace);
     theta_ = workspace.take<T>(parameters);
     step_ = workspace.take<T>(parameters);
+    unit_ = workspace.take<T>(parameters);
+    restored_ = workspace.take<T>(parameters);
     tally_ = workspace.take<Tally>(1);
   }
 
@@ -55,6 +62,7 @@ class Rls {
     detector_.configure(settings.change);
     factor_.reset(settings.initial_gain);
     tally_->factor = T(1);
+    tally_->until = settings.restore_interval;
     watch_ = settings.change.enabled || settings.forgetting == Forgetting::variable;
   }
 
@@ -106,10 +114,38 @@ class Rls {
     }
     tally_->in_a_row = 0;
     for (int i = 0; i < n; ++i) theta_[i] = step_[i];
+    if (settings_.restore_interval > 0) restore();
     return changed;
   }
 
  private:
+  // What is forgotten of the prior, theta = 0 with variance restore_gain, is given back, parameter by
+  // parameter in turn, as observations theta_i = 0 (Gunnarsson 1996, CDC, 2551). So F stays bounded
+  // and theta finds home in directions that nothing excites.
+  void restore() {
+    Tally& tally = *tally_;
+    tally.forgotten += T(1) - tally.factor;
+    if (--tally.until > 0) return;
+    tally.until = settings_.restore_interval;
+    const int i = int(tally.visit), n = size();
+    const T lost = tally.forgotten - restored_[i];
+    restored_[i] = tally.forgotten;
+    if (++tally.visit == n) {
+      tally.visit = 0;
+      for (int k = 0; k < n; ++k) restored_[k] -= tally.forgotten;
+      tally.forgotten = T(0);
+    }
+    if (!(lost > T(0))) return;
+    unit_[i] = T(1);
+    const T variance = settings_.restore_gain / lost;
+    const T power = factor_.project(unit_, Support{&i, 1});
+    unit_[i] = T(0);
+    factor_.update(variance, T(1), T(1), settings_.gain_bound);
+    const T weight = -theta_[i] / (variance + power);
+    const T* gain = factor_.gain_vector();
+    for (int k = 0; k < n; ++k) theta_[k] += gain[k] * weight;
+  }
+
   // Parameters so large that their error overflows could never learn again.
   void reject() {
     constexpr std::int64_t patience = 10;
@@ -155,6 +191,8 @@ class Rls {
   bool watch_ = false;
   T* theta_ = nullptr;
   T* step_ = nullptr;
+  T* unit_ = nullptr;      // a unit vector, zero between uses
+  T* restored_ = nullptr;  // `forgotten` when each parameter was last restored
   Tally* tally_ = nullptr;
 };
 
