@@ -148,9 +148,7 @@ class AdaptiveController:
     def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
         """Valve commands, (joints,)."""
         adaptation = self.adaptation
-        self._feedforward, seen = adaptation.step(
-            measurement.time, measurement.position, reference
-        )
+        self._feedforward, seen = adaptation.step(measurement.time, measurement.position, reference)
         command = self._feedforward + self._pd.command(measurement, seen)
         if not math.isfinite(command.dot(command)):  # a sensor failed: feed-forward alone
             command = np.where(np.isfinite(command), command, self._feedforward)

@@ -47,6 +47,25 @@ RLS = {
         Rls.adaptive(),
         {"forgetting": "variable", "factor": 0.9, "detector": oracle.ChangeDetector()},
     ),
+    "variable, prior restored": (
+        Rls(
+            initial_gain=10.0,
+            forgetting="variable",
+            forgetting_factor=0.98,
+            noise_variance=1e-4,
+            restore_interval=3,
+            restore_gain=2.0,
+        ),
+        {
+            "gain": 10.0,
+            "forgetting": "variable",
+            "factor": 0.98,
+            "noise": 1e-4,
+            "bound": 100.0,
+            "restore": 3,
+            "restore_gain": 2.0,
+        },
+    ),
     "inflate on change": (
         Rls(change=ChangeDetection(action="inflate", gain=50.0, ratio=2.0)),
         {"detector": oracle.ChangeDetector(ratio=2.0), "action": "inflate", "change_gain": 50.0},

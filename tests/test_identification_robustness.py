@@ -26,6 +26,9 @@ RLS = {
     "exponential": Rls(forgetting="exponential", forgetting_factor=0.98),
     "directional": Rls(forgetting="directional", forgetting_factor=0.98),
     "adaptive": Rls.adaptive(),
+    "restored": Rls(
+        initial_gain=10.0, forgetting="variable", forgetting_factor=0.98, restore_interval=1
+    ),
     "inflate": Rls(change=ChangeDetection(action="inflate", gain=10.0)),
 }
 
@@ -109,6 +112,33 @@ def test_bound_lets_excited_directions_forget():
     before = model.run(u, -(u**2))  # the map changes sign
     assert np.sqrt(np.mean((before[-500:] + u[-500:] ** 2) ** 2)) < 1e-3
     assert_sound(model)
+
+
+def test_prior_comes_back_where_nothing_excites():
+    """Half of the splines are learned, then never reached again: they return to zero, F to F(0)."""
+    rng = np.random.default_rng(3)
+    settings = SplineNarxSettings(
+        features=(Spline(signal="u", lag=0, basis=Basis.uniform(-1, 1, 12)),),
+        rls=Rls(
+            initial_gain=1000.0,
+            forgetting="exponential",
+            forgetting_factor=0.99,
+            gain_bound=1e9,
+            restore_interval=1,
+        ),
+    )
+    model = SplineNarx(settings)
+    u = rng.uniform(-1, 1, 2000)
+    model.run(u, 1 + u**2)
+    assert np.all(np.abs(model.theta) > 0.5)
+    u = rng.uniform(0.5, 1, 20000)
+    model.run(u, 1 + u**2)
+    assert np.all(np.abs(model.theta[:5]) < 0.01)
+    # Twelve updates apart, each gives back what its wait has forgotten: a little above F(0).
+    assert np.all(np.diag(model.gain())[:5] < 1200.0)
+    assert np.all(np.diag(model.gain())[:5] > 800.0)
+    inside = u[u > 0.6][:100]
+    np.testing.assert_allclose(model.run(inside, 1 + inside**2), 1 + inside**2, atol=2e-3)
 
 
 BAD = [(np.nan, 0.1), (0.1, np.inf), (-np.inf, np.nan)]

@@ -56,11 +56,10 @@ class ValveTable:
 
 def _repaired(command: np.ndarray, share: np.ndarray, sign: float) -> np.ndarray:
     """Rows without their saturated ends, strictly monotone; hopeless ones from the next row."""
-    rows: list[np.ndarray | None] = []
-    for row in command:
+    rows: dict[int, np.ndarray] = {}
+    for place, row in enumerate(command):
         good = np.abs(row) < _SATURATED
         if good.sum() < len(row) // 2:
-            rows.append(None)
             continue
         x, y = share[good], sign * row[good]
         slopes = np.maximum((y[[1, -1]] - y[[0, -2]]) / (x[[1, -1]] - x[[0, -2]]), _LEAST_SLOPE)
@@ -70,9 +69,11 @@ def _repaired(command: np.ndarray, share: np.ndarray, sign: float) -> np.ndarray
         middle = len(share) // 2
         after = y[middle] + np.concatenate([[0.0], np.cumsum(steps[middle:])])
         before = y[middle] - np.cumsum(steps[:middle][::-1])[::-1]
-        rows.append(sign * np.concatenate([before, after]))
-    known = [i for i, row in enumerate(rows) if row is not None]
-    if not known:  # a machine that cannot hold itself: any line will do
-        return np.tile(sign * share, (len(rows), 1))
-    nearest = [min(known, key=lambda k, i=i: abs(k - i)) for i in range(len(rows))]
-    return np.stack([rows[k] for k in nearest])
+        rows[place] = sign * np.concatenate([before, after])
+    if not rows:  # a machine that cannot hold itself: any line will do
+        return np.tile(sign * share, (len(command), 1))
+
+    def nearest(place: int) -> np.ndarray:
+        return rows[min(rows, key=lambda known: abs(known - place))]
+
+    return np.stack([nearest(place) for place in range(len(command))])

@@ -113,7 +113,11 @@ class Rls:
         detector=None,
         action="reset",
         change_gain=1e4,
+        restore=0,
+        restore_gain=1e4,
     ):
+        self.restore, self.restore_gain, self.updates = restore, REAL(restore_gain), 0
+        self.forgotten, self.restored = REAL(0), np.zeros(n, dtype=REAL)
         self.theta = np.zeros(n, dtype=REAL)
         self.gain = REAL(gain) * np.eye(n, dtype=REAL)
         self.forgetting, self.factor, self.memory, self.noise = (
@@ -153,8 +157,21 @@ class Rls:
             self.gain = (self.gain - np.outer(spread, spread) / (factor + power)) / factor
             if factor < 1:
                 self._limit()
+            self.forgotten += 1 - factor
         self.gain = (self.gain + self.gain.T) / 2
+        self.updates += 1
+        if self.restore and self.updates % self.restore == 0:
+            self._restore(self.updates // self.restore % len(self.theta) - 1)
         return changed
+
+    def _restore(self, i):
+        """Observes theta_i = 0 with the prior's variance, weighted by what was forgotten."""
+        lost, self.restored[i] = self.forgotten - self.restored[i], self.forgotten
+        if lost > 0:
+            spread = self.gain[:, i]
+            power = spread[i] + self.restore_gain / lost
+            self.theta = self.theta - spread * self.theta[i] / power
+            self.gain = self.gain - np.outer(spread, spread) / power
 
     def _limit(self):
         """Columns sqrt(d_j) u_j of F = U D U^T are kept within the bound, one by one."""

@@ -1,0 +1,135 @@
+"""The C++ feed-forward against plain NumPy, and the valve table that both stand on."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from leglab.control import ReferencePoint
+from leglab.feedforward.adaptive import AdaptationSettings, AdaptiveFeedforward
+from leglab.feedforward.inverse_map import InverseMap, MotionRange
+from leglab.feedforward.valve_table import ValveTable
+from leglab.identification import ChangeDetection, Rls
+from tests.reference import feedforward_oracle as oracle
+
+PERIOD = 0.002
+SETTINGS = AdaptationSettings(
+    control_period=PERIOD,
+    latency=0.001,
+    velocity_delay=0.004,
+    window=15,
+    interval=2,
+    stop_time=9.0,
+    limit=0.9,
+    rate_limit=40.0,
+    least_speed=1e-3,
+    supervised=True,
+)
+RLS = Rls(
+    initial_gain=3.0,
+    forgetting="variable",
+    forgetting_factor=0.99,
+    memory=500.0,
+    noise_variance=1e-4,
+    restore_interval=1,
+    change=ChangeDetection(ratio=4.0, gain=3.0),
+)
+
+
+class CalibratedMap:
+    """A valve map with overlap, a spring that shifts it, and a saturated end."""
+
+    def __init__(self, sign):
+        self.position = np.linspace(-1.0, 0.8, 7)
+        shares = np.array([-1, -0.4, -0.1, -0.01, 0, 0.01, 0.1, 0.4, 1])
+        self.velocity = 4.0 * shares
+        opening = 0.03 * np.tanh(shares / 0.01) + 0.7 * shares
+        load = 0.2 * self.position[:, None] * (1 + np.abs(shares))
+        self.command = np.clip(sign * (opening + load), -1, 1)
+
+
+def parts_of(feedforward, table, inverse_map, settings, position_gain, monkeypatch):
+    """The constants that the front-end hands to the core."""
+    seen = {}
+    real = feedforward.Feedforward
+    monkeypatch.setattr(feedforward, "Feedforward", lambda parts: seen.update(parts) or real(parts))
+    made = AdaptiveFeedforward(inverse_map, table, position_gain, settings)
+    monkeypatch.undo()
+    return made, seen
+
+
+@pytest.mark.parametrize("splines", [(10, 4), (0, 0)])
+@pytest.mark.parametrize("supervised", [True, False])
+def test_core_agrees_with_numpy(splines, supervised, monkeypatch):
+    import leglab.feedforward.adaptive as module
+
+    signs = np.array([1.0, -1.0])
+    maps = [CalibratedMap(sign) for sign in signs]
+    table = ValveTable.of(maps, signs)
+    ranges = MotionRange(lower=np.full(2, -1.0), upper=np.full(2, 0.8), speed=np.full(2, 4.0))
+    inverse_map = InverseMap(ranges, RLS, velocity_splines=splines[0], position_splines=splines[1])
+    settings = dataclasses.replace(SETTINGS, supervised=supervised)
+    made, parts = parts_of(module, table, inverse_map, settings, 2.0 * signs, monkeypatch)
+    made.reset()
+    other = oracle.Feedforward(parts, table, inverse_map.learner())
+
+    rng = np.random.default_rng(4)
+    fell_back = 0
+    for k in range(5000):
+        t = k * PERIOD
+        phase = np.array([3.0, 4.1]) * t + np.array([0.0, 1.0])
+        reference = ReferencePoint(
+            0.6 * np.sin(phase),
+            0.6 * np.array([3.0, 4.1]) * np.cos(phase),
+            -0.6 * np.array([9.0, 16.81]) * np.sin(phase),
+        )
+        # The machine lags behind by what nobody told the learner; half way that changes.
+        lag = 0.01 if k < 2500 else -0.06
+        position = 0.6 * np.sin(phase - lag) + 1e-4 * rng.standard_normal(2)
+        if k == 700:
+            position[0] += 0.05  # an encoder slips for one reading
+        if k in (900, 901):
+            position[1] = np.nan
+        have = made.step(t, position, reference).feedforward.copy()
+        want = other.step(t, position, reference)
+        np.testing.assert_allclose(have, want, rtol=0, atol=2e-9, err_msg=f"step {k}")
+        command = have + 0.3 * signs * np.nan_to_num(reference.position - position)
+        if 1200 < k < 1230:
+            command[0] = 1.5  # saturated
+        made.sent(command)
+        other.sent = np.clip(command, -1, 1)
+        np.testing.assert_array_equal(made.report()[1], other.fallback, err_msg=f"step {k}")
+        fell_back += int(other.fallback.any())
+    assert made.learner.diagnostics(0)["learned"] > 1500
+    assert made.learner.diagnostics(0)["dropped"] > 0
+    if supervised and splines[0]:
+        assert 0 < fell_back < 4000, "the case does not exercise the supervisor"
+
+
+def test_table_directions_are_inverse_to_each_other():
+    table = ValveTable.of([CalibratedMap(-1.0)], np.array([-1.0]))
+    for position in (-2.0, -0.93, 0.1, 0.79, 3.0):
+        for share in (-1.7, -0.6, -0.004, 0.0, 0.02, 0.9, 1.4):
+            command = oracle.table_command(table, 0, position, share)
+            assert oracle.table_share(table, 0, position, command) == pytest.approx(share, abs=1e-9)
+
+
+def test_table_is_monotone_without_its_saturated_ends():
+    calibrated = CalibratedMap(1.0)
+    assert (np.abs(calibrated.command) == 1.0).any()
+    table = ValveTable.of([calibrated], np.array([1.0]))
+    assert (np.diff(table.command, axis=2) > 0).all()
+    measured = np.abs(calibrated.command) < 0.999
+    np.testing.assert_allclose(table.command[0][measured], calibrated.command[measured], atol=1e-12)
+    # Where the valve was at its limit, the map goes on as steeply as it came.
+    row = table.command[0, -1]
+    slopes = np.diff(row) / np.diff(table.share)
+    assert row[-1] > 1.0
+    assert slopes[-1] == pytest.approx(slopes[-2], rel=0.2)
+
+
+def test_a_row_that_is_all_saturated_takes_its_neighbours():
+    calibrated = CalibratedMap(1.0)
+    calibrated.command[0] = 1.0
+    table = ValveTable.of([calibrated], np.array([1.0]))
+    np.testing.assert_array_equal(table.command[0, 0], table.command[0, 1])
