@@ -84,6 +84,19 @@ class AdaptiveController:
 
     def __init__(self, setup: ControllerSetup, config: AdaptiveConfiguration) -> None:
         self._pd = Pd(setup, config)
+        self.adaptation = self._adaptation(
+            setup, config, self._rls(config), self._stop_time(setup, config), config.supervised
+        )
+        self._feedforward = np.zeros(len(setup.joints))
+
+    def _adaptation(
+        self,
+        setup: ControllerSetup,
+        config: AdaptiveConfiguration,
+        rls: Rls,
+        stop_time: float,
+        supervised: bool,
+    ) -> AdaptiveFeedforward:
         maps = setup.require("valve_maps", self.name)
         latency = setup.require("latency", self.name)
         ranges = MotionRange(
@@ -91,14 +104,12 @@ class AdaptiveController:
             upper=np.array([m.position[-1] for m in maps]),
             speed=np.array([m.velocity[-1] for m in maps]),
         )
-        rls = self._rls(config)
-        self.adaptation = AdaptiveFeedforward(
-            InverseMap(
-                ranges,
-                rls,
-                velocity_splines=config.velocity_splines,
-                position_splines=config.position_splines,
-            ),
+        splines = {
+            "velocity_splines": config.velocity_splines,
+            "position_splines": config.position_splines,
+        }
+        return AdaptiveFeedforward(
+            InverseMap(ranges, rls, **splines),
             ValveTable.of(maps, np.asarray(setup.require("direction", self.name))),
             self._pd.position_gain,
             AdaptationSettings(
@@ -107,14 +118,13 @@ class AdaptiveController:
                 velocity_delay=latency + setup.require("velocity_delay", self.name),
                 window=config.window,
                 interval=config.interval,
-                stop_time=self._stop_time(setup, config),
+                stop_time=stop_time,
                 limit=config.limit,
                 rate_limit=config.rate_limit,
                 least_speed=config.least_speed,
-                supervised=config.supervised,
+                supervised=supervised,
             ),
         )
-        self._feedforward = np.zeros(len(setup.joints))
 
     @staticmethod
     def _rls(config: AdaptiveConfiguration) -> Rls:

@@ -197,10 +197,9 @@ def readaptation(
 ) -> Readaptation:
     """Measures how soon the error is back near its value before a change.
 
-    The error is the RMS over a sliding window that ends now (`sliding_rms`); its value before the
-    change is that of the last window without a sample from the change on. The window still holds
-    samples from before the change for one window length after it, so it may take that long to see
-    a lasting increase; it then has to fall below the threshold and stay there to the end.
+    The error is the RMS over a sliding window (`sliding_rms`); its value before the change is that
+    of the last window without a sample from the change on. Re-adapted from a time on means: no
+    window that begins then or later exceeds the threshold.
 
     Args:
         time: Sample times [s], increasing. Shape (n,).
@@ -221,13 +220,32 @@ def readaptation(
     if first == len(time) or time[-1] - change < _span(time, window):
         reason = f"the run ends less than a window of {window:g} s after the change"
         return Readaptation(time=None, threshold=threshold, reason=reason)
-    exceeding = np.flatnonzero(windowed[first:] > threshold)
+    found = settling_time(time, windowed, change, window, threshold)
+    return Readaptation(time=found, threshold=threshold)
+
+
+def settling_time(
+    time: np.ndarray, windowed: np.ndarray, change: float, window: float, threshold: float
+) -> float | None:
+    """Time from a change on from which no window that begins later exceeds a threshold.
+
+    Args:
+        time: Times at which windows end [s], increasing. Shape (n,).
+        windowed: Windowed error; NaN where there is none. Shape (n,).
+        change: [s].
+        window: Length of the windows [s].
+        threshold: In the unit of the error.
+
+    Returns:
+        [s], 0 where none exceeds it, None where the last window still does.
+    """
+    exceeding = np.flatnonzero((time >= change) & (windowed > threshold))
     if exceeding.size == 0:
-        return Readaptation(time=0.0, threshold=threshold)
-    settled = first + int(exceeding[-1]) + 1
-    if settled == len(time):
-        return Readaptation(time=None, threshold=threshold)
-    return Readaptation(time=float(time[settled] - change), threshold=threshold)
+        return 0.0
+    last = int(exceeding[-1])
+    if last + 1 == len(time):
+        return None
+    return max(0.0, float(time[last + 1] - window - change))
 
 
 def excess_error_area(

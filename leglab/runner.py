@@ -5,7 +5,7 @@ import functools
 import math
 import platform
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import metadata
 from typing import Any
 
@@ -16,8 +16,9 @@ import leglab.scenarios  # noqa: F401  registers the scenarios
 from leglab import __version__
 from leglab.calibration import directions, settle, speed_limits, valve_maps
 from leglab.configuration import validate_configuration
-from leglab.control import ControllerSetup, make_controller
+from leglab.control import ControllerSetup, ReferencePoint, make_controller
 from leglab.errors import LeglabError
+from leglab.feedforward.offline import BenchRun
 from leglab.gains import stored_gains, tuned_gains
 from leglab.measurement import SensorConfiguration, held, quantise, velocity_delay
 from leglab.recording import Recording
@@ -73,6 +74,7 @@ class Run:
         metrics: Content of `metrics.json`.
         configuration: Content of `run.json`.
         window: Window of the sliding error [s].
+        joints: Names of the driven joints.
     """
 
     settings: RunSettings
@@ -82,6 +84,7 @@ class Run:
     metrics: dict[str, Any]
     configuration: dict[str, Any]
     window: float
+    joints: tuple[str, ...]
 
 
 def run_scenario(settings: RunSettings, progress: Progress | None = None) -> Run:
@@ -103,10 +106,22 @@ def run_scenario(settings: RunSettings, progress: Progress | None = None) -> Run
         severity=settings.severity,
         ramp_duration=settings.ramp_duration,
     )
+    return _run(settings, scenario, progress)
+
+
+def _run(settings: RunSettings, scenario: Scenario, progress: Progress | None = None) -> Run:
     sensors = validate_configuration(SensorConfiguration, settings.sensors, "sensors")
     simulation = Simulation(load_model(settings.model, timestep=settings.timestep, visual=False))
-    first_change = min((change.start for change in scenario.changes), default=math.inf)
-    setup = controller_setup(simulation, settings.model, sensors, first_change)
+    setup = controller_setup(simulation, settings.model, sensors)
+    setup = replace(
+        setup,
+        machine={
+            **setup.machine,
+            "first_change": min(scenario.breakpoints, default=math.inf),
+            "last_change": max(scenario.breakpoints, default=math.inf),
+            "bench_runs": lambda: _bench_runs(settings, scenario),
+        },
+    )
     controller = make_controller(settings.controller, setup, settings.controller_config)
     reference = make_reference(
         settings.reference or scenario.reference,
@@ -141,6 +156,7 @@ def run_scenario(settings: RunSettings, progress: Progress | None = None) -> Run
         },
         configuration=configuration,
         window=reference.period,
+        joints=setup.joints,
     )
 
 
@@ -169,13 +185,13 @@ def controller_setup(
     simulation: Simulation,
     model: str,
     sensors: SensorConfiguration,
-    first_change: float = math.inf,
 ) -> ControllerSetup:
     """What a controller may know of the nominal machine.
 
     Items: `direction` (joints,), `position_gain`, `velocity_gain` (joints,), `valve_maps`;
-    `latency` and `velocity_delay` of the sensors [s]; `first_change`, when the machine is about
-    to change [s], for controllers that only serve as a yardstick.
+    `latency` and `velocity_delay` of the sensors [s]. A run adds, for controllers that only serve
+    as a yardstick, `first_change` and `last_change`, when the machine is about to change [s], and
+    `bench_runs`, recordings of the machine before and after its changes.
     """
 
     @functools.cache
@@ -189,13 +205,41 @@ def controller_setup(
             "direction": directions(simulation),
             "latency": sensors.latency,
             "velocity_delay": velocity_delay(sensors.control_period, sensors.velocity_cutoff),
-            "first_change": first_change,
             "position_gain": lambda: [gain[0] for gain in gains()],
             "velocity_gain": lambda: [gain[1] for gain in gains()],
             # A machine of its own: calibration moves it through its whole range.
             "valve_maps": lambda: valve_maps(Simulation(copy.copy(simulation.model))),
         },
     )
+
+
+# Recordings for offline identification: their seed is none that a comparison uses.
+_BENCH_SEED, _BENCH_DURATION = 1_000_003, 40.0
+_BENCH_SETTLED = 10.0  # from then on the recorded motion is near the reference [s]
+_bench_cache: dict[str, BenchRun] = {}
+
+
+def _bench_runs(settings: RunSettings, scenario: Scenario) -> tuple[BenchRun, BenchRun]:
+    """Recordings on the machine before and after its changes, the adaptive controller moving it."""
+    settings = replace(settings, controller="bsnn_arx", controller_config={}, seed=_BENCH_SEED)
+    before = replace(scenario, duration=_BENCH_DURATION, changes=())
+    after = replace(scenario.changed_from_start(), duration=_BENCH_DURATION)
+    return _bench_run(settings, before), _bench_run(settings, after)
+
+
+def _bench_run(settings: RunSettings, scenario: Scenario) -> BenchRun:
+    key = repr((settings, scenario))
+    if key not in _bench_cache:
+        run = _run(settings, scenario)
+        recording = run.recording
+        kept = recording.time >= _BENCH_SETTLED
+        _bench_cache[key] = BenchRun(
+            time=recording.time[kept],
+            position=recording.stack(recording.joints, "position")[kept],
+            command=run.history.command[kept],
+            reference=ReferencePoint(*(part[kept] for part in run.history.reference)),
+        )
+    return _bench_cache[key]
 
 
 def _recording(

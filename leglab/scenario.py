@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from leglab.errors import LeglabError
@@ -127,6 +127,11 @@ class Scenario:
             for name, start, end in zip(names, edges, edges[1:], strict=False)
             if start < end
         )
+
+    def changed_from_start(self) -> "Scenario":
+        """Returns the scenario of a machine that has changed before the run begins."""
+        changes = tuple(replace(c, start=0.0, ramp_duration=0.0) for c in self.changes)
+        return replace(self, changes=changes)
 
     def value_at(self, time: float, parameter: str, element: str, nominal: float) -> float:
         """Returns the value of a parameter of one element.

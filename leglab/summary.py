@@ -22,7 +22,8 @@ def summary(
 
     Returns:
         Real-time factor, completion, tracking error and its costs by phase (`metrics.phase_table`,
-        `metrics.usage_table`), re-adaptation and the area of the excess error; plain Python types.
+        `metrics.usage_table`), RMS error of the controller's model where it has one, by joint and
+        in its own unit, re-adaptation and the area of the excess error; plain Python types.
     """
     finite = np.isfinite(history.error).all(axis=1)
     error, time = history.error[finite], history.time[finite]
@@ -31,13 +32,19 @@ def summary(
     usage = metrics.usage_table(
         time, history.command[finite], energy[finite], joints, scenario.phases
     )
+    for row, costs in zip(errors, usage, strict=True):
+        row.update(costs)
+        if "model_error" in history.diagnostics:
+            part = (history.time >= row["start"]) & (history.time <= row["end"])
+            values = metrics.rms(history.diagnostics["model_error"][part & finite])
+            row["model_error"] = dict(zip(joints, values.tolist(), strict=True))
     result: dict[str, Any] = {
         "duration": float(history.time[-1]),
         "severity": scenario.severity,
         "real_time_factor": float(history.time[-1] / max(history.wall_time, 1e-9)),
         "completed": not history.failure,
         "failure": history.failure or None,
-        "phases": [{**a, **b} for a, b in zip(errors, usage, strict=True)],
+        "phases": errors,
         "readaptation": {"time_s": None, "threshold": None, "reason": "nothing changes"},
         "excess_error_area_rad_s": None,
     }

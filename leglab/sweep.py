@@ -23,12 +23,16 @@ import leglab.scenarios
 from leglab.control import controller_names
 from leglab.data import write_atomically
 from leglab.errors import LeglabError, unknown_name
-from leglab.metrics import sliding_rms
+from leglab.metrics import rms, sliding_rms
 from leglab.runner import Run, RunSettings, run_scenario
 from leglab.scenario import get_scenario
 
 # Distance of the stored samples of the windowed error [s].
 _TRACE_PERIOD = 0.02
+
+# Window of the error that adaptation must not make worse, when a run counts as settled, and the
+# part of a run that counts as its end [s].
+_SAFETY_WINDOW, _SETTLED, _END = 2.0, 5.0, 5.0
 
 # Told after each run: how many are done, how many there are, what was run.
 SweepProgress = Callable[[int, int, str], None]
@@ -121,7 +125,9 @@ def run_all(
 
     Returns:
         The results in the order of the runs: `settings`, `metrics`, `changes` [s], `window` [s],
-        `time` [s] and `windowed_error_rad`, which is None until a first window is full.
+        `time` [s] with `windowed_error_rad` over one stride and `safety_error_rad` over 2 s, None
+        until a first window is full; `settled_rms_rad` and `end_rms_rad`, by joint, from 5 s to
+        the first change and over the last 5 s; `travel_rad` of the reference, by joint.
 
     Raises:
         LeglabError: A run cannot be set up, or the folder cannot be written to.
@@ -210,16 +216,31 @@ def _run_and_store(settings: RunSettings, folder: Path, code: str) -> str:
 def _result(run: Run) -> dict[str, Any]:
     history = run.history
     finite = np.isfinite(history.error).all(axis=1)
-    time = history.time[finite]
-    windowed = sliding_rms(time, history.error[finite], run.window)
+    time, error = history.time[finite], history.error[finite]
     # Steps of whole samples: the control period divides the trace's period, or is its step itself.
     step = max(round(_TRACE_PERIOD / (time[1] - time[0])), 1) if len(time) > 1 else 1
-    trace = [None if math.isnan(value) else value for value in windowed[::step].tolist()]
+
+    def trace(window: float) -> list[float | None]:
+        windowed = sliding_rms(time, error, window)[::step].tolist()
+        return [None if math.isnan(value) else value for value in windowed]
+
+    def by_joint(values: np.ndarray) -> dict[str, float]:
+        return dict(zip(run.joints, values.tolist(), strict=True))
+
+    def rms_between(start: float, end: float) -> dict[str, float] | None:
+        part = error[(time >= start) & (time < end)]
+        return by_joint(rms(part)) if len(part) else None
+
+    changes = run.scenario.breakpoints
     return {
         "settings": asdict(run.settings),
         "metrics": run.metrics,
-        "changes": list(run.scenario.breakpoints),
+        "changes": list(changes),
         "window": run.window,
         "time": time[::step].tolist(),
-        "windowed_error_rad": trace,
+        "windowed_error_rad": trace(run.window),
+        "safety_error_rad": trace(_SAFETY_WINDOW),
+        "settled_rms_rad": rms_between(_SETTLED, min(changes, default=math.inf)),
+        "end_rms_rad": rms_between(run.scenario.duration - _END, math.inf),
+        "travel_rad": by_joint(np.ptp(history.reference.position, axis=0)),
     }
