@@ -20,6 +20,7 @@ from leglab.control import ControllerSetup, make_controller
 from leglab.errors import LeglabError
 from leglab.gains import stored_gains, tuned_gains
 from leglab.measurement import SensorConfiguration, held, quantise, velocity_delay
+from leglab.nominal import NominalDynamics, nominal_cylinders
 from leglab.recording import Recording
 from leglab.references import Joint, Reference, make_reference
 from leglab.rollout import History, Progress, closed_loop
@@ -174,8 +175,10 @@ def controller_setup(
     """What a controller may know of the nominal machine.
 
     Items: `direction` (joints,), `position_gain`, `velocity_gain` (joints,), `valve_maps`;
-    `latency` and `velocity_delay` of the sensors [s]; `first_change`, when the machine is about
-    to change [s], for controllers that only serve as a yardstick.
+    `latency` and `velocity_delay` of the sensors [s], their `position_noise` [rad] and
+    `pressure_noise` [Pa]; `cylinders` and `inverse_dynamics`, the nominal hydraulics and rigid
+    bodies (`leglab.nominal`); `first_change`, when the machine is about to change [s], for
+    controllers that only serve as a yardstick.
     """
 
     @functools.cache
@@ -194,8 +197,17 @@ def controller_setup(
             "velocity_gain": lambda: [gain[1] for gain in gains()],
             # A machine of its own: calibration moves it through its whole range.
             "valve_maps": lambda: valve_maps(Simulation(copy.copy(simulation.model))),
+            "cylinders": lambda: nominal_cylinders(Simulation(copy.copy(simulation.model))),
+            "inverse_dynamics": lambda: NominalDynamics(Simulation(copy.copy(simulation.model))),
+            "position_noise": math.hypot(sensors.position_noise, _resolution(sensors)),
+            "pressure_noise": sensors.pressure_noise,
         },
     )
+
+
+def _resolution(sensors: SensorConfiguration) -> float:
+    """RMS error of rounding to encoder counts [rad]."""
+    return 2 * math.pi / sensors.encoder_counts / math.sqrt(12) if sensors.encoder_counts else 0.0
 
 
 def _recording(
