@@ -9,6 +9,7 @@ from leglab.backstepping.adaptation import Adaptation
 from leglab.backstepping.cylinder import CylinderModel
 from leglab.backstepping.data import BacksteppingGains
 from leglab.backstepping.feedback import Feedback, no_load_speed
+from leglab.backstepping.friction import Bristles
 from leglab.configuration import Configuration
 from leglab.control import ControllerSetup, Measurement, ReferencePoint, register_controller
 from leglab.feedforward.motion import ReferenceMotion
@@ -19,7 +20,7 @@ _NAME = "adaptive_backstepping"
 class BacksteppingConfiguration(Configuration):
     gains: dict | None = None
     pressure_cutoff: float = Field(default=60.0, gt=0)
-    friction_speed: float = Field(default=0.01, gt=0)
+    load_share: float = 0.0
     memory: float = 1.0
     dead_zone: float = 0.5
     adapt_flow: bool = True
@@ -57,8 +58,9 @@ class AdaptiveBackstepping:
         )
         self._back = (self._lead + latency) / period
         self._smooth = 1 - math.exp(-config.pressure_cutoff * period)
+        self._bristles = Bristles(data)
         self.adaptation = Adaptation(self._model, self._torque, period=period, latency=latency,
-            valve_delay=self._law.valve_delay, speed=no_load_speed(data), friction_speed=config.friction_speed,
+            valve_delay=self._law.valve_delay, speed=no_load_speed(data),
             memory=config.memory, dead_zone=config.dead_zone)
 
     def reset(self, measurement):
@@ -66,6 +68,7 @@ class AdaptiveBackstepping:
         self._started = False
         self.adaptation.reset()
         self._theta = (self.adaptation.flow.values.copy(), self.adaptation.force.values.copy())
+        self._bristles.reset()
         self._last = np.zeros(self._n)
         self._pressure = np.stack([measurement.pressure_a, measurement.pressure_b])
 
@@ -85,7 +88,7 @@ class AdaptiveBackstepping:
         force = (
             (1 + share) * torque / lever
             + viscous * velocity
-            + coulomb * np.tanh(velocity / self._config.friction_speed) + offset
+            + coulomb * self._bristles.advance(velocity, self._period) + offset
         )
         if not self._started:
             self._forces = [force] * 4
@@ -111,7 +114,7 @@ class AdaptiveBackstepping:
         wa, wb = first.weight
         k = first.stiffness
         S = wb * self._pressure[0] + wa * self._pressure[1]
-        F = force + law.stiffness * state[:, 3]
+        F = force + law.stiffness * (state[:, 3] + self._config.load_share*(state[:,2]-state[:,3]))
         pressure = np.stack([(data.area[1] * S + wa * F) / k, (data.area[0] * S - wb * F) / k])
         pressure = np.clip(pressure, 0, measurement.supply_pressure)
         chambers = model.chambers(pressure, measurement.supply_pressure, piston)

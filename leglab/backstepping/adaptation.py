@@ -4,6 +4,7 @@ import numpy as np
 
 from leglab.backstepping.cylinder import CylinderModel
 from leglab.backstepping.data import InverseDynamics
+from leglab.backstepping.friction import Bristles
 from leglab.backstepping.least_squares import BoundedLeastSquares
 from leglab.feedforward.motion import smoothing_kernel
 
@@ -29,7 +30,7 @@ class Adaptation:
 
     Force in (b, F_c, d, s), with tau the nominal inverse dynamics of the measured motion:
 
-        p_A A_A - p_B A_B = (1 + s) tau/r + b v + F_c tanh(v/v_0) + d
+        p_A A_A - p_B A_B = (1 + s) tau/r + b v + F_c z + d, z bristles
 
     Args:
         model: The nominal hydraulics.
@@ -38,7 +39,6 @@ class Adaptation:
         latency: Age of a measurement when its command is given [s].
         valve_delay: Of the spool behind its command [s].
         speed: No-load speed [m/s], (joints,).
-        friction_speed: v_0 [m/s].
         memory: Time constant of forgetting while learning [s].
         dead_zone: Residuals up to so many times the noise teach nothing.
 
@@ -56,13 +56,13 @@ class Adaptation:
         latency: float,
         valve_delay: float,
         speed: np.ndarray,
-        friction_speed: float,
         memory: float,
         dead_zone: float,
     ) -> None:
         self._model, self._torque = model, torque
         data, joints = model.data, model.joints
-        self._joints, self._friction_speed = joints, friction_speed
+        self._joints, self._bristles = joints, Bristles(data)
+        self._step = _INTERVAL * period
         self._kernel = smoothing_kernel(_WINDOW, 4, period)[:3]
         # Every row is written twice, a window apart, so that a slice is always in order.
         self._rows = np.zeros((2 * _WINDOW, 4 * joints + 1))
@@ -98,6 +98,7 @@ class Adaptation:
         """Forgets everything learned."""
         self.flow.reset()
         self.force.reset()
+        self._bristles.reset()
         self._count = 0
 
     def take(
@@ -162,7 +163,7 @@ class Adaptation:
 
         viscous, coulomb, offset, share = self.force.values
         needed = self._torque(motion[0], motion[1], motion[2]) / lever
-        sign = np.tanh(speed / self._friction_speed)
+        bristles = self._bristles.advance(speed, self._step)
         load = area[0] * pressure[0] - area[1] * pressure[1]
-        residual = load - (1 + share) * needed - viscous * speed - coulomb * sign - offset
-        self.force.update(np.stack([speed, sign, np.ones(joints), needed]), residual, usable)
+        residual = load - (1 + share) * needed - viscous * speed - coulomb * bristles - offset
+        self.force.update(np.stack([speed, bristles, np.ones(joints), needed]), residual, usable)

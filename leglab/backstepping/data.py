@@ -31,6 +31,9 @@ class NominalCylinders:
         internal_leakage: [m^3/s/Pa], (joints,).
         viscous: Friction of the seals [N s/m], (joints,).
         coulomb: Friction of the seals [N], (joints,).
+        static: Breakaway friction of the seals [N], (joints,).
+        stribeck_velocity: [m/s], (joints,).
+        sigma_0: Stiffness of the bristles [N/m], (joints,).
         mass: Effective mass at the piston in the rest pose, 1/(J M^-1 J') [kg], (joints,).
         position: Joint positions of the tables [rad], evenly spaced, (joints, p).
         lever: Piston speed per joint speed there [m/rad], (joints, p).
@@ -54,6 +57,9 @@ class NominalCylinders:
     internal_leakage: np.ndarray
     viscous: np.ndarray
     coulomb: np.ndarray
+    static: np.ndarray
+    stribeck_velocity: np.ndarray
+    sigma_0: np.ndarray
     mass: np.ndarray
     position: np.ndarray
     lever: np.ndarray

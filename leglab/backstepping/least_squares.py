@@ -37,7 +37,7 @@ class BoundedLeastSquares:
         self._start, self._scale = start, scale
         self._lower, self._upper = lower, upper
         self._factor, self._noise = forgetting_factor, noise
-        self._dead, self._largest = dead_zone, 8.0
+        self._dead, self._largest = dead_zone, 40.0
         self.reset()
 
     def reset(self) -> None:
