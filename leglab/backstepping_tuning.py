@@ -10,11 +10,12 @@ import numpy as np
 from scipy.optimize import differential_evolution
 
 from leglab.backstepping.cylinder import CylinderModel
-from leglab.backstepping.data import BacksteppingGains, NominalCylinders
+from leglab.backstepping.data import PRESSURE_CUTOFF, BacksteppingGains, NominalCylinders
 from leglab.backstepping.feedback import Feedback, no_load_speed
 from leglab.errors import LeglabError
 from leglab.hydraulics import Cylinder
-from leglab.measurement import SensorConfiguration
+from leglab.measurement import SensorConfiguration, position_uncertainty
+from leglab.nominal import inertia_matrix, nominal_cylinders
 from leglab.simulation import Simulation
 from leglab.tuning import SPEEDS, joint_plant
 
@@ -53,7 +54,8 @@ class OperatingPoint:
 def operating_points(
     simulation: Simulation, joint: int, data: NominalCylinders, *, period: float, latency: float
 ) -> list[OperatingPoint]:
-    """Linearises a joint where `leglab.tuning` does: three poses, creeping and running, both ways.
+    """Linearises a joint where `leglab.tuning` does: three poses, creeping and running, both ways,
+    each with the other joints free and held.
 
     Args:
         simulation: The nominal machine in its rest pose; it is left there.
@@ -71,10 +73,12 @@ def operating_points(
         simulation.data.qpos[index] = position
         mujoco.mj_forward(simulation.model, simulation.data)
         for speed in SPEEDS:
-            try:
-                points.append(_point(simulation, joint, speed, model, period, latency))
-            except LeglabError:
-                continue  # the cylinder cannot run at this speed under this load
+            for held in (False, True):
+                try:
+                    point = _point(simulation, joint, speed, held, model, period, latency)
+                except LeglabError:
+                    continue  # the cylinder cannot run at this speed under this load
+                points.append(point)
     simulation.data.qpos[:] = home
     mujoco.mj_forward(simulation.model, simulation.data)
     return points
@@ -84,12 +88,15 @@ def _point(
     simulation: Simulation,
     joint: int,
     speed: float,
+    held: bool,
     model: CylinderModel,
     period: float,
     latency: float,
 ) -> OperatingPoint:
     lever = float(simulation.levers()[joint])
     plant = joint_plant(simulation, joint, speed)
+    if held:  # the mass with the other joints free, over that with them held
+        plant.A[0] *= _mass_ratio(simulation, joint)
     # States: piston velocity, both pressures, spool and its velocity, joint position.
     c = np.zeros((3, 6))
     c[0, 5], c[1, 1], c[2, 2] = lever, 1.0, 1.0
@@ -140,6 +147,12 @@ def _point(
         spool_per_force=(spool(step * by_force) - spool(-step * by_force)) / (2 * step),
         spool_per_sum=per_sum,
     )
+
+
+def _mass_ratio(simulation: Simulation, joint: int) -> float:
+    """Inertia of a joint with the others free, as a share of that with the others held."""
+    inertia, dof = inertia_matrix(simulation), simulation.dof_index[joint]
+    return float(1.0 / (np.linalg.inv(inertia)[dof, dof] * inertia[dof, dof]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -208,7 +221,6 @@ class Loop:
         points: Operating points.
         data: Data of the joint alone.
         sensors: Sensors and timing.
-        smoothing: Coefficient of the filter of the sum mode.
     """
 
     def __init__(
@@ -216,14 +228,12 @@ class Loop:
         points: Sequence[OperatingPoint],
         data: NominalCylinders,
         sensors: SensorConfiguration,
-        position_noise: float,
-        smoothing: float,
     ) -> None:
         self._points, self._model, self._sensors = points, CylinderModel(data), sensors
-        self._position_noise, self._smoothing = position_noise, smoothing
+        self._smoothing = -math.expm1(-PRESSURE_CUTOFF * sensors.control_period)
         self._speed = float(no_load_speed(data)[0])
         nyquist = math.pi / sensors.control_period
-        self._frequencies = np.geomspace(0.5, 0.999 * nyquist, 160)
+        self._frequencies = np.geomspace(0.5, 0.999 * nyquist, 120)
         self._z = np.exp(1j * self._frequencies * sensors.control_period)[:, None, None]
         self._plants = [
             p.c
@@ -238,7 +248,7 @@ class Loop:
         return Feedback(
             self._model,
             gains,
-            position_noise=self._position_noise,
+            position_noise=position_uncertainty(self._sensors),
             pressure_noise=self._sensors.pressure_noise,
             period=self._sensors.control_period,
             latency=self._sensors.latency,
@@ -249,17 +259,18 @@ class Loop:
 
         Returns:
             Root of the integrated squares of the piston's errors after both steps [m s^(1/2)],
-            and max |1/(1 + L)|; both infinite where a loop is unstable.
+            and max |1/(1 + L)|; where a loop is unstable, infinity and its largest eigenvalue.
         """
-        law, worst, peak = self.law(gains), 0.0, 0.0
+        law, worst, peak, radius = self.law(gains), 0.0, 0.0, 0.0
         area, w = self._model.data.area[:, 0], self._frequencies
         for point, plant in zip(self._points, self._plants, strict=True):
             k = linear_controller(law, area, point, self._smoothing)
             closed = np.block(
                 [[point.a + point.b @ k.d @ point.c, point.b @ k.c], [k.b @ point.c, k.a]]
             )
-            if np.abs(np.linalg.eigvals(closed)).max() >= 1.0:
-                return math.inf, math.inf
+            radius = max(radius, float(np.abs(np.linalg.eigvals(closed)).max()))
+            if radius >= 1.0:
+                continue
             answer = (k.c @ np.linalg.solve(self._z * np.eye(len(k.a)) - k.a, k.b))[:, 0] + k.d
             sensitivity = 1.0 / (1.0 - (answer * plant[:, :, 0]).sum(axis=1))
             peak = max(peak, float(np.abs(sensitivity).max()))
@@ -268,7 +279,18 @@ class Loop:
             by_force = plant[:, 0, 1] + plant[:, 0, 0] * spool
             square = (np.abs(by_flow) ** 2 + np.abs(by_force) ** 2) / w**2
             worst = max(worst, _STEP * math.sqrt(np.trapezoid(square, w) / math.pi))
+        if radius >= 1.0:
+            return math.inf, radius
         return worst, peak
+
+
+def joint_loop(simulation: Simulation, joint: int, sensors: SensorConfiguration) -> Loop:
+    """Prepares the judgement of one joint's gains on the nominal machine in its rest pose."""
+    data = nominal_cylinders(simulation).joint(joint)
+    points = operating_points(
+        simulation, joint, data, period=sensors.control_period, latency=sensors.latency
+    )
+    return Loop(points, data, sensors)
 
 
 def gains_of(values: Sequence[float]) -> BacksteppingGains:
@@ -291,7 +313,7 @@ def tune_joint(loop: Loop) -> tuple[BacksteppingGains, float, float]:
     def cost(values: np.ndarray) -> float:
         worst, peak = loop.judge(gains_of(values))
         if not math.isfinite(worst):
-            return 1e3
+            return 1e2 * peak
         return math.log(worst) + 20.0 * max(0.0, peak / SENSITIVITY - 1.0)
 
     result = differential_evolution(

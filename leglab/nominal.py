@@ -57,15 +57,17 @@ def nominal_cylinders(simulation: Simulation) -> NominalCylinders:
 
 def _effective_masses(simulation: Simulation) -> np.ndarray:
     """Mass [kg] that each cylinder moves with all other joints free, (joints,)."""
+    inverse = np.diag(np.linalg.inv(inertia_matrix(simulation)))[simulation.dof_index]
+    return 1.0 / (inverse * simulation.levers() ** 2)
+
+
+def inertia_matrix(simulation: Simulation) -> np.ndarray:
+    """Joint-space inertia in the present pose [kg m^2 and alike], (nv, nv)."""
     model, data = simulation.model, simulation.data
-    row, solved = np.zeros((1, model.nv)), np.zeros((1, model.nv))
-    masses = []
-    for dof, lever in zip(simulation.dof_index, simulation.levers(), strict=True):
-        row[:] = 0.0
-        row[0, dof] = lever
-        mujoco.mj_solveM(model, data, solved, row)
-        masses.append(1.0 / float(row[0] @ solved[0]))
-    return np.array(masses)
+    columns, unit = np.zeros((model.nv, model.nv)), np.eye(model.nv)
+    for i in range(model.nv):
+        mujoco.mj_mulM(model, data, columns[i], unit[i])
+    return columns
 
 
 def _lever_tables(simulation: Simulation) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

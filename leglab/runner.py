@@ -14,12 +14,19 @@ import numpy as np
 import leglab.controllers
 import leglab.scenarios  # noqa: F401  registers the scenarios
 from leglab import __version__
+from leglab.backstepping_gains import backstepping_gains
 from leglab.calibration import directions, settle, speed_limits, valve_maps
 from leglab.configuration import validate_configuration
 from leglab.control import ControllerSetup, make_controller
 from leglab.errors import LeglabError
 from leglab.gains import stored_gains, tuned_gains
-from leglab.measurement import SensorConfiguration, held, quantise, velocity_delay
+from leglab.measurement import (
+    SensorConfiguration,
+    held,
+    position_uncertainty,
+    quantise,
+    velocity_delay,
+)
 from leglab.nominal import NominalDynamics, nominal_cylinders
 from leglab.recording import Recording
 from leglab.references import Joint, Reference, make_reference
@@ -177,7 +184,7 @@ def controller_setup(
     Items: `direction` (joints,), `position_gain`, `velocity_gain` (joints,), `valve_maps`;
     `latency` and `velocity_delay` of the sensors [s], their `position_noise` [rad] and
     `pressure_noise` [Pa]; `cylinders` and `inverse_dynamics`, the nominal hydraulics and rigid
-    bodies (`leglab.nominal`); `first_change`, when the machine is about to change [s], for
+    bodies (`leglab.nominal`), and `backstepping_gains` for them; `first_change`, when the machine is about to change [s], for
     controllers that only serve as a yardstick.
     """
 
@@ -199,15 +206,13 @@ def controller_setup(
             "valve_maps": lambda: valve_maps(Simulation(copy.copy(simulation.model))),
             "cylinders": lambda: nominal_cylinders(Simulation(copy.copy(simulation.model))),
             "inverse_dynamics": lambda: NominalDynamics(Simulation(copy.copy(simulation.model))),
-            "position_noise": math.hypot(sensors.position_noise, _resolution(sensors)),
+            "backstepping_gains": lambda: backstepping_gains(
+                model, Simulation(copy.copy(simulation.model)), sensors
+            ),
+            "position_noise": position_uncertainty(sensors),
             "pressure_noise": sensors.pressure_noise,
         },
     )
-
-
-def _resolution(sensors: SensorConfiguration) -> float:
-    """RMS error of rounding to encoder counts [rad]."""
-    return 2 * math.pi / sensors.encoder_counts / math.sqrt(12) if sensors.encoder_counts else 0.0
 
 
 def _recording(

@@ -76,9 +76,9 @@ class Adaptation:
         factor = float(np.exp(-_INTERVAL * period / memory))
         self.flow = BoundedLeastSquares(
             start=np.stack([data.internal_leakage, 0 * ones, 0 * ones, 0 * ones, data.lap]),
-            scale=np.stack([leak, leak, leak, 0.01 * ones, 0.01 * ones]),
-            lower=np.stack([0 * ones, 0 * ones, 0 * ones, -0.2 * ones, -0.02 * ones]),
-            upper=np.stack([100 * leak, 100 * leak, 100 * leak, 0.2 * ones, 0.3 * ones]),
+            scale=np.stack([leak, leak, leak, 0.005 * ones, 0.01 * ones]),
+            lower=np.stack([0 * ones, 0 * ones, 0 * ones, -0.1 * ones, 0 * ones]),
+            upper=np.stack([100 * leak, 100 * leak, 100 * leak, 0.1 * ones, 0.15 * ones]),
             forgetting_factor=factor,
             noise=_FLOW_NOISE * flow,
             dead_zone=dead_zone,
@@ -93,6 +93,21 @@ class Adaptation:
             dead_zone=dead_zone,
         )
         self.reset()
+
+    @property
+    def leakage(self) -> np.ndarray:
+        """C_i, C_A and C_B [m^3/s/Pa], (3, joints)."""
+        return self.flow.values[:3]
+
+    @property
+    def null(self) -> np.ndarray:
+        """Shift of the valves' nulls, of full spool travel, (joints,)."""
+        return self.flow.values[3]
+
+    @property
+    def lap(self) -> np.ndarray:
+        """Overlap of the metering edges, of full spool travel, (joints,)."""
+        return self.flow.values[4]
 
     def reset(self) -> None:
         """Forgets everything learned."""

@@ -34,7 +34,7 @@ class NominalCylinders:
         static: Breakaway friction of the seals [N], (joints,).
         stribeck_velocity: [m/s], (joints,).
         sigma_0: Stiffness of the bristles [N/m], (joints,).
-        mass: Effective mass at the piston in the rest pose, 1/(J M^-1 J') [kg], (joints,).
+        mass: Moved by the piston in the rest pose while all other joints are free [kg], (joints,).
         position: Joint positions of the tables [rad], evenly spaced, (joints, p).
         lever: Piston speed per joint speed there [m/rad], (joints, p).
         piston: Piston position there [m], (joints, p).
@@ -73,6 +73,10 @@ class NominalCylinders:
             last = field.name not in ("position", "lever", "piston")
             values[field.name] = value[..., index : index + 1] if last else value[index : index + 1]
         return NominalCylinders(**values)
+
+
+# Corner frequency of the filter of the chambers' common pressure [rad/s].
+PRESSURE_CUTOFF = 150.0
 
 
 @dataclass(frozen=True, kw_only=True)

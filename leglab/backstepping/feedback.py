@@ -81,6 +81,11 @@ class Feedback:
         damping = k + 2 * zeta * w
         self.weights = np.stack([k, 2 * zeta * k / w, -damping, damping, np.ones_like(k)], axis=1)
 
+    @property
+    def unknown_force(self) -> np.ndarray:
+        """Force beyond the model's that the load needs, k phi [N], (joints,)."""
+        return self.stiffness * self.observer.state[:, 3]
+
     def __call__(self, error: np.ndarray, force_error: np.ndarray) -> np.ndarray:
         """Speed [m/s], (joints,), from measured e and p [m], (joints,) each.
 

@@ -66,8 +66,11 @@ class BoundedLeastSquares:
         projected = np.matmul(self._gain, phi[:, :, None])[:, :, 0]
         step = projected / (self._factor + np.einsum("ij,ij->i", phi, projected))[:, None]
         self.values = self.values + self._scale * (step * scaled[:, None]).T
-        self.values = np.minimum(np.maximum(self.values, self._lower), self._upper)
         gain = self._gain - step[:, :, None] * projected[:, None, :]
-        # Forgets where something was learned, and only as long as the gain stays bounded.
-        open_ = usable & (np.einsum("ijj->i", gain) < gain.shape[1] * self._factor)
-        self._gain = np.where(open_[:, None, None], gain / self._factor, gain)
+        # What is forgotten is replaced by what was known at the start: inverse gain 1 of itself.
+        new = (1.0 - self._factor) * usable
+        pull = new[:, None] * ((self._start - self.values) / self._scale).T
+        self.values = self.values + self._scale * np.matmul(gain, pull[:, :, None])[:, :, 0].T
+        gain = gain + new[:, None, None] * (gain - np.matmul(gain, gain))
+        self._gain = gain
+        self.values = np.minimum(np.maximum(self.values, self._lower), self._upper)
