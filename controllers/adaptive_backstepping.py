@@ -14,7 +14,7 @@ from pydantic import Field
 
 from leglab.backstepping.adaptation import Adaptation
 from leglab.backstepping.cylinder import CylinderModel
-from leglab.backstepping.data import PRESSURE_CUTOFF, BacksteppingGains
+from leglab.backstepping.data import FORCE_CUTOFF, PRESSURE_CUTOFF, BacksteppingGains
 from leglab.backstepping.feedback import Feedback, no_load_speed
 from leglab.backstepping.friction import Bristles
 from leglab.configuration import Configuration
@@ -100,6 +100,7 @@ class AdaptiveBackstepping:
         self._age = (lead + latency) / period
         self._bristles = Bristles(data)
         self._smoothing = -math.expm1(-PRESSURE_CUTOFF * period)
+        self._force_smoothing = -math.expm1(-FORCE_CUTOFF * period)
         self._limit, self._adapt = config.limit, config.adapt
         self._supply = data.supply_pressure
         self._zeros = np.zeros(len(setup.joints))
@@ -141,9 +142,12 @@ class AdaptiveBackstepping:
         force_error = (load - earlier) / law.stiffness
         if len(self._forces) == 1:
             law.observer.start(error, force_error)
+            self._unknown_force = law.unknown_force
         wish = law(error, force_error)
-
-        expected = self._expected_pressure(force + law.unknown_force, supply, piston)
+        self._unknown_force = self._unknown_force + self._force_smoothing * (
+            law.unknown_force - self._unknown_force
+        )
+        expected = self._expected_pressure(force + self._unknown_force, supply, piston)
         chambers = model.chambers(expected, supply, piston)
         known = rate + model.rate_for(speed, expected, leakage, chambers)
         spool = model.spool_for(known + chambers.stiffness * wish, chambers, lap)
@@ -198,8 +202,8 @@ class AdaptiveBackstepping:
         """Pressures when the command acts [Pa], (2, joints).
 
         The common mode w_B p_A + w_A p_B, which no motion of the piston changes, is measured; the
-        load force is the wanted one. With the measured one the inverse of the valve would take
-        away the damping that flow and leakage give the oil spring, too late.
+        load force is the wanted one. With the measured one the inverse of the flow equation would
+        take away the damping that valve and leakage give the oil spring, and late at that.
         """
         model = self._model
         chambers = model.chambers(self._pressure, supply, piston)
@@ -216,7 +220,7 @@ class AdaptiveBackstepping:
         viscous, coulomb, _, _ = self.adaptation.force.values
         return {
             "feedback": self._feedback,
-            "unknown_force": self._law.unknown_force,
+            "unknown_force": self._unknown_force,
             "unknown_flow": self._law.observer.state[:, 4],
             "internal_leakage": self.adaptation.leakage[0],
             "external_leakage_a": self.adaptation.leakage[1],

@@ -4,20 +4,21 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import control
-import mujoco
 import numpy as np
 from scipy.optimize import differential_evolution
 
 from leglab.backstepping.cylinder import CylinderModel
-from leglab.backstepping.data import PRESSURE_CUTOFF, BacksteppingGains, NominalCylinders
+from leglab.backstepping.data import (
+    FORCE_CUTOFF,
+    PRESSURE_CUTOFF,
+    BacksteppingGains,
+    NominalCylinders,
+)
 from leglab.backstepping.feedback import Feedback, no_load_speed
-from leglab.errors import LeglabError
-from leglab.hydraulics import Cylinder
+from leglab.backstepping_plant import OperatingPoint, operating_points
 from leglab.measurement import SensorConfiguration, position_uncertainty
-from leglab.nominal import inertia_matrix, nominal_cylinders
+from leglab.nominal import nominal_cylinders
 from leglab.simulation import Simulation
-from leglab.tuning import SPEEDS, joint_plant
 
 # Largest sensitivity |1/(1 + L)|: 2 leaves a gain margin of 6 dB and a phase margin of 29 degrees.
 SENSITIVITY = 2.0
@@ -28,141 +29,13 @@ _BOUNDS = ((0.5, 2.2), (-3.0, 0.0), (-3.5, -0.3), (0.0, 1.0))
 
 
 @dataclass(frozen=True, kw_only=True)
-class OperatingPoint:
-    """The plant of one joint around a pose and a piston speed, sampled.
-
-    Attributes:
-        a: State matrix with the measurement's memory, (9, 9).
-        b: Of the spool command, (9, 1).
-        disturbance: Of a force on the piston against extension, in shares of the force at supply
-            pressure, (9, 1).
-        c: To piston position and both pressures, as measured, (3, 9).
-        spool_per_speed: Of the inverted valve [s/m].
-        spool_per_force: Change of spool per unit of phi [1/m], by the pressures at the valve.
-        spool_per_sum: Change of spool with the measured pressures by their sum mode, (2,) [1/Pa].
-    """
-
-    a: np.ndarray
-    b: np.ndarray
-    disturbance: np.ndarray
-    c: np.ndarray
-    spool_per_speed: float
-    spool_per_force: float
-    spool_per_sum: np.ndarray
-
-
-def operating_points(
-    simulation: Simulation, joint: int, data: NominalCylinders, *, period: float, latency: float
-) -> list[OperatingPoint]:
-    """Linearises a joint where `leglab.tuning` does: three poses, creeping and running, both ways,
-    each with the other joints free and held.
-
-    Args:
-        simulation: The nominal machine in its rest pose; it is left there.
-        joint: Index of the joint.
-        data: The data of that joint alone.
-        period: Control period [s].
-        latency: Age of a measurement [s].
-    """
-    model, points = CylinderModel(data), []
-    home = simulation.data.qpos.copy()
-    index = simulation.qpos_index[joint]
-    low, high = simulation.joint_range()[joint]
-    for position in (home[index], low + 0.25 * (high - low), low + 0.75 * (high - low)):
-        simulation.data.qpos[:], simulation.data.qvel[:] = home, 0.0
-        simulation.data.qpos[index] = position
-        mujoco.mj_forward(simulation.model, simulation.data)
-        for speed in SPEEDS:
-            for held in (False, True):
-                try:
-                    point = _point(simulation, joint, speed, held, model, period, latency)
-                except LeglabError:
-                    continue  # the cylinder cannot run at this speed under this load
-                points.append(point)
-    simulation.data.qpos[:] = home
-    mujoco.mj_forward(simulation.model, simulation.data)
-    return points
-
-
-def _point(
-    simulation: Simulation,
-    joint: int,
-    speed: float,
-    held: bool,
-    model: CylinderModel,
-    period: float,
-    latency: float,
-) -> OperatingPoint:
-    lever = float(simulation.levers()[joint])
-    plant = joint_plant(simulation, joint, speed)
-    if held:  # the mass with the other joints free, over that with them held
-        plant.A[0] *= _mass_ratio(simulation, joint)
-    # States: piston velocity, both pressures, spool and its velocity, joint position.
-    c = np.zeros((3, 6))
-    c[0, 5], c[1, 1], c[2, 2] = lever, 1.0, 1.0
-    # Pressure A accelerates the piston by area/m: that tells the mass.
-    push = np.zeros((6, 1))
-    push[0] = -plant.A[0, 1] * model.data.supply_pressure
-    plant = control.ss(plant.A, np.hstack([plant.B, push]), c, 0)
-    full = control.c2d(plant, period, "zoh")
-    part = control.c2d(plant, period - latency, "zoh")
-    a = np.block([[full.A, np.zeros((6, 3))], [c @ part.A, np.zeros((3, 3))]])
-    b = np.vstack([full.B, c @ part.B])
-
-    values = simulation.cylinder_parameters(simulation.actuators[joint])
-    values.update(coulomb=0.0, static=0.0, sigma_0=0.0, sigma_1=0.0)
-    force = float(simulation.data.qfrc_bias[simulation.dof_index[joint]]) / lever
-    steady = Cylinder(values).steady_state(speed, force)
-    pressure = np.array([[steady.pressure_a], [steady.pressure_b]])
-    supply = model.data.supply_pressure
-    piston = model.geometry(simulation.position()[joint : joint + 1])[1]
-    leakage = np.array([model.data.internal_leakage, [0.0], [0.0]])
-    lap = model.data.lap
-
-    def spool(change: np.ndarray | float = 0.0, faster: float = 0.0) -> float:
-        shifted = pressure + change
-        chambers = model.chambers(shifted, supply, piston)
-        rate = model.rate_for(np.array([speed + faster]), shifted, leakage, chambers)
-        return float(model.spool_for(rate, chambers, lap)[0])
-
-    weight = model.chambers(pressure, supply, piston).weight
-    area, stiffness = model.data.area, float((model.data.area * weight).sum())
-    by_force = np.array([weight[0], -weight[1]])
-    by_sum = area[::-1] / stiffness
-    step = 1e-6  # m, of phi
-    per_sum = np.zeros(2)
-    scale = 1e3  # Pa
-    for chamber in range(2):
-        change = np.zeros((2, 1))
-        change[chamber] = scale
-        total = weight[::-1] * change
-        pressures = by_sum * total.sum(axis=0)
-        per_sum[chamber] = (spool(pressures) - spool(-pressures)) / (2 * scale)
-    return OperatingPoint(
-        a=a,
-        b=b[:, :1],
-        disturbance=b[:, 1:],
-        c=np.hstack([np.zeros((3, 6)), np.eye(3)]),
-        spool_per_speed=(spool(0.0, 1e-5) - spool(0.0, -1e-5)) / 2e-5,
-        spool_per_force=(spool(step * by_force) - spool(-step * by_force)) / (2 * step),
-        spool_per_sum=per_sum,
-    )
-
-
-def _mass_ratio(simulation: Simulation, joint: int) -> float:
-    """Inertia of a joint with the others free, as a share of that with the others held."""
-    inertia, dof = inertia_matrix(simulation), simulation.dof_index[joint]
-    return float(1.0 / (np.linalg.inv(inertia)[dof, dof] * inertia[dof, dof]))
-
-
-@dataclass(frozen=True, kw_only=True)
 class LinearController:
     """The controller of one joint between measured (x, p_A, p_B) and the spool, linear.
 
     Attributes:
-        a: State matrix, (10, 10): observer, past speeds, filtered sum mode.
-        b: (10, 3).
-        c: (1, 10).
+        a: State matrix: observer, past speeds, slow force, filtered pressures.
+        b: Of (x, p_A, p_B), three columns.
+        c: One row.
         d: (1, 3).
     """
 
@@ -173,7 +46,7 @@ class LinearController:
 
 
 def linear_controller(
-    law: Feedback, area: np.ndarray, point: OperatingPoint, smoothing: float
+    law: Feedback, area: np.ndarray, point: OperatingPoint, period: float
 ) -> LinearController:
     """Writes `adaptive_backstepping` of one joint as a linear system.
 
@@ -181,8 +54,10 @@ def linear_controller(
         law: Feedback of that joint alone.
         area: Piston areas, (2,) [m^2].
         point: Operating point, for the valve's inverse.
-        smoothing: Coefficient of the filter of the sum mode.
+        period: Control period [s].
     """
+    smoothing = -math.expm1(-PRESSURE_CUTOFF * period)
+    slowly = -math.expm1(-FORCE_CUTOFF * period)
     a0, old, new, gain, ahead, ahead_input = law.observer.matrices(0)
     weights = law.weights[0]
     past = law.observer.past
@@ -192,7 +67,7 @@ def linear_controller(
     y[0, 0] = -1.0
     y[1, 1:] = np.array([area[0], -area[1]]) / law.stiffness[0]
     keep = np.eye(5) - gain @ measure
-    size = 5 + past + 2 + 2
+    size = 5 + past + 2 + 3
     a, b = np.zeros((size, size)), np.zeros((size, 3))
     a[:5, :5] = keep @ a0
     a[:5, 5 + past] += keep @ new
@@ -203,12 +78,15 @@ def linear_controller(
     a[5], b[5] = speed, speed_b
     for i in range(6, 7 + past):
         a[i, i - 1] = 1.0
+    # phi on its slow way into the expected pressures.
+    a[-3], b[-3] = slowly * a[3], slowly * b[3]
+    a[-3, -3] = 1.0 - slowly
     for chamber in range(2):
         row = size - 2 + chamber
         a[row, row] = 1.0 - smoothing
         b[row, 1 + chamber] = smoothing
-    c = point.spool_per_speed * speed + point.spool_per_force * a[3]
-    d = point.spool_per_speed * speed_b + point.spool_per_force * b[3]
+    c = point.spool_per_speed * speed + point.spool_per_force * a[-3]
+    d = point.spool_per_speed * speed_b + point.spool_per_force * b[-3]
     c = c + point.spool_per_sum @ a[-2:]
     d = d + point.spool_per_sum @ b[-2:]
     return LinearController(a=a, b=b, c=c[None], d=d[None])
@@ -230,16 +108,12 @@ class Loop:
         sensors: SensorConfiguration,
     ) -> None:
         self._points, self._model, self._sensors = points, CylinderModel(data), sensors
-        self._smoothing = -math.expm1(-PRESSURE_CUTOFF * sensors.control_period)
         self._speed = float(no_load_speed(data)[0])
         nyquist = math.pi / sensors.control_period
         self._frequencies = np.geomspace(0.5, 0.999 * nyquist, 120)
         self._z = np.exp(1j * self._frequencies * sensors.control_period)[:, None, None]
         self._plants = [
-            p.c
-            @ np.linalg.solve(
-                self._z * np.eye(len(p.a)) - p.a, np.hstack([p.b, p.disturbance])
-            )
+            p.c @ np.linalg.solve(self._z * np.eye(len(p.a)) - p.a, np.hstack([p.b, p.disturbance]))
             for p in points
         ]
 
@@ -262,9 +136,10 @@ class Loop:
             and max |1/(1 + L)|; where a loop is unstable, infinity and its largest eigenvalue.
         """
         law, worst, peak, radius = self.law(gains), 0.0, 0.0, 0.0
+        period = self._sensors.control_period
         area, w = self._model.data.area[:, 0], self._frequencies
         for point, plant in zip(self._points, self._plants, strict=True):
-            k = linear_controller(law, area, point, self._smoothing)
+            k = linear_controller(law, area, point, period)
             closed = np.block(
                 [[point.a + point.b @ k.d @ point.c, point.b @ k.c], [k.b @ point.c, k.a]]
             )
@@ -317,7 +192,7 @@ def tune_joint(loop: Loop) -> tuple[BacksteppingGains, float, float]:
         return math.log(worst) + 20.0 * max(0.0, peak / SENSITIVITY - 1.0)
 
     result = differential_evolution(
-        cost, _BOUNDS, seed=0, popsize=8, maxiter=25, tol=1e-4, polish=False
+        cost, _BOUNDS, seed=0, popsize=8, maxiter=18, tol=1e-4, polish=False
     )
     gains = gains_of(result.x)
     return gains, *loop.judge(gains)

@@ -135,6 +135,4 @@ class ErrorObserver:
     def matrices(self, joint: int) -> tuple[np.ndarray, ...]:
         """Transition, older and newer input, gain, prediction and its input, of one joint."""
         parts = (self._transition, self._older, self._newer)
-        return tuple(
-            part[joint] for part in (*parts, self._gain, self._ahead, self._ahead_input)
-        )
+        return tuple(part[joint] for part in (*parts, self._gain, self._ahead, self._ahead_input))
