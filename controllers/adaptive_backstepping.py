@@ -111,14 +111,10 @@ class AdaptiveBackstepping:
         Raises:
             LeglabError: There are no pressures among the measurements.
         """
-        if measurement.pressure_a is None or measurement.pressure_b is None:
-            raise LeglabError(f"controller {_NAME!r} needs measured pressures, there are none")
         self.adaptation.reset()
         self._bristles.reset()
         self._motion.clear()
-        self._readings = np.nan_to_num(
-            np.stack([measurement.position, measurement.pressure_a, measurement.pressure_b])
-        )
+        self._readings = np.nan_to_num(_stacked(measurement))
         self._pressure = self._readings[1:]
         self._sent = self._rate = self._feedback = self._zeros
         self._forces: list[np.ndarray] = []
@@ -163,7 +159,7 @@ class AdaptiveBackstepping:
 
     def _read(self, measurement: Measurement) -> tuple[np.ndarray, np.ndarray, float]:
         """Positions, pressures (2, joints) and supply pressure; the last ones for what is lost."""
-        readings = np.stack([measurement.position, measurement.pressure_a, measurement.pressure_b])
+        readings = _stacked(measurement)
         if not np.isfinite(readings).all():
             readings = np.where(np.isfinite(readings), readings, self._readings)
         self._readings = readings
@@ -230,6 +226,13 @@ class AdaptiveBackstepping:
             "viscous": viscous,
             "coulomb": coulomb,
         }
+
+
+def _stacked(measurement: Measurement) -> np.ndarray:
+    """Positions and both pressures, (3, joints)."""
+    if measurement.pressure_a is None or measurement.pressure_b is None:
+        raise LeglabError(f"controller {_NAME!r} needs measured pressures, there are none")
+    return np.stack([measurement.position, measurement.pressure_a, measurement.pressure_b])
 
 
 def _gains(setup: ControllerSetup, config: BacksteppingConfiguration) -> BacksteppingGains:

@@ -27,8 +27,8 @@ def gains_text(models: Sequence[str]) -> str:
     sensors = SensorConfiguration()
     lines = [
         "# Gains of adaptive_backstepping by `python -m leglab.backstepping_gains`: the smallest",
-        f"# response to unknown flow and force with a sensitivity of at most {SENSITIVITY:g} at every",
-        "# pose and piston speed of the linearised nominal plant. Not to be edited by hand.",
+        f"# response to unknown flow and force with a sensitivity of at most {SENSITIVITY:g}",
+        "# at every pose and piston speed of the linearised nominal plant. Not to be edited by hand.",
     ]
     for model in models:
         lines += ["", f"[{model}]"]
@@ -53,10 +53,12 @@ def backstepping_gains(
         simulation: The nominal machine in its rest pose, where it is left.
         sensors: Sensors and timing.
     """
-    stored = tomllib.loads(GAINS_FILE.read_text()).get(str(model)) if GAINS_FILE.exists() else None
-    known = stored is not None and all(stored[name] == getattr(sensors, name) for name in _TIMING)
-    if known and all(name in stored["joints"] for name in simulation.joints):
-        rows = [stored["joints"][name] for name in simulation.joints]
+    file = tomllib.loads(GAINS_FILE.read_text()) if GAINS_FILE.exists() else {}
+    stored = file.get(str(model), {})
+    joints = stored.get("joints", {})
+    known = all(stored.get(name) == getattr(sensors, name) for name in _TIMING)
+    if known and all(name in joints for name in simulation.joints):
+        rows = [joints[name] for name in simulation.joints]
         return BacksteppingGains(**{key: np.array([row[key] for row in rows]) for key in _NAMES})
     tuned = [
         tune_joint(joint_loop(simulation, joint, sensors))[0]

@@ -42,8 +42,7 @@ class OperatingPoint:
 def operating_points(
     simulation: Simulation, joint: int, data: NominalCylinders, *, period: float, latency: float
 ) -> list[OperatingPoint]:
-    """Linearises a joint where `leglab.tuning` does: three poses, creeping and running, both ways,
-    each with the other joints free and held.
+    """Linearises a joint where `leglab.tuning` does, with the other joints free and held.
 
     Args:
         simulation: The nominal machine in its rest pose; it is left there.

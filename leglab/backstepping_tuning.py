@@ -129,7 +129,7 @@ class Loop:
         )
 
     def judge(self, gains: BacksteppingGains) -> tuple[float, float]:
-        """Worst response to steps of unknown flow and force, and largest sensitivity, of all points.
+        """Worst response to steps of unknown flow and force, and largest sensitivity.
 
         Returns:
             Root of the integrated squares of the piston's errors after both steps [m s^(1/2)],
@@ -168,7 +168,7 @@ def joint_loop(simulation: Simulation, joint: int, sensors: SensorConfiguration)
     return Loop(points, data, sensors)
 
 
-def gains_of(values: Sequence[float]) -> BacksteppingGains:
+def gains_of(values: Sequence[float] | np.ndarray) -> BacksteppingGains:
     """Gains of one joint from the variables of the search."""
     return BacksteppingGains(
         position_gain=np.array([10.0 ** values[0]]),

@@ -184,8 +184,8 @@ def controller_setup(
     Items: `direction` (joints,), `position_gain`, `velocity_gain` (joints,), `valve_maps`;
     `latency` and `velocity_delay` of the sensors [s], their `position_noise` [rad] and
     `pressure_noise` [Pa]; `cylinders` and `inverse_dynamics`, the nominal hydraulics and rigid
-    bodies (`leglab.nominal`), and `backstepping_gains` for them; `first_change`, when the machine is about to change [s], for
-    controllers that only serve as a yardstick.
+    bodies (`leglab.nominal`), and `backstepping_gains` for them; `first_change`, when the machine
+    is about to change [s], for controllers that only serve as a yardstick.
     """
 
     @functools.cache

@@ -151,9 +151,8 @@ class Adaptation:
         motion = smooth[:, :joints]
         pressure, change = smooth[:2, joints : 3 * joints].reshape(2, 2, joints)
         supply = float(smooth[0, 4 * joints])
-        spool = (
-            smooth[0, 3 * joints : 4 * joints] + self._shift * smooth[1, 3 * joints : 4 * joints]
-        )
+        command, command_rate = smooth[:2, 3 * joints : 4 * joints]
+        spool = command + self._shift * command_rate
         lever, piston = model.geometry(motion[0])
         speed = lever * motion[1]
         usable = np.abs(rows[:, 3 * joints : 4 * joints]).max(axis=0) < _SATURATED
