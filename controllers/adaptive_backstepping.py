@@ -38,7 +38,8 @@ class BacksteppingConfiguration(Configuration):
             a joint; None as above.
         adapt: Whether leakage, valve and friction parameters are adapted. The lumped disturbances
             are in any case.
-        memory: Time constant with which they forget while they learn [s].
+        flow_memory: Time constant with which leakage and valve forget while they learn [s].
+        force_memory: The same of friction and load [s].
         dead_zone: Residuals up to so many times the noise teach nothing.
         limit: Largest valve command.
     """
@@ -48,7 +49,8 @@ class BacksteppingConfiguration(Configuration):
     force_drift: tuple[float, ...] | None = Field(default=None)
     flow_drift: tuple[float, ...] | None = Field(default=None)
     adapt: bool = Field(default=True)
-    memory: float = Field(default=1.0, gt=0)
+    flow_memory: float = Field(default=1.0, gt=0)
+    force_memory: float = Field(default=2.0, gt=0)
     dead_zone: float = Field(default=0.5, ge=0)
     limit: float = Field(default=1.0, gt=0, le=1)
 
@@ -88,7 +90,8 @@ class AdaptiveBackstepping:
             latency=latency,
             valve_delay=self._law.valve_delay,
             speed=no_load_speed(data),
-            memory=config.memory,
+            flow_memory=config.flow_memory,
+            force_memory=config.force_memory,
             dead_zone=config.dead_zone,
         )
         # A command acts, on average, half a period and the valve's delay later.
@@ -179,9 +182,9 @@ class AdaptiveBackstepping:
             lever: There [m/rad], (joints,).
             speed: Of the pistons [m/s], (joints,).
         """
-        viscous, coulomb, offset, share = self.adaptation.force.values
-        force = (1.0 + share) * self._torque(motion[0], motion[1], motion[2]) / lever
-        force += viscous * speed + coulomb * self._bristles.advance(speed, self._period) + offset
+        needed = self._torque(motion[0], motion[1], motion[2]) / lever
+        bristles = self._bristles.advance(speed, self._period)
+        force = self.adaptation.load_force(motion[0], speed, bristles, needed)
         last = self._forces[0] if self._forces else force
         whole = int(self._age)
         self._forces = [force, *self._forces[: whole + 1]]
@@ -213,7 +216,7 @@ class AdaptiveBackstepping:
 
     def diagnostics(self) -> dict[str, np.ndarray]:
         """Feedback [m/s], lumped disturbances, adapted leakage, lap, null and friction."""
-        viscous, coulomb, _, _ = self.adaptation.force.values
+        viscous, coulomb = self.adaptation.force.values[:2]
         return {
             "feedback": self._feedback,
             "unknown_force": self._unknown_force,

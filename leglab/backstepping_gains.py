@@ -28,7 +28,7 @@ def gains_text(models: Sequence[str]) -> str:
     lines = [
         "# Gains of adaptive_backstepping by `python -m leglab.backstepping_gains`: the smallest",
         f"# response to unknown flow and force with a sensitivity of at most {SENSITIVITY:g}",
-        "# at every pose and piston speed of the linearised nominal plant. Not to be edited by hand.",
+        "# at every pose and piston speed of the linearised nominal plant. Not to be edited.",
     ]
     for model in models:
         lines += ["", f"[{model}]"]

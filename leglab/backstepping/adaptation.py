@@ -1,5 +1,7 @@
 """Leakage, valve and friction parameters, estimated from the nominal machine's equations."""
 
+import math
+
 import numpy as np
 
 from leglab.backstepping.cylinder import CylinderModel
@@ -28,9 +30,11 @@ class Adaptation:
         Q_A - A_A v - V_A/beta p_A' = C_i (p_A - p_B) + C_A p_A
         Q_B + A_B v - V_B/beta p_B' = -C_i (p_A - p_B) + C_B p_B
 
-    Force in (b, F_c, d, s), with tau the nominal inverse dynamics of the measured motion:
+    Force in (b, F_c, s, d_0, d_1, d_2), with tau the nominal inverse dynamics of the measured
+    motion, z the bristles and q in half ranges from the middle; d is a load that the nominal
+    machine does not have, as that of a foot on the ground:
 
-        p_A A_A - p_B A_B = (1 + s) tau/r + b v + F_c z + d, z bristles
+        p_A A_A - p_B A_B = b v + F_c z + (1 + s) tau/r + d_0 + d_1 q + d_2 q^2
 
     Args:
         model: The nominal hydraulics.
@@ -39,12 +43,13 @@ class Adaptation:
         latency: Age of a measurement when its command is given [s].
         valve_delay: Of the spool behind its command [s].
         speed: No-load speed [m/s], (joints,).
-        memory: Time constant of forgetting while learning [s].
+        flow_memory: Time constant of forgetting of the flow equations while learning [s].
+        force_memory: The same of the force equation [s].
         dead_zone: Residuals up to so many times the noise teach nothing.
 
     Attributes:
         flow: Estimator of (C_i, C_A, C_B, null, lap).
-        force: Estimator of (b, F_c, d, s).
+        force: Estimator of (b, F_c, s, d_0, d_1, d_2).
     """
 
     def __init__(
@@ -56,13 +61,16 @@ class Adaptation:
         latency: float,
         valve_delay: float,
         speed: np.ndarray,
-        memory: float,
+        flow_memory: float,
+        force_memory: float,
         dead_zone: float,
     ) -> None:
         self._model, self._torque = model, torque
         data, joints = model.data, model.joints
         self._joints, self._bristles = joints, Bristles(data)
         self._step = _INTERVAL * period
+        low, high = data.position[:, 0], data.position[:, -1]
+        self._middle, self._half = (low + high) / 2, (high - low) / 2
         self._kernel = smoothing_kernel(_WINDOW, 4, period)[:3]
         # Every row is written twice, a window apart, so that a slice is always in order.
         self._rows = np.zeros((2 * _WINDOW, 4 * joints + 1))
@@ -73,22 +81,21 @@ class Adaptation:
         flow = data.orifice_gain * np.sqrt(data.supply_pressure)
         leak = 0.01 * flow / data.supply_pressure
         push = data.area[0] * data.supply_pressure
-        factor = float(np.exp(-_INTERVAL * period / memory))
         self.flow = BoundedLeastSquares(
             start=np.stack([data.internal_leakage, 0 * ones, 0 * ones, 0 * ones, data.lap]),
             scale=np.stack([leak, leak, leak, 0.005 * ones, 0.01 * ones]),
             lower=np.stack([0 * ones, 0 * ones, 0 * ones, -0.1 * ones, 0 * ones]),
             upper=np.stack([100 * leak, 100 * leak, 100 * leak, 0.1 * ones, 0.15 * ones]),
-            forgetting_factor=factor,
+            forgetting_factor=math.exp(-_INTERVAL * period / flow_memory),
             noise=_FLOW_NOISE * flow,
             dead_zone=dead_zone,
         )
         self.force = BoundedLeastSquares(
-            start=np.stack([data.viscous, data.coulomb, 0 * ones, 0 * ones]),
-            scale=np.stack([data.viscous, data.coulomb, 0.05 * push, 0.2 * ones]),
-            lower=np.stack([0 * ones, 0 * ones, -0.5 * push, -0.5 * ones]),
-            upper=np.stack([30 * data.viscous, 10 * data.coulomb, 0.5 * push, 2 * ones]),
-            forgetting_factor=factor,
+            start=np.stack([data.viscous, data.coulomb, *[0 * ones] * 4]),
+            scale=np.stack([data.viscous, data.coulomb, 0.2 * ones, *[0.2 * push] * 3]),
+            lower=np.stack([0 * ones, 0 * ones, -0.5 * ones, *[-push] * 3]),
+            upper=np.stack([30 * data.viscous, 10 * data.coulomb, 2 * ones, *[push] * 3]),
+            forgetting_factor=math.exp(-_INTERVAL * period / force_memory),
             noise=_FORCE_NOISE * push,
             dead_zone=dead_zone,
         )
@@ -177,9 +184,29 @@ class Adaptation:
         residual -= (row_b * (self.flow.values - before)).sum(axis=0)
         self.flow.update(row_b, residual, usable)
 
-        viscous, coulomb, offset, share = self.force.values
         needed = self._torque(motion[0], motion[1], motion[2]) / lever
         bristles = self._bristles.advance(speed, self._step)
         load = area[0] * pressure[0] - area[1] * pressure[1]
-        residual = load - (1 + share) * needed - viscous * speed - coulomb * bristles - offset
-        self.force.update(np.stack([speed, bristles, np.ones(joints), needed]), residual, usable)
+        row = self._force_regressor(motion[0], speed, bristles, needed)
+        residual = load - needed - (row * self.force.values).sum(axis=0)
+        self.force.update(row, residual, usable)
+
+    def _force_regressor(
+        self, position: np.ndarray, speed: np.ndarray, bristles: np.ndarray, needed: np.ndarray
+    ) -> np.ndarray:
+        place = (position - self._middle) / self._half
+        return np.stack([speed, bristles, needed, np.ones_like(place), place, place * place])
+
+    def load_force(
+        self, position: np.ndarray, speed: np.ndarray, bristles: np.ndarray, needed: np.ndarray
+    ) -> np.ndarray:
+        """Force that a motion needs as the parameters are now [N], (joints,).
+
+        Args:
+            position: Joint positions [rad], (joints,).
+            speed: Of the pistons [m/s], (joints,).
+            bristles: From `Bristles.advance`, (joints,).
+            needed: tau/r of the nominal machine [N], (joints,).
+        """
+        row = self._force_regressor(position, speed, bristles, needed)
+        return needed + (row * self.force.values).sum(axis=0)
