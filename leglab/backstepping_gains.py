@@ -12,7 +12,13 @@ import numpy as np
 
 import leglab.controllers
 from leglab.backstepping.data import BacksteppingGains
-from leglab.backstepping_tuning import SENSITIVITY, joint_loop, tune_joint
+from leglab.backstepping_tuning import (
+    SENSITIVITY,
+    SLOW_SENSITIVITY,
+    VALVE_SHARE,
+    joint_loop,
+    tuned_gains,
+)
 from leglab.gains import TUNED_MODELS
 from leglab.measurement import SensorConfiguration
 from leglab.simulation import Simulation, load_model
@@ -28,14 +34,16 @@ def gains_text(models: Sequence[str]) -> str:
     lines = [
         "# Gains of adaptive_backstepping by `python -m leglab.backstepping_gains`: the smallest",
         f"# response to unknown flow and force with a sensitivity of at most {SENSITIVITY:g}",
-        "# at every pose and piston speed of the linearised nominal plant. Not to be edited.",
+        "# at every pose and piston speed of the linearised nominal plant, slowed down for",
+        f"# {SLOW_SENSITIVITY:g} at {VALVE_SHARE:g} times the valves' bandwidth. Not to be edited.",
     ]
     for model in models:
         lines += ["", f"[{model}]"]
         lines += [f"{name} = {getattr(sensors, name)!r}" for name in _TIMING]
         simulation = Simulation(load_model(model))
         for joint, name in enumerate(simulation.joints):
-            gains, response, peak = tune_joint(joint_loop(simulation, joint, sensors))
+            gains = tuned_gains(simulation, joint, sensors)
+            response, peak = joint_loop(simulation, joint, sensors).judge(gains)
             values = [f"{key} = {getattr(gains, key)[0]:.4g}" for key in _NAMES]
             values += [f"response = {response:.3g}", f"sensitivity = {peak:.3f}"]
             lines.append(f"joints.{name} = {{ {', '.join(values)} }}")
@@ -60,10 +68,7 @@ def backstepping_gains(
     if known and all(name in joints for name in simulation.joints):
         rows = [joints[name] for name in simulation.joints]
         return BacksteppingGains(**{key: np.array([row[key] for row in rows]) for key in _NAMES})
-    tuned = [
-        tune_joint(joint_loop(simulation, joint, sensors))[0]
-        for joint in range(len(simulation.joints))
-    ]
+    tuned = [tuned_gains(simulation, joint, sensors) for joint in range(len(simulation.joints))]
     return BacksteppingGains(
         **{key: np.concatenate([getattr(gains, key) for gains in tuned]) for key in _NAMES}
     )

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import differential_evolution
@@ -22,6 +22,8 @@ from leglab.simulation import Simulation
 
 # Largest sensitivity |1/(1 + L)|: 2 leaves a gain margin of 6 dB and a phase margin of 29 degrees.
 SENSITIVITY = 2.0
+# The same with valves of this share of their bandwidth, which the controller does not know.
+VALVE_SHARE, SLOW_SENSITIVITY = 0.5, 3.0
 # Steps that the gains are judged by: so much of the no-load speed and of the piston's force.
 _STEP = 0.05
 # Bounds of the search, decades of (position_gain, force_drift, flow_drift) and force_damping.
@@ -159,13 +161,50 @@ class Loop:
         return worst, peak
 
 
-def joint_loop(simulation: Simulation, joint: int, sensors: SensorConfiguration) -> Loop:
-    """Prepares the judgement of one joint's gains on the nominal machine in its rest pose."""
+def joint_loop(
+    simulation: Simulation, joint: int, sensors: SensorConfiguration, *, valve_share: float = 1.0
+) -> Loop:
+    """Prepares the judgement of one joint's gains on the nominal machine in its rest pose.
+
+    Args:
+        simulation: The machine; it is left as it was.
+        joint: Index of the joint.
+        sensors: Sensors and timing.
+        valve_share: Bandwidth of the valve, as a share of the one that the controller knows.
+    """
     data = nominal_cylinders(simulation).joint(joint)
+    actuator = simulation.actuators[joint]
+    bandwidth = simulation.parameter(actuator, "bandwidth_hz")
+    simulation.set_parameter(actuator, "bandwidth_hz", valve_share * bandwidth)
     points = operating_points(
         simulation, joint, data, period=sensors.control_period, latency=sensors.latency
     )
+    simulation.set_parameter(actuator, "bandwidth_hz", bandwidth)
     return Loop(points, data, sensors)
+
+
+def tuned_gains(
+    simulation: Simulation, joint: int, sensors: SensorConfiguration
+) -> BacksteppingGains:
+    """Gains of one joint: the quickest within `SENSITIVITY`, slowed down for a slower valve."""
+    gains = tune_joint(joint_loop(simulation, joint, sensors))[0]
+    slower = joint_loop(simulation, joint, sensors, valve_share=VALVE_SHARE)
+    return derated(gains, slower)
+
+
+def derated(gains: BacksteppingGains, loop: Loop) -> BacksteppingGains:
+    """Scales position gain and drifts down until `SLOW_SENSITIVITY` is kept; a tenth at least."""
+    for factor in np.geomspace(1.0, 0.1, 19):
+        slower = replace(
+            gains,
+            position_gain=factor * gains.position_gain,
+            force_drift=factor * gains.force_drift,
+            flow_drift=factor * gains.flow_drift,
+        )
+        response, peak = loop.judge(slower)
+        if math.isfinite(response) and peak <= SLOW_SENSITIVITY:
+            break
+    return slower
 
 
 def gains_of(values: Sequence[float] | np.ndarray) -> BacksteppingGains:

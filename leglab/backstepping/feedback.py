@@ -6,6 +6,11 @@ from leglab.backstepping.cylinder import CylinderModel
 from leglab.backstepping.data import BacksteppingGains, NominalCylinders
 from leglab.backstepping.error_observer import ErrorObserver
 
+# Noise that the observer reckons with at least [rad], [Pa], that of the default sensors: with
+# better ones it would become so fast that the valve, which it takes for a delay, makes the loop
+# unstable.
+_LEAST_NOISE = (2e-5, 1.5e4)
+
 
 def no_load_speed(data: NominalCylinders) -> np.ndarray:
     """Piston speed of a fully open valve without load, retracting [m/s], (joints,).
@@ -64,8 +69,10 @@ class Feedback:
         speed = no_load_speed(data)
         noise = np.stack(
             [
-                np.abs(data.lever[:, middle]) * position_noise,
-                np.sqrt((data.area**2).sum(axis=0)) * pressure_noise / self.stiffness,
+                np.abs(data.lever[:, middle]) * max(position_noise, _LEAST_NOISE[0]),
+                np.sqrt((data.area**2).sum(axis=0))
+                * max(pressure_noise, _LEAST_NOISE[1])
+                / self.stiffness,
             ]
         )
         self.observer = ErrorObserver(
@@ -73,8 +80,7 @@ class Feedback:
             damping=data.viscous / data.mass,
             period=period,
             delay=latency + self.valve_delay,
-            # Sensors without noise would make the filter's equation singular.
-            noise=np.maximum(noise, 1e-9),
+            noise=noise,
             drift=np.stack([gains.force_drift * force / self.stiffness, gains.flow_drift * speed]),
         )
         k, zeta = gains.position_gain, gains.force_damping
