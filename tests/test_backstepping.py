@@ -2,6 +2,7 @@
 
 import math
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -73,16 +74,12 @@ def test_geometry_is_that_of_the_model(leg):
     low, high = simulation.joint_range().T
     position = low + 0.37 * (high - low)
     simulation.data.qpos[simulation.qpos_index] = position
-    import mujoco
-
     mujoco.mj_forward(simulation.model, simulation.data)
     lever, _ = model.geometry(position)
     np.testing.assert_allclose(lever, simulation.levers(), rtol=2e-3)
 
 
 def test_inverse_dynamics_accelerate_the_machine_as_asked(leg):
-    import mujoco
-
     dynamics = NominalDynamics(leg)
     rng = np.random.default_rng(0)
     q = leg.position() + 0.05 * rng.normal(size=6)
@@ -115,7 +112,7 @@ def test_observer_finds_unknown_force_and_flow():
     e = de = p = 0.0
     observer.start(np.zeros(1), np.zeros(1))
     for _ in range(1000):  # the error dynamics themselves, with a force and a flow lost
-        v = 10.0 * observer.predict(np.array([e]), np.array([p]))[0]
+        observer.predict(np.array([e]), np.array([p]))
         v = 10.0 * e + 0.2 * de - 50.0 * (p - phi) + eta
         observer.sent(np.array([v]))
         for _ in range(fine):
