@@ -140,9 +140,7 @@ def readaptation(cells: Cells, rig: str) -> Table:
                 found.append(settling_time(time, error, change, window, limit))
         never = [np.inf if t is None else t for t in fair]
         every += never
-        table.rows.append(
-            (label(name, severity), times(strict), times(fair), f"{max(never):.2f}")
-        )
+        table.rows.append((label(name, severity), times(strict), times(fair), f"{max(never):.2f}"))
     table.notes.append(
         f"Over all: median {np.median(every):.2f} s, worst {max(every):.2f} s; asked 2 s and 5 s."
     )
@@ -158,9 +156,7 @@ def safety(cells: Cells, rig: str) -> Table:
     over = []
     for name, severity in cases(cells):
         worst = (0.0, 0.0, 0.0, 0.0)
-        statics = {
-            r["settings"]["seed"]: r for r in cells[name, severity, "static_feedforward"]
-        }
+        statics = {r["settings"]["seed"]: r for r in cells[name, severity, "static_feedforward"]}
         for run in cells[name, severity, ADAPTIVE]:
             other = statics[run["settings"]["seed"]]
             for t, ours, theirs in zip(
@@ -171,7 +167,10 @@ def safety(cells: Cells, rig: str) -> Table:
         if worst[0] > 1.1:
             over.append(label(name, severity))
         table.rows.append(
-            (label(name, severity), *(f"{x:.{d}f}" for x, d in zip(worst, (2, 1, 2, 2), strict=True)))
+            (
+                label(name, severity),
+                *(f"{x:.{d}f}" for x, d in zip(worst, (2, 1, 2, 2), strict=True)),
+            )
         )
     table.notes.append(
         "Asked: at most 1.10. " + (f"Beyond: {', '.join(over)}." if over else "Holds in every row.")
@@ -204,7 +203,7 @@ def peers(cells: Cells, rig: str) -> Table:
             )
         )
     table.notes.append(
-        "Medians over seeds: from the change to the end, and the last 5 s (nominal: the whole run). "
+        "Medians over seeds: from the change to the end, and the last 5 s (nominal: all of it). "
         + (f"Worse than backstepping: {', '.join(lost)}." if lost else "Never worse.")
     )
     return table

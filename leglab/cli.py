@@ -13,7 +13,7 @@ from rich.table import Table
 from leglab import __version__
 from leglab.cli_compare import compare
 from leglab.errors import LeglabError
-from leglab.terminal import Json, Overwrite, errors, metrics_table, output, progress_bar
+from leglab.terminal import TOLERANCE, Json, Overwrite, errors, metrics_table, output, progress_bar
 
 app = typer.Typer(
     help="Testbed for hydraulic humanoid-leg control on MuJoCo.",
@@ -59,6 +59,7 @@ def run(
         str | None, typer.Option(help="walking_stride, random_stride, squat, sine_sweep or step.")
     ] = None,
     timestep: Annotated[float | None, typer.Option(help="Simulation step [s].")] = None,
+    tolerance: Annotated[float, typer.Option(help=TOLERANCE)] = 0.0,
     out: Annotated[
         Path | None,
         typer.Option(help="Output folder; default runs/SCENARIO-CONTROLLER-MODEL-SEED."),
@@ -82,6 +83,7 @@ def run(
         ramp_duration=ramp,
         reference=reference,
         timestep=timestep,
+        tolerance=tolerance,
     )
     check_folder(folder, overwrite=overwrite)
     with progress_bar() as bar:

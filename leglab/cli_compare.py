@@ -7,7 +7,15 @@ from typing import Annotated
 import typer
 
 from leglab.errors import LeglabError
-from leglab.terminal import Json, comparison_table, errors, output, print_wide, progress_bar
+from leglab.terminal import (
+    TOLERANCE,
+    Json,
+    comparison_table,
+    errors,
+    output,
+    print_wide,
+    progress_bar,
+)
 
 
 def compare(
@@ -25,6 +33,7 @@ def compare(
     ] = None,
     ramp: Annotated[float, typer.Option(help="Seconds the changes take; 0 is a step.")] = 0.0,
     reference: Annotated[str | None, typer.Option(help="Name of a reference trajectory.")] = None,
+    tolerance: Annotated[float, typer.Option(help=TOLERANCE)] = 0.0,
     jobs: Annotated[int, typer.Option(help="Processes at a time; -1: one a core.")] = -1,
     out: Annotated[Path, typer.Option(help="Output folder.")] = Path("runs/compare"),
     overwrite: Annotated[
@@ -53,6 +62,7 @@ def compare(
         severity=severity,
         ramp_duration=ramp,
         reference=reference,
+        tolerance=tolerance,
     )
     runs = comparison.runs()
     finished = 0

@@ -81,6 +81,14 @@ def velocity_delay(period: float, cutoff_hz: float) -> float:
     return period / 2 + period * (1 - a) / a
 
 
+def position_uncertainty(config: SensorConfiguration) -> float:
+    """RMS error of a measured position [rad]: noise, and rounding to counts by 1/sqrt(12)."""
+    if config.encoder_counts == 0:
+        return config.position_noise
+    step = 2.0 * math.pi / config.encoder_counts
+    return math.hypot(config.position_noise, step / math.sqrt(12.0))
+
+
 def quantise(position: np.ndarray, counts: int) -> np.ndarray:
     """Rounds positions [rad] to encoder counts; 0 counts a turn stand for infinite resolution."""
     if counts == 0:

@@ -1,7 +1,6 @@
 """One scenario from names to results: model, controller, closed loop, metrics."""
 
 import copy
-import functools
 import math
 import platform
 from collections.abc import Mapping
@@ -14,19 +13,21 @@ import numpy as np
 import leglab.controllers
 import leglab.scenarios  # noqa: F401  registers the scenarios
 from leglab import __version__
-from leglab.calibration import directions, settle, speed_limits, valve_maps
+from leglab.bench_runs import BENCH_SEED, bench_runs
+from leglab.calibration import settle, speed_limits
+from leglab.commissioning import controller_setup
 from leglab.configuration import validate_configuration
-from leglab.control import ControllerSetup, ReferencePoint, make_controller
+from leglab.control import make_controller
 from leglab.errors import LeglabError
 from leglab.feedforward.offline import BenchRun
-from leglab.gains import stored_gains, tuned_gains
-from leglab.measurement import SensorConfiguration, held, quantise, velocity_delay
+from leglab.measurement import SensorConfiguration, held, quantise
 from leglab.recording import Recording
 from leglab.references import Joint, Reference, make_reference
 from leglab.rollout import History, Progress, closed_loop
 from leglab.scenario import Scenario, get_scenario
 from leglab.simulation import Simulation, load_model
 from leglab.summary import summary
+from leglab.tolerance import check_tolerance, vary_bodies, vary_parameters
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +47,8 @@ class RunSettings:
         controller_config: Settings of the controller.
         sensors: Settings of sensors and timing.
         timestep: Of the simulation [s]; None for the model's own.
+        tolerance: Relative standard deviation of the machine's parameters about those that the
+            controller knows [1]; the seed picks the specimen.
     """
 
     scenario: str
@@ -60,6 +63,7 @@ class RunSettings:
     controller_config: Mapping[str, Any] = field(default_factory=dict)
     sensors: Mapping[str, Any] = field(default_factory=dict)
     timestep: float | None = None
+    tolerance: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,8 +114,10 @@ def run_scenario(settings: RunSettings, progress: Progress | None = None) -> Run
 
 
 def _run(settings: RunSettings, scenario: Scenario, progress: Progress | None = None) -> Run:
+    check_tolerance(settings.tolerance)
     sensors = validate_configuration(SensorConfiguration, settings.sensors, "sensors")
-    simulation = Simulation(load_model(settings.model, timestep=settings.timestep, visual=False))
+    model = load_model(settings.model, timestep=settings.timestep, visual=False)
+    simulation = Simulation(model)
     setup = controller_setup(simulation, settings.model, sensors)
     setup = replace(
         setup,
@@ -129,6 +135,11 @@ def _run(settings: RunSettings, scenario: Scenario, progress: Progress | None = 
         reference_config(settings, scenario),
         seed=settings.seed,
     )
+    if settings.tolerance:
+        specimen = copy.copy(model)
+        vary_bodies(specimen, settings.tolerance, settings.seed)
+        simulation = Simulation(specimen)
+        vary_parameters(simulation, settings.tolerance, settings.seed)
     settle(simulation)
     configuration = _configuration(settings, scenario, sensors, simulation, reference)
     history = closed_loop(
@@ -181,65 +192,16 @@ def reference_joints(simulation: Simulation) -> tuple[Joint, ...]:
     )
 
 
-def controller_setup(
-    simulation: Simulation,
-    model: str,
-    sensors: SensorConfiguration,
-) -> ControllerSetup:
-    """What a controller may know of the nominal machine.
-
-    Items: `direction` (joints,), `position_gain`, `velocity_gain` (joints,), `valve_maps`;
-    `latency` and `velocity_delay` of the sensors [s]. A run adds, for controllers that only serve
-    as a yardstick, `first_change` and `last_change`, when the machine is about to change [s], and
-    `bench_runs`, recordings of the machine before and after its changes.
-    """
-
-    @functools.cache
-    def gains() -> list[tuple[float, float]]:
-        return stored_gains(model, simulation, sensors) or tuned_gains(model, sensors)
-
-    return ControllerSetup(
-        joints=simulation.joints,
-        control_period=sensors.control_period,
-        machine={
-            "direction": directions(simulation),
-            "latency": sensors.latency,
-            "velocity_delay": velocity_delay(sensors.control_period, sensors.velocity_cutoff),
-            "position_gain": lambda: [gain[0] for gain in gains()],
-            "velocity_gain": lambda: [gain[1] for gain in gains()],
-            # A machine of its own: calibration moves it through its whole range.
-            "valve_maps": lambda: valve_maps(Simulation(copy.copy(simulation.model))),
-        },
-    )
-
-
-# Recordings for offline identification: their seed is none that a comparison uses.
-_BENCH_SEED, _BENCH_DURATION = 1_000_003, 40.0
-_BENCH_SETTLED = 10.0  # from then on the recorded motion is near the reference [s]
-_bench_cache: dict[str, BenchRun] = {}
-
-
 def _bench_runs(settings: RunSettings, scenario: Scenario) -> tuple[BenchRun, BenchRun]:
-    """Recordings on the machine before and after its changes, the adaptive controller moving it."""
-    settings = replace(settings, controller="bsnn_arx", controller_config={}, seed=_BENCH_SEED)
-    before = replace(scenario, duration=_BENCH_DURATION, changes=())
-    after = replace(scenario.changed_from_start(), duration=_BENCH_DURATION)
-    return _bench_run(settings, before), _bench_run(settings, after)
+    # The specimen is the seed's; the sensor noise could not be told from another.
+    seed = settings.seed if settings.tolerance else BENCH_SEED
+    settings = replace(settings, controller="bsnn_arx", controller_config={}, seed=seed)
 
+    def record(changed: Scenario) -> tuple[Recording, History]:
+        run = _run(settings, changed)
+        return run.recording, run.history
 
-def _bench_run(settings: RunSettings, scenario: Scenario) -> BenchRun:
-    key = repr((settings, scenario))
-    if key not in _bench_cache:
-        run = _run(settings, scenario)
-        recording = run.recording
-        kept = recording.time >= _BENCH_SETTLED
-        _bench_cache[key] = BenchRun(
-            time=recording.time[kept],
-            position=recording.stack(recording.joints, "position")[kept],
-            command=run.history.command[kept],
-            reference=ReferencePoint(*(part[kept] for part in run.history.reference)),
-        )
-    return _bench_cache[key]
+    return bench_runs(record, scenario, repr(settings))
 
 
 def _recording(

@@ -26,6 +26,7 @@ from leglab.errors import LeglabError, unknown_name
 from leglab.metrics import rms, sliding_rms
 from leglab.runner import Run, RunSettings, run_scenario
 from leglab.scenario import get_scenario
+from leglab.tolerance import check_tolerance
 
 # Distance of the stored samples of the windowed error [s].
 _TRACE_PERIOD = 0.02
@@ -51,6 +52,7 @@ class Comparison:
         severity: Of the changes; None for each scenario's own.
         ramp_duration: How long the changes take [s].
         reference: Name of the reference; None for each scenario's own.
+        tolerance: Of the machines about the one that controllers know [1]; a specimen a seed.
     """
 
     scenarios: tuple[str, ...]
@@ -61,10 +63,12 @@ class Comparison:
     severity: float | None = None
     ramp_duration: float = 0.0
     reference: str | None = None
+    tolerance: float = 0.0
 
     def __post_init__(self) -> None:
         if self.seeds < 1:
             raise LeglabError(f"seeds is {self.seeds}; allowed: 1 or more")
+        check_tolerance(self.tolerance)
         for kind in ("scenarios", "controllers"):
             names = getattr(self, kind)
             if not names:
@@ -95,6 +99,7 @@ class Comparison:
                 severity=self.severity,
                 ramp_duration=self.ramp_duration,
                 reference=self.reference,
+                tolerance=self.tolerance,
             )
             for scenario in self.scenarios
             for controller in self.controllers

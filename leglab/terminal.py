@@ -16,6 +16,10 @@ _WIDE = 120  # characters
 Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace the folder of an earlier run.")
 ]
+TOLERANCE = (
+    "Relative standard deviation of the machine's parameters about those that controllers know; "
+    "the seed picks the specimen."
+)
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 
 

@@ -5,11 +5,12 @@ import pytest
 
 import leglab.controllers  # noqa: F401
 from leglab.calibration import settle
+from leglab.commissioning import controller_setup
 from leglab.control import Measurement, ReferencePoint, make_controller
 from leglab.energy import EnergyBooks
 from leglab.measurement import SensorConfiguration
 from leglab.references import make_reference
-from leglab.runner import controller_setup, reference_joints
+from leglab.runner import reference_joints
 from leglab.simulation import Simulation, load_model
 
 PERIOD = 2e-3

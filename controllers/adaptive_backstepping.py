@@ -1,0 +1,252 @@
+"""The field's model-based way: adaptive robust control by backstepping, with measured pressures.
+
+Yao, Yang and Ma 2014, IEEE/ASME Trans. Mechatronics 19(2), 633, for the structure: position error,
+load force, valve flow, with leakage as adapted parameter and lumped disturbances in the force and
+the flow equation; Yao, Bu, Reedy and Chiu 2000, IEEE/ASME Trans. Mechatronics 5(1), 79, for the
+single-rod cylinder and for compensation at the reference. Equations and what each part knows:
+docs/adaptive_backstepping.md.
+"""
+
+import math
+
+import numpy as np
+from pydantic import Field
+
+from leglab.backstepping.adaptation import Adaptation
+from leglab.backstepping.cylinder import CylinderModel
+from leglab.backstepping.data import FORCE_CUTOFF, PRESSURE_CUTOFF, BacksteppingGains
+from leglab.backstepping.feedback import Feedback, no_load_speed
+from leglab.backstepping.friction import Bristles
+from leglab.configuration import Configuration
+from leglab.control import ControllerSetup, Measurement, ReferencePoint, register_controller
+from leglab.errors import LeglabError
+from leglab.feedforward.motion import ReferenceMotion
+
+_NAME = "adaptive_backstepping"
+_GAINS = ("position_gain", "force_damping", "force_drift", "flow_drift")
+
+
+class BacksteppingConfiguration(Configuration):
+    """Settings of `adaptive_backstepping`.
+
+    Attributes:
+        position_gain: k_1 [1/s], one a joint; None for the tuned gains of the model.
+        force_damping: Damping ratio wanted of the oil spring, one a joint; None as above.
+        force_drift: Random walk of the unknown force, in forces of the piston at supply pressure
+            [1/sqrt(s)], one a joint; None as above.
+        flow_drift: Random walk of the unknown flow, in flows at the no-load speed [1/sqrt(s)], one
+            a joint; None as above.
+        adapt: Whether leakage, valve and friction parameters are adapted. The lumped disturbances
+            are in any case.
+        flow_memory: Time constant with which leakage and valve forget while they learn [s].
+        force_memory: The same of friction and load [s].
+        dead_zone: Residuals up to so many times the noise teach nothing.
+        limit: Largest valve command.
+    """
+
+    position_gain: tuple[float, ...] | None = Field(default=None)
+    force_damping: tuple[float, ...] | None = Field(default=None)
+    force_drift: tuple[float, ...] | None = Field(default=None)
+    flow_drift: tuple[float, ...] | None = Field(default=None)
+    adapt: bool = Field(default=True)
+    flow_memory: float = Field(default=1.0, gt=0)
+    force_memory: float = Field(default=2.0, gt=0)
+    dead_zone: float = Field(default=0.5, ge=0)
+    limit: float = Field(default=1.0, gt=0, le=1)
+
+
+@register_controller(
+    _NAME,
+    summary="model-based adaptive robust control with measured pressures, leakage adapted",
+    configuration=BacksteppingConfiguration,
+)
+class AdaptiveBackstepping:
+    """Spool from the inverted flow equation at the reference, corrected by estimated errors.
+
+    Attributes:
+        adaptation: The adapted physical parameters.
+    """
+
+    uses_pressures = True
+
+    def __init__(self, setup: ControllerSetup, config: BacksteppingConfiguration) -> None:
+        data = setup.require("cylinders", _NAME)
+        latency = setup.require("latency", _NAME)
+        self._torque = setup.require("inverse_dynamics", _NAME)
+        self._model = model = CylinderModel(data)
+        self._period = period = setup.control_period
+        self._law = Feedback(
+            model,
+            _gains(setup, config),
+            position_noise=setup.require("position_noise", _NAME),
+            pressure_noise=setup.require("pressure_noise", _NAME),
+            period=period,
+            latency=latency,
+        )
+        self.adaptation = Adaptation(
+            model,
+            self._torque,
+            period=period,
+            latency=latency,
+            valve_delay=self._law.valve_delay,
+            speed=no_load_speed(data),
+            flow_memory=config.flow_memory,
+            force_memory=config.force_memory,
+            dead_zone=config.dead_zone,
+        )
+        # A command acts, on average, half a period and the valve's delay later.
+        lead = period / 2 + self._law.valve_delay
+        self._motion = ReferenceMotion(
+            len(setup.joints), period, lead=lead, position_delay=latency, velocity_delay=latency
+        )
+        # Periods from the force that a command is for back to the one that is measured now.
+        self._age = (lead + latency) / period
+        self._bristles = Bristles(data)
+        self._smoothing = -math.expm1(-PRESSURE_CUTOFF * period)
+        self._force_smoothing = -math.expm1(-FORCE_CUTOFF * period)
+        self._limit, self._adapt = config.limit, config.adapt
+        self._supply = data.supply_pressure
+        self._zeros = np.zeros(len(setup.joints))
+
+    def reset(self, measurement: Measurement) -> None:
+        """Starts a run with nominal parameters.
+
+        Raises:
+            LeglabError: There are no pressures among the measurements.
+        """
+        self.adaptation.reset()
+        self._bristles.reset()
+        self._motion.clear()
+        self._readings = np.nan_to_num(_stacked(measurement))
+        self._pressure = self._readings[1:]
+        self._sent = self._rate = self._feedback = self._zeros
+        self._forces: list[np.ndarray] = []
+
+    def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
+        """Valve commands, (joints,)."""
+        model, law = self._model, self._law
+        position, pressure, supply = self._read(measurement)
+        if self._adapt:
+            self.adaptation.take(position, pressure, supply, self._sent)
+        leakage, null, lap = self.adaptation.leakage, self.adaptation.null, self.adaptation.lap
+
+        motion, seen = self._motion.take(reference)
+        lever, piston = model.geometry(motion[0])
+        speed = lever * motion[1]
+        force, rate, earlier = self._forces_for(motion, lever, speed)
+
+        error = model.geometry(position)[0] * (seen.position - position)
+        area = model.data.area
+        load = area[0] * pressure[0] - area[1] * pressure[1]
+        force_error = (load - earlier) / law.stiffness
+        if len(self._forces) == 1:
+            law.observer.start(error, force_error)
+            self._unknown_force = law.unknown_force
+        wish = law(error, force_error)
+        self._unknown_force = self._unknown_force + self._force_smoothing * (
+            law.unknown_force - self._unknown_force
+        )
+        expected = self._expected_pressure(force + self._unknown_force, supply, piston)
+        chambers = model.chambers(expected, supply, piston)
+        known = rate + model.rate_for(speed, expected, leakage, chambers)
+        spool = model.spool_for(known + chambers.stiffness * wish, chambers, lap)
+        command = spool - null
+        self._sent = np.minimum(np.maximum(command, -self._limit), self._limit)
+        if (self._sent != command).any():
+            # The observer hears of what the valve can do, so that nothing winds up.
+            reached = model.rate_of(self._sent + null, chambers, lap) - known
+            wish = np.where(self._sent != command, reached / chambers.stiffness, wish)
+        law.observer.sent(wish)
+        self._feedback = wish
+        return self._sent
+
+    def _read(self, measurement: Measurement) -> tuple[np.ndarray, np.ndarray, float]:
+        """Positions, pressures (2, joints) and supply pressure; the last ones for what is lost."""
+        readings = _stacked(measurement)
+        if not np.isfinite(readings).all():
+            readings = np.where(np.isfinite(readings), readings, self._readings)
+        self._readings = readings
+        supply = measurement.supply_pressure
+        if supply is None or not math.isfinite(supply):
+            supply = float(self._supply.mean())
+        self._pressure = self._pressure + self._smoothing * (readings[1:] - self._pressure)
+        return readings[0], readings[1:], supply
+
+    def _forces_for(
+        self, motion: np.ndarray, lever: np.ndarray, speed: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Load force for the reference when the command acts, its rate, and the one measured now.
+
+        Args:
+            motion: Reference when the command acts, (4, joints).
+            lever: There [m/rad], (joints,).
+            speed: Of the pistons [m/s], (joints,).
+        """
+        needed = self._torque(motion[0], motion[1], motion[2]) / lever
+        bristles = self._bristles.advance(speed, self._period)
+        force = self.adaptation.load_force(motion[0], speed, bristles, needed)
+        last = self._forces[0] if self._forces else force
+        whole = int(self._age)
+        self._forces = [force, *self._forces[: whole + 1]]
+        # The difference is half a period old; another half of its change makes up for that.
+        before, self._rate = self._rate, (force - last) / self._period
+        rate = 1.5 * self._rate - 0.5 * before
+        newer = self._forces[min(whole, len(self._forces) - 1)]
+        older = self._forces[-1]
+        return force, rate, newer + (self._age - whole) * (older - newer)
+
+    def _expected_pressure(
+        self, force: np.ndarray, supply: float, piston: np.ndarray
+    ) -> np.ndarray:
+        """Pressures when the command acts [Pa], (2, joints).
+
+        The common mode w_B p_A + w_A p_B, which no motion of the piston changes, is measured; the
+        load force is the wanted one. With the measured one the inverse of the flow equation would
+        take away the damping that valve and leakage give the oil spring, and late at that.
+        """
+        model = self._model
+        chambers = model.chambers(self._pressure, supply, piston)
+        (weight_a, weight_b), area = chambers.weight, model.data.area
+        common = weight_b * self._pressure[0] + weight_a * self._pressure[1]
+        expected = np.empty_like(self._pressure)
+        expected[0] = area[1] * common + weight_a * force
+        expected[1] = area[0] * common - weight_b * force
+        expected /= chambers.stiffness
+        return np.minimum(np.maximum(expected, 0.0), supply)
+
+    def diagnostics(self) -> dict[str, np.ndarray]:
+        """Feedback [m/s], lumped disturbances, adapted leakage, lap, null and friction."""
+        viscous, coulomb = self.adaptation.force.values[:2]
+        return {
+            "feedback": self._feedback,
+            "unknown_force": self._unknown_force,
+            "unknown_flow": self._law.observer.state[:, 4],
+            "internal_leakage": self.adaptation.leakage[0],
+            "external_leakage_a": self.adaptation.leakage[1],
+            "external_leakage_b": self.adaptation.leakage[2],
+            "null": self.adaptation.null,
+            "lap": self.adaptation.lap,
+            "viscous": viscous,
+            "coulomb": coulomb,
+        }
+
+
+def _stacked(measurement: Measurement) -> np.ndarray:
+    """Positions and both pressures, (3, joints)."""
+    if measurement.pressure_a is None or measurement.pressure_b is None:
+        raise LeglabError(f"controller {_NAME!r} needs measured pressures, there are none")
+    return np.stack([measurement.position, measurement.pressure_a, measurement.pressure_b])
+
+
+def _gains(setup: ControllerSetup, config: BacksteppingConfiguration) -> BacksteppingGains:
+    given = {name: getattr(config, name) for name in _GAINS}
+    if any(values is None for values in given.values()):
+        tuned = setup.require("backstepping_gains", _NAME)
+        given = {
+            name: getattr(tuned, name) if values is None else values
+            for name, values in given.items()
+        }
+    for name, values in given.items():
+        if len(values) != len(setup.joints):
+            raise setup.wrong_length(name, values, _NAME)
+    return BacksteppingGains(**{name: np.asarray(v, dtype=float) for name, v in given.items()})

@@ -1,0 +1,1 @@
+"""Parts of the model-based adaptive controller; plain NumPy, no simulation."""

@@ -1,0 +1,76 @@
+"""Recursive least squares of many joints at once, within bounds."""
+
+import numpy as np
+
+
+class BoundedLeastSquares:
+    """Least squares with exponential forgetting, bounded gain and projection, one row a joint.
+
+    The parameter estimation of indirect adaptive robust control (Mohanty and Yao 2011, IEEE Trans.
+    Control Syst. Technol. 19(3), 567): physical parameters by least squares from the dynamics of
+    the plant instead of from the tracking error, projected onto known bounds, with a dead zone.
+
+    Args:
+        start: First parameters, (parameters, joints).
+        scale: Size of a change worth expecting, (parameters, joints).
+        lower: Bounds, (parameters, joints).
+        upper: (parameters, joints).
+        forgetting_factor: Of one update.
+        noise: RMS of a residual without any change, (joints,).
+        dead_zone: Residuals up to so many times the noise teach nothing.
+
+    Attributes:
+        values: Parameters, (parameters, joints).
+    """
+
+    def __init__(
+        self,
+        *,
+        start: np.ndarray,
+        scale: np.ndarray,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        forgetting_factor: float,
+        noise: np.ndarray,
+        dead_zone: float,
+    ) -> None:
+        self._start, self._scale = start, scale
+        self._lower, self._upper = lower, upper
+        self._factor, self._noise = forgetting_factor, noise
+        self._dead, self._largest = dead_zone, 40.0
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets everything learned."""
+        parameters, joints = self._start.shape
+        self.values = self._start.copy()
+        self._gain = np.tile(np.eye(parameters), (joints, 1, 1))
+
+    def update(self, regressor: np.ndarray, residual: np.ndarray, usable: np.ndarray) -> None:
+        """Takes one equation a joint: residual = regressor . (true - present parameters).
+
+        Args:
+            regressor: (parameters, joints), in physical units.
+            residual: (joints,).
+            usable: Joints whose equation is to be used, (joints,).
+        """
+        scaled = residual / self._noise
+        # A residual far out of proportion is a bad sample more often than a big change.
+        scaled = np.minimum(np.maximum(scaled, -self._largest), self._largest)
+        usable = usable & (np.abs(scaled) > self._dead)  # false for NaN
+        if not usable.any():
+            return
+        phi = (regressor * self._scale / self._noise).T
+        phi = np.where(usable[:, None], phi, 0.0)
+        scaled = np.where(usable, scaled, 0.0)
+        projected = np.matmul(self._gain, phi[:, :, None])[:, :, 0]
+        step = projected / (self._factor + np.einsum("ij,ij->i", phi, projected))[:, None]
+        self.values = self.values + self._scale * (step * scaled[:, None]).T
+        gain = self._gain - step[:, :, None] * projected[:, None, :]
+        # What is forgotten is replaced by what was known at the start: inverse gain 1 of itself.
+        new = (1.0 - self._factor) * usable
+        pull = new[:, None] * ((self._start - self.values) / self._scale).T
+        self.values = self.values + self._scale * np.matmul(gain, pull[:, :, None])[:, :, 0].T
+        gain = gain + new[:, None, None] * (gain - np.matmul(gain, gain))
+        self._gain = gain
+        self.values = np.minimum(np.maximum(self.values, self._lower), self._upper)

@@ -1,0 +1,58 @@
+"""What a controller may know of the nominal machine, from its data sheets and its calibration."""
+
+import copy
+import functools
+
+from leglab.backstepping_gains import backstepping_gains
+from leglab.calibration import directions, valve_maps
+from leglab.control import ControllerSetup
+from leglab.gains import stored_gains, tuned_gains
+from leglab.measurement import SensorConfiguration, position_uncertainty, velocity_delay
+from leglab.nominal import NominalDynamics, nominal_cylinders
+from leglab.simulation import Simulation
+
+
+def controller_setup(
+    simulation: Simulation, model: str, sensors: SensorConfiguration
+) -> ControllerSetup:
+    """Measures what a controller may know.
+
+    Items: `direction` (joints,), `position_gain`, `velocity_gain` (joints,), `valve_maps`;
+    `latency` and `velocity_delay` of the sensors [s], their `position_noise` [rad] and
+    `pressure_noise` [Pa]; `cylinders` and `inverse_dynamics`, the nominal hydraulics and rigid
+    bodies (`leglab.nominal`), and `backstepping_gains` for them. What takes long is done when
+    somebody asks. A run adds, for controllers that only serve as a yardstick, `first_change` and
+    `last_change`, when the machine is about to change [s], and `bench_runs`, recordings of the
+    machine before and after its changes.
+
+    Args:
+        simulation: The nominal machine in its rest pose.
+        model: Its name, by which tuned gains are stored.
+        sensors: Of the run.
+    """
+
+    @functools.cache
+    def gains() -> list[tuple[float, float]]:
+        return stored_gains(model, simulation, sensors) or tuned_gains(model, sensors)
+
+    def machine() -> Simulation:
+        # One of its own: calibration moves it through its whole range.
+        return Simulation(copy.copy(simulation.model))
+
+    return ControllerSetup(
+        joints=simulation.joints,
+        control_period=sensors.control_period,
+        machine={
+            "direction": directions(simulation),
+            "latency": sensors.latency,
+            "velocity_delay": velocity_delay(sensors.control_period, sensors.velocity_cutoff),
+            "position_gain": lambda: [gain[0] for gain in gains()],
+            "velocity_gain": lambda: [gain[1] for gain in gains()],
+            "valve_maps": lambda: valve_maps(machine()),
+            "cylinders": lambda: nominal_cylinders(machine()),
+            "inverse_dynamics": lambda: NominalDynamics(machine()),
+            "backstepping_gains": lambda: backstepping_gains(model, machine(), sensors),
+            "position_noise": position_uncertainty(sensors),
+            "pressure_noise": sensors.pressure_noise,
+        },
+    )
