@@ -103,7 +103,6 @@ class Rig:
 RIGS = {
     "leg, walking": Rig(model="leg", reference=None, controllers=ALL[1:], seeds=10),
     "leg, squat": Rig(model="leg", reference="squat", controllers=NEEDED, seeds=10),
-    "leg, random stride": Rig(model="leg", reference="random_stride", controllers=NEEDED),
     "knee_bench, walking": Rig(model="knee_bench", reference=None, controllers=ALL[1:]),
     "leg_rail, squat": Rig(model="leg_rail", reference="squat", controllers=SAFETY),
     "leg, walking, specimens 10 % off the drawing": Rig(
@@ -115,6 +114,7 @@ RIGS = {
         only=("nominal", "seal_wear", "cold_oil", "hot_oil", "supply_drop", "payload"),
         tolerance=0.1,
     ),
+    "leg, random stride": Rig(model="leg", reference="random_stride", controllers=NEEDED),
 }
 
 
