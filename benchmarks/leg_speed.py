@@ -1,8 +1,8 @@
 """What six cylinders cost: `python benchmarks/leg_speed.py`. Ratios of one run on one core.
 
 The step of leg.xml against the same leg with native motors on the same tendons, and the closed
-loop against real time, with PD and with six adaptive identifiers. Measurements alternate and each figure is its best burst, so that
-other work on the machine disturbs both sides alike.
+loop against real time, with PD and with six adaptive identifiers. Measurements alternate and each
+figure is its best burst, so that other work on the machine disturbs both sides alike.
 """
 
 import time

@@ -1,6 +1,7 @@
 """The deployed adaptive feed-forward beside PD: the machine's inverse map, learned as it moves."""
 
 import math
+from typing import Literal
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -32,6 +33,8 @@ class AdaptiveConfiguration(PdConfiguration):
         restore_interval: Learned samples from one parameter to the next that is drawn back to the
             calibration by as much as was forgotten since its last turn; 0 for never.
         restore_gain: Variance of the parameters about the calibration by which they are drawn.
+        route: "inverse" learns what flow a motion takes; "forward" learns what speed a flow gives
+            and solves for the flow.
         velocity_splines: Splines of velocity; 0 for a linear map.
         position_splines: Splines of position; 0 for a linear term.
         limit: Largest feed-forward [valve command].
@@ -53,6 +56,7 @@ class AdaptiveConfiguration(PdConfiguration):
     least_forgetting_factor: float = Field(default=0.99, ge=0.5, le=1)
     restore_interval: int = Field(default=1, ge=0)
     restore_gain: float = Field(default=30.0, gt=0)
+    route: Literal["inverse", "forward"] = Field(default="inverse")
     velocity_splines: int = Field(default=12, ge=0, le=100)
     position_splines: int = Field(default=5, ge=0, le=100)
     limit: float = Field(default=0.95, gt=0, le=1)
@@ -122,6 +126,7 @@ class AdaptiveController:
                 limit=config.limit,
                 rate_limit=config.rate_limit,
                 least_speed=config.least_speed,
+                forward=config.route == "forward",
                 supervised=supervised,
             ),
         )

@@ -23,6 +23,7 @@ SETTINGS = AdaptationSettings(
     limit=0.9,
     rate_limit=40.0,
     least_speed=1e-3,
+    forward=False,
     supervised=True,
 )
 RLS = Rls(
@@ -58,9 +59,11 @@ def parts_of(feedforward, table, inverse_map, settings, position_gain, monkeypat
     return made, seen
 
 
-@pytest.mark.parametrize("splines", [(10, 4), (0, 0)])
-@pytest.mark.parametrize("supervised", [True, False])
-def test_core_agrees_with_numpy(splines, supervised, monkeypatch):
+@pytest.mark.parametrize(
+    ("splines", "supervised", "forward"),
+    [((10, 4), True, False), ((0, 0), True, False), ((10, 4), False, False), ((10, 4), True, True)],
+)
+def test_core_agrees_with_numpy(splines, supervised, forward, monkeypatch):
     import leglab.feedforward.adaptive as module
 
     signs = np.array([1.0, -1.0])
@@ -68,7 +71,7 @@ def test_core_agrees_with_numpy(splines, supervised, monkeypatch):
     table = ValveTable.of(maps, signs)
     ranges = MotionRange(lower=np.full(2, -1.0), upper=np.full(2, 0.8), speed=np.full(2, 4.0))
     inverse_map = InverseMap(ranges, RLS, velocity_splines=splines[0], position_splines=splines[1])
-    settings = dataclasses.replace(SETTINGS, supervised=supervised)
+    settings = dataclasses.replace(SETTINGS, supervised=supervised, forward=forward)
     made, parts = parts_of(module, table, inverse_map, settings, 2.0 * signs, monkeypatch)
     made.reset()
     other = oracle.Feedforward(parts, table, inverse_map.learner())

@@ -76,9 +76,9 @@ def main() -> None:
     options = parser.parse_args()
     known = read() if BANDS.exists() else {}
     lines = [
-        "# RMS tracking errors [mrad], by `python -m tests.tracking_bands --write`; not to be edited.",
-        f"# MuJoCo {mujoco.__version__}, NumPy {np.__version__}, leglab {metadata.version('leglab')},"
-        f" Python {platform.python_version()}, {platform.machine()}.",
+        "# RMS tracking errors [mrad]. Not to be edited: `python -m tests.tracking_bands --write`.",
+        f"# MuJoCo {mujoco.__version__}, NumPy {np.__version__}, Python {platform.python_version()}, "
+        f"leglab {metadata.version('leglab')}, {platform.machine()}.",
     ]
     for case, settings in CASES.items():
         have = measure(**settings)

@@ -33,6 +33,8 @@ class AdaptationSettings:
         limit: Largest feed-forward [valve command].
         rate_limit: Fastest change of the feed-forward [1/s].
         least_speed: Nothing is learned while all joints are slower, as a share of their full speed.
+        forward: Whether the learner says what speed a flow gives, which is then solved for the
+            flow, instead of what flow a speed takes.
         supervised: Whether the calibrated map takes over where it would track better.
         trust_time: Time constant of the errors by which both maps are judged [s].
         margin: The calibrated map takes over where the learned one's RMS error is so many times
@@ -48,6 +50,7 @@ class AdaptationSettings:
     limit: float
     rate_limit: float
     least_speed: float
+    forward: bool
     supervised: bool
     trust_time: float = 0.5
     margin: float = 1.05
@@ -107,6 +110,7 @@ class AdaptiveFeedforward:
                 "least_speed": settings.least_speed,
                 "saturation": settings.limit,
                 "greatest_acceleration": _GREATEST_ACCELERATION,
+                "forward": settings.forward,
                 "supervised": settings.supervised,
                 "trust_time": settings.trust_time,
                 "margin": settings.margin,

@@ -44,18 +44,19 @@ class Feedforward:
         self.squares = np.zeros((2, self.joints))
         self.fallback = np.zeros(self.joints, dtype=bool)
 
-    def inputs(self, motion):
+    def inputs(self, motion, flow=None):
         p, n = self.p, self.joints
         q = (motion[0] - p["centre"]) / p["half_range"]
         v = motion[1] / p["full_speed"]
+        own = v if flow is None else flow
         a, j = motion[2] / p["acceleration"], motion[3] / p["jerk"]
         out = []
         for i in range(n):
-            row = [v[i], j[i]] + ([v[i] * q[i]] if p["products"] else [])
+            row = [own[i], j[i]] + ([own[i] * q[i]] if p["products"] else [])
             for k in np.roll(np.arange(n), -i):
                 row += [a[k], q[k]] + ([v[k]] if k != i else [])
                 if p["products"]:
-                    row += [abs(v[i]) * a[k], abs(v[i]) * q[k]]
+                    row += [abs(own[i]) * a[k], abs(own[i]) * q[k]]
             out.append(row)
         return np.array(out), v
 
@@ -76,7 +77,8 @@ class Feedforward:
             return
         positions, flows, commands = (np.array(part) for part in zip(*self.rows, strict=True))
         motion = np.array([weights @ positions for weights in self.kernel])
-        inputs, v = self.inputs(motion)
+        flow = self.kernel[0] @ flows
+        inputs, v = self.inputs(motion, flow if p["forward"] else None)
         if not np.abs(v).max() >= p["least_speed"]:
             return
         usable = (
@@ -84,7 +86,7 @@ class Feedforward:
             & (motion[0] > p["learn_lower"])
             & (motion[0] < p["learn_upper"])
         )
-        self.learner.update(inputs, np.where(usable, self.kernel[0] @ flows - v, np.nan))
+        self.learner.update(inputs, np.where(usable, flow - v, np.nan))
 
     def step(self, time, position, reference):
         p, h = self.p, self.p["control_period"]
@@ -104,6 +106,8 @@ class Feedforward:
         motion = np.array(at(p["lead"]))
         inputs, v = self.inputs(motion)
         excess = self.learner.predict(inputs)
+        for _ in range(3 if p["forward"] else 0):
+            excess = self.learner.predict(self.inputs(motion, v + excess)[0])
         seen = at(-p["position_delay"])[0]
         out = np.empty(self.joints)
         for j in range(self.joints):

@@ -64,6 +64,7 @@ class Feedforward {
     out.least_speed = number(parts, "least_speed");
     out.saturation = number(parts, "saturation");
     out.acceleration = number(parts, "greatest_acceleration");
+    out.forward = nb::cast<bool>(parts["forward"]);
     out.supervised = nb::cast<bool>(parts["supervised"]);
     out.trust_time = number(parts, "trust_time");
     out.margin = number(parts, "margin");

@@ -21,6 +21,7 @@ struct AdaptiveSettings {
   double least_speed = 0.0;     // share of full speed below which nothing is learned
   double saturation = 1.0;      // a window with a larger command teaches nothing
   double acceleration = 0.0;    // greatest that a joint can have [rad/s^2]
+  bool forward = false;         // learns the speed that a flow gives, and solves for the flow
   bool supervised = true;
   double trust_time = 0.0;      // time constant of the errors that are compared [s]
   double margin = 1.0;          // learned over calibrated RMS at which the calibration takes over
@@ -78,9 +79,8 @@ class AdaptiveFeedforward {
     for (int i = 0; i < map_.joints(); ++i) {
       const std::size_t j = std::size_t(i);
       const double share = map_.share(i);
-      map_.inputs(i, inputs_);
       const ValveTable& table = tables_[j];
-      const double learned = allowed(table.command(motion_[j], share + learners_[j]->peek(inputs_)));
+      const double learned = allowed(table.command(motion_[j], wanted_flow(i, share)));
       const double calibrated = allowed(table.command(motion_[j], share));
       if (settings_.supervised) {
         supervise(j, measured[j] - seen_position[j],
@@ -98,6 +98,17 @@ class AdaptiveFeedforward {
   }
 
  private:
+  // Flow for a motion, as a share of full speed. What the forward model says is lost of a flow
+  // changes slowly with it: a few substitutions find the flow that leaves the speed.
+  double wanted_flow(int i, double share) {
+    double flow = share;
+    for (int k = 0; k < (settings_.forward ? 4 : 1); ++k) {
+      map_.inputs(i, flow, inputs_);
+      flow = share + learners_[std::size_t(i)]->peek(inputs_);
+    }
+    return flow;
+  }
+
   double allowed(double command) const {
     return std::clamp(command, -settings_.limit, settings_.limit);
   }
@@ -132,7 +143,7 @@ class AdaptiveFeedforward {
 
   void learn_joint(int i) {
     const std::size_t j = std::size_t(i);
-    map_.inputs(i, inputs_);
+    map_.inputs(i, settings_.forward ? flow_[j] : map_.share(i), inputs_);
     const double excess = flow_[j] - map_.share(i);
     const bool usable = window_.largest_command(i) < settings_.saturation &&
                         motion_[j] > lower_[j] && motion_[j] < upper_[j];

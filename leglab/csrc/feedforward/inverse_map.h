@@ -44,12 +44,13 @@ class InverseMap {
     return most;
   }
 
-  void inputs(int joint, double* out) const {
+  // own: share of full speed that stands for the joint's own v_i.
+  void inputs(int joint, double own, double* out) const {
     const std::size_t i = std::size_t(joint);
-    const double speed = std::abs(v_[i]);
-    *out++ = v_[i];
+    const double speed = std::abs(own);
+    *out++ = own;
     *out++ = j_[i];
-    if (products_) *out++ = v_[i] * q_[i];
+    if (products_) *out++ = own * q_[i];
     for (int other = 0; other < joints_; ++other) {
       const std::size_t k = std::size_t((joint + other) % joints_);
       *out++ = a_[k];
