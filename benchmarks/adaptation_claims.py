@@ -101,9 +101,11 @@ class Rig:
 
 
 RIGS = {
-    "leg, walking": Rig(model="leg", reference=None, controllers=ALL[1:], seeds=10),
-    "leg, squat": Rig(model="leg", reference="squat", controllers=NEEDED, seeds=5),
-    "knee_bench, walking": Rig(model="knee_bench", reference=None, controllers=ALL[1:]),
+    "leg, walking": Rig(model="leg", reference=None, controllers=ALL[1:], seeds=10, peer_seeds=2),
+    "leg, squat": Rig(model="leg", reference="squat", controllers=NEEDED, seeds=10),
+    "knee_bench, walking": Rig(
+        model="knee_bench", reference=None, controllers=ALL[1:], peer_seeds=2
+    ),
     "leg_rail, squat": Rig(model="leg_rail", reference="squat", controllers=SAFETY),
     "leg, walking, specimens 10 % off the drawing": Rig(
         model="leg",

@@ -44,7 +44,8 @@ class BoundedLeastSquares:
         """Forgets everything learned."""
         parameters, joints = self._start.shape
         self.values = self._start.copy()
-        self._gain = np.tile(np.eye(parameters), (joints, 1, 1))
+        self._identity = np.eye(parameters)
+        self._information = np.tile(self._identity, (joints, 1, 1))
 
     def update(self, regressor: np.ndarray, residual: np.ndarray, usable: np.ndarray) -> None:
         """Takes one equation a joint: residual = regressor . (true - present parameters).
@@ -63,14 +64,14 @@ class BoundedLeastSquares:
         phi = (regressor * self._scale / self._noise).T
         phi = np.where(usable[:, None], phi, 0.0)
         scaled = np.where(usable, scaled, 0.0)
-        projected = np.matmul(self._gain, phi[:, :, None])[:, :, 0]
-        step = projected / (self._factor + np.einsum("ij,ij->i", phi, projected))[:, None]
-        self.values = self.values + self._scale * (step * scaled[:, None]).T
-        gain = self._gain - step[:, :, None] * projected[:, None, :]
-        # What is forgotten is replaced by what was known at the start: inverse gain 1 of itself.
-        new = (1.0 - self._factor) * usable
+        # What is forgotten is replaced by what was known at the start: information 1 of itself. So
+        # the information matrix is never below one, and rounding cannot make it indefinite.
+        new = np.where(usable, 1.0 - self._factor, 0.0)
+        information = self._information
+        information *= (1.0 - new)[:, None, None]
+        information += new[:, None, None] * self._identity
+        information += phi[:, :, None] * phi[:, None, :]
         pull = new[:, None] * ((self._start - self.values) / self._scale).T
-        self.values = self.values + self._scale * np.matmul(gain, pull[:, :, None])[:, :, 0].T
-        gain = gain + new[:, None, None] * (gain - np.matmul(gain, gain))
-        self._gain = gain
+        step = np.linalg.solve(information, (pull + phi * scaled[:, None])[:, :, None])[:, :, 0]
+        self.values = self.values + self._scale * step.T
         self.values = np.minimum(np.maximum(self.values, self._lower), self._upper)

@@ -1,0 +1,84 @@
+"""What adaptive control is measured against: the oracle, and machines off their drawing."""
+
+import numpy as np
+import pytest
+
+from leglab.errors import LeglabError
+from leglab.runner import Run, RunSettings, run_scenario
+from leglab.scenario import get_scenario
+from leglab.simulation import Simulation, load_model
+from leglab.tolerance import vary_bodies, vary_parameters
+
+
+def run(controller: str, **settings) -> Run:
+    options = {"scenario": "seal_wear", "model": "knee_bench", "duration": 12.0, **settings}
+    return run_scenario(RunSettings(controller=controller, **options))
+
+
+def rms(result: Run, start: float, end: float) -> float:
+    time = result.history.time
+    return float(np.sqrt(np.mean(result.history.error[(time >= start) & (time < end)] ** 2)))
+
+
+def test_oracle_knows_both_machines_from_the_first_stride_on():
+    oracle, frozen, static = (run(name) for name in ("oracle", "frozen", "static_feedforward"))
+    assert rms(oracle, 2, 6) < rms(static, 2, 6) / 4
+    assert rms(oracle, 7, 12) < rms(frozen, 7, 12) / 10
+    # Nothing is learned: the second stride on a machine is like the fourth.
+    assert rms(oracle, 7.2, 8.4) == pytest.approx(rms(oracle, 9.6, 10.8), rel=0.05)
+
+
+def test_scenario_of_a_machine_that_has_changed_before():
+    scenario = get_scenario("seal_wear", ramp_duration=2.0)
+    changed = scenario.changed_from_start()
+    assert [c.start for c in changed.changes] == [0.0]
+    nominal = 2e-13
+    assert changed.value_at(0.0, "internal_leakage", "knee_valve", nominal) == pytest.approx(
+        scenario.value_at(19.0, "internal_leakage", "knee_valve", nominal)
+    )
+
+
+def test_specimens_differ_by_the_tolerance_and_only_in_what_is_made():
+    drawing = load_model("leg", visual=False)
+    names = ("rated_flow", "internal_leakage", "viscous")
+    ratios = []
+    for seed in range(30):
+        simulation = Simulation(drawing)
+        base = {(a, n): simulation.parameter(a, n) for a in simulation.actuators for n in names}
+        bore = [simulation.parameter(a, "bore") for a in simulation.actuators]
+        vary_parameters(simulation, 0.1, seed)
+        assert [simulation.parameter(a, "bore") for a in simulation.actuators] == bore
+        ratios += [simulation.parameter(*key) / value for key, value in base.items()]
+        for actuator in simulation.actuators:
+            sheet = simulation.cylinder_parameters(actuator)
+            assert sheet["static"] >= sheet["coulomb"]
+    logs = np.log(ratios)
+    assert len(set(ratios)) == len(ratios)
+    assert np.std(logs) == pytest.approx(0.1, rel=0.15)
+    assert abs(np.mean(logs)) < 0.02
+
+    specimen = load_model("leg", visual=False)
+    vary_bodies(specimen, 0.1, 3)
+    moving = drawing.body_mass > 0
+    ratio = specimen.body_mass[moving] / drawing.body_mass[moving]
+    assert 0.03 < np.std(np.log(ratio)) < 0.2
+    np.testing.assert_allclose(
+        specimen.body_inertia[moving] / drawing.body_inertia[moving], ratio[:, None].repeat(3, 1)
+    )
+    # What MuJoCo derives from the masses has followed.
+    assert not np.allclose(specimen.dof_invweight0, drawing.dof_invweight0)
+
+
+def test_a_specimen_is_the_seeds_and_the_controller_knows_the_drawing_alone():
+    one, again = (run("static_feedforward", tolerance=0.1, seed=2, duration=3.0) for _ in range(2))
+    np.testing.assert_array_equal(one.history.position, again.history.position)
+    plain = run("static_feedforward", seed=2, duration=3.0)
+    assert rms(one, 1, 3) != pytest.approx(rms(plain, 1, 3), rel=0.02)
+    first = one.history.diagnostics["feedforward"][0], plain.history.diagnostics["feedforward"][0]
+    np.testing.assert_array_equal(*first)
+
+
+@pytest.mark.parametrize("tolerance", [-0.1, 0.5, float("nan")])
+def test_impossible_tolerances_are_refused(tolerance):
+    with pytest.raises(LeglabError, match=r"tolerance .* is outside \[0, 0.3\]"):
+        run("pd", tolerance=tolerance)
