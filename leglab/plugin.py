@@ -17,6 +17,8 @@ _TEXT_ATTRIBUTES = {
     "leglab.cylinder": ("supply",),
     "leglab.spring_damper": ("joint", "strut"),
     "leglab.joint_friction": ("joint",),
+    "leglab.backlash": ("joint",),
+    "leglab.command_path": ("actuator", "max_delay"),
     "leglab.sensor": ("actuator", "quantity"),
 }
 _UNKNOWN_ATTRIBUTE = re.compile(
