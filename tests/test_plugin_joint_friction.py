@@ -123,7 +123,7 @@ def test_stick_slip_frequency_of_a_drawn_mass():
     element = friction(coulomb=coulomb, static=static, stribeck_velocity=0.01, **BRISTLE)
     servo = f'<position name="drive" joint="axis" kp="{stiffness}"/>'
     xml = slide(element, actuator=servo, timestep=5e-4)
-    t, q, v, _ = run(xml, 12.0, lambda t: speed * t)
+    t, _, v, _ = run(xml, 12.0, lambda t: speed * t)
     # A slip moves by 2 (F_s - F_c)/k and lasts half a period of k and m; sticking takes the rest.
     cycle = 2 * (static - coulomb) / stiffness / speed
     starts = t[1:][(v[1:] > 0.05) & (v[:-1] <= 0.05)]
