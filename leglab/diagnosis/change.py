@@ -23,6 +23,8 @@ class Measured:
         period: Sampling period [s].
         position: Joint positions by joint, each (n,).
         velocity: Joint velocities by joint, each (n,).
+        piston_velocity: d(actuator length)/dt of the cylinders by actuator [m/s], each (n,).
+        lever: d(actuator length)/d(joint position) of the cylinders by actuator, each (n,).
         command: What reaches each actuator (command path applied), each (n,).
         pressure: Pressures by "<joint>_pressure_a" and so on, each (n,), where measured.
         samples: Where windows start, shape (windows,).
@@ -31,6 +33,8 @@ class Measured:
     period: float
     position: dict[str, np.ndarray]
     velocity: dict[str, np.ndarray]
+    piston_velocity: dict[str, np.ndarray]
+    lever: dict[str, np.ndarray]
     command: dict[str, np.ndarray]
     pressure: dict[str, np.ndarray]
     samples: np.ndarray

@@ -28,12 +28,14 @@ class Variant:
     Attributes:
         model: Compiled at the replay's time step.
         elements: Place in `plugin_state` and table of every plugin instance, by name.
+        joint_of: Joint that a passive instance acts on, by instance.
         plugin_state: After a reset, shape (npluginstate,): parameters and initial states.
         qpos: Positions after a reset, shape (nq,).
     """
 
     model: mujoco.MjModel
     elements: dict[str, tuple[int, PluginTable]]
+    joint_of: dict[str, str]
     plugin_state: np.ndarray
     qpos: np.ndarray
 
@@ -102,10 +104,11 @@ class Machine:
 
     def spec(self) -> mujoco.MjSpec:
         """A fresh copy of the model's specification, as in the file."""
+        # MjSpec.copy() of MuJoCo 3.17.0 loses passive plugin instances.
         return mujoco.MjSpec.from_file(str(self.path))
 
     def instances(self, plugin: str) -> tuple[str, ...]:
-        """Names of the unmodified model's instances of a plugin; a cylinder goes by its actuator."""
+        """Names of a plugin's instances in the unmodified model; a cylinder goes by its actuator."""
         return tuple(name for name, (_, t) in self.base.elements.items() if t.plugin == plugin)
 
     def native_actuators(self) -> tuple[str, ...]:
@@ -134,7 +137,7 @@ class Machine:
         if key in self._variants:
             self._variants.move_to_end(key)
             return self._variants[key]
-        spec = self._spec.copy()
+        spec = self.spec()
         spec.option.timestep = self._timestep
         spec.compiler.discardvisual = True
         spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
@@ -149,6 +152,11 @@ class Machine:
         variant = Variant(
             model=model,
             elements=leglab.plugin.elements(model),
+            joint_of={
+                plugin.name: plugin.config["joint"]
+                for plugin in spec.plugins
+                if plugin.name and "joint" in plugin.config
+            },
             plugin_state=data.plugin_state.copy(),
             qpos=data.qpos.copy(),
         )
