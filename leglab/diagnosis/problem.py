@@ -1,0 +1,181 @@
+"""The fit problem: whitened replay errors of hypotheses, nuisance parameters under priors."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from leglab.diagnosis.change import Change
+from leglab.diagnosis.hypothesis import Hypothesis, Key, Library
+from leglab.diagnosis.machine import Machine
+from leglab.diagnosis.noise import Whitening
+from leglab.diagnosis.replay import Layout, Replay
+from leglab.diagnosis.series import Channel, Series
+
+# A window whose mean square exceeds this counts by its logarithm only: one window that starts in
+# a bad moment must not outvote a hundred others.
+_ROBUST = 3.0
+_CLIP = 1e5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Nuisance:
+    """One parameter that differs between good machines.
+
+    Attributes:
+        key: Effect and element it belongs to.
+        index: Its place among the effect's parameters.
+        nominal: Expected value.
+        tolerance: Prior standard deviation.
+    """
+
+    key: Key
+    index: int
+    nominal: float
+    tolerance: float
+
+
+def robust_cost(mean_square: np.ndarray) -> np.ndarray:
+    """Cost of windows by their mean square c: c, beyond a limit its logarithm, shape as given."""
+    beyond = _ROBUST * (1.0 + np.log(np.maximum(mean_square, _ROBUST) / _ROBUST))
+    return np.where(mean_square <= _ROBUST, mean_square, beyond)
+
+
+def robust_weight(mean_square: np.ndarray) -> np.ndarray:
+    """Derivative of `robust_cost`: weights of windows in a least-squares step."""
+    return _ROBUST / np.maximum(mean_square, _ROBUST)
+
+
+class Problem:
+    """Recordings and machine as a least-squares problem.
+
+    Args:
+        machine: The unmodified machine at the replay's time step.
+        library: Its effects.
+        series: The recordings.
+        channels: What is predicted.
+        layout: How recordings are cut.
+        fit: Indices of the recordings that are fitted; the others are held out.
+        threads: Of the rollouts.
+
+    Attributes:
+        replay: The windows.
+        nuisances: Parameters with a tolerance.
+        fitted: Mask of windows that are fitted, shape (windows,).
+        held: Mask of windows that are held out.
+        size: Numbers in a whitened window.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        library: Library,
+        series: list[Series],
+        channels: tuple[Channel, ...],
+        layout: Layout,
+        fit: Sequence[int],
+        *,
+        threads: int = 2,
+    ) -> None:
+        self.machine, self.library = machine, library
+        self.series, self.channels = series, channels
+        self.replay = Replay(machine, series, channels, layout, threads=threads)
+        fine = Replay(
+            machine.at_timestep(0.5 * machine.timestep), series, channels, layout, threads=threads
+        )
+        nominal = self.replay.error(Change(machine))
+        # Errors of the time step, of second order, are taken off: with half the step a third
+        # of the difference is left (Richardson).
+        self._defect = (fine.error(Change(fine.machine)) - nominal) * (4.0 / 3.0)
+        self._fine = fine
+        self._whiten = Whitening(self.replay, series, Change(machine), nominal)
+        self.size = self._whiten.shape[0] * self._whiten.shape[1]
+        self.fitted = np.isin(self.replay.recording, list(fit))
+        self.held = ~self.fitted
+        self.nuisances = tuple(
+            Nuisance(key=key, index=i, nominal=p.nominal, tolerance=p.tolerance)
+            for key, site in library.sites.items()
+            for i, p in enumerate(site.parameters)
+            if p.tolerance > 0.0
+        )
+
+    def residual(
+        self, hypothesis: Mapping[Key, np.ndarray], chosen: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Whitened errors, shape (chosen windows, size)."""
+        change = self.library.change(hypothesis, self.machine)
+        errors = self.replay.error(change, chosen=chosen)
+        gain = self.replay.noise_gain[:, None]
+        defect = self._defect if chosen is None else self._defect[chosen]
+        white = self._whiten((errors + defect) / gain, chosen)
+        return np.clip(white, -_CLIP, _CLIP)
+
+    def raw_errors(self, hypothesis: Mapping[Key, np.ndarray]) -> np.ndarray:
+        """Measured less predicted in SI units, shape (windows, channels, bins)."""
+        return self.replay.error(self.library.change(hypothesis, self.machine)) + self._defect
+
+    def rewhiten(self, hypothesis: Mapping[Key, np.ndarray]) -> None:
+        """Takes sensitivities to start states and time step anew, about a hypothesis."""
+        change = self.library.change(hypothesis, self.machine)
+        errors = self.replay.error(change)
+        fine = self.library.change(hypothesis, self._fine.machine)
+        self._defect = (self._fine.error(fine) - errors) * (4.0 / 3.0)
+        self._whiten = Whitening(self.replay, self.series, change, errors)
+
+    def active_nuisances(self, free: set[Key]) -> tuple[Nuisance, ...]:
+        """Nuisances but those of effects that are fitted freely."""
+        return tuple(n for n in self.nuisances if n.key not in free)
+
+    def prior_cost(self, hypothesis: Mapping[Key, np.ndarray], free: set[Key]) -> float:
+        """Sum of squared departures of the nuisances in tolerances."""
+        total = 0.0
+        for n in self.active_nuisances(free):
+            if n.key in hypothesis:
+                total += ((hypothesis[n.key][n.index] - n.nominal) / n.tolerance) ** 2
+        return total
+
+    def cost(self, residual: np.ndarray, prior: float = 0.0) -> float:
+        """Robust chi-square of whitened errors plus the prior's."""
+        return float(self.size * robust_cost(np.mean(residual**2, axis=1)).sum()) + prior
+
+    def moved(
+        self, hypothesis: Hypothesis, nuisances: Sequence[Nuisance], values: np.ndarray
+    ) -> Hypothesis:
+        """The hypothesis with nuisances at values, clipped to the bounds of their parameters."""
+        for n, value in zip(nuisances, values, strict=True):
+            site = self.library.sites[n.key]
+            now = hypothesis.get(n.key, site.nominal).copy()
+            now[n.index] = np.clip(value, site.lower[n.index], site.upper[n.index])
+            hypothesis = hypothesis.with_values(n.key, now)
+        return hypothesis
+
+    def nuisance_values(
+        self, hypothesis: Mapping[Key, np.ndarray], nuisances: Sequence[Nuisance]
+    ) -> np.ndarray:
+        """Present values of nuisances, shape (nuisances,)."""
+        return np.array(
+            [hypothesis[n.key][n.index] if n.key in hypothesis else n.nominal for n in nuisances]
+        )
+
+    def tangents(
+        self,
+        hypothesis: Hypothesis,
+        residual: np.ndarray,
+        chosen: np.ndarray,
+        nuisances: Sequence[Nuisance],
+    ) -> np.ndarray:
+        """d(residual)/d(nuisance in tolerances), shape (chosen windows, size, nuisances)."""
+        columns = []
+        values = self.nuisance_values(hypothesis, nuisances)
+        for i, n in enumerate(nuisances):
+            site = self.library.sites[n.key]
+            step = n.tolerance
+            if values[i] + step > site.upper[n.index]:
+                step = -step
+            trial = values.copy()
+            trial[i] += step
+            moved = self.residual(self.moved(hypothesis, nuisances, trial), chosen)
+            columns.append((moved - residual) * (n.tolerance / step))
+        if not columns:
+            return np.zeros((*residual.shape, 0))
+        return np.stack(columns, axis=2)

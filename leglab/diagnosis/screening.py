@@ -1,0 +1,105 @@
+"""Screening: what each effect would gain at a few sizes, nuisances following to first order."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from leglab.diagnosis.fitting import profiled
+from leglab.diagnosis.hypothesis import Hypothesis, Key
+from leglab.diagnosis.problem import Nuisance, Problem
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Candidate:
+    """Best size of an effect in the screening.
+
+    Attributes:
+        key: Effect and element.
+        values: Of its parameters, where a refit starts.
+        gain: Cost saved against the baseline; chi-square units.
+        direction: Whitened change of the errors by its smallest trial, (chosen windows, size).
+        detectable: Norm of that direction, beyond what nuisances imitate: below some 5 the trial
+            size could not be told from noise.
+    """
+
+    key: Key
+    values: np.ndarray
+    gain: float
+    direction: np.ndarray
+    detectable: float
+
+
+def screen(
+    problem: Problem,
+    base: Hypothesis,
+    residual: np.ndarray,
+    tangents: np.ndarray,
+    nuisances: Sequence[Nuisance],
+    chosen: np.ndarray,
+    *,
+    skip: frozenset[Key] = frozenset(),
+) -> list[Candidate]:
+    """Tries every effect of the library on top of `base`, best first.
+
+    Args:
+        problem: What is fitted.
+        base: Baseline.
+        residual: Its whitened errors, shape (chosen windows, size).
+        tangents: Of the nuisances at the baseline, shape (chosen windows, size, nuisances).
+        nuisances: Those of the columns.
+        chosen: Mask of windows.
+        skip: Effects that the baseline has already.
+    """
+    found = []
+    for key, site in problem.library.sites.items():
+        if key in skip:
+            continue
+        own = [i for i, n in enumerate(nuisances) if n.key != key]
+        others = [nuisances[i] for i in own]
+        space = tangents[:, :, own]
+        floor, _ = profiled(problem, base, residual, space, others)
+        best, gain = site.nominal, -np.inf
+        smallest: tuple[float, np.ndarray] | None = None
+        now = base.get(key, site.nominal)
+        for values in site.trials():
+            other = problem.residual(base.with_values(key, values), chosen)
+            cost, _ = profiled(problem, base, other, space, others)
+            if floor - cost > gain:
+                best, gain = values, floor - cost
+            difference = values - now
+            moved = int(np.argmax(np.abs(difference) / [p.scale for p in site.parameters]))
+            size = abs(difference[moved]) / site.parameters[moved].scale
+            direction = other - residual
+            # To first order the best size may lie between nothing and this trial.
+            unit = _orthogonal(direction, space)
+            norm = float((unit**2).sum())
+            share = -float((unit * residual).sum()) / norm if norm > 0 else 0.0
+            if 0.0 < share < 1.0:
+                part = residual + share * direction
+                cost, _ = profiled(problem, base, part, space, others)
+                if floor - cost > gain:
+                    best, gain = now + share * difference, floor - cost
+            if smallest is None or size < smallest[0]:
+                smallest = (size, direction)
+        if smallest is None:
+            continue
+        unit = _orthogonal(smallest[1], space)
+        found.append(
+            Candidate(
+                key=key,
+                values=best,
+                gain=gain,
+                direction=smallest[1],
+                detectable=float(np.sqrt((unit**2).sum())),
+            )
+        )
+    return sorted(found, key=lambda c: -c.gain)
+
+
+def _orthogonal(direction: np.ndarray, tangents: np.ndarray) -> np.ndarray:
+    """The part of a direction that nuisances, under their priors, cannot imitate."""
+    flat = tangents.reshape(-1, tangents.shape[2])
+    matrix = flat.T @ flat + np.eye(flat.shape[1])
+    share = np.linalg.solve(matrix, flat.T @ direction.ravel())
+    return direction - (flat @ share).reshape(direction.shape)
