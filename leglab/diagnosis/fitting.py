@@ -92,20 +92,69 @@ def _bounded(
     return np.clip(x, lower, upper)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FreeTangents:
+    """d(residual)/d(parameters of free effects), in steps of their scales.
+
+    Attributes:
+        columns: Shape (chosen windows, size, parameters).
+        lower: Largest step down that the bounds allow, (parameters,).
+        upper: Largest step up, (parameters,).
+    """
+
+    columns: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
+
+def free_tangents(
+    problem: Problem,
+    hypothesis: Hypothesis,
+    free: frozenset[Key],
+    residual: np.ndarray,
+    chosen: np.ndarray,
+) -> FreeTangents:
+    """Tangents of the parameters of free effects, by finite differences of relevant size."""
+    columns, lower, upper = [], [], []
+    for key in sorted(free):
+        site = problem.library.sites[key]
+        values = hypothesis.get(key, site.nominal)
+        for i, p in enumerate(site.parameters):
+            step = max(0.1 * p.scale, 0.03 * abs(values[i] - p.nominal))
+            if values[i] + step > p.upper:
+                step = -step
+            moved = values.copy()
+            moved[i] += step
+            other = problem.residual(hypothesis.with_values(key, moved), chosen)
+            columns.append((other - residual) * (p.scale / step))
+            lower.append((p.lower - values[i]) / p.scale)
+            upper.append((p.upper - values[i]) / p.scale)
+    stacked = np.stack(columns, axis=2) if columns else np.zeros((*residual.shape, 0))
+    return FreeTangents(columns=stacked, lower=np.array(lower), upper=np.array(upper))
+
+
 def profiled(
     problem: Problem,
     hypothesis: Hypothesis,
     residual: np.ndarray,
     tangents: np.ndarray,
     nuisances: Sequence[Nuisance],
-) -> tuple[float, np.ndarray]:
-    """Cost after the nuisances have done, to first order, what they can; and their steps."""
+    own: FreeTangents,
+) -> float:
+    """Cost after nuisances and free parameters have done, to first order, what they can."""
     now = _departures(problem, hypothesis, nuisances)
+    count = own.columns.shape[2]
+    jacobian = np.concatenate([own.columns, tangents], axis=2)
     step = solve_step(
-        residual, tangents, now, np.ones(now.size), -_BOX - now, _BOX - now
+        residual,
+        jacobian,
+        np.concatenate([np.zeros(count), now]),
+        np.concatenate([np.zeros(count), np.ones(now.size)]),
+        np.concatenate([own.lower, -_BOX - now]),
+        np.concatenate([own.upper, _BOX - now]),
     )
-    moved = residual + tangents @ step
-    return problem.cost(moved, float(((now + step) ** 2).sum())), step
+    moved = residual + jacobian @ step
+    return problem.cost(moved, float(((now + step[count:]) ** 2).sum()))
 
 
 def _departures(
@@ -145,20 +194,19 @@ def refit(
     tangents = tangents[:, :, keep]
     keys = sorted(free)
     sites = [problem.library.sites[k] for k in keys]
-    scale = np.concatenate([[p.scale for p in s.parameters] for s in sites]) if sites else np.zeros(0)
-    low = np.concatenate([s.lower for s in sites]) if sites else np.zeros(0)
-    high = np.concatenate([s.upper for s in sites]) if sites else np.zeros(0)
-    zero = np.concatenate([s.nominal for s in sites]) if sites else np.zeros(0)
+    scale = _joined([np.array([p.scale for p in site.parameters]) for site in sites])
 
     def unpack(theta: np.ndarray, eta: np.ndarray, base: Hypothesis) -> Hypothesis:
         at = 0
         for key, site in zip(keys, sites, strict=True):
             base = base.with_values(key, theta[at : at + len(site.parameters)])
             at += len(site.parameters)
-        values = np.array([n.nominal for n in nuisances]) + eta * [n.tolerance for n in nuisances]
+        values = np.array(
+            [n.nominal + e * n.tolerance for n, e in zip(nuisances, eta, strict=True)]
+        )
         return problem.moved(base, nuisances, values)
 
-    theta = np.concatenate([start.get(k, s.nominal) for k, s in zip(keys, sites, strict=True)]) if sites else np.zeros(0)
+    theta = _joined([start.get(k, s.nominal) for k, s in zip(keys, sites, strict=True)])
     eta = _departures(problem, start, nuisances)
     hypothesis = unpack(theta, eta, start)
     if residual is None:
@@ -166,22 +214,12 @@ def refit(
     cost = problem.cost(residual, float((eta**2).sum()))
     damping = 1e-3
     for _ in range(iterations):
-        columns = []
-        for i in range(theta.size):
-            step = max(0.1 * scale[i], 0.03 * abs(theta[i] - zero[i]))
-            if theta[i] + step > high[i]:
-                step = -step
-            moved = theta.copy()
-            moved[i] += step
-            other = problem.residual(unpack(moved, eta, hypothesis), chosen)
-            columns.append((other - residual) * (scale[i] / step))
-        own = np.stack(columns, axis=2) if columns else np.zeros((*residual.shape, 0))
-        jacobian = np.concatenate([own, tangents], axis=2)
+        own = free_tangents(problem, hypothesis, free, residual, chosen)
+        jacobian = np.concatenate([own.columns, tangents], axis=2)
         weight = np.concatenate([np.zeros(theta.size), np.ones(eta.size)])
         now = np.concatenate([np.zeros(theta.size), eta])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            lower = np.concatenate([(low - theta) / scale, -_BOX - eta])
-            upper = np.concatenate([(high - theta) / scale, _BOX - eta])
+        lower = np.concatenate([own.lower, -_BOX - eta])
+        upper = np.concatenate([own.upper, _BOX - eta])
         better = False
         for _ in range(4):
             step = solve_step(residual, jacobian, now, weight, lower, upper, damping)
@@ -201,6 +239,8 @@ def refit(
         damping *= 0.1
         if gained < tolerance * cost:
             break
-    return Fit(
-        hypothesis=hypothesis, free=free, cost=cost, residual=residual, tangents=tangents
-    )
+    return Fit(hypothesis=hypothesis, free=free, cost=cost, residual=residual, tangents=tangents)
+
+
+def _joined(parts: list[np.ndarray]) -> np.ndarray:
+    return np.concatenate(parts) if parts else np.zeros(0)

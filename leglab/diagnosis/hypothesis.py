@@ -119,6 +119,8 @@ class Library:
         change = Change(machine)
         for key in sorted(hypothesis):
             site = self.sites[key]
-            values = {p.name: float(v) for p, v in zip(site.parameters, hypothesis[key], strict=True)}
+            values = {
+                p.name: float(v) for p, v in zip(site.parameters, hypothesis[key], strict=True)
+            }
             site.effect.apply(change, site.element, values)
         return change

@@ -94,6 +94,12 @@ class Machine:
         self.driven = self._driven_joints()
 
     @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns that a recording of it must have."""
+        positions = tuple(f"{joint}_position" for joint in self.joints)
+        return positions + tuple(f"{actuator}_command" for actuator in self.actuators)
+
+    @property
     def timestep(self) -> float:
         """Time step of the replays [s]."""
         return self._timestep

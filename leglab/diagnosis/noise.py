@@ -9,7 +9,7 @@ from scipy.signal import savgol_coeffs
 from leglab.diagnosis.change import Change
 from leglab.diagnosis.machine import CYLINDER
 from leglab.diagnosis.replay import Nudge, Replay
-from leglab.diagnosis.series import POSITION_FILTER, Series, filter_difference, noise_level
+from leglab.diagnosis.series import Series, filter_difference, noise_level
 
 # Start states are free within this many standard deviations of what smoothing leaves: a start
 # that is a little off must not speak for or against an effect.
@@ -75,7 +75,10 @@ class Whitening:
         factor = self._factor if chosen is None else self._factor[chosen]
         flat = errors.reshape(len(errors), -1)
         return np.stack(
-            [solve_triangular(L, e, lower=True, check_finite=False) for L, e in zip(factor, flat, strict=True)]
+            [
+                solve_triangular(L, e, lower=True, check_finite=False)
+                for L, e in zip(factor, flat, strict=True)
+            ]
         )
 
 
@@ -107,7 +110,7 @@ def _nudges(
             continue
         size = float(np.median(spread))
         found.append((Nudge(joint=channel.joint, quantity="position", size=size), spread))
-        rate = savgol_coeffs(*POSITION_FILTER, deriv=1, delta=period)
+        rate = savgol_coeffs(*channel.filter, deriv=1, delta=period)
         rough = replay.at_starts(
             [filter_difference(s.columns[channel.column], channel.filter, period) for s in series]
         )

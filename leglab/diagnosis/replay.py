@@ -10,7 +10,6 @@ from scipy.ndimage import maximum_filter1d
 from leglab.diagnosis.change import Change, Measured
 from leglab.diagnosis.machine import CYLINDER, Machine, Variant
 from leglab.diagnosis.series import (
-    POSITION_FILTER,
     Channel,
     Series,
     derivative,
@@ -107,7 +106,9 @@ class Replay:
         self._per_bin = per_bin
         self.samples = self.bins * per_bin
         self._cuts = [self._cut(one) for one in series]
-        self.recording = np.concatenate([np.full(c.firsts.size, i) for i, c in enumerate(self._cuts)])
+        self.recording = np.concatenate(
+            [np.full(c.firsts.size, i) for i, c in enumerate(self._cuts)]
+        )
         self.start = np.concatenate([c.series.time[c.firsts] for c in self._cuts])
         self.noise_gain = np.ones(len(channels))
         self._threads = threads
@@ -190,7 +191,7 @@ class Replay:
         return cut
 
     def _unrest(self, series: Series) -> np.ndarray:
-        """How badly smoothing serves around each sample, shape (n,): windows start where it is calm.
+        """How badly smoothing serves around each sample, (n,): windows start where it is calm.
 
         What two filters disagree about, in noise levels, and jumps of the commands.
         """
@@ -198,7 +199,8 @@ class Replay:
         for channel in self.channels:
             samples = series.columns[channel.column]
             level = noise_level(samples, channel.filter) or 1.0
-            total += (filter_difference(samples, POSITION_FILTER) / level) ** 2
+            length = max(2 * _MARGIN - 3, channel.filter[0])
+            total += (filter_difference(samples, (length, 4)) / level) ** 2
         for actuator in self.machine.actuators:
             command = series.columns[f"{actuator}_command"]
             jump = np.abs(np.gradient(command)) / (command.std() or 1.0)
@@ -206,7 +208,7 @@ class Replay:
         return maximum_filter1d(total, 2 * _MARGIN + 1)
 
     def _lever(self, series: Series, cylinder: str) -> np.ndarray:
-        """d(actuator length)/d(joint position) over a series, shape (n,), from every tenth sample."""
+        """d(actuator length)/d(joint position) over a series, shape (n,), every tenth exact."""
         model = self.machine.base.model
         data = mujoco.MjData(model)
         actuator = model.actuator(cylinder).id
@@ -216,7 +218,9 @@ class Replay:
         chosen = np.arange(0, series.time.size, 10)
         lever = np.empty(chosen.size)
         addresses = [int(model.joint(name).qposadr[0]) for name in self.machine.joints]
-        positions = np.stack([series.columns[f"{name}_position"] for name in self.machine.joints], 1)
+        positions = np.stack(
+            [series.columns[f"{name}_position"] for name in self.machine.joints], 1
+        )
         for i, row in enumerate(positions[chosen]):
             data.qpos[addresses] = row
             mujoco.mj_fwdPosition(model, data)

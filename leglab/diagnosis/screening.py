@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leglab.diagnosis.fitting import profiled
+from leglab.diagnosis.fitting import FreeTangents, profiled
 from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.problem import Nuisance, Problem
 
@@ -36,6 +36,7 @@ def screen(
     residual: np.ndarray,
     tangents: np.ndarray,
     nuisances: Sequence[Nuisance],
+    named: FreeTangents,
     chosen: np.ndarray,
     *,
     skip: frozenset[Key] = frozenset(),
@@ -48,6 +49,7 @@ def screen(
         residual: Its whitened errors, shape (chosen windows, size).
         tangents: Of the nuisances at the baseline, shape (chosen windows, size, nuisances).
         nuisances: Those of the columns.
+        named: Of the effects that the baseline has already, which follow as well.
         chosen: Mask of windows.
         skip: Effects that the baseline has already.
     """
@@ -58,13 +60,14 @@ def screen(
         own = [i for i, n in enumerate(nuisances) if n.key != key]
         others = [nuisances[i] for i in own]
         space = tangents[:, :, own]
-        floor, _ = profiled(problem, base, residual, space, others)
+        known = np.concatenate([named.columns, space], axis=2)
+        floor = profiled(problem, base, residual, space, others, named)
         best, gain = site.nominal, -np.inf
         smallest: tuple[float, np.ndarray] | None = None
         now = base.get(key, site.nominal)
         for values in site.trials():
             other = problem.residual(base.with_values(key, values), chosen)
-            cost, _ = profiled(problem, base, other, space, others)
+            cost = profiled(problem, base, other, space, others, named)
             if floor - cost > gain:
                 best, gain = values, floor - cost
             difference = values - now
@@ -72,19 +75,19 @@ def screen(
             size = abs(difference[moved]) / site.parameters[moved].scale
             direction = other - residual
             # To first order the best size may lie between nothing and this trial.
-            unit = _orthogonal(direction, space)
+            unit = _orthogonal(direction, known)
             norm = float((unit**2).sum())
             share = -float((unit * residual).sum()) / norm if norm > 0 else 0.0
             if 0.0 < share < 1.0:
                 part = residual + share * direction
-                cost, _ = profiled(problem, base, part, space, others)
+                cost = profiled(problem, base, part, space, others, named)
                 if floor - cost > gain:
                     best, gain = now + share * difference, floor - cost
             if smallest is None or size < smallest[0]:
                 smallest = (size, direction)
         if smallest is None:
             continue
-        unit = _orthogonal(smallest[1], space)
+        unit = _orthogonal(smallest[1], known)
         found.append(
             Candidate(
                 key=key,

@@ -1,5 +1,6 @@
 """Measured series of one recording on a uniform grid, and the machine's channels in it."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,10 +13,10 @@ from leglab.recording import Recording
 # Further than this many periods from a true sample, a value on the grid is not measured.
 _GAP = 1.5
 _CHAMBERS = ("pressure_a", "pressure_b")
-# Quartic over 21 samples for positions, quadratic over 5 for pressures: at 1 kHz they pass the
-# motion of a leg and take noise to a third.
-POSITION_FILTER = (21, 4)
-PRESSURE_FILTER = (5, 2)
+# Quartic over 21 ms for positions, quadratic over 5 ms for pressures: they pass the motion of a leg
+# and, at 1 kHz, take noise to a third.
+_POSITION_FILTER = (0.021, 7, 4)  # s, least samples, order
+_PRESSURE_FILTER = (0.005, 5, 2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,17 +28,14 @@ class Channel:
         joint: That it belongs to.
         cylinder: Whose chamber it is; None for a position.
         chamber: "pressure_a" or "pressure_b"; None for a position.
+        filter: Length in samples and order of the Savitzky-Golay filter that smooths it.
     """
 
     column: str
     joint: str
     cylinder: str | None = None
     chamber: str | None = None
-
-    @property
-    def filter(self) -> tuple[int, int]:
-        """Window length and order of the smoothing filter."""
-        return PRESSURE_FILTER if self.chamber else POSITION_FILTER
+    filter: tuple[int, int] = (21, 4)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,42 +87,74 @@ class Series:
         return cls(name=name, period=period, time=grid, columns=columns, valid=valid)
 
 
-def channels(machine: Machine, recordings: list[Recording]) -> tuple[Channel, ...]:
+def sampling_period(recordings: Mapping[str, Recording]) -> float:
+    """Common sampling period [s].
+
+    Raises:
+        LeglabError: A recording is too short, or periods differ; names the recordings.
+    """
+    periods = {}
+    for name, recording in recordings.items():
+        if len(recording) < 3:
+            raise LeglabError(f"{name}: {len(recording)} samples are too few to replay")
+        periods[name] = float(np.median(np.diff(recording.time)))
+    first = next(iter(periods))
+    for name, period in periods.items():
+        if abs(period - periods[first]) > 1e-2 * periods[first]:
+            raise LeglabError(
+                f"{name} is sampled every {period:g} s, {first} every {periods[first]:g} s; "
+                "allowed: one period for all"
+            )
+    return float(np.median(list(periods.values())))
+
+
+def channels(machine: Machine, recordings: Mapping[str, Recording]) -> tuple[Channel, ...]:
     """Measured outputs that all recordings share: positions, then chamber pressures.
 
     Raises:
         LeglabError: A joint's position or an actuator's command is missing; lists both sides.
     """
-    shared = set(recordings[0].columns)
-    for recording in recordings[1:]:
-        shared &= set(recording.columns)
-    wanted = [f"{joint}_position" for joint in machine.joints]
-    wanted += [f"{actuator}_command" for actuator in machine.actuators]
-    missing = [column for column in wanted if column not in shared]
+    shared = set.intersection(*(set(r.columns) for r in recordings.values()))
+    missing = [column for column in machine.columns if column not in shared]
     if missing:
         raise LeglabError(
             f"the recordings have no column {', '.join(map(repr, missing))}: the model needs "
-            f"{', '.join(wanted)}; all recordings have {', '.join(sorted(shared))}. Measured under "
-            "other names? Give a column map"
+            f"{', '.join(machine.columns)}; all recordings have {', '.join(sorted(shared))}. "
+            "Measured under other names? Give a column map"
         )
-    found = [Channel(column=f"{joint}_position", joint=joint) for joint in machine.joints]
+    period = sampling_period(recordings)
+    position, pressure = _filter(_POSITION_FILTER, period), _filter(_PRESSURE_FILTER, period)
+    found = [
+        Channel(column=f"{joint}_position", joint=joint, filter=position)
+        for joint in machine.joints
+    ]
     for cylinder in machine.instances(CYLINDER):
         joint = machine.driven[cylinder][0]
-        for chamber in _CHAMBERS:
-            if f"{joint}_{chamber}" in shared:
-                found.append(
-                    Channel(
-                        column=f"{joint}_{chamber}", joint=joint, cylinder=cylinder, chamber=chamber
-                    )
-                )
+        found += [
+            Channel(
+                column=f"{joint}_{chamber}",
+                joint=joint,
+                cylinder=cylinder,
+                chamber=chamber,
+                filter=pressure,
+            )
+            for chamber in _CHAMBERS
+            if f"{joint}_{chamber}" in shared
+        ]
     return tuple(found)
+
+
+def _filter(choice: tuple[float, int, int], period: float) -> tuple[int, int]:
+    duration, least, order = choice
+    return max(least, 2 * round(0.5 * (duration / period - 1.0)) + 1), order
 
 
 def noise_level(samples: np.ndarray, window: tuple[int, int]) -> float:
     """Standard deviation of white sensor noise, from what a smoothing filter leaves over.
 
     The filter keeps its centre coefficient c of each sample, so that white noise of variance s^2
-    leaves s^2 (1 - c). The median makes jumps of the signal count little (Rousseeuw and Croux 1993).
+    leaves s^2 (1 - c). The median makes jumps of the signal count little (Rousseeuw and
+    Croux 1993).
 
     Args:
         samples: Shape (n,).

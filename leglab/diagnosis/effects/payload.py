@@ -62,6 +62,7 @@ class Payload(Effect):
         def add(spec: mujoco.MjSpec) -> None:
             load = spec.body(element).add_body(name=f"{element}_payload", pos=position)
             load.mass = mass
+            load.ipos = [0.0, 0.0, 0.0]  # left alone, MuJoCo puts the body's position here again
             load.inertia = [1e-9, 1e-9, 1e-9]  # MuJoCo wants a positive one; a point has none
             load.explicitinertial = True
 

@@ -1,0 +1,250 @@
+"""The diagnosis from recordings to verdict."""
+
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from leglab.diagnosis.fitting import Fit
+from leglab.diagnosis.hypothesis import Hypothesis, Key, Library
+from leglab.diagnosis.judging import intervals, preferences, t_value
+from leglab.diagnosis.machine import Machine
+from leglab.diagnosis.problem import Problem
+from leglab.diagnosis.replay import Layout
+from leglab.diagnosis.result import Diagnosis
+from leglab.diagnosis.search import (
+    Contender,
+    Stage,
+    baseline,
+    round_of_search,
+    sharpen,
+    thinned,
+    window_cost,
+)
+from leglab.diagnosis.series import Channel, Series, channels, sampling_period
+from leglab.errors import LeglabError
+from leglab.recording import Recording
+
+# Robust mean square error below which nothing more is missing: noise gives 1, windows that start
+# in stick-slip or beside jumps of the command lift it on good models to at most this.
+EXPLAINED = 2.0
+# Below it not even a further round is worthwhile.
+_CLEAN = 1.12
+# An effect is named only if its strength is at least this share of its smallest trial ...
+_NOTICEABLE = 0.15
+# ... and saves at least this much of a noise variance, or of what was in excess of noise.
+_WORTHWHILE = 0.08
+_SIGNIFICANT = 2.5  # t value of paired window differences on held-out recordings
+_ROUNDS = 3
+_SCREENED_WINDOWS = 60
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """How a diagnosis is done.
+
+    Attributes:
+        layout: How recordings are cut.
+        effects: Names of the effects to consider; None for all.
+        excluded: Names of effects to leave out.
+        threads: Of the rollouts.
+        seed: Of the bootstraps.
+        rounds: How many effects may be named.
+    """
+
+    layout: Layout = field(default_factory=Layout)
+    effects: tuple[str, ...] | None = None
+    excluded: tuple[str, ...] = ()
+    threads: int = 2
+    seed: int = 0
+    rounds: int = _ROUNDS
+
+
+@dataclass(kw_only=True, eq=False)
+class Search:
+    """What the search found.
+
+    Attributes:
+        problem: With its noise model about the final fit.
+        baseline: Unmodified model, nuisances refitted.
+        fit: The final fit.
+        named: Effects in the order of discovery.
+        stages: All rounds, the last one included that found nothing.
+        chosen: Windows of the fits.
+    """
+
+    problem: Problem
+    baseline: Fit
+    fit: Fit
+    named: tuple[Key, ...]
+    stages: list[Stage]
+    chosen: np.ndarray
+
+
+def held_out_choice(recordings: Mapping[str, Recording], machine: Machine) -> tuple[str, ...]:
+    """Recording to hold out: that which lies most within the ranges of the others.
+
+    A model is judged by another excitation than it was fitted to, yet not by extrapolation. Among
+    equals the one with the fastest motion says most.
+    """
+    if len(recordings) < 2:
+        return ()
+
+    def features(recording: Recording) -> np.ndarray:
+        rows = [recording[c] for c in machine.columns]
+        rows += [
+            np.gradient(recording[c], recording.time)
+            for c in machine.columns
+            if c.endswith("_position")
+        ]
+        return np.stack(rows)[:, :: max(1, len(recording) // 2000)]
+
+    tables = {name: features(recording) for name, recording in recordings.items()}
+    scores = {}
+    for name, table in tables.items():
+        others = np.concatenate([t for n, t in tables.items() if n != name], axis=1)
+        low, high = np.nanmin(others, axis=1), np.nanmax(others, axis=1)
+        inside = ((table >= low[:, None]) & (table <= high[:, None])).mean()
+        speed = np.nanmean(np.abs(table[-1]))
+        scores[name] = (round(float(inside), 2), float(speed))
+    return (max(scores, key=lambda n: scores[n]),)
+
+
+def replay_timestep(machine: Machine, period: float) -> float:
+    """Longest time step that divides the sampling period and is at most twice the model's own.
+
+    The error that it makes is measured and taken off (`Problem`).
+    """
+    return period / max(1, int(np.ceil(period / (2.0 * machine.file_timestep) - 1e-9)))
+
+
+def set_up(
+    model: str | Path,
+    recordings: Mapping[str, Recording],
+    held_out: Iterable[str],
+    settings: Settings,
+) -> Problem:
+    """Builds the fit problem.
+
+    Raises:
+        LeglabError: Model or recordings do not fit each other, or are too short.
+    """
+    machine = Machine(model)
+    found = channels(machine, recordings)
+    period = sampling_period(recordings)
+    machine = machine.at_timestep(replay_timestep(machine, period))
+    needed = tuple(dict.fromkeys([*(c.column for c in found), *machine.columns]))
+    series = [Series.from_recording(r, name, needed) for name, r in recordings.items()]
+    held = set(held_out)
+    fit = [i for i, name in enumerate(recordings) if name not in held]
+    library = Library(machine, names=settings.effects, excluded=settings.excluded)
+    return Problem(
+        machine, library, series, found, settings.layout, fit, threads=settings.threads
+    )
+
+
+def search(
+    problem: Problem, settings: Settings, progress: Callable[[str], None] = lambda _: None
+) -> Search:
+    """Finds the effects that are missing, one a round."""
+    rng = np.random.default_rng(settings.seed)
+    every = max(1, round(problem.fitted.sum() / _SCREENED_WINDOWS))
+    chosen = thinned(problem.fitted, every)
+    progress("baseline")
+    floor = baseline(problem, chosen)
+    current, named, stages = floor, [], []
+    start = Hypothesis()
+    while len(stages) < settings.rounds:
+        stage = round_of_search(
+            problem, start, frozenset(named), current, chosen, rng, progress
+        )
+        stages.append(stage)
+        winner = next((c for c in stage.contenders if _accepted(problem, stage, c, chosen)), None)
+        if winner is None:
+            break
+        named.append(winner.key)
+        current = winner.fit
+        if winner.cost.mean() < _CLEAN:
+            break
+        # Nuisances that a missing effect has pulled along would mislead the next round.
+        start = current.hypothesis
+        if winner.cost.mean() > EXPLAINED:
+            start = Hypothesis({k: v for k, v in start.items() if k in current.free})
+    if len(named) > 1:
+        progress("checking each effect against the others")
+        current, named = _pruned(problem, current, named, stages, chosen)
+    if named:
+        progress("last refinement")
+        problem.rewhiten(current.hypothesis)
+        current = sharpen(problem, current, chosen)
+    return Search(
+        problem=problem,
+        baseline=floor,
+        fit=current,
+        named=tuple(named),
+        stages=stages,
+        chosen=chosen,
+    )
+
+
+def _accepted(problem: Problem, stage: Stage, contender: Contender, chosen: np.ndarray) -> bool:
+    """Whether the gain is beyond chance, holds on held-out recordings, and matters."""
+    saved = stage.base - contender.cost
+    held = problem.held if problem.held.sum() > 3 else np.ones_like(problem.held)
+    if problem.size * saved[chosen].sum() < stage.threshold:
+        return False
+    if t_value(saved[held]) < _SIGNIFICANT:
+        return False
+    if saved.mean() < _WORTHWHILE * max(1.0, stage.base.mean() - 1.0):
+        return False
+    return noticeable(problem, contender.key, contender.fit.hypothesis)
+
+
+def noticeable(problem: Problem, key: Key, hypothesis: Mapping[Key, np.ndarray]) -> bool:
+    """Whether a strength departs from nominal by a share of its smallest trial that matters."""
+    site = problem.library.sites[key]
+    return any(
+        abs(value - p.nominal) > _NOTICEABLE * p.scale
+        for value, p in zip(hypothesis[key], site.parameters, strict=True)
+        if p.role == "strength"
+    )
+
+
+def _pruned(
+    problem: Problem, current: Fit, named: list[Key], stages: list[Stage], chosen: np.ndarray
+) -> tuple[Fit, list[Key]]:
+    """Drops effects that later ones made needless, and swaps early impostors for their rivals."""
+    best = window_cost(problem, current.hypothesis)
+    for key in list(named):
+        others = frozenset(named) - {key}
+        options: list[tuple[frozenset[Key], Hypothesis]] = []
+        if others:
+            options.append((others, current.hypothesis.without(key)))
+        number = named.index(key)
+        for rival in stages[number].contenders[:2] + ():
+            if rival.key not in named:
+                values = rival.fit.hypothesis[rival.key]
+                options.append(
+                    (others | {rival.key}, current.hypothesis.without(key).with_values(rival.key, values))
+                )
+        for free, start in options:
+            other = sharpen(problem, Fit(
+                hypothesis=start,
+                free=free,
+                cost=np.inf,
+                residual=current.residual,
+                tangents=current.tangents,
+            ), chosen, iterations=3)
+            cost = window_cost(problem, other.hypothesis)
+            fewer = len(free) < len(named)
+            worse = cost - best
+            if fewer and worse.mean() < _WORTHWHILE * max(1.0, cost.mean() - 1.0):
+                return other, [k for k in named if k in free]
+            if not fewer and t_value(-worse) > _SIGNIFICANT:
+                new = next(iter(free - frozenset(named)))
+                current, best = other, cost
+                named = [new if k == key else k for k in named]
+                break
+    return current, named
