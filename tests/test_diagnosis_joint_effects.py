@@ -74,9 +74,8 @@ def replay(machine, change, model=None):
     if model is None:
         model = variant.model
         data.plugin_state[:] = state
-    data.qpos[0] = 0.6
-    if machine.path.name == "knee_bench.xml":
-        data.qpos[0] = 0.9
+    starts = {"knee_bench": 0.9, "slide": 0.1, "integrated_slide": 0.1}
+    data.qpos[0] = starts.get(machine.path.stem, 0.6)
     u = commands(machine)
     for path in change.commands.get(machine.actuators[0], ()):
         u = path(u, machine.timestep)

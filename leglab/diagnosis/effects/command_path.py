@@ -10,7 +10,7 @@ COMMAND_PATH = "leglab.command_path"
 
 
 def write_command_path(spec: mujoco.MjSpec, actuator: str, values: Mapping[str, float]) -> None:
-    """Sets parameters of an actuator's `leglab.command_path`, which is inserted if there is none."""
+    """Sets parameters of an actuator's `leglab.command_path`; inserts one if there is none."""
     for plugin in spec.plugins:
         if plugin.plugin_name == COMMAND_PATH and plugin.config.get("actuator") == actuator:
             plugin.config = {**plugin.config, **{k: repr(float(v)) for k, v in values.items()}}

@@ -1,4 +1,4 @@
-"""Friction of joints: plain ones for the kinds that a cylinder has itself, any joint for the others."""
+"""Friction of joints; the kinds that a cylinder has itself only of joints without one."""
 
 from collections.abc import Mapping
 
