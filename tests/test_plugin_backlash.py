@@ -206,3 +206,12 @@ def test_width_set_in_the_state_equals_one_in_the_model():
         mujoco.mj_step(model, data)
         mujoco.mj_step(other_model, other)
     np.testing.assert_array_equal(data.qpos, other.qpos)
+
+
+def test_dry_friction_and_stops_act_on_the_joint_alone():
+    """A tiny play changes next to nothing, although MuJoCo solves for friction and stops later."""
+    joint = 'armature="0.05" frictionloss="0.3" limited="true" range="-60 30"'
+    plain = run(pendulum(joint=joint), 2.0)
+    small = run(pendulum(backlash(width=1e-5, stiffness=1e9, damping_ratio=1), joint=joint), 2.0)
+    assert plain[1].max() > 0.52  # it did reach the stop
+    assert np.abs(small[1] - plain[1]).max() < 0.01

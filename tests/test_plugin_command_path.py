@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from tests.native_models import command_path, compiled, pendulum, slide
+from tests.native_models import backlash, command_path, compiled, pendulum, slide
 from tests.plugin_models import Slots
 
 H = 1e-3
@@ -163,13 +163,12 @@ def test_longest_delay_is_refused_beyond_at_run_time():
         mujoco.mj_step(model, data)
 
 
-def test_path_and_pendulum_share_an_actuator_with_a_play():
-    """The play drives its motor with what the path lets through."""
-    from tests.native_models import backlash
-
+@pytest.mark.parametrize("path_first", [True, False])
+def test_a_play_drives_its_motor_with_what_the_path_lets_through(path_first):
     ends = []
-    for element, factor in ((command_path(gain=0.5), 1.0), (command_path(), 0.5)):
-        model, data = compiled(pendulum(element, backlash(width=0.03)))
+    for path, factor in ((command_path(gain=0.5), 1.0), (command_path(), 0.5)):
+        elements = [path, backlash(width=0.03)]
+        model, data = compiled(pendulum(*(elements if path_first else elements[::-1])))
         forces(model, data, factor * commands(500))
-        ends.append(data.qpos[0])
-    assert ends[0] == pytest.approx(ends[1], abs=1e-12)
+        ends.append([data.qpos[0], data.actuator_force[0]])
+    np.testing.assert_allclose(ends[0], ends[1], rtol=1e-12)

@@ -142,10 +142,6 @@ def refusal(xml):
             ["'hinge' has a gain that is not fixed"],
         ),
         (
-            pendulum(backlash(), command_path()),
-            ["'play'", "must come after the leglab.command_path instance of actuator 'drive'"],
-        ),
-        (
             pendulum(instance("leglab.command_path", "path", actuator="drvie")),
             ["'actuator' = 'drvie' names no actuator", "allowed: drive"],
         ),

@@ -48,15 +48,11 @@ Backlash::Backlash(const mjModel* m, int instance)
     refuse(m, instance, "attribute 'motor_inertia' = 0 and joint '" + name +
                             "' has no armature; allowed: one of them above 0");
   }
-  // Its forces must be there before this instance reads them, and MuJoCo goes by the order.
+  // MuJoCo goes by the order of instances, and this one needs the forces behind the command paths.
   for (int i = instance + 1; i < m->nplugin; ++i) {
     if (std::strcmp(mjp_getPluginAtSlot(m->plugin[i])->name, kCommandPathName) != 0) continue;
-    const std::string driven = text_attribute(m, i, "actuator");
-    const int actuator = mj_name2id(m, mjOBJ_ACTUATOR, driven.c_str());
-    if (actuator >= 0 && on_joint(m, actuator, joint_)) {
-      refuse(m, instance, "must come after the " + std::string(kCommandPathName) +
-                              " instance of actuator '" + driven + "'");
-    }
+    const int actuator = mj_name2id(m, mjOBJ_ACTUATOR, text_attribute(m, i, "actuator").c_str());
+    if (actuator >= 0 && on_joint(m, actuator, joint_)) later_paths_.push_back(i);
   }
   for (auto* scratch : {&actuation_, &column_, &unit_, &force_}) scratch->assign(m->nv, 0.0);
   unit_[dof_] = 1.0;
@@ -131,6 +127,7 @@ void Backlash::compute(const mjModel* m, mjData* d, int capability) {
   const bool seated = s.seated_width_ == p.width_;
   offset_ = seated ? s.offset_ : 0.0;
   velocity_ = seated ? s.motor_velocity_ : v;
+  for (int i : later_paths_) instance_of<CommandPath>(d, i)->apply_ahead(m, d);
   const double servo = close_servo_loops(m, d, offset_, velocity_ - v);
   collect_actuation(m, d);
   drive_ = actuation_[dof_];
@@ -147,6 +144,7 @@ void Backlash::compute(const mjModel* m, mjData* d, int capability) {
       mj_applyFT(m, d, wrench, wrench + 3, d->xipos + 3 * body, body, force_.data());
     }
   }
+  force_[dof_] += s.constraint_;  // the solver comes later: as over the step before
   double free = 0;
   for (int i = 0; i < m->nv; ++i) free += column_[i] * force_[i];
   double compliance = column_[dof_];  // 1/(effective inertia)
@@ -193,6 +191,7 @@ void Backlash::advance(const mjModel* m, mjData* d) {
   s.motor_velocity_ = velocity_ + h * (drive_ - transmitted_) / inertia_;
   s.offset_ = offset_ + h * (s.motor_velocity_ - d->qvel[dof_]);
   s.transmitted_ = transmitted_;
+  s.constraint_ = d->qfrc_constraint[dof_];
   s.seated_width_ = p.width_;
 }
 

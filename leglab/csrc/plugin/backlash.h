@@ -33,7 +33,8 @@ class Backlash {
 
   int instance_;
   int joint_, dof_;
-  std::vector<int> actuators_;  // on this joint
+  std::vector<int> actuators_;    // on this joint
+  std::vector<int> later_paths_;  // leglab.command_path of those, computed after this instance
   BacklashParameters initial_;
 
   // Outputs of the latest `compute`.

@@ -16,6 +16,7 @@ namespace leglab::plugin {
   X(offset, "rad", "motor side less joint")                              \
   X(motor_velocity, "rad/s", "of the motor side")                        \
   X(transmitted, "N", "from motor to joint over the last step")          \
+  X(constraint, "N", "of friction loss, limits and contacts on the joint over the last step") \
   X(seated_width, "rad", "play of the last step; a new one seats anew on the loaded flank")
 
 #define LEGLAB_FIELD(name, ...) double name##_;

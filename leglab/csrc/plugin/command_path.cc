@@ -83,8 +83,18 @@ CommandPath::Signal CommandPath::pass(const mjModel* m, const mjtNum* head, doub
 }
 
 void CommandPath::compute(const mjModel* m, mjData* d) {
+  if (!applied_) apply(m, d);
+  applied_ = false;
+}
+
+void CommandPath::apply_ahead(const mjModel* m, mjData* d) {
+  apply(m, d);
+  applied_ = true;
+}
+
+void CommandPath::apply(const mjModel* m, mjData* d) const {
   if (actuator_.disabled(m)) return;
-  const mjtNum* head = state_of(m, d, instance_);
+  const mjtNum* head = d->plugin_state + m->plugin_stateadr[instance_];
   const auto& p = *reinterpret_cast<const CommandParameters*>(head);
   const int id = actuator_.id;
   const double command = actuator_.command(m, d);

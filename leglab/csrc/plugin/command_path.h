@@ -14,6 +14,8 @@ class CommandPath {
   void reset(mjtNum* plugin_state) const;
   void compute(const mjModel* m, mjData* d);
   void advance(const mjModel* m, mjData* d);
+  // Does the work of the next `compute` now, for a plugin that needs its force.
+  void apply_ahead(const mjModel* m, mjData* d);
 
   // Length of the plugin state: parameters, states and the commands of `max_delay`.
   static int state_count(const mjModel* m, int instance);
@@ -28,9 +30,11 @@ class CommandPath {
   };
   // The command on its way through the elements; reads the state only.
   Signal pass(const mjModel* m, const mjtNum* head, double command) const;
+  void apply(const mjModel* m, mjData* d) const;
 
   int instance_;
   int history_;  // number of past commands kept
+  bool applied_ = false;
   NativeActuator actuator_;
   CommandParameters initial_;
 };

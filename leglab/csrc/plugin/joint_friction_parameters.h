@@ -9,7 +9,7 @@ namespace leglab::plugin {
 #define LEGLAB_FRICTION_PARAMETERS(X)                                                              \
   X(sigma_0, "N/rad", 1e3, 0.0, 1e9, true, "bristle stiffness")                                    \
   X(sigma_1, "N s/rad", 1.0, 0.0, 1e6, true, "bristle damping")                                    \
-  X(viscous, "N s/rad", 0.0, 0.0, 1e6, true, "viscous friction")                                   \
+  X(viscous, "N s/rad", 0.0, -1e6, 1e6, true, "viscous friction; negative weakens native damping")     \
   X(coulomb, "N", 0.0, 0.0, 1e6, true, "Coulomb friction")                                         \
   X(static, "N", 0.0, 0.0, 1e6, true, "breakaway friction, at least coulomb")                      \
   X(stribeck_velocity, "rad/s", 0.1, 0.0, 1e3, false, "Stribeck velocity")                         \
