@@ -1,6 +1,6 @@
 """Hypotheses: which effects are there, with which values."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,7 +67,7 @@ class Hypothesis(Mapping[Key, np.ndarray]):
     def __getitem__(self, key: Key) -> np.ndarray:
         return self._values[key]
 
-    def __iter__(self):  # noqa: ANN204
+    def __iter__(self) -> Iterator[Key]:
         return iter(self._values)
 
     def __len__(self) -> int:
@@ -113,6 +113,11 @@ class Library:
                     effect=effect, element=element, parameters=effect.parameters(machine, element)
                 )
                 self.sites[site.key] = site
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the effects."""
+        return tuple(sorted({name for name, _ in self.sites}))
 
     def change(self, hypothesis: Mapping[Key, np.ndarray], machine: Machine) -> Change:
         """What a hypothesis changes, effects applied in the order of their names."""

@@ -114,7 +114,7 @@ class Machine:
         return mujoco.MjSpec.from_file(str(self.path))
 
     def instances(self, plugin: str) -> tuple[str, ...]:
-        """Names of a plugin's instances in the unmodified model; a cylinder goes by its actuator."""
+        """Instances of a plugin in the unmodified model; a cylinder goes by its actuator."""
         return tuple(name for name, (_, t) in self.base.elements.items() if t.plugin == plugin)
 
     def native_actuators(self) -> tuple[str, ...]:

@@ -1,5 +1,6 @@
 """Replay of measured commands over short windows that start from measured states."""
 
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import mujoco
@@ -121,6 +122,14 @@ class Replay:
     def windows(self) -> int:
         """Number of windows."""
         return int(self.start.size)
+
+    def on(self, machine: Machine) -> "Replay":
+        """The same windows replayed by another model."""
+        other = copy(self)
+        other.machine = machine
+        other._datas, other._buffers = {}, {}
+        other.substeps = max(1, round(self._period / machine.timestep))
+        return other
 
     def error(
         self, change: Change, *, chosen: np.ndarray | None = None, nudge: Nudge | None = None

@@ -1,7 +1,7 @@
 """What a diagnosis says: everything that a report or a page needs, immutable."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -37,7 +37,8 @@ class NamedEffect:
         element: Where it sits.
         group: Heading.
         physics: One sentence.
-        onset: Recording and time [s] at which it begins, None where it is there throughout.
+        onset: Recording and time [s] at which it begins, for every recording in which it does;
+            empty where it is there throughout.
         confidence: In [0, 1]: share of resampled data sets that prefer it to every rival, times how
             much of the misfit the verdict explains.
         contribution: Share of the gap that it closes when it is added last.
@@ -49,7 +50,7 @@ class NamedEffect:
     element: str
     group: str
     physics: str
-    onset: tuple[str, float] | None
+    onset: tuple[tuple[str, float], ...]
     confidence: float
     contribution: float
     parameters: tuple[Estimate, ...]
@@ -252,6 +253,10 @@ class Diagnosis:
     rollouts: float = 0.0
     seconds: float = 0.0
 
+    def with_model(self, name: str) -> "Diagnosis":
+        """The same with the name of the patched model's file."""
+        return replace(self, model=name)
+
     def to_json(self) -> dict[str, Any]:
         """The content of diagnosis.json."""
         gap = self.gap
@@ -261,9 +266,7 @@ class Diagnosis:
                 {
                     "name": e.name,
                     "element": e.element,
-                    "onset": None
-                    if e.onset is None
-                    else {"recording": e.onset[0], "time": e.onset[1]},
+                    "onset": {name: _digits(time) for name, time in e.onset} or None,
                     "confidence": _digits(e.confidence),
                     "contribution": _digits(e.contribution),
                     "parameters": {

@@ -54,6 +54,7 @@ def screen(
         skip: Effects that the baseline has already.
     """
     found = []
+    floor = profiled(problem, base, residual, tangents, nuisances, named)
     for key, site in problem.library.sites.items():
         if key in skip:
             continue
@@ -61,7 +62,6 @@ def screen(
         others = [nuisances[i] for i in own]
         space = tangents[:, :, own]
         known = np.concatenate([named.columns, space], axis=2)
-        floor = profiled(problem, base, residual, space, others, named)
         best, gain = site.nominal, -np.inf
         smallest: tuple[float, np.ndarray] | None = None
         now = base.get(key, site.nominal)

@@ -13,6 +13,8 @@ from leglab.diagnosis.screening import Candidate, screen
 # How many of the screened effects are refitted, and how many of those sharpened.
 _REFITTED = 6
 _SHARPENED = 3
+# A round whose best screened effect saves less than this share of a noise variance ends there.
+_HOPE = 0.02
 # A rival whose cost is this many times the best one's excess after a rough fit stays behind.
 _HOPELESS = 8.0
 
@@ -150,9 +152,9 @@ def round_of_search(
     settled = float(np.median(np.mean(floor_fit.residual**2, axis=1)))
     threshold = chance_gain(candidates, tangents, float(np.clip(settled, 1.0, 2.0)), rng)
     rough: list[tuple[Key, Fit]] = []
-    for candidate in candidates[:_REFITTED]:
-        if candidate.gain < -0.8 * floor_fit.cost:
-            continue
+    hope = _HOPE * problem.size * chosen.sum()
+    promising = candidates[:_REFITTED] if candidates and candidates[0].gain > hope else []
+    for candidate in promising:
         progress(f"fitting {candidate.key[0]}")
         start = base.with_values(candidate.key, candidate.values)
         free = named | {candidate.key}

@@ -1,6 +1,5 @@
 """The diagnosis from recordings to verdict."""
 
-import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,11 +8,10 @@ import numpy as np
 
 from leglab.diagnosis.fitting import Fit
 from leglab.diagnosis.hypothesis import Hypothesis, Key, Library
-from leglab.diagnosis.judging import intervals, preferences, t_value
+from leglab.diagnosis.judging import t_value
 from leglab.diagnosis.machine import Machine
 from leglab.diagnosis.problem import Problem
 from leglab.diagnosis.replay import Layout
-from leglab.diagnosis.result import Diagnosis
 from leglab.diagnosis.search import (
     Contender,
     Stage,
@@ -23,8 +21,7 @@ from leglab.diagnosis.search import (
     thinned,
     window_cost,
 )
-from leglab.diagnosis.series import Channel, Series, channels, sampling_period
-from leglab.errors import LeglabError
+from leglab.diagnosis.series import Series, channels, sampling_period
 from leglab.recording import Recording
 
 # Robust mean square error below which nothing more is missing: noise gives 1, windows that start
@@ -140,9 +137,7 @@ def set_up(
     held = set(held_out)
     fit = [i for i, name in enumerate(recordings) if name not in held]
     library = Library(machine, names=settings.effects, excluded=settings.excluded)
-    return Problem(
-        machine, library, series, found, settings.layout, fit, threads=settings.threads
-    )
+    return Problem(machine, library, series, found, settings.layout, fit, threads=settings.threads)
 
 
 def search(
@@ -155,11 +150,11 @@ def search(
     progress("baseline")
     floor = baseline(problem, chosen)
     current, named, stages = floor, [], []
-    start = Hypothesis()
+    # Nuisances that a missing effect has pulled along would mislead the screening.
+    typical = floor.cost / (problem.size * chosen.sum())
+    start = floor.hypothesis if typical < EXPLAINED else Hypothesis()
     while len(stages) < settings.rounds:
-        stage = round_of_search(
-            problem, start, frozenset(named), current, chosen, rng, progress
-        )
+        stage = round_of_search(problem, start, frozenset(named), current, chosen, rng, progress)
         stages.append(stage)
         winner = next((c for c in stage.contenders if _accepted(problem, stage, c, chosen)), None)
         if winner is None:
@@ -168,7 +163,6 @@ def search(
         current = winner.fit
         if winner.cost.mean() < _CLEAN:
             break
-        # Nuisances that a missing effect has pulled along would mislead the next round.
         start = current.hypothesis
         if winner.cost.mean() > EXPLAINED:
             start = Hypothesis({k: v for k, v in start.items() if k in current.free})
@@ -223,20 +217,28 @@ def _pruned(
         if others:
             options.append((others, current.hypothesis.without(key)))
         number = named.index(key)
-        for rival in stages[number].contenders[:2] + ():
+        for rival in stages[number].contenders[:2]:
             if rival.key not in named:
                 values = rival.fit.hypothesis[rival.key]
                 options.append(
-                    (others | {rival.key}, current.hypothesis.without(key).with_values(rival.key, values))
+                    (
+                        others | {rival.key},
+                        current.hypothesis.without(key).with_values(rival.key, values),
+                    )
                 )
         for free, start in options:
-            other = sharpen(problem, Fit(
-                hypothesis=start,
-                free=free,
-                cost=np.inf,
-                residual=current.residual,
-                tangents=current.tangents,
-            ), chosen, iterations=3)
+            other = sharpen(
+                problem,
+                Fit(
+                    hypothesis=start,
+                    free=free,
+                    cost=np.inf,
+                    residual=current.residual,
+                    tangents=current.tangents,
+                ),
+                chosen,
+                iterations=3,
+            )
             cost = window_cost(problem, other.hypothesis)
             fewer = len(free) < len(named)
             worse = cost - best
