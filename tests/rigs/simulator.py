@@ -60,7 +60,7 @@ SLIDE_AXIS = Rig(
     limit=80.0,
     reach=0.12,
     gains=(600.0, 50.0),
-    noise=5e-6,
+    noise=2e-5,
 )
 PENDULUM = Rig(
     model=_FOLDER / "pendulum.xml",
@@ -73,7 +73,7 @@ PENDULUM = Rig(
     limit=12.0,
     reach=1.0,
     gains=(12.0, 0.8),
-    noise=2e-5,
+    noise=1e-4,
 )
 
 
@@ -123,13 +123,13 @@ def record(rig: Rig, kind: str, truth: Truth, *, seed: int, seconds: float = 8.0
     q = theta = _reference(kind, 0.0, rig.reach)
     v = w = 0.0
     half = 0.5 * truth.play
-    stiffness, damping = 4e4 * rig.motor, 40.0 * rig.motor
+    stiffness, damping = 2e7 * rig.motor, 8e3 * rig.motor  # stiff greased teeth
     viscous = rig.viscous * truth.viscous_factor
     positions, commands = [], []
-    last = q
+    last, speed = q, 0.0
     for k in range(round(seconds / sample)):
         measured = q + rng.normal(0.0, rig.noise)
-        speed = (measured - last) / sample if k else 0.0
+        speed += 0.2 * ((measured - last) / sample - speed) if k else 0.0
         last = measured
         goal = _reference(kind, k * sample, rig.reach)
         ahead = _reference(kind, (k + 1) * sample, rig.reach)
