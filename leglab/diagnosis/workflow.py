@@ -35,7 +35,7 @@ _NOTICEABLE = 0.15
 _WORTHWHILE = 0.08
 _SIGNIFICANT = 2.5  # t value of paired window differences on held-out recordings
 _ROUNDS = 3
-_SCREENED_WINDOWS = 60
+_SCREENED_WINDOWS = 40
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,7 +149,9 @@ def search(
     chosen = thinned(problem.fitted, every)
     progress("baseline")
     floor = baseline(problem, chosen)
-    current, named, stages = floor, [], []
+    current = floor
+    named: list[Key] = []
+    stages: list[Stage] = []
     # Nuisances that a missing effect has pulled along would mislead the screening.
     typical = floor.cost / (problem.size * chosen.sum())
     start = floor.hypothesis if typical < EXPLAINED else Hypothesis()
@@ -172,6 +174,7 @@ def search(
     if named:
         progress("last refinement")
         problem.rewhiten(current.hypothesis)
+        chosen = thinned(problem.fitted, max(1, every // 2))
         current = sharpen(problem, current, chosen)
     return Search(
         problem=problem,
