@@ -38,8 +38,10 @@ def screen(
     nuisances: Sequence[Nuisance],
     named: FreeTangents,
     chosen: np.ndarray,
+    floor: float,
     *,
     skip: frozenset[Key] = frozenset(),
+    onset: np.ndarray | None = None,
 ) -> list[Candidate]:
     """Tries every effect of the library on top of `base`, best first.
 
@@ -51,10 +53,11 @@ def screen(
         nuisances: Those of the columns.
         named: Of the effects that the baseline has already, which follow as well.
         chosen: Mask of windows.
+        floor: Cost of the best fit without a further effect, which gains are counted from.
         skip: Effects that the baseline has already.
+        onset: Time at which what is looked for begins, shape (recordings,); None: throughout.
     """
     found = []
-    floor = profiled(problem, base, residual, tangents, nuisances, named)
     for key, site in problem.library.sites.items():
         if key in skip:
             continue
@@ -66,7 +69,7 @@ def screen(
         smallest: tuple[float, np.ndarray] | None = None
         now = base.get(key, site.nominal)
         for values in site.trials():
-            other = problem.residual(base.with_values(key, values), chosen)
+            other = problem.residual(base.with_values(key, values).with_onset(key, onset), chosen)
             cost = profiled(problem, base, other, space, others, named)
             if floor - cost > gain:
                 best, gain = values, floor - cost

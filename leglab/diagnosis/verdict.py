@@ -183,7 +183,13 @@ def _effects(
                 element=key[1],
                 group=site.effect.group,
                 physics=site.effect.physics,
-                onset=(),
+                onset=tuple(
+                    (series.name, float(time - series.time[0]))
+                    for series, time in zip(
+                        problem.series, final.onsets.get(key, ()), strict=False
+                    )
+                    if np.isfinite(time)
+                ),
                 confidence=certainty * quality,
                 contribution=float(
                     np.clip((lost.mean() - end.mean()) / max(lost.mean() - 1.0, 1e-3), 0.0, 1.0)
