@@ -154,8 +154,7 @@ class Replay:
                 measured, corrected = self._measure(cut, change)
                 starts.append(self._states(cut, change, variant, parameters, measured, nudge))
                 index = cut.firsts[:, None] + np.arange(self.samples)
-                control = np.stack([measured.command[a][index] for a in self.machine.actuators], 2)
-                controls.append(np.repeat(control, self.substeps, axis=1))
+                controls.append(self._controls(measured, index))
                 index = index + 1
                 targets.append(np.stack([corrected[c.column][index] for c in self.channels], 1))
         predicted = self._roll(variant, np.concatenate(starts), np.concatenate(controls))
@@ -166,6 +165,19 @@ class Replay:
         shape = (len(errors), len(self.channels), self.bins, self._per_bin)
         binned = errors.reshape(shape).mean(axis=3)
         return np.nan_to_num(binned, nan=1e12, posinf=1e12, neginf=-1e12)
+
+    def _controls(self, measured: Measured, index: np.ndarray) -> np.ndarray:
+        """Controls at the steps of windows, (windows, steps, actuators); `index` their samples."""
+        actuators = self.machine.actuators
+        controls = np.stack([measured.command[a][index] for a in actuators], 2)
+        controls = np.repeat(controls, self.substeps, axis=1)
+        # Velocities lag half a step, so a kick spans half a step to both sides of its time: the
+        # first of a sample sees the command before as well. A valve follows its command itself.
+        native = [i for i, a in enumerate(actuators) if a in self.machine.native_actuators()]
+        for i in native:
+            controls[:, :: self.substeps, i] += measured.command[actuators[i]][index - 1]
+            controls[:, :: self.substeps, i] *= 0.5
+        return controls
 
     def measured(self) -> np.ndarray:
         """Samples of all windows as measured, shape (windows, channels, samples + 1)."""

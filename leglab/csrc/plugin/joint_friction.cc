@@ -59,11 +59,11 @@ void JointFriction::compute(const mjModel* m, mjData* d) {
   const Level now = level(p, s, d->time, v);
   double force = now.viscous * v;
   if (now.sliding > 0) {
-    // z'/v = 1 - sgn(v) sigma_0 z / g. Bounded, since g may fall at once (wear set anew, a direction
-    // without friction) and the bristle follows only with the next step.
-    const double relative_rate = std::clamp(
-        1.0 - std::copysign(p.sigma_0_ * s.bristle_ / now.sliding, v * s.bristle_), -4.0, 4.0);
-    force += p.sigma_0_ * s.bristle_ + p.sigma_1_ * v * relative_rate;
+    // Mean of z' over the step: at speed a bristle relaxes within microseconds, and z' at one moment
+    // would stand for the whole step.
+    const double h = m->opt.timestep;
+    const double next = hydraulics::advance_bristle(s.bristle_, v, now.sliding, p.sigma_0_, h);
+    force += p.sigma_0_ * s.bristle_ + p.sigma_1_ * (next - s.bristle_) / h;
   }
   d->qfrc_passive[dof_] -= force;
 }

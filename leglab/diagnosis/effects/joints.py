@@ -13,7 +13,7 @@ from leglab.diagnosis.machine import CYLINDER, Machine
 FRICTION = "leglab.joint_friction"
 SPRING = "leglab.spring_damper"
 _POSES = 12
-_BRISTLE_HZ = 30.0
+_BRISTLE_HZ = 100.0
 
 
 def unit(machine: Machine, joint: str) -> str:
@@ -108,7 +108,7 @@ def insert_on_joint(
 
 
 def bristle(machine: Machine, joint: str) -> dict[str, float]:
-    """LuGre bristle that is stiff for the joint and stable at 1 ms: 30 Hz, half damped."""
+    """LuGre bristle that is stiff for the joint and stable at 1 ms: 100 Hz, half damped."""
     mass = inertia(machine, joint)
     frequency = 2.0 * math.pi * _BRISTLE_HZ
     return {"sigma_0": mass * frequency**2, "sigma_1": mass * frequency}

@@ -32,15 +32,18 @@ class Payload(Effect):
         """Mass and distance."""
         body = machine.base.model.body(element)
         own, reach = float(body.mass[0]), float((body.ipos**2).sum() ** 0.5)
+        mass = EffectParameter(
+            name="mass",
+            unit="kg",
+            nominal=0.0,
+            lower=0.0,
+            upper=5.0 * own,
+            trials=(0.05 * own, 0.4 * own),
+        )
+        if reach == 0.0:  # nowhere along the line: at the centre itself
+            return (mass,)
         return (
-            EffectParameter(
-                name="mass",
-                unit="kg",
-                nominal=0.0,
-                lower=0.0,
-                upper=5.0 * own,
-                trials=(0.05 * own, 0.4 * own),
-            ),
+            mass,
             EffectParameter(
                 name="distance",
                 unit="m",
@@ -53,11 +56,12 @@ class Payload(Effect):
 
     def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
         """Adds a body with the mass; the model is compiled anew for every value."""
-        mass, distance = values["mass"], values["distance"]
+        mass, distance = values["mass"], values.get("distance", 0.0)
         if mass == 0.0:
             return
         centre = change.machine.base.model.body(element).ipos
-        position = centre * (distance / (centre @ centre) ** 0.5)
+        reach = float((centre @ centre) ** 0.5)
+        position = centre * (distance / reach) if reach > 0.0 else centre.copy()
 
         def add(spec: mujoco.MjSpec) -> None:
             load = spec.body(element).add_body(name=f"{element}_payload", pos=position)
