@@ -84,7 +84,9 @@ def checked_onsets(problem: Problem, fit: Fit, named: Sequence[Key], chosen: np.
             saved = np.cumsum(now[windows] - absent[windows])
             best = int(np.argmax(saved))
             if problem.size * saved[best] > _NEEDED and best + 1 >= _LEAST:
-                onsets[i] = problem.replay.start[windows[best]] + 1.25 * problem.replay.layout.window
+                onsets[i] = (
+                    problem.replay.start[windows[best]] + 1.25 * problem.replay.layout.window
+                )
         if np.isfinite(onsets).any():
             later = _with(fit, fit.hypothesis.with_onset(key, onsets))
             later = sharpen(problem, later, chosen, iterations=3)

@@ -99,9 +99,7 @@ class Problem:
             if p.tolerance > 0.0
         )
 
-    def residual(
-        self, hypothesis: Hypothesis, chosen: np.ndarray | None = None
-    ) -> np.ndarray:
+    def residual(self, hypothesis: Hypothesis, chosen: np.ndarray | None = None) -> np.ndarray:
         """Whitened errors, shape (chosen windows, size); 0 in windows where an effect begins."""
         errors, certain = self._errors(self.replay, hypothesis, chosen)
         defect = self._defect if chosen is None else self._defect[chosen]

@@ -14,7 +14,7 @@ from leglab.diagnosis.screening import Candidate, screen
 _REFITTED = 6
 _SHARPENED = 3
 # A round whose best screened effect saves less than this share of a noise variance ends there.
-_HOPE = 0.02
+_HOPE = 0.04
 # A rival whose cost is this many times the best one's excess after a rough fit stays behind.
 _HOPELESS = 8.0
 

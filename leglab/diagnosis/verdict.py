@@ -185,9 +185,7 @@ def _effects(
                 physics=site.effect.physics,
                 onset=tuple(
                     (series.name, float(time - series.time[0]))
-                    for series, time in zip(
-                        problem.series, final.onsets.get(key, ()), strict=False
-                    )
+                    for series, time in zip(problem.series, final.onsets.get(key, ()), strict=False)
                     if np.isfinite(time)
                 ),
                 confidence=certainty * quality,

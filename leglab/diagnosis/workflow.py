@@ -164,7 +164,9 @@ def search(
             onset, current = suspect
             start = current.hypothesis
     while len(stages) < settings.rounds:
-        stage = round_of_search(problem, start, frozenset(named), current, chosen, rng, progress, onset)
+        stage = round_of_search(
+            problem, start, frozenset(named), current, chosen, rng, progress, onset
+        )
         stages.append(stage)
         winner = next((c for c in stage.contenders if _accepted(problem, stage, c, chosen)), None)
         if winner is None:

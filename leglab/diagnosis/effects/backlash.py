@@ -148,7 +148,9 @@ def _drives(model: mujoco.MjModel, joint: str) -> list[tuple[str, Drive]]:
     def drive_of(i: int) -> Drive:
         gear, gain = float(model.actuator_gear[i, 0]), float(model.actuator_gainprm[i, 0])
         bias = model.actuator_biasprm[i, :3].copy()
-        low, high = model.actuator_forcerange[i] if model.actuator_forcelimited[i] else (-np.inf, np.inf)
+        low, high = (
+            model.actuator_forcerange[i] if model.actuator_forcelimited[i] else (-np.inf, np.inf)
+        )
 
         def drive(command: np.ndarray, theta: np.ndarray, omega: np.ndarray) -> np.ndarray:
             force = gain * command + bias[0] + gear * (bias[1] * theta + bias[2] * omega)
