@@ -2,7 +2,7 @@
 
 Time stepping at 20 us: forces explicit, dry friction as the impulse that brakes at most to rest
 (Moreau 1988), a flank of the gear play as a damped spring. A PD loop at 1 kHz follows a reference
-with a coarse encoder, and its command is recorded with what a finer encoder shows.
+by the drive's own fine encoder; its command is recorded with what a coarser encoder shows.
 """
 
 import math
@@ -15,6 +15,7 @@ from leglab.recording import Recording
 
 _H = 2e-5  # s
 _PERIOD = 1e-3  # s
+_FINE = 0.05  # noise of the drive's encoder, of that of the recorded one
 _FOLDER = Path(__file__).parent
 
 
@@ -128,14 +129,14 @@ def record(rig: Rig, kind: str, truth: Truth, *, seed: int, seconds: float = 8.0
     positions, commands = [], []
     last, speed = q, 0.0
     for k in range(round(seconds / sample)):
-        measured = q + rng.normal(0.0, rig.noise)
+        measured = q + _FINE * rng.normal(0.0, rig.noise)
         speed += 0.2 * ((measured - last) / sample - speed) if k else 0.0
         last = measured
         goal = _reference(kind, k * sample, rig.reach)
         ahead = _reference(kind, (k + 1) * sample, rig.reach)
         force = kp * (goal - measured) + kd * ((ahead - goal) / sample - speed)
         force = min(max(force, -rig.limit), rig.limit)
-        positions.append(measured)
+        positions.append(q + rng.normal(0.0, rig.noise))
         commands.append(force)
         for _ in range(steps):
             side = truth.forward if v > 0 else truth.backward
