@@ -42,9 +42,8 @@ def cut_series(
     unrest = _unrest(machine, series, channels)
     room = round(_ROOM * samples)
     grid = np.arange(max(MARGIN, lead), last + 1, samples)
-    firsts = np.array(
-        [g + int(np.argmin(unrest[g : min(g + room, last) + 1])) for g in grid], dtype=int
-    )
+    calm = [g + int(np.argmin(unrest[g : min(g + room, last) + 1])) for g in grid.tolist()]
+    firsts = np.array(calm, dtype=np.int64)
     missing = np.concatenate([[0], np.cumsum(~series.valid)])
     keep = missing[firsts + samples + 1] == missing[firsts - lead]
     for channel in channels:
