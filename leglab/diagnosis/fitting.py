@@ -142,10 +142,39 @@ def profiled(
     own: FreeTangents,
 ) -> float:
     """Cost after nuisances and free parameters have done, to first order, what they can."""
-    now = _departures(problem, hypothesis, nuisances)
     count = own.columns.shape[2]
     jacobian = np.concatenate([own.columns, tangents], axis=2)
-    step = solve_step(
+    step = _first_order(problem, hypothesis, residual, jacobian, nuisances, own)
+    now = _departures(problem, hypothesis, nuisances)
+    moved = residual + jacobian @ step
+    return problem.cost(moved, float(((now + step[count:]) ** 2).sum()))
+
+
+def profiled_step(
+    problem: Problem,
+    hypothesis: Hypothesis,
+    residual: np.ndarray,
+    tangents: np.ndarray,
+    nuisances: Sequence[Nuisance],
+    own: FreeTangents,
+) -> np.ndarray:
+    """Steps of the free parameters to first order, nuisances following, (parameters,)."""
+    jacobian = np.concatenate([own.columns, tangents], axis=2)
+    step = _first_order(problem, hypothesis, residual, jacobian, nuisances, own)
+    return step[: own.columns.shape[2]]
+
+
+def _first_order(
+    problem: Problem,
+    hypothesis: Hypothesis,
+    residual: np.ndarray,
+    jacobian: np.ndarray,
+    nuisances: Sequence[Nuisance],
+    own: FreeTangents,
+) -> np.ndarray:
+    now = _departures(problem, hypothesis, nuisances)
+    count = own.columns.shape[2]
+    return solve_step(
         residual,
         jacobian,
         np.concatenate([np.zeros(count), now]),
@@ -153,8 +182,6 @@ def profiled(
         np.concatenate([own.lower, -_BOX - now]),
         np.concatenate([own.upper, _BOX - now]),
     )
-    moved = residual + jacobian @ step
-    return problem.cost(moved, float(((now + step[count:]) ** 2).sum()))
 
 
 def _departures(

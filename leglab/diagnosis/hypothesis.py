@@ -59,10 +59,21 @@ class Site:
 
 
 class Hypothesis(Mapping[Key, np.ndarray]):
-    """Values of effects by effect and element; every other effect is absent. Immutable."""
+    """Values of effects by effect and element; every other effect is absent. Immutable.
 
-    def __init__(self, values: Mapping[Key, np.ndarray] | None = None) -> None:
+    Attributes:
+        onsets: Time [s] in every recording at which an effect begins, shape (recordings,), by
+            effect; -inf where it is there from the start, inf where it never is. Effects without
+            an entry are there throughout.
+    """
+
+    def __init__(
+        self,
+        values: Mapping[Key, np.ndarray] | None = None,
+        onsets: Mapping[Key, np.ndarray] | None = None,
+    ) -> None:
         self._values = {key: np.array(v, dtype=float) for key, v in (values or {}).items()}
+        self.onsets = {k: v for k, v in (onsets or {}).items() if k in self._values}
 
     def __getitem__(self, key: Key) -> np.ndarray:
         return self._values[key]
@@ -75,11 +86,21 @@ class Hypothesis(Mapping[Key, np.ndarray]):
 
     def with_values(self, key: Key, values: np.ndarray) -> "Hypothesis":
         """The same with an effect set."""
-        return Hypothesis({**self._values, key: values})
+        return Hypothesis({**self._values, key: values}, self.onsets)
 
-    def without(self, key: Key) -> "Hypothesis":
-        """The same with an effect absent."""
-        return Hypothesis({k: v for k, v in self._values.items() if k != key})
+    def with_onset(self, key: Key, onset: np.ndarray | None) -> "Hypothesis":
+        """The same with an effect that begins at times, or throughout for None."""
+        others = {k: v for k, v in self.onsets.items() if k != key}
+        return Hypothesis(self._values, others if onset is None else {**others, key: onset})
+
+    def only(self, keys: Iterable[Key]) -> "Hypothesis":
+        """The same with nothing but some effects."""
+        wanted = set(keys)
+        return Hypothesis({k: v for k, v in self._values.items() if k in wanted}, self.onsets)
+
+    def without(self, *keys: Key) -> "Hypothesis":
+        """The same with effects absent."""
+        return self.only(set(self._values) - set(keys))
 
 
 class Library:

@@ -8,8 +8,9 @@ from scipy.signal import savgol_coeffs
 
 from leglab.diagnosis.change import Change
 from leglab.diagnosis.machine import CYLINDER
-from leglab.diagnosis.replay import Nudge, Replay
+from leglab.diagnosis.replay import Replay
 from leglab.diagnosis.series import Series, filter_difference, noise_level
+from leglab.diagnosis.starts import Nudge
 
 # Start states are free within this many standard deviations of what smoothing leaves: a start
 # that is a little off must not speak for or against an effect.
@@ -17,6 +18,8 @@ _LOOSE = 3.0
 # Timing of sampling, hold and integrator: this share of a channel's change over a bin is not
 # held against a model; of positions and of pressures.
 _TIMING = (3e-4, 3e-3)
+# Pressures that a replay before the window had to find are that uncertain.
+_UNSEEN = 3e5  # Pa
 # Bristles start within this share of their full deflection.
 _BRISTLE = 0.3
 # A chamber below this pressure holds vapour; from then on a window says nothing.
@@ -118,6 +121,9 @@ def _nudges(
         size = float(np.median(spread))
         found.append((Nudge(joint=channel.joint, quantity="velocity", size=size), spread))
     for cylinder in machine.instances(CYLINDER):
+        for chamber in ("pressure_a", "pressure_b") if replay.blind else ():
+            nudge = Nudge(cylinder=cylinder, quantity=chamber, size=1e5)
+            found.append((nudge, np.full(replay.windows, _UNSEEN)))
         stiffness = machine.parameter(cylinder, "sigma_0")
         if stiffness > 0.0:
             size = _BRISTLE * machine.parameter(cylinder, "static") / stiffness

@@ -83,12 +83,12 @@ def _configure(spec: mujoco.MjSpec, element: str, name: str, value: float) -> No
 
 def _absolute_files(spec: mujoco.MjSpec, folder: Path) -> None:
     """Makes mesh and texture folders absolute: the patched model lies elsewhere."""
+    if not spec.meshes and not spec.textures:
+        return
     for attribute in ("meshdir", "texturedir"):
-        place = getattr(spec.compiler, attribute, None)
-        if place is None:
-            place = getattr(spec, attribute, "")
-        if (spec.meshes or spec.textures) and not os.path.isabs(place):
-            holder = spec.compiler if hasattr(spec.compiler, attribute) else spec
+        holder = spec.compiler if hasattr(spec.compiler, attribute) else spec
+        place = str(getattr(holder, attribute))
+        if not os.path.isabs(place):
             setattr(holder, attribute, str((folder / place).resolve()))
 
 

@@ -99,28 +99,48 @@ class Problem:
             if p.tolerance > 0.0
         )
 
-    def residual(
-        self, hypothesis: Mapping[Key, np.ndarray], chosen: np.ndarray | None = None
-    ) -> np.ndarray:
-        """Whitened errors, shape (chosen windows, size)."""
-        change = self.library.change(hypothesis, self.machine)
-        errors = self.replay.error(change, chosen=chosen)
-        gain = self.replay.noise_gain[:, None]
+    def residual(self, hypothesis: Hypothesis, chosen: np.ndarray | None = None) -> np.ndarray:
+        """Whitened errors, shape (chosen windows, size); 0 in windows where an effect begins."""
+        errors, certain = self._errors(self.replay, hypothesis, chosen)
         defect = self._defect if chosen is None else self._defect[chosen]
-        white = self._whiten((errors + defect) / gain, chosen)
+        white = self._whiten((errors + defect) * certain[:, None, None], chosen)
         return np.clip(white, -_CLIP, _CLIP)
 
-    def raw_errors(self, hypothesis: Mapping[Key, np.ndarray]) -> np.ndarray:
-        """Measured less predicted in SI units, shape (windows, channels, bins)."""
-        return self.replay.error(self.library.change(hypothesis, self.machine)) + self._defect
+    def _errors(
+        self, replay: Replay, hypothesis: Hypothesis, chosen: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Errors of the chosen windows; and 0 for windows in which an effect begins, else 1."""
+        if not hypothesis.onsets:
+            change = self.library.change(hypothesis, replay.machine)
+            errors = replay.error(change, chosen=chosen) / replay.noise_gain[:, None]
+            return errors, np.ones(len(errors))
+        chosen = np.ones(replay.windows, dtype=bool) if chosen is None else chosen
+        length = self.replay.layout.window
+        keys = sorted(hypothesis.onsets)
+        begins = np.stack([hypothesis.onsets[k][replay.recording] for k in keys])
+        active = begins <= replay.start
+        certain = ~((begins > replay.start) & (begins < replay.start + length)).any(axis=0)
+        codes = (active * (1 << np.arange(len(keys)))[:, None]).sum(axis=0)
+        out = np.zeros((replay.windows, len(self.channels), replay.bins))
+        for code in np.unique(codes[chosen]):
+            group = chosen & (codes == code)
+            absent = [k for i, k in enumerate(keys) if not code >> i & 1]
+            change = self.library.change(hypothesis.without(*absent), replay.machine)
+            out[group] = replay.error(change, chosen=group) / replay.noise_gain[:, None]
+        return out[chosen], certain[chosen].astype(float)
 
-    def rewhiten(self, hypothesis: Mapping[Key, np.ndarray]) -> None:
+    def raw_errors(self, hypothesis: Hypothesis) -> np.ndarray:
+        """Measured less predicted in SI units, shape (windows, channels, bins)."""
+        return self._errors(self.replay, hypothesis, None)[0] + self._defect
+
+    def rewhiten(self, hypothesis: Hypothesis) -> None:
         """Takes sensitivities to start states and time step anew, about a hypothesis."""
+        errors, _ = self._errors(self.replay, hypothesis, None)
+        fine, _ = self._errors(self._fine, hypothesis, None)
+        self._defect = (fine - errors) * (4.0 / 3.0)
         change = self.library.change(hypothesis, self.machine)
-        errors = self.replay.error(change)
-        fine = self.library.change(hypothesis, self._fine.machine)
-        self._defect = (self._fine.error(fine) - errors) * (4.0 / 3.0)
-        self._whiten = Whitening(self.replay, self.series, change, errors)
+        reference = self.replay.error(change)
+        self._whiten = Whitening(self.replay, self.series, change, reference)
 
     def active_nuisances(self, free: set[Key]) -> tuple[Nuisance, ...]:
         """Nuisances but those of effects that are fitted freely."""

@@ -5,9 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leglab.diagnosis.fitting import FreeTangents, profiled
-from leglab.diagnosis.hypothesis import Hypothesis, Key
+from leglab.diagnosis.fitting import FreeTangents, profiled, profiled_step
+from leglab.diagnosis.hypothesis import Hypothesis, Key, Site
 from leglab.diagnosis.problem import Nuisance, Problem
+
+# First-order steps go this many times as far as a trial.
+_FURTHEST = 20.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,8 +41,10 @@ def screen(
     nuisances: Sequence[Nuisance],
     named: FreeTangents,
     chosen: np.ndarray,
+    floor: float,
     *,
     skip: frozenset[Key] = frozenset(),
+    onset: np.ndarray | None = None,
 ) -> list[Candidate]:
     """Tries every effect of the library on top of `base`, best first.
 
@@ -51,10 +56,11 @@ def screen(
         nuisances: Those of the columns.
         named: Of the effects that the baseline has already, which follow as well.
         chosen: Mask of windows.
+        floor: Cost of the best fit without a further effect, which gains are counted from.
         skip: Effects that the baseline has already.
+        onset: Time at which what is looked for begins, shape (recordings,); None: throughout.
     """
     found = []
-    floor = profiled(problem, base, residual, tangents, nuisances, named)
     for key, site in problem.library.sites.items():
         if key in skip:
             continue
@@ -62,31 +68,41 @@ def screen(
         others = [nuisances[i] for i in own]
         space = tangents[:, :, own]
         known = np.concatenate([named.columns, space], axis=2)
-        best, gain = site.nominal, -np.inf
-        smallest: tuple[float, np.ndarray] | None = None
         now = base.get(key, site.nominal)
+        scales = np.array([p.scale for p in site.parameters])
+
+        def residual_at(values: np.ndarray, key: Key = key, base: Hypothesis = base) -> np.ndarray:
+            moved = base.with_values(key, values).with_onset(key, onset)
+            return problem.residual(moved, chosen)
+
+        best, gain = site.nominal, -np.inf
+        # Of every strength: its best trial as (gain, difference, direction).
+        leaders: dict[int, tuple[float, np.ndarray, np.ndarray]] = {}
+        smallest: tuple[float, np.ndarray] | None = None
         for values in site.trials():
-            other = problem.residual(base.with_values(key, values), chosen)
-            cost = profiled(problem, base, other, space, others, named)
+            direction = residual_at(values) - residual
+            cost = profiled(problem, base, residual + direction, space, others, named)
             if floor - cost > gain:
                 best, gain = values, floor - cost
             difference = values - now
-            moved = int(np.argmax(np.abs(difference) / [p.scale for p in site.parameters]))
-            size = abs(difference[moved]) / site.parameters[moved].scale
-            direction = other - residual
-            # To first order the best size may lie between nothing and this trial.
-            unit = _orthogonal(direction, known)
-            norm = float((unit**2).sum())
-            share = -float((unit * residual).sum()) / norm if norm > 0 else 0.0
-            if 0.0 < share < 1.0:
-                part = residual + share * direction
-                cost = profiled(problem, base, part, space, others, named)
-                if floor - cost > gain:
-                    best, gain = now + share * difference, floor - cost
+            strength = int(np.argmax(np.abs(difference) / scales))
+            if strength not in leaders or floor - cost > leaders[strength][0]:
+                leaders[strength] = (floor - cost, difference, direction)
+            size = float(abs(difference[strength]) / scales[strength])
             if smallest is None or size < smallest[0]:
                 smallest = (size, direction)
         if smallest is None:
             continue
+        # Strengths together, and sizes between and beyond the trials, to first order; the
+        # prediction is believed after a replay only.
+        step = _combined(
+            problem, base, residual, space, others, named, list(leaders.values()), site, now
+        )
+        if step is not None:
+            direction = residual_at(step) - residual
+            cost = profiled(problem, base, residual + direction, space, others, named)
+            if floor - cost > gain:
+                best, gain = step, floor - cost
         unit = _orthogonal(smallest[1], known)
         found.append(
             Candidate(
@@ -98,6 +114,36 @@ def screen(
             )
         )
     return sorted(found, key=lambda c: -c.gain)
+
+
+def _combined(
+    problem: Problem,
+    base: Hypothesis,
+    residual: np.ndarray,
+    space: np.ndarray,
+    others: Sequence[Nuisance],
+    named: FreeTangents,
+    leaders: list[tuple[float, np.ndarray, np.ndarray]],
+    site: Site,
+    now: np.ndarray,
+) -> np.ndarray | None:
+    """Values to try next: multiples of the best trials that fit best to first order."""
+    count = named.columns.shape[2]
+    columns = np.stack([direction for _, _, direction in leaders], axis=2)
+    own = FreeTangents(
+        columns=np.concatenate([named.columns, columns], axis=2),
+        lower=np.concatenate([named.lower, np.zeros(len(leaders))]),
+        upper=np.concatenate([named.upper, np.full(len(leaders), _FURTHEST)]),
+    )
+    shares = profiled_step(problem, base, residual, space, others, own)[count:]
+    values = now + sum(
+        share * difference for share, (_, difference, _) in zip(shares, leaders, strict=True)
+    )
+    values = np.clip(values, site.lower, site.upper)
+    near = any(
+        np.allclose(values, now + d, rtol=0.15, atol=0.05 * abs(d).max()) for _, d, _ in leaders
+    )
+    return None if near or np.allclose(values, now) else values
 
 
 def _orthogonal(direction: np.ndarray, tangents: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from leglab.diagnosis.screening import Candidate, screen
 _REFITTED = 6
 _SHARPENED = 3
 # A round whose best screened effect saves less than this share of a noise variance ends there.
-_HOPE = 0.02
+_HOPE = 0.04
 # A rival whose cost is this many times the best one's excess after a rough fit stays behind.
 _HOPELESS = 8.0
 
@@ -129,6 +129,7 @@ def round_of_search(
     chosen: np.ndarray,
     rng: np.random.Generator,
     progress: Progress,
+    onset: np.ndarray | None = None,
 ) -> Stage:
     """Looks for one more effect on top of those that are named already.
 
@@ -141,6 +142,7 @@ def round_of_search(
         chosen: Windows of screening and rough fits.
         rng: For the null.
         progress: Called with what is being done.
+        onset: Time at which what is looked for begins, shape (recordings,); None: throughout.
     """
     nuisances = problem.active_nuisances(set(named))
     residual = problem.residual(base, chosen)
@@ -148,7 +150,23 @@ def round_of_search(
     tangents = problem.tangents(base, residual, chosen, nuisances)
     progress("screening")
     own = free_tangents(problem, base, named, residual, chosen)
-    candidates = screen(problem, base, residual, tangents, nuisances, own, chosen, skip=named)
+    fitted = floor_fit.hypothesis
+    floor = problem.cost(
+        residual if fitted is base else problem.residual(fitted, chosen),
+        problem.prior_cost(fitted, set(named)),
+    )
+    candidates = screen(
+        problem,
+        base,
+        residual,
+        tangents,
+        nuisances,
+        own,
+        chosen,
+        floor,
+        skip=named,
+        onset=onset,
+    )
     settled = float(np.median(np.mean(floor_fit.residual**2, axis=1)))
     threshold = chance_gain(candidates, tangents, float(np.clip(settled, 1.0, 2.0)), rng)
     rough: list[tuple[Key, Fit]] = []
@@ -156,7 +174,7 @@ def round_of_search(
     promising = candidates[:_REFITTED] if candidates and candidates[0].gain > hope else []
     for candidate in promising:
         progress(f"fitting {candidate.key[0]}")
-        start = base.with_values(candidate.key, candidate.values)
+        start = base.with_values(candidate.key, candidate.values).with_onset(candidate.key, onset)
         free = named | {candidate.key}
         fit = refit(problem, start, free, chosen, tangents, nuisances, iterations=4)
         rough.append((candidate.key, fit))

@@ -183,7 +183,11 @@ def _effects(
                 element=key[1],
                 group=site.effect.group,
                 physics=site.effect.physics,
-                onset=(),
+                onset=tuple(
+                    (series.name, float(time - series.time[0]))
+                    for series, time in zip(problem.series, final.onsets.get(key, ()), strict=False)
+                    if np.isfinite(time)
+                ),
                 confidence=certainty * quality,
                 contribution=float(
                     np.clip((lost.mean() - end.mean()) / max(lost.mean() - 1.0, 1e-3), 0.0, 1.0)
@@ -235,7 +239,8 @@ def _gap(problem: Problem, squares: Mapping[str, np.ndarray]) -> Gap:
         for i, s in enumerate(problem.series)
         if problem.held[problem.replay.recording == i].any()
     )
-    return Gap(held_out=names, **{k: _rms(v[mask]) for k, v in squares.items()})
+    rms = {k: _rms(v[mask]) for k, v in squares.items()}
+    return Gap(held_out=names, before=rms["before"], baseline=rms["baseline"], after=rms["after"])
 
 
 def _not_testable(found: Search) -> tuple[NotTestable, ...]:
@@ -301,8 +306,11 @@ def _traces(problem: Problem, found: Search) -> tuple[ResidualTrace, ...]:
         index = np.minimum((first[:, None] + middle).astype(int), series.time.size - 1).ravel()
         for k, channel in enumerate(problem.channels):
             q = series.columns[f"{channel.joint}_position"]
-            pressures = [series.columns.get(f"{channel.joint}_pressure_{c}") for c in "ab"]
-            both = pressures[0] is not None and pressures[1] is not None
+            first_chamber = series.columns.get(f"{channel.joint}_pressure_a")
+            second_chamber = series.columns.get(f"{channel.joint}_pressure_b")
+            difference = None
+            if first_chamber is not None and second_chamber is not None:
+                difference = (first_chamber - second_chamber)[index]
             rows.append(
                 ResidualTrace(
                     recording=series.name,
@@ -311,7 +319,7 @@ def _traces(problem: Problem, found: Search) -> tuple[ResidualTrace, ...]:
                     time=series.time[index],
                     position=q[index],
                     velocity=np.gradient(q, period)[index],
-                    pressure=(pressures[0] - pressures[1])[index] if both else None,
+                    pressure=difference,
                     before=before[mask, k].ravel(),
                     after=after[mask, k].ravel(),
                 )

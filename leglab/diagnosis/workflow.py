@@ -10,6 +10,7 @@ from leglab.diagnosis.fitting import Fit
 from leglab.diagnosis.hypothesis import Hypothesis, Key, Library
 from leglab.diagnosis.judging import t_value
 from leglab.diagnosis.machine import Machine
+from leglab.diagnosis.onset import checked_onsets, suspected_onset
 from leglab.diagnosis.problem import Problem
 from leglab.diagnosis.replay import Layout
 from leglab.diagnosis.search import (
@@ -35,7 +36,7 @@ _NOTICEABLE = 0.15
 _WORTHWHILE = 0.08
 _SIGNIFICANT = 2.5  # t value of paired window differences on held-out recordings
 _ROUNDS = 3
-_SCREENED_WINDOWS = 60
+_SCREENED_WINDOWS = 40
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,12 +150,23 @@ def search(
     chosen = thinned(problem.fitted, every)
     progress("baseline")
     floor = baseline(problem, chosen)
-    current, named, stages = floor, [], []
+    current = floor
+    named: list[Key] = []
+    stages: list[Stage] = []
     # Nuisances that a missing effect has pulled along would mislead the screening.
     typical = floor.cost / (problem.size * chosen.sum())
     start = floor.hypothesis if typical < EXPLAINED else Hypothesis()
+    onset = None
+    if typical > EXPLAINED:
+        progress("looking for an onset")
+        suspect = suspected_onset(problem, chosen)
+        if suspect is not None:
+            onset, current = suspect
+            start = current.hypothesis
     while len(stages) < settings.rounds:
-        stage = round_of_search(problem, start, frozenset(named), current, chosen, rng, progress)
+        stage = round_of_search(
+            problem, start, frozenset(named), current, chosen, rng, progress, onset
+        )
         stages.append(stage)
         winner = next((c for c in stage.contenders if _accepted(problem, stage, c, chosen)), None)
         if winner is None:
@@ -165,14 +177,16 @@ def search(
             break
         start = current.hypothesis
         if winner.cost.mean() > EXPLAINED:
-            start = Hypothesis({k: v for k, v in start.items() if k in current.free})
+            start = start.only(current.free)
     if len(named) > 1:
         progress("checking each effect against the others")
         current, named = _pruned(problem, current, named, stages, chosen)
     if named:
         progress("last refinement")
         problem.rewhiten(current.hypothesis)
+        chosen = thinned(problem.fitted, max(1, every // 2))
         current = sharpen(problem, current, chosen)
+        current = checked_onsets(problem, current, named, chosen)
     return Search(
         problem=problem,
         baseline=floor,

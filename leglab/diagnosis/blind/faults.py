@@ -53,6 +53,8 @@ TOLERANCES = {
     "rated_flow": 0.02,
     "viscous": 0.06,
     "coulomb": 0.06,
+    "k1": 0.025,
+    "k2": 0.05,
 }
 NULL_SHIFT = 0.002  # standard deviation of the valve's null, of full command
 
@@ -100,7 +102,8 @@ def _element(name: str) -> str:
 
 
 def _present(plant: Plant, name: str) -> float:
-    return plant.parameters.get((_element(name), name), NOMINAL[name])
+    key = _element(name), name
+    return plant.parameters.get(key, plant.tuning.get(key, NOMINAL[name]))
 
 
 def _put(plant: Plant, name: str, value: float) -> Severity:
@@ -246,6 +249,15 @@ FAULTS: dict[str, Fault] = {
 }
 
 
+# Faults that can set in while a recording runs.
+SUDDEN = tuple(
+    sorted(
+        set(FAULTS)
+        - {"payload", "armature", "base_tilt", "encoder_offset", "encoder_scale", "sensor_delay"}
+    )
+)
+
+
 def detuned(plant: Plant, rng: np.random.Generator) -> None:
     """Moves the nuisance parameters by their tolerance, at most two standard deviations."""
 
@@ -253,7 +265,7 @@ def detuned(plant: Plant, rng: np.random.Generator) -> None:
         return float(np.clip(rng.standard_normal(), -2.0, 2.0))
 
     for name, tolerance in TOLERANCES.items():
-        _put(plant, name, NOMINAL[name] * (1.0 + tolerance * draw()))
+        plant.tuning[_element(name), name] = NOMINAL[name] * (1.0 + tolerance * draw())
     shift = _present(plant, "coulomb") - NOMINAL["coulomb"]
-    _put(plant, "static", NOMINAL["static"] + shift)
-    _put(plant, "null_bias", NULL_SHIFT * draw())
+    plant.tuning[VALVE, "static"] = NOMINAL["static"] + shift
+    plant.tuning[VALVE, "null_bias"] = NULL_SHIFT * draw()

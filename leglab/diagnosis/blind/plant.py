@@ -29,7 +29,8 @@ class Plant:
 
     Attributes:
         model: Compiled with the fine step; faults may change it.
-        parameters: Plugin parameters by element and name.
+        tuning: Plugin parameters of this good machine, by element and name.
+        parameters: The same of what is wrong with it.
         torques: Further generalised forces on the knee.
         command_delay: s.
         encoder: (scale, offset [rad], delay [s]) of the position sensor.
@@ -37,6 +38,7 @@ class Plant:
     """
 
     model: mujoco.MjModel
+    tuning: dict[tuple[str, str], float] = field(default_factory=dict)
     parameters: dict[tuple[str, str], float] = field(default_factory=dict)
     torques: list[Torque] = field(default_factory=list)
     command_delay: float = 0.0
@@ -50,7 +52,7 @@ class Plant:
         substeps = round(SAMPLING_PERIOD / TIMESTEP)
         start, table = places["knee_valve"]
         slots = [start + table.entry(n).offset for n in ("pressure_a", "pressure_b")]
-        nominal = {key: self._get(data, places, key) for key in self.parameters}
+        self._set(data, places, self.tuning)
         if self.onset <= 0.0:
             self._set(data, places, self.parameters)
         data.qpos[0] = reference[0]
@@ -64,7 +66,6 @@ class Plant:
         queue = np.zeros(lag + 1)
         seen_late = round(late / SAMPLING_PERIOD)
         active = self.onset <= 0.0
-        del nominal
         for k in range(count):
             true[k] = data.qpos[0], data.plugin_state[slots[0]], data.plugin_state[slots[1]]
             seen = scale * true[max(k - seen_late, 0), 0] + offset
@@ -97,13 +98,6 @@ class Plant:
                 "knee_pressure_b": true[:, 2] + noise[:, 1],
             },
         )
-
-    @staticmethod
-    def _get(
-        data: mujoco.MjData, places: dict[str, tuple[int, PluginTable]], key: tuple[str, str]
-    ) -> float:
-        start, table = places[key[0]]
-        return float(data.plugin_state[start + table.entry(key[1]).offset])
 
     @staticmethod
     def _set(

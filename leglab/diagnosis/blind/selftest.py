@@ -3,7 +3,7 @@
 import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
 
@@ -187,15 +187,9 @@ def _read(path: Path) -> Iterator[Outcome]:
             row = json.loads(line)
         except json.JSONDecodeError:  # the line that an interruption cut off
             continue
-        row["alternatives"] = tuple(tuple(a) for a in row["alternatives"])
-        outcome = Outcome(**row)
-        yield replace(
-            outcome,
-            **{
-                k: tuple(getattr(outcome, k))
-                for k in ("hidden", "severities", "named", "confidence", "covered", "onsets")
-            },
-        )
+        lists = {k: tuple(v) for k, v in row.items() if isinstance(v, list)}
+        lists["alternatives"] = tuple(tuple(a) for a in row["alternatives"])
+        yield Outcome(**{**row, **lists})
 
 
 def score_table(outcomes: list[Outcome]) -> Table:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leglab.diagnosis.blind.faults import FAULTS, Severity, bench, detuned
+from leglab.diagnosis.blind.faults import FAULTS, SUDDEN, Severity, bench, detuned
 from leglab.diagnosis.blind.plant import Plant
 from leglab.diagnosis.blind.references import references
 from leglab.recording import Recording
@@ -47,7 +47,8 @@ def cases(counts: Mapping[str, int], seed: int, names: Sequence[str]) -> list[Ca
             elif kind == "pair":
                 effects = tuple(rng.choice(names, 2, replace=False).tolist())
             else:
-                effects = (names[int(rng.integers(len(names)))],)
+                choice = [n for n in names if n in SUDDEN] if kind == "onset" else list(names)
+                effects = (choice[int(rng.integers(len(choice)))],)
             onset = 6.0 if kind == "onset" else 0.0
             found.append(Case(kind=kind, number=number, effects=effects, onset=onset))
     return found

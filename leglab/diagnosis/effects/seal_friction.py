@@ -1,8 +1,9 @@
 """Seal friction of a cylinder: LuGre, F = sigma_0 z + sigma_1 z' + b v."""
 
+from leglab.diagnosis.effects.base import Group
 from leglab.diagnosis.effects.cylinder_parameter import HYQ, Row, define
 
-_GROUP = "friction"
+_GROUP: Group = "friction"
 
 define(
     "viscous_friction",

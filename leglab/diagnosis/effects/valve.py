@@ -1,8 +1,9 @@
 """Servovalve of a cylinder."""
 
+from leglab.diagnosis.effects.base import Group
 from leglab.diagnosis.effects.cylinder_parameter import VALVE, Row, define
 
-_GROUP = "valve and command"
+_GROUP: Group = "valve and command"
 
 define(
     "valve_deadband",
