@@ -251,10 +251,16 @@ def _loads(machine: Machine, joint: str) -> tuple[str, ...]:
 
 def _start(change: Change, instance: str, joint: str) -> None:
     """Reconstructs load and bristle at window starts from the measured motion."""
+    latest: list[tuple[Measured, np.ndarray]] = []  # both states of a recording need its load
+
+    def series(measured: Measured, variant: Variant) -> np.ndarray:
+        if not latest or latest[0][0] is not measured:
+            latest[:] = [(measured, carried_load(change, measured, variant, instance, joint))]
+        return latest[0][1]
 
     def load(measured: Measured, variant: Variant, state: np.ndarray) -> np.ndarray:
         del state
-        return carried_load(change, measured, variant, instance, joint)[measured.samples]
+        return series(measured, variant)[measured.samples]
 
     def deflection(measured: Measured, variant: Variant, state: np.ndarray) -> np.ndarray:
         def get(name: str) -> float:
@@ -262,10 +268,8 @@ def _start(change: Change, instance: str, joint: str) -> None:
 
         velocity = measured.velocity[joint]
         level = get("coulomb") + 0.5 * get("coulomb_difference") * np.sign(velocity)
-        level = level + carried_load(change, measured, variant, instance, joint)
-        return states.bristle(
-            velocity, np.maximum(level, 1e-9), get("sigma_0"), measured.period, measured.samples
-        )
+        level = np.maximum(level + series(measured, variant), 1e-9)
+        return states.bristle(velocity, level, get("sigma_0"), measured.period, measured.samples)
 
     change.start(instance, "load", load)
     change.start(instance, "bristle", deflection)
