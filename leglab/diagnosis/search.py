@@ -11,7 +11,7 @@ from leglab.diagnosis.problem import Problem, robust_cost
 from leglab.diagnosis.screening import Candidate, screen
 
 # How many of the screened effects are refitted, and how many of those sharpened.
-_REFITTED = 6
+_REFITTED = 4
 _SHARPENED = 3
 # A round whose best screened effect saves less than this share of a noise variance ends there.
 _HOPE = 0.04
