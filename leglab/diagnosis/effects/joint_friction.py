@@ -290,7 +290,7 @@ def carried_load(
     data.plugin_state[:] = variant.plugin_state
     index = int(model.joint(joint).dofadr[0])
     pressures = _chambers(change.machine, measured, variant)
-    chosen = np.arange(0, count, _LOAD_EVERY)
+    chosen = np.unique(np.append(np.arange(0, count, _LOAD_EVERY), count - 1))
     load = np.empty(chosen.size)
     for i, k in enumerate(chosen.tolist()):
         for name in change.machine.joints:
@@ -301,8 +301,8 @@ def carried_load(
         for slot, pressure in pressures:
             data.plugin_state[slot] = pressure[k]
         mujoco.mj_forward(model, data)
-        load[i] = abs(actuator * data.qfrc_actuator[index] + bias * data.qfrc_bias[index])
-    return np.interp(np.arange(count), chosen, load)
+        load[i] = actuator * data.qfrc_actuator[index] + bias * data.qfrc_bias[index]
+    return np.abs(np.interp(np.arange(count), chosen, load))
 
 
 def _chambers(
