@@ -108,7 +108,7 @@ def chance_gain(
         draws: Bootstrap samples.
         quantile: Of the maximum.
     """
-    flat = tangents.reshape(-1, tangents.shape[2])
+    flat = tangents.reshape(tangents.shape[0] * tangents.shape[1], tangents.shape[2])
     matrix = np.stack([c.direction.ravel() for c in candidates], axis=1)
     inner = flat.T @ flat + np.eye(flat.shape[1])
     matrix = matrix - flat @ np.linalg.solve(inner, flat.T @ matrix)

@@ -106,7 +106,9 @@ def _reference(kind: str, t: float, reach: float) -> float:
     if kind == "slow":
         return reach * math.sin(2 * math.pi * 0.25 * t)
     if kind == "fast":
-        return reach * (0.5 * math.sin(2 * math.pi * 1.1 * t) + 0.2 * math.sin(2 * math.pi * 2.3 * t))
+        return reach * (
+            0.5 * math.sin(2 * math.pi * 1.1 * t) + 0.2 * math.sin(2 * math.pi * 2.3 * t)
+        )
     if kind == "stairs":
         level = (0.0, 0.6, -0.3, 0.9, 0.2, -0.8, -0.1, 0.5)[int(t) % 8]
         before = (0.5, 0.0, 0.6, -0.3, 0.9, 0.2, -0.8, -0.1)[int(t) % 8]
