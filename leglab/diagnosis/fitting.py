@@ -113,14 +113,18 @@ def free_tangents(
     free: frozenset[Key],
     residual: np.ndarray,
     chosen: np.ndarray,
+    fine: float = 1.0,
 ) -> FreeTangents:
-    """Tangents of the parameters of free effects, by finite differences of relevant size."""
+    """Tangents of the parameters of free effects, by finite differences of relevant size.
+
+    Near the end of a fit a `fine` below 1 makes differences that much smaller.
+    """
     columns, lower, upper = [], [], []
     for key in sorted(free):
         site = problem.library.sites[key]
         values = hypothesis.get(key, site.nominal)
         for i, p in enumerate(site.parameters):
-            step = max(0.1 * p.scale, 0.03 * abs(values[i] - p.nominal))
+            step = fine * max(0.1 * p.scale, 0.03 * abs(values[i] - p.nominal))
             if values[i] + step > p.upper:
                 step = -step
             moved = values.copy()
@@ -202,6 +206,7 @@ def refit(
     iterations: int = 5,
     residual: np.ndarray | None = None,
     tolerance: float = 2e-3,
+    fine: float = 1.0,
 ) -> Fit:
     """Levenberg-Marquardt over the parameters of free effects and the nuisances.
 
@@ -214,6 +219,7 @@ def refit(
         nuisances: Those that belong to the columns; ones of free effects are left alone.
         iterations: Largest number of accepted steps.
         residual: At the start, where known.
+        fine: Factor on the finite differences.
         tolerance: Stops when a step gains less than this share of the cost.
     """
     keep = [i for i, n in enumerate(nuisances) if n.key not in free]
@@ -241,7 +247,7 @@ def refit(
     cost = problem.cost(residual, float((eta**2).sum()))
     damping = 1e-3
     for _ in range(iterations):
-        own = free_tangents(problem, hypothesis, free, residual, chosen)
+        own = free_tangents(problem, hypothesis, free, residual, chosen, fine)
         jacobian = np.concatenate([own.columns, tangents], axis=2)
         weight = np.concatenate([np.zeros(theta.size), np.ones(eta.size)])
         now = np.concatenate([np.zeros(theta.size), eta])

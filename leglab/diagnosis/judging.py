@@ -46,7 +46,7 @@ def intervals(problem: Problem, fit: Fit, chosen: np.ndarray) -> tuple[np.ndarra
         Standard errors, shape (parameters,), in the order of sorted effects; and half the width
         of the 95 % interval, same shape.
     """
-    own = free_tangents(problem, fit.hypothesis, fit.free, fit.residual, chosen)
+    own = free_tangents(problem, fit.hypothesis, fit.free, fit.residual, chosen, 0.1)
     count = own.columns.shape[2]
     jacobian = np.concatenate([own.columns, fit.tangents], axis=2)
     weight = robust_weight(np.mean(fit.residual**2, axis=1))

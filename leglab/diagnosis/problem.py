@@ -183,13 +183,17 @@ class Problem:
         residual: np.ndarray,
         chosen: np.ndarray,
         nuisances: Sequence[Nuisance],
+        share: float = 0.5,
     ) -> np.ndarray:
-        """d(residual)/d(nuisance in tolerances), shape (chosen windows, size, nuisances)."""
+        """d(residual)/d(nuisance in tolerances), shape (chosen windows, size, nuisances).
+
+        By differences over a share of the tolerance.
+        """
         columns = []
         values = self.nuisance_values(hypothesis, nuisances)
         for i, n in enumerate(nuisances):
             site = self.library.sites[n.key]
-            step = n.tolerance
+            step = share * n.tolerance
             if values[i] + step > site.upper[n.index]:
                 step = -step
             trial = values.copy()

@@ -148,7 +148,7 @@ def _combined(
 
 def _orthogonal(direction: np.ndarray, tangents: np.ndarray) -> np.ndarray:
     """The part of a direction that nuisances, under their priors, cannot imitate."""
-    flat = tangents.reshape(-1, tangents.shape[2])
+    flat = tangents.reshape(tangents.shape[0] * tangents.shape[1], tangents.shape[2])
     matrix = flat.T @ flat + np.eye(flat.shape[1])
     share = np.linalg.solve(matrix, flat.T @ direction.ravel())
     return direction - (flat @ share).reshape(direction.shape)

@@ -15,6 +15,8 @@ _REFITTED = 4
 _SHARPENED = 3
 # A round whose best screened effect saves less than this share of a noise variance ends there.
 _HOPE = 0.04
+# Finite differences of the last fits, as a share of those of the first.
+_FINE = 0.1
 # A rival whose cost is this many times the best one's excess after a rough fit stays behind.
 _HOPELESS = 8.0
 
@@ -106,7 +108,7 @@ def chance_gain(
         draws: Bootstrap samples.
         quantile: Of the maximum.
     """
-    flat = tangents.reshape(-1, tangents.shape[2])
+    flat = tangents.reshape(tangents.shape[0] * tangents.shape[1], tangents.shape[2])
     matrix = np.stack([c.direction.ravel() for c in candidates], axis=1)
     inner = flat.T @ flat + np.eye(flat.shape[1])
     matrix = matrix - flat @ np.linalg.solve(inner, flat.T @ matrix)
@@ -208,7 +210,7 @@ def sharpen(problem: Problem, fit: Fit, chosen: np.ndarray, *, iterations: int =
     """Refits with tangents taken anew where the first fit ended."""
     nuisances = problem.active_nuisances(set(fit.free))
     residual = problem.residual(fit.hypothesis, chosen)
-    tangents = problem.tangents(fit.hypothesis, residual, chosen, nuisances)
+    tangents = problem.tangents(fit.hypothesis, residual, chosen, nuisances, _FINE)
     return refit(
         problem,
         fit.hypothesis,
@@ -218,4 +220,5 @@ def sharpen(problem: Problem, fit: Fit, chosen: np.ndarray, *, iterations: int =
         nuisances,
         iterations=iterations,
         residual=residual,
+        fine=_FINE,
     )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from leglab.diagnosis.fitting import Fit
+from leglab.diagnosis.fitting import Fit, refit
 from leglab.diagnosis.hypothesis import Hypothesis, Key, Library
 from leglab.diagnosis.judging import t_value
 from leglab.diagnosis.machine import Machine
@@ -29,13 +29,19 @@ from leglab.recording import Recording
 # in stick-slip or beside jumps of the command lift it on good models to at most this.
 EXPLAINED = 2.0
 # Below it not even a further round is worthwhile.
-_CLEAN = 1.12
+_CLEAN = 1.25
 # An effect is named only if its strength is at least this share of its smallest trial ...
 _NOTICEABLE = 0.15
 # ... and saves at least this much of a noise variance, or of what was in excess of noise.
 _WORTHWHILE = 0.08
 _SIGNIFICANT = 2.5  # t value of paired window differences on held-out recordings
+# Above it more is certainly missing, and finishing the present fit can wait.
+_MUCH = 8.0
+# An early effect may be swapped for a rival that cost at most this factor more.
+_NEAR = 1.2
 _ROUNDS = 3
+# The noise model is taken about the fit and the fit made anew, this often at most.
+_SETTLING = 3
 _SCREENED_WINDOWS = 40
 
 
@@ -175,17 +181,23 @@ def search(
         current = winner.fit
         if winner.cost.mean() < _CLEAN:
             break
+        if winner.cost.mean() < _MUCH:
+            # What the next round sees must not be what this one left half fitted.
+            progress("refining")
+            current = _settled(problem, current, chosen)
+        left = float(window_cost(problem, current.hypothesis).mean())
+        if left < _CLEAN:
+            break
         start = current.hypothesis
-        if winner.cost.mean() > EXPLAINED:
+        if left > EXPLAINED:
             start = start.only(current.free)
     if len(named) > 1:
         progress("checking each effect against the others")
         current, named = _pruned(problem, current, named, stages, chosen)
     if named:
         progress("last refinement")
-        problem.rewhiten(current.hypothesis)
         chosen = thinned(problem.fitted, max(1, every // 2))
-        current = sharpen(problem, current, chosen)
+        current = _settled(problem, current, chosen)
         current = checked_onsets(problem, current, named, chosen)
     return Search(
         problem=problem,
@@ -195,6 +207,19 @@ def search(
         stages=stages,
         chosen=chosen,
     )
+
+
+def _settled(problem: Problem, fit: Fit, chosen: np.ndarray) -> Fit:
+    """Noise model about the fit and fit under the noise model, in turn until they agree."""
+    cost = np.inf
+    for _ in range(_SETTLING):
+        problem.rewhiten(fit.hypothesis)
+        fit = sharpen(problem, fit, chosen, iterations=6)
+        now = float(window_cost(problem, fit.hypothesis).mean())
+        if now < _CLEAN or now > 0.95 * cost:
+            break
+        cost = now
+    return fit
 
 
 def _accepted(problem: Problem, stage: Stage, contender: Contender, chosen: np.ndarray) -> bool:
@@ -225,42 +250,29 @@ def _pruned(
 ) -> tuple[Fit, list[Key]]:
     """Drops effects that later ones made needless, and swaps early impostors for their rivals."""
     best = window_cost(problem, current.hypothesis)
+    nuisances = problem.active_nuisances(set(current.free))
+    tangents = current.tangents
+
+    def fitted(free: frozenset[Key], start: Hypothesis) -> Fit:
+        return refit(problem, start, free, chosen, tangents, nuisances, iterations=3, fine=0.3)
+
     for key in list(named):
         others = frozenset(named) - {key}
-        options: list[tuple[frozenset[Key], Hypothesis]] = []
-        if others:
-            options.append((others, current.hypothesis.without(key)))
-        number = named.index(key)
-        for rival in stages[number].contenders[:2]:
-            if rival.key not in named:
-                values = rival.fit.hypothesis[rival.key]
-                options.append(
-                    (
-                        others | {rival.key},
-                        current.hypothesis.without(key).with_values(rival.key, values),
-                    )
-                )
-        for free, start in options:
-            other = sharpen(
-                problem,
-                Fit(
-                    hypothesis=start,
-                    free=free,
-                    cost=np.inf,
-                    residual=current.residual,
-                    tangents=current.tangents,
-                ),
-                chosen,
-                iterations=3,
-            )
-            cost = window_cost(problem, other.hypothesis)
-            fewer = len(free) < len(named)
-            worse = cost - best
-            if fewer and worse.mean() < _WORTHWHILE * max(1.0, cost.mean() - 1.0):
-                return other, [k for k in named if k in free]
-            if not fewer and t_value(-worse) > _SIGNIFICANT:
-                new = next(iter(free - frozenset(named)))
-                current, best = other, cost
-                named = [new if k == key else k for k in named]
+        without = fitted(others, current.hypothesis.without(key))
+        cost = window_cost(problem, without.hypothesis)
+        if (cost - best).mean() < _WORTHWHILE * max(1.0, cost.mean() - 1.0):
+            return without, [k for k in named if k in others]
+        stage = stages[named.index(key)]
+        own = next(c for c in stage.contenders if c.key == key)
+        for rival in stage.contenders:
+            if rival.key in named or rival.cost.mean() > _NEAR * own.cost.mean():
+                continue
+            start = current.hypothesis.without(key)
+            start = start.with_values(rival.key, rival.fit.hypothesis[rival.key])
+            swapped = fitted(others | {rival.key}, start)
+            cost = window_cost(problem, swapped.hypothesis)
+            if t_value(best - cost) > _SIGNIFICANT:
+                current, best = swapped, cost
+                named = [rival.key if k == key else k for k in named]
                 break
     return current, named

@@ -126,6 +126,8 @@ def self_test(
     done = {(o.kind, o.number): o for o in _read(path)}
     done = {k: o for k, o in done.items() if any((c.kind, c.number) == k for c in todo)}
     rest = [c for c in todo if (c.kind, c.number) not in done]
+    # All kinds side by side, so that an interrupted test says something about each.
+    rest.sort(key=lambda c: (c.number + 0.5) / counts[c.kind])
     progress("", len(done), len(todo))
     parallel = joblib.Parallel(n_jobs=processes, return_as="generator_unordered")
     with path.open("a") as stream:
