@@ -4,6 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from leglab.diagnosis.machine import Machine
+from leglab.diagnosis.output import write_improved
 from leglab.diagnosis.verdict import diagnose
 from tests.rigs import PENDULUM, SLIDE_AXIS, Truth, record
 
@@ -18,8 +20,7 @@ def recordings(rig, truth, seconds=6.0):
 
 
 def verdict(rig, truth, held_out):
-    result, _ = diagnose(rig.model, recordings(rig, truth), held_out=(held_out,))
-    return result
+    return diagnose(rig.model, recordings(rig, truth), held_out=(held_out,))
 
 
 def values(result):
@@ -44,25 +45,29 @@ def test_the_independent_simulator_agrees_with_the_nominal_models(rig):
     assert np.sqrt(np.mean(np.square(off))) < 1e-3 * rig.reach
 
 
-def test_direction_dependent_friction_of_a_motor_driven_axis_is_named():
-    result = verdict(SLIDE_AXIS, Truth(forward=8.0, viscous_factor=1.05), "multisine")
+def test_direction_dependent_friction_of_a_motor_driven_axis_is_named(tmp_path):
+    result, found = verdict(SLIDE_AXIS, Truth(forward=8.0, viscous_factor=1.05), "multisine")
     assert result.verdict == "named"
     assert [effect.name for effect in result.effects] == ["asymmetric_friction"]
     assert "force_offset" not in result.effects[0].indistinguishable_from
-    found = values(result)
+    friction = values(result)
+    difference = friction["viscous_forward"] - friction["viscous_backward"]
     # The joint's own damping, known to 10 % of 6 N s/m, may take part of both.
-    assert found["viscous_forward"] - found["viscous_backward"] == pytest.approx(8.0, rel=0.05)
+    assert difference == pytest.approx(8.0, rel=0.05)
     assert result.gap.closed_fraction > 0.9
+    improved = Machine(write_improved(found, tmp_path))
+    written = improved.parameter("axis_asymmetric_friction", "viscous_difference")
+    assert written == pytest.approx(difference, rel=1e-6)
 
 
 def test_a_force_offset_of_the_same_axis_is_no_friction():
-    result = verdict(SLIDE_AXIS, Truth(offset=2.0), "multisine")
+    result, _ = verdict(SLIDE_AXIS, Truth(offset=2.0), "multisine")
     assert [effect.name for effect in result.effects] == ["force_offset"]
     assert values(result)["force"] == pytest.approx(2.0, rel=0.05)
 
 
 def test_load_dependent_friction_of_a_pendulum_is_named():
-    result = verdict(PENDULUM, Truth(gear_loss=0.15), "multisine")
+    result, _ = verdict(PENDULUM, Truth(gear_loss=0.15), "multisine")
     assert [effect.name for effect in result.effects] == ["load_dependent_friction"]
     assert values(result)["actuator"] == pytest.approx(0.15, rel=0.05)
     assert values(result)["bias"] == pytest.approx(0.0, abs=0.01)
@@ -70,7 +75,7 @@ def test_load_dependent_friction_of_a_pendulum_is_named():
 
 
 def test_backlash_of_a_pendulum_is_named():
-    result = verdict(PENDULUM, Truth(play=0.03), "multisine")
+    result, _ = verdict(PENDULUM, Truth(play=0.03), "multisine")
     assert [effect.name for effect in result.effects] == ["backlash"]
     assert values(result)["width"] == pytest.approx(0.03, rel=0.05)
     assert result.gap.closed_fraction > 0.9
@@ -78,6 +83,6 @@ def test_backlash_of_a_pendulum_is_named():
 
 @pytest.mark.parametrize("rig", [SLIDE_AXIS, PENDULUM])
 def test_a_good_machine_within_its_tolerance_lacks_nothing(rig):
-    result = verdict(rig, Truth(viscous_factor=1.05), "multisine")
+    result, _ = verdict(rig, Truth(viscous_factor=1.05), "multisine")
     assert result.verdict == "nothing_missing"
     assert result.effects == ()
