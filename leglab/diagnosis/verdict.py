@@ -214,22 +214,23 @@ def _effects(
 
 def _ties(found: Search, key: Key, rng: np.random.Generator) -> tuple[tuple[str, ...], float]:
     """Rivals that explain the recordings as well, and how sure the name is against all."""
-    for stage in found.stages:
-        keys = [c.key for c in stage.contenders]
-        if key not in keys:
+    fitted = [
+        (c.cost.mean(), i) for i, s in enumerate(found.stages) for c in s.contenders if c.key == key
+    ]
+    if not fitted:
+        return (), 1.0
+    stage = found.stages[min(fitted)[1]]
+    own = next(c for c in stage.contenders if c.key == key)
+    tied, sure = [], 1.0
+    for rival in stage.contenders:
+        if rival.key == key or rival.key in found.named:
             continue
-        own = stage.contenders[keys.index(key)]
-        tied, sure = [], 1.0
-        for rival in stage.contenders:
-            if rival.key == key or rival.key in found.named:
-                continue
-            preferred = preferences([own.cost, rival.cost], rng)[0, 1]
-            near = rival.cost.mean() - own.cost.mean() < _DISTANCE
-            if preferred < _PREFERENCE or near:
-                tied.append(rival.key[0])
-            sure = min(sure, preferred if not near else min(preferred, 0.5))
-        return tuple(tied), float(sure)
-    return (), 1.0
+        preferred = preferences([own.cost, rival.cost], rng)[0, 1]
+        near = rival.cost.mean() - own.cost.mean() < _DISTANCE
+        if preferred < _PREFERENCE or near:
+            tied.append(rival.key[0])
+        sure = min(sure, preferred if not near else min(preferred, 0.5))
+    return tuple(tied), float(sure)
 
 
 def _gap(problem: Problem, squares: Mapping[str, np.ndarray]) -> Gap:

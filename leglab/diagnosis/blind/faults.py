@@ -1,6 +1,6 @@
 """Hidden faults: what nature does to the plant. Written apart from the effect classes."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import mujoco
@@ -13,13 +13,19 @@ from leglab.diagnosis.blind.plant import TIMESTEP, Plant
 VALVE, SPRING = "knee_valve", "knee_spring"
 
 
-def bench() -> mujoco.MjModel:
-    """The nominal bench with the fine step."""
+def bench(pump: Mapping[str, float] | None = None) -> mujoco.MjModel:
+    """The nominal bench with the fine step; where given, on a pump unit of these parameters."""
     plugin.load()
     spec = mujoco.MjSpec.from_file(f"{leglab.models.__path__[0]}/knee_bench.xml")
     spec.option.timestep = TIMESTEP
     spec.compiler.discardvisual = True
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+    if pump is not None:
+        spec.activate_plugin("leglab.supply")
+        unit = spec.add_plugin(name="pump", plugin_name="leglab.supply")
+        unit.config = {key: repr(value) for key, value in pump.items()}
+        valve = spec.actuator(VALVE).plugin
+        valve.config = {**valve.config, "supply": "pump"}
     return spec.compile()
 
 
@@ -117,6 +123,13 @@ def _coulomb(plant: Plant, rng: np.random.Generator) -> Severity:
     return _put(plant, "coulomb", _present(plant, "coulomb") + rise)
 
 
+def _stiction(plant: Plant, rng: np.random.Generator) -> Severity:
+    rise = float(rng.uniform(90.0, 450.0))
+    _put(plant, "static", _present(plant, "static") + rise)
+    # The share of the Coulomb friction, a tolerance, counts there.
+    return Severity(parameter="static", value=NOMINAL["static"] + rise)
+
+
 def _delay(plant: Plant, rng: np.random.Generator) -> Severity:
     plant.command_delay = TIMESTEP * round(rng.uniform(0.003, 0.02) / TIMESTEP)
     return Severity(parameter="delay", value=plant.command_delay)
@@ -211,6 +224,20 @@ def _external(plant: Plant, rng: np.random.Generator) -> Severity:
     return Severity(parameter=name, value=value)
 
 
+def _droop(plant: Plant, rng: np.random.Generator) -> Severity:
+    droop = float(np.exp(rng.uniform(np.log(2e10), np.log(3e11))))
+    pressure = plant.tuning.get((VALVE, "supply_pressure"), NOMINAL["supply_pressure"])
+    plant.model = bench(
+        {
+            "supply_pressure": pressure,
+            "accumulator_volume": float(rng.uniform(2e-5, 8e-5)),
+            "compensator_gain": 1.0 / droop,
+            "pump_flow": 0.1,
+        }
+    )
+    return Severity(parameter="droop", value=droop)
+
+
 def _temperature(plant: Plant, rng: np.random.Generator) -> Severity:
     value = float(rng.choice((rng.uniform(5.0, 30.0), rng.uniform(52.0, 80.0))))
     return _put(plant, "oil_temperature", value)
@@ -221,6 +248,7 @@ FAULTS: dict[str, Fault] = {
     "external_leakage": _external,
     "oil_viscosity": _temperature,
     "entrained_air": _scaled("entrained_air", (3.0, 12.0)),
+    "supply_droop": _droop,
     "supply_pressure": _scaled("supply_pressure", (0.7, 0.93), (1.07, 1.25)),
     "valve_deadband": _shifted("lap", 0.012, 0.07, signed=False),
     "valve_bias": _shifted("null_bias", 0.012, 0.05, signed=True),
@@ -231,7 +259,7 @@ FAULTS: dict[str, Fault] = {
     "command_delay": _delay,
     "viscous_friction": _scaled("viscous", (1.5, 6.0)),
     "coulomb_friction": _coulomb,
-    "stiction": _scaled("static", (1.6, 4.0)),
+    "stiction": _stiction,
     "asymmetric_friction": _asymmetric,
     "pressure_dependent_friction": _shifted("pressure_coefficient", 3e-6, 3e-5, signed=False),
     "load_dependent_friction": _load_dependent,
@@ -253,7 +281,15 @@ FAULTS: dict[str, Fault] = {
 SUDDEN = tuple(
     sorted(
         set(FAULTS)
-        - {"payload", "armature", "base_tilt", "encoder_offset", "encoder_scale", "sensor_delay"}
+        - {
+            "supply_droop",
+            "payload",
+            "armature",
+            "base_tilt",
+            "encoder_offset",
+            "encoder_scale",
+            "sensor_delay",
+        }
     )
 )
 
