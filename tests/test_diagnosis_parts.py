@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from leglab.diagnosis.blind.faults import FAULTS, bench, detuned
+from leglab.diagnosis.blind.bench import bench
+from leglab.diagnosis.blind.faults import FAULTS, detuned
 from leglab.diagnosis.blind.plant import Plant
 from leglab.diagnosis.blind.references import references
 from leglab.diagnosis.blind.selftest import Outcome, score_table
