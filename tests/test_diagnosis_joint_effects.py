@@ -42,6 +42,7 @@ MINE = (
     "command_hysteresis",
     "command_bandwidth",
     "command_bias",
+    "command_delay",
 )
 
 
@@ -79,6 +80,10 @@ def replay(machine, change, model=None):
     u = commands(machine)
     for path in change.commands.get(machine.actuators[0], ()):
         u = path(u, machine.timestep)
+    if model.nhistory:  # as if the first command had always been there
+        count = int(model.actuator_history[0, 0])
+        times = -machine.timestep * np.arange(count, 0, -1.0)
+        mujoco.mj_initCtrlHistory(model, data, 0, times, np.full(count, u[0]))
     shown = []
     for value in u:
         data.ctrl[0] = value

@@ -215,3 +215,23 @@ def test_dry_friction_and_stops_act_on_the_joint_alone():
     small = run(pendulum(backlash(width=1e-5, stiffness=1e9, damping_ratio=1), joint=joint), 2.0)
     assert plain[1].max() > 0.52  # it did reach the stop
     assert np.abs(small[1] - plain[1]).max() < 0.01
+
+
+def test_gravity_compensation_by_the_actuator_stays_on_the_joint():
+    """Balanced, the arm rests anywhere; a tiny play changes nothing."""
+    joint = 'armature="0.05" damping="0.1" actuatorgravcomp="true"'
+
+    def balanced(*elements):
+        xml = pendulum(*elements, joint=joint)
+        return xml.replace('<body name="arm">', '<body name="arm" gravcomp="0.9">')
+
+    plain = run(balanced(), 2.0)
+    small = run(balanced(backlash(width=1e-5, stiffness=1e9, damping_ratio=1)), 2.0)
+    assert np.abs(small[1] - plain[1]).max() < 2e-3
+
+
+def test_a_motor_without_inertia_is_refused_at_run_time():
+    model, data = compiled(pendulum(backlash(width=0.01, motor_inertia=0.01), joint=""))
+    Slots(model, data, "play")["motor_inertia"] = 0.0
+    with pytest.raises(mujoco.FatalError, match="motor_inertia = 0"):
+        mujoco.mj_step(model, data)

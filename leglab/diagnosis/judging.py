@@ -9,6 +9,11 @@ from leglab.diagnosis.fitting import Fit, free_tangents
 from leglab.diagnosis.problem import Problem, robust_weight
 
 _DRAWS = 1000
+# A window has changed if its cost did by more than this noise variance ...
+_CHANGED = 1.0
+# ... and so many must have, of which this share for the better.
+_FEW = 2
+_NEARLY_ALL = 0.9
 
 
 def t_value(difference: np.ndarray) -> float:
@@ -17,6 +22,19 @@ def t_value(difference: np.ndarray) -> float:
         return 0.0
     spread = float(difference.std(ddof=1)) / np.sqrt(difference.size)
     return float(difference.mean()) / spread if spread > 0 else 0.0
+
+
+def rarely_but_surely(saved: np.ndarray) -> bool:
+    """Whether a few windows gain much and hardly any loses: an effect that shows at times only.
+
+    A play shows when the torque changes its sign; in a slow recording these are two windows of
+    nineteen, too few for a mean over its standard error.
+
+    Args:
+        saved: Robust cost saved in held-out windows, in noise variances, shape (windows,).
+    """
+    changed = saved[np.abs(saved) > _CHANGED]
+    return changed.size >= _FEW and bool(np.mean(changed > 0) >= _NEARLY_ALL)
 
 
 def preferences(costs: Sequence[np.ndarray], rng: np.random.Generator) -> np.ndarray:

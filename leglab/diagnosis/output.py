@@ -46,7 +46,7 @@ def write_improved(found: Search, folder: Path) -> Path:
     path = folder / "improved.xml"
     try:
         spec.compile()
-        text = spec.to_xml()
+        text = leglab.plugin.to_xml(spec)
         mujoco.MjModel.from_xml_string(text)
     except (ValueError, mujoco.FatalError) as error:
         raise leglab.plugin.load_error(error, path.name, spec) from error

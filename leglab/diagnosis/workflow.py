@@ -8,7 +8,7 @@ import numpy as np
 
 from leglab.diagnosis.fitting import Fit, refit
 from leglab.diagnosis.hypothesis import Hypothesis, Key, Library
-from leglab.diagnosis.judging import t_value
+from leglab.diagnosis.judging import rarely_but_surely, t_value
 from leglab.diagnosis.machine import Machine
 from leglab.diagnosis.onset import checked_onsets, suspected_onset
 from leglab.diagnosis.problem import Problem
@@ -247,7 +247,7 @@ def _accepted(problem: Problem, stage: Stage, contender: Contender, chosen: np.n
     held = problem.held if problem.held.sum() > 3 else np.ones_like(problem.held)
     if problem.size * saved[chosen].sum() < stage.threshold:
         return False
-    if t_value(saved[held]) < _SIGNIFICANT:
+    if t_value(saved[held]) < _SIGNIFICANT and not rarely_but_surely(saved[held]):
         return False
     if saved.mean() < _WORTHWHILE * max(1.0, stage.base.mean() - 1.0):
         return False

@@ -123,6 +123,7 @@ void Backlash::compute(const mjModel* m, mjData* d, int capability) {
 
   const double h = m->opt.timestep, v = d->qvel[dof_], half = 0.5 * p.width_;
   const double inertia = motor_inertia(m, p);
+  if (!(inertia > 0)) refuse(m, instance_, "motor_inertia = 0 on a joint without armature; allowed: above 0");
   const double armature = std::min(inertia, m->dof_armature[dof_]);
   const bool seated = s.seated_width_ == p.width_;
   offset_ = seated ? s.offset_ : 0.0;
@@ -143,6 +144,9 @@ void Backlash::compute(const mjModel* m, mjData* d, int capability) {
     if (std::any_of(wrench, wrench + 6, [](mjtNum f) { return f != 0; })) {
       mj_applyFT(m, d, wrench, wrench + 3, d->xipos + 3 * body, body, force_.data());
     }
+  }
+  for (int j = 0; j < m->njnt; ++j) {  // hinges and slides; MuJoCo adds it to qfrc_actuator later
+    if (m->jnt_actgravcomp[j] && m->jnt_type[j] >= mjJNT_SLIDE) force_[m->jnt_dofadr[j]] += d->qfrc_gravcomp[m->jnt_dofadr[j]];
   }
   force_[dof_] += s.constraint_;  // the solver comes later: as over the step before
   double free = 0;

@@ -7,7 +7,11 @@ import numpy as np
 
 from leglab.diagnosis.change import Change
 from leglab.diagnosis.effects.base import Effect, EffectParameter, register
+from leglab.diagnosis.effects.command_path import write_command_path
 from leglab.diagnosis.machine import Machine
+
+# A command path keeps at least this much history.
+_SHORTEST_HISTORY = 0.05  # s
 
 
 def delayed(samples: np.ndarray, delay: float, period: float) -> np.ndarray:
@@ -63,8 +67,15 @@ class CommandDelay(Effect):
     def write(
         self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Mapping[str, float]
     ) -> None:
-        """Writes MuJoCo's own actuator delay."""
-        del machine
+        """Writes the delay of a native actuator's command path, or MuJoCo's own for a valve."""
+        delay = values["delay"]
+        if delay == 0.0:
+            return
+        if element in machine.native_actuators():
+            longest = max(delay, _SHORTEST_HISTORY)
+            write_command_path(spec, element, {"delay": delay, "max_delay": longest})
+            return
         actuator = spec.actuator(element)
-        actuator.delay = values["delay"]
-        actuator.nsample = int(np.ceil(values["delay"] / spec.option.timestep)) + 1
+        actuator.delay = delay
+        actuator.nsample = int(np.ceil(delay / spec.option.timestep)) + 2
+        actuator.interp = 1  # linear: a delay need not be a multiple of the time step

@@ -251,10 +251,16 @@ def _loads(machine: Machine, joint: str) -> tuple[str, ...]:
 
 def _start(change: Change, instance: str, joint: str) -> None:
     """Reconstructs load and bristle at window starts from the measured motion."""
+    latest: list[tuple[Measured, np.ndarray]] = []  # both states of a recording need its load
+
+    def series(measured: Measured, variant: Variant) -> np.ndarray:
+        if not latest or latest[0][0] is not measured:
+            latest[:] = [(measured, carried_load(change, measured, variant, instance, joint))]
+        return latest[0][1]
 
     def load(measured: Measured, variant: Variant, state: np.ndarray) -> np.ndarray:
         del state
-        return carried_load(change, measured, variant, instance, joint)[measured.samples]
+        return series(measured, variant)[measured.samples]
 
     def deflection(measured: Measured, variant: Variant, state: np.ndarray) -> np.ndarray:
         def get(name: str) -> float:
@@ -262,10 +268,8 @@ def _start(change: Change, instance: str, joint: str) -> None:
 
         velocity = measured.velocity[joint]
         level = get("coulomb") + 0.5 * get("coulomb_difference") * np.sign(velocity)
-        level = level + carried_load(change, measured, variant, instance, joint)
-        return states.bristle(
-            velocity, np.maximum(level, 1e-9), get("sigma_0"), measured.period, measured.samples
-        )
+        level = np.maximum(level + series(measured, variant), 1e-9)
+        return states.bristle(velocity, level, get("sigma_0"), measured.period, measured.samples)
 
     change.start(instance, "load", load)
     change.start(instance, "bristle", deflection)
@@ -286,7 +290,7 @@ def carried_load(
     data.plugin_state[:] = variant.plugin_state
     index = int(model.joint(joint).dofadr[0])
     pressures = _chambers(change.machine, measured, variant)
-    chosen = np.arange(0, count, _LOAD_EVERY)
+    chosen = np.unique(np.append(np.arange(0, count, _LOAD_EVERY), count - 1))
     load = np.empty(chosen.size)
     for i, k in enumerate(chosen.tolist()):
         for name in change.machine.joints:
@@ -297,8 +301,8 @@ def carried_load(
         for slot, pressure in pressures:
             data.plugin_state[slot] = pressure[k]
         mujoco.mj_forward(model, data)
-        load[i] = abs(actuator * data.qfrc_actuator[index] + bias * data.qfrc_bias[index])
-    return np.interp(np.arange(count), chosen, load)
+        load[i] = actuator * data.qfrc_actuator[index] + bias * data.qfrc_bias[index]
+    return np.abs(np.interp(np.arange(count), chosen, load))
 
 
 def _chambers(

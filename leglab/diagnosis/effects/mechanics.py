@@ -104,17 +104,18 @@ class BaseTilt(Effect):
         change.edit(("gravity", *turned.tolist()), edit)
 
     def _axes(self, machine: Machine) -> tuple[str, ...]:
-        """Axes about which a small tilt changes a joint force to first order."""
+        """Axes about which a small tilt changes a joint force, differently at different positions.
+
+        Where it changes it by a constant, as on a level slide, that is a force offset.
+        """
         model = machine.base.model
         data = mujoco.MjData(model)
-        poses = model.qpos0 + np.array([[0.0], [0.4], [-0.7]])
         scale = np.array([joints.force_scale(machine, joint) for joint in machine.joints])
-        found = []
-        for axis in _AXES:
-            changed = 0.0
-            for pose in poses:
-                data.qpos[:] = pose
-                mujoco.mj_fwdPosition(model, data)
+        forces: dict[str, list[np.ndarray]] = {axis: [] for axis in _AXES}
+        for shift in (0.0, 0.4, -0.7):
+            data.qpos[:] = model.qpos0 + shift
+            mujoco.mj_fwdPosition(model, data)
+            for axis, found in forces.items():
                 # Linear in gravity, and the model itself stays as it is.
                 turn = _turn(model.opt.gravity, axis, _PROBE) - _turn(
                     model.opt.gravity, axis, -_PROBE
@@ -125,10 +126,8 @@ class BaseTilt(Effect):
                     mujoco.mj_applyFT(
                         model, data, weight, np.zeros(3), data.xipos[body], body, force
                     )
-                changed = max(changed, float(np.max(np.abs(force) / scale)) / (2.0 * _PROBE))
-            if changed > _SEEN:
-                found.append(axis)
-        return tuple(found)
+                found.append(force / scale / (2.0 * _PROBE))
+        return tuple(axis for axis, found in forces.items() if np.ptp(found, axis=0).max() > _SEEN)
 
 
 def _turn(vector: np.ndarray, axis: str, angle: float) -> np.ndarray:
