@@ -9,6 +9,7 @@ import pytest
 
 from leglab import data
 from leglab.diagnosis.change import Change
+from leglab.diagnosis.experiment import catalogue, propose
 from leglab.diagnosis.hypothesis import Hypothesis, Library
 from leglab.diagnosis.machine import Machine
 from leglab.diagnosis.output import reloaded_error, write_diagnosis, write_improved
@@ -213,3 +214,15 @@ def test_effects_compose_on_one_parameter():
     assert isinstance(change, Change)
     assert change.parameters["knee_valve", "coulomb"] == 160.0
     assert change.parameters["knee_valve", "static"] == 150.0 + 60.0 + 100.0
+
+
+def test_proposed_experiment_separates_the_rivals_better_than_another(problem):
+    rivals = {
+        "valve_bias": Hypothesis({("valve_bias", "knee_valve"): np.array([0.004])}),
+        "command_delay": Hypothesis({DELAY: np.array([0.002])}),
+    }
+    proposal = propose(problem, rivals)
+    assert proposal is not None
+    assert proposal.rivals == ("valve_bias", "command_delay")
+    assert proposal.separation > 100.0
+    assert proposal.name in catalogue(10, 1e-3)

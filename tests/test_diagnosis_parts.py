@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from leglab.diagnosis.blind.faults import FAULTS, bench, detuned
+from leglab.diagnosis.blind.bench import bench
+from leglab.diagnosis.blind.faults import FAULTS, detuned
 from leglab.diagnosis.blind.plant import Plant
 from leglab.diagnosis.blind.references import references
 from leglab.diagnosis.blind.selftest import Outcome, score_table
@@ -102,7 +103,12 @@ def test_chance_gain_of_one_direction_is_a_chi_square_quantile():
     direction = np.zeros((4, 10))
     direction[0, 0] = 7.0
     candidate = Candidate(
-        key=("a", "b"), values=np.zeros(1), gain=0.0, direction=direction, detectable=7.0
+        key=("a", "b"),
+        values=np.zeros(1),
+        gain=0.0,
+        direction=direction,
+        step=direction,
+        detectable=7.0,
     )
     gain = chance_gain(
         [candidate], np.zeros((4, 10, 0)), 1.0, np.random.default_rng(3), draws=200000

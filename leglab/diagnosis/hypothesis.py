@@ -141,9 +141,9 @@ class Library:
         return tuple(sorted({name for name, _ in self.sites}))
 
     def change(self, hypothesis: Mapping[Key, np.ndarray], machine: Machine) -> Change:
-        """What a hypothesis changes, effects applied in the order of their names."""
+        """What a hypothesis changes, effects applied by their order, then by name."""
         change = Change(machine)
-        for key in sorted(hypothesis):
+        for key in sorted(hypothesis, key=lambda k: (self.sites[k].effect.order, k)):
             site = self.sites[key]
             values = {
                 p.name: float(v) for p, v in zip(site.parameters, hypothesis[key], strict=True)

@@ -142,6 +142,11 @@ class Problem:
         reference = self.replay.error(change)
         self._whiten = Whitening(self.replay, self.series, change, reference)
 
+    @property
+    def noise(self) -> np.ndarray:
+        """Standard deviation of the sensors' noise, (recordings, channels)."""
+        return self._whiten.noise
+
     def active_nuisances(self, free: set[Key]) -> tuple[Nuisance, ...]:
         """Nuisances but those of effects that are fitted freely."""
         return tuple(n for n in self.nuisances if n.key not in free)

@@ -10,8 +10,15 @@ from mujoco import rollout
 from leglab.diagnosis.change import Change, Measured
 from leglab.diagnosis.cutting import Cut, cut_series
 from leglab.diagnosis.machine import CYLINDER, Machine, Variant
-from leglab.diagnosis.series import Channel, Series, derivative, smoothed
-from leglab.diagnosis.starts import PLUGIN, Nudge, offset, pressure_slots, start_states
+from leglab.diagnosis.series import Channel, Series
+from leglab.diagnosis.starts import (
+    PLUGIN,
+    Nudge,
+    measure,
+    offset,
+    pressure_slots,
+    start_states,
+)
 
 # Where no pressures are measured, a replay of this time before a window, which forgets where it
 # began, says what they are at its start.
@@ -114,7 +121,7 @@ class Replay:
             if chosen is not None:
                 cut = replace(whole, firsts=whole.firsts[chosen[self.recording == number]])
             if cut.firsts.size:
-                pairs.append((cut, *self._measure(cut, change)))
+                pairs.append((cut, *measure(self.machine, cut, self.channels, change)))
         pressures = self._warmed_up(change, variant, parameters, pairs) if self.blind else None
         starts, controls, targets = [], [], []
         done = 0
@@ -146,6 +153,46 @@ class Replay:
         shape = (len(errors), len(self.channels), self.bins, self._per_bin)
         binned = errors.reshape(shape).mean(axis=3)
         return np.nan_to_num(binned, nan=1e12, posinf=1e12, neginf=-1e12)
+
+    def respond(self, change: Change, window: int, commands: np.ndarray) -> np.ndarray:
+        """Predictions from the start of one window under other commands.
+
+        Args:
+            change: What the hypothesis changes.
+            window: Whose start state is taken.
+            commands: Measured commands, shape (series, samples, actuators).
+
+        Returns:
+            Shape (series, channels, samples).
+        """
+        variant = self.machine.variant(tuple(change.edits))
+        parameters = variant.plugin_state.copy()
+        for (element, name), value in change.parameters.items():
+            parameters[variant.slot(element, name)] = value
+        number = int(self.recording[window])
+        first = window - int(np.argmax(self.recording == number))
+        whole = self._cuts[number]
+        cut = replace(whole, firsts=whole.firsts[first : first + 1])
+        measured, corrected = measure(self.machine, cut, self.channels, change)
+        pairs = [(cut, measured, corrected)]
+        start = start_states(
+            self.machine,
+            cut,
+            change,
+            variant,
+            parameters,
+            measured,
+            self.channels,
+            pressures=self._warmed_up(change, variant, parameters, pairs) if self.blind else None,
+            nudge=None,
+        )
+        faulty = commands.copy()
+        for i, actuator in enumerate(self.machine.actuators):
+            for path in change.commands.get(actuator, ()):
+                faulty[:, :, i] = [path(row, self._period) for row in faulty[:, :, i]]
+        controls = np.repeat(faulty, self.substeps, axis=1)
+        states = self._roll(variant, np.repeat(start, len(commands), axis=0), controls)
+        return self._predicted(variant, states, commands.shape[1])
 
     def _warmed_up(
         self,
@@ -202,47 +249,6 @@ class Replay:
         """Values at window starts, shape (windows,), from one array of shape (n,) a recording."""
         return np.concatenate([v[c.firsts] for v, c in zip(values, self._cuts, strict=True)])
 
-    def _measure(self, cut: Cut, change: Change) -> tuple[Measured, dict[str, np.ndarray]]:
-        series, period = cut.series, self._period
-        corrected = {}
-        for channel in self.channels:
-            samples = series.columns[channel.column]
-            for function, _ in change.corrections.get(channel.column, ()):
-                samples = function(samples, period)
-            corrected[channel.column] = samples
-        position, velocity, pressure = {}, {}, {}
-        for channel in self.channels:
-            column, known = channel.column, cut.smooth.get(channel.column)
-            if known is None or column in change.corrections:
-                smooth = smoothed(corrected[column], channel.filter)
-                known = (smooth, derivative(corrected[column], channel.filter, period))
-                if column not in change.corrections:
-                    cut.smooth[column] = known
-            if channel.chamber:
-                pressure[column] = known[0]
-            else:
-                position[channel.joint], velocity[channel.joint] = known
-        command = {}
-        for actuator in self.machine.actuators:
-            samples = series.columns[f"{actuator}_command"]
-            for path in change.commands.get(actuator, ()):
-                samples = path(samples, period)
-            command[actuator] = samples
-        measured = Measured(
-            period=period,
-            position=position,
-            velocity=velocity,
-            piston_velocity={
-                cylinder: lever * velocity[self.machine.driven[cylinder][0]]
-                for cylinder, lever in cut.levers.items()
-            },
-            lever=cut.levers,
-            command=command,
-            pressure=pressure,
-            samples=cut.firsts,
-        )
-        return measured, corrected
-
     def _roll(self, variant: Variant, starts: np.ndarray, controls: np.ndarray) -> np.ndarray:
         """Full physics states after every step, (windows, steps, nstate); overwritten next time."""
         model = variant.model
@@ -266,12 +272,14 @@ class Replay:
         self.rollouts += shape[0] / self.windows
         return states
 
-    def _predicted(self, variant: Variant, states: np.ndarray) -> np.ndarray:
+    def _predicted(
+        self, variant: Variant, states: np.ndarray, samples: int | None = None
+    ) -> np.ndarray:
         """Predictions at the samples of all windows, shape (windows, channels, samples)."""
         model = variant.model
         seen = states[:, self.substeps - 1 :: self.substeps]
         plugin = offset(model, PLUGIN)
-        out = np.empty((len(states), len(self.channels), self.samples))
+        out = np.empty((len(states), len(self.channels), samples or self.samples))
         for k, channel in enumerate(self.channels):
             if channel.chamber and channel.cylinder:
                 index = plugin + variant.slot(channel.cylinder, channel.chamber)

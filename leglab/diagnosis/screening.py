@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from leglab.diagnosis.problem import Nuisance, Problem
 
 # First-order steps go this many times as far as a trial.
 _FURTHEST = 20.0
+_PAIR_FURTHEST = 3.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -22,6 +24,7 @@ class Candidate:
         values: Of its parameters, where a refit starts.
         gain: Cost saved against the baseline; chi-square units.
         direction: Whitened change of the errors by its smallest trial, (chosen windows, size).
+        step: The same by `values`.
         detectable: Norm of that direction, beyond what nuisances imitate: below some 5 the trial
             size could not be told from noise.
     """
@@ -30,6 +33,7 @@ class Candidate:
     values: np.ndarray
     gain: float
     direction: np.ndarray
+    step: np.ndarray
     detectable: float
 
 
@@ -61,6 +65,8 @@ def screen(
         onset: Time at which what is looked for begins, shape (recordings,); None: throughout.
     """
     found = []
+    # Where screening does not start from the best fit, that is counted to first order as well.
+    floor = max(floor, profiled(problem, base, residual, tangents, nuisances, named))
     for key, site in problem.library.sites.items():
         if key in skip:
             continue
@@ -75,7 +81,7 @@ def screen(
             moved = base.with_values(key, values).with_onset(key, onset)
             return problem.residual(moved, chosen)
 
-        best, gain = site.nominal, -np.inf
+        best, gain, taken = site.nominal, -np.inf, np.zeros_like(residual)
         # Of every strength: its best trial as (gain, difference, direction).
         leaders: dict[int, tuple[float, np.ndarray, np.ndarray]] = {}
         smallest: tuple[float, np.ndarray] | None = None
@@ -83,7 +89,7 @@ def screen(
             direction = residual_at(values) - residual
             cost = profiled(problem, base, residual + direction, space, others, named)
             if floor - cost > gain:
-                best, gain = values, floor - cost
+                best, gain, taken = values, floor - cost, direction
             difference = values - now
             strength = int(np.argmax(np.abs(difference) / scales))
             if strength not in leaders or floor - cost > leaders[strength][0]:
@@ -102,7 +108,7 @@ def screen(
             direction = residual_at(step) - residual
             cost = profiled(problem, base, residual + direction, space, others, named)
             if floor - cost > gain:
-                best, gain = step, floor - cost
+                best, gain, taken = step, floor - cost, direction
         unit = _orthogonal(smallest[1], known)
         found.append(
             Candidate(
@@ -110,10 +116,48 @@ def screen(
                 values=best,
                 gain=gain,
                 direction=smallest[1],
+                step=taken,
                 detectable=float(np.sqrt((unit**2).sum())),
             )
         )
     return sorted(found, key=lambda c: -c.gain)
+
+
+def pairs(
+    problem: Problem,
+    base: Hypothesis,
+    residual: np.ndarray,
+    tangents: np.ndarray,
+    nuisances: Sequence[Nuisance],
+    candidates: Sequence[Candidate],
+    *,
+    count: int,
+) -> list[tuple[float, Hypothesis, frozenset[Key]]]:
+    """Two effects at once, to first order in the steps that screening found, best first.
+
+    Returns:
+        Predicted cost, where a refit starts, and the two effects, of the best `count` pairs.
+    """
+    found = []
+    for one, other in combinations(candidates, 2):
+        own = FreeTangents(
+            columns=np.stack([one.step, other.step], axis=2),
+            lower=np.zeros(2),
+            upper=np.full(2, _PAIR_FURTHEST),
+        )
+        keep = [i for i, n in enumerate(nuisances) if n.key not in (one.key, other.key)]
+        others = [nuisances[i] for i in keep]
+        space = tangents[:, :, keep]
+        cost = profiled(problem, base, residual, space, others, own)
+        shares = profiled_step(problem, base, residual, space, others, own)
+        start = base
+        for share, candidate in zip(shares, (one, other), strict=True):
+            site = problem.library.sites[candidate.key]
+            now = base.get(candidate.key, site.nominal)
+            values = np.clip(now + share * (candidate.values - now), site.lower, site.upper)
+            start = start.with_values(candidate.key, values)
+        found.append((cost, start, frozenset((one.key, other.key))))
+    return sorted(found, key=lambda entry: entry[0])[:count]
 
 
 def _combined(

@@ -8,13 +8,18 @@ import numpy as np
 from leglab.diagnosis.fitting import Fit, free_tangents, refit
 from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.problem import Problem, robust_cost
-from leglab.diagnosis.screening import Candidate, screen
+from leglab.diagnosis.screening import Candidate, pairs, screen
 
 # How many of the screened effects are refitted, and how many of those sharpened.
 _REFITTED = 4
 _SHARPENED = 3
 # A round whose best screened effect saves less than this share of a noise variance ends there.
 _HOPE = 0.04
+# Of so many candidates all pairs are looked at, and so many of these are fitted.
+_PAIRED = 20
+_PAIRS = 3
+# A rough fit that costs more than this share of the baseline is started again from there.
+_STUCK = 0.95
 # Finite differences of the last fits, as a share of those of the first.
 _FINE = 0.1
 # A rival whose cost is this many times the best one's excess after a rough fit stays behind.
@@ -152,10 +157,10 @@ def round_of_search(
     tangents = problem.tangents(base, residual, chosen, nuisances)
     progress("screening")
     own = free_tangents(problem, base, named, residual, chosen)
-    fitted = floor_fit.hypothesis
+    fitted_base = floor_fit.hypothesis
     floor = problem.cost(
-        residual if fitted is base else problem.residual(fitted, chosen),
-        problem.prior_cost(fitted, set(named)),
+        residual if fitted_base is base else problem.residual(fitted_base, chosen),
+        problem.prior_cost(fitted_base, set(named)),
     )
     candidates = screen(
         problem,
@@ -176,9 +181,17 @@ def round_of_search(
     promising = candidates[:_REFITTED] if candidates and candidates[0].gain > hope else []
     for candidate in promising:
         progress(f"fitting {candidate.key[0]}")
-        start = base.with_values(candidate.key, candidate.values).with_onset(candidate.key, onset)
-        free = named | {candidate.key}
-        fit = refit(problem, start, free, chosen, tangents, nuisances, iterations=4)
+
+        def fitted(start: Hypothesis, candidate: Candidate = candidate) -> Fit:
+            start = start.with_values(candidate.key, candidate.values)
+            start = start.with_onset(candidate.key, onset)
+            free = named | {candidate.key}
+            return refit(problem, start, free, chosen, tangents, nuisances, iterations=4)
+
+        fit = fitted(base)
+        if fit.cost > _STUCK * floor and fitted_base is not base:
+            # Worse than without the effect: the nuisances are far from where they belong.
+            fit = min(fit, fitted(fitted_base), key=lambda f: f.cost)
         rough.append((candidate.key, fit))
     rough.sort(key=lambda entry: entry[1].cost)
     contenders = []
@@ -222,3 +235,41 @@ def sharpen(problem: Problem, fit: Fit, chosen: np.ndarray, *, iterations: int =
         residual=residual,
         fine=_FINE,
     )
+
+
+def pair_search(
+    problem: Problem, stage: Stage, chosen: np.ndarray, progress: Progress
+) -> tuple[Contender, Key] | None:
+    """Fits the most promising two effects at once: greedy search may start with an impostor.
+
+    Returns:
+        The best pair, whose `key` is the effect that matters less, and the other effect; None
+        where there are no two candidates.
+    """
+    base = Hypothesis()
+    residual = problem.residual(base, chosen)
+    tangents = problem.tangents(base, residual, chosen, problem.nuisances)
+    best: tuple[Fit, frozenset[Key]] | None = None
+    ranked = pairs(
+        problem,
+        base,
+        residual,
+        tangents,
+        problem.nuisances,
+        stage.candidates[:_PAIRED],
+        count=_PAIRS,
+    )
+    for _, start, keys in ranked:
+        progress(f"fitting {' and '.join(sorted(name for name, _ in keys))}")
+        fit = refit(problem, start, keys, chosen, tangents, problem.nuisances, iterations=5)
+        if best is None or fit.cost < best[0].cost:
+            best = fit, keys
+    if best is None:
+        return None
+    fit, keys = best
+    problem.rewhiten(fit.hypothesis)
+    fit = sharpen(problem, fit, chosen)
+    cost = window_cost(problem, fit.hypothesis)
+    loss = {k: window_cost(problem, fit.hypothesis.without(k)).mean() for k in keys}
+    less, more = sorted(keys, key=lambda k: loss[k])
+    return Contender(key=less, fit=fit, cost=cost), more

@@ -8,7 +8,7 @@ import numpy as np
 from leglab.diagnosis.change import Change, Measured
 from leglab.diagnosis.cutting import Cut
 from leglab.diagnosis.machine import CYLINDER, Machine, Variant
-from leglab.diagnosis.series import Channel
+from leglab.diagnosis.series import Channel, derivative, smoothed
 from leglab.diagnosis.states import reconstruct
 
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -30,6 +30,51 @@ class Nudge:
     cylinder: str = ""
     quantity: str
     size: float
+
+
+def measure(
+    machine: Machine, cut: Cut, channels: tuple[Channel, ...], change: Change
+) -> tuple[Measured, dict[str, np.ndarray]]:
+    """Smoothed series under the sensor and command faults of a change, and corrected columns."""
+    series, period = cut.series, cut.series.period
+    corrected = {}
+    for channel in channels:
+        samples = series.columns[channel.column]
+        for function, _ in change.corrections.get(channel.column, ()):
+            samples = function(samples, period)
+        corrected[channel.column] = samples
+    position, velocity, pressure = {}, {}, {}
+    for channel in channels:
+        column, known = channel.column, cut.smooth.get(channel.column)
+        if known is None or column in change.corrections:
+            smooth = smoothed(corrected[column], channel.filter)
+            known = (smooth, derivative(corrected[column], channel.filter, period))
+            if column not in change.corrections:
+                cut.smooth[column] = known
+        if channel.chamber:
+            pressure[column] = known[0]
+        else:
+            position[channel.joint], velocity[channel.joint] = known
+    command = {}
+    for actuator in machine.actuators:
+        samples = series.columns[f"{actuator}_command"]
+        for path in change.commands.get(actuator, ()):
+            samples = path(samples, period)
+        command[actuator] = samples
+    measured = Measured(
+        period=period,
+        position=position,
+        velocity=velocity,
+        piston_velocity={
+            cylinder: lever * velocity[machine.driven[cylinder][0]]
+            for cylinder, lever in cut.levers.items()
+        },
+        lever=cut.levers,
+        command=command,
+        pressure=pressure,
+        samples=cut.firsts,
+    )
+    return measured, corrected
 
 
 def start_states(

@@ -6,7 +6,8 @@ from time import perf_counter
 
 import numpy as np
 
-from leglab.diagnosis.fitting import Fit
+from leglab.diagnosis.evidence import notes, nuisance_estimates, traces
+from leglab.diagnosis.experiment import propose
 from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.isolation import isolate
 from leglab.diagnosis.judging import intervals, preferences
@@ -17,9 +18,9 @@ from leglab.diagnosis.result import (
     Gap,
     NamedEffect,
     NotTestable,
+    Proposal,
     Rank,
     RecordingGap,
-    ResidualTrace,
     Rivals,
     Verdict,
 )
@@ -116,10 +117,10 @@ def assemble(found: Search, settings: Settings, *, seconds: float) -> Diagnosis:
             for c in stage.candidates
         ),
         rivals=rivals,
-        traces=_traces(problem, found),
-        nuisances=_nuisances(problem, found.fit),
-        next_experiment=None,
-        notes=_notes(problem),
+        traces=traces(problem, found.fit.hypothesis),
+        nuisances=nuisance_estimates(problem, found.fit),
+        next_experiment=_next_experiment(found, effects),
+        notes=notes(problem),
         rollouts=problem.replay.rollouts,
         seconds=seconds,
     )
@@ -214,22 +215,35 @@ def _effects(
 
 def _ties(found: Search, key: Key, rng: np.random.Generator) -> tuple[tuple[str, ...], float]:
     """Rivals that explain the recordings as well, and how sure the name is against all."""
-    for stage in found.stages:
-        keys = [c.key for c in stage.contenders]
-        if key not in keys:
+    fitted = [
+        (c.cost.mean(), i) for i, s in enumerate(found.stages) for c in s.contenders if c.key == key
+    ]
+    if not fitted:
+        return (), 1.0
+    stage = found.stages[min(fitted)[1]]
+    own = next(c for c in stage.contenders if c.key == key)
+    tied, sure = [], 1.0
+    for rival in stage.contenders:
+        if rival.key == key or rival.key in found.named:
             continue
-        own = stage.contenders[keys.index(key)]
-        tied, sure = [], 1.0
-        for rival in stage.contenders:
-            if rival.key == key or rival.key in found.named:
-                continue
-            preferred = preferences([own.cost, rival.cost], rng)[0, 1]
-            near = rival.cost.mean() - own.cost.mean() < _DISTANCE
-            if preferred < _PREFERENCE or near:
-                tied.append(rival.key[0])
-            sure = min(sure, preferred if not near else min(preferred, 0.5))
-        return tuple(tied), float(sure)
-    return (), 1.0
+        preferred = preferences([own.cost, rival.cost], rng)[0, 1]
+        near = rival.cost.mean() - own.cost.mean() < _DISTANCE
+        if preferred < _PREFERENCE or near:
+            tied.append(rival.key[0])
+        sure = min(sure, preferred if not near else min(preferred, 0.5))
+    return tuple(tied), float(sure)
+
+
+def _next_experiment(found: Search, effects: tuple[NamedEffect, ...]) -> Proposal | None:
+    """What would tell the first effect that is tied from its rival."""
+    for effect in effects:
+        for stage in found.stages:
+            fits = {c.key[0]: c.fit.hypothesis for c in stage.contenders}
+            tied = [name for name in effect.indistinguishable_from if name in fits]
+            if effect.name in fits and tied:
+                rivals = {effect.name: fits[effect.name], tied[0]: fits[tied[0]]}
+                return propose(found.problem, rivals)
+    return None
 
 
 def _gap(problem: Problem, squares: Mapping[str, np.ndarray]) -> Gap:
@@ -258,70 +272,3 @@ def _not_testable(found: Search) -> tuple[NotTestable, ...]:
                 )
             )
     return tuple(entries)
-
-
-def _nuisances(problem: Problem, fit: Fit) -> tuple[Estimate, ...]:
-    rows = []
-    for n in problem.active_nuisances(set(fit.free)):
-        parameter = problem.library.sites[n.key].parameters[n.index]
-        value = fit.hypothesis[n.key][n.index] if n.key in fit.hypothesis else n.nominal
-        rows.append(
-            Estimate(
-                name=parameter.name,
-                unit=parameter.unit,
-                value=float(value),
-                nominal=n.nominal,
-                interval=(n.nominal - 1.96 * n.tolerance, n.nominal + 1.96 * n.tolerance),
-            )
-        )
-    return tuple(rows)
-
-
-def _notes(problem: Problem) -> tuple[str, ...]:
-    notes = []
-    if problem.machine.instances("leglab.cylinder") and not any(
-        c.chamber for c in problem.channels
-    ):
-        notes.append("no chamber pressures: mechanical and hydraulic causes are harder to separate")
-    for series in problem.series:
-        lost = int((~series.valid).sum())
-        if lost:
-            notes.append(
-                f"{series.name}: {lost} samples are missing; windows over them are skipped"
-            )
-    return tuple(notes)
-
-
-def _traces(problem: Problem, found: Search) -> tuple[ResidualTrace, ...]:
-    replay = problem.replay
-    before = problem.raw_errors(Hypothesis())
-    after = problem.raw_errors(found.fit.hypothesis)
-    per_bin = replay.samples // replay.bins
-    period = problem.series[0].period
-    rows = []
-    for i, series in enumerate(problem.series):
-        mask = replay.recording == i
-        middle = (np.arange(replay.bins) + 0.5) * per_bin
-        first = np.round((replay.start[mask] - series.time[0]) / period)
-        index = np.minimum((first[:, None] + middle).astype(int), series.time.size - 1).ravel()
-        for k, channel in enumerate(problem.channels):
-            q = series.columns[f"{channel.joint}_position"]
-            first_chamber = series.columns.get(f"{channel.joint}_pressure_a")
-            second_chamber = series.columns.get(f"{channel.joint}_pressure_b")
-            difference = None
-            if first_chamber is not None and second_chamber is not None:
-                difference = (first_chamber - second_chamber)[index]
-            rows.append(
-                ResidualTrace(
-                    recording=series.name,
-                    channel=channel.column,
-                    unit="Pa" if channel.chamber else "rad or m",
-                    time=series.time[index],
-                    position=q[index],
-                    velocity=np.gradient(q, period)[index],
-                    pressure=difference,
-                    before=before[mask, k].ravel(),
-                    after=after[mask, k].ravel(),
-                )
-            )
-    return tuple(rows)

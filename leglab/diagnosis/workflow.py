@@ -1,7 +1,7 @@
 """The diagnosis from recordings to verdict."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from leglab.diagnosis.search import (
     Contender,
     Stage,
     baseline,
+    pair_search,
     round_of_search,
     sharpen,
     thinned,
@@ -37,6 +38,8 @@ _WORTHWHILE = 0.08
 _SIGNIFICANT = 2.5  # t value of paired window differences on held-out recordings
 # Above it more is certainly missing, and finishing the present fit can wait.
 _MUCH = 8.0
+# Two effects at once must cost less than this share of the best single one.
+_TOGETHER = 0.6
 # An early effect may be swapped for a rival that cost at most this factor more.
 _NEAR = 1.2
 _ROUNDS = 3
@@ -174,6 +177,22 @@ def search(
             problem, start, frozenset(named), current, chosen, rng, progress, onset
         )
         stages.append(stage)
+        best = min((c.cost.mean() for c in stage.contenders), default=np.inf)
+        if not named and onset is None and best > _MUCH and stage.base.mean() > _MUCH:
+            pair = pair_search(problem, stage, chosen, progress)
+            if pair is not None and pair[0].cost.mean() < _TOGETHER * min(best, stage.base.mean()):
+                contender, first = pair
+                stages.append(replace(stage, contenders=(contender,)))
+                named = [first, contender.key]
+                current = contender.fit
+                if contender.cost.mean() < _CLEAN:
+                    break
+                if contender.cost.mean() < _MUCH:
+                    current = _settled(problem, current, chosen)
+                start = current.hypothesis
+                if window_cost(problem, start).mean() > EXPLAINED:
+                    start = start.only(current.free)
+                continue
         winner = next((c for c in stage.contenders if _accepted(problem, stage, c, chosen)), None)
         if winner is None:
             break
@@ -262,10 +281,11 @@ def _pruned(
         cost = window_cost(problem, without.hypothesis)
         if (cost - best).mean() < _WORTHWHILE * max(1.0, cost.mean() - 1.0):
             return without, [k for k in named if k in others]
-        stage = stages[named.index(key)]
-        own = next(c for c in stage.contenders if c.key == key)
-        for rival in stage.contenders:
-            if rival.key in named or rival.cost.mean() > _NEAR * own.cost.mean():
+        stage = next((s for s in stages if any(c.key == key for c in s.contenders)), None)
+        rivals = () if stage is None else stage.contenders
+        limit = _NEAR * min((c.cost.mean() for c in rivals if c.key == key), default=0.0)
+        for rival in rivals:
+            if rival.key in named or rival.cost.mean() > limit:
                 continue
             start = current.hypothesis.without(key)
             start = start.with_values(rival.key, rival.fit.hypothesis[rival.key])

@@ -6,57 +6,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-import leglab.models
-from leglab import plugin
+from leglab.diagnosis.blind.bench import NOMINAL, NULL_SHIFT, SPRING, TOLERANCES, VALVE, bench
 from leglab.diagnosis.blind.plant import TIMESTEP, Plant
-
-VALVE, SPRING = "knee_valve", "knee_spring"
-
-
-def bench() -> mujoco.MjModel:
-    """The nominal bench with the fine step."""
-    plugin.load()
-    spec = mujoco.MjSpec.from_file(f"{leglab.models.__path__[0]}/knee_bench.xml")
-    spec.option.timestep = TIMESTEP
-    spec.compiler.discardvisual = True
-    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
-    return spec.compile()
-
-
-# Nominal values that the faults start from, spec/knee_bench.toml.
-NOMINAL = {
-    "internal_leakage": 1.7e-13,
-    "entrained_air": 0.005,
-    "supply_pressure": 16e6,
-    "lap": 0.02,
-    "null_bias": 0.0,
-    "rated_flow": 1.25e-4,
-    "flow_asymmetry": 0.0,
-    "hysteresis": 0.0,
-    "bandwidth_hz": 250.0,
-    "viscous": 700.0,
-    "coulomb": 100.0,
-    "static": 150.0,
-    "pressure_coefficient": 0.0,
-    "oil_temperature": 40.0,
-    "k1": 25.0,
-    "k2": 60.0,
-    "rest_position": 0.9,
-    "d1": 0.6,
-    "quadratic_damping": 0.0,
-}
-# Spread of good machines: standard deviations, of the nominal value.
-TOLERANCES = {
-    "internal_leakage": 0.15,
-    "entrained_air": 0.2,
-    "supply_pressure": 0.01,
-    "rated_flow": 0.02,
-    "viscous": 0.06,
-    "coulomb": 0.06,
-    "k1": 0.025,
-    "k2": 0.05,
-}
-NULL_SHIFT = 0.002  # standard deviation of the valve's null, of full command
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,6 +66,13 @@ def _coulomb(plant: Plant, rng: np.random.Generator) -> Severity:
     rise = float(rng.uniform(60.0, 300.0))
     _put(plant, "static", _present(plant, "static") + rise)
     return _put(plant, "coulomb", _present(plant, "coulomb") + rise)
+
+
+def _stiction(plant: Plant, rng: np.random.Generator) -> Severity:
+    rise = float(rng.uniform(90.0, 450.0))
+    _put(plant, "static", _present(plant, "static") + rise)
+    # The share of the Coulomb friction, a tolerance, counts there.
+    return Severity(parameter="static", value=NOMINAL["static"] + rise)
 
 
 def _delay(plant: Plant, rng: np.random.Generator) -> Severity:
@@ -211,6 +169,20 @@ def _external(plant: Plant, rng: np.random.Generator) -> Severity:
     return Severity(parameter=name, value=value)
 
 
+def _droop(plant: Plant, rng: np.random.Generator) -> Severity:
+    droop = float(np.exp(rng.uniform(np.log(2e10), np.log(3e11))))
+    pressure = plant.tuning.get((VALVE, "supply_pressure"), NOMINAL["supply_pressure"])
+    plant.model = bench(
+        {
+            "supply_pressure": pressure,
+            "accumulator_volume": float(rng.uniform(2e-5, 8e-5)),
+            "compensator_gain": 1.0 / droop,
+            "pump_flow": 0.1,
+        }
+    )
+    return Severity(parameter="droop", value=droop)
+
+
 def _temperature(plant: Plant, rng: np.random.Generator) -> Severity:
     value = float(rng.choice((rng.uniform(5.0, 30.0), rng.uniform(52.0, 80.0))))
     return _put(plant, "oil_temperature", value)
@@ -221,6 +193,7 @@ FAULTS: dict[str, Fault] = {
     "external_leakage": _external,
     "oil_viscosity": _temperature,
     "entrained_air": _scaled("entrained_air", (3.0, 12.0)),
+    "supply_droop": _droop,
     "supply_pressure": _scaled("supply_pressure", (0.7, 0.93), (1.07, 1.25)),
     "valve_deadband": _shifted("lap", 0.012, 0.07, signed=False),
     "valve_bias": _shifted("null_bias", 0.012, 0.05, signed=True),
@@ -231,7 +204,7 @@ FAULTS: dict[str, Fault] = {
     "command_delay": _delay,
     "viscous_friction": _scaled("viscous", (1.5, 6.0)),
     "coulomb_friction": _coulomb,
-    "stiction": _scaled("static", (1.6, 4.0)),
+    "stiction": _stiction,
     "asymmetric_friction": _asymmetric,
     "pressure_dependent_friction": _shifted("pressure_coefficient", 3e-6, 3e-5, signed=False),
     "load_dependent_friction": _load_dependent,
@@ -253,7 +226,15 @@ FAULTS: dict[str, Fault] = {
 SUDDEN = tuple(
     sorted(
         set(FAULTS)
-        - {"payload", "armature", "base_tilt", "encoder_offset", "encoder_scale", "sensor_delay"}
+        - {
+            "supply_droop",
+            "payload",
+            "armature",
+            "base_tilt",
+            "encoder_offset",
+            "encoder_scale",
+            "sensor_delay",
+        }
     )
 )
 

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leglab.diagnosis.blind.faults import FAULTS, SUDDEN, Severity, bench, detuned
+from leglab.diagnosis.blind.bench import bench
+from leglab.diagnosis.blind.faults import FAULTS, SUDDEN, Severity, detuned
 from leglab.diagnosis.blind.plant import Plant
 from leglab.diagnosis.blind.references import references
 from leglab.recording import Recording

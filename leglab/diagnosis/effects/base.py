@@ -69,6 +69,8 @@ class Effect(ABC):
         physics: One sentence: what happens, with the equation.
         source: Where equation and bounds come from.
         excitation: What a recording must contain to show it.
+        order: Effects are applied by rising order, then by name: one that builds on parameters
+            which others change comes later.
     """
 
     name: ClassVar[str]
@@ -76,6 +78,7 @@ class Effect(ABC):
     physics: ClassVar[str]
     source: ClassVar[str]
     excitation: ClassVar[str]
+    order: ClassVar[int] = 0
 
     @abstractmethod
     def elements(self, machine: Machine) -> tuple[str, ...]:
