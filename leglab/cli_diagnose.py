@@ -20,6 +20,9 @@ def diagnose(
         list[str] | None,
         typer.Option(help="Recording kept from all fits; default: chosen by its excitation."),
     ] = None,
+    columns: Annotated[
+        Path | None, typer.Option(help="TOML file: names of the columns in the recordings.")
+    ] = None,
     effect: Annotated[
         list[str] | None, typer.Option(help="Effects to consider; default: all.")
     ] = None,
@@ -48,7 +51,7 @@ def diagnose(
     from leglab.report.run_folder import check_folder
 
     check_folder(out, overwrite=overwrite)
-    named = read_recordings(recordings)
+    named = read_recordings(recordings, columns)
     named, held = split_held_out(model, named, held_out or [])
     settings = Settings(effects=tuple(effect) if effect else None, seed=seed)
     with progress_bar() as bar:

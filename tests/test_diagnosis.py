@@ -10,10 +10,11 @@ import pytest
 from leglab import data
 from leglab.diagnosis.change import Change
 from leglab.diagnosis.experiment import catalogue, propose
+from leglab.diagnosis.gate import check_recordings
 from leglab.diagnosis.hypothesis import Hypothesis, Library
 from leglab.diagnosis.machine import Machine
 from leglab.diagnosis.output import reloaded_error, write_diagnosis, write_improved
-from leglab.diagnosis.recordings import split_held_out
+from leglab.diagnosis.recordings import read_recordings, split_held_out
 from leglab.diagnosis.search import window_cost
 from leglab.diagnosis.verdict import diagnose
 from leglab.diagnosis.workflow import Settings, held_out_choice, set_up
@@ -226,3 +227,47 @@ def test_proposed_experiment_separates_the_rivals_better_than_another(problem):
     assert proposal.rivals == ("valve_bias", "command_delay")
     assert proposal.separation > 100.0
     assert proposal.name in catalogue(10, 1e-3)
+
+
+def test_degrees_and_bars_are_refused_with_a_hint():
+    machine = Machine("knee_bench")
+    walk = recordings("nominal")["walk"]
+    degrees = walk.with_columns({"knee_position": np.rad2deg(walk["knee_position"])})
+    with pytest.raises(LeglabError, match=r"'knee_position' covers .* is it in degrees\?"):
+        check_recordings(machine, {"walk": degrees})
+    bars = walk.with_columns({"knee_pressure_a": 1e-5 * walk["knee_pressure_a"]})
+    with pytest.raises(LeglabError, match=r"'knee_pressure_a' stays below .* in bar\?"):
+        check_recordings(machine, {"walk": bars})
+
+
+def test_saturation_and_gaps_are_noted():
+    machine = Machine("knee_bench")
+    walk = recordings("nominal")["walk"]
+    assert check_recordings(machine, {"walk": walk}) == ()
+    pressure = np.minimum(walk["knee_pressure_a"], np.quantile(walk["knee_pressure_a"], 0.9))
+    position = walk["knee_position"].copy()
+    position[100:110] = np.nan
+    bad = walk.with_columns({"knee_pressure_a": pressure, "knee_position": position})
+    notes = check_recordings(machine, {"walk": bad})
+    assert any("saturated" in note and "'knee_pressure_a'" in note for note in notes)
+    assert any("10 samples without a number" in note for note in notes)
+
+
+def test_too_short_recordings_are_refused():
+    short = {n: r.between(0.0, 0.25) for n, r in recordings("nominal").items()}
+    with pytest.raises(LeglabError, match="no window of 0.3 s fits"):
+        set_up("knee_bench", short, (), Settings())
+
+
+def test_a_column_map_renames_and_converts(tmp_path):
+    walk = recordings("nominal")["walk"]
+    other = walk.with_columns({"enc": np.rad2deg(walk["knee_position"])})
+    data.write(other, tmp_path / "a.parquet")
+    (tmp_path / "map.toml").write_text(
+        'knee_position = {column = "enc", scale = 0.017453292519943295}\n'
+    )
+    read = read_recordings([tmp_path / "a.parquet"], tmp_path / "map.toml")["a.parquet"]
+    np.testing.assert_allclose(read["knee_position"], walk["knee_position"], rtol=1e-12)
+    (tmp_path / "map.toml").write_text("knee_position = 3\n")
+    with pytest.raises(LeglabError, match="entry 'knee_position'; allowed"):
+        read_recordings([tmp_path / "a.parquet"], tmp_path / "map.toml")

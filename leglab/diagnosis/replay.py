@@ -19,6 +19,7 @@ from leglab.diagnosis.starts import (
     pressure_slots,
     start_states,
 )
+from leglab.errors import LeglabError
 
 # Where no pressures are measured, a replay of this time before a window, which forgets where it
 # began, says what they are at its start.
@@ -47,6 +48,9 @@ class Replay:
         channels: What is predicted.
         layout: How recordings are cut.
         threads: Of the rollouts.
+
+    Raises:
+        LeglabError: No window fits into the recordings.
 
     Attributes:
         recording: Index of each window's recording, shape (windows,).
@@ -81,6 +85,12 @@ class Replay:
             [np.full(c.firsts.size, i) for i, c in enumerate(self._cuts)]
         )
         self.start = np.concatenate([c.series.time[c.firsts] for c in self._cuts])
+        if not self.start.size:
+            longest = max(float(s.time[-1] - s.time[0]) for s in series)
+            raise LeglabError(
+                f"no window of {layout.window:g} s fits: the longest recording lasts {longest:.3g} "
+                "s; allowed: recordings without gaps, some seconds long"
+            )
         self.noise_gain = np.ones(len(channels))
         self._threads = threads
         self._pool = rollout.Rollout(nthread=threads) if threads > 1 else rollout.Rollout(nthread=0)

@@ -1,6 +1,7 @@
 """From the search to the verdict: names, confusion sets, confidence, gaps."""
 
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 
@@ -8,6 +9,7 @@ import numpy as np
 
 from leglab.diagnosis.evidence import notes, nuisance_estimates, traces
 from leglab.diagnosis.experiment import propose
+from leglab.diagnosis.gate import check_recordings
 from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.isolation import isolate
 from leglab.diagnosis.judging import intervals, preferences
@@ -65,10 +67,11 @@ def diagnose(
     settings = settings or Settings()
     progress("reading the machine")
     problem = set_up(model, recordings, held_out, settings)
+    remarks = check_recordings(problem.machine, recordings)
     found = search(problem, settings, progress)
     progress("verdict")
     result = assemble(found, settings, seconds=perf_counter() - began)
-    return result, found
+    return replace(result, notes=(*remarks, *result.notes)), found
 
 
 def assemble(found: Search, settings: Settings, *, seconds: float) -> Diagnosis:
