@@ -12,6 +12,7 @@ from rich.table import Table
 
 from leglab import __version__
 from leglab.cli_compare import compare
+from leglab.cli_diagnose import diagnose
 from leglab.errors import LeglabError
 from leglab.terminal import TOLERANCE, Json, Overwrite, errors, metrics_table, output, progress_bar
 
@@ -22,6 +23,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command()(compare)
+app.command()(diagnose)
 
 
 def _version(wanted: bool) -> None:

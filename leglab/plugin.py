@@ -5,6 +5,7 @@ import functools
 import re
 from collections.abc import Iterable
 from pathlib import Path
+from xml.etree import ElementTree
 
 import mujoco
 
@@ -17,6 +18,8 @@ _TEXT_ATTRIBUTES = {
     "leglab.cylinder": ("supply",),
     "leglab.spring_damper": ("joint", "strut"),
     "leglab.joint_friction": ("joint",),
+    "leglab.backlash": ("joint",),
+    "leglab.command_path": ("actuator", "max_delay"),
     "leglab.sensor": ("actuator", "quantity"),
 }
 _UNKNOWN_ATTRIBUTE = re.compile(
@@ -86,6 +89,31 @@ def attribute_names(plugin: str) -> tuple[str, ...]:
     """MJCF attributes of one of leglab's plugins, empty for a plugin of somebody else."""
     table = plugin_tables().get(plugin)
     return (*_TEXT_ATTRIBUTES.get(plugin, ()), *(table.parameters if table else ()))
+
+
+def to_xml(spec: mujoco.MjSpec) -> str:
+    """MJCF of a compiled specification, with the plugin instances that were added to it.
+
+    `MjSpec.to_xml` of MuJoCo 3.17 leaves out instances that were added through `add_plugin`.
+    """
+    root = ElementTree.fromstring(spec.to_xml())
+    extension = root.find("extension")
+    if extension is None:
+        extension = ElementTree.SubElement(root, "extension")
+    for plugin in spec.plugins:
+        if (
+            not plugin.name
+            or root.find(f".//extension//instance[@name='{plugin.name}']") is not None
+        ):
+            continue
+        parent = extension.find(f"plugin[@plugin='{plugin.plugin_name}']")
+        if parent is None:
+            parent = ElementTree.SubElement(extension, "plugin", plugin=plugin.plugin_name)
+        instance = ElementTree.SubElement(parent, "instance", name=plugin.name)
+        for key, value in plugin.config.items():
+            ElementTree.SubElement(instance, "config", key=key, value=value)
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
 def load_error(error: Exception, where: str, spec: mujoco.MjSpec | None = None) -> LeglabError:

@@ -72,19 +72,7 @@ class Slots:
     """Parameters and states of one plugin instance in an MjData, by name."""
 
     def __init__(self, model, data, name):
-        actuator = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
-        self.instance = (
-            model.actuator_plugin[actuator]
-            if actuator >= 0
-            else mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_PLUGIN, name)
-        )
-        size = model.plugin_statenum[self.instance]
-        self.start = model.plugin_stateadr[self.instance]
-        self.table = next(
-            table
-            for table in plugin_tables().values()
-            if len(table.parameters) + len(table.states) == size
-        )
+        self.start, self.table = plugin.elements(model)[name]
         self.data = data
 
     def address(self, name):

@@ -147,6 +147,13 @@ void Cylinder::compute(const mjModel* m, mjData* d) {
   forces_ = piston_forces(p, coefficients_, oil_, s, chambers_, x_, v_,
                           mass_ > 0 ? m->opt.timestep / mass_ : 0.0);
   d->actuator_force[actuator_] = forces_.total();
+  // Delayed, where the actuator has a delay.
+  command_ = d->ctrl[actuator_];
+  if (m->actuator_historyadr[actuator_] >= 0) {
+    mjtNum between = 0;
+    const mjtNum* held = mj_readCtrl(m, d, actuator_, d->time, &between, m->actuator_history[2 * actuator_ + 1]);
+    command_ = held ? *held : between;
+  }
 }
 
 void Cylinder::advance(const mjModel* m, mjData* d) {
@@ -159,7 +166,7 @@ void Cylinder::advance(const mjModel* m, mjData* d) {
   }
   const double applied = d->actuator_force[actuator_];
   const PistonStep piston{x_, v_, v, applied, forces_.pressure - applied, mass_};
-  advance_cylinder(p, coefficients_, step_, oil_, chambers_, piston, d->ctrl[actuator_],
+  advance_cylinder(p, coefficients_, step_, oil_, chambers_, piston, command_,
                    supply_pressure(m, d, p), s);
 }
 

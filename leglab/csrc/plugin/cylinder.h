@@ -61,7 +61,7 @@ class Cylinder {
   Observed observed_ = kNothing;  // what `chambers_` were solved for
   hydraulics::Chambers chambers_{};
   hydraulics::PistonForces forces_{};
-  double x_ = 0, v_ = 0, mass_ = 0;
+  double x_ = 0, v_ = 0, mass_ = 0, command_ = 0;
   std::vector<double> half_solved_;  // scratch, shape (nv,), zero between uses
 };
 

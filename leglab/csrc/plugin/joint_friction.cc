@@ -12,17 +12,25 @@
 namespace leglab::plugin {
 namespace {
 
-// Relative friction at a time: wear times slow drift times the direction of sliding. It may be
-// zero; the bristle then sees a vanishing, not a zero, friction.
-double level(const FrictionParameters& p, double time, double v) {
+// Friction at a velocity: steady bristle force g and viscous coefficient.
+struct Level {
+  double sliding;  // N, not negative
+  double viscous;  // N s/rad
+};
+
+// Wear and slow drift scale everything, the direction of sliding shifts and scales, the load that
+// the joint carries adds to Coulomb and breakaway friction alike (Duclusaud et al. 2025).
+Level level(const FrictionParameters& p, const FrictionState& s, double time, double v) {
   const double drift =
       1.0 + p.drift_amplitude_ * std::sin(2.0 * std::numbers::pi * time / p.drift_period_);
-  const double side = v > 0 ? 1.0 + p.direction_asymmetry_ : 1.0 - p.direction_asymmetry_;
-  return p.wear_ * drift * (v == 0 ? 1.0 : side);
-}
-
-double sliding_force(const FrictionParameters& p, double scale, double v) {
-  return hydraulics::stribeck(v, scale * p.coulomb_, scale * p.static_, p.stribeck_velocity_);
+  const double side = v > 0 ? 1.0 : v < 0 ? -1.0 : 0.0;
+  const double scale = p.wear_ * drift * (1.0 + side * p.direction_asymmetry_);
+  const double shift = 0.5 * side * p.coulomb_difference_ + s.load_;
+  const double coulomb = std::max(p.coulomb_ + shift, 0.0), top = std::max(p.static_ + shift, 0.0);
+  return {coulomb > 0 || top > 0
+              ? hydraulics::stribeck(v, scale * coulomb, scale * top, p.stribeck_velocity_)
+              : 0.0,
+          scale * (p.viscous_ + 0.5 * side * p.viscous_difference_)};
 }
 
 }  // namespace
@@ -48,14 +56,16 @@ void JointFriction::compute(const mjModel* m, mjData* d) {
   const auto& p = *reinterpret_cast<const FrictionParameters*>(head);
   const auto& s = *reinterpret_cast<const FrictionState*>(head + kParameterCount);
   const double v = d->qvel[dof_];
-  const double scale = level(p, d->time, v);
-  const double g = sliding_force(p, scale, v);
-  // z'/v = 1 - sgn(v) sigma_0 z / g. Bounded, since g may fall at once (wear set anew, a direction
-  // without friction) and the bristle follows only with the next step.
-  const double relative_rate =
-      std::clamp(1.0 - std::copysign(p.sigma_0_ * s.bristle_ / g, v * s.bristle_), -4.0, 4.0);
-  const double rate = v * relative_rate;
-  d->qfrc_passive[dof_] -= p.sigma_0_ * s.bristle_ + p.sigma_1_ * rate + scale * p.viscous_ * v;
+  const Level now = level(p, s, d->time, v);
+  double force = now.viscous * v;
+  if (now.sliding > 0) {
+    // Mean of z' over the step: at speed a bristle relaxes within microseconds, and z' at one moment
+    // would stand for the whole step.
+    const double h = m->opt.timestep;
+    const double next = hydraulics::advance_bristle(s.bristle_, v, now.sliding, p.sigma_0_, h);
+    force += p.sigma_0_ * s.bristle_ + p.sigma_1_ * (next - s.bristle_) / h;
+  }
+  d->qfrc_passive[dof_] -= force;
 }
 
 void JointFriction::advance(const mjModel* m, mjData* d) {
@@ -63,8 +73,11 @@ void JointFriction::advance(const mjModel* m, mjData* d) {
   auto& p = *reinterpret_cast<FrictionParameters*>(head);
   auto& s = *reinterpret_cast<FrictionState*>(head + kParameterCount);
   const double v = d->qvel[dof_], h = m->opt.timestep;
-  const double g = sliding_force(p, level(p, d->time, v), v);
-  s.bristle_ = hydraulics::advance_bristle(s.bristle_, v, g, p.sigma_0_, h);
+  // MuJoCo computes passive forces before the actuators': the load is that of the step before.
+  s.load_ = std::abs(p.actuator_load_coefficient_ * d->qfrc_actuator[dof_] +
+                     p.bias_load_coefficient_ * d->qfrc_bias[dof_]);
+  const double g = level(p, s, d->time, v).sliding;
+  s.bristle_ = g > 0 ? hydraulics::advance_bristle(s.bristle_, v, g, p.sigma_0_, h) : 0.0;
   s.sliding_distance_ += std::abs(v) * h;
   p.wear_ += p.wear_rate_ * std::abs(v) * h;
 }

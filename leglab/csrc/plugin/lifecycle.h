@@ -43,8 +43,13 @@ void register_plugin(const char* name, int capability, const std::vector<const c
   plugin.copy = +[](mjData* to, const mjModel*, const mjData* from, int instance) {
     *instance_of<T>(to, instance) = *instance_of<T>(from, instance);
   };
-  plugin.compute = +[](const mjModel* m, mjData* d, int instance, int) {
-    instance_of<T>(d, instance)->compute(m, d);
+  plugin.compute = +[](const mjModel* m, mjData* d, int instance, int capability) {
+    T* plugin = instance_of<T>(d, instance);
+    if constexpr (requires { plugin->compute(m, d, capability); }) {
+      plugin->compute(m, d, capability);  // of the several that it has
+    } else {
+      plugin->compute(m, d);
+    }
   };
   if constexpr (requires(T t, const mjModel* m, mjData* d) { t.advance(m, d); }) {
     plugin.advance = +[](const mjModel* m, mjData* d, int instance) {

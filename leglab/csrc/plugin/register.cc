@@ -1,6 +1,8 @@
 // Registers every plugin of the library when it is loaded.
 #include <mujoco/mujoco.h>
 
+#include "plugin/backlash.h"
+#include "plugin/command_path.h"
 #include "plugin/cylinder.h"
 #include "plugin/joint_friction.h"
 #include "plugin/sensor.h"
@@ -8,6 +10,8 @@
 #include "plugin/supply.h"
 
 mjPLUGIN_LIB_INIT(leglab) {
+  leglab::plugin::register_backlash();
+  leglab::plugin::register_command_path();
   leglab::plugin::register_cylinder();
   leglab::plugin::register_joint_friction();
   leglab::plugin::register_sensor();

@@ -29,13 +29,13 @@ void SpringDamper::reset(mjtNum* plugin_state) const {
   std::memcpy(plugin_state, &initial_, sizeof initial_);
 }
 
-// tau = -(k1 y + k2 y^3 sin^2 y) - d1 y' - d2 |y'| y' - stops.
+// tau = -(k1 y + k2 y^3 sin^2 y + k3 y^3) - d1 y' - d2 |y'| y' + offset - stops.
 void SpringDamper::compute(const mjModel* m, mjData* d) {
   const auto& p = *reinterpret_cast<const SpringParameters*>(state_of(m, d, instance_));
   const double q = d->qpos[qpos_], v = d->qvel[dof_];
   const double y = q - p.rest_position_;
   const double sine = std::sin(y);
-  double force = -(p.k1_ + p.k2_ * y * y * sine * sine) * y -
+  double force = p.force_offset_ - (p.k1_ + (p.k2_ * sine * sine + p.k3_) * y * y) * y -
                  (p.d1_ + p.quadratic_damping_ * std::abs(v)) * v;
   if (q < p.stop_lower_) force += p.stop_stiffness_ * (p.stop_lower_ - q) - p.stop_damping_ * v;
   if (q > p.stop_upper_) force += p.stop_stiffness_ * (p.stop_upper_ - q) - p.stop_damping_ * v;

@@ -5,6 +5,8 @@
 
 #include "hydraulics/parameters.h"
 #include "hydraulics/supply.h"
+#include "plugin/backlash_parameters.h"
+#include "plugin/command_path_parameters.h"
 #include "plugin/joint_friction_parameters.h"
 #include "plugin/spring_damper_parameters.h"
 
@@ -21,6 +23,8 @@ inline constexpr PluginTable kTables[] = {
     {"leglab.supply", hydraulics::kSupplyParameters, hydraulics::kSupplyStates},
     {"leglab.spring_damper", kSpringParameters, {}},
     {"leglab.joint_friction", kFrictionParameters, kFrictionStates},
+    {"leglab.backlash", kBacklashParameters, kBacklashStates},
+    {"leglab.command_path", kCommandParameters, kCommandStates},
 };
 
 }  // namespace leglab::plugin

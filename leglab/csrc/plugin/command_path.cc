@@ -1,0 +1,143 @@
+#include "plugin/command_path.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <string>
+
+#include "plugin/config.h"
+#include "plugin/lifecycle.h"
+
+namespace leglab::plugin {
+namespace {
+
+constexpr hydraulics::ParameterSpec kMaxDelay[] = {
+    {"max_delay", "s", 0.05, 0.0, 1.0, true, "longest delay that may be set"}};
+
+// Commands of the past that interpolation at `max_delay` needs.
+int history_length(const mjModel* m, int instance) {
+  double max_delay;
+  read_parameters(m, instance, kMaxDelay, &max_delay);
+  return static_cast<int>(std::ceil(max_delay / m->opt.timestep - 1e-9)) + 1;
+}
+
+// Play: follows the input at half a width behind it (Krasnosel'skii and Pokrovskii 1989).
+double play(double before, double input, double width) {
+  return std::clamp(before, input - 0.5 * width, input + 0.5 * width);
+}
+
+double dead_band(double input, double half_width) {
+  if (half_width == 0.0) return input;
+  return std::abs(input) <= half_width ? 0.0 : input - std::copysign(half_width, input);
+}
+
+}  // namespace
+
+const char kCommandPathName[] = "leglab.command_path";
+
+int CommandPath::state_count(const mjModel* m, int instance) {
+  return kNamedCount + history_length(m, instance);
+}
+
+CommandPath::CommandPath(const mjModel* m, int instance)
+    : instance_(instance),
+      history_(m->plugin_statenum[instance] - kNamedCount),
+      actuator_(actuator_attribute(m, instance)) {
+  require_single_stage_integrator(m, instance);
+  read_parameters(m, instance, kCommandParameters, reinterpret_cast<double*>(&initial_));
+}
+
+void CommandPath::reset(mjtNum* plugin_state) const {
+  std::memcpy(plugin_state, &initial_, sizeof initial_);
+  std::fill(plugin_state + kParameterCount, plugin_state + kNamedCount + history_, 0.0);
+}
+
+CommandPath::Signal CommandPath::pass(const mjModel* m, const mjtNum* head, double command) const {
+  const auto& p = *reinterpret_cast<const CommandParameters*>(head);
+  const auto& s = *reinterpret_cast<const CommandState*>(head + kParameterCount);
+  const mjtNum* past = head + kNamedCount;
+  const double h = m->opt.timestep;
+  const bool started = s.started_ != 0.0;  // before, the first command has always been there
+
+  // MuJoCo holds a command over a step; the mean over the step of what arrives `delay` later lies
+  // between two commands.
+  const double steps = p.delay_ / h;
+  const int whole = static_cast<int>(steps);
+  if (!(steps >= 0) || whole + 1 > history_) {
+    refuse(m, instance_, "attribute 'delay' = " + number(p.delay_) + " s; allowed: [0, " +
+                             number((history_ - 1) * h) + "] s (attribute max_delay)");
+  }
+  const auto held = [&](int age) { return age == 0 || !started ? command : past[age - 1]; };
+  const double share = steps - whole;
+  double u = held(whole);
+  if (share > 0.0) u += share * (held(whole + 1) - u);
+
+  u = p.gain_ * u + p.bias_;
+  const double behind_play = started ? play(s.play_output_, u, p.hysteresis_) : u;
+  const double x = dead_band(behind_play, p.dead_band_);
+  if (p.time_constant_ == 0.0) return {behind_play, x, x};
+  // Mean of the exact response over the step.
+  const double before = started ? s.lag_output_ : x;
+  const double ratio = h / p.time_constant_;
+  return {behind_play, x, x - (before - x) * std::expm1(-ratio) / ratio};
+}
+
+void CommandPath::compute(const mjModel* m, mjData* d) {
+  if (!applied_) apply(m, d);
+  applied_ = false;
+}
+
+void CommandPath::apply_ahead(const mjModel* m, mjData* d) {
+  apply(m, d);
+  applied_ = true;
+}
+
+void CommandPath::apply(const mjModel* m, mjData* d) const {
+  if (actuator_.disabled(m)) return;
+  const mjtNum* head = d->plugin_state + m->plugin_stateadr[instance_];
+  const auto& p = *reinterpret_cast<const CommandParameters*>(head);
+  const int id = actuator_.id;
+  const double command = actuator_.command(m, d);
+  const double change = pass(m, head, command).output - command;
+  mjtNum& force = d->actuator_force[actuator_.output];
+  if (change != 0.0) {
+    if (m->actuator_dyntype[id] == mjDYN_NONE) {
+      force += actuator_.gain(m, d) * change;
+    } else {
+      const double tau = m->actuator_dyntype[id] == mjDYN_INTEGRATOR
+                             ? 1.0
+                             : std::max(mjMINVAL, m->actuator_dynprm[mjNDYN * id]);
+      d->act_dot[m->actuator_actadr[id] + m->actuator_actnum[id] - 1] += change / tau;
+    }
+  }
+  if (p.actuator_gain_ != 1.0) force *= p.actuator_gain_;
+}
+
+void CommandPath::advance(const mjModel* m, mjData* d) {
+  mjtNum* head = state_of(m, d, instance_);
+  const auto& p = *reinterpret_cast<const CommandParameters*>(head);
+  auto& s = *reinterpret_cast<CommandState*>(head + kParameterCount);
+  mjtNum* past = head + kNamedCount;
+  const double command = actuator_.command(m, d);
+  const Signal signal = pass(m, head, command);
+  const double before = s.started_ != 0.0 ? s.lag_output_ : signal.lag_input;
+  const double decay = p.time_constant_ == 0.0 ? 0.0 : std::exp(-m->opt.timestep / p.time_constant_);
+  if (s.started_ == 0.0) std::fill(past, past + history_, command);
+  std::memmove(past + 1, past, (history_ - 1) * sizeof *past);
+  past[0] = command;
+  s.play_output_ = signal.play;
+  s.lag_output_ = signal.lag_input + (before - signal.lag_input) * decay;
+  s.started_ = 1.0;
+}
+
+void register_command_path() {
+  static const std::vector<const char*> names =
+      attribute_names(kCommandParameters, {"actuator", "max_delay"});
+  register_plugin<CommandPath>(kCommandPathName, mjPLUGIN_ACTUATOR, names, [](mjpPlugin& plugin) {
+    plugin.nstate = +[](const mjModel* m, int instance) {
+      return CommandPath::state_count(m, instance);
+    };
+  });
+}
+
+}  // namespace leglab::plugin

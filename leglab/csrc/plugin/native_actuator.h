@@ -1,0 +1,35 @@
+// A native actuator as the plugins see it: force = gain(length, velocity) input + bias.
+#pragma once
+
+#include <mujoco/mujoco.h>
+
+namespace leglab::plugin {
+
+struct NativeActuator {
+  int id;      // actuator
+  int ctrl;    // its place in mjData.ctrl
+  int output;  // its place in mjData.actuator_force
+
+  static NativeActuator at(const mjModel* m, int id) {
+    return {id, m->actuator_ctrladr[id], m->actuator_outadr[id]};
+  }
+
+  bool disabled(const mjModel* m) const {
+    const int group = m->actuator_group[id];
+    return group >= 0 && group < 31 && (m->opt.disableactuator & (1 << group));
+  }
+
+  // The command within its range, 0 where it is no number, as MuJoCo takes it.
+  double command(const mjModel* m, const mjData* d) const;
+
+  // dForce/dInput at the present length and velocity; fixed or affine gain.
+  double gain(const mjModel* m, const mjData* d) const;
+};
+
+// The actuator that the attribute `actuator` names; refuses what the plugins cannot follow.
+NativeActuator actuator_attribute(const mjModel* m, int instance);
+
+// Refuses an actuator that is a plugin itself, or has several inputs or a nonlinear gain or bias.
+void require_native(const mjModel* m, int instance, int actuator);
+
+}  // namespace leglab::plugin

@@ -1,0 +1,1 @@
+"""Diagnosis: which physical effect a simulation lacks, judged on measured recordings."""

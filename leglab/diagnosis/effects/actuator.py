@@ -1,0 +1,98 @@
+"""Force of actuators: a gain of native ones, a constant force on any joint."""
+
+from collections.abc import Mapping
+
+import mujoco
+
+from leglab.diagnosis.change import Change
+from leglab.diagnosis.effects import joints
+from leglab.diagnosis.effects.base import Effect, EffectParameter, register
+from leglab.diagnosis.effects.spring import insert_spring
+from leglab.diagnosis.machine import Machine
+
+_LINEAR_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
+_LINEAR_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
+
+
+@register
+class ActuatorGain(Effect):
+    """An actuator that is stronger or weaker than the model says."""
+
+    name = "actuator_gain"
+    group = "sensing"
+    physics = "gain x force: torque constant, gear efficiency, current calibration."
+    source = "torque constants of servo motors: 2 % between good ones, 10 % on data sheets"
+    excitation = "forces of different size"
+
+    def elements(self, machine: Machine) -> tuple[str, ...]:
+        """Native actuators with fixed or affine gain and bias."""
+        model = machine.base.model
+        return tuple(
+            name
+            for name in machine.native_actuators()
+            if model.actuator_gaintype[model.actuator(name).id] in _LINEAR_GAINS
+            and model.actuator_biastype[model.actuator(name).id] in _LINEAR_BIASES
+        )
+
+    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
+        """The factor."""
+        del machine, element
+        return (
+            EffectParameter(
+                name="gain",
+                unit="1",
+                nominal=1.0,
+                lower=0.05,
+                upper=5.0,
+                trials=(0.6, 0.9, 1.1, 1.5),
+                tolerance=0.02,
+            ),
+        )
+
+    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
+        """Scales gain and bias of the actuator."""
+        gain = values["gain"]
+
+        def edit(spec: mujoco.MjSpec) -> None:
+            actuator = spec.actuator(element)
+            actuator.gainprm = actuator.gainprm * gain
+            actuator.biasprm = actuator.biasprm * gain
+
+        if gain != 1.0:
+            change.edit(("actuator_gain", element, gain), edit)
+
+
+@register
+class ForceOffset(Effect):
+    """A constant force on a joint: a cable, a counterweight, a current offset."""
+
+    name = "force_offset"
+    group = "sensing"
+    physics = "constant generalised force"
+    source = "offset of a torque loop, pull of a cable or hose"
+    excitation = "any motion; rest under little friction"
+
+    def elements(self, machine: Machine) -> tuple[str, ...]:
+        """All joints."""
+        return machine.joints
+
+    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
+        """The force."""
+        size = joints.force_scale(machine, element)
+        return (
+            EffectParameter(
+                name="force",
+                unit=joints.force_unit(machine, element),
+                nominal=0.0,
+                lower=-2.0 * size,
+                upper=2.0 * size,
+                trials=tuple(share * size for share in (-0.1, -0.02, 0.02, 0.1)),
+            ),
+        )
+
+    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
+        """Inserts a spring-damper that has nothing but the constant force."""
+        if values["force"]:
+            change.set_parameter(
+                insert_spring(change, element, "force"), "force_offset", values["force"]
+            )

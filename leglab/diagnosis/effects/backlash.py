@@ -1,0 +1,205 @@
+"""Play between the drive and a joint."""
+
+import math
+from collections.abc import Callable, Mapping
+
+import mujoco
+import numpy as np
+
+from leglab.diagnosis.change import Change, Measured
+from leglab.diagnosis.effects import joints
+from leglab.diagnosis.effects.base import Effect, EffectParameter, register
+from leglab.diagnosis.machine import Machine, Variant
+
+BACKLASH = "leglab.backlash"
+_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
+# A flank in contact swings at this frequency with the motor alone: rigid against a recording.
+_FLANK_HZ = 500.0
+# Share of a joint's inertia that a motor has where the model says nothing about it.
+_MOTOR_SHARE = 0.1
+# The motor is followed through the play from this long before a window.
+_HISTORY = 0.4  # s
+
+
+@register
+class Backlash(Effect):
+    """Gear play: within it motor and joint move apart."""
+
+    name = "backlash"
+    group = "mechanics"
+    physics = "J w' = tau - T; the flanks transmit T only when the play is used up."
+    source = "Nordin and Gutman 2002; gears 1 to 20 mrad, worn ones more"
+    excitation = "torque that changes its sign, reversals under small load"
+
+    def elements(self, machine: Machine) -> tuple[str, ...]:
+        """Joints with native motor, position or velocity actuators."""
+        model = machine.base.model
+        found = []
+        for joint in machine.joints:
+            drives = [
+                i
+                for i in range(model.nu)
+                if model.actuator_trntype[i] in _JOINT
+                and model.actuator_trnid[i, 0] == model.joint(joint).id
+            ]
+            if drives and all(_followed(model, i) for i in drives):
+                found.append(joint)
+        return tuple(found)
+
+    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
+        """Width of the play and inertia of the motor."""
+        small = 1.0 if joints.unit(machine, element) == "rad" else 0.1
+        own = float(machine.base.model.dof_armature[joints.dof(machine, element)])
+        motor = own or _MOTOR_SHARE * joints.inertia(machine, element)
+        return (
+            EffectParameter(
+                name="width",
+                unit=joints.unit(machine, element),
+                nominal=0.0,
+                lower=0.0,
+                upper=0.5 * small,
+                trials=(0.004 * small, 0.02 * small, 0.08 * small),
+            ),
+            EffectParameter(
+                name="motor_inertia",
+                unit="kg m^2" if joints.unit(machine, element) == "rad" else "kg",
+                nominal=motor,
+                lower=0.1 * motor,
+                upper=own or 10.0 * motor,
+                role="shape",
+            ),
+        )
+
+    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
+        """Inserts a play, and follows its motor through the measured motion to window starts."""
+        if values["width"] == 0.0:
+            return
+        name = f"{element}_backlash"
+        motor = values["motor_inertia"]
+        rate = 2.0 * math.pi * _FLANK_HZ
+        joints.insert_on_joint(change, BACKLASH, name, element, {"motor_inertia": 1.0})
+        change.set_parameter(name, "width", values["width"])
+        change.set_parameter(name, "motor_inertia", motor)
+        change.set_parameter(name, "stiffness", motor * rate**2)
+        width = values["width"]
+
+        latest: list[tuple[Measured, tuple[np.ndarray, np.ndarray]]] = []
+
+        def follow(measured: Measured, variant: Variant) -> tuple[np.ndarray, np.ndarray]:
+            if not latest or latest[0][0] is not measured:
+                states = motor_states(measured, variant.model, element, width, motor)
+                latest[:] = [(measured, states)]
+            return latest[0][1]
+
+        _start(change, name, width, follow)
+
+
+def motor_states(
+    measured: Measured, model: mujoco.MjModel, joint: str, width: float, inertia: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where the motor is in the play, and its velocity, at window starts; both (windows,).
+
+    The joint moves as measured, the motor as its torque drives it between rigid flanks.
+
+    Args:
+        measured: Series of one recording.
+        model: Compiled, with the joint's actuators.
+        joint: Name.
+        width: Of the play.
+        inertia: Of the motor side.
+    """
+    h, half = measured.period, 0.5 * width
+    velocity = measured.velocity[joint]
+    acceleration = np.gradient(velocity, h)
+    index = measured.samples[:, None] + np.arange(-round(_HISTORY / h), 1)
+    index = index.clip(0)
+    drives = _drives(model, joint)
+
+    def torque(k: np.ndarray, offset: np.ndarray, slip: np.ndarray) -> np.ndarray:
+        theta = measured.position[joint][k] + offset
+        omega = velocity[k] + slip
+        return sum(
+            (drive(measured.command[name][k], theta, omega) for name, drive in drives),
+            np.zeros(k.size),
+        )
+
+    k = index[:, 0]
+    zero = np.zeros(k.size)
+    # At first on the flank that a rigid gear would load.
+    offset = half * np.sign(torque(k, zero, zero) - inertia * acceleration[k])
+    slip = zero  # motor velocity less the joint's
+    for column in range(index.shape[1] - 1):
+        k, after = index[:, column], index[:, column + 1]
+        pushed = torque(k, offset, slip) * (h / inertia) - (velocity[after] - velocity[k])
+        moved = offset + h * (slip + 0.5 * pushed)
+        offset = np.clip(moved, -half, half)
+        # A flank takes the motor along, at once.
+        slip = np.where(moved == offset, slip + pushed, 0.0)
+    k = index[:, -1]
+    # Velocities in MuJoCo lag half a step.
+    free = torque(k, offset, slip) / inertia - acceleration[k]
+    lag = np.where(np.abs(offset) < half, 0.5 * model.opt.timestep * free, 0.0)
+    return offset, velocity[k] - 0.5 * model.opt.timestep * acceleration[k] + slip - lag
+
+
+# Force of an actuator on its joint from command, motor position and motor velocity.
+Drive = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+
+def _drives(model: mujoco.MjModel, joint: str) -> list[tuple[str, Drive]]:
+    """Actuators of a joint by name; those with activation as if it had settled."""
+
+    def drive_of(i: int) -> Drive:
+        gear, gain = float(model.actuator_gear[i, 0]), float(model.actuator_gainprm[i, 0])
+        bias = model.actuator_biasprm[i, :3].copy()
+        low, high = (
+            model.actuator_forcerange[i] if model.actuator_forcelimited[i] else (-np.inf, np.inf)
+        )
+
+        def drive(command: np.ndarray, theta: np.ndarray, omega: np.ndarray) -> np.ndarray:
+            force = gain * command + bias[0] + gear * (bias[1] * theta + bias[2] * omega)
+            return gear * np.clip(force, low, high)
+
+        return drive
+
+    return [
+        (model.actuator(i).name, drive_of(i))
+        for i in range(model.nu)
+        if model.actuator_trntype[i] in _JOINT
+        and model.actuator_trnid[i, 0] == model.joint(joint).id
+    ]
+
+
+def _start(
+    change: Change,
+    name: str,
+    width: float,
+    follow: Callable[[Measured, Variant], tuple[np.ndarray, np.ndarray]],
+) -> None:
+    def offset(measured: Measured, variant: Variant, state: np.ndarray) -> np.ndarray:
+        del state
+        return follow(measured, variant)[0]
+
+    def velocity(measured: Measured, variant: Variant, state: np.ndarray) -> np.ndarray:
+        del state
+        return follow(measured, variant)[1]
+
+    def seated(measured: Measured, variant: Variant, state: np.ndarray) -> np.ndarray:
+        del variant, state
+        return np.full(measured.samples.size, width)
+
+    change.start(name, "offset", offset)
+    change.start(name, "motor_velocity", velocity)
+    change.start(name, "seated_width", seated)
+
+
+def _followed(model: mujoco.MjModel, i: int) -> bool:
+    return (
+        model.actuator_plugin[i] < 0
+        and model.actuator_gaintype[i] == int(mujoco.mjtGain.mjGAIN_FIXED)
+        and model.actuator_biastype[i] in _BIASES
+        and model.actuator_dyntype[i] <= int(mujoco.mjtDyn.mjDYN_FILTEREXACT)
+        and not model.actuator_actearly[i]
+        and model.actuator_history[i, 0] == 0
+    )

@@ -1,0 +1,126 @@
+"""What an effect is: a physical cause with parameters, and how it changes a simulation."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import mujoco
+
+from leglab.diagnosis.change import Change
+from leglab.diagnosis.machine import Machine
+from leglab.errors import LeglabError
+
+Group = Literal["oil and seals", "valve and command", "friction", "mechanics", "sensing"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class EffectParameter:
+    """One physical parameter of an effect on one element.
+
+    Attributes:
+        name: What the report prints.
+        unit: SI unit.
+        nominal: Value at which the effect changes nothing, or, of a shape, where fits start.
+        lower: Smallest value that makes sense.
+        upper: Largest value that makes sense.
+        trials: Values that screening tries; a few, from barely noticeable to severe, on each side
+            that is possible. Empty for a shape whose nominal value is enough.
+        tolerance: Standard deviation that is normal between two good machines, same unit. Above
+            zero the baseline refits the parameter under this prior, and only a change beyond it
+            is named. 0: anything that can be told from noise is named.
+        role: A "strength" at its nominal value switches the effect off; a "shape" means nothing
+            while all strengths are nominal.
+    """
+
+    name: str
+    unit: str
+    nominal: float
+    lower: float
+    upper: float
+    trials: tuple[float, ...] = ()
+    tolerance: float = 0.0
+    role: Literal["strength", "shape"] = "strength"
+
+    def __post_init__(self) -> None:
+        if not self.lower <= self.nominal <= self.upper:
+            raise LeglabError(
+                f"effect parameter {self.name!r}: nominal {self.nominal:g} lies outside "
+                f"[{self.lower:g}, {self.upper:g}] {self.unit}"
+            )
+
+    @property
+    def scale(self) -> float:
+        """Distance from nominal that matters: what finite differences and fits step by."""
+        steps = [abs(trial - self.nominal) for trial in self.trials if trial != self.nominal]
+        return min(steps) if steps else 0.1 * (self.upper - self.lower)
+
+
+class Effect(ABC):
+    """A physical cause that a simulation may lack.
+
+    Subclasses set the class attributes, say on which elements of a machine they can sit, with
+    which parameters, and apply values to a `Change`. They keep no state of their own.
+
+    Attributes:
+        name: Of design.md; several variants (on a cylinder, on a plain joint) may share it, as long
+            as no element of a machine is served by two of them.
+        group: Heading under which it is listed.
+        physics: One sentence: what happens, with the equation.
+        source: Where equation and bounds come from.
+        excitation: What a recording must contain to show it.
+        order: Effects are applied by rising order, then by name: one that builds on parameters
+            which others change comes later.
+    """
+
+    name: ClassVar[str]
+    group: ClassVar[Group]
+    physics: ClassVar[str]
+    source: ClassVar[str]
+    excitation: ClassVar[str]
+    order: ClassVar[int] = 0
+
+    @abstractmethod
+    def elements(self, machine: Machine) -> tuple[str, ...]:
+        """Names of the joints, actuators, bodies or plugin instances it can sit on."""
+
+    @abstractmethod
+    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
+        """Its parameters on an element, strengths first."""
+
+    @abstractmethod
+    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
+        """Records in `change` what these values do; nominal values must change nothing."""
+
+    def write(
+        self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Mapping[str, float]
+    ) -> None:
+        """Writes what `apply` does beside spec edits and plugin parameters into a patched model.
+
+        Those two are written for every effect. Only an effect on the command or sensor path needs
+        to override this.
+        """
+        del spec, machine, element, values
+
+
+_REGISTRY: dict[tuple[str, str], Effect] = {}
+
+
+def register(effect: type[Effect]) -> type[Effect]:
+    """Makes an effect known; a class decorator.
+
+    Raises:
+        LeglabError: A class attribute is missing.
+    """
+    for attribute in ("name", "group", "physics", "source", "excitation"):
+        if not getattr(effect, attribute, ""):
+            raise LeglabError(f"effect class {effect.__qualname__} has no {attribute!r}")
+    _REGISTRY[effect.name, effect.__qualname__] = effect()
+    return effect
+
+
+def all_effects() -> tuple[Effect, ...]:
+    """All effects, ordered by name."""
+    import leglab.diagnosis.effects  # noqa: F401  # its modules register what they define
+
+    return tuple(effect for _, effect in sorted(_REGISTRY.items()))

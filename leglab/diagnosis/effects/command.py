@@ -1,0 +1,81 @@
+"""Faults between the measured command and the actuator, for any actuator."""
+
+from collections.abc import Mapping
+
+import mujoco
+import numpy as np
+
+from leglab.diagnosis.change import Change
+from leglab.diagnosis.effects.base import Effect, EffectParameter, register
+from leglab.diagnosis.effects.command_path import write_command_path
+from leglab.diagnosis.machine import Machine
+
+# A command path keeps at least this much history.
+_SHORTEST_HISTORY = 0.05  # s
+
+
+def delayed(samples: np.ndarray, delay: float, period: float) -> np.ndarray:
+    """Held samples, shape (n,), that arrive later; between samples by their share of the period.
+
+    Args:
+        samples: Held from their instant to the next.
+        delay: s, not negative.
+        period: Sampling period [s].
+    """
+    whole, share = divmod(delay / period, 1.0)
+    shift = int(whole)
+    padded = np.concatenate([np.full(shift + 1, samples[0]), samples])
+    late = padded[1 : 1 + samples.size]
+    later = padded[: samples.size]
+    return (1.0 - share) * late + share * later
+
+
+@register
+class CommandDelay(Effect):
+    """The command arrives late."""
+
+    name = "command_delay"
+    group = "valve and command"
+    physics = "u_actuator(t) = u(t - delay)"
+    source = "fieldbus and controller cycles: 1 to 40 ms"
+    excitation = "commands that change faster than the delay lasts"
+
+    def elements(self, machine: Machine) -> tuple[str, ...]:
+        """All actuators."""
+        return machine.actuators
+
+    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
+        """The delay."""
+        del machine, element
+        return (
+            EffectParameter(
+                name="delay",
+                unit="s",
+                nominal=0.0,
+                lower=0.0,
+                upper=0.06,
+                trials=(0.001, 0.004, 0.012, 0.03),
+            ),
+        )
+
+    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
+        """Shifts the measured command."""
+        delay = values["delay"]
+        if delay:
+            change.command(element, lambda samples, period: delayed(samples, delay, period))
+
+    def write(
+        self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Mapping[str, float]
+    ) -> None:
+        """Writes the delay of a native actuator's command path, or MuJoCo's own for a valve."""
+        delay = values["delay"]
+        if delay == 0.0:
+            return
+        if element in machine.native_actuators():
+            longest = max(delay, _SHORTEST_HISTORY)
+            write_command_path(spec, element, {"delay": delay, "max_delay": longest})
+            return
+        actuator = spec.actuator(element)
+        actuator.delay = delay
+        actuator.nsample = int(np.ceil(delay / spec.option.timestep)) + 2
+        actuator.interp = 1  # linear: a delay need not be a multiple of the time step

@@ -1,0 +1,137 @@
+"""Inertia of drives and the attitude of the base."""
+
+import math
+from collections.abc import Mapping
+
+import mujoco
+import numpy as np
+
+from leglab.diagnosis.change import Change
+from leglab.diagnosis.effects import joints
+from leglab.diagnosis.effects.base import Effect, EffectParameter, register
+from leglab.diagnosis.machine import Machine
+
+_AXES = {"roll": (1.0, 0.0, 0.0), "pitch": (0.0, 1.0, 0.0), "yaw": (0.0, 0.0, 1.0)}
+_PROBE = 0.02  # rad
+# A tilt that changes no joint force by more than this share of its scale cannot be seen.
+_SEEN = 1e-3
+
+
+@register
+class Armature(Effect):
+    """Inertia that turns with a joint but not with its links."""
+
+    name = "armature"
+    group = "mechanics"
+    physics = "J q'': rotor and gears, times the ratio squared."
+    source = "mechanics; rotor inertias of data sheets are good to 10 %"
+    excitation = "accelerations of different size"
+
+    def elements(self, machine: Machine) -> tuple[str, ...]:
+        """All joints."""
+        return machine.joints
+
+    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
+        """The inertia."""
+        own = float(machine.base.model.dof_armature[joints.dof(machine, element)])
+        all_of_it = joints.inertia(machine, element)
+        trials = tuple(own + share * all_of_it for share in (0.05, 0.4))
+        return (
+            EffectParameter(
+                name="inertia",
+                unit="kg m^2" if joints.unit(machine, element) == "rad" else "kg",
+                nominal=own,
+                lower=0.0,
+                upper=own + 10.0 * all_of_it,
+                trials=(0.5 * own, *trials) if own > 0.02 * all_of_it else trials,
+                tolerance=0.1 * own,
+            ),
+        )
+
+    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
+        """Sets the joint's armature."""
+        value = values["inertia"]
+        own = change.machine.base.model.dof_armature[joints.dof(change.machine, element)]
+
+        def edit(spec: mujoco.MjSpec) -> None:
+            spec.joint(element).armature = value
+
+        if value != own:
+            change.edit(("armature", element, value), edit)
+
+
+@register
+class BaseTilt(Effect):
+    """The whole machine stands at an angle to gravity."""
+
+    name = "base_tilt"
+    group = "mechanics"
+    physics = "gravity turned by roll, pitch and yaw about the x, y and z axis of the world"
+    source = "mechanics; floors and mounts are level to a few mrad"
+    excitation = "positions over a range in which gravity changes"
+
+    def elements(self, machine: Machine) -> tuple[str, ...]:
+        """The world, if a tilt changes the force on a joint."""
+        return ("world",) if self._axes(machine) else ()
+
+    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
+        """Angles about the axes that matter."""
+        del element
+        return tuple(
+            EffectParameter(
+                name=axis,
+                unit="rad",
+                nominal=0.0,
+                lower=-0.6,
+                upper=0.6,
+                trials=(-0.15, -0.03, 0.03, 0.15),
+            )
+            for axis in self._axes(machine)
+        )
+
+    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
+        """Turns the gravity vector."""
+        del element
+        if not any(values.values()):
+            return
+        turned = change.machine.base.model.opt.gravity.copy()
+        for axis, angle in values.items():
+            turned = _turn(turned, axis, angle)
+
+        def edit(spec: mujoco.MjSpec) -> None:
+            spec.option.gravity = turned
+
+        change.edit(("gravity", *turned.tolist()), edit)
+
+    def _axes(self, machine: Machine) -> tuple[str, ...]:
+        """Axes about which a small tilt changes a joint force, differently at different positions.
+
+        Where it changes it by a constant, as on a level slide, that is a force offset.
+        """
+        model = machine.base.model
+        data = mujoco.MjData(model)
+        scale = np.array([joints.force_scale(machine, joint) for joint in machine.joints])
+        forces: dict[str, list[np.ndarray]] = {axis: [] for axis in _AXES}
+        for shift in (0.0, 0.4, -0.7):
+            data.qpos[:] = model.qpos0 + shift
+            mujoco.mj_fwdPosition(model, data)
+            for axis, found in forces.items():
+                # Linear in gravity, and the model itself stays as it is.
+                turn = _turn(model.opt.gravity, axis, _PROBE) - _turn(
+                    model.opt.gravity, axis, -_PROBE
+                )
+                force = np.zeros(model.nv)
+                for body in range(1, model.nbody):
+                    weight = model.body_mass[body] * turn
+                    mujoco.mj_applyFT(
+                        model, data, weight, np.zeros(3), data.xipos[body], body, force
+                    )
+                found.append(force / scale / (2.0 * _PROBE))
+        return tuple(axis for axis, found in forces.items() if np.ptp(found, axis=0).max() > _SEEN)
+
+
+def _turn(vector: np.ndarray, axis: str, angle: float) -> np.ndarray:
+    """Rotates a vector (3,) about a world axis (Rodrigues)."""
+    k = np.array(_AXES[axis])
+    sine, cosine = math.sin(angle), math.cos(angle)
+    return vector * cosine + np.cross(k, vector) * sine + k * (k @ vector) * (1.0 - cosine)

@@ -1,0 +1,84 @@
+"""The next experiment: which excitation would tell two rivals apart best."""
+
+import numpy as np
+
+from leglab.diagnosis.hypothesis import Hypothesis
+from leglab.diagnosis.problem import Problem
+from leglab.diagnosis.result import Proposal
+
+_DURATION = 1.0  # s
+# Of the range of the commands in the present recordings.
+_AMPLITUDES = (0.3, 1.0)
+_TONES = (0.7, 1.9, 4.3, 8.9)  # Hz
+
+
+def catalogue(samples: int, period: float) -> dict[str, np.ndarray]:
+    """Excitations of unit amplitude by name, each (samples,)."""
+    time = period * np.arange(samples)
+    tones = sum(np.sin(2.0 * np.pi * f * time + i) for i, f in enumerate(_TONES))
+    return {
+        "slow sine, 1 Hz": np.sin(2.0 * np.pi * time),
+        "fast sine, 8 Hz": np.sin(2.0 * np.pi * 8.0 * time),
+        "multisine, 0.7 to 9 Hz": np.asarray(tones) / len(_TONES),
+        "steps every 0.2 s": np.where(np.floor(time / 0.2).astype(int) % 2 == 0, 1.0, -1.0),
+        "ramps through zero": 2.0 * np.abs(2.0 * ((time / 0.5) % 1.0) - 1.0) - 1.0,
+    }
+
+
+def propose(problem: Problem, rivals: dict[str, Hypothesis]) -> Proposal | None:
+    """T-optimal choice (Atkinson and Fedorov 1975) between the first two rivals.
+
+    Both rivals, with the parameters that fit the present recordings, answer every excitation of
+    the catalogue from a calm moment of those recordings; the one in which they differ most, in
+    noise levels, is proposed.
+
+    Args:
+        problem: With the present recordings.
+        rivals: Fitted hypotheses by name, two or more.
+
+    Returns:
+        The proposal; None where no excitation separates them.
+    """
+    (one, first), (other, second) = list(rivals.items())[:2]
+    replay = problem.replay
+    period = problem.series[0].period
+    samples = round(_DURATION / period)
+    commands = np.stack(
+        [
+            np.concatenate([s.columns[f"{a}_command"] for s in problem.series])
+            for a in problem.machine.actuators
+        ],
+        axis=1,
+    )
+    middle = np.median(commands, axis=0)
+    reach = np.ptp(np.quantile(commands, [0.02, 0.98], axis=0), axis=0) / 2.0
+    names, series = [], []
+    for name, wave in catalogue(samples, period).items():
+        for amplitude in _AMPLITUDES:
+            names.append((name, amplitude))
+            series.append(middle + amplitude * reach * wave[:, None])
+    noise = np.median(problem.noise, axis=0)[None, :, None]
+    answers = [
+        replay.respond(problem.library.change(h, problem.machine), _calm(problem), np.stack(series))
+        for h in (first, second)
+    ]
+    distance = np.nan_to_num((answers[0] - answers[1]) / noise, nan=0.0)
+    separation = (np.clip(distance, -1e3, 1e3) ** 2).sum(axis=(1, 2))
+    best = int(np.argmax(separation))
+    if separation[best] <= 0.0:
+        return None
+    now = (problem.residual(first) - problem.residual(second)) ** 2
+    name, amplitude = names[best]
+    return Proposal(
+        name=name,
+        description=f"command {name} with {amplitude:.0%} of the present range about its middle",
+        rivals=(one, other),
+        separation=float(separation[best]),
+        separation_now=float(now.sum()),
+    )
+
+
+def _calm(problem: Problem) -> int:
+    """Window that starts with the slowest motion."""
+    speeds = problem.replay.measured()[:, 0, :10]
+    return int(np.argmin(np.abs(speeds[:, -1] - speeds[:, 0])))

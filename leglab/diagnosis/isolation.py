@@ -1,0 +1,185 @@
+"""Structural isolation: does the mechanism disagree, or the hydraulics, and where."""
+
+from collections.abc import Mapping
+from itertools import pairwise
+
+import mujoco
+import numpy as np
+from scipy.interpolate import BSpline
+
+from leglab.diagnosis.machine import CYLINDER, Machine
+from leglab.diagnosis.result import Where
+from leglab.diagnosis.series import Channel, Series, derivative, smoothed
+from leglab.diagnosis.states import spool
+from leglab.hydraulics import Cylinder
+from leglab.parameters import State
+
+_STRIDE = 0.01  # s between samples at which balances are taken
+_KNOTS = 7
+_RIDGE = 1e-3
+
+
+def isolate(
+    machine: Machine, series: list[Series], channels: tuple[Channel, ...]
+) -> tuple[tuple[Where, ...], float | None]:
+    """Balances of torque and of oil along the measured motion, each with measured inputs only.
+
+    Torque: M a + bias - passive against pressures times areas times lever less seal friction. Oil:
+    measured rates of pressure against those of the chambers at the measured motion and command.
+    So a valve fault does not light the mechanism, and a mechanical one does not light the valve.
+
+    Returns:
+        Residuals, worst first, in levels of their own noise; and the ceiling: share of the worst
+        residual's excess variance that static functions of position, velocity, pressure
+        difference and command could explain. Both empty where no pressures were measured.
+    """
+    names = {c.column for c in channels}
+    found: list[tuple[Where, float]] = []
+    for cylinder in machine.instances(CYLINDER):
+        joint = machine.driven[cylinder][0]
+        if not {f"{joint}_pressure_a", f"{joint}_pressure_b"} <= names:
+            continue
+        tables = [_balances(machine, one, channels, cylinder, joint) for one in series]
+        table = {key: np.concatenate([t[key] for t in tables]) for key in tables[0]}
+        regressors = {k: table[k] for k in ("position", "velocity", "pressure", "command")}
+        for kind, element in (("mechanical", joint), ("hydraulic", cylinder)):
+            noise = float(np.median(np.concatenate([np.full(1, _noise(t[kind])) for t in tables])))
+            residual = table[kind]
+            level = 1.4826 * float(np.median(np.abs(residual))) / noise if noise > 0 else 0.0
+            where = Where(
+                residual=kind, element=element, level=level, region=_region(residual, regressors)
+            )
+            found.append((where, _static_share(residual, regressors, noise)))
+    found.sort(key=lambda entry: -entry[0].level)
+    return tuple(w for w, _ in found), (found[0][1] if found else None)
+
+
+def _balances(
+    machine: Machine, series: Series, channels: tuple[Channel, ...], cylinder: str, joint: str
+) -> dict[str, np.ndarray]:
+    """Torque and pressure-rate residuals and what they may depend on, each (samples,)."""
+    period = series.period
+    filters = {c.column: c.filter for c in channels}
+    raw = {name: series.columns[name] for name in filters}
+    smooth = {name: smoothed(x, filters[name]) for name, x in raw.items()}
+    q_name = f"{joint}_position"
+    wide = (2 * filters[q_name][0] + 1, 4)
+    stride = max(1, round(_STRIDE / period))
+    at = np.arange(wide[0], series.time.size - wide[0], stride)
+    values = _parameters(machine, cylinder)
+    model = Cylinder(values)
+    command = np.clip(series.columns[f"{cylinder}_command"], -1.0, 1.0)
+    moved = spool(
+        np.clip(command + values["null_bias"], -1.0, 1.0),
+        2.0 * np.pi * values["bandwidth_hz"],
+        values["damping_ratio"],
+        period,
+    )
+    mj = machine.base.model
+    data = mujoco.MjData(mj)
+    dof = int(mj.joint(joint).dofadr[0])
+    actuator = mj.actuator(cylinder).id
+    motion = {}
+    for name in machine.joints:
+        x = raw[f"{name}_position"]
+        speed = derivative(x, wide, period)
+        motion[name] = smoothed(x, wide), speed, np.gradient(speed, period)
+    rates = [derivative(smooth[f"{joint}_pressure_{c}"], (21, 2), period) for c in "ab"]
+    moment = np.zeros((mj.nu, mj.nv))
+    out = {k: np.empty(at.size) for k in ("mechanical", "hydraulic")}
+    for i, k in enumerate(at.tolist()):
+        for name, (q, v, a) in motion.items():
+            j = mj.joint(name)
+            data.qpos[j.qposadr[0]], data.qvel[j.dofadr[0]], data.qacc[j.dofadr[0]] = (
+                q[k],
+                v[k],
+                a[k],
+            )
+        mujoco.mj_inverse(mj, data)
+        mujoco.mju_sparse2dense(
+            moment,
+            data.actuator_moment,
+            data.moment_rownnz,
+            data.moment_rowadr,
+            data.moment_colind,
+        )
+        lever = moment[actuator, dof]
+        speed = lever * motion[joint][1][k]
+        pa, pb = smooth[f"{joint}_pressure_a"][k], smooth[f"{joint}_pressure_b"][k]
+        friction = model.native.steady_friction(speed, pa, pb)
+        force = pa * model.area_a - pb * model.area_b - friction
+        out["mechanical"][i] = data.qfrc_inverse[dof] - lever * force
+        x = 0.5 * values["stroke"] + data.actuator_length[actuator] - values["mid_length"]
+        state = model.initial_state(
+            position=x,
+            velocity=speed,
+            spool_position=moved[k, 0],
+            spool_velocity=moved[k, 1],
+            pressure_a=pa,
+            pressure_b=pb,
+        )
+        rate = model.derivative(state, command=float(command[k]))
+        out["hydraulic"][i] = (rates[0][k] - rate[4]) - (rates[1][k] - rate[5])
+    q, v, _ = motion[joint]
+    difference = smooth[f"{joint}_pressure_a"] - smooth[f"{joint}_pressure_b"]
+    return {
+        **out,
+        "position": q[at],
+        "velocity": v[at],
+        "pressure": difference[at],
+        "command": command[at],
+    }
+
+
+def _parameters(machine: Machine, cylinder: str) -> dict[str, float]:
+    start, table = machine.base.elements[cylinder]
+    state = machine.base.plugin_state
+    return {
+        name: float(state[start + entry.offset])
+        for name, entry in table.parameters.items()
+        if not isinstance(entry, State)
+    }
+
+
+def _noise(residual: np.ndarray) -> float:
+    """Level of white noise from second differences, whose variance is six times the noise's."""
+    if residual.size < 5:
+        return 0.0
+    return float(1.4826 * np.median(np.abs(np.diff(residual, 2))) / np.sqrt(6.0))
+
+
+def _region(residual: np.ndarray, regressors: Mapping[str, np.ndarray]) -> str:
+    """Regressor and third of its range in which the residual is largest, in words."""
+    best, text = 0.0, "everywhere alike"
+    overall = float(np.mean(np.abs(residual))) or 1.0
+    for name, values in regressors.items():
+        edges = np.quantile(values, [0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0])
+        for low, high in pairwise(edges.tolist()):
+            inside = (values >= low) & (values <= high)
+            share = float(np.mean(np.abs(residual[inside]))) / overall
+            if share > max(best, 1.3):
+                best, text = share, f"{name} in [{low:.3g}, {high:.3g}]"
+    return text
+
+
+def _static_share(
+    residual: np.ndarray, regressors: Mapping[str, np.ndarray], noise: float
+) -> float:
+    """Share of the excess variance that additive cubic B-splines of the regressors explain."""
+    columns = [np.ones((residual.size, 1))]
+    for values in regressors.values():
+        low, high = np.quantile(values, [0.01, 0.99])
+        inner = np.linspace(low, high, _KNOTS)
+        knots = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
+        columns.append(BSpline.design_matrix(np.clip(values, low, high), knots, 3).toarray()[:, 1:])
+    design = np.concatenate(columns, axis=1)
+    even = np.arange(residual.size) // 20 % 2 == 0  # blocks, so that neighbours do not help
+    inner_product = design[even].T @ design[even]
+    inner_product[np.diag_indices_from(inner_product)] *= 1.0 + _RIDGE
+    inner_product[np.diag_indices_from(inner_product)] += 1e-9
+    weights = np.linalg.solve(inner_product, design[even].T @ residual[even])
+    rest = residual[~even] - design[~even] @ weights
+    excess = float(np.mean(residual[~even] ** 2)) - noise**2
+    if excess <= 0.2 * noise**2:
+        return 0.0
+    return float(np.clip(1.0 - (np.mean(rest**2) - noise**2) / excess, 0.0, 1.0))

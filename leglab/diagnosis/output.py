@@ -1,0 +1,130 @@
+"""What a diagnosis leaves behind: diagnosis.json, improved.xml, and a table for the terminal."""
+
+import json
+import os
+from pathlib import Path
+
+import mujoco
+from rich.table import Table
+
+import leglab.plugin
+from leglab.data import write_atomically
+from leglab.diagnosis.hypothesis import Hypothesis
+from leglab.diagnosis.machine import Machine
+from leglab.diagnosis.result import Diagnosis
+from leglab.diagnosis.workflow import Search
+from leglab.errors import LeglabError
+
+
+def write_diagnosis(result: Diagnosis, folder: Path) -> Path:
+    """Writes DIR/diagnosis.json and returns its path."""
+    path = folder / "diagnosis.json"
+    text = json.dumps(result.to_json(), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    write_atomically(path, lambda stream: stream.write(text.encode()))
+    return path
+
+
+def write_improved(found: Search, folder: Path) -> Path:
+    """Writes DIR/improved.xml: the model with what was found, checked by loading it.
+
+    Raises:
+        LeglabError: MuJoCo refuses the patched model.
+    """
+    problem = found.problem
+    machine, hypothesis = problem.machine, found.fit.hypothesis
+    spec = machine.spec()
+    _absolute_files(spec, machine.path.parent)
+    change = problem.library.change(hypothesis, machine)
+    for _, edit in change.edits:
+        edit(spec)
+    for (element, name), value in change.parameters.items():
+        _configure(spec, element, name, value)
+    for key, values in hypothesis.items():
+        site = problem.library.sites[key]
+        named = {p.name: float(v) for p, v in zip(site.parameters, values, strict=True)}
+        site.effect.write(spec, machine, site.element, named)
+    path = folder / "improved.xml"
+    try:
+        spec.compile()
+        text = leglab.plugin.to_xml(spec)
+        mujoco.MjModel.from_xml_string(text)
+    except (ValueError, mujoco.FatalError) as error:
+        raise leglab.plugin.load_error(error, path.name, spec) from error
+    write_atomically(path, lambda stream: stream.write(text.encode()))
+    return path
+
+
+def reloaded_error(found: Search, path: Path) -> float:
+    """Largest difference of replays by the patched file and by the fit, in noise levels.
+
+    Command and sensor paths stay on the side of the fit: replays feed the actuators directly.
+    """
+    problem = found.problem
+    machine = Machine(path, timestep=problem.machine.timestep)
+    own = problem.library.change(found.fit.hypothesis, problem.machine)
+    bare = problem.library.change(Hypothesis(), machine)
+    bare.commands, bare.corrections = own.commands, own.corrections
+    replay = problem.replay.on(machine)
+    return float(abs(replay.error(bare) - problem.replay.error(own)).max())
+
+
+def _configure(spec: mujoco.MjSpec, element: str, name: str, value: float) -> None:
+    """Writes a plugin parameter into the configuration of an actuator or named instance."""
+    for plugin in spec.plugins:
+        if plugin.name == element:
+            plugin.config = {**plugin.config, name: repr(value)}
+            return
+    for actuator in spec.actuators:
+        if actuator.name == element:
+            actuator.plugin.config = {**actuator.plugin.config, name: repr(value)}
+            return
+    raise LeglabError(f"the model has no plugin element {element!r}")
+
+
+def _absolute_files(spec: mujoco.MjSpec, folder: Path) -> None:
+    """Makes mesh and texture folders absolute: the patched model lies elsewhere."""
+    if not spec.meshes and not spec.textures:
+        return
+    for attribute in ("meshdir", "texturedir"):
+        holder = spec.compiler if hasattr(spec.compiler, attribute) else spec
+        place = str(getattr(holder, attribute))
+        if not os.path.isabs(place):
+            setattr(holder, attribute, str((folder / place).resolve()))
+
+
+def summary_tables(result: Diagnosis) -> list[Table]:
+    """Verdict, effects and gaps for the terminal."""
+    head = Table(title=f"verdict: {result.verdict}", title_justify="left")
+    for name in ("effect", "element", "parameter", "value", "95 % interval", "nominal"):
+        head.add_column(name)
+    for name in ("confidence", "contribution", "not told apart from"):
+        head.add_column(name)
+    for effect in result.effects:
+        first = True
+        for p in effect.parameters:
+            head.add_row(
+                effect.name if first else "",
+                effect.element if first else "",
+                f"{p.name} [{p.unit}]",
+                f"{p.value:.4g}",
+                f"{p.interval[0]:.4g} … {p.interval[1]:.4g}",
+                f"{p.nominal:.4g}",
+                f"{effect.confidence:.2f}" if first else "",
+                f"{effect.contribution:.0%}" if first else "",
+                ", ".join(effect.indistinguishable_from) if first else "",
+            )
+            first = False
+        for recording, time in effect.onset:
+            head.add_row("", "", "onset [s]", f"{time:.2f}", "", "", "", "", recording)
+    gaps = Table(title="normalised replay error (noise alone gives 1)", title_justify="left")
+    for name in ("recording", "before", "recalibrated", "after", ""):
+        gaps.add_column(name)
+    for row in result.recordings:
+        gaps.add_row(
+            row.name,
+            f"{row.before:.2f}",
+            f"{row.baseline:.2f}",
+            f"{row.after:.2f}",
+            "held out" if row.held_out else "",
+        )
+    return [head, gaps]

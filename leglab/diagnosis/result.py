@@ -1,0 +1,263 @@
+"""What a diagnosis says: everything that a report or a page needs, immutable."""
+
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from leglab.diagnosis.contract import content
+
+Verdict = Literal["named", "confusion_set", "partial", "unexplained", "nothing_missing"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """A fitted parameter.
+
+    Attributes:
+        name: Of the effect's parameter.
+        unit: SI.
+        value: Fitted.
+        nominal: In the model as it was.
+        interval: 95 % confidence.
+    """
+
+    name: str
+    unit: str
+    value: float
+    nominal: float
+    interval: tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamedEffect:
+    """An effect that the simulation lacks.
+
+    Attributes:
+        name: Of design.md.
+        element: Where it sits.
+        group: Heading.
+        physics: One sentence.
+        onset: Recording and time [s] at which it begins, for every recording in which it does;
+            empty where it is there throughout.
+        confidence: In [0, 1]: share of resampled data sets that prefer it to every rival, times how
+            much of the misfit the verdict explains.
+        contribution: Share of the gap that it closes when it is added last.
+        parameters: With intervals.
+        indistinguishable_from: Effects that explain these recordings as well.
+    """
+
+    name: str
+    element: str
+    group: str
+    physics: str
+    onset: tuple[tuple[str, float], ...]
+    confidence: float
+    contribution: float
+    parameters: tuple[Estimate, ...]
+    indistinguishable_from: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Where:
+    """Where simulation and data disagree.
+
+    Attributes:
+        residual: "mechanical" (pressures to motion), "hydraulic" (command and motion to
+            pressures) or "motion" where there are no pressures.
+        element: Joint or actuator.
+        level: Root mean square in noise levels, of the model as it was.
+        region: Where it is worst, in words.
+    """
+
+    residual: str
+    element: str
+    level: float
+    region: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordingGap:
+    """Normalised replay error of one recording: RMS of whitened errors; noise alone gives 1.
+
+    Attributes:
+        name: Of the recording.
+        held_out: Whether it was kept from all fits.
+        before: Model as it was.
+        baseline: With nuisance parameters refitted within their tolerance.
+        after: With the named effects.
+    """
+
+    name: str
+    held_out: bool
+    before: float
+    baseline: float
+    after: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gap:
+    """Gap on the held-out recordings.
+
+    Attributes:
+        before: Normalised replay error of the model as it was.
+        baseline: With nuisance parameters refitted within their tolerance.
+        after: With the named effects.
+        noise_floor: What noise alone gives.
+        held_out: Names of the recordings.
+        metric: What is measured.
+    """
+
+    before: float
+    baseline: float
+    after: float
+    noise_floor: float = 1.0
+    held_out: tuple[str, ...]
+    metric: str = "normalised replay error"
+
+    @property
+    def closed_fraction(self) -> float | None:
+        """(before - after)/(before - noise_floor); None where there was no gap."""
+        room = self.before - self.noise_floor
+        return (self.before - self.after) / room if room > 0.05 else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rank:
+    """One effect of the screening.
+
+    Attributes:
+        name: Effect.
+        element: Where.
+        round: Of the search, from 1.
+        gain: Chi-square saved.
+        threshold: What the best of all effects gains by chance in 1 of 100 cases.
+    """
+
+    name: str
+    element: str
+    round: int
+    gain: float
+    threshold: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rivals:
+    """Effects of one round that were fitted to the end.
+
+    Attributes:
+        round: Of the search, from 1.
+        names: Effects, best first.
+        cost: Robust mean square error of each, noise alone gives about 1.
+        preference: [i, j] is the share of resampled data sets in which i beats j.
+    """
+
+    round: int
+    names: tuple[str, ...]
+    cost: tuple[float, ...]
+    preference: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ResidualTrace:
+    """Replay errors of one channel over one recording, a point a bin; arrays of shape (bins,).
+
+    Attributes:
+        recording: Its name.
+        channel: Column.
+        unit: Of the errors.
+        time: s.
+        position: Of the channel's joint [rad or m].
+        velocity: Of the joint.
+        pressure: Pressure difference across the piston [Pa]; None where not measured.
+        before: Measured less predicted by the model as it was.
+        after: The same with the named effects.
+    """
+
+    recording: str
+    channel: str
+    unit: str
+    time: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    pressure: np.ndarray | None
+    before: np.ndarray
+    after: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class NotTestable:
+    """An effect on which these recordings say nothing."""
+
+    name: str
+    element: str
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Proposal:
+    """The experiment that would separate the rivals best.
+
+    Attributes:
+        name: Of the catalogue.
+        description: What to command.
+        rivals: That it separates.
+        separation: Expected chi-square between them there.
+        separation_now: The same in the present recordings.
+    """
+
+    name: str
+    description: str
+    rivals: tuple[str, str]
+    separation: float
+    separation_now: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Diagnosis:
+    """The verdict and what led to it.
+
+    Attributes:
+        verdict: named, confusion_set, partial, unexplained or nothing_missing.
+        effects: Ordered by what each contributes.
+        where: Where simulation and data disagree, worst first.
+        not_testable: Effects on which the recordings say nothing.
+        gap: On held-out recordings.
+        recordings: Gap of every recording.
+        ceiling: Share of the baseline's misfit that any static function of position, velocity,
+            load and pressure could explain; None where it was not computed.
+        ranking: Screening of all rounds.
+        rivals: Fits of all rounds.
+        traces: Residual series.
+        nuisances: Refitted parameters within their tolerance.
+        next_experiment: Where rivals remain.
+        notes: What the reader should know: repairs, missing pressures, bounds that were hit.
+        model: Path of the patched model; empty before it is written.
+        rollouts: Replays of all windows that it took.
+        seconds: Wall time.
+    """
+
+    verdict: Verdict
+    effects: tuple[NamedEffect, ...]
+    where: tuple[Where, ...]
+    not_testable: tuple[NotTestable, ...]
+    gap: Gap
+    recordings: tuple[RecordingGap, ...]
+    ceiling: float | None
+    ranking: tuple[Rank, ...]
+    rivals: tuple[Rivals, ...]
+    traces: tuple[ResidualTrace, ...]
+    nuisances: tuple[Estimate, ...]
+    next_experiment: Proposal | None
+    notes: tuple[str, ...]
+    model: str = ""
+    rollouts: float = 0.0
+    seconds: float = 0.0
+
+    def with_model(self, name: str) -> "Diagnosis":
+        """The same with the name of the patched model's file."""
+        return replace(self, model=name)
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of diagnosis.json."""
+        return content(self)

@@ -1,0 +1,208 @@
+"""Hidden plugin states at the starts of windows: what no sensor sees follows from what it saw."""
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+from scipy.linalg import expm
+from scipy.signal import lfilter
+
+from leglab.diagnosis.change import Measured
+from leglab.diagnosis.machine import CYLINDER, Machine, Variant
+
+# A bristle forgets over some tenths of a millimetre; this much history is enough.
+_BRISTLE_HISTORY = 0.5  # s
+
+# A bristle that slid less than twice its deflection in this time rests.
+_REST = 0.03  # s
+
+# Fills hidden states into `state`, shape (windows, npluginstate), for one instance.
+Rule = Callable[[Machine, Measured, Variant, str, np.ndarray], None]
+_RULES: dict[str, Rule] = {}
+
+
+def reconstructs(plugin: str) -> Callable[[Rule], Rule]:
+    """Registers how the hidden states of a plugin's instances follow from measured series."""
+
+    def add(rule: Rule) -> Rule:
+        _RULES[plugin] = rule
+        return rule
+
+    return add
+
+
+def reconstruct(machine: Machine, measured: Measured, variant: Variant, state: np.ndarray) -> None:
+    """Fills the hidden states of all plugin instances in place.
+
+    Args:
+        machine: The unmodified machine.
+        measured: Series of one recording.
+        variant: Compiled model.
+        state: Parameters and states at window starts, shape (windows, npluginstate).
+    """
+    for element, (_, table) in variant.elements.items():
+        if table.plugin in _RULES:
+            _RULES[table.plugin](machine, measured, variant, element, state)
+
+
+def play(samples: np.ndarray, width: float) -> np.ndarray:
+    """Output of a play (hysteresis) of full width, shape (n,), from the middle at the start."""
+    if width <= 0.0:
+        return samples
+    half = 0.5 * width
+    out = np.empty_like(samples)
+    value = samples[0]
+    for i, sample in enumerate(samples.tolist()):
+        value = min(max(value, sample - half), sample + half)
+        out[i] = value
+    return out
+
+
+def bristle(
+    velocity: np.ndarray, level: np.ndarray, sigma: float, period: float, samples: np.ndarray
+) -> np.ndarray:
+    """LuGre bristle at samples, shape (windows,), by its exact solution between samples.
+
+    z' = v - sigma |v| z / g with v and g held over a sample (Canudas de Wit et al. 1995).
+
+    Args:
+        velocity: Of sliding, shape (n,).
+        level: Steady friction g, shape (n,).
+        sigma: Bristle stiffness.
+        period: s.
+        samples: Where it is wanted.
+    """
+    if sigma <= 0.0:
+        return np.zeros(samples.size)
+    decay = sigma * np.abs(velocity) / level * period
+    gain = np.sign(velocity) * level / sigma * -np.expm1(-decay)
+    history = np.arange(-round(_BRISTLE_HISTORY / period), 0)
+    index = samples[:, None] + history
+    before = index < 0
+    index = index.clip(0)
+    passed = np.where(before, 0.0, decay[index])
+    # Everything that fades after sample j, exclusive of j itself.
+    later = np.cumsum(passed[:, ::-1], axis=1)[:, ::-1] - passed
+    return np.sum(np.where(before, 0.0, gain[index]) * np.exp(-later), axis=1)
+
+
+def spool(command: np.ndarray, frequency: float, damping: float, period: float) -> np.ndarray:
+    """Spool position and velocity, shape (n, 2), that follow a held command from rest.
+
+    Args:
+        command: Shape (n,).
+        frequency: rad/s.
+        damping: Damping ratio.
+        period: s.
+    """
+    w, z = frequency, damping
+    transition = expm(np.array([[0.0, 1.0], [-w * w, -2.0 * z * w]]) * period)
+    drive = (np.eye(2) - transition) @ np.array([1.0, 0.0])
+    # x[k+1] = A x[k] + b u[k] as two filters with the characteristic polynomial of A.
+    trace, determinant = np.trace(transition), np.linalg.det(transition)
+    first = command[0]
+    out = []
+    for row in (0, 1):
+        other = 1 - row
+        cross = transition[row, other] * drive[other] - transition[other, other] * drive[row]
+        numerator = [0.0, drive[row], cross]
+        out.append(lfilter(numerator, [1.0, -trace, determinant], command - first))
+    return np.stack([out[0] + first, out[1]], axis=1)
+
+
+@reconstructs(CYLINDER)
+def _cylinder(
+    machine: Machine, measured: Measured, variant: Variant, element: str, state: np.ndarray
+) -> None:
+    start, table = variant.elements[element]
+
+    def get(name: str) -> float:
+        return float(state[0, start + table.entry(name).offset])
+
+    def put(name: str, values: np.ndarray) -> None:
+        state[:, start + table.entry(name).offset] = values
+
+    samples = measured.samples
+    command = np.clip(measured.command[element], -1.0, 1.0)
+    behind = play(command, get("hysteresis"))
+    target = np.clip(behind + get("null_bias"), -1.0, 1.0)
+    moved = spool(target, 2.0 * np.pi * get("bandwidth_hz"), get("damping_ratio"), measured.period)
+    put("play_output", behind[np.maximum(samples - 1, 0)])
+    put("spool_position", np.clip(moved[samples, 0], -1.0, 1.0))
+    put("spool_velocity", moved[samples, 1])
+
+    velocity = measured.piston_velocity[element]
+    joint = machine.driven[element][0]
+    pressures = sum(measured.pressure.get(f"{joint}_pressure_{c}", 0.0) for c in "ab")
+    seal = get("pressure_coefficient") * np.maximum(pressures, 0.0)
+    share = np.exp(-((velocity / get("stribeck_velocity")) ** 2))
+    level = get("coulomb") + seal + (get("static") - get("coulomb")) * share
+    level = np.maximum(level, 1e-9)
+    sigma = get("sigma_0")
+    if sigma <= 0.0:
+        return
+    values = bristle(velocity, level, sigma, measured.period, samples)
+    limit = level[samples] / sigma
+    # A bristle that slid further than it bends is known from the motion. At rest the motion is
+    # all noise, and the balance of forces says what the bristle holds.
+    back = np.maximum(samples - round(_REST / measured.period), 0)
+    path = np.abs(np.concatenate([[0.0], np.cumsum(velocity)]) * measured.period)
+    resting = np.abs(path[samples] - path[back]) < 2.0 * limit
+    chambers = [f"{joint}_{c}" for c in ("pressure_a", "pressure_b")]
+    if resting.any() and all(c in measured.pressure for c in chambers):
+        quarter = 0.25 * np.pi
+        area_a = quarter * get("bore") ** 2
+        area_b = area_a - quarter * get("rod") ** 2
+        at = samples[resting]
+        force = area_a * measured.pressure[chambers[0]][at]
+        force -= area_b * measured.pressure[chambers[1]][at]
+        needed = _inverse_dynamics(machine, measured, variant, state[resting], at)
+        dof = variant.model.joint(joint).dofadr[0]
+        lever = measured.lever[element][at]
+        oil = get("viscous") * velocity[at]
+        held = (force - needed[:, dof] / lever - oil) / sigma
+        values[resting] = np.clip(held, -limit[resting], limit[resting])
+    put("bristle", values)
+
+
+def _inverse_dynamics(
+    machine: Machine,
+    measured: Measured,
+    variant: Variant,
+    state: np.ndarray,
+    samples: np.ndarray,
+) -> np.ndarray:
+    """Generalised forces that actuators must give for the measured motion, (samples, nv)."""
+    model = variant.model
+    data = mujoco.MjData(model)
+    out = np.empty((samples.size, model.nv))
+    for i, k in enumerate(samples.tolist()):
+        data.plugin_state[:] = state[i]
+        for joint in machine.joints:
+            dof = model.joint(joint).dofadr[0]
+            v = measured.velocity[joint]
+            data.qpos[model.joint(joint).qposadr[0]] = measured.position[joint][k]
+            data.qvel[dof] = v[k]
+            data.qacc[dof] = (v[k + 1] - v[k - 1]) / (2.0 * measured.period)
+        mujoco.mj_inverse(model, data)
+        out[i] = data.qfrc_inverse
+    return out
+
+
+@reconstructs("leglab.joint_friction")
+def _joint_friction(
+    machine: Machine, measured: Measured, variant: Variant, element: str, state: np.ndarray
+) -> None:
+    start, table = variant.elements[element]
+
+    def get(name: str) -> float:
+        return float(state[0, start + table.entry(name).offset])
+
+    joint = variant.joint_of[element]
+    velocity = measured.velocity[joint]
+    share = np.exp(-((velocity / get("stribeck_velocity")) ** 2))
+    level = get("coulomb") + (get("static") - get("coulomb")) * share
+    side = 1.0 + np.sign(velocity) * get("direction_asymmetry")
+    level = np.maximum(level * get("wear") * side, 1e-9)
+    values = bristle(velocity, level, get("sigma_0"), measured.period, measured.samples)
+    state[:, start + table.entry("bristle").offset] = values

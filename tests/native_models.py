@@ -1,0 +1,76 @@
+"""Small MJCF models without hydraulics: native actuators, and leglab's plugins beside them."""
+
+import mujoco
+
+from leglab import plugin
+from leglab.parameters import plugin_tables
+from tests.plugin_models import instance
+
+plugin.load()
+
+MASS, REACH, INERTIA, GRAVITY = 1.0, 0.3, 0.01, 9.81
+
+
+def extension(*instances):
+    used = "".join(instances)
+    names = [name for name in plugin_tables() if f'<plugin plugin="{name}">' not in used]
+    return "".join(f'<plugin plugin="{name}"/>' for name in names) + used
+
+
+def pendulum(
+    *instances,
+    actuator='<motor name="drive" joint="hinge"/>',
+    timestep=1e-3,
+    integrator="implicitfast",
+    joint='armature="0.02" damping="0.1"',
+):
+    """A pendulum that hangs at 0: 0.10 kg m^2 about the hinge without its armature."""
+    return f"""
+      <mujoco>
+        <option timestep="{timestep}" integrator="{integrator}"/>
+        <extension>{extension(*instances)}</extension>
+        <worldbody><body name="arm">
+          <joint name="hinge" type="hinge" axis="0 1 0" {joint}/>
+          <inertial pos="0 0 {-REACH}" mass="{MASS}"
+           diaginertia="{INERTIA} {INERTIA} {INERTIA}"/>
+        </body></worldbody>
+        <actuator>{actuator}</actuator>
+      </mujoco>"""
+
+
+def slide(
+    *instances,
+    actuator='<motor name="drive" joint="axis"/>',
+    timestep=1e-3,
+    integrator="implicitfast",
+    mass=2.0,
+    joint="",
+):
+    """A carriage on a horizontal slide."""
+    return f"""
+      <mujoco>
+        <option timestep="{timestep}" integrator="{integrator}"/>
+        <extension>{extension(*instances)}</extension>
+        <worldbody><body name="carriage">
+          <joint name="axis" type="slide" axis="1 0 0" {joint}/>
+          <inertial pos="0 0 0" mass="{mass}" diaginertia="1 1 1"/>
+        </body></worldbody>
+        <actuator>{actuator}</actuator>
+      </mujoco>"""
+
+
+def friction(joint="axis", **attributes):
+    return instance("leglab.joint_friction", "friction", joint=joint, **attributes)
+
+
+def backlash(joint="hinge", **attributes):
+    return instance("leglab.backlash", "play", joint=joint, **attributes)
+
+
+def command_path(**attributes):
+    return instance("leglab.command_path", "path", actuator="drive", **attributes)
+
+
+def compiled(xml):
+    model = mujoco.MjModel.from_xml_string(xml)
+    return model, mujoco.MjData(model)

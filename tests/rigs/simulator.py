@@ -1,0 +1,166 @@
+"""Recordings of the two rigs from plain Python: knows neither MuJoCo nor leglab's effects.
+
+Time stepping at 20 us: forces explicit, dry friction as the impulse that brakes at most to rest
+(Moreau 1988), a flank of the gear play as a damped spring. A PD loop at 1 kHz follows a reference
+by the drive's own fine encoder; its command is recorded with what a coarser encoder shows.
+"""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from leglab.recording import Recording
+
+_H = 2e-5  # s
+_PERIOD = 1e-3  # s
+_FINE = 0.05  # noise of the drive's encoder, of that of the recorded one
+_FOLDER = Path(__file__).parent
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rig:
+    """A machine with one joint as its maker knows it; SI units, N m and rad on a hinge.
+
+    Attributes:
+        model: MJCF of the same machine.
+        joint: Name of the joint.
+        load: Inertia of the moved body.
+        motor: Inertia of the motor, reflected.
+        pull: Gravity at a right angle, m g l.
+        viscous: Damping.
+        coulomb: Dry friction.
+        limit: Largest motor force.
+        reach: Size of the references.
+        gains: Of the PD loop.
+        noise: RMS of the encoder's noise.
+    """
+
+    model: Path
+    joint: str
+    load: float
+    motor: float
+    pull: float
+    viscous: float
+    coulomb: float
+    limit: float
+    reach: float
+    gains: tuple[float, float]
+    noise: float
+
+
+SLIDE_AXIS = Rig(
+    model=_FOLDER / "slide_axis.xml",
+    joint="axis",
+    load=2.0,
+    motor=0.4,
+    pull=0.0,
+    viscous=6.0,
+    coulomb=0.4,
+    limit=80.0,
+    reach=0.12,
+    gains=(600.0, 50.0),
+    noise=2e-5,
+)
+PENDULUM = Rig(
+    model=_FOLDER / "pendulum.xml",
+    joint="hinge",
+    load=0.10,
+    motor=0.02,
+    pull=1.0 * 9.81 * 0.3,
+    viscous=0.08,
+    coulomb=0.0,
+    limit=12.0,
+    reach=1.0,
+    gains=(12.0, 0.8),
+    noise=1e-4,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Truth:
+    """What the machine has and its model lacks.
+
+    Attributes:
+        forward: Viscous friction that is added for v > 0.
+        backward: The same for v < 0.
+        offset: Constant force.
+        gear_loss: Friction per motor force, in the bearing of the gear.
+        play: Total backlash.
+        viscous_factor: Of the damping, a tolerance of good machines.
+    """
+
+    forward: float = 0.0
+    backward: float = 0.0
+    offset: float = 0.0
+    gear_loss: float = 0.0
+    play: float = 0.0
+    viscous_factor: float = 1.0
+
+
+def _reference(kind: str, t: float, reach: float) -> float:
+    if kind == "multisine":
+        tones = ((0.31, 0.5, 0.2), (0.83, 0.3, 1.7), (1.9, 0.15, 4.1), (3.7, 0.05, 0.9))
+        return reach * sum(a * math.sin(2 * math.pi * f * t + p) for f, a, p in tones)
+    if kind == "slow":
+        return reach * math.sin(2 * math.pi * 0.25 * t)
+    if kind == "fast":
+        return reach * (
+            0.5 * math.sin(2 * math.pi * 1.1 * t) + 0.2 * math.sin(2 * math.pi * 2.3 * t)
+        )
+    if kind == "stairs":
+        level = (0.0, 0.6, -0.3, 0.9, 0.2, -0.8, -0.1, 0.5)[int(t) % 8]
+        before = (0.5, 0.0, 0.6, -0.3, 0.9, 0.2, -0.8, -0.1)[int(t) % 8]
+        share = min((t % 1.0) / 0.5, 1.0)
+        return reach * (before + (level - before) * share * share * (3 - 2 * share))
+    raise ValueError(kind)
+
+
+def record(rig: Rig, kind: str, truth: Truth, *, seed: int, seconds: float = 8.0) -> Recording:
+    """Position and command over one reference: "multisine", "slow", "fast" or "stairs"."""
+    rng = np.random.default_rng(seed)
+    sample = _PERIOD
+    steps = round(sample / _H)
+    kp, kd = rig.gains
+    q = theta = _reference(kind, 0.0, rig.reach)
+    v = w = 0.0
+    half = 0.5 * truth.play
+    stiffness, damping = 2e7 * rig.motor, 8e3 * rig.motor  # stiff greased teeth
+    viscous = rig.viscous * truth.viscous_factor
+    positions, commands = [], []
+    last, speed = q, 0.0
+    for k in range(round(seconds / sample)):
+        measured = q + _FINE * rng.normal(0.0, rig.noise)
+        speed += 0.2 * ((measured - last) / sample - speed) if k else 0.0
+        last = measured
+        goal = _reference(kind, k * sample, rig.reach)
+        ahead = _reference(kind, (k + 1) * sample, rig.reach)
+        force = kp * (goal - measured) + kd * ((ahead - goal) / sample - speed)
+        force = min(max(force, -rig.limit), rig.limit)
+        positions.append(q + rng.normal(0.0, rig.noise))
+        commands.append(force)
+        for _ in range(steps):
+            side = truth.forward if v > 0 else truth.backward
+            acting = truth.offset - (viscous + side) * v - rig.pull * math.sin(q)
+            dry = rig.coulomb + truth.gear_loss * abs(force)
+            if truth.play > 0:
+                gap, closing = theta - q, w - v
+                drive = 0.0
+                if gap > half:
+                    drive = max(0.0, stiffness * (gap - half) + damping * closing)
+                elif gap < -half:
+                    drive = min(0.0, stiffness * (gap + half) + damping * closing)
+                w += _H * (force - drive) / rig.motor
+                theta += _H * w
+                mass = rig.load
+                v += _H * (acting + drive) / mass
+            else:
+                mass = rig.load + rig.motor
+                v += _H * (acting + force) / mass
+            brake = _H * dry / mass
+            v = math.copysign(max(abs(v) - brake, 0.0), v)
+            q += _H * v
+    time = sample * np.arange(len(positions))
+    columns = {f"{rig.joint}_position": np.array(positions), "drive_command": np.array(commands)}
+    return Recording(time=time, columns=columns)

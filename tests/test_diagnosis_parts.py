@@ -1,0 +1,222 @@
+"""Parts of the diagnosis against independent references."""
+
+import numpy as np
+import pytest
+
+from leglab.diagnosis.blind.bench import bench
+from leglab.diagnosis.blind.faults import FAULTS, detuned
+from leglab.diagnosis.blind.plant import Plant
+from leglab.diagnosis.blind.references import references
+from leglab.diagnosis.blind.selftest import Outcome, score_table
+from leglab.diagnosis.blind.trial import Case, cases, make
+from leglab.diagnosis.effects.base import Effect, EffectParameter, register
+from leglab.diagnosis.effects.command import delayed
+from leglab.diagnosis.fitting import solve_step
+from leglab.diagnosis.judging import preferences, t_value
+from leglab.diagnosis.onset import _change
+from leglab.diagnosis.screening import Candidate
+from leglab.diagnosis.search import chance_gain
+from leglab.diagnosis.series import noise_level
+from leglab.diagnosis.states import bristle, play, spool
+from leglab.errors import LeglabError
+
+
+def test_noise_level_of_a_noisy_sine():
+    rng = np.random.default_rng(0)
+    signal = np.sin(np.linspace(0.0, 40.0, 20000))
+    level = noise_level(signal + 0.003 * rng.standard_normal(signal.size), (21, 4))
+    assert level == pytest.approx(0.003, rel=0.03)
+
+
+def test_spool_against_the_step_response():
+    w, zeta, period = 2.0 * np.pi * 250.0, 0.7, 1e-3
+    command = np.concatenate([np.zeros(3), np.full(12, 0.4)])
+    t = period * np.arange(command.size - 3)
+    damped = w * np.sqrt(1.0 - zeta**2)
+    response = 0.4 * (
+        1.0
+        - np.exp(-zeta * w * t)
+        * (np.cos(damped * t) + zeta / np.sqrt(1.0 - zeta**2) * np.sin(damped * t))
+    )
+    np.testing.assert_allclose(spool(command, w, zeta, period)[3:, 0], response, atol=1e-12)
+
+
+def test_bristle_against_the_recursion():
+    rng = np.random.default_rng(1)
+    velocity = np.cumsum(rng.standard_normal(2000)) * 1e-3
+    level, sigma, period = np.full(2000, 120.0), 2e6, 1e-3
+    z, exact = 0.0, np.empty(2000)
+    for k, v in enumerate(velocity):
+        exact[k] = z
+        steady = np.sign(v) * 120.0 / sigma
+        z = steady + (z - steady) * np.exp(-sigma * abs(v) / 120.0 * period)
+    samples = np.array([700, 1200, 1999])
+    found = bristle(velocity, level, sigma, period, samples)
+    np.testing.assert_allclose(found, exact[samples], atol=1e-9)
+
+
+def test_play_keeps_half_its_width():
+    samples = np.array([0.0, 0.3, 0.2, -0.5, -0.4])
+    np.testing.assert_allclose(play(samples, 0.2), [0.0, 0.2, 0.2, -0.4, -0.4])
+
+
+def test_delay_between_samples_mixes_neighbours():
+    late = delayed(np.arange(6.0), 2.25e-3, 1e-3)
+    np.testing.assert_allclose(late, [0.0, 0.0, 0.0, 0.75, 1.75, 2.75])
+
+
+def test_step_is_least_squares_while_errors_are_small():
+    rng = np.random.default_rng(2)
+    jacobian = rng.standard_normal((8, 30, 3))
+    residual = 0.1 * rng.standard_normal((8, 30))
+    step = solve_step(
+        residual, jacobian, np.zeros(3), np.zeros(3), np.full(3, -9.0), np.full(3, 9.0)
+    )
+    expected = np.linalg.lstsq(jacobian.reshape(-1, 3), -residual.ravel(), rcond=None)[0]
+    np.testing.assert_allclose(step, expected, rtol=1e-6)
+
+
+def test_step_respects_bounds_and_priors():
+    jacobian = np.ones((2, 50, 1))
+    residual = np.full((2, 50), -1.0)
+    bounded = solve_step(
+        residual, jacobian, np.zeros(1), np.zeros(1), np.array([-1.0]), np.array([0.4])
+    )
+    assert bounded[0] == 0.4
+    prior = solve_step(
+        residual, jacobian, np.array([0.0]), np.array([100.0]), np.array([-9.0]), np.array([9.0])
+    )
+    assert prior[0] == pytest.approx(0.5)
+
+
+def test_one_wild_window_does_not_outvote_the_others():
+    jacobian = np.ones((20, 40, 1))
+    residual = np.full((20, 40), -0.5)
+    residual[0] = 300.0
+    step = solve_step(
+        residual, jacobian, np.zeros(1), np.zeros(1), np.array([-9.0]), np.array([9.0])
+    )
+    assert step[0] == pytest.approx(0.5, abs=0.1)
+
+
+def test_chance_gain_of_one_direction_is_a_chi_square_quantile():
+    direction = np.zeros((4, 10))
+    direction[0, 0] = 7.0
+    candidate = Candidate(
+        key=("a", "b"),
+        values=np.zeros(1),
+        gain=0.0,
+        direction=direction,
+        step=direction,
+        detectable=7.0,
+    )
+    gain = chance_gain(
+        [candidate], np.zeros((4, 10, 0)), 1.0, np.random.default_rng(3), draws=200000
+    )
+    assert gain == pytest.approx(6.635, abs=0.15)  # 99 % of chi-square with one degree
+
+
+def test_preferences_are_shares_of_resamples():
+    rng = np.random.default_rng(4)
+    better = rng.uniform(0.8, 1.2, 60)
+    table = preferences([better, better + 0.5], rng)
+    assert table[0, 1] == 1.0
+    assert table[1, 0] == 0.0
+    assert t_value(np.array([1.0, 2.0, 3.0])) == pytest.approx(2.0 / (1.0 / np.sqrt(3.0)))
+
+
+def test_change_point_of_a_step():
+    rng = np.random.default_rng(5)
+    values = 0.1 * rng.standard_normal(40)
+    assert _change(values) is None
+    values[23:] += 3.0
+    assert _change(values) == 23
+
+
+def test_a_parameter_outside_its_bounds_is_refused():
+    with pytest.raises(LeglabError, match=r"'lap': nominal 2 lies outside \[0, 1\]"):
+        EffectParameter(name="lap", unit="1", nominal=2.0, lower=0.0, upper=1.0)
+
+
+def test_an_effect_without_physics_is_refused():
+    class Nameless(Effect):
+        name = "nameless"
+        group = "mechanics"
+
+        def elements(self, machine):
+            return ()
+
+        def parameters(self, machine, element):
+            return ()
+
+        def apply(self, change, element, values):
+            pass
+
+    with pytest.raises(LeglabError, match="has no 'physics'"):
+        register(Nameless)
+
+
+@pytest.mark.parametrize("name", sorted(FAULTS))
+def test_every_fault_shows_in_the_recording(name):
+    reference = references(np.random.default_rng(6), duration=0.8)["walk"]
+    healthy = Plant(model=bench()).record(reference, np.random.default_rng(7))
+    plant = Plant(model=bench())
+    FAULTS[name](plant, np.random.default_rng(8))
+    ill = plant.record(reference, np.random.default_rng(7))
+    columns = ("knee_position", "knee_valve_command", "knee_pressure_a")
+    assert any(not np.array_equal(healthy[c], ill[c]) for c in columns)
+
+
+def test_a_case_is_fixed_by_its_number_and_the_seed():
+    plant, again = Plant(model=bench()), Plant(model=bench())
+    detuned(plant, np.random.default_rng(9))
+    detuned(again, np.random.default_rng(9))
+    assert plant.tuning == again.tuning
+    listed = cases({"single": 3, "null": 1, "pair": 2}, 0, ("payload", "stiction"))
+    assert [c.effects for c in listed[:3]] == [("payload",), ("stiction",), ("payload",)]
+    assert listed[3].effects == ()
+    assert all(len(set(c.effects)) == 2 for c in listed[4:])
+
+
+def test_made_case_has_four_recordings_and_its_severity(monkeypatch):
+    import leglab.diagnosis.blind.trial as trial
+
+    monkeypatch.setattr(trial, "references", lambda rng: {"walk": references(rng, 0.3)["walk"]})
+    found, (severity,) = make(Case(kind="single", number=0, effects=("stiction",)), 1)
+    assert found["walk"].duration == pytest.approx(0.299)
+    assert severity.parameter == "static"
+    assert severity.value > 150.0
+
+
+def test_scores_count_sets_and_false_alarms():
+    def outcome(kind, hidden, named, alternatives=((),), verdict="named", confidence=(1.0,)):
+        return Outcome(
+            kind=kind,
+            number=0,
+            hidden=hidden,
+            severities=(),
+            verdict=verdict,
+            named=named,
+            alternatives=alternatives if named else (),
+            confidence=confidence if named else (),
+            covered=(),
+            onsets=(),
+            before=2.0,
+            after=1.0,
+            seconds=1.0,
+        )
+
+    right = outcome("single", ("a",), ("a",))
+    tied = outcome("single", ("a",), ("b",), alternatives=(("a",),))
+    wrong = outcome("single", ("a",), ("b",))
+    alarm = outcome("null", (), ("b",))
+    unknown = outcome("removed", ("a",), ("b",), verdict="unexplained", confidence=(0.2,))
+    assert right.first
+    assert right.found
+    assert tied.found
+    assert not tied.first
+    assert not wrong.found
+    assert unknown.honest
+    assert not alarm.first
+    table = score_table([right, tied, wrong, alarm, unknown])
+    assert list(table.columns[1].cells)[:3] == ["1 (33%)", "2 (67%)", "1 (100%)"]

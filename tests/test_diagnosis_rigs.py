@@ -1,0 +1,107 @@
+"""Machines without hydraulics: what an independent simulator hid in them is named."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from leglab.diagnosis.judging import rarely_but_surely, t_value
+from leglab.diagnosis.machine import Machine
+from leglab.diagnosis.output import write_improved
+from leglab.diagnosis.verdict import diagnose
+from tests.rigs import PENDULUM, SLIDE_AXIS, Truth, record
+
+KINDS = ("multisine", "fast", "slow", "stairs")
+
+
+def recordings(rig, truth, seconds=6.0):
+    return {
+        kind: record(rig, kind, truth, seed=seed, seconds=seconds)
+        for seed, kind in enumerate(KINDS)
+    }
+
+
+def verdict(rig, truth, held_out):
+    return diagnose(rig.model, recordings(rig, truth), held_out=(held_out,))
+
+
+def values(result):
+    return {p.name: p.value for p in result.effects[0].parameters}
+
+
+@pytest.mark.parametrize("rig", [SLIDE_AXIS, PENDULUM])
+def test_the_independent_simulator_agrees_with_the_nominal_models(rig):
+    """Free of leglab altogether: the recorded command drives the bare model along the recording."""
+    quiet = recordings(rig, Truth(), seconds=1.0)["fast"]
+    model = mujoco.MjModel.from_xml_path(str(rig.model))
+    model.opt.timestep = 2e-5
+    data = mujoco.MjData(model)
+    off = []
+    for measured, command in zip(
+        quiet[f"{rig.joint}_position"], quiet["drive_command"], strict=True
+    ):
+        off.append(measured - data.qpos[0])
+        data.ctrl[0] = command
+        mujoco.mj_step(model, data, 50)
+    # MuJoCo's friction loss yields a little where the slide turns round.
+    assert np.sqrt(np.mean(np.square(off))) < 1e-3 * rig.reach
+
+
+def test_direction_dependent_friction_of_a_motor_driven_axis_is_named(tmp_path):
+    result, found = verdict(SLIDE_AXIS, Truth(forward=8.0, viscous_factor=1.05), "multisine")
+    assert result.verdict == "named"
+    assert [effect.name for effect in result.effects] == ["asymmetric_friction"]
+    assert "force_offset" not in result.effects[0].indistinguishable_from
+    friction = values(result)
+    difference = friction["viscous_forward"] - friction["viscous_backward"]
+    # The joint's own damping, known to 10 % of 6 N s/m, may take part of both.
+    assert difference == pytest.approx(8.0, rel=0.05)
+    assert result.gap.closed_fraction > 0.9
+    improved = Machine(write_improved(found, tmp_path))
+    written = improved.parameter("axis_asymmetric_friction", "viscous_difference")
+    assert written == pytest.approx(difference, rel=1e-6)
+
+
+def test_a_force_offset_of_the_same_axis_is_no_friction():
+    result, _ = verdict(SLIDE_AXIS, Truth(offset=2.0), "multisine")
+    assert [effect.name for effect in result.effects] == ["force_offset"]
+    assert values(result)["force"] == pytest.approx(2.0, rel=0.05)
+
+
+def test_load_dependent_friction_of_a_pendulum_is_named():
+    result, _ = verdict(PENDULUM, Truth(gear_loss=0.15), "multisine")
+    assert [effect.name for effect in result.effects] == ["load_dependent_friction"]
+    assert values(result)["actuator"] == pytest.approx(0.15, rel=0.05)
+    assert values(result)["bias"] == pytest.approx(0.0, abs=0.01)
+    assert result.gap.closed_fraction > 0.9
+
+
+def test_backlash_of_a_pendulum_is_named():
+    result, _ = verdict(PENDULUM, Truth(play=0.03), "multisine")
+    assert [effect.name for effect in result.effects] == ["backlash"]
+    assert values(result)["width"] == pytest.approx(0.03, rel=0.05)
+    assert result.gap.closed_fraction > 0.9
+
+
+@pytest.mark.parametrize("rig", [SLIDE_AXIS, PENDULUM])
+def test_a_good_machine_within_its_tolerance_lacks_nothing(rig):
+    result, _ = verdict(rig, Truth(viscous_factor=1.05), "multisine")
+    assert result.verdict == "nothing_missing"
+    assert result.effects == ()
+
+
+def test_backlash_is_named_where_the_held_out_recording_shows_it_twice():
+    """A slow swing changes the sign of the torque in two windows; none of the others gets worse."""
+    result, _ = verdict(PENDULUM, Truth(play=0.03), "slow")
+    assert [effect.name for effect in result.effects] == ["backlash"]
+
+
+def test_an_effect_that_shows_at_times_is_judged_by_the_windows_that_it_changes():
+    rare = np.zeros(19)
+    rare[[3, 11]] = 20.0
+    assert t_value(rare) < 2.5
+    assert rarely_but_surely(rare)
+    assert not rarely_but_surely(np.zeros(19))
+    rare[7] = -5.0
+    assert not rarely_but_surely(rare)
+    rare[[3, 7]] = 0.0
+    assert not rarely_but_surely(rare)
