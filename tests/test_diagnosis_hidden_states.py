@@ -6,7 +6,7 @@ import pytest
 
 from leglab.diagnosis.change import Change, Measured
 from leglab.diagnosis.effects.backlash import motor_states
-from leglab.diagnosis.effects.joint_friction import carried_load
+from leglab.diagnosis.effects.load_friction import carried_load
 from leglab.diagnosis.machine import Machine
 from tests.native_models import backlash, compiled, friction, pendulum
 from tests.plugin_models import Slots

@@ -119,7 +119,8 @@ class Problem:
         keys = sorted(hypothesis.onsets)
         begins = np.stack([hypothesis.onsets[k][replay.recording] for k in keys])
         active = begins <= replay.start
-        certain = ~((begins > replay.start) & (begins < replay.start + length)).any(axis=0)
+        begun = (begins > replay.start) & (begins < replay.start + length)
+        certain = np.asarray(~begun.any(axis=0))
         codes = (active * (1 << np.arange(len(keys)))[:, None]).sum(axis=0)
         out = np.zeros((replay.windows, len(self.channels), replay.bins))
         for code in np.unique(codes[chosen]):
