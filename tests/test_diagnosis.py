@@ -22,7 +22,8 @@ from leglab.diagnosis.output import (
 )
 from leglab.diagnosis.recordings import read_recordings, split_held_out
 from leglab.diagnosis.search import window_cost
-from leglab.diagnosis.verdict import diagnose
+from leglab.diagnosis.series import Channel
+from leglab.diagnosis.verdict import diagnose, exact_twins
 from leglab.diagnosis.workflow import Settings, held_out_choice, set_up
 from leglab.errors import LeglabError
 
@@ -297,3 +298,13 @@ def test_command_line_writes_verdict_and_model(tmp_path, capsys):
     (tmp_path / "other" / "thesis.tex").write_text("")
     with pytest.raises(LeglabError, match="holds something else"):
         check_folder(tmp_path / "other", overwrite=True)
+
+
+def test_without_pressures_a_late_command_and_a_late_sensor_are_one():
+    position = Channel(column="knee_position", joint="knee")
+    pressure = Channel(
+        column="knee_pressure_a", joint="knee", cylinder="knee_valve", chamber="pressure_a"
+    )
+    assert exact_twins((position,), "sensor_delay") == ("command_delay",)
+    assert exact_twins((position, pressure), "sensor_delay") == ()
+    assert exact_twins((position,), "payload") == ()
