@@ -44,11 +44,16 @@ def diagnose(
         return
     if model is None or not recordings:
         raise LeglabError("diagnose needs a model and at least one recording, or --self-test")
-    from leglab.diagnosis.output import summary_tables, write_diagnosis, write_improved
+    from leglab.diagnosis.output import (
+        check_folder,
+        summary_lines,
+        summary_tables,
+        write_diagnosis,
+        write_improved,
+    )
     from leglab.diagnosis.recordings import read_recordings, split_held_out
     from leglab.diagnosis.verdict import diagnose as run_diagnosis
     from leglab.diagnosis.workflow import Settings
-    from leglab.report.run_folder import check_folder
 
     check_folder(out, overwrite=overwrite)
     named = read_recordings(recordings, columns)
@@ -72,8 +77,8 @@ def diagnose(
         return
     for table in summary_tables(result):
         output.print(table)
-    for note in result.notes:
-        output.print(f"note: {note}")
+    for line in summary_lines(result):
+        output.print(line, markup=False)
     output.print(f"{result.seconds:.1f} s, {result.rollouts:.0f} replays; written to {out}")
 
 

@@ -8,15 +8,22 @@ import numpy as np
 import pytest
 
 from leglab import data
+from leglab.cli import main
 from leglab.diagnosis.change import Change
 from leglab.diagnosis.experiment import catalogue, propose
 from leglab.diagnosis.gate import check_recordings
 from leglab.diagnosis.hypothesis import Hypothesis, Library
 from leglab.diagnosis.machine import Machine
-from leglab.diagnosis.output import reloaded_error, write_diagnosis, write_improved
+from leglab.diagnosis.output import (
+    check_folder,
+    reloaded_error,
+    write_diagnosis,
+    write_improved,
+)
 from leglab.diagnosis.recordings import read_recordings, split_held_out
 from leglab.diagnosis.search import window_cost
-from leglab.diagnosis.verdict import diagnose
+from leglab.diagnosis.series import Channel
+from leglab.diagnosis.verdict import diagnose, exact_twins
 from leglab.diagnosis.workflow import Settings, held_out_choice, set_up
 from leglab.errors import LeglabError
 
@@ -271,3 +278,33 @@ def test_a_column_map_renames_and_converts(tmp_path):
     (tmp_path / "map.toml").write_text("knee_position = 3\n")
     with pytest.raises(LeglabError, match="entry 'knee_position'; allowed"):
         read_recordings([tmp_path / "a.parquet"], tmp_path / "map.toml")
+
+
+def test_command_line_writes_verdict_and_model(tmp_path, capsys):
+    files = [str(FOLDER / f"d2_{name}.parquet") for name in NAMES]
+    options = ["--held-out", "d2_walk", "--out", str(tmp_path / "out"), "--effect", "valve_bias"]
+    with pytest.raises(SystemExit) as exit_:
+        main(["diagnose", "knee_bench", *files, *options, "--effect", "valve_deadband"])
+    assert not exit_.value.code
+    shown = capsys.readouterr().out
+    assert "verdict: named" in shown
+    assert "hydraulic balance of knee_valve" in shown
+    content = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert content["model"] == "improved.xml"
+    mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "improved.xml"))
+    with pytest.raises(LeglabError, match="holds a diagnosis already"):
+        check_folder(tmp_path / "out", overwrite=False)
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "thesis.tex").write_text("")
+    with pytest.raises(LeglabError, match="holds something else"):
+        check_folder(tmp_path / "other", overwrite=True)
+
+
+def test_without_pressures_a_late_command_and_a_late_sensor_are_one():
+    position = Channel(column="knee_position", joint="knee")
+    pressure = Channel(
+        column="knee_pressure_a", joint="knee", cylinder="knee_valve", chamber="pressure_a"
+    )
+    assert exact_twins((position,), "sensor_delay") == ("command_delay",)
+    assert exact_twins((position, pressure), "sensor_delay") == ()
+    assert exact_twins((position,), "payload") == ()

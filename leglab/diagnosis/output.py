@@ -16,6 +16,23 @@ from leglab.diagnosis.workflow import Search
 from leglab.errors import LeglabError
 
 
+def check_folder(folder: Path, *, overwrite: bool) -> None:
+    """Makes sure that an output folder is new, empty, or an earlier diagnosis to overwrite.
+
+    Raises:
+        LeglabError: It holds something else, or an earlier diagnosis that is to be kept.
+    """
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        raise LeglabError(f"{folder} is a file; allowed: a folder")
+    if any(folder.iterdir()):
+        if not (folder / "diagnosis.json").exists():
+            raise LeglabError(f"{str(folder)!r} holds something else: it is left as it is")
+        if not overwrite:
+            raise LeglabError(f"{str(folder)!r} holds a diagnosis already; --overwrite replaces it")
+
+
 def write_diagnosis(result: Diagnosis, folder: Path) -> Path:
     """Writes DIR/diagnosis.json and returns its path."""
     path = folder / "diagnosis.json"
@@ -95,27 +112,18 @@ def _absolute_files(spec: mujoco.MjSpec, folder: Path) -> None:
 def summary_tables(result: Diagnosis) -> list[Table]:
     """Verdict, effects and gaps for the terminal."""
     head = Table(title=f"verdict: {result.verdict}", title_justify="left")
-    for name in ("effect", "element", "parameter", "value", "95 % interval", "nominal"):
-        head.add_column(name)
-    for name in ("confidence", "contribution", "not told apart from"):
-        head.add_column(name)
+    for name in ("effect", "parameter", "value", "95 % interval", "nominal", "sure"):
+        head.add_column(name, no_wrap=name != "effect")
     for effect in result.effects:
-        first = True
-        for p in effect.parameters:
+        for i, p in enumerate(effect.parameters):
             head.add_row(
-                effect.name if first else "",
-                effect.element if first else "",
-                f"{p.name} [{p.unit}]",
+                "" if i else f"[bold]{effect.name}[/bold] at {effect.element}",
+                f"{p.name} \\[{p.unit}]",
                 f"{p.value:.4g}",
                 f"{p.interval[0]:.4g} … {p.interval[1]:.4g}",
                 f"{p.nominal:.4g}",
-                f"{effect.confidence:.2f}" if first else "",
-                f"{effect.contribution:.0%}" if first else "",
-                ", ".join(effect.indistinguishable_from) if first else "",
+                "" if i else f"{effect.confidence:.2f}",
             )
-            first = False
-        for recording, time in effect.onset:
-            head.add_row("", "", "onset [s]", f"{time:.2f}", "", "", "", "", recording)
     gaps = Table(title="normalised replay error (noise alone gives 1)", title_justify="left")
     for name in ("recording", "before", "recalibrated", "after", ""):
         gaps.add_column(name)
@@ -128,3 +136,26 @@ def summary_tables(result: Diagnosis) -> list[Table]:
             "held out" if row.held_out else "",
         )
     return [head, gaps]
+
+
+def summary_lines(result: Diagnosis) -> list[str]:
+    """What the tables do not hold, a line each."""
+    lines = []
+    for effect in result.effects:
+        for recording, time in effect.onset:
+            lines.append(f"{effect.name} begins at {time:.2f} s of {recording}")
+        if effect.indistinguishable_from:
+            rivals = ", ".join(effect.indistinguishable_from)
+            lines.append(f"{effect.name} is not told apart from {rivals}")
+    for where in result.where:
+        lines.append(
+            f"{where.residual} balance of {where.element}: {where.level:.1f} noise levels, worst "
+            f"at {where.region}"
+        )
+    if result.next_experiment is not None:
+        proposal = result.next_experiment
+        lines.append(f"to tell {' from '.join(proposal.rivals)}: {proposal.description}")
+    if result.not_testable:
+        names = ", ".join(sorted({n.name for n in result.not_testable}))
+        lines.append(f"not testable with these recordings: {names}")
+    return [*lines, *(f"note: {note}" for note in result.notes)]

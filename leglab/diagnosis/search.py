@@ -20,6 +20,9 @@ _PAIRED = 20
 _PAIRS = 3
 # A rough fit that costs more than this share of the baseline is started again from there.
 _STUCK = 0.95
+# A robust mean square below which a rival may still catch up, in so many more fits.
+_CLOSE = 4.0
+_PATIENCE = 3
 # Finite differences of the last fits, as a share of those of the first.
 _FINE = 0.1
 # A rival whose cost is this many times the best one's excess after a rough fit stays behind.
@@ -205,6 +208,16 @@ def round_of_search(
                 continue
             progress(f"sharpening {key[0]}")
             sharp = sharpen(problem, fit, chosen)
+            # A rival that comes near is fitted to the end, or a tie would pass for a victory.
+            for _ in range(_PATIENCE):
+                near = sharp.cost < _CLOSE * problem.size * chosen.sum()
+                if not near or not np.isfinite(lead):
+                    break
+                again = sharpen(problem, sharp, chosen)
+                improved = again.cost < 0.98 * sharp.cost
+                sharp = again
+                if not improved:
+                    break
             lead = min(lead, sharp.cost - problem.size * chosen.sum())
             contenders.append(
                 Contender(key=key, fit=sharp, cost=window_cost(problem, sharp.hypothesis))

@@ -1,6 +1,6 @@
 """From the search to the verdict: names, confusion sets, confidence, gaps."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -27,6 +27,7 @@ from leglab.diagnosis.result import (
     Verdict,
 )
 from leglab.diagnosis.search import Stage, window_cost
+from leglab.diagnosis.series import Channel
 from leglab.diagnosis.workflow import EXPLAINED, Search, Settings, search, set_up
 from leglab.recording import Recording
 
@@ -36,6 +37,7 @@ _PREFERENCE = 0.975
 _DISTANCE = 0.01
 # Explaining less than this share of the misfit is no explanation.
 _HALF = 0.5
+_DELAYS = frozenset({"command_delay", "sensor_delay"})
 # An effect whose largest trial moves whitened errors less than this was not excited.
 _DETECTABLE = 8.0
 
@@ -218,6 +220,10 @@ def _effects(
 
 def _ties(found: Search, key: Key, rng: np.random.Generator) -> tuple[tuple[str, ...], float]:
     """Rivals that explain the recordings as well, and how sure the name is against all."""
+    twins = exact_twins(found.problem.channels, key[0])
+    twins = tuple(t for t in twins if t in found.problem.library.names)
+    if twins:
+        return twins, 1.0 / (1 + len(twins))
     fitted = [
         (c.cost.mean(), i) for i, s in enumerate(found.stages) for c in s.contenders if c.key == key
     ]
@@ -235,6 +241,17 @@ def _ties(found: Search, key: Key, rng: np.random.Generator) -> tuple[tuple[str,
             tied.append(rival.key[0])
         sure = min(sure, preferred if not near else min(preferred, 0.5))
     return tuple(tied), float(sure)
+
+
+def exact_twins(channels: Sequence[Channel], name: str) -> tuple[str, ...]:
+    """Effects that no recording of these channels can tell from one, whatever the excitation.
+
+    A late command and a late position sensor shift the same motion against the same command. Only
+    a third signal says which, and fits differ merely in where their windows start.
+    """
+    if name in _DELAYS and not any(c.chamber for c in channels):
+        return tuple(sorted(_DELAYS - {name}))
+    return ()
 
 
 def _next_experiment(found: Search, effects: tuple[NamedEffect, ...]) -> Proposal | None:
