@@ -77,8 +77,8 @@ def main() -> None:
     known = read() if BANDS.exists() else {}
     lines = [
         "# RMS tracking errors [mrad]. Not to be edited: `python -m tests.tracking_bands --write`.",
-        f"# MuJoCo {mujoco.__version__}, NumPy {np.__version__}, Python {platform.python_version()}, "
-        f"leglab {metadata.version('leglab')}, {platform.machine()}.",
+        f"# MuJoCo {mujoco.__version__}, NumPy {np.__version__}, {platform.machine()}, "
+        f"Python {platform.python_version()}, leglab {metadata.version('leglab')}.",
     ]
     for case, settings in CASES.items():
         have = measure(**settings)
