@@ -3,7 +3,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -40,6 +40,7 @@ def kinds(findings):
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
+@settings(deadline=None)
 @given(
     samples=hnp.arrays(
         np.float64,
@@ -97,7 +98,7 @@ def test_missing_file_and_folder(tmp_path, suffix):
 
 def test_unknown_format(tmp_path):
     (tmp_path / "a.xlsx").write_text("")
-    with pytest.raises(LeglabError, match=r"suffix '.xlsx' .* allowed: .parquet, .csv"):
+    with pytest.raises(LeglabError, match=r"suffix '.xlsx' .* allowed: .parquet, .csv, .mcap"):
         data.read(tmp_path / "a.xlsx")
 
 
