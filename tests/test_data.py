@@ -124,7 +124,7 @@ def test_truncated_csv(tmp_path):
     [
         ("", "not a CSV file"),
         ("time,a\n", "no sample"),
-        ("t,a\n0,1\n", "no column 'time', found t, a"),
+        ("t,a\n0,1\n", "no column 'time', found 't', 'a'"),
         ("time,a,a\n0,1,2\n", "column 'a' is there 2 times"),
         ("time,a\n0,1\n1,broken\n2,3\n", "column 'a', row 1: 'broken' is not a number"),
         ("time,a\n0,true\n1,false\n", "column 'a', row 0: True is not a number"),
@@ -139,6 +139,14 @@ def test_bad_csv(tmp_path, text, message):
         data.read(path)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_csv_that_is_not_utf_8(tmp_path):
+    path = tmp_path / "a.csv"
+    # The broken line has a cell too many as well: it must not vanish.
+    path.write_bytes(b"time,a\n0,1\n1,\xff,3\n2,2\n")
+    with pytest.raises(LeglabError, match="line 3: byte 0xff is not UTF-8 text"):
+        data.read(path)
 
 
 def test_empty_cells_are_missing_samples(tmp_path):

@@ -198,7 +198,7 @@ def test_several_joint_state_topics(tmp_path):
         for topic in ("/left", "/right"):
             messages.append((topic, JOINT_STATE, t * MS, joints(t * MS, effort=[t])))
     path = write_bag(tmp_path / "a.mcap", messages)
-    with pytest.raises(LeglabError, match="several topics .*clock = .*: /left, /right"):
+    with pytest.raises(LeglabError, match="several topics .*clock = .*: '/left', '/right'"):
         data.read(path)
     text = 'clock = "/right"\n[columns]\n"left/knee/effort" = "knee_valve_command"\n'
     (tmp_path / "map.toml").write_text(text)

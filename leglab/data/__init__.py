@@ -73,7 +73,8 @@ def read_table(
     if columns is not None:
         table = columns.apply(table, str(path))
     if "time" not in table:
-        raise LeglabError(f"{path}: no column 'time', found {', '.join(table) or 'no column'}")
+        found = ", ".join(map(repr, table)) or "no column"
+        raise LeglabError(f"{path}: no column 'time', found {found}")
     return table, metadata
 
 

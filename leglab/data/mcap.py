@@ -165,7 +165,7 @@ def _clock_topic(bag: Bag, columns: ColumnMap, path: Path) -> str:
         return _CLOCK_TOPIC
     raise LeglabError(
         f"{path}: several topics of type {JOINT_STATE}, none of them {_CLOCK_TOPIC!r}; choose one "
-        f"by clock = ... in a column map: {', '.join(sorted(candidates))}"
+        f"by clock = ... in a column map: {', '.join(map(repr, sorted(candidates)))}"
     )
 
 
