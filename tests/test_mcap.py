@@ -41,9 +41,9 @@ def joints(time, **fields):
     return {"header": stamp(time), "name": ["knee"], "position": [0.0], **fields}
 
 
-def write_bag(path, messages, compression=CompressionType.ZSTD):
+def write_bag(path, messages, **options):
     """Writes (topic, type, log time in ns, message)."""
-    with path.open("wb") as stream, Writer(stream, compression=compression) as writer:
+    with path.open("wb") as stream, Writer(stream, **options) as writer:
         schemas = {kind: writer.register_msgdef(kind, text) for kind, text in DEFINITIONS.items()}
         for topic, kind, time, message in messages:
             writer.write_message(topic, schemas[kind], message, time)
@@ -133,7 +133,7 @@ def test_topics_of_other_rates(tmp_path, compression):
     for k, t in enumerate((EPOCH + 3 * MS, EPOCH + 9 * MS)):
         messages.append(("/u", "std_msgs/msg/Float64MultiArray", t, {"data": [k, 10.0 + k]}))
     messages.append(("/talk", "std_msgs/msg/String", EPOCH, {"data": "hello"}))
-    path = write_bag(tmp_path / "a.mcap", messages, compression)
+    path = write_bag(tmp_path / "a.mcap", messages, compression=compression)
     (tmp_path / "map.toml").write_text(
         '[columns]\ncap = {name = "knee_pressure_a", factor = 2.0}\n"u[1]" = "knee_valve_command"\n'
     )
