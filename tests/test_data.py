@@ -141,11 +141,13 @@ def test_bad_csv(tmp_path, text, message):
     assert "\n" not in str(caught.value)
 
 
-def test_csv_that_is_not_utf_8(tmp_path):
+@pytest.mark.parametrize(
+    ("content", "line"), [(b"time,\xff\n0,1\n", 1), (b"time,a\n0,1\n1,\xff,3\n2,2\n", 3)]
+)
+def test_csv_that_is_not_utf_8(tmp_path, content, line):
     path = tmp_path / "a.csv"
-    # The broken line has a cell too many as well: it must not vanish.
-    path.write_bytes(b"time,a\n0,1\n1,\xff,3\n2,2\n")
-    with pytest.raises(LeglabError, match="line 3: byte 0xff is not UTF-8 text"):
+    path.write_bytes(content)
+    with pytest.raises(LeglabError, match=f"line {line}: byte 0xff is not UTF-8 text"):
         data.read(path)
 
 

@@ -63,7 +63,7 @@ def write(recording: Recording, path: Path) -> None:
 
 
 def _text_of(path: Path) -> bytes:
-    """Returns a file's bytes; pyarrow would drop broken rows that are not UTF-8 with a warning."""
+    """Returns a file's bytes if they are UTF-8; pyarrow trips over names and broken rows if not."""
     try:
         content = path.read_bytes()
         content.decode()
