@@ -250,3 +250,12 @@ def test_the_folder_of_a_bag(tmp_path):
         data.read(folder)
     data.write(example(), folder / "bag_0.mcap")
     assert data.read(folder) == data.read(folder / "bag_0.mcap")
+
+
+@pytest.mark.parametrize("text", ["", "[1]", '{"a": NaN}', '{"alignment": 5}', '{"repairs": "x"}'])
+def test_broken_metadata(tmp_path, text):
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as stream, Writer(stream) as writer:
+        writer.add_metadata("leglab", {"metadata": text})
+    with pytest.raises(LeglabError, match="a.mcap: not a complete MCAP file: after 0"):
+        data.read(path)

@@ -73,7 +73,7 @@ def scan(path: Path) -> Bag:
                 elif isinstance(record, Message) and record.channel_id in wanted:
                     bag.messages.append(record)
                 elif isinstance(record, Metadata) and record.name == METADATA_NAME:
-                    bag.metadata = dict(json.loads(record.metadata["metadata"]))
+                    bag.metadata = _metadata(record.metadata["metadata"])
     # Whatever the decompressors and parsers trip over, the cause is the file.
     except Exception as error:
         at = f"after {len(bag.messages)} readable messages"
@@ -138,6 +138,15 @@ def _series(topic: str, rows: list, wanted_stamps: str, path: Path) -> Series:
     columns = {n: np.array([row[2].get(n, np.nan) for row in rows]) for n in names}
     stamped_by = "header" if by_header else "log"
     return Series(topic=topic, stamps=stamps, columns=columns, stamped_by=stamped_by)
+
+
+def _metadata(text: str) -> dict:
+    metadata = json.loads(text)
+    json.dumps(metadata, allow_nan=False)  # Reading takes NaN, which is not JSON.
+    for key in ("alignment", "repairs"):
+        if not isinstance(metadata.get(key, []), list):
+            raise ValueError(f"metadata {key!r} is {metadata[key]!r}, allowed is a list")
+    return metadata
 
 
 def _first_line(error: Exception) -> str:
