@@ -13,7 +13,7 @@ from leglab.terminal import Json, Overwrite, output, progress_bar
 def diagnose(
     model: Annotated[str | None, typer.Argument(help="Name of a model, or an MJCF file.")] = None,
     recordings: Annotated[
-        list[Path] | None, typer.Argument(help="Recordings, .parquet or .csv.")
+        list[Path] | None, typer.Argument(help="Recordings: .parquet, .csv, .mcap.")
     ] = None,
     out: Annotated[Path, typer.Option(help="Output folder.")] = Path("out/diagnosis"),
     held_out: Annotated[
@@ -21,7 +21,10 @@ def diagnose(
         typer.Option(help="Recording kept from all fits; default: chosen by its excitation."),
     ] = None,
     columns: Annotated[
-        Path | None, typer.Option(help="TOML file: names of the columns in the recordings.")
+        Path | None,
+        typer.Option(
+            help="TOML file: what the columns of the recordings are called here, and units."
+        ),
     ] = None,
     effect: Annotated[
         list[str] | None, typer.Option(help="Effects to consider; default: all.")

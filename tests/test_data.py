@@ -3,7 +3,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -40,6 +40,7 @@ def kinds(findings):
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
+@settings(deadline=None)
 @given(
     samples=hnp.arrays(
         np.float64,
@@ -97,7 +98,7 @@ def test_missing_file_and_folder(tmp_path, suffix):
 
 def test_unknown_format(tmp_path):
     (tmp_path / "a.xlsx").write_text("")
-    with pytest.raises(LeglabError, match=r"suffix '.xlsx' .* allowed: .parquet, .csv"):
+    with pytest.raises(LeglabError, match=r"suffix '.xlsx' .* allowed: .parquet, .csv, .mcap"):
         data.read(tmp_path / "a.xlsx")
 
 
@@ -123,7 +124,7 @@ def test_truncated_csv(tmp_path):
     [
         ("", "not a CSV file"),
         ("time,a\n", "no sample"),
-        ("t,a\n0,1\n", "no column 'time', found t, a"),
+        ("t,a\n0,1\n", "no column 'time', found 't', 'a'"),
         ("time,a,a\n0,1,2\n", "column 'a' is there 2 times"),
         ("time,a\n0,1\n1,broken\n2,3\n", "column 'a', row 1: 'broken' is not a number"),
         ("time,a\n0,true\n1,false\n", "column 'a', row 0: True is not a number"),
@@ -138,6 +139,16 @@ def test_bad_csv(tmp_path, text, message):
         data.read(path)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "line"), [(b"time,\xff\n0,1\n", 1), (b"time,a\n0,1\n1,\xff,3\n2,2\n", 3)]
+)
+def test_csv_that_is_not_utf_8(tmp_path, content, line):
+    path = tmp_path / "a.csv"
+    path.write_bytes(content)
+    with pytest.raises(LeglabError, match=f"line {line}: byte 0xff is not UTF-8 text"):
+        data.read(path)
 
 
 def test_empty_cells_are_missing_samples(tmp_path):

@@ -26,6 +26,7 @@ from leglab.diagnosis.series import Channel
 from leglab.diagnosis.verdict import diagnose, exact_twins
 from leglab.diagnosis.workflow import Settings, held_out_choice, set_up
 from leglab.errors import LeglabError
+from leglab.recording import Recording
 
 FOLDER = Path(__file__).parent / "data" / "diagnosis"
 NAMES = ("multisine", "slow", "walk")
@@ -268,15 +269,16 @@ def test_too_short_recordings_are_refused():
 
 def test_a_column_map_renames_and_converts(tmp_path):
     walk = recordings("nominal")["walk"]
-    other = walk.with_columns({"enc": np.rad2deg(walk["knee_position"])})
+    others = {name: walk[name] for name in walk.columns if name != "knee_position"}
+    other = Recording(time=walk.time, columns={**others, "enc": np.rad2deg(walk["knee_position"])})
     data.write(other, tmp_path / "a.parquet")
     (tmp_path / "map.toml").write_text(
-        'knee_position = {column = "enc", scale = 0.017453292519943295}\n'
+        '[columns]\nenc = {name = "knee_position", factor = 0.017453292519943295}\n'
     )
     read = read_recordings([tmp_path / "a.parquet"], tmp_path / "map.toml")["a.parquet"]
     np.testing.assert_allclose(read["knee_position"], walk["knee_position"], rtol=1e-12)
-    (tmp_path / "map.toml").write_text("knee_position = 3\n")
-    with pytest.raises(LeglabError, match="entry 'knee_position'; allowed"):
+    (tmp_path / "map.toml").write_text("[columns]\nenc = 3\n")
+    with pytest.raises(LeglabError, match="column 'enc' is 3; allowed"):
         read_recordings([tmp_path / "a.parquet"], tmp_path / "map.toml")
 
 

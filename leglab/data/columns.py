@@ -19,14 +19,12 @@ def to_arrays(table: pa.Table, path: Path) -> dict[str, np.ndarray]:
         Arrays of shape (n,) by column name.
 
     Raises:
-        LeglabError: A column is named twice, is not numeric, or there is no `time`.
+        LeglabError: A column is named twice or is not numeric.
     """
     names = table.column_names
     for name in names:
         if names.count(name) > 1:
             raise LeglabError(f"{path}: column {name!r} is there {names.count(name)} times")
-    if "time" not in names:
-        raise LeglabError(f"{path}: no column 'time', found {', '.join(names) or 'no column'}")
     return {name: _to_array(table.column(name), name, path) for name in names}
 
 

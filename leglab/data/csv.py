@@ -22,9 +22,10 @@ def read_table(path: Path) -> tuple[dict[str, np.ndarray], dict]:
         Arrays of shape (n,) by column name, and the metadata, which CSV cannot hold: empty.
 
     Raises:
-        LeglabError: A line has too few or too many cells (as the last one of a truncated file), or
-            a cell is not a number; names the row.
+        LeglabError: The text is not UTF-8, a line has too few or too many cells (as the last one
+            of a truncated file), or a cell is not a number; names the row.
     """
+    content = _text_of(path)
     broken: list[pc.InvalidRow] = []
 
     def note(row: pc.InvalidRow) -> str:
@@ -33,13 +34,13 @@ def read_table(path: Path) -> tuple[dict[str, np.ndarray], dict]:
 
     try:
         table = pc.read_csv(
-            path,
+            pa.BufferReader(content),
             # One thread: only then are invalid rows numbered.
             read_options=pc.ReadOptions(use_threads=False),
             parse_options=pc.ParseOptions(invalid_row_handler=note),
             convert_options=pc.ConvertOptions(null_values=_MISSING, strings_can_be_null=True),
         )
-    except (pa.ArrowException, OSError) as error:
+    except pa.ArrowException as error:
         raise LeglabError(f"{path}: not a CSV file: {str(error).splitlines()[0]}") from error
     if broken:
         row = broken[0]
@@ -59,3 +60,18 @@ def write(recording: Recording, path: Path) -> None:
     table = to_table(recording.time, dict(recording.columns))
     options = pc.WriteOptions(quoting_style="needed", quoting_header="none")
     write_atomically(path, lambda stream: pc.write_csv(table, stream, options))
+
+
+def _text_of(path: Path) -> bytes:
+    """Returns a file's bytes if they are UTF-8; pyarrow trips over names and broken rows if not."""
+    try:
+        content = path.read_bytes()
+        content.decode()
+    except OSError as error:
+        raise LeglabError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise LeglabError(
+            f"{path}: line {line}: byte 0x{content[error.start]:02x} is not UTF-8 text"
+        ) from error
+    return content

@@ -1,9 +1,7 @@
 """Recordings of a diagnosis: read from files, and split into fitted and held-out ones."""
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from leglab import data
 from leglab.diagnosis.machine import Machine
@@ -13,7 +11,6 @@ from leglab.recording import Recording
 
 # Share of a single recording that is held out, at its end.
 _TAIL = 0.3
-_MAP_KEYS = {"column", "scale", "offset"}
 
 
 def read_recordings(paths: Sequence[Path], columns: Path | None = None) -> dict[str, Recording]:
@@ -21,50 +18,18 @@ def read_recordings(paths: Sequence[Path], columns: Path | None = None) -> dict[
 
     Args:
         paths: Of the files.
-        columns: A TOML file that says how the columns of the model are called in the recordings,
-            see `mapped`.
+        columns: A column map for all of them, see `leglab.data.read_column_map`.
 
     Raises:
         LeglabError: A file cannot be read, or two have one name, or the map is wrong.
     """
-    table = _column_map(columns) if columns else {}
+    column_map = data.read_column_map(columns) if columns else None
     found: dict[str, Recording] = {}
     for path in paths:
         if path.name in found:
             raise LeglabError(f"two recordings are called {path.name!r}; allowed: different names")
-        found[path.name] = mapped(data.read(path), table)
+        found[path.name] = data.read(path, columns=column_map)
     return found
-
-
-def mapped(recording: Recording, table: Mapping[str, Mapping[str, Any]]) -> Recording:
-    """A recording with columns under the names that the model expects.
-
-    Args:
-        recording: As measured.
-        table: By wanted name: `column`, and where units or zero differ `scale` and `offset`;
-            wanted = scale * measured + offset.
-    """
-    columns = dict(recording.columns)
-    for name, rule in table.items():
-        samples = recording[rule["column"]]
-        columns.pop(rule["column"], None)
-        columns[name] = rule.get("scale", 1.0) * samples + rule.get("offset", 0.0)
-    return Recording(time=recording.time, columns=columns, metadata=recording.metadata)
-
-
-def _column_map(path: Path) -> dict[str, dict[str, Any]]:
-    try:
-        table = tomllib.loads(path.read_text())
-    except (OSError, tomllib.TOMLDecodeError) as error:
-        raise LeglabError(f"{path}: not a column map: {error}") from error
-    rules = {k: {"column": v} if isinstance(v, str) else v for k, v in table.items()}
-    for name, rule in rules.items():
-        if not isinstance(rule, dict) or "column" not in rule or set(rule) - _MAP_KEYS:
-            raise LeglabError(
-                f'{path}: entry {name!r}; allowed: {name} = "measured_column" or '
-                f"{name} = {{column = ..., scale = ..., offset = ...}}"
-            )
-    return rules
 
 
 def split_held_out(

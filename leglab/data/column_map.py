@@ -1,0 +1,136 @@
+"""A column map: how the columns of somebody else's recordings are called here, and their units."""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from leglab.configuration import Configuration, validate_configuration
+from leglab.errors import LeglabError
+
+
+class ColumnRule(Configuration):
+    """What becomes of one measured column: ours = factor * theirs + offset."""
+
+    name: str = Field(min_length=1, description="The column's name here, for instance 'time'.")
+    factor: float = Field(1.0, description="Unit and sign: ours per theirs; not 0.")
+    offset: float = Field(0.0, description="Added after the factor, in our unit.")
+
+    @field_validator("factor")
+    @classmethod
+    def _is_not_zero(cls, factor: float) -> float:
+        if factor == 0.0:
+            raise ValueError("the factor must not be 0")
+        return factor
+
+
+class _MapFile(Configuration):
+    columns: dict[str, Any] = Field(min_length=1)
+    clock: str | None = None
+    stamps: Literal["header", "log"] = "header"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColumnMap:
+    """Names and units of a foreign recording.
+
+    Attributes:
+        rules: What becomes of a column, by its name in the recording; other columns stay.
+        source: Where the map came from, for messages.
+        clock: MCAP alone: the JointState topic whose stamps become the time axis. None: the only
+            one, or `/joint_states`.
+        stamps: MCAP alone: "header", where there are any, or "log" (time of reception) throughout.
+    """
+
+    rules: Mapping[str, ColumnRule] = field(default_factory=dict)
+    source: str = "column map"
+    clock: str | None = None
+    stamps: Literal["header", "log"] = "header"
+
+    def __post_init__(self) -> None:
+        owners: dict[str, str] = {}
+        for theirs, rule in self.rules.items():
+            if rule.name in owners:
+                raise LeglabError(
+                    f"{self.source}: {owners[rule.name]!r} and {theirs!r} both become "
+                    f"{rule.name!r}; allowed: one column for a name"
+                )
+            owners[rule.name] = theirs
+        object.__setattr__(self, "rules", MappingProxyType(dict(self.rules)))
+
+    def name_of(self, theirs: str) -> str:
+        """Returns the name here of a column of the recording."""
+        return self.rules[theirs].name if theirs in self.rules else theirs
+
+    def apply(self, table: Mapping[str, np.ndarray], source: str) -> dict[str, np.ndarray]:
+        """Renames and converts.
+
+        Args:
+            table: Arrays of shape (n,) by column name, as measured.
+            source: Where the table came from, for messages.
+
+        Returns:
+            Arrays of shape (n,) by our names; columns without a rule are as they were.
+
+        Raises:
+            LeglabError: A column of the map is not in the table, or two columns get one name.
+        """
+        missing = [theirs for theirs in self.rules if theirs not in table]
+        if missing:
+            which = "none" if len(missing) == len(self.rules) else f"no {_list(missing)}"
+            raise LeglabError(
+                f"{source}: {which} of the columns of {self.source} is there: the map names "
+                f"{_list(self.rules)}; the recording has {_list(table)}"
+            )
+        mapped: dict[str, np.ndarray] = {}
+        for theirs, samples in table.items():
+            name = self.name_of(theirs)
+            if name in mapped:
+                raise LeglabError(
+                    f"{source}: after {self.source} two columns are called {name!r}, one of them "
+                    f"{theirs!r}; allowed: give the other one a rule with another name"
+                )
+            rule = self.rules.get(theirs)
+            if rule and (rule.factor, rule.offset) != (1.0, 0.0):
+                with np.errstate(over="ignore"):  # A huge sample becomes infinite; `inspect` tells.
+                    samples = rule.factor * samples + rule.offset
+            mapped[name] = samples
+        return mapped
+
+
+def read_column_map(path: str | Path) -> ColumnMap:
+    """Reads a column map from a TOML file.
+
+    The table `columns` holds `their_name = "our_name"` or
+    `their_name = {name = "our_name", factor = 0.0174533, offset = 0.0}`; beside it `clock` and
+    `stamps` may stand, see `ColumnMap`.
+
+    Raises:
+        LeglabError: The file cannot be read, or an entry is not allowed; names file, key, value
+            and what is allowed.
+    """
+    try:
+        content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise LeglabError(f"{path}: not a column map in TOML: {error}") from error
+    file = validate_configuration(_MapFile, content, str(path))
+    rules = {}
+    for theirs, rule in file.columns.items():
+        if isinstance(rule, str):
+            rule = {"name": rule}
+        if not isinstance(rule, dict):
+            raise LeglabError(
+                f'{path}: column {theirs!r} is {rule!r}; allowed: {theirs} = "our_name" or '
+                f'{theirs} = {{name = "our_name", factor = ..., offset = ...}}'
+            )
+        rules[theirs] = validate_configuration(ColumnRule, rule, f"{path}: column {theirs!r}")
+    return ColumnMap(rules=rules, source=str(path), clock=file.clock, stamps=file.stamps)
+
+
+def _list(names: Mapping | list) -> str:
+    return ", ".join(map(repr, names)) or "no column"

@@ -1,0 +1,192 @@
+"""Recordings as MCAP files and ROS 2 bags, through the `mcap-ros2-support` package.
+
+The JointState topic gives the time axis and `<joint>_position`, `<joint>_velocity` and
+`<joint>_effort`. Topics with one number a message (Float64, Float32, FluidPressure, Temperature)
+give a column named after the topic without its leading slash; arrays give `topic[0]`, `topic[1]`,
+and so on; other JointState topics `topic/joint/field`. A column map turns these into the names of
+the model.
+"""
+
+import json
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from mcap_ros2.writer import Writer
+
+from leglab.data.alignment import Series, aligned, overlaps
+from leglab.data.bag import METADATA_NAME, Bag, decode, scan
+from leglab.data.column_map import ColumnMap
+from leglab.data.files import write_atomically
+from leglab.data.ros_messages import (
+    FLOAT64,
+    FLOAT64_DEFINITION,
+    JOINT_STATE,
+    JOINT_STATE_DEFINITION,
+)
+from leglab.errors import LeglabError, unknown_name
+from leglab.recording import Recording
+
+_CLOCK_TOPIC = "/joint_states"
+
+# Up to here [ns], 104 days, seconds in a float64 tell nanoseconds apart. Stamps since 1970 do not,
+# so later recordings begin at 0 s and their start is kept in the metadata.
+_LAST_EXACT = 2**53
+
+# Seconds in the header are an int32.
+_END_OF_ROS_TIME = 2**31
+
+
+def read_table(path: Path, columns: ColumnMap | None = None) -> tuple[dict[str, np.ndarray], dict]:
+    """Reads all topics of supported types, on the clock of the joint states.
+
+    Columns that the map, or without a map the file, calls `..._command` hold their last value;
+    all others are drawn linearly between their neighbours. What was done stands in the metadata
+    under "alignment", and `start_ns` where the time axis was moved to 0.
+
+    Args:
+        path: The file, or the folder of a ROS 2 bag with one such file.
+        columns: Names; the clock, and which stamps count. Values are not converted here.
+
+    Returns:
+        Arrays of shape (n,) by column name, and the metadata.
+
+    Raises:
+        LeglabError: The file is truncated or broken, has no joint states, or a topic that the map
+            names shares no time with them.
+    """
+    columns = columns or ColumnMap()
+    path = _file_of(path)
+    bag = scan(path)
+    clock_topic = _clock_topic(bag, columns, path)
+    series = decode(bag, clock_topic, columns.stamps, path)
+    clock = series.pop(clock_topic)
+    notes = []
+    if columns.stamps == "header" and clock.stamped_by == "log":
+        notes.append(f"{clock_topic}: no header stamps, log time instead")
+    table: dict[str, np.ndarray] = dict(clock.columns)
+    for other in series.values():
+        try:
+            found = _aligned_columns(other, clock, columns, notes)
+        except LeglabError as error:
+            raise LeglabError(f"{path}: {error}") from error
+        for name, samples in found.items():
+            if name in table:
+                raise LeglabError(
+                    f"{path}: topic {other.topic!r} and another topic both give column {name!r}"
+                )
+            table[name] = samples
+    if "time" in table:
+        raise LeglabError(f"{path}: a topic is called 'time', which is the time axis")
+    metadata = dict(bag.metadata)
+    start = int(clock.stamps.min()) if clock.stamps.size else 0
+    if clock.stamps.size and clock.stamps.max() <= _LAST_EXACT:
+        start = 0
+    if start:
+        metadata["start_ns"] = start
+    if notes:
+        metadata["alignment"] = [*metadata.get("alignment", ()), *notes]
+    return {"time": (clock.stamps - start) / 1e9, **table}, metadata
+
+
+def write(recording: Recording, path: Path) -> None:
+    """Writes a recording: joints as JointState, other columns as one Float64 topic each.
+
+    Samples and metadata keep every bit, times are rounded to 1 ns.
+
+    Raises:
+        LeglabError: The folder cannot be written to, times do not fit into ROS stamps, or a column
+            is called like the JointState topic.
+    """
+    scaled = np.rint(recording.time * 1e9)
+    if scaled[0] < 0 or scaled[-1] >= _END_OF_ROS_TIME * 1e9:
+        raise LeglabError(
+            f"{path}: time covers [{recording.time[0]:g}, {recording.time[-1]:g}] s; allowed in a "
+            f"ROS message: [0, {_END_OF_ROS_TIME}) s"
+        )
+    stamps = scaled.astype(np.int64)
+    if (np.diff(stamps) <= 0).any():
+        row = int(np.argmax(np.diff(stamps) <= 0)) + 1
+        raise LeglabError(f"{path}: rows {row - 1} and {row} are less than 1 ns apart")
+    if _CLOCK_TOPIC.removeprefix("/") in recording:
+        raise LeglabError(f"{path}: column 'joint_states' is taken by the topic {_CLOCK_TOPIC!r}")
+    write_atomically(path, lambda stream: _write(recording, stamps.tolist(), stream))
+
+
+def _write(recording: Recording, stamps: list[int], stream: BinaryIO) -> None:
+    joints = list(recording.joints)
+    # A JointState has a velocity for every joint or for none.
+    fields = ["position"]
+    if all(f"{joint}_velocity" in recording for joint in joints):
+        fields.append("velocity")
+    arrays = {f: recording.stack(joints, f).tolist() if joints else None for f in fields}
+    in_joints = {f"{joint}_{name}" for joint in joints for name in fields}
+    rest = {n: s.tolist() for n, s in recording.columns.items() if n not in in_joints}
+    with Writer(stream) as writer:
+        metadata = json.dumps(dict(recording.metadata), allow_nan=False, sort_keys=True)
+        writer.add_metadata(METADATA_NAME, {"metadata": metadata})
+        joint_state = writer.register_msgdef(JOINT_STATE, JOINT_STATE_DEFINITION)
+        float64 = writer.register_msgdef(FLOAT64, FLOAT64_DEFINITION)
+        for row, stamp in enumerate(stamps):
+            second, nanosecond = divmod(stamp, 10**9)
+            message = {
+                "header": {"stamp": {"sec": second, "nanosec": nanosecond}, "frame_id": ""},
+                "name": joints,
+                **{f: rows[row] if rows else [] for f, rows in arrays.items()},
+            }
+            message = {"velocity": [], "effort": [], **message}
+            writer.write_message(_CLOCK_TOPIC, joint_state, message, stamp, stamp, row)
+            for name, samples in rest.items():
+                number = {"data": samples[row]}
+                writer.write_message(f"/{name}", float64, number, stamp, stamp, row)
+
+
+def _file_of(path: Path) -> Path:
+    if not path.is_dir():
+        return path
+    files = sorted(path.glob("*.mcap"))
+    if len(files) != 1:
+        names = ", ".join(file.name for file in files) or "none"
+        raise LeglabError(f"{path}: a bag with {len(files)} .mcap files ({names}); allowed: one")
+    return files[0]
+
+
+def _clock_topic(bag: Bag, columns: ColumnMap, path: Path) -> str:
+    candidates = {c.topic for c in bag.channels.values() if bag.kind(c) == JOINT_STATE}
+    if not candidates:
+        raise LeglabError(f"{path}: no topic of type {JOINT_STATE}; found {bag.topics()}")
+    if columns.clock is not None:
+        if columns.clock not in candidates:
+            raise unknown_name(f"clock of {columns.source}", columns.clock, candidates)
+        return columns.clock
+    if len(candidates) == 1:
+        return candidates.pop()
+    if _CLOCK_TOPIC in candidates:
+        return _CLOCK_TOPIC
+    raise LeglabError(
+        f"{path}: several topics of type {JOINT_STATE}, none of them {_CLOCK_TOPIC!r}; choose one "
+        f"by clock = ... in a column map: {', '.join(map(repr, sorted(candidates)))}"
+    )
+
+
+def _aligned_columns(
+    series: Series, clock: Series, columns: ColumnMap, notes: list[str]
+) -> dict[str, np.ndarray]:
+    found = {}
+    for name in series.columns:
+        hold = columns.name_of(name).endswith("_command")
+        if not overlaps(series, clock.stamps, hold=hold):
+            apart = f"{name!r} covers {series.span}, {clock.topic!r} covers {clock.span}"
+            if name in columns.rules:
+                raise LeglabError(f'column {apart}; try stamps = "log" in {columns.source}')
+            notes.append(f"left out, no time in common: {apart}")
+            continue
+        found[name] = aligned(series, name, clock.stamps, hold=hold)
+        if not np.array_equal(series.stamps, clock.stamps):
+            missing = int(np.isnan(found[name]).sum())
+            notes.append(
+                f"{name}: {series.stamps.size} messages by {series.stamped_by} time, "
+                f"{'last value held' if hold else 'linear'} on the {clock.stamps.size} stamps of "
+                f"{clock.topic}; {missing} rows without a value"
+            )
+    return found

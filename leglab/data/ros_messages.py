@@ -1,0 +1,79 @@
+"""ROS 2 messages that hold measurements: their definitions, and the numbers in them.
+
+Definitions: github.com/ros2/common_interfaces (std_msgs, sensor_msgs) and
+github.com/ros2/rcl_interfaces (builtin_interfaces), without their comments.
+"""
+
+from typing import Any
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+FLOAT64 = "std_msgs/msg/Float64"
+
+JOINT_STATE_DEFINITION = f"""std_msgs/Header header
+string[] name
+float64[] position
+float64[] velocity
+float64[] effort
+{"=" * 80}
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+{"=" * 80}
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+FLOAT64_DEFINITION = "float64 data\n"
+
+# The field of messages that hold one number.
+_SCALARS = {
+    FLOAT64: "data",
+    "std_msgs/msg/Float32": "data",
+    "sensor_msgs/msg/FluidPressure": "fluid_pressure",
+    "sensor_msgs/msg/Temperature": "temperature",
+}
+_ARRAYS = ("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float32MultiArray")
+
+SUPPORTED = (JOINT_STATE, *_SCALARS, *_ARRAYS)
+
+
+def numbers(kind: str, message: Any, topic: str, *, is_clock: bool) -> dict[str, float]:
+    """Returns the numbers of one decoded message by column name.
+
+    Args:
+        kind: One of `SUPPORTED`.
+        message: The message.
+        topic: Its topic.
+        is_clock: Whether this is the JointState topic that gives the time axis. Its columns are
+            `<joint>_position` and so on; those of others begin with the topic.
+
+    Raises:
+        ValueError: The fields do not fit together.
+    """
+    owner = topic.removeprefix("/")
+    if kind == JOINT_STATE:
+        return _joint_numbers(message, "" if is_clock else f"{owner}/", "_" if is_clock else "/")
+    if kind in _ARRAYS:
+        return {f"{owner}[{i}]": float(value) for i, value in enumerate(message.data)}
+    return {owner: float(getattr(message, _SCALARS[kind]))}
+
+
+def header_stamp(message: Any) -> int | None:
+    """Returns the stamp in a message's header [ns], None without a header."""
+    header = getattr(message, "header", None)
+    return None if header is None else int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
+
+
+def _joint_numbers(message: Any, prefix: str, separator: str) -> dict[str, float]:
+    names = list(message.name)
+    if len(set(names)) < len(names):
+        raise ValueError(f"joints {names} are not all different")
+    found = {}
+    for field in ("position", "velocity", "effort"):
+        values = getattr(message, field)
+        # The definition allows an empty array for what is not measured.
+        if len(values) not in (0, len(names)):
+            raise ValueError(f"{len(values)} values of {field} for {len(names)} joints")
+        for joint, value in zip(names, values, strict=False):
+            found[f"{prefix}{joint}{separator}{field}"] = float(value)
+    return found
