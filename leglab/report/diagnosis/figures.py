@@ -64,7 +64,7 @@ def gap_picture(result: Diagnosis) -> Picture | None:
     floor = result.gap.noise_floor
     with look():
         figure, axes = _rows([short(r.name) + (" *" if r.held_out else "") for r in rows], 1.5)
-        _log(axes, [floor, *(v for r in rows for v in (r.before, r.baseline, r.after))], pad=2.2)
+        _log(axes, [floor, *(v for r in rows for v in (r.before, r.baseline, r.after))])
         axes.axvline(floor, color=DARK_GREY, linestyle="--", linewidth=1.0, zorder=1)
         for i, row in enumerate(rows):
             axes.plot([row.before, row.after], [i, i], color=LIGHT_GREY, linewidth=1.6, zorder=2)
@@ -123,8 +123,7 @@ def ranking_picture(result: Diagnosis) -> Picture | None:
         top = total - _HEAD - 0.3
         left = 2.9
         for (round_, ranks), height in zip(shown, heights, strict=True):
-            place = (left, top - height, WIDTH - left - 0.35, height)
-            axes = figure.add_axes(tuple(v / (WIDTH, total)[i % 2] for i, v in enumerate(place)))
+            axes = _axes(figure, (left, top - height, WIDTH - left - 0.35, height))
             _draw_ranks(axes, ranks, named, tied)
             rest = len(dict(rounds)[round_]) - len(ranks)
             axes.set_title(f"round {round_}" + (f", best {len(ranks)}" if rest else ""))
@@ -155,8 +154,10 @@ def rivals_picture(result: Diagnosis) -> Picture | None:
     rounds = [r for r in result.rivals if len(r.names) > 1]
     if not rounds:
         return None
-    cell, left, above = 0.62, 2.35, 1.15
-    heights = [above + 0.42 * len(r.names) for r in rounds]
+    cell, left = 0.72, 2.35
+    longest = max(len(short(name)) for r in rounds for name in r.names)
+    above = 0.035 * longest + 0.2  # names at 30 degrees
+    heights = [above + 0.36 * len(r.names) for r in rounds]
     total = 0.4 + sum(heights) + 0.15 * len(rounds)
     with look():
         figure = Figure(figsize=(WIDTH, total))
@@ -164,10 +165,9 @@ def rivals_picture(result: Diagnosis) -> Picture | None:
         for rivals, height in zip(rounds, heights, strict=True):
             count = len(rivals.names)
             width = min(cell * count, WIDTH - left - 0.9)
-            place = (left, top - height, width, height - above)
-            axes = figure.add_axes(tuple(v / (WIDTH, total)[i % 2] for i, v in enumerate(place)))
+            axes = _axes(figure, (left, top - height, width, height - above))
             _draw_rivals(axes, rivals)
-            figure.text(0.1 / WIDTH, (top - 0.12) / total, f"round {rivals.round}", va="top")
+            figure.text(0.1 / WIDTH, (top - above) / total, f"round {rivals.round}", va="bottom")
             top -= height + 0.15
         _head(figure, "Rivals fitted to the end", [])
     return Picture(
@@ -175,9 +175,7 @@ def rivals_picture(result: Diagnosis) -> Picture | None:
         figure=figure,
         caption="Percent of resampled data sets in which the effect of the row explains the "
         "recordings better than that of the column; near 50 they are not told apart.",
-        alt=" ".join(
-            f"Round {r.round}: {r.names[0]} beats {listed(_beaten(r))}." for r in rounds
-        ),
+        alt=" ".join(f"Round {r.round}: {r.names[0]} beats {listed(_beaten(r))}." for r in rounds),
     )
 
 
@@ -196,7 +194,7 @@ def _draw_ranks(
 ) -> None:
     threshold = ranks[0].threshold
     marked = math.isfinite(threshold) and threshold > 0.0
-    _log(axes, [*(r.gain for r in ranks), threshold], pad=1.6)
+    _log(axes, [*(r.gain for r in ranks), threshold])
     _label(axes, [f"{short(readable(r.name))}, {short(r.element)}" for r in ranks])
     if marked:
         axes.axvline(threshold, color=VERMILION, linestyle="--", linewidth=1.0)
@@ -219,12 +217,17 @@ def _draw_rivals(axes: Axes, rivals: Rivals) -> None:
             if i != j and np.isfinite(share[i, j]):
                 ink = "white" if share[i, j] > 60.0 else "black"
                 axes.text(j, i, f"{share[i, j]:.0f}", ha="center", va="center", color=ink)
+    axes.set_xticks(np.arange(-0.5, count), minor=True)
+    axes.set_yticks(np.arange(-0.5, count), minor=True)
+    axes.set_facecolor("#E6E6E6")  # the diagonal
     names = [short(readable(name)) for name in rivals.names]
     axes.set_xticks(range(count), names, rotation=30, ha="left", rotation_mode="anchor")
     axes.set_yticks(range(count), names)
     axes.xaxis.tick_top()
-    axes.tick_params(length=0)
+    axes.tick_params(which="both", length=0)
     axes.grid(False)
+    axes.grid(True, which="minor", axis="both", color=LIGHT_GREY)
+    axes.set_axisbelow(False)
     for side in axes.spines.values():
         side.set_visible(False)
 
@@ -235,10 +238,16 @@ def _rows(labels: Sequence[str], left: float) -> tuple[Figure, Axes]:
     height = _ROW * 1.35 * len(labels) + 0.2
     total = _HEAD + height + _FOOT
     figure = Figure(figsize=(WIDTH, total))
-    place = (left / WIDTH, _FOOT / total, (WIDTH - left - 0.25) / WIDTH, height / total)
-    axes = figure.add_axes(place)
+    axes = _axes(figure, (left, _FOOT, WIDTH - left - 0.25, height))
     _label(axes, labels)
     return figure, axes
+
+
+def _axes(figure: Figure, place: tuple[float, float, float, float]) -> Axes:
+    """Axes at left, bottom, width and height [inch]."""
+    width, height = figure.get_size_inches()
+    left, bottom, across, up = place
+    return figure.add_axes((left / width, bottom / height, across / width, up / height))
 
 
 def _label(axes: Axes, labels: Sequence[str]) -> None:
@@ -247,13 +256,15 @@ def _label(axes: Axes, labels: Sequence[str]) -> None:
     axes.tick_params(axis="y", length=0)
 
 
-def _log(axes: Axes, values: Sequence[float], *, pad: float) -> None:
-    """A logarithmic axis with plain numbers that holds all values and a margin factor."""
+def _log(axes: Axes, values: Sequence[float]) -> None:
+    """A logarithmic axis with plain numbers that holds all values and room for their labels."""
     held = [v for v in values if math.isfinite(v) and v > 0.0] or [1.0]
     axes.set_xscale("log")
+    # An eighth of the axis on both sides, of half a decade at least.
+    pad = 10.0 ** max(math.log10(max(held) / min(held)) / 6.0, 0.08)
     axes.set_xlim(min(held) / pad, max(held) * pad)
     decades = math.log10(max(held) / min(held) * pad * pad)
-    subs = (1.0, 2.0, 5.0) if decades < 2.5 else (1.0,)
+    subs = (1.0, 2.0, 5.0) if decades < 2.2 else (1.0,)
     axes.xaxis.set_major_locator(LogLocator(subs=subs, numticks=12))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())

@@ -18,7 +18,7 @@ from leglab.report.diagnosis.figures import (
     rivals_picture,
 )
 from leglab.report.diagnosis.residuals import residual_pictures
-from leglab.report.diagnosis.words import headline, number, parameter_words, sections
+from leglab.report.diagnosis.words import headline, number, parameter_words, percent, sections
 
 _DPI = 130
 _KINDS = {
@@ -92,10 +92,8 @@ def write_page(result: Diagnosis, folder: Path, *, model: str) -> Path:
 
 def pictures(result: Diagnosis) -> tuple[Picture, ...]:
     """All figures that the diagnosis has content for, in the order of the page."""
-    found = (gap_picture(result), *residual_pictures(result))
-    return tuple(
-        p for p in (*found, ranking_picture(result), rivals_picture(result)) if p is not None
-    )
+    found = (gap_picture(result), ranking_picture(result), rivals_picture(result))
+    return (*(p for p in found if p is not None), *residual_pictures(result))
 
 
 def page(result: Diagnosis, drawn: Sequence[tuple[Picture, bytes]], *, model: str) -> str:
@@ -142,7 +140,7 @@ def _story(result: Diagnosis, model: str) -> str:
 def _effects_table(result: Diagnosis) -> str:
     rows = []
     for effect in result.effects:
-        told = [f"{effect.confidence:.0%}", f"{effect.contribution:.0%}"]
+        told = [percent(effect.confidence), percent(effect.contribution)]
         for i, parameter in enumerate(effect.parameters):
             head = [effect.name, effect.element] if i == 0 else ["", ""]
             tail = told if i == 0 else ["", ""]
@@ -182,9 +180,7 @@ def _table(caption: str, head: Sequence[str], rows: Iterable[Sequence[str]], *, 
     )
     if not lines:
         return ""
-    names = "".join(
-        f'<th scope="col"{k}>{_safe(n)}</th>' for k, n in zip(kinds, head, strict=True)
-    )
+    names = "".join(f'<th scope="col"{k}>{_safe(n)}</th>' for k, n in zip(kinds, head, strict=True))
     return (
         f'<div class="wide"><table><caption>{_safe(caption)}</caption>\n'
         f"<thead><tr>{names}</tr></thead>\n<tbody>{lines}</tbody></table></div>\n"

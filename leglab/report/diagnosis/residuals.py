@@ -17,6 +17,7 @@ from leglab.report.style import BLACK, BLUE, DARK_GREY, VERMILION
 _MOST_CHANNELS = 6
 _MOST_RECORDINGS = 6
 _MOST_POINTS = 3000
+_INNER = 0.99  # share of the points within the axes of a cloud: outliers would set the scale
 _BINS = 20
 _FEWEST = 8  # points of a bin whose median is drawn
 _BAR = 1e-5  # bar/Pa
@@ -64,7 +65,7 @@ def _over_state(traces: Sequence[ResidualTrace], name: str, length: str) -> Pict
     measured = [t.pressure for t in traces if t.pressure is not None]
     if len(measured) == len(traces):
         states.append(("pressure difference [bar]", _BAR * np.concatenate(measured)))
-    limits = _limits(before, after)
+    limits = _limits(before, after, _INNER)
     with look():
         figure = Figure(figsize=(WIDTH, 4.5))
         grid = figure.subplots(2, len(states), sharey="row", sharex="col", squeeze=False)
@@ -81,12 +82,12 @@ def _over_state(traces: Sequence[ResidualTrace], name: str, length: str) -> Pict
             axes.set_xlabel(label)
         _titles(grid[0][0], grid[1][0], before, after, unit, limits)
         _finish(figure, f"{short(readable(traces[0].channel))}: error over state")
-    line = "black lines are medians"
     return Picture(
         name=f"residual_state_{name}",
         figure=figure,
         caption=f"Replay error of {traces[0].channel} in all recordings against the state, before "
-        f"(top) and after (bottom); {line}, and what is left over should show no shape.",
+        "(top) and after (bottom); black lines are medians, the outermost 1 % is cut off, and what "
+        "is left over should show no shape.",
         alt=_alt(traces[0].channel, before, after, unit),
     )
 
@@ -98,15 +99,14 @@ def _over_time(traces: Sequence[ResidualTrace], name: str, held: set[str]) -> Pi
     shown = shown[:_MOST_RECORDINGS]
     before = factor * np.concatenate([t.before for t in shown])
     after = factor * np.concatenate([t.after for t in shown])
-    limits = _limits(before, after)
+    limits = _limits(before, after, 1.0)
     with look():
         figure = Figure(figsize=(WIDTH, 1.5 + 0.95 * len(shown)))
         grid = figure.subplots(len(shown), 2, sharey="col", sharex=True, squeeze=False)
         for row, trace in zip(grid, shown, strict=True):
-            order = np.argsort(trace.time, kind="stable")
             pairs = zip(row, (trace.before, trace.after), (VERMILION, BLUE), limits, strict=True)
             for axes, values, color, limit in pairs:
-                axes.plot(trace.time[order], factor * values[order], color=color, linewidth=0.7)
+                axes.plot(*_broken(trace.time, factor * values), color=color, linewidth=0.7)
                 axes.set_ylim(-limit, limit)
                 axes.yaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 5, 10]))
                 axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
@@ -129,15 +129,26 @@ def _over_time(traces: Sequence[ResidualTrace], name: str, held: set[str]) -> Pi
     )
 
 
-def _limits(before: np.ndarray, after: np.ndarray) -> tuple[float, float]:
-    """Half heights of the axes: 99.5 % of the points; common where both errors are alike."""
+def _limits(before: np.ndarray, after: np.ndarray, share: float) -> tuple[float, float]:
+    """Half heights of the axes for a share of the points; common where both errors are alike."""
     ends = []
     for values in (before, after):
         finite = np.abs(values[np.isfinite(values)])
-        ends.append(1.15 * float(np.quantile(finite, 0.995)) or 1.0)
+        ends.append(1.1 * float(np.quantile(finite, share)) or 1.0)
     if max(ends) < _ALIKE * min(ends):
         return max(ends), max(ends)
     return ends[0], ends[1]
+
+
+def _broken(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """In the order of time, with a NaN where windows are missing: no line over a gap."""
+    order = np.argsort(time, kind="stable")
+    time, values = time[order], values[order]
+    steps = np.diff(time)
+    usual = steps[steps > 0.0]
+    longest = 3.0 * float(np.median(usual)) if usual.size else math.inf
+    gaps = np.flatnonzero(steps > longest) + 1
+    return np.insert(time, gaps, np.nan), np.insert(values, gaps, np.nan)
 
 
 def _cloud(axes: Axes, state: np.ndarray, values: np.ndarray, color: str) -> None:
@@ -160,7 +171,10 @@ def _cloud(axes: Axes, state: np.ndarray, values: np.ndarray, color: str) -> Non
     parts = [part for part in parts if part.size >= _FEWEST]
     middle = [float(np.median(state[part])) for part in parts]
     axes.plot(middle, [float(np.median(values[part])) for part in parts], color=BLACK)
-    axes.margins(x=0.03)
+    if state.size:
+        low, high = np.quantile(state, [1.0 - _INNER, _INNER])
+        room = 0.05 * (high - low) or 1.0
+        axes.set_xlim(low - room, high + room)
 
 
 def _titles(

@@ -47,9 +47,17 @@ def number(value: float, digits: int = 3) -> str:
     if not math.isfinite(value):
         return "unknown"
     rounded = float(f"{value:.{digits}g}")
-    if 1e3 <= abs(rounded) < 1e6:
-        return f"{rounded:,.{max(0, digits - 4 - (abs(rounded) >= 1e4))}f}"
+    if 1e2 <= abs(rounded) < 1e6:
+        decimals = max(0, digits - 1 - math.floor(math.log10(abs(rounded))))
+        return f"{rounded:,.{decimals}f}"
     return f"{rounded:.{digits}g}"
+
+
+def percent(share: float) -> str:
+    """A confidence; resampling never gives certainty, so nothing above 99 % is told apart."""
+    if not math.isfinite(share):
+        return "unknown"
+    return "over 99 %" if share > 0.99 else f"{100.0 * share:.0f} %"
 
 
 def shown_unit(unit: str) -> tuple[float, str]:
@@ -148,8 +156,8 @@ def _missing(result: Diagnosis) -> tuple[str, ...]:
         for p in effect.parameters:
             value, interval, nominal = parameter_words(p)
             told.append(f"{readable(p.name)} {value} (95 %: {interval}), in the model {nominal}")
-        text = f"{_capital(readable(effect.name))} at {effect.element}: {_sentence(effect)}"
-        lines.append(f"{text} {_capital('; '.join(told))}." if told else text)
+        text = f"{_capital(readable(effect.name))} at {effect.element}. {_sentence(effect)}"
+        lines.append(f"{text} Fitted: {'; '.join(told)}." if told else text)
         if effect.onset:
             times = listed(tuple(f"{time:.2f} s of {name}" for name, time in effect.onset))
             lines.append(f"{_capital(readable(effect.name))} begins at {times}.")
@@ -157,8 +165,7 @@ def _missing(result: Diagnosis) -> tuple[str, ...]:
 
 
 def _sentence(effect: NamedEffect) -> str:
-    text = effect.physics.rstrip(".")
-    return f"{text[:1].lower()}{text[1:]}." if text else ""
+    return f"{effect.physics.rstrip('.')}." if effect.physics else ""
 
 
 def _capital(text: str) -> str:
@@ -170,8 +177,8 @@ def _sure(result: Diagnosis) -> tuple[str, ...]:
     for effect in result.effects:
         name = _capital(readable(effect.name))
         lines.append(
-            f"{name}: confidence {effect.confidence:.0%}; added last, it closes "
-            f"{effect.contribution:.0%} of what is open without it."
+            f"{name}: confidence {percent(effect.confidence)}; added last, it closes "
+            f"{percent(effect.contribution)} of what is open without it."
         )
         if effect.indistinguishable_from:
             others = listed(tuple(readable(n) for n in effect.indistinguishable_from), "or")
@@ -183,11 +190,6 @@ def _sure(result: Diagnosis) -> tuple[str, ...]:
         )
     else:
         lines.append("No effect is named, so there is no confidence to state.")
-    if result.ceiling is not None and math.isfinite(result.ceiling):
-        lines.append(
-            f"Any static function of position, velocity, pressure and command could explain at "
-            f"most {result.ceiling:.0%} of the worst residual."
-        )
     return tuple(lines)
 
 
@@ -199,11 +201,13 @@ def _costs(result: Diagnosis) -> tuple[str, ...]:
         f"tolerance, by {number(gap.baseline)}"
     )
     text += f"; with what was found, by {number(gap.after)}." if result.effects else "."
-    lines = [text, f"Noise alone gives {number(gap.noise_floor)}."]
+    lines = [text, f"Noise of the sensors alone gives {number(gap.noise_floor)}."]
     closed = gap.closed_fraction
     if result.effects and closed is not None and math.isfinite(closed):
-        share = f"{closed:.0%} of the gap is closed."
-        lines.append(share if closed > _HARDLY else f"The gap hardly closes: {closed:.0%}.")
+        share = f"{100.0 * closed:.0f} % of the gap is closed."
+        lines.append(
+            share if closed > _HARDLY else f"The gap hardly closes: {100.0 * closed:.0f} %."
+        )
     return (*lines, *_in_units(result))
 
 
@@ -226,11 +230,18 @@ def _in_units(result: Diagnosis) -> tuple[str, ...]:
 def _where(result: Diagnosis) -> tuple[str, ...]:
     if not result.where:
         return ("No balance of torque and oil was possible: it needs chamber pressures.",)
-    return tuple(
+    lines = [
         f"{_capital(w.residual)} balance of {w.element}: {number(w.level)} noise levels"
         + (f", worst at {w.region}." if " in [" in w.region else f", {w.region or 'anywhere'}.")
         for w in result.where
-    )
+    ]
+    lines.append("These are balances of the model as it was, along the measured motion.")
+    if result.ceiling is not None and math.isfinite(result.ceiling):
+        lines.append(
+            f"Static functions of position, velocity, pressure and command could explain "
+            f"{100.0 * result.ceiling:.0f} % of the worst one at most; the rest has memory."
+        )
+    return tuple(lines)
 
 
 def _untold(result: Diagnosis) -> tuple[str, ...]:
