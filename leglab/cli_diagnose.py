@@ -49,6 +49,7 @@ def diagnose(
     from leglab.diagnosis.verdict import diagnose as run_diagnosis
     from leglab.diagnosis.workflow import Settings
     from leglab.report.diagnosis.page import write_page
+    from leglab.report.diagnosis.words import headline
     from leglab.report.run_folder import check_folder
 
     check_folder(out, overwrite=overwrite, mark="diagnosis.json")
@@ -72,11 +73,12 @@ def diagnose(
     if as_json:
         typer.echo(json.dumps(result.to_json(), indent=2, ensure_ascii=False))
         return
+    output.print(headline(result), markup=False, highlight=False)
     for table in summary_tables(result):
         output.print(table)
     for note in result.notes:
         output.print(f"note: {note}")
-    output.print(f"{result.seconds:.1f} s, {result.rollouts:.0f} replays; written to {out}")
+    output.print(f"{result.seconds:.1f} s, {result.rollouts:.0f} replays; {out}/diagnosis.html")
 
 
 def _self_test(folder: Path, count: int, seed: int, as_json: bool) -> None:

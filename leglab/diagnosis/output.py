@@ -96,9 +96,9 @@ def summary_tables(result: Diagnosis) -> list[Table]:
     """Verdict, effects and gaps for the terminal."""
     head = Table(title=f"verdict: {result.verdict}", title_justify="left")
     for name in ("effect", "element", "parameter", "value", "95 % interval", "nominal"):
-        head.add_column(name)
+        head.add_column(name, overflow="fold")
     for name in ("confidence", "contribution", "not told apart from"):
-        head.add_column(name)
+        head.add_column(name, overflow="fold")
     for effect in result.effects:
         first = True
         for p in effect.parameters:

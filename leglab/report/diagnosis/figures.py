@@ -1,6 +1,7 @@
 """Figures of a diagnosis: gaps, screening, rivals. Residuals are in `residuals`."""
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -49,10 +50,12 @@ def look() -> Iterator[None]:
         yield
 
 
-def short(name: str) -> str:
-    """A name that fits beside an axis."""
-    name = " ".join(name.split())
-    return name if len(name) <= _LONGEST else f"{name[: _LONGEST - 1]}…"
+def short(name: str, most: int = _LONGEST) -> str:
+    """A name that fits beside an axis: without its file type, cut in the middle."""
+    name = re.sub(r"\.(parquet|csv|mcap)$", "", " ".join(name.split()))
+    if len(name) <= most:
+        return name
+    return f"{name[: most // 2]}…{name[len(name) - (most - most // 2 - 1) :]}"
 
 
 def gap_picture(result: Diagnosis) -> Picture | None:
@@ -121,7 +124,8 @@ def ranking_picture(result: Diagnosis) -> Picture | None:
         total = _HEAD + sum(heights) + (0.3 + _FOOT) * len(shown)
         figure = Figure(figsize=(WIDTH, total))
         top = total - _HEAD - 0.3
-        left = 2.9
+        labels = [_rank_label(rank) for _, ranks in shown for rank in ranks]
+        left = 0.07 * max(len(label) for label in labels) + 0.25
         for (round_, ranks), height in zip(shown, heights, strict=True):
             axes = _axes(figure, (left, top - height, WIDTH - left - 0.35, height))
             _draw_ranks(axes, ranks, named, tied)
@@ -189,13 +193,17 @@ def _best(ranks: Sequence[Rank]) -> list[Rank]:
     return sorted(useful, key=lambda r: -r.gain)[:_MOST_RANKS]
 
 
+def _rank_label(rank: Rank) -> str:
+    return f"{short(readable(rank.name))}, {short(rank.element, _LONGEST // 2)}"
+
+
 def _draw_ranks(
     axes: Axes, ranks: Sequence[Rank], named: set[tuple[str, str]], tied: set[str]
 ) -> None:
     threshold = ranks[0].threshold
     marked = math.isfinite(threshold) and threshold > 0.0
     _log(axes, [*(r.gain for r in ranks), threshold])
-    _label(axes, [f"{short(readable(r.name))}, {short(r.element)}" for r in ranks])
+    _label(axes, [_rank_label(r) for r in ranks])
     if marked:
         axes.axvline(threshold, color=VERMILION, linestyle="--", linewidth=1.0)
     for i, rank in enumerate(ranks):

@@ -113,7 +113,7 @@ def _over_time(traces: Sequence[ResidualTrace], name: str, held: set[str]) -> Pi
             star = " *" if trace.recording in held else ""
             # On the right, where no tick labels are.
             row[1].yaxis.set_label_position("right")
-            row[1].set_ylabel(short(trace.recording) + star, rotation=0, ha="left", va="center")
+            row[1].set_ylabel(short(trace.recording, 16) + star, rotation=0, ha="left", va="center")
             row[0].set_ylabel(f"[{unit}]")
         for axes in grid[-1]:
             axes.set_xlabel("time [s]")
