@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from leglab.diagnosis.result import Diagnosis, Rank, Rivals
-from leglab.report.diagnosis.words import listed, number, readable
+from leglab.report.diagnosis.words import number, readable
 from leglab.report.style import BLUE, DARK_GREY, LIGHT_GREY, ORANGE, VERMILION, style
 
 WIDTH = 6.6  # inch: readable on a page and, scrolled sideways, on a phone
@@ -52,7 +52,8 @@ def look() -> Iterator[None]:
 
 def short(name: str, most: int = _LONGEST) -> str:
     """A name that fits beside an axis: without its file type, cut in the middle."""
-    name = re.sub(r"\.(parquet|csv|mcap)$", "", " ".join(name.split()))
+    name = "".join(c if c.isprintable() else "\ufffd" for c in " ".join(name.split()))
+    name = re.sub(r"\.(parquet|csv|mcap)$", "", name)
     if len(name) <= most:
         return name
     return f"{name[: most // 2]}…{name[len(name) - (most - most // 2 - 1) :]}"
@@ -66,7 +67,7 @@ def gap_picture(result: Diagnosis) -> Picture | None:
         return None
     floor = result.gap.noise_floor
     with look():
-        figure, axes = _rows([short(r.name) + (" *" if r.held_out else "") for r in rows], 1.5)
+        figure, axes = _rows([short(r.name, 44) + " *" * r.held_out for r in rows], 1.5)
         _log(axes, [floor, *(v for r in rows for v in (r.before, r.baseline, r.after))])
         axes.axvline(floor, color=DARK_GREY, linestyle="--", linewidth=1.0, zorder=1)
         for i, row in enumerate(rows):
@@ -133,13 +134,9 @@ def ranking_picture(result: Diagnosis) -> Picture | None:
             axes.set_title(f"round {round_}" + (f", best {len(ranks)}" if rest else ""))
             axes.set_xlabel("chi-square saved on first trial")
             top -= height + 0.3 + _FOOT
-        legend = [_mark("named", BLUE)]
-        legend += [_mark("not told apart", ORANGE)] if tied else []
-        legend += [
-            _mark("other", LIGHT_GREY),
-            Line2D([], [], color=VERMILION, linestyle="--", label="chance, 1 in 100"),
-        ]
-        _head(figure, "Which effect helps, on first trial", legend)
+        others = [_mark("not told apart", ORANGE)] * bool(tied) + [_mark("other", LIGHT_GREY)]
+        chance = Line2D([], [], color=VERMILION, linestyle="--", label="chance, 1 in 100")
+        _head(figure, "Which effect helps, on first trial", [_mark("named", BLUE), *others, chance])
     return Picture(
         name="ranking",
         figure=figure,
@@ -179,13 +176,12 @@ def rivals_picture(result: Diagnosis) -> Picture | None:
         figure=figure,
         caption="Percent of resampled data sets in which the effect of the row explains the "
         "recordings better than that of the column; near 50 they are not told apart.",
-        alt=" ".join(f"Round {r.round}: {r.names[0]} beats {listed(_beaten(r))}." for r in rounds),
+        alt=" ".join(
+            f"Round {r.round}: {r.names[0]} beats {name} in {share:.0%}."
+            for r in rounds
+            for name, share in zip(r.names[1:], r.preference[0, 1:], strict=True)
+        ),
     )
-
-
-def _beaten(rivals: Rivals) -> tuple[str, ...]:
-    others = zip(rivals.names[1:], rivals.preference[0, 1:], strict=True)
-    return tuple(f"{name} in {share:.0%}" for name, share in others)
 
 
 def _best(ranks: Sequence[Rank]) -> list[Rank]:

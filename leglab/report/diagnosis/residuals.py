@@ -185,12 +185,12 @@ def _titles(
     unit: str,
     limits: tuple[float, float],
 ) -> None:
-    first.set_title(f"before: {number(rms([before]))} {unit} RMS", color=VERMILION)
+    first.set_title(f"before: {number(rms([before]))} {unit} RMS", color=VERMILION, fontsize=9)
     text = f"after: {number(rms([after]))} {unit} RMS"
     finer = limits[0] / limits[1]
     if finer > 1.0:
         text += f", scale {number(finer, 2)} times finer"
-    second.set_title(text, color=BLUE)
+    second.set_title(text, color=BLUE, fontsize=9)
 
 
 def _alt(channel: str, before: np.ndarray, after: np.ndarray, unit: str) -> str:
