@@ -39,8 +39,8 @@ def diagnose(
 ) -> None:
     """Finds the physical effect that a simulation lacks, from measured recordings.
 
-    Writes diagnosis.json and improved.xml, the model with the effect, and shows the gap on
-    recordings that were not used to find it.
+    Writes diagnosis.json, improved.xml (the model with the effect), figures and the page
+    diagnosis.html, and shows the gap on recordings that were not used to find it.
     """
     if self_test:
         _self_test(out, cases, seed, as_json)
@@ -48,7 +48,6 @@ def diagnose(
     if model is None or not recordings:
         raise LeglabError("diagnose needs a model and at least one recording, or --self-test")
     from leglab.diagnosis.output import (
-        check_folder,
         summary_lines,
         summary_tables,
         write_diagnosis,
@@ -57,8 +56,11 @@ def diagnose(
     from leglab.diagnosis.recordings import read_recordings, split_held_out
     from leglab.diagnosis.verdict import diagnose as run_diagnosis
     from leglab.diagnosis.workflow import Settings
+    from leglab.report.diagnosis.page import write_page
+    from leglab.report.diagnosis.words import headline
+    from leglab.report.run_folder import check_folder
 
-    check_folder(out, overwrite=overwrite)
+    check_folder(out, overwrite=overwrite, mark="diagnosis.json")
     named = read_recordings(recordings, columns)
     named, held = split_held_out(model, named, held_out or [])
     settings = Settings(effects=tuple(effect) if effect else None, seed=seed)
@@ -75,14 +77,16 @@ def diagnose(
     improved = write_improved(found, out)
     result = result.with_model(improved.name)
     write_diagnosis(result, out)
+    write_page(result, out, model=Path(model).stem)
     if as_json:
         typer.echo(json.dumps(result.to_json(), indent=2, ensure_ascii=False))
         return
+    output.print(headline(result), markup=False, highlight=False)
     for table in summary_tables(result):
         output.print(table)
     for line in summary_lines(result):
         output.print(line, markup=False)
-    output.print(f"{result.seconds:.1f} s, {result.rollouts:.0f} replays; written to {out}")
+    output.print(f"{result.seconds:.1f} s, {result.rollouts:.0f} replays; {out}/diagnosis.html")
 
 
 def _self_test(folder: Path, count: int, seed: int, as_json: bool) -> None:

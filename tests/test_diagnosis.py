@@ -14,12 +14,7 @@ from leglab.diagnosis.experiment import catalogue, propose
 from leglab.diagnosis.gate import check_recordings
 from leglab.diagnosis.hypothesis import Hypothesis, Library
 from leglab.diagnosis.machine import Machine
-from leglab.diagnosis.output import (
-    check_folder,
-    reloaded_error,
-    write_diagnosis,
-    write_improved,
-)
+from leglab.diagnosis.output import reloaded_error, write_diagnosis, write_improved
 from leglab.diagnosis.recordings import read_recordings, split_held_out
 from leglab.diagnosis.search import window_cost
 from leglab.diagnosis.series import Channel
@@ -294,12 +289,6 @@ def test_command_line_writes_verdict_and_model(tmp_path, capsys):
     content = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert content["model"] == "improved.xml"
     mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "improved.xml"))
-    with pytest.raises(LeglabError, match="holds a diagnosis already"):
-        check_folder(tmp_path / "out", overwrite=False)
-    (tmp_path / "other").mkdir()
-    (tmp_path / "other" / "thesis.tex").write_text("")
-    with pytest.raises(LeglabError, match="holds something else"):
-        check_folder(tmp_path / "other", overwrite=True)
 
 
 def test_without_pressures_a_late_command_and_a_late_sensor_are_one():

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from leglab.diagnosis.effects.joints import unit
 from leglab.diagnosis.fitting import Fit
 from leglab.diagnosis.hypothesis import Hypothesis
 from leglab.diagnosis.problem import Problem
@@ -69,7 +70,7 @@ def traces(problem: Problem, final: Hypothesis) -> tuple[ResidualTrace, ...]:
                 ResidualTrace(
                     recording=series.name,
                     channel=channel.column,
-                    unit="Pa" if channel.chamber else "rad or m",
+                    unit="Pa" if channel.chamber else unit(problem.machine, channel.joint),
                     time=series.time[index],
                     position=q[index],
                     velocity=np.gradient(q, period)[index],

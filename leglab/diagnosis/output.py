@@ -16,23 +16,6 @@ from leglab.diagnosis.workflow import Search
 from leglab.errors import LeglabError
 
 
-def check_folder(folder: Path, *, overwrite: bool) -> None:
-    """Makes sure that an output folder is new, empty, or an earlier diagnosis to overwrite.
-
-    Raises:
-        LeglabError: It holds something else, or an earlier diagnosis that is to be kept.
-    """
-    if not folder.exists():
-        return
-    if not folder.is_dir():
-        raise LeglabError(f"{folder} is a file; allowed: a folder")
-    if any(folder.iterdir()):
-        if not (folder / "diagnosis.json").exists():
-            raise LeglabError(f"{str(folder)!r} holds something else: it is left as it is")
-        if not overwrite:
-            raise LeglabError(f"{str(folder)!r} holds a diagnosis already; --overwrite replaces it")
-
-
 def write_diagnosis(result: Diagnosis, folder: Path) -> Path:
     """Writes DIR/diagnosis.json and returns its path."""
     path = folder / "diagnosis.json"

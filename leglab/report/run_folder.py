@@ -10,18 +10,23 @@ from leglab.report.figures import save_run_figures
 from leglab.runner import Run
 
 
-def check_folder(folder: Path, *, overwrite: bool = False) -> None:
+def check_folder(folder: Path, *, overwrite: bool = False, mark: str = "metrics.json") -> None:
     """Refuses a folder that exists, before any work is done.
 
+    Args:
+        folder: Where results shall go.
+        overwrite: Whether earlier results may be replaced.
+        mark: File by which a folder with earlier results is known.
+
     Raises:
-        LeglabError: If it exists and may not be replaced, or is no folder of a run.
+        LeglabError: If it exists and may not be replaced, or holds something else.
     """
     if not folder.exists():
         return
     if not overwrite:
         raise LeglabError(f"output folder {str(folder)!r} exists; remove it or give --overwrite")
-    if not folder.is_dir() or (any(folder.iterdir()) and not (folder / "metrics.json").exists()):
-        raise LeglabError(f"{str(folder)!r} is not the folder of a run: it is left as it is")
+    if not folder.is_dir() or (any(folder.iterdir()) and not (folder / mark).exists()):
+        raise LeglabError(f"{str(folder)!r} holds no {mark}: it is left as it is")
 
 
 def write_run(run: Run, folder: Path, *, overwrite: bool = False, figures: bool = True) -> Path:
