@@ -31,9 +31,9 @@ ALL = (
 )
 HEADER = """# What adapting gains
 
-Made by `python benchmarks/adaptation_claims.py --write FILE`; not to be edited by hand. RMS errors
-over joints and time in mrad, of the true positions; 95 % intervals over seeds. `before` starts at
-5 s, `end` is the last 5 s.
+Made by `python benchmarks/adaptation_claims.py{seeds} --write FILE`; not to be edited.
+RMS errors over joints and time in mrad, of the true positions; 95 % intervals over seeds. `before`
+starts at 5 s, `end` is the last 5 s.
 
 """
 
@@ -163,7 +163,8 @@ def main() -> None:
             console.print(table.rich())
             page.append(table.markdown())
     if options.write:
-        options.write.write_text(HEADER + "\n\n".join(page) + "\n")
+        seeds = f" --seeds {options.seeds}" if options.seeds else ""
+        options.write.write_text(HEADER.format(seeds=seeds) + "\n\n".join(page) + "\n")
 
 
 if __name__ == "__main__":
