@@ -231,7 +231,14 @@ def test_the_command_writes_table_figures_and_json(tmp_path, capsys):
 def test_an_interrupted_comparison_keeps_what_is_done(tmp_path, group):
     command = [sys.executable, "-m", "leglab.cli", "compare", "seal_wear", "--out", str(tmp_path)]
     command += ["--model", "knee_bench", "--controllers", "pd", "--seeds", "200", "--jobs", "2"]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    # A shell's background job passes on that it ignores Ctrl-C: not so this one.
+    process = subprocess.Popen(
+        command,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
     deadline = time.monotonic() + 120
     while len(list(tmp_path.glob("runs/seal*.json"))) < 2 and time.monotonic() < deadline:
         time.sleep(0.05)
