@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from leglab.diagnosis.fitting import Fit, refit
+from leglab.diagnosis.fitting import Fit
 from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.problem import Problem
-from leglab.diagnosis.search import sharpen, window_cost
+from leglab.diagnosis.search import baseline, sharpen, window_cost
 
 # The first part of every recording is taken for healthy ...
 _EARLY = 0.25
@@ -37,7 +37,7 @@ def suspected_onset(problem: Problem, chosen: np.ndarray) -> tuple[np.ndarray, F
     early &= problem.fitted
     if early.sum() < _LEAST:
         return None
-    fit = _nuisance_fit(problem, early)
+    fit = baseline(problem, early)
     cost = window_cost(problem, fit.hypothesis)
     if cost[early].mean() > _HEALTHY:
         return None
@@ -56,7 +56,7 @@ def suspected_onset(problem: Problem, chosen: np.ndarray) -> tuple[np.ndarray, F
     every = max(1, round(before.sum() / max(chosen.sum(), 1)))
     healthy = np.zeros_like(before)
     healthy[np.flatnonzero(before)[::every]] = True
-    base = _nuisance_fit(problem, healthy).hypothesis
+    base = baseline(problem, healthy).hypothesis
     residual = problem.residual(base, chosen)
     return onsets, Fit(
         hypothesis=base,
@@ -102,22 +102,6 @@ def _with(fit: Fit, hypothesis: Hypothesis) -> Fit:
         cost=fit.cost,
         residual=fit.residual,
         tangents=fit.tangents,
-    )
-
-
-def _nuisance_fit(problem: Problem, chosen: np.ndarray) -> Fit:
-    nominal = Hypothesis()
-    residual = problem.residual(nominal, chosen)
-    tangents = problem.tangents(nominal, residual, chosen, problem.nuisances)
-    return refit(
-        problem,
-        nominal,
-        frozenset(),
-        chosen,
-        tangents,
-        problem.nuisances,
-        iterations=3,
-        residual=residual,
     )
 
 

@@ -76,8 +76,7 @@ class AdaptiveFeedforward:
     its output is the difference of that flow and the motion's own speed: what leaks, what is
     compressed, what load and oil take away. The reference drives the learner with the same shift in
     time, so whatever delay valve and oil have beyond it is learned as a dependence on the
-    derivatives. The core is C++ (`csrc/feedforward`); `tests/reference/feedforward.py` says the
-    same in NumPy.
+    derivatives. The core is C++ (`csrc/feedforward`); the tests say the same in NumPy.
 
     Args:
         inverse_map: Structure of the learner.
