@@ -60,15 +60,16 @@ class Schedule:
         Raises:
             LeglabError: If a change matches no element.
         """
-        last = self._scenario
-        before = {key: last.value_at(now, key[1], key[0], self._nominal[key]) for key in self._target}
-        self._begin(scenario)
-        for (element, parameter), value in before.items():
-            nominal = self._nominal[element, parameter]
-            wanted = scenario.value_at(now, parameter, element, nominal)
-            if wanted != value:
-                self._target[element, parameter].set_parameter(element, parameter, wanted)
         self.apply(now)
+        last = self._scenario
+        self._begin(scenario)
+        for (element, parameter), nominal in self._nominal.items():
+            # What stays as it was is not written: oil that has warmed up stays warm.
+            wanted = scenario.value_at(now, parameter, element, nominal)
+            if wanted != last.value_at(now, parameter, element, nominal):
+                self._target[element, parameter].set_parameter(element, parameter, wanted)
+        self.values = np.array([self._target[key].parameter(*key) for key in self.others])
+        self._previous = now
 
     def _begin(self, scenario: Scenario) -> None:
         self._scenario = scenario

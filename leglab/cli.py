@@ -13,6 +13,7 @@ from rich.table import Table
 from leglab import __version__
 from leglab.cli_compare import compare
 from leglab.cli_diagnose import diagnose
+from leglab.cli_view import view
 from leglab.errors import LeglabError
 from leglab.terminal import TOLERANCE, Json, Overwrite, errors, metrics_table, output, progress_bar
 
@@ -24,6 +25,7 @@ app = typer.Typer(
 )
 app.command()(compare)
 app.command()(diagnose)
+app.command()(view)
 
 
 def _version(wanted: bool) -> None:

@@ -43,8 +43,8 @@ class Episode:
             raise LeglabError(f"scenario {scenario.name!r} changes nothing, so it has no onset")
         if not (self.onset >= 0 and math.isfinite(self.onset)):
             raise LeglabError(f"onset {self.onset!r} s is not allowed, must be >= 0")
-        shift = self.onset - min(change.start for change in scenario.changes)
-        changes = tuple(replace(c, start=c.start + shift) for c in scenario.changes)
+        first = min(change.start for change in scenario.changes)
+        changes = tuple(replace(c, start=self.onset + (c.start - first)) for c in scenario.changes)
         return replace(scenario, changes=changes)
 
 
