@@ -3,7 +3,6 @@
 from typing import Any
 
 import gymnasium
-import numpy as np
 from shimmy.dm_control_compatibility import DmControlCompatibilityV0
 
 
@@ -35,11 +34,5 @@ class LegEnv(DmControlCompatibilityV0):
         step = self._env.reset()
         return dict(step.observation), {}
 
-    @property
-    def np_random(self) -> np.random.Generator:
-        """Gymnasium's own generator; the task draws from its own, seeded alike."""
-        return gymnasium.Env.np_random.fget(self)
-
-    @np_random.setter
-    def np_random(self, value: np.random.Generator) -> None:
-        self._np_random = value
+    # Gymnasium's own generator, which shimmy replaces by the task's; that one is seeded alike.
+    np_random = gymnasium.Env.np_random

@@ -58,6 +58,7 @@ class TrackingTask(Task):
         self._joints = reference_joints(preparation.nominal)
         self._zero = np.zeros(len(self._joints))
         self._machine: SampledMachine | None = None
+        self._command = self._previous = self._action = self._zero
         self.episode: Episode | None = None
         self._first: Episode | None = self._episodes.next()
         self._begin(self._first)
@@ -92,7 +93,8 @@ class TrackingTask(Task):
         """
         self._action = _checked_action(action, len(self._joints))
         wish = self._action if self._scale is None else self._wish + self._scale * self._action
-        self._previous, self._command = self._command, wish.clip(-1.0, 1.0)
+        self._previous = self._command
+        self._command = wish.clip(-1.0, 1.0)
         physics.data.ctrl[:] = self._command
 
     def after_step(self, physics: LegPhysics) -> None:
@@ -142,7 +144,7 @@ class TrackingTask(Task):
         """Bounds where they are known: of references by the joints, of commands by the valves."""
         low, high = (np.array([getattr(j, end) for j in self._joints]) for end in _ENDS)
         speed = np.array([joint.velocity_limit for joint in self._joints])
-        bounds = {
+        bounds: dict[str, _Bounds] = {
             "reference_position": (low, high),
             "reference_velocity": (-speed, speed),
             "reference_preview": (low, high),
@@ -231,9 +233,10 @@ class TrackingTask(Task):
 _ENDS = ("lower", "upper")
 
 
-def _spec(
-    name: str, value: np.ndarray, bounds: tuple[np.ndarray | float, np.ndarray | float] | None
-) -> specs.Array:
+_Bounds = tuple[np.ndarray | float, np.ndarray | float]
+
+
+def _spec(name: str, value: np.ndarray, bounds: _Bounds | None) -> specs.Array:
     if bounds is None:
         return specs.Array(value.shape, value.dtype, name=name)
     low, high = (np.broadcast_to(end, value.shape) for end in bounds)

@@ -2,6 +2,7 @@
 
 import contextlib
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -197,7 +198,7 @@ class Session:
 
 
 @contextlib.contextmanager
-def _without_warnings():
+def _without_warnings() -> Iterator[None]:
     # MuJoCo would write its warnings to a log file; the session checks what they warn of.
     mujoco.set_mju_user_warning(lambda warning: None)
     try:

@@ -2,6 +2,7 @@
 
 import os
 import queue
+import threading
 import time
 import warnings
 
@@ -22,8 +23,11 @@ close the window to end"""
 # GLFW's codes of the keys.
 SPACE, ENTER, BACKSPACE, HOME = 32, 257, 259, 268
 _FRAME = 1.0 / 60.0
-# Time that a frame may spend on the machine [s]; what it lacks then is not caught up.
-_BUDGET = 0.25
+# Bounds of the time that a frame may spend on the machine [s], as long as the frame before it;
+# what the machine lacks then is not caught up.
+_BUDGET = (0.25, 1.0)
+# How long the window's thread may take to end [s].
+_FAREWELL = 10.0
 
 
 class Window:
@@ -49,6 +53,7 @@ class Window:
         self.display = Display(session, model)
         self._keys: queue.SimpleQueue[int] = queue.SimpleQueue()
         self._paused, self._ghost = False, True
+        threads = set(threading.enumerate())
         # The callback comes from the window's thread.
         self.handle = mujoco.viewer.launch_passive(
             self.display.model,
@@ -56,6 +61,7 @@ class Window:
             key_callback=self._keys.put,
             show_left_ui=False,
         )
+        self._threads = set(threading.enumerate()) - threads
         camera = mujoco.mj_name2id(self.display.model, mujoco.mjtObj.mjOBJ_CAMERA, "three_quarter")
         if camera >= 0:
             self.handle.cam.type = mujoco.mjtCamera.mjCAMERA_FIXED
@@ -78,7 +84,8 @@ class Window:
         """Goes on by some time [s] and shows it."""
         session = self._session
         self._use_keys()
-        until, deadline = session.time + elapsed, time.monotonic() + _BUDGET
+        until = session.time + elapsed
+        deadline = time.monotonic() + min(max(elapsed, _BUDGET[0]), _BUDGET[1])
         while not self._paused and session.time < until and not session.failure:
             session.step()
             if time.monotonic() > deadline:
@@ -101,6 +108,9 @@ class Window:
     def close(self) -> None:
         """Closes the window."""
         self.handle.close()
+        # A process that ends while this thread still draws gets an error from the X server.
+        for thread in self._threads:
+            thread.join(_FAREWELL)
         self._session.close()
 
     def _use_keys(self) -> None:
