@@ -157,6 +157,10 @@ def test_sliders_do_not_touch_the_physics_of_the_viewers_model(name):
 def test_the_display_shows_the_machine_and_hears_sliders_pushes_and_resets():
     live = session(scenario="nominal")
     display = Display(live, "knee_bench")
+    assert not display.take_over()
+    mujoco.mj_resetData(display.model, display.data)
+    assert display.take_over()  # at time 0 too: the sliders are not the user's
+    display.reset_sliders()
     run_for(live, 0.2)
     display.show()
     np.testing.assert_array_equal(display.data.qpos, live.simulation.data.qpos)

@@ -12,6 +12,8 @@ _COLOURS = {
     "command": (0.85, 0.85, 0.85),
     "feed-forward": (0.4, 0.75, 1.0),
 }
+# Added to the time shown [s]: the viewer's own reset leaves 0, which a restart shows as well.
+_NOT_RESET = 1e-9
 # Points of a line; a moment each.
 _POINTS = 200
 # Size of a figure: share of the view's width and height, and what its text needs [px].
@@ -64,7 +66,7 @@ class Display:
     def show(self) -> None:
         """Takes over the machine's state."""
         source = self._session.simulation.data
-        self.data.time = source.time
+        self.data.time = source.time + _NOT_RESET
         for name in ("qpos", "qvel", "act", "plugin_state"):
             getattr(self.data, name)[:] = getattr(source, name)
         self.data.ctrl[: self._actuators] = source.ctrl
@@ -77,10 +79,11 @@ class Display:
             Whether the user reset the viewer's state: the session should restart.
         """
         session = self._session
-        if self.data.time != session.simulation.data.time:
+        if self.data.time != session.simulation.data.time + _NOT_RESET:
             return True
         for name, value in zip(session.sliders, self.data.ctrl[self._actuators :], strict=True):
             session.move(name, float(value))
+        self.reset_sliders()  # "Clear all" asks for 0, which is not in every range
         session.simulation.data.xfrc_applied[:] = self.data.xfrc_applied
         return False
 
