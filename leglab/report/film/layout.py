@@ -1,0 +1,54 @@
+"""Where everything is in the picture [px]."""
+
+from dataclasses import dataclass
+
+SIZE = (1280, 720)
+HEAD = 52  # height of the title above the panels
+HEADING = 36  # height of the heading of a panel, above its picture
+TRACES = 232  # height of the traces below them
+GAP = 4  # between panels
+GAUGES = 132  # width of the gauges at the left of a panel
+MAX_RUNS = 4
+
+
+@dataclass(frozen=True)
+class Rect:
+    """A part of the picture, right and bottom not included [px]."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+    @property
+    def width(self) -> int:
+        """[px]."""
+        return self.right - self.left
+
+    @property
+    def height(self) -> int:
+        """[px]."""
+        return self.bottom - self.top
+
+
+def panels(count: int) -> list[Rect]:
+    """Places of the machines, side by side and of one size."""
+    width = (SIZE[0] - GAP * (count - 1)) // count
+    bottom = SIZE[1] - TRACES
+    lefts = [round(i * (SIZE[0] - width) / max(count - 1, 1)) for i in range(count)]
+    return [Rect(left, HEAD + HEADING, left + width, bottom) for left in lefts]
+
+
+def leg_region(panel: Rect) -> tuple[float, float, float, float]:
+    """Left, right, bottom, top of what the leg may fill of a panel, from -1 to 1.
+
+    Changes and gauges keep to the left of it; in a wide panel the leg stands in the middle.
+    """
+    left = 2.0 * (GAUGES + 16) / panel.width - 1.0
+    return max(left, -0.45), min(0.94, -left if panel.width > 700 else 0.94), -0.93, 0.93
+
+
+def traces() -> tuple[Rect, Rect]:
+    """Places of the axes of error and command, their labels outside."""
+    top, bottom = SIZE[1] - TRACES + 40, SIZE[1] - 34
+    return Rect(64, top, 700, bottom), Rect(796, top, SIZE[0] - 24, bottom)
