@@ -8,8 +8,9 @@ from PIL import Image
 
 from leglab.report.film import framing, layout
 from leglab.report.film.look import PAPER, RUNS
+from leglab.report.film.machine import Machine
 from leglab.report.film.overlay import PanelWriter, draw_clock, draw_title, title_of
-from leglab.report.film.stage import Machine, Stage
+from leglab.report.film.stage import Stage
 from leglab.report.film.traces import CommandTrace, ErrorTrace
 from leglab.report.film.track import labels, load_track
 
@@ -79,8 +80,9 @@ class Picture:
         """Gives runs of one model the same camera, so that they can be compared."""
         for machine in self._machines.values():
             stages = [s for s, m in zip(self._stages, machines, strict=True) if m is machine]
-            points = np.concatenate([stage.extent(times) for stage in stages])
+            extents = [stage.extent(times) for stage in stages]
+            body = np.concatenate([points for points, _ in extents])
+            rest = np.concatenate([points for _, points in extents])
             region = layout.leg_region(self._panels[0])
-            view = stages[0].direction(camera)
-            for stage in stages:
-                stage.camera = framing.frame(points, view, size[0] / size[1], region)
+            view = framing.frame(body, stages[0].direction(camera), size[0] / size[1], region)
+            machine.open(view, np.concatenate([body, rest]))
