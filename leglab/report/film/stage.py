@@ -50,8 +50,8 @@ class Stage:
         """Points around all that moves at these times [s].
 
         Returns:
-            Corners of the leg and its ghost, and ends of cylinders and corners of the shadow, each
-            (n, 3) [m]: a good picture holds the first, and nothing outside of both ever changes.
+            Corners of the leg, its cylinders and its ghost, and corners of the shadow, each (n, 3)
+            [m]: a good picture holds the first, and nothing outside of both ever changes.
         """
         geoms = framing.moving_geoms(self._machine.model)
         body, rest = [], []
@@ -59,10 +59,8 @@ class Stage:
             self.place(float(time))
             for data in (self._data, self._reference):
                 body.append(framing.corners(self._machine.model, data, geoms))
-            rest += [
-                self._data.wrap_xpos.reshape(-1, 3).copy(),
-                self._machine.shadow.corners(self._data),
-            ]
+            body.append(self._machine.cylinders.ends(self._data))
+            rest.append(self._machine.shadow.corners(self._data))
         return np.concatenate(body), np.concatenate(rest)
 
     def direction(self, camera: str) -> framing.Direction:
