@@ -30,6 +30,7 @@ class Encoder:
     """
 
     def __init__(self, out: Path, size: tuple[int, int], rate: int) -> None:
+        program = _ffmpeg()
         self._out = out
         self._partial = out.with_name(f".{out.name}.partial.mp4")
         try:
@@ -41,7 +42,7 @@ class Encoder:
             raise LeglabError(f"{out}: cannot be written: {error.strerror}") from error
         width, height = size
         command = [
-            *(_ffmpeg(), "-hide_banner", "-loglevel", "error", "-y"),
+            *(program, "-hide_banner", "-loglevel", "error", "-y"),
             *("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(rate)),
             *("-i", "-", "-an", "-vf", "scale=out_color_matrix=bt709:out_range=tv"),
             *("-c:v", "libx264", "-preset", "fast", "-crf", "20", "-pix_fmt", "yuv420p"),
