@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from leglab import data
+from leglab.cli import main
 from leglab.errors import LeglabError
 from leglab.recording import Recording
 from leglab.report.film import layout, render_film
@@ -78,7 +79,7 @@ def stills(runs, tmp_path_factory):
     span = [0.0, LENGTH]
     jobs = {
         "pd": (["pd"], span, [0.9, 1.1]),
-        "start": (["pd"], span, [0.0]),
+        "seconds": (["pd"], span, [0.0, 1.0]),
         "perfect": (["perfect"], span, [0.9]),
         "chambers": (["cap", "rod"], span, [0.5]),
         "mixed": (["pd", "static", "half", "short"], span, [0.5, 1.5]),
@@ -191,10 +192,10 @@ def test_seal_leakage_is_that_of_the_machine(runs):
 
 
 def test_frames_do_not_depend_on_the_process_that_draws_them(runs, stills):
-    job = {"folders": [str(runs["pd"])], "times": [0.0, 1.1], "last": LENGTH}
-    job["camera"] = "three_quarter"
+    job = {"folders": [str(runs["pd"])], "camera": "three_quarter"}
+    job |= {"start": 0.0, "last": LENGTH, "frames": 2, "rate": 1.0}
     frames = list(draw_frames(job, backend="egl", count=2, frame_size=3 * 1280 * 720))
-    for frame, expected in zip(frames, (stills["start"][0], stills["pd"][1]), strict=True):
+    for frame, expected in zip(frames, stills["seconds"], strict=True):
         assert np.array_equal(np.frombuffer(frame, np.uint8).reshape(720, 1280, 3), expected)
 
 
@@ -250,11 +251,14 @@ def test_a_missing_library_is_said_with_the_line_that_installs_it(runs, tmp_path
 
 
 @pytest.mark.skipif(not ctypes.util.find_library("OSMesa"), reason="libosmesa6 is not installed")
-def test_osmesa_steps_in_for_egl(runs, tmp_path, monkeypatch):
+def test_osmesa_steps_in_for_egl(runs, tmp_path, monkeypatch, capsys):
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     monkeypatch.setenv("PYOPENGL_PLATFORM", "osmesa")  # which EGL does not accept
-    path = render_film([runs["pd"]], tmp_path / "film.mp4", duration=0.1)
-    assert path.stat().st_size > 5000
+    out = tmp_path / "film.mp4"
+    main(["video", str(runs["pd"]), "--out", str(out), "--duration", "0.1", "--json"])
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["film"] == str(out)
+    assert printed["bytes"] == out.stat().st_size > 5000
 
 
 def test_a_full_disk_is_said(tmp_path):
