@@ -14,6 +14,7 @@ import imageio_ffmpeg
 from PIL import Image
 
 from leglab.report.film import SIZE, render_film
+from leglab.report.film.workers import draw_frames
 from leglab.report.run_folder import write_run
 from leglab.runner import RunSettings, run_scenario
 
@@ -25,15 +26,23 @@ CLIP_LIMIT, STILL_LIMIT = 2_000_000, 300_000  # bytes
 
 
 def make_runs(folder: Path) -> dict[str, Path]:
-    """Simulates the runs that are shown, by name."""
+    """Simulates the runs that are shown, unless they are there; their folders by name."""
     wanted = {name: RunSettings(scenario="seal_wear", controller=name) for name in CONTROLLERS}
     wanted["cold"] = RunSettings(
         scenario="cold_oil", controller="bsnn_arx", model="leg_rail", reference="squat"
     )
-    return {
-        name: write_run(run_scenario(settings), folder / name, figures=False)
-        for name, settings in wanted.items()
-    }
+    for name, settings in wanted.items():
+        if not (folder / name).exists():
+            write_run(run_scenario(settings), folder / name, figures=False)
+    return {name: folder / name for name in wanted}
+
+
+def still(folders: list[Path], span: tuple[float, float], time: float) -> Image.Image:
+    """One frame of the film that shows a span [s]."""
+    job = {"folders": [str(folder) for folder in folders], "camera": "three_quarter"}
+    job |= {"start": span[0], "last": span[1], "frames": 2, "rate": 1.0 / (time - span[0])}
+    *_, frame = draw_frames(job, backend="egl", count=1, frame_size=3 * SIZE[0] * SIZE[1])
+    return Image.frombytes("RGB", SIZE, bytes(frame))
 
 
 def frames(film: Path) -> list[Image.Image]:
@@ -77,21 +86,18 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("docs/images"))
+    parser.add_argument("--runs", type=Path, help="keeps the runs there, and uses those found")
     arguments = parser.parse_args()
-    arguments.out.mkdir(parents=True, exist_ok=True)
+    out = arguments.out
+    out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as name:
-        runs = make_runs(Path(name))
-        film = Path(name) / "film.mp4"
-
-        def shown(names: tuple[str, ...], start: float, duration: float) -> list[Image.Image]:
-            folders = [runs[run] for run in names]
-            return frames(render_film(folders, film, start=start, duration=duration))
-
-        loop = shown(CONTROLLERS, *LOOP)
-        write_clip(loop, arguments.out / "seal_wear.webp")
-        write_still(loop[75], arguments.out / "film_side_by_side.webp")
-        write_still(shown(("bsnn_arx",), 9.0, 2.0)[50], arguments.out / "film_one_run.webp")
-        write_still(shown(("cold",), 9.0, 2.0)[50], arguments.out / "film_squat.webp")
+        runs = make_runs(arguments.runs or Path(name))
+        three, span = [runs[controller] for controller in CONTROLLERS], (LOOP[0], sum(LOOP))
+        write_still(still(three, span, 11.5), out / "film_side_by_side.webp")
+        write_still(still([runs["bsnn_arx"]], span, 11.5), out / "film_one_run.webp")
+        write_still(still([runs["cold"]], span, 11.5), out / "film_squat.webp")
+        film = render_film(three, Path(name) / "film.mp4", start=LOOP[0], duration=LOOP[1])
+        write_clip(frames(film), out / "seal_wear.webp")
 
 
 if __name__ == "__main__":
