@@ -13,6 +13,7 @@ from rich.table import Table
 from leglab import __version__
 from leglab.cli_compare import compare
 from leglab.cli_diagnose import diagnose
+from leglab.cli_video import video
 from leglab.cli_view import view
 from leglab.errors import LeglabError
 from leglab.terminal import TOLERANCE, Json, Overwrite, errors, metrics_table, output, progress_bar
@@ -25,6 +26,7 @@ app = typer.Typer(
 )
 app.command()(compare)
 app.command()(diagnose)
+app.command()(video)
 app.command()(view)
 
 
@@ -138,30 +140,6 @@ def list_names(as_json: Json = False) -> None:
         for name, summary in entries.items():
             table.add_row(f"  [bold]{name}[/bold]", summary)
         output.print(table)
-
-
-@app.command()
-def video(
-    folder: Annotated[Path, typer.Argument(help="Folder of a run.")],
-    out: Annotated[Path | None, typer.Option(help="MP4 file; default FOLDER/video.mp4.")] = None,
-    start: Annotated[float | None, typer.Option(help="First second shown.")] = None,
-    duration: Annotated[float | None, typer.Option(help="Seconds shown; default: all.")] = None,
-    camera: Annotated[str, typer.Option(help="Camera of the model.")] = "three_quarter",
-) -> None:
-    """Renders a run to MP4, headless, with EGL or OSMesa."""
-    from leglab.report.video import render_run
-
-    with progress_bar() as bar:
-        task = bar.add_task("rendering", total=1.0)
-        path = render_run(
-            folder,
-            out or folder / "video.mp4",
-            start=start,
-            duration=duration,
-            camera=camera,
-            progress=lambda share: bar.update(task, completed=share),
-        )
-    output.print(f"written to {path}")
 
 
 @app.command()

@@ -1,0 +1,127 @@
+"""Raw frames in, an H.264 file out."""
+
+import contextlib
+import os
+import subprocess
+import tempfile
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from leglab.errors import LeglabError
+
+# What explains a failure best comes first; ffmpeg is told to print nothing but errors.
+_TELLING = ("No space left", "Unknown encoder", "")
+
+
+class Encoder:
+    """Writes a film beside its place and moves it there when it is whole.
+
+    H.264 in yuv420p with its index at the front: any browser starts to play it at once. One thread,
+    so that the same frames give the same file.
+
+    Args:
+        out: The film; its folder is made.
+        size: Width and height [px].
+        rate: Frames a second.
+
+    Raises:
+        LeglabError: There is no ffmpeg, it cannot encode H.264, or the file cannot be written.
+    """
+
+    def __init__(self, out: Path, size: tuple[int, int], rate: int) -> None:
+        program = _ffmpeg()
+        self._out = out
+        self._partial = out.with_name(f".{out.name}.partial.mp4")
+        try:
+            out.parent.mkdir(parents=True, exist_ok=True)
+            if out.is_dir():
+                raise IsADirectoryError(21, "it is a folder")
+            self._partial.touch()
+        except OSError as error:
+            raise LeglabError(f"{out}: cannot be written: {error.strerror}") from error
+        width, height = size
+        command = [
+            *(program, "-hide_banner", "-loglevel", "error", "-y"),
+            *("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(rate)),
+            *("-i", "-", "-an", "-vf", "scale=out_color_matrix=bt709:out_range=tv"),
+            *("-c:v", "libx264", "-preset", "veryfast", "-crf", "20", "-pix_fmt", "yuv420p"),
+            *("-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709"),
+            *("-color_range", "tv", "-threads", "1", "-fflags", "+bitexact"),
+            *("-flags:v", "+bitexact", "-movflags", "+faststart", str(self._partial)),
+        ]
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115
+        try:
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._log
+            )
+        except OSError as error:
+            self._partial.unlink(missing_ok=True)
+            raise LeglabError(f"{program} cannot be run: {error.strerror}") from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def write(self, frame: bytes | bytearray) -> None:
+        """Adds a frame, RGB, row by row from the top.
+
+        Raises:
+            LeglabError: The encoder stopped, because the disk is full, for instance.
+        """
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(frame)
+        except OSError:
+            self._process.wait()
+            raise self._failure() from None
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        try:
+            if error is not None:
+                self._process.kill()
+            with contextlib.suppress(OSError):
+                assert self._process.stdin is not None
+                self._process.stdin.close()
+            status = self._process.wait()
+            if error is None:
+                if status or self._said():
+                    raise self._failure()
+                os.replace(self._partial, self._out)
+        finally:
+            self._partial.unlink(missing_ok=True)
+            self._log.close()
+
+    def _said(self) -> str:
+        self._log.seek(0)
+        lines = self._log.read().decode(errors="replace").splitlines()
+        return next((line.strip() for word in _TELLING for line in lines if word in line), "")
+
+    def _failure(self) -> LeglabError:
+        said = self._said()
+        if "No space left" in said:
+            return LeglabError(f"{self._out}: cannot be written: no space left on the disk")
+        if "Unknown encoder" in said:
+            return LeglabError(
+                "this ffmpeg cannot encode H.264 (it has no libx264); unset IMAGEIO_FFMPEG_EXE "
+                "to use the one that comes with imageio-ffmpeg"
+            )
+        return LeglabError(f"{self._out}: cannot be encoded: {said or 'ffmpeg stopped early'}")
+
+
+def _ffmpeg() -> str:
+    try:
+        import imageio_ffmpeg
+
+        path = imageio_ffmpeg.get_ffmpeg_exe()
+    except (ImportError, RuntimeError):
+        path = ""
+    if not path or not os.access(path, os.X_OK):
+        raise LeglabError(
+            "no ffmpeg; install one with: pip install --force-reinstall imageio-ffmpeg"
+        )
+    return path

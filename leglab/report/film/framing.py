@@ -1,0 +1,147 @@
+"""Where the camera stands so that the moving parts fill their place in the picture."""
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from leglab.errors import unknown_name
+
+FIELD_OF_VIEW = 24.0  # vertical [degrees]; narrow, so that panels beside each other look alike
+DEFAULT_CAMERA = "three_quarter"
+_MARGIN = 10  # px
+
+
+@dataclass(frozen=True)
+class Direction:
+    """Where a camera looks, by MuJoCo's angles [degrees]."""
+
+    azimuth: float
+    elevation: float
+
+    def axes(self) -> np.ndarray:
+        """Right, up and forward of the picture as rows, (3, 3)."""
+        azimuth, elevation = math.radians(self.azimuth), math.radians(self.elevation)
+        forward = np.array(
+            [
+                math.cos(elevation) * math.cos(azimuth),
+                math.cos(elevation) * math.sin(azimuth),
+                math.sin(elevation),
+            ]
+        )
+        right = np.array([math.sin(azimuth), -math.cos(azimuth), 0.0])
+        return np.stack([right, np.cross(right, forward), forward])
+
+
+@dataclass(frozen=True)
+class Crop:
+    """A part of a picture, right and bottom not included [px]."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height [px]."""
+        return self.right - self.left, self.bottom - self.top
+
+    def apply(self, scene: mujoco.MjvScene, size: tuple[int, int]) -> None:
+        """Narrows the view of a scene to this part of a picture of `size` [px]."""
+        width, height = size
+        for eye in scene.camera:
+            pixel = (eye.frustum_top - eye.frustum_bottom) / height
+            top = eye.frustum_top
+            eye.frustum_center += pixel * 0.5 * (self.left + self.right - width)
+            eye.frustum_top = top - pixel * self.top
+            eye.frustum_bottom = top - pixel * self.bottom
+
+
+def direction(model: mujoco.MjModel, data: mujoco.MjData, camera: str) -> Direction:
+    """Direction of a camera of the model; the model's free camera where it lacks the usual one.
+
+    Raises:
+        LeglabError: The model has no camera of this name; lists those it has.
+    """
+    names = [model.camera(i).name for i in range(model.ncam)]
+    if camera not in names:
+        if camera != DEFAULT_CAMERA:
+            raise unknown_name("camera", camera, [*names, DEFAULT_CAMERA])
+        view = model.vis.global_
+        return Direction(float(view.azimuth), float(view.elevation))
+    forward = -data.cam_xmat[names.index(camera)].reshape(3, 3)[:, 2]
+    elevation = math.degrees(math.asin(float(np.clip(forward[2], -1.0, 1.0))))
+    return Direction(math.degrees(math.atan2(forward[1], forward[0])), elevation)
+
+
+def moving_geoms(model: mujoco.MjModel) -> np.ndarray:
+    """Indices of the geoms that are seen and can move."""
+    moving = model.body_weldid[model.geom_bodyid] != 0
+    return np.flatnonzero(moving & (model.geom_group < 3))
+
+
+def corners(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray) -> np.ndarray:
+    """Corners of the boxes around geoms [m], (8 geoms, 3)."""
+    signs = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, 8).T
+    boxes = model.geom_aabb[geoms]
+    local = boxes[:, None, :3] + signs[None] * boxes[:, None, 3:]
+    turned = np.einsum("gij,gkj->gki", data.geom_xmat[geoms].reshape(-1, 3, 3), local)
+    return (turned + data.geom_xpos[geoms][:, None]).reshape(-1, 3)
+
+
+def crop(points: np.ndarray, camera: mujoco.MjvCamera, size: tuple[int, int]) -> Crop:
+    """The part of a camera's picture in which points appear, with a margin.
+
+    Args:
+        points: [m], (n, 3), all in front of the camera.
+        camera: Made by `frame`.
+        size: Width and height of the picture [px].
+    """
+    axes = Direction(camera.azimuth, camera.elevation).axes()
+    x, y, z = axes @ (points - camera.lookat + camera.distance * axes[2]).T
+    width, height = size
+    scale = 0.5 * height / math.tan(math.radians(FIELD_OF_VIEW) / 2)
+    columns, rows = 0.5 * width + scale * x / z, 0.5 * height - scale * y / z
+    return Crop(
+        left=max(math.floor(columns.min()) - _MARGIN, 0),
+        top=max(math.floor(rows.min()) - _MARGIN, 0),
+        right=min(math.ceil(columns.max()) + _MARGIN, width),
+        bottom=min(math.ceil(rows.max()) + _MARGIN, height),
+    )
+
+
+def frame(
+    points: np.ndarray, view: Direction, aspect: float, region: tuple[float, float, float, float]
+) -> mujoco.MjvCamera:
+    """The nearest camera that sees all points inside a part of its picture.
+
+    A camera at c sees a point p inside x0 <= x <= x1 where p_x - x1 k p_z <= c_x - x1 k c_z and
+    p_x - x0 k p_z >= c_x - x0 k c_z in its own axes, k being half the width at unit distance. That
+    is linear in c, so the largest c_z follows in closed form, in each direction of the picture.
+
+    Args:
+        points: What shall be seen [m], (n, 3).
+        view: Where to look.
+        aspect: Width over height of the picture.
+        region: Left, right, bottom, top of the part, from -1 to 1.
+    """
+    axes = view.axes()
+    x, y, z = axes @ points.T
+    half = math.tan(math.radians(FIELD_OF_VIEW) / 2)
+    bounds, depth = [], math.inf
+    for values, k, (low, high) in ((x, half * aspect, region[:2]), (y, half, region[2:])):
+        least = float(np.min(values - low * k * z))
+        most = float(np.max(values - high * k * z))
+        depth = min(depth, (least - most) / ((high - low) * k))
+        bounds.append((least, most, low * k, high * k))
+    centre = [
+        0.5 * (least + low * depth + most + high * depth) for least, most, low, high in bounds
+    ]
+    distance = float(np.mean(z)) - depth
+    camera = mujoco.MjvCamera()
+    camera.type = mujoco.mjtCamera.mjCAMERA_FREE
+    camera.azimuth, camera.elevation, camera.distance = view.azimuth, view.elevation, distance
+    camera.lookat[:] = np.array([*centre, depth + distance]) @ axes
+    return camera

@@ -1,0 +1,65 @@
+"""Inks, fonts and the colour of a pressure."""
+
+import functools
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+from PIL import ImageFont
+
+from leglab.report.palette import SERIES, VERMILION
+
+Rgb = tuple[int, int, int]
+
+
+def rgb(color: str) -> Rgb:
+    """Red, green, blue in 0..255 of a colour such as "#0072B2"."""
+    return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)
+
+
+INK, SOFT, FAINT, PAPER = (24, 28, 34), (92, 100, 110), (222, 226, 231), (255, 255, 255)
+ALARM = rgb(VERMILION)
+TIMES = "\N{MULTIPLICATION SIGN}"
+RUNS = tuple(rgb(color) for color in SERIES)  # one a run
+GHOST = (0.02, 0.62, 0.80, 0.42)
+UNKNOWN = (0.55, 0.57, 0.60)
+
+# Blue, pink, yellow: saturated against light and dark alike, and their lightness grows steadily,
+# so that colour-blind readers see the order.
+_STOPS = np.array([0.0, 0.5, 1.0])
+_COLORS = np.array([[0.09, 0.27, 0.86], [0.88, 0.28, 0.55], [1.0, 0.85, 0.10]])
+
+
+def pressure_color(level: float | np.ndarray) -> np.ndarray:
+    """Colour of a pressure.
+
+    Args:
+        level: Pressure over that at the end of the colour bar, any shape; clipped to [0, 1].
+
+    Returns:
+        Red, green, blue in 0..1, shape (*level.shape, 3).
+    """
+    level = np.clip(np.asarray(level, dtype=float), 0.0, 1.0)
+    return np.stack([np.interp(level, _STOPS, _COLORS[:, i]) for i in range(3)], axis=-1)
+
+
+@functools.cache
+def font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
+    """The font of Matplotlib, which is there wherever leglab is."""
+    # Found, not imported: Matplotlib takes longer to import than some films to render.
+    spec = importlib.util.find_spec("matplotlib")
+    assert spec is not None
+    assert spec.origin is not None
+    name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
+    folder = Path(spec.origin).parent / "mpl-data" / "fonts" / "ttf"
+    return ImageFont.truetype(str(folder / name), size)
+
+
+def fitted(text: str, size: int, width: float, bold: bool = False) -> str:
+    """The text, cut off with an ellipsis where it would be wider than `width` [px]."""
+    face = font(size, bold)
+    if face.getlength(text) <= width:
+        return text
+    while text and face.getlength(text + "…") > width:
+        text = text[:-1]
+    return text.rstrip() + "…"

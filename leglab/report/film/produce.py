@@ -1,0 +1,113 @@
+"""From the folders of runs to a film."""
+
+import os
+from collections.abc import Callable, Generator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from leglab.errors import LeglabError
+from leglab.report.film.encoder import Encoder
+from leglab.report.film.framing import DEFAULT_CAMERA
+from leglab.report.film.layout import MAX_RUNS, SIZE
+from leglab.report.film.track import Track, load_track
+from leglab.report.film.workers import NoOpenGLError, draw_frames, worker_count
+
+FRAME_RATE = 30
+BACKENDS = ("egl", "osmesa")
+INSTALL_LINE = "sudo apt-get install -y libegl1 libgl1-mesa-dri"
+_FRAME_SIZE = 3 * SIZE[0] * SIZE[1]
+
+
+def render_film(
+    folders: Sequence[Path],
+    out: Path,
+    *,
+    start: float | None = None,
+    duration: float | None = None,
+    camera: str = DEFAULT_CAMERA,
+    progress: Callable[[float], None] | None = None,
+) -> Path:
+    """Renders runs side by side to an MP4 file: H.264, 1280 x 720, 30 frames a second.
+
+    MuJoCo chooses its OpenGL library when it is imported, so the rendering runs in processes of
+    its own: with EGL, or with OSMesa where EGL is missing; `MUJOCO_GL` set to one of them decides.
+    The same folders give the same frames.
+
+    Args:
+        folders: Folders of one to four runs; models, scenarios and lengths may differ.
+        out: The film, replaced as a whole.
+        start: First second shown; None for the beginning.
+        duration: Seconds shown; None for all that follow.
+        camera: Name of a camera of the models.
+        progress: Called with the share that is done.
+
+    Returns:
+        `out`.
+
+    Raises:
+        LeglabError: A folder is no run, the span lies outside the runs, no OpenGL library or
+            encoder is there (the message holds the line that installs one), or the film cannot be
+            written.
+    """
+    folders = [Path(folder) for folder in folders]
+    if not 1 <= len(folders) <= MAX_RUNS:
+        raise LeglabError(f"{len(folders)} runs side by side; allowed: 1 to {MAX_RUNS}")
+    first, last = _span([load_track(folder) for folder in folders], start, duration)
+    count = max(round((last - first) * FRAME_RATE), 1)
+    job = {
+        "folders": [str(folder) for folder in folders],
+        "start": first,
+        "frames": count,
+        "rate": FRAME_RATE,
+        "last": last,
+        "camera": camera,
+    }
+    frames = _frames(job)
+    # The first frame shows whether a film comes about at all, before any file is touched.
+    head = next(frames)
+    try:
+        with Encoder(Path(out), SIZE, FRAME_RATE) as encoder:
+            encoder.write(head)
+            for i, frame in enumerate(frames, start=2):
+                encoder.write(frame)
+                if progress:
+                    progress(i / count)
+            if progress:
+                progress(1.0)
+    finally:
+        frames.close()
+    return Path(out)
+
+
+def _frames(job: dict[str, Any]) -> Generator[bytearray, None, None]:
+    chosen = os.environ.get("MUJOCO_GL", "").lower()
+    reasons = []
+    for backend in (chosen,) if chosen in BACKENDS else BACKENDS:
+        count = worker_count(job["frames"])
+        try:
+            yield from draw_frames(job, backend=backend, count=count, frame_size=_FRAME_SIZE)
+            return
+        except NoOpenGLError as error:
+            reasons.append(str(error))
+    raise LeglabError(f"{'; '.join(reasons)}; install one with: {INSTALL_LINE}")
+
+
+def _span(
+    tracks: Sequence[Track], start: float | None, duration: float | None
+) -> tuple[float, float]:
+    """First and last time of the film [s]; a run that stopped early lasts as long as planned."""
+    earliest = min(track.start for track in tracks)
+    latest = max(track.end for track in tracks)
+    # A moment longer where a run stopped half way, for the picture to say so.
+    if any(track.stopped and track.end > latest - 1.0 for track in tracks):
+        latest = min(latest + 2.0, max(track.planned_end for track in tracks))
+    first = earliest if start is None else start
+    if duration is not None and not (duration > 0 and np.isfinite(duration)):
+        raise LeglabError(f"duration = {duration:g} s; allowed: more than 0")
+    if not earliest <= first < latest:
+        raise LeglabError(
+            f"start = {first:g} s; allowed: within the runs, {earliest:g} to {latest:g} s"
+        )
+    return first, latest if duration is None else min(first + duration, latest)

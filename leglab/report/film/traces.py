@@ -1,0 +1,262 @@
+"""Traces that run along with the motion: tracking error and feed-forward command."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from leglab.report.film.axes import (
+    draw_frame,
+    draw_time_labels,
+    nice_ticks,
+    polyline,
+    smooth_lines,
+)
+from leglab.report.film.layout import Rect
+from leglab.report.film.look import ALARM, SOFT, Rgb
+from leglab.report.film.track import Track
+
+_MILLI = 1e3
+_TILE = 512  # px
+_ALARM_LIGHT = tuple(round(255 - 0.35 * (255 - c)) for c in ALARM)
+
+
+class ErrorTrace:
+    """The moving RMS error of all runs over the whole film, on one logarithmic scale.
+
+    Args:
+        tracks: The runs.
+        colors: One a run.
+        rect: Where the axes are.
+        span: First and last time of the film [s].
+    """
+
+    def __init__(
+        self, tracks: Sequence[Track], colors: Sequence[Rgb], rect: Rect, span: tuple[float, float]
+    ) -> None:
+        self._rect, self._span, self._colors = rect, span, colors
+        self._tracks = tracks
+        self.errors = [_MILLI * track.moving_error() for track in tracks]
+        shown = [
+            error[(track.recording.time >= span[0]) & (track.recording.time <= span[1])]
+            for track, error in zip(tracks, self.errors, strict=True)
+        ]
+        values = np.concatenate(shown)
+        values = values[np.isfinite(values) & (values > 0)]
+        low, high = (values.min(), values.max()) if values.size else (1.0, 10.0)
+        self._low, self._high = _log_bounds(float(low), float(high))
+        windows = sorted({f"{track.window:.3g}" for track in tracks})
+        self._note = f"RMS of all joints over {' / '.join(windows)} s, mrad"
+        self._lines = smooth_lines((rect.width + 6, rect.height + 6), self._paint)
+
+    def x(self, time: float | np.ndarray) -> np.ndarray:
+        """Place of a time [px], from the left of the axes."""
+        first, last = self._span
+        return self._rect.width * (np.asarray(time) - first) / (last - first)
+
+    def y(self, error: float | np.ndarray) -> np.ndarray:
+        """Place of an error [mrad], in px from the top of the axes."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = (np.log10(error) - self._low) / (self._high - self._low)
+        return self._rect.height * (1.0 - np.clip(share, -0.02, 1.02))
+
+    def draw_static(self, image: Image.Image) -> None:
+        """Axes, and faint marks where something will change."""
+        rect, draw = self._rect, ImageDraw.Draw(image)
+        ticks = []
+        for exponent in range(int(np.floor(self._low)), int(np.ceil(self._high)) + 1):
+            for factor in (1, 2, 5):
+                value = factor * 10.0**exponent
+                if self._low - 1e-9 <= np.log10(value) <= self._high + 1e-9:
+                    wide = factor == 1 or self._high - self._low < 1.7
+                    ticks.append((rect.top + float(self.y(value)), f"{value:g}" if wide else ""))
+        draw_frame(draw, rect, "tracking error", ticks, self._note)
+        times = nice_ticks(*self._span, 9)
+        labels = [(rect.left + float(self.x(t)), f"{t:g} s") for t in times]
+        draw_time_labels(draw, rect, labels)
+        for start, _ in change_times(self._tracks, self._span):
+            x = rect.left + float(self.x(start))
+            draw.line((x, rect.top, x, rect.bottom), fill=_ALARM_LIGHT, width=1)
+
+    def draw(self, image: Image.Image, time: float) -> None:
+        """The traces up to a time [s]."""
+        rect = self._rect
+        now = int(np.clip(round(float(self.x(time))), 0, rect.width))
+        lines = self._lines.crop((0, 0, now + 1, self._lines.height))
+        image.paste(lines, (rect.left, rect.top), lines)
+        draw = ImageDraw.Draw(image)
+        _mark_changes(draw, rect, self._tracks, self._span, time, self.x)
+        _cursor(draw, rect, now)
+        for track, error, color in zip(self._tracks, self.errors, self._colors, strict=True):
+            value = error[track.row(time)]
+            if np.isfinite(value) and value > 0:
+                place = min(float(self.x(min(time, track.end))), rect.width)
+                _dot(image, rect.left + place, rect.top + float(self.y(value)), color)
+
+    def _paint(self, draw: ImageDraw.ImageDraw, scale: int) -> None:
+        for track, error, color in zip(self._tracks, self.errors, self._colors, strict=True):
+            times = track.recording.time
+            inside = (times >= self._span[0]) & (times <= self._span[1])
+            y = np.where(error > 0, self.y(error), np.nan)
+            polyline(draw, self.x(times)[inside], y[inside], color, scale)
+
+
+class CommandTrace:
+    """The feed-forward command of one joint, the last seconds of it moving past.
+
+    Where no run has a feed-forward, the valve command is shown.
+
+    Args:
+        tracks: The runs.
+        colors: One a run.
+        names: One a run, to say which have no feed-forward.
+        rect: Where the axes are.
+        span: First and last time of the film [s].
+    """
+
+    def __init__(
+        self,
+        tracks: Sequence[Track],
+        colors: Sequence[Rgb],
+        names: Sequence[str],
+        rect: Rect,
+        span: tuple[float, float],
+    ) -> None:
+        self._rect, self._tracks, self._colors = rect, tracks, colors
+        window = float(np.clip(2.5 * max(track.window for track in tracks), 1.0, 4.0))
+        self._window = min(window, max(span[1] - span[0], 0.2))
+        self._origin = span[0] - self._window
+        self._joint = _shown_joint(tracks)
+        self._signals = [track.column(f"{self._joint}_feedforward") for track in tracks]
+        self._title, self._note = "feed-forward command", self._joint.replace("_", " ")
+        without = [n for n, s in zip(names, self._signals, strict=True) if s is None]
+        if len(without) == len(tracks):
+            self._title, without = "valve command", []
+            self._signals = [
+                track.column(f"{self._joint}_command", f"{self._joint}_valve_command")
+                for track in tracks
+            ]
+        if without:
+            self._note += f"; {', '.join(without)}: none"
+        parts = [
+            np.abs(signal[track.row(span[0]) : track.row(span[1]) + 1])
+            for track, signal in zip(tracks, self._signals, strict=True)
+            if signal is not None
+        ]
+        parts = [part[np.isfinite(part)] for part in parts]
+        top = max((float(part.max()) for part in parts if part.size), default=0.0)
+        self._limit = 1.1 * (top or 1.0)
+        self._tiles: dict[int, Image.Image] = {}
+
+    def draw_static(self, image: Image.Image) -> None:
+        """Axes."""
+        rect = self._rect
+        values = nice_ticks(-self._limit, self._limit, 5)
+        ticks = [(rect.top + float(self._y(v)), f"{v:.3g}") for v in values]
+        draw_frame(ImageDraw.Draw(image), rect, self._title, ticks, self._note)
+
+    def draw(self, image: Image.Image, time: float) -> None:
+        """The last seconds before a time [s]; now is at the right."""
+        rect = self._rect
+        per_second = rect.width / self._window
+        shift = round((time - self._window - self._origin) * per_second)
+        for index in range(shift // _TILE, (shift + rect.width) // _TILE + 1):
+            tile = self._tile(index)
+            left = index * _TILE - shift
+            start, stop = max(0, -left), min(_TILE, rect.width - left)
+            if start < stop:
+                part = tile.crop((start, 0, stop, tile.height))
+                image.paste(part, (rect.left + left + start, rect.top), part)
+        draw = ImageDraw.Draw(image)
+
+        def x(t: float | np.ndarray) -> np.ndarray:
+            return rect.width - (time - np.asarray(t)) * per_second
+
+        span = (time - self._window, time)
+        ticks = [(rect.left + float(x(t)), f"{t:g} s") for t in nice_ticks(*span, 5)]
+        near = [(p, text) for p, text in ticks if rect.left + 14 < p < rect.right - 10]
+        draw_time_labels(draw, rect, near)
+        _mark_changes(draw, rect, self._tracks, span, time, x)
+        for track, signal, color in zip(self._tracks, self._signals, self._colors, strict=True):
+            if signal is not None and time <= track.end + 1e-9:
+                value = signal[track.row(time)]
+                if np.isfinite(value):
+                    _dot(image, rect.right, rect.top + float(self._y(value)), color)
+
+    def _y(self, value: float | np.ndarray) -> np.ndarray:
+        share = np.clip(np.asarray(value) / self._limit, -1.02, 1.02)
+        return self._rect.height * 0.5 * (1.0 - share)
+
+    def _tile(self, index: int) -> Image.Image:
+        """Pixels `index * _TILE` on, counted from a window before the film; kept while in use."""
+        if index not in self._tiles:
+            for old in [key for key in self._tiles if abs(key - index) > 3]:
+                del self._tiles[old]
+            self._tiles[index] = smooth_lines((_TILE, self._rect.height), self._painter(index))
+        return self._tiles[index]
+
+    def _painter(self, index: int) -> Callable[[ImageDraw.ImageDraw, int], None]:
+        per_second = self._rect.width / self._window
+
+        def paint(draw: ImageDraw.ImageDraw, scale: int) -> None:
+            for track, signal, color in zip(self._tracks, self._signals, self._colors, strict=True):
+                if signal is None:
+                    continue
+                x = (track.recording.time - self._origin) * per_second - index * _TILE
+                near = np.flatnonzero((x > -20) & (x < _TILE + 20))
+                if near.size > 1:
+                    polyline(draw, x[near], self._y(signal[near]), color, scale)
+
+        return paint
+
+
+def change_times(tracks: Sequence[Track], span: tuple[float, float]) -> list[tuple[float, float]]:
+    """Begin and end [s] of what changes within a span, each once."""
+    found = {(c.start, c.end) for track in tracks for c in track.changes}
+    return sorted((a, b) for a, b in found if a > 0 and b >= span[0] and a <= span[1])
+
+
+def _mark_changes(
+    draw: ImageDraw.ImageDraw,
+    rect: Rect,
+    tracks: Sequence[Track],
+    span: tuple[float, float],
+    now: float,
+    x: Callable[[float], np.ndarray],
+) -> None:
+    for start, _ in change_times(tracks, span):
+        if span[0] <= start <= now:
+            place = rect.left + round(float(x(start)))
+            draw.line((place, rect.top - 6, place, rect.bottom), fill=ALARM, width=2)
+            draw.polygon(
+                [(place - 5, rect.top - 12), (place + 6, rect.top - 12), (place, rect.top - 4)],
+                fill=ALARM,
+            )
+
+
+def _cursor(draw: ImageDraw.ImageDraw, rect: Rect, at: int) -> None:
+    x = rect.left + at
+    draw.line((x, rect.top, x, rect.bottom), fill=SOFT, width=1)
+
+
+def _dot(image: Image.Image, x: float, y: float, color: Rgb) -> None:
+    dot = smooth_lines((13, 13), lambda draw, k: _paint_dot(draw, k, color))
+    image.paste(dot, (round(x) - 6, round(y) - 6), dot)
+
+
+def _paint_dot(draw: ImageDraw.ImageDraw, scale: int, color: Rgb) -> None:
+    draw.ellipse((1 * scale, 1 * scale, 12 * scale, 12 * scale), fill=(255, 255, 255, 255))
+    draw.ellipse((2 * scale, 2 * scale, 11 * scale, 11 * scale), fill=(*color, 255))
+
+
+def _shown_joint(tracks: Sequence[Track]) -> str:
+    """The knee where all runs have one, or the first joint that all runs share."""
+    shared = [j for j in tracks[0].joints if all(j in track.joints for track in tracks)]
+    return "knee" if "knee" in shared else (shared or list(tracks[0].joints))[0]
+
+
+def _log_bounds(low: float, high: float) -> tuple[float, float]:
+    """Exponents of the axis: a little room, and a decade at least."""
+    low, high = np.log10(low) - 0.08, np.log10(high) + 0.08
+    missing = max(1.0 - (high - low), 0.0)
+    return low - 0.5 * missing, high + 0.5 * missing

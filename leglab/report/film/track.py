@@ -1,0 +1,241 @@
+"""What a film needs of one run: its recording, its changes and what follows from them."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from leglab import data, metrics
+from leglab.errors import LeglabError
+from leglab.recording import Recording
+from leglab.report.film.look import TIMES
+
+# A run counts as stopped early where it lacks more than this [s].
+_TOLERANCE = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class Change:
+    """A change of the machine as the film tells it.
+
+    Attributes:
+        start: When it begins [s].
+        end: When it is complete [s].
+        text: What changes, for instance "internal leakage x 10".
+    """
+
+    start: float
+    end: float
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Track:
+    """One run of a film.
+
+    Attributes:
+        folder: Where it lies.
+        settings: As in `run.json`.
+        recording: As recorded.
+        joints: Driven joints with a reference.
+        actuators: The actuator of each of them.
+        changes: In the order of their start.
+        elements: Parameters of each actuator at the start.
+        window: Of the moving error [s].
+        failure: Why the run stopped early; empty if it did not, or nobody knows.
+    """
+
+    folder: Path
+    settings: Mapping[str, Any]
+    recording: Recording
+    joints: tuple[str, ...]
+    actuators: tuple[str, ...]
+    changes: tuple[Change, ...]
+    elements: Mapping[str, Mapping[str, float]]
+    window: float
+    failure: str
+
+    @property
+    def start(self) -> float:
+        """First time recorded [s]."""
+        return float(self.recording.time[0])
+
+    @property
+    def end(self) -> float:
+        """Last time recorded [s]."""
+        return float(self.recording.time[-1])
+
+    @property
+    def planned_end(self) -> float:
+        """When the run was to end [s]."""
+        return float(self.settings.get("duration") or self.end)
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the run ended before its time."""
+        return bool(self.failure) or self.end < self.planned_end - _TOLERANCE
+
+    def row(self, time: float) -> int:
+        """Row of the sample that holds at a time [s], first or last one outside the run."""
+        rows = self.recording.time
+        return int(np.clip(np.searchsorted(rows, time + 1e-9, side="right") - 1, 0, len(rows) - 1))
+
+    def column(self, *names: str) -> np.ndarray | None:
+        """The first of these columns that is there, its gaps filled with the last value, (n,)."""
+        for name in names:
+            if name in self.recording:
+                return _filled(self.recording[name])
+        return None
+
+    def moving_error(self) -> np.ndarray:
+        """RMS tracking error of all joints over the window that ends at each sample [rad], (n,)."""
+        errors = []
+        for joint in self.joints:
+            position = self.column(f"{joint}_truth", f"{joint}_position")
+            reference = self.column(f"{joint}_reference")
+            assert position is not None
+            assert reference is not None
+            errors.append(position - reference)
+        return metrics.sliding_rms(self.recording.time, np.stack(errors, axis=1), self.window)
+
+    def seal_leakage(self) -> np.ndarray | None:
+        """Leakage of the seals over that of the new machine at one viscosity, (n, joints).
+
+        C over C_new = internal_leakage / (its value at the start) x clearance^3, docs/physics.md.
+        None where neither was recorded.
+        """
+        factors, known = [], False
+        for joint, actuator in zip(self.joints, self.actuators, strict=True):
+            factor = np.ones(len(self.recording))
+            leakage = self.column(f"{actuator}_internal_leakage")
+            new = self.elements.get(actuator, {}).get("internal_leakage", 0.0)
+            if leakage is not None and new > 0:
+                factor, known = factor * leakage / new, True
+            clearance = self.column(f"{joint}_seal_clearance")
+            if clearance is not None:
+                factor, known = factor * clearance**3, True
+            factors.append(factor)
+        return np.stack(factors, axis=1) if known else None
+
+    def oil_temperature(self) -> np.ndarray | None:
+        """Mean oil temperature of the cylinders [degC], (n,); None where it was not recorded."""
+        found = [
+            self.column(f"{joint}_oil_temperature", "oil_temperature") for joint in self.joints
+        ]
+        there = [values for values in found if values is not None]
+        return np.mean(there, axis=0) if there else None
+
+
+def load_track(folder: Path) -> Track:
+    """Reads the folder of a run.
+
+    Raises:
+        LeglabError: It is no such folder, or one of its files is damaged; names folder and file.
+    """
+    for name in ("run.json", "recording.parquet"):
+        if not (folder / name).exists():
+            raise LeglabError(f"{str(folder)!r} is not the folder of a run: it has no {name}")
+    run = _read_json(folder / "run.json")
+    settings = run.get("settings")
+    if not isinstance(settings, dict) or not {"model", "scenario", "controller"} <= set(settings):
+        raise LeglabError(
+            f"{folder / 'run.json'}: it has no settings with model, scenario, controller"
+        )
+    recording = data.read(folder / "recording.parquet")
+    elements = run.get("elements", {})
+    joints = tuple(joint for joint in recording.joints if f"{joint}_reference" in recording)
+    if not joints:
+        raise LeglabError(f"{str(folder)!r}: no joint of the recording has a reference")
+    failure = ""
+    if (folder / "metrics.json").exists():
+        failure = _read_json(folder / "metrics.json").get("failure") or ""
+    window = float(run.get("window") or 1.0)
+    return Track(
+        folder=folder,
+        settings=settings,
+        recording=recording,
+        joints=joints,
+        actuators=_actuators(joints, recording),
+        changes=_changes(run.get("changes", []), recording),
+        elements=elements,
+        window=min(window, max(0.25 * recording.duration, 1e-3)),
+        failure=failure,
+    )
+
+
+def details(tracks: list[Track]) -> list[str]:
+    """What tells the runs apart beside their controllers; empty where those suffice."""
+    shown: list[list[str]] = [[] for _ in tracks]
+    names = [str(track.settings["controller"]) for track in tracks]
+    scenarios = {track.settings["scenario"] for track in tracks}
+    # Severities of different scenarios have different units: they say nothing beside each other.
+    keys = ("scenario", "model", *(() if len(scenarios) > 1 else ("severity",)), "seed")
+    for key in keys:
+        values = [track.settings.get(key) for track in tracks]
+        if len({str(value) for value in values}) > 1:
+            prefix = f"{key} " if key in ("severity", "seed") else ""
+            for texts, value in zip(shown, values, strict=True):
+                text = f"{value:g}" if isinstance(value, float) else Path(str(value)).stem
+                texts.append(prefix + text.replace("_", " "))
+    found = [" · ".join(texts) for texts in shown]
+    if len(set(zip(names, found, strict=True))) < len(tracks):
+        found = [" · ".join([*t, r.folder.name]) for t, r in zip(shown, tracks, strict=True)]
+    return found
+
+
+def _filled(values: np.ndarray) -> np.ndarray:
+    good = np.isfinite(values)
+    if good.all() or not good.any():
+        return values
+    last = np.maximum.accumulate(np.where(good, np.arange(len(values)), 0))
+    filled = values[last]
+    filled[: np.argmax(good)] = values[np.argmax(good)]
+    return filled
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise LeglabError(f"{path}: cannot be read: {error}") from error
+    if not isinstance(content, dict):
+        raise LeglabError(f"{path}: a JSON object was expected")
+    return content
+
+
+def _actuators(joints: tuple[str, ...], recording: Recording) -> tuple[str, ...]:
+    """The actuator of each joint: those of our models are called after their joints."""
+    names = recording.actuators
+    return tuple(
+        next((n for n in names if n in (joint, f"{joint}_valve")), joint) for joint in joints
+    )
+
+
+def _changes(changes: list[dict[str, Any]], recording: Recording) -> tuple[Change, ...]:
+    units = _units()
+    told: dict[tuple[float, str], Change] = {}
+    for change in changes:
+        name, start = change["parameter"], float(change["start"])
+        if change["kind"] == "scale":
+            amount = f"{TIMES}{change['value']:.4g}"
+        else:
+            amount = f"{change['value']:.4g} {units.get(name, '')}".strip()
+        where = "" if change["element"] == "*" else f" ({change['element']})"
+        text = f"{name.replace('_', ' ')} {amount}{where}"
+        if start <= recording.time[-1]:
+            end = start + float(change.get("ramp_duration", 0.0))
+            told.setdefault((start, text), Change(start=start, end=end, text=text))
+    return tuple(sorted(told.values(), key=lambda change: change.start))
+
+
+def _units() -> dict[str, str]:
+    from leglab.parameters import plugin_tables
+
+    found = {"added_mass": "kg", "encoder_offset": "rad"}
+    for table in plugin_tables().values():
+        for name, entry in table.parameters.items():
+            found.setdefault(name, {"1": "", "degC": "°C"}.get(entry.unit, entry.unit))
+    return found

@@ -1,0 +1,119 @@
+"""Processes that draw frames at the same time; the frames come out in order."""
+
+import contextlib
+import fcntl
+import json
+import os
+import queue
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from typing import IO, Any
+
+from leglab.errors import LeglabError
+from leglab.report.film.worker import ERROR_MARK, NO_OPENGL
+
+_AHEAD = 6  # frames that a process may be ahead of the film
+_PIPE = 1 << 20  # bytes
+_LEAST_FRAMES = 20  # below this, another process takes longer to start than it saves
+
+
+class NoOpenGLError(LeglabError):
+    """The OpenGL library asked for is not there, or does not work."""
+
+
+def worker_count(frames: int) -> int:
+    """How many processes draw a film: one a core, fewer for a short one."""
+    return max(1, min(len(os.sched_getaffinity(0)), frames // _LEAST_FRAMES, 16))
+
+
+def draw_frames(
+    job: dict[str, Any], *, backend: str, count: int, frame_size: int
+) -> Iterator[bytearray]:
+    """Draws the frames of a job.
+
+    Args:
+        job: `folders`, `camera`, `start` and `last` time of the film [s], number of `frames` and
+            how many there are a second, `rate`.
+        backend: What MuJoCo renders with, "egl" or "osmesa".
+        count: Number of processes.
+        frame_size: Bytes of a frame.
+
+    Yields:
+        The frames in order, RGB.
+
+    Raises:
+        NoOpenGLError: The library is not there.
+        LeglabError: A run cannot be shown; or a process broke.
+    """
+    # One thread a process: the processes are the parallelism, and few cores do not thrash.
+    quiet = {"OMP_NUM_THREADS": "1", "LP_NUM_THREADS": "0", **os.environ, "MUJOCO_GL": backend}
+    workers = [_Worker({**job, "first": i, "step": count}, quiet, frame_size) for i in range(count)]
+    try:
+        for i in range(job["frames"]):
+            yield workers[i % count].next_frame()
+    finally:
+        for worker in workers:
+            worker.close()
+
+
+class _Worker:
+    def __init__(self, job: dict[str, Any], env: dict[str, str], frame_size: int) -> None:
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "leglab.report.film.worker", json.dumps(job)],
+            env=env,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=self._log,
+        )
+        assert self._process.stdout is not None
+        with contextlib.suppress(OSError, AttributeError):  # only Linux, and up to its limit
+            fcntl.fcntl(self._process.stdout.fileno(), fcntl.F_SETPIPE_SZ, _PIPE)
+        self._frames: queue.Queue[bytearray | None] = queue.Queue(_AHEAD)
+        self._closing = False
+        arguments = (self._process.stdout, frame_size)
+        self._reader = threading.Thread(target=self._read, args=arguments, daemon=True)
+        self._reader.start()
+
+    def next_frame(self) -> bytearray:
+        frame = self._frames.get()
+        if frame is None:
+            self._process.wait()
+            raise self._failure()
+        return frame
+
+    def close(self) -> None:
+        self._closing = True
+        self._process.kill()
+        self._process.wait()
+        while self._reader.is_alive():
+            with contextlib.suppress(queue.Empty):
+                self._frames.get(timeout=0.01)
+        assert self._process.stdout is not None
+        self._process.stdout.close()
+        self._log.close()
+
+    def _read(self, stream: IO[bytes], frame_size: int) -> None:
+        while not self._closing:
+            frame = bytearray(frame_size)
+            view, filled = memoryview(frame), 0
+            while filled < frame_size:
+                got = stream.readinto(view[filled:])  # type: ignore[attr-defined]
+                if not got:
+                    self._frames.put(None)
+                    return
+                filled += got
+            self._frames.put(frame)
+
+    def _failure(self) -> LeglabError:
+        self._log.seek(0)
+        lines = self._log.read().decode(errors="replace").strip().splitlines()
+        for line in lines:
+            if line.startswith(ERROR_MARK):
+                text = line.removeprefix(ERROR_MARK)
+                return NoOpenGLError(text) if text.startswith(NO_OPENGL) else LeglabError(text)
+        last = lines[-1] if lines else f"exit status {self._process.returncode}"
+        return LeglabError(f"rendering failed: {last}")
