@@ -279,7 +279,7 @@ def test_mcap_is_what_foxglove_opens(tmp_path):
         pressure = [
             (message.log_time, content.fluid_pressure)
             for _, _, message, content in reader.iter_decoded_messages(
-                topics="/knee_pressure_a", start_time=10 * 10**9, end_time=11 * 10**9
+                topics="/knee_pressure_a", starting_at=10 * 10**9, ending_before=11 * 10**9
             )
         ]
     assert len(pressure) == 500

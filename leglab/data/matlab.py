@@ -137,7 +137,7 @@ def _load(path: Path) -> dict[str, Any]:
 
 
 def _own_table(content: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], dict]:
-    names = _json(content, "name_map")
+    names: dict[str, str] = _json(content, "name_map")
     metadata = _json(content, "metadata") if "metadata" in content else {}
     if not all(isinstance(name, str) for name in names.values()):
         raise LeglabError("field 'name_map' of 'recording' gives a name that is no text")
@@ -214,7 +214,7 @@ def _describe(value: Any) -> str:
     return f"a {type(value).__name__}"
 
 
-def _json(content: Mapping[str, Any], field: str) -> dict:
+def _json(content: Mapping[str, Any], field: str) -> dict[str, Any]:
     try:
         found = json.loads(content[field])
         json.dumps(found, allow_nan=False)  # Reading takes NaN, which is not JSON.
