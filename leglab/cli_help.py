@@ -141,7 +141,7 @@ def execute(app: typer.Typer, arguments: Sequence[str]) -> None:
 
     Args:
         app: The application.
-        arguments: Of the shell; -v or --verbose anywhere before `--` adds the traceback of an error.
+        arguments: Of the shell; -v or --verbose, before any `--`, adds the traceback of an error.
 
     Raises:
         SystemExit: With a status of `EXIT_STATUS`, unless all is done.

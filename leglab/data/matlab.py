@@ -142,7 +142,7 @@ def _own_table(content: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], dict]
     if not all(isinstance(name, str) for name in names.values()):
         raise LeglabError("field 'name_map' of 'recording' gives a name that is no text")
     signals = content["signals"] if names else {}
-    units = content.get("units") if names else {}
+    units: Any = content.get("units") if names else {}
     if not isinstance(signals, dict):
         raise LeglabError("field 'signals' of 'recording' is not a struct")
     table = {"time": _vector(content["time"], "time")}
@@ -160,7 +160,7 @@ def _own_table(content: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], dict]
     _check_lengths(table)
     if isinstance(units, dict):
         known = own_units(metadata)
-        given = {names.get(field, field): unit for field, unit in units.items()}
+        given: dict[str, Any] = {names.get(f, f): unit for f, unit in units.items()}
         changed = {
             name: unit
             for name, unit in given.items()
