@@ -12,9 +12,17 @@ from rich.table import Table
 
 from leglab import __version__
 from leglab.cli_compare import compare
+from leglab.cli_conventions import (
+    BAD_INPUT,
+    FAILED,
+    INTERRUPTED,
+    Commands,
+    execute,
+    exit_status,
+    explain,
+)
 from leglab.cli_convert import convert, inspect
 from leglab.cli_diagnose import diagnose
-from leglab.cli_help import BAD_INPUT, FAILED, INTERRUPTED, Commands, execute, exit_status, explain
 from leglab.terminal import TOLERANCE, Json, Overwrite, errors, metrics_table, output, progress_bar
 
 app = typer.Typer(

@@ -14,6 +14,7 @@ from tests.test_data_fuzz import mutate, mutations, read_or_refuse
 from tests.test_interop import NAMES, example
 
 
+@settings(deadline=None)
 @given(names=st.lists(NAMES, unique=True, max_size=12))
 def test_field_names_are_allowed_and_different(names):
     fields = field_names(names)

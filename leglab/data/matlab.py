@@ -153,14 +153,14 @@ def _own_table(content: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], dict]
             raise LeglabError(f"field 'name_map' of 'recording' gives {name!r} twice")
         table[name] = _vector(signals[field], name)
     # Columns that somebody added in MATLAB.
-    for field in signals.keys() - names.keys():
+    for field in [field for field in signals if field not in names]:
         if field in table:
             raise LeglabError(f"'signals' holds {field!r} twice, by its field and by 'name_map'")
         table[field] = _vector(signals[field], field)
     _check_lengths(table)
     if isinstance(units, dict):
         known = own_units(metadata)
-        given: dict[str, Any] = {names.get(f, f): unit for f, unit in units.items()}
+        given = {str(names.get(f, f)): unit for f, unit in units.items()}
         changed = {
             name: unit
             for name, unit in given.items()
