@@ -181,14 +181,17 @@ def video(
 
 @app.command()
 def tune(
-    model: Annotated[list[str] | None, typer.Option(help="Models to tune; default: all.")] = None,
+    models: Annotated[
+        list[str] | None,
+        typer.Option("--model", help="Repeatable; default: knee_bench, leg, leg_rail."),
+    ] = None,
     write: Annotated[bool, typer.Option(help="Write the gains file of the package.")] = False,
     as_json: Json = False,
 ) -> None:
     """Finds the PD gains that keep 6 dB and 45 degrees of margin on the linearised plant."""
     from leglab.gains import TUNED_MODELS, gains_text
 
-    names = model or list(TUNED_MODELS)
+    names = models or list(TUNED_MODELS)
     with progress_bar() as bar:
         task = bar.add_task("tuning", total=None)
         text = gains_text(names, lambda label: bar.update(task, description=label))

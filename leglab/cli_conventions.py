@@ -67,8 +67,8 @@ EXAMPLES = {
 # The panel of an option in the help, by its name in Python.
 _PANELS = {
     "What runs": (
-        "scenario", "scenarios", "controller", "controllers", "model", "reference", "duration",
-        "severity", "ramp", "seed", "seeds", "timestep", "tolerance",
+        "scenario", "scenarios", "controller", "controllers", "model", "models", "reference",
+        "duration", "severity", "ramp", "seed", "seeds", "timestep", "tolerance",
     ),
     "Data": ("recordings", "held_out", "columns", "to"),
     "Output": ("out", "overwrite", "figures", "as_json", "markdown", "write"),
@@ -81,6 +81,7 @@ _COMPLETION: dict[str, Callable[[str], list[str]]] = {
     "controllers": cli_names.list_completion(cli_names.controllers),
     "reference": cli_names.completion(cli_names.references),
     "model": cli_names.path_completion(".xml", names=cli_names.models),
+    "models": cli_names.completion(cli_names.models),
     "effect": cli_names.completion(cli_names.effects),
     "to": cli_names.completion(cli_names.formats),
     "recordings": cli_names.path_completion(*cli_names.RECORDINGS),
