@@ -16,19 +16,23 @@ from leglab.data.units import unit_of
 from leglab.errors import LeglabError
 from leglab.recording import Recording
 
+# Not all of Unicode: its tables take Hypothesis seconds on a busy machine.
+CHARACTERS = st.sampled_from("aZ9_ .,;:'\"\\/[]{}%\t\n\x01äΩ膝\u2028😀")
+TEXT = st.text(CHARACTERS, max_size=5)
 NAMES = st.one_of(
     st.sampled_from(["knee_position", "knee_velocity", "knee_valve_command", "knee_pressure_a"]),
     st.sampled_from(["supply_pressure", "end", "Drehzahl für 2", "膝_command", "a/b", "x" * 70]),
-    st.text(st.characters(codec="utf-8", exclude_characters="\0"), min_size=1, max_size=8),
-).filter(lambda name: name != "time")
+    st.text(CHARACTERS, min_size=1, max_size=8),
+)
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False)
-    | st.text(max_size=5),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner),
+    | TEXT,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(TEXT, inner),
     max_leaves=5,
 )  # fmt: skip
 METADATA = st.dictionaries(
-    st.text(max_size=5).filter(lambda key: key not in {"units", "repairs", "alignment"}), JSON
+    TEXT.filter(lambda key: key not in {"units", "repairs", "alignment"}),
+    JSON,
 )
 
 
@@ -91,7 +95,7 @@ def test_time_series_keeps_every_bit(recording, tmp_path_factory):
         assert list(read.columns) == list(recording.columns)
 
 
-ONE_LINE = st.text(st.characters(codec="ascii", categories=["L", "N"]), min_size=1, max_size=4)
+ONE_LINE = st.text(st.sampled_from("abXY12"), min_size=1, max_size=4)
 
 
 @settings(max_examples=60, deadline=None)
@@ -103,8 +107,6 @@ ONE_LINE = st.text(st.characters(codec="ascii", categories=["L", "N"]), min_size
 )
 def test_plotjuggler_csv(recording, tmp_path_factory):
     path = tmp_path_factory.getbasetemp() / "any.csv"
-    if "time" in recording.columns:
-        return
     data.write(recording, path, "plotjuggler")
     header, *rows = path.read_text().splitlines()
     # The rules of PlotJuggler's loader, see leglab/data/plotjuggler.py.
