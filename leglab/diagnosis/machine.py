@@ -14,6 +14,7 @@ from leglab.errors import LeglabError, unknown_name
 from leglab.parameters import PluginTable
 
 CYLINDER = "leglab.cylinder"
+FRICTION = "leglab.joint_friction"
 SPRING = "leglab.spring_damper"
 
 Edit = tuple[Hashable, Callable[[mujoco.MjSpec], None]]
