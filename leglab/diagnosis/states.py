@@ -8,6 +8,7 @@ from scipy.signal import lfilter
 
 from leglab.diagnosis.change import Measured
 from leglab.diagnosis.machine import CYLINDER, FRICTION, Machine, Variant
+from leglab.diagnosis.paths import play
 
 # A bristle forgets over some tenths of a millimetre; this much history is enough.
 _BRISTLE_HISTORY = 0.5  # s
@@ -39,19 +40,6 @@ def reconstruct(machine: Machine, measured: Measured, variant: Variant, state: n
     for element, (_, table) in variant.elements.items():
         if table.plugin in _RULES:
             _RULES[table.plugin](machine, measured, variant, element, state)
-
-
-def play(samples: np.ndarray, width: float) -> np.ndarray:
-    """Output of a play (hysteresis) of full width, shape (n,), from the middle at the start."""
-    if width <= 0.0:
-        return samples
-    half = 0.5 * width
-    out = np.empty_like(samples)
-    value = samples[0]
-    for i, sample in enumerate(samples.tolist()):
-        value = min(max(value, sample - half), sample + half)
-        out[i] = value
-    return out
 
 
 def bristle(
