@@ -87,8 +87,8 @@ def start_states(
     measured: Measured,
     channels: tuple[Channel, ...],
     *,
-    pressures: np.ndarray | None,
-    nudge: Nudge | None,
+    pressures: np.ndarray | None = None,
+    nudge: Nudge | None = None,
 ) -> np.ndarray:
     """Full physics states at window starts, shape (windows, nstate).
 
