@@ -10,14 +10,14 @@ from leglab.diagnosis.blind.references import references
 from leglab.diagnosis.blind.selftest import Outcome, score_table
 from leglab.diagnosis.blind.trial import Case, cases, make
 from leglab.diagnosis.effects.base import Effect, EffectParameter, register
-from leglab.diagnosis.effects.command import delayed
 from leglab.diagnosis.judging import preferences, t_value
 from leglab.diagnosis.onset import _change
+from leglab.diagnosis.paths import delayed, play
 from leglab.diagnosis.problem import robust_cost
 from leglab.diagnosis.screening import Candidate
 from leglab.diagnosis.search import chance_gain
 from leglab.diagnosis.series import noise_level
-from leglab.diagnosis.states import bristle, play, spool
+from leglab.diagnosis.states import bristle, spool
 from leglab.diagnosis.steps import Sums, solve_step
 from leglab.errors import LeglabError
 
