@@ -7,6 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from leglab.configuration import Configuration
+from leglab.encoders import EncoderFaults
 from leglab.errors import LeglabError, unknown_name
 from leglab.parameters import Parameter
 
@@ -133,17 +134,27 @@ class Encoders:
         sensors: Resolution.
         count: Number of readings.
         seed: Of the losses.
+        built_in: Faults that the model carries from the start; None for none.
 
     Attributes:
         elements: Names of the joints.
-        shift: Offset of every reading so far [rad], (count, joints).
+        shift: What faults added to every reading so far [rad], (count, joints).
         lost: Which readings so far were lost, (count, joints).
     """
 
     def __init__(
-        self, joints: tuple[str, ...], sensors: SensorConfiguration, *, count: int, seed: int
+        self,
+        joints: tuple[str, ...],
+        sensors: SensorConfiguration,
+        *,
+        count: int,
+        seed: int,
+        built_in: EncoderFaults | None = None,
     ) -> None:
         self.elements = joints
+        self._built_in = built_in or None
+        self._period = sensors.control_period
+        self._shown = np.zeros((count if self._built_in else 0, len(joints)))
         self.shift = np.zeros((count, len(joints)))
         self.lost = np.zeros((count, len(joints)), dtype=bool)
         self._counts = sensors.encoder_counts
@@ -172,9 +183,13 @@ class Encoders:
 
     def read(self, k: int, position: np.ndarray) -> np.ndarray:
         """Returns the readings number `k` [rad], (joints,), of noisy positions [rad]."""
+        if self._built_in:
+            self._shown[k] = position
+            self.shift[k] = self._built_in.seen(self._shown[: k + 1], self._period) - position
         if self._faulty:
-            self.shift[k] = self._values[0]
+            self.shift[k] += self._values[0]
             self.lost[k] = self._chance[k] < self._values[1]
+        if self._built_in or self._faulty:
             position = position + self.shift[k]
         reading = quantise(position, self._counts)
         if self._faulty and k > 0:

@@ -5,6 +5,7 @@ import numpy as np
 from leglab.bodies import Bodies
 from leglab.changes import Schedule
 from leglab.control import Measurement
+from leglab.encoders import EncoderFaults
 from leglab.measurement import (
     Encoders,
     SensorConfiguration,
@@ -56,7 +57,10 @@ class SampledMachine:
         self.simulation = simulation
         self.period = period = sensors.control_period
         self.bodies = Bodies(simulation.model)
-        self.encoders = Encoders(simulation.joints, sensors, count=count, seed=seed)
+        built_in = EncoderFaults.of(simulation.model, simulation.joints)
+        self.encoders = Encoders(
+            simulation.joints, sensors, count=count, seed=seed, built_in=built_in
+        )
         self.schedule = Schedule(scenario, simulation, self.bodies, self.encoders)
         self._noise = np.random.default_rng(seed)
         self._position_noise = self._noise.normal(0.0, sensors.position_noise, (count, joints))

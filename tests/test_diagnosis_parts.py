@@ -10,14 +10,15 @@ from leglab.diagnosis.blind.references import references
 from leglab.diagnosis.blind.selftest import Outcome, score_table
 from leglab.diagnosis.blind.trial import Case, cases, make
 from leglab.diagnosis.effects.base import Effect, EffectParameter, register
-from leglab.diagnosis.effects.command import delayed
-from leglab.diagnosis.fitting import solve_step
 from leglab.diagnosis.judging import preferences, t_value
 from leglab.diagnosis.onset import _change
+from leglab.diagnosis.paths import delayed, play
+from leglab.diagnosis.problem import robust_cost
 from leglab.diagnosis.screening import Candidate
 from leglab.diagnosis.search import chance_gain
 from leglab.diagnosis.series import noise_level
-from leglab.diagnosis.states import bristle, play, spool
+from leglab.diagnosis.states import bristle, spool
+from leglab.diagnosis.steps import Sums, solve_step
 from leglab.errors import LeglabError
 
 
@@ -220,3 +221,16 @@ def test_scores_count_sets_and_false_alarms():
     assert not alarm.first
     table = score_table([right, tied, wrong, alarm, unknown])
     assert list(table.columns[1].cells)[:3] == ["1 (33%)", "2 (67%)", "1 (100%)"]
+
+
+def test_sums_over_windows_say_what_a_step_of_some_unknowns_costs():
+    rng = np.random.default_rng(3)
+    residual, jacobian = rng.normal(size=(6, 20)), rng.normal(size=(6, 20, 4))
+    residual[2] *= 30.0
+    some, x = [3, 1], np.array([0.4, -0.7])
+    left = residual + jacobian[:, :, some] @ x
+    part = Sums.of(residual, jacobian).only(some)
+    assert part.cost(x) == pytest.approx(20 * robust_cost(np.mean(left**2, axis=1)).sum())
+    free = np.zeros(2), np.zeros(2), np.full(2, -np.inf), np.full(2, np.inf)
+    np.testing.assert_allclose(part.step(*free), solve_step(residual, jacobian[:, :, some], *free))
+    assert part.cost(part.step(*free)) < part.cost(x)

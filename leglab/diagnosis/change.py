@@ -7,12 +7,8 @@ import mujoco
 import numpy as np
 
 from leglab.diagnosis.machine import Edit, Machine, Variant
+from leglab.diagnosis.paths import CommandPath, Correction
 from leglab.errors import LeglabError
-
-# What reached the actuator: commands (n,) and the sampling period [s] to commands (n,).
-CommandPath = Callable[[np.ndarray, float], np.ndarray]
-# What the sensor would have shown without its fault: samples (n,) and period to samples (n,).
-Correction = Callable[[np.ndarray, float], np.ndarray]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,8 +51,13 @@ class Change:
         self.machine = machine
         self.edits: list[Edit] = []
         self.parameters: dict[tuple[str, str], float] = {}
-        self.commands: dict[str, list[CommandPath]] = {}
-        self.corrections: dict[str, list[tuple[Correction, float]]] = {}
+        # What the model file says of these paths comes first.
+        self.commands: dict[str, list[CommandPath]] = {
+            actuator: list(paths) for actuator, paths in machine.carried.commands.items()
+        }
+        self.corrections: dict[str, list[tuple[Correction, float]]] = {
+            column: list(undone) for column, undone in machine.carried.corrections.items()
+        }
         self.starts: dict[tuple[str, str], Start] = {}
 
     def parameter(self, element: str, name: str) -> float:

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from leglab.diagnosis.hypothesis import Hypothesis, Key
-from leglab.diagnosis.problem import Nuisance, Problem, robust_weight
+from leglab.diagnosis.problem import Nuisance, Problem
+from leglab.diagnosis.steps import solve_step
 
 # A nuisance parameter stays within this many tolerances: beyond, it is an effect.
-_BOX = 4.0
-_REWEIGHTINGS = 3
+BOX = 4.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,66 +30,6 @@ class Fit:
     cost: float
     residual: np.ndarray
     tangents: np.ndarray
-
-
-def solve_step(
-    residual: np.ndarray,
-    jacobian: np.ndarray,
-    prior_now: np.ndarray,
-    prior_weight: np.ndarray,
-    lower: np.ndarray,
-    upper: np.ndarray,
-    damping: float = 0.0,
-) -> np.ndarray:
-    """Robust least-squares step within bounds, shape (unknowns,).
-
-    Minimises sum_w rho(|r_w + J_w x|^2) + sum prior_weight (prior_now + x)^2 by iteratively
-    reweighted least squares (Holland and Welsch 1977); unknowns that hit a bound are fixed there.
-
-    Args:
-        residual: Shape (windows, size).
-        jacobian: Shape (windows, size, unknowns).
-        prior_now: Present departures from the priors' means, in tolerances, (unknowns,).
-        prior_weight: 1 for an unknown under a prior, 0 for a free one, (unknowns,).
-        lower: Smallest step, (unknowns,).
-        upper: Largest step, (unknowns,).
-        damping: Levenberg-Marquardt damping, relative to the diagonal.
-    """
-    count = jacobian.shape[2]
-    x = np.zeros(count)
-    flat = np.einsum("wni,wnj->wij", jacobian, jacobian)
-    gradient = np.einsum("wni,wn->wi", jacobian, residual)
-    square = np.einsum("wn,wn->w", residual, residual)
-    size = residual.shape[1]
-    for _ in range(_REWEIGHTINGS):
-        now = square + 2.0 * gradient @ x + np.einsum("i,wij,j->w", x, flat, x)
-        weight = robust_weight(np.maximum(now, 0.0) / size)
-        matrix = np.einsum("w,wij->ij", weight, flat)
-        matrix[np.diag_indices(count)] *= 1.0 + damping
-        matrix[np.diag_indices(count)] += prior_weight + 1e-12 * np.trace(matrix) / max(count, 1)
-        right = -(weight @ gradient + prior_weight * prior_now)
-        x = _bounded(matrix, right, lower, upper)
-    return x
-
-
-def _bounded(
-    matrix: np.ndarray, right: np.ndarray, lower: np.ndarray, upper: np.ndarray
-) -> np.ndarray:
-    """Minimises x'Mx/2 - right'x with bounds: whoever leaves them is fixed at the bound."""
-    x = np.zeros(right.size)
-    fixed = np.zeros(right.size, dtype=bool)
-    for _ in range(right.size + 1):
-        free = ~fixed
-        if not free.any():
-            break
-        rest = right[free] - matrix[np.ix_(free, fixed)] @ x[fixed]
-        x[free] = np.linalg.solve(matrix[np.ix_(free, free)], rest)
-        outside = free & ((x < lower) | (x > upper))
-        if not outside.any():
-            break
-        x[outside] = np.clip(x[outside], lower[outside], upper[outside])
-        fixed |= outside
-    return np.clip(x, lower, upper)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -149,7 +89,7 @@ def profiled(
     count = own.columns.shape[2]
     jacobian = np.concatenate([own.columns, tangents], axis=2)
     step = _first_order(problem, hypothesis, residual, jacobian, nuisances, own)
-    now = _departures(problem, hypothesis, nuisances)
+    now = departures(problem, hypothesis, nuisances)
     moved = residual + jacobian @ step
     return problem.cost(moved, float(((now + step[count:]) ** 2).sum()))
 
@@ -176,21 +116,22 @@ def _first_order(
     nuisances: Sequence[Nuisance],
     own: FreeTangents,
 ) -> np.ndarray:
-    now = _departures(problem, hypothesis, nuisances)
+    now = departures(problem, hypothesis, nuisances)
     count = own.columns.shape[2]
     return solve_step(
         residual,
         jacobian,
         np.concatenate([np.zeros(count), now]),
         np.concatenate([np.zeros(count), np.ones(now.size)]),
-        np.concatenate([own.lower, -_BOX - now]),
-        np.concatenate([own.upper, _BOX - now]),
+        np.concatenate([own.lower, -BOX - now]),
+        np.concatenate([own.upper, BOX - now]),
     )
 
 
-def _departures(
+def departures(
     problem: Problem, hypothesis: Hypothesis, nuisances: Sequence[Nuisance]
 ) -> np.ndarray:
+    """Departures of the nuisances from their expected values, in tolerances, (nuisances,)."""
     values = problem.nuisance_values(hypothesis, nuisances)
     return np.array([(v - n.nominal) / n.tolerance for v, n in zip(values, nuisances, strict=True)])
 
@@ -240,7 +181,7 @@ def refit(
         return problem.moved(base, nuisances, values)
 
     theta = _joined([start.get(k, s.nominal) for k, s in zip(keys, sites, strict=True)])
-    eta = _departures(problem, start, nuisances)
+    eta = departures(problem, start, nuisances)
     hypothesis = unpack(theta, eta, start)
     if residual is None:
         residual = problem.residual(hypothesis, chosen)
@@ -251,8 +192,8 @@ def refit(
         jacobian = np.concatenate([own.columns, tangents], axis=2)
         weight = np.concatenate([np.zeros(theta.size), np.ones(eta.size)])
         now = np.concatenate([np.zeros(theta.size), eta])
-        lower = np.concatenate([own.lower, -_BOX - eta])
-        upper = np.concatenate([own.upper, _BOX - eta])
+        lower = np.concatenate([own.lower, -BOX - eta])
+        upper = np.concatenate([own.upper, BOX - eta])
         better = False
         for _ in range(4):
             step = solve_step(residual, jacobian, now, weight, lower, upper, damping)

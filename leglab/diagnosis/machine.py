@@ -10,10 +10,12 @@ import numpy as np
 
 import leglab.models
 import leglab.plugin
+from leglab.diagnosis.paths import take_out
 from leglab.errors import LeglabError, unknown_name
 from leglab.parameters import PluginTable
 
 CYLINDER = "leglab.cylinder"
+FRICTION = "leglab.joint_friction"
 SPRING = "leglab.spring_damper"
 
 Edit = tuple[Hashable, Callable[[mujoco.MjSpec], None]]
@@ -63,6 +65,7 @@ class Machine:
         joints: Names of the hinge and slide joints.
         actuators: Names of the actuators.
         driven: Joints that each actuator moves, by actuator: those of its moment at qpos0.
+        carried: Faults of command and sensor paths in the file; variants are free of them.
 
     Raises:
         LeglabError: If the model cannot be loaded or has another kind of joint.
@@ -80,6 +83,7 @@ class Machine:
             raise leglab.plugin.load_error(error, self.path.name) from error
         self.file_timestep = float(self._spec.option.timestep)
         self._timestep = timestep or self.file_timestep
+        self.carried = take_out(self._spec)
         self._variants: OrderedDict[Hashable, Variant] = OrderedDict()
         self.base = self.variant(())
         model = self.base.model
@@ -144,6 +148,7 @@ class Machine:
             self._variants.move_to_end(key)
             return self._variants[key]
         spec = self.spec()
+        take_out(spec)
         spec.option.timestep = self._timestep
         spec.compiler.discardvisual = True
         spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)

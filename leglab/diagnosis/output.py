@@ -39,7 +39,7 @@ def write_improved(found: Search, folder: Path) -> Path:
         edit(spec)
     for (element, name), value in change.parameters.items():
         _configure(spec, element, name, value)
-    for key, values in hypothesis.items():
+    for key, values in sorted(hypothesis.items()):
         site = problem.library.sites[key]
         named = {p.name: float(v) for p, v in zip(site.parameters, values, strict=True)}
         site.effect.write(spec, machine, site.element, named)
@@ -57,15 +57,15 @@ def write_improved(found: Search, folder: Path) -> Path:
 def reloaded_error(found: Search, path: Path) -> float:
     """Largest difference of replays by the patched file and by the fit, in noise levels.
 
-    Command and sensor paths stay on the side of the fit: replays feed the actuators directly.
+    The patched file speaks for itself: nothing of the fit is added to it.
     """
     problem = found.problem
     machine = Machine(path, timestep=problem.machine.timestep)
     own = problem.library.change(found.fit.hypothesis, problem.machine)
     bare = problem.library.change(Hypothesis(), machine)
-    bare.commands, bare.corrections = own.commands, own.corrections
     replay = problem.replay.on(machine)
-    return float(abs(replay.error(bare) - problem.replay.error(own)).max())
+    noise = problem.noise.min(axis=0)[:, None]
+    return float((abs(replay.error(bare) - problem.replay.error(own)) / noise).max())
 
 
 def _configure(spec: mujoco.MjSpec, element: str, name: str, value: float) -> None:

@@ -121,10 +121,7 @@ class Replay:
             chosen: Mask of the windows to replay, shape (windows,); None for all.
             nudge: Departure from the start states.
         """
-        variant = self.machine.variant(tuple(change.edits))
-        parameters = variant.plugin_state.copy()
-        for (element, name), value in change.parameters.items():
-            parameters[variant.slot(element, name)] = value
+        variant, parameters = self._changed(change)
         pairs = []
         for number, whole in enumerate(self._cuts):
             cut = whole
@@ -175,10 +172,7 @@ class Replay:
         Returns:
             Shape (series, channels, samples).
         """
-        variant = self.machine.variant(tuple(change.edits))
-        parameters = variant.plugin_state.copy()
-        for (element, name), value in change.parameters.items():
-            parameters[variant.slot(element, name)] = value
+        variant, parameters = self._changed(change)
         number = int(self.recording[window])
         first = window - int(np.argmax(self.recording == number))
         whole = self._cuts[number]
@@ -194,7 +188,6 @@ class Replay:
             measured,
             self.channels,
             pressures=self._warmed_up(change, variant, parameters, pairs) if self.blind else None,
-            nudge=None,
         )
         faulty = commands.copy()
         for i, actuator in enumerate(self.machine.actuators):
@@ -203,6 +196,14 @@ class Replay:
         controls = np.repeat(faulty, self.substeps, axis=1)
         states = self._roll(variant, np.repeat(start, len(commands), axis=0), controls)
         return self._predicted(variant, states, commands.shape[1])
+
+    def _changed(self, change: Change) -> tuple[Variant, np.ndarray]:
+        """The compiled model under a change, and its plugin state with parameters set."""
+        variant = self.machine.variant(tuple(change.edits))
+        parameters = variant.plugin_state.copy()
+        for (element, name), value in change.parameters.items():
+            parameters[variant.slot(element, name)] = value
+        return variant, parameters
 
     def _warmed_up(
         self,
@@ -225,8 +226,6 @@ class Replay:
                     parameters,
                     before,
                     self.channels,
-                    pressures=None,
-                    nudge=None,
                 )
             )
             controls.append(self._controls(measured, earlier[:, None] + np.arange(self._lead)))

@@ -6,9 +6,10 @@ from itertools import combinations
 
 import numpy as np
 
-from leglab.diagnosis.fitting import FreeTangents, profiled, profiled_step
+from leglab.diagnosis.fitting import BOX, FreeTangents, departures, profiled, profiled_step
 from leglab.diagnosis.hypothesis import Hypothesis, Key, Site
 from leglab.diagnosis.problem import Nuisance, Problem
+from leglab.diagnosis.steps import Sums
 
 # First-order steps go this many times as far as a trial.
 _FURTHEST = 20.0
@@ -138,25 +139,30 @@ def pairs(
     Returns:
         Predicted cost, where a refit starts, and the two effects, of the best `count` pairs.
     """
+    steps = np.stack([c.step for c in candidates], axis=2)
+    sums = Sums.of(residual, np.concatenate([steps, tangents], axis=2))
+    away = departures(problem, base, nuisances)
     found = []
-    for one, other in combinations(candidates, 2):
-        own = FreeTangents(
-            columns=np.stack([one.step, other.step], axis=2),
-            lower=np.zeros(2),
-            upper=np.full(2, _PAIR_FURTHEST),
+    for one, other in combinations(range(len(candidates)), 2):
+        keys = candidates[one].key, candidates[other].key
+        kept = [i for i, n in enumerate(nuisances) if n.key not in keys]
+        now = np.concatenate([np.zeros(2), away[kept]])
+        own = np.arange(now.size) < 2
+        part = sums.only([one, other, *(len(candidates) + i for i in kept)])
+        step = part.step(
+            now,
+            np.where(own, 0.0, 1.0),
+            np.where(own, 0.0, -BOX - now),
+            np.where(own, _PAIR_FURTHEST, BOX - now),
         )
-        keep = [i for i, n in enumerate(nuisances) if n.key not in (one.key, other.key)]
-        others = [nuisances[i] for i in keep]
-        space = tangents[:, :, keep]
-        cost = profiled(problem, base, residual, space, others, own)
-        shares = profiled_step(problem, base, residual, space, others, own)
+        cost = part.cost(step) + float(((now + step)[2:] ** 2).sum())
         start = base
-        for share, candidate in zip(shares, (one, other), strict=True):
+        for share, candidate in zip(step[:2], (candidates[one], candidates[other]), strict=True):
             site = problem.library.sites[candidate.key]
-            now = base.get(candidate.key, site.nominal)
-            values = np.clip(now + share * (candidate.values - now), site.lower, site.upper)
-            start = start.with_values(candidate.key, values)
-        found.append((cost, start, frozenset((one.key, other.key))))
+            nominal = base.get(candidate.key, site.nominal)
+            values = nominal + share * (candidate.values - nominal)
+            start = start.with_values(candidate.key, np.clip(values, site.lower, site.upper))
+        found.append((cost, start, frozenset(keys)))
     return sorted(found, key=lambda entry: entry[0])[:count]
 
 

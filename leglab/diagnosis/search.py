@@ -1,7 +1,7 @@
 """Greedy search for effects: screen, refit, sharpen, compare."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,8 +15,7 @@ _REFITTED = 4
 _SHARPENED = 3
 # A round whose best screened effect saves less than this share of a noise variance ends there.
 _HOPE = 0.04
-# Of so many candidates all pairs are looked at, and so many of these are fitted.
-_PAIRED = 20
+# Of all pairs to first order so many are fitted.
 _PAIRS = 3
 # A rough fit that costs more than this share of the baseline is started again from there.
 _STUCK = 0.95
@@ -263,15 +262,14 @@ def pair_search(
     residual = problem.residual(base, chosen)
     tangents = problem.tangents(base, residual, chosen, problem.nuisances)
     best: tuple[Fit, frozenset[Key]] | None = None
-    ranked = pairs(
-        problem,
-        base,
-        residual,
-        tangents,
-        problem.nuisances,
-        stage.candidates[:_PAIRED],
-        count=_PAIRS,
-    )
+    # The round has changed the noise model since it screened: the steps are replayed under the new
+    # one. What an effect gained alone says little about what it gains beside another.
+    candidates = [
+        replace(c, step=problem.residual(base.with_values(c.key, c.values), chosen) - residual)
+        for c in stage.candidates
+        if c.detectable > 0.0
+    ]
+    ranked = pairs(problem, base, residual, tangents, problem.nuisances, candidates, count=_PAIRS)
     for _, start, keys in ranked:
         progress(f"fitting {' and '.join(sorted(name for name, _ in keys))}")
         fit = refit(problem, start, keys, chosen, tangents, problem.nuisances, iterations=5)

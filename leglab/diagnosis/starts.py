@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from leglab.diagnosis import rest
 from leglab.diagnosis.change import Change, Measured
 from leglab.diagnosis.cutting import Cut
 from leglab.diagnosis.machine import CYLINDER, Machine, Variant
@@ -86,8 +87,8 @@ def start_states(
     measured: Measured,
     channels: tuple[Channel, ...],
     *,
-    pressures: np.ndarray | None,
-    nudge: Nudge | None,
+    pressures: np.ndarray | None = None,
+    nudge: Nudge | None = None,
 ) -> np.ndarray:
     """Full physics states at window starts, shape (windows, nstate).
 
@@ -123,6 +124,7 @@ def start_states(
     reconstruct(machine, measured, variant, plugin)
     for (element, name), function in change.starts.items():
         plugin[:, variant.slot(element, name)] = function(measured, variant, plugin)
+    rest.balance(machine, measured, variant, plugin)
     if nudge is not None:
         if nudge.quantity == "position":
             qpos[:, model.joint(nudge.joint).qposadr[0]] += nudge.size

@@ -2,19 +2,16 @@
 
 from collections.abc import Callable
 
-import mujoco
 import numpy as np
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from leglab.diagnosis.change import Measured
-from leglab.diagnosis.machine import CYLINDER, Machine, Variant
+from leglab.diagnosis.machine import CYLINDER, FRICTION, Machine, Variant
+from leglab.diagnosis.paths import play
 
 # A bristle forgets over some tenths of a millimetre; this much history is enough.
 _BRISTLE_HISTORY = 0.5  # s
-
-# A bristle that slid less than twice its deflection in this time rests.
-_REST = 0.03  # s
 
 # Fills hidden states into `state`, shape (windows, npluginstate), for one instance.
 Rule = Callable[[Machine, Measured, Variant, str, np.ndarray], None]
@@ -43,19 +40,6 @@ def reconstruct(machine: Machine, measured: Measured, variant: Variant, state: n
     for element, (_, table) in variant.elements.items():
         if table.plugin in _RULES:
             _RULES[table.plugin](machine, measured, variant, element, state)
-
-
-def play(samples: np.ndarray, width: float) -> np.ndarray:
-    """Output of a play (hysteresis) of full width, shape (n,), from the middle at the start."""
-    if width <= 0.0:
-        return samples
-    half = 0.5 * width
-    out = np.empty_like(samples)
-    value = samples[0]
-    for i, sample in enumerate(samples.tolist()):
-        value = min(max(value, sample - half), sample + half)
-        out[i] = value
-    return out
 
 
 def bristle(
@@ -141,55 +125,10 @@ def _cylinder(
     sigma = get("sigma_0")
     if sigma <= 0.0:
         return
-    values = bristle(velocity, level, sigma, measured.period, samples)
-    limit = level[samples] / sigma
-    # A bristle that slid further than it bends is known from the motion. At rest the motion is
-    # all noise, and the balance of forces says what the bristle holds.
-    back = np.maximum(samples - round(_REST / measured.period), 0)
-    path = np.abs(np.concatenate([[0.0], np.cumsum(velocity)]) * measured.period)
-    resting = np.abs(path[samples] - path[back]) < 2.0 * limit
-    chambers = [f"{joint}_{c}" for c in ("pressure_a", "pressure_b")]
-    if resting.any() and all(c in measured.pressure for c in chambers):
-        quarter = 0.25 * np.pi
-        area_a = quarter * get("bore") ** 2
-        area_b = area_a - quarter * get("rod") ** 2
-        at = samples[resting]
-        force = area_a * measured.pressure[chambers[0]][at]
-        force -= area_b * measured.pressure[chambers[1]][at]
-        needed = _inverse_dynamics(machine, measured, variant, state[resting], at)
-        dof = variant.model.joint(joint).dofadr[0]
-        lever = measured.lever[element][at]
-        oil = get("viscous") * velocity[at]
-        held = (force - needed[:, dof] / lever - oil) / sigma
-        values[resting] = np.clip(held, -limit[resting], limit[resting])
-    put("bristle", values)
+    put("bristle", bristle(velocity, level, sigma, measured.period, samples))
 
 
-def _inverse_dynamics(
-    machine: Machine,
-    measured: Measured,
-    variant: Variant,
-    state: np.ndarray,
-    samples: np.ndarray,
-) -> np.ndarray:
-    """Generalised forces that actuators must give for the measured motion, (samples, nv)."""
-    model = variant.model
-    data = mujoco.MjData(model)
-    out = np.empty((samples.size, model.nv))
-    for i, k in enumerate(samples.tolist()):
-        data.plugin_state[:] = state[i]
-        for joint in machine.joints:
-            dof = model.joint(joint).dofadr[0]
-            v = measured.velocity[joint]
-            data.qpos[model.joint(joint).qposadr[0]] = measured.position[joint][k]
-            data.qvel[dof] = v[k]
-            data.qacc[dof] = (v[k + 1] - v[k - 1]) / (2.0 * measured.period)
-        mujoco.mj_inverse(model, data)
-        out[i] = data.qfrc_inverse
-    return out
-
-
-@reconstructs("leglab.joint_friction")
+@reconstructs(FRICTION)
 def _joint_friction(
     machine: Machine, measured: Measured, variant: Variant, element: str, state: np.ndarray
 ) -> None:

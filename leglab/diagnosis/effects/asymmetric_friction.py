@@ -6,7 +6,7 @@ from leglab.diagnosis.change import Change
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import Effect, EffectParameter, register
 from leglab.diagnosis.effects.load_friction import start_from_motion
-from leglab.diagnosis.machine import Machine
+from leglab.diagnosis.machine import FRICTION, Machine
 
 
 @register
@@ -58,7 +58,7 @@ class AsymmetricFriction(Effect):
             return
         name = f"{element}_asymmetric_friction"
         bristle = joints.bristle(change.machine, element)
-        joints.insert_on_joint(change, joints.FRICTION, name, element, bristle)
+        joints.insert_on_joint(change, FRICTION, name, element, bristle)
         for kind in ("viscous", "coulomb"):
             forward, backward = values[f"{kind}_forward"], values[f"{kind}_backward"]
             change.set_parameter(name, kind, 0.5 * (forward + backward))

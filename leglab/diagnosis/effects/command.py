@@ -9,25 +9,10 @@ from leglab.diagnosis.change import Change
 from leglab.diagnosis.effects.base import Effect, EffectParameter, register
 from leglab.diagnosis.effects.command_path import write_command_path
 from leglab.diagnosis.machine import Machine
+from leglab.diagnosis.paths import late
 
 # A command path keeps at least this much history.
 _SHORTEST_HISTORY = 0.05  # s
-
-
-def delayed(samples: np.ndarray, delay: float, period: float) -> np.ndarray:
-    """Held samples, shape (n,), that arrive later; between samples by their share of the period.
-
-    Args:
-        samples: Held from their instant to the next.
-        delay: s, not negative.
-        period: Sampling period [s].
-    """
-    whole, share = divmod(delay / period, 1.0)
-    shift = int(whole)
-    padded = np.concatenate([np.full(shift + 1, samples[0]), samples])
-    late = padded[1 : 1 + samples.size]
-    later = padded[: samples.size]
-    return (1.0 - share) * late + share * later
 
 
 @register
@@ -62,7 +47,7 @@ class CommandDelay(Effect):
         """Shifts the measured command."""
         delay = values["delay"]
         if delay:
-            change.command(element, lambda samples, period: delayed(samples, delay, period))
+            change.command(element, late(delay))
 
     def write(
         self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Mapping[str, float]
@@ -76,6 +61,7 @@ class CommandDelay(Effect):
             write_command_path(spec, element, {"delay": delay, "max_delay": longest})
             return
         actuator = spec.actuator(element)
+        delay += float(actuator.delay)  # of the model as it was
         actuator.delay = delay
         actuator.nsample = int(np.ceil(delay / spec.option.timestep)) + 2
         actuator.interp = 1  # linear: a delay need not be a multiple of the time step

@@ -5,8 +5,7 @@ from collections.abc import Mapping
 import mujoco
 
 from leglab.diagnosis.effects import joints
-
-COMMAND_PATH = "leglab.command_path"
+from leglab.diagnosis.paths import COMMAND_PATH
 
 
 def write_command_path(spec: mujoco.MjSpec, actuator: str, values: Mapping[str, float]) -> None:

@@ -9,28 +9,18 @@ from leglab.diagnosis.change import Change
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import Effect, EffectParameter, register
 from leglab.diagnosis.machine import Machine
+from leglab.diagnosis.paths import number_of, undo_delay, undo_offset, undo_scale
+from leglab.encoders import ENCODER_OFFSET, ENCODER_SCALE, delayed_sensor
 
 
 class EncoderEffect(Effect):
-    """Base: sits on all joints, and is written beside the model as a numeric.
-
-    A model has no place for what its sensors do wrong, so the patched one gets a custom numeric
-    `<joint>_<effect>`; the delay becomes that of a `jointpos` sensor.
-    """
+    """Base: sits on all joints, and is written beside the model, see `leglab.encoders`."""
 
     group = "sensing"
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """All joints."""
         return machine.joints
-
-    def write(
-        self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Mapping[str, float]
-    ) -> None:
-        """Adds the numeric."""
-        del machine
-        (value,) = values.values()
-        spec.add_numeric(name=f"{element}_{self.name}", data=[value], size=1)
 
 
 @register
@@ -62,14 +52,17 @@ class EncoderOffset(EncoderEffect):
 
     def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
         """Subtracts the offset from what was measured."""
-        offset = values["offset"]
+        if values["offset"]:
+            change.correct(f"{element}_position", undo_offset(values["offset"]))
 
-        def undo(samples: np.ndarray, period: float) -> np.ndarray:
-            del period
-            return samples - offset
-
-        if offset:
-            change.correct(f"{element}_position", undo)
+    def write(
+        self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Mapping[str, float]
+    ) -> None:
+        """Adds the numeric, to one that is there: measured = scale x (true + offset) + old."""
+        del machine
+        name = ENCODER_OFFSET.format(joint=element)
+        scale = number_of(spec, ENCODER_SCALE.format(joint=element), 1.0)
+        _set_numeric(spec, name, number_of(spec, name, 0.0) + scale * values["offset"])
 
 
 @register
@@ -99,12 +92,16 @@ class EncoderScale(EncoderEffect):
         """Divides what was measured by the factor."""
         scale = values["scale"]
 
-        def undo(samples: np.ndarray, period: float) -> np.ndarray:
-            del period
-            return samples / scale
-
         if scale != 1.0:
-            change.correct(f"{element}_position", undo, noise_gain=1.0 / scale)
+            change.correct(f"{element}_position", undo_scale(scale), noise_gain=1.0 / scale)
+
+    def write(
+        self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Mapping[str, float]
+    ) -> None:
+        """Adds the numeric, times one that is there."""
+        del machine
+        name = ENCODER_SCALE.format(joint=element)
+        _set_numeric(spec, name, number_of(spec, name, 1.0) * values["scale"])
 
 
 @register
@@ -132,26 +129,32 @@ class SensorDelay(EncoderEffect):
 
     def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
         """Brings the measured positions forward, interpolating between samples."""
-        delay = values["delay"]
-
-        def undo(samples: np.ndarray, period: float) -> np.ndarray:
-            index = np.arange(samples.size)
-            return np.interp(index + delay / period, index, samples)
-
-        if delay:
-            change.correct(f"{element}_position", undo)
+        if values["delay"]:
+            change.correct(f"{element}_position", undo_delay(values["delay"]))
 
     def write(
         self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Mapping[str, float]
     ) -> None:
-        """Adds a `jointpos` sensor with MuJoCo's own delay."""
+        """Adds a `jointpos` sensor with MuJoCo's own delay, or to that of one that is there."""
         del machine
-        if values["delay"]:
-            spec.add_sensor(
-                name=f"{element}_delayed_position",
+        delay = values["delay"]
+        if not delay:
+            return
+        sensor = spec.sensor(delayed_sensor(element))
+        if sensor is None:
+            sensor = spec.add_sensor(
+                name=delayed_sensor(element),
                 type=mujoco.mjtSensor.mjSENS_JOINTPOS,
                 objtype=mujoco.mjtObj.mjOBJ_JOINT,
                 objname=element,
-                delay=values["delay"],
-                nsample=int(np.ceil(values["delay"] / spec.option.timestep)) + 1,
             )
+        sensor.delay = float(sensor.delay) + delay
+        sensor.nsample = int(np.ceil(sensor.delay / spec.option.timestep)) + 1
+
+
+def _set_numeric(spec: mujoco.MjSpec, name: str, value: float) -> None:
+    numeric = spec.numeric(name)
+    if numeric is None:
+        spec.add_numeric(name=name, data=[value], size=1)
+    else:
+        numeric.data = [value]

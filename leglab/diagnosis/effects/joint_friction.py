@@ -7,7 +7,7 @@ import mujoco
 from leglab.diagnosis.change import Change
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import Effect, EffectParameter, register
-from leglab.diagnosis.machine import Machine
+from leglab.diagnosis.machine import FRICTION, Machine
 
 
 @register
@@ -139,6 +139,6 @@ class JointStiction(Effect):
             return
         name = f"{element}_stiction"
         bristle = joints.bristle(change.machine, element)
-        joints.insert_on_joint(change, joints.FRICTION, name, element, bristle)
+        joints.insert_on_joint(change, FRICTION, name, element, bristle)
         change.set_parameter(name, "static", values["breakaway"])
         change.set_parameter(name, "stribeck_velocity", values["stribeck_velocity"])

@@ -10,7 +10,6 @@ import numpy as np
 from leglab.diagnosis.change import Change
 from leglab.diagnosis.machine import CYLINDER, Machine
 
-FRICTION = "leglab.joint_friction"
 SPRING = "leglab.spring_damper"
 _POSES = 12
 _BRISTLE_HZ = 100.0

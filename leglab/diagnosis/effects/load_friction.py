@@ -9,7 +9,7 @@ from leglab.diagnosis import states
 from leglab.diagnosis.change import Change, Measured
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import Effect, EffectParameter, register
-from leglab.diagnosis.machine import Machine, Variant
+from leglab.diagnosis.machine import FRICTION, Machine, Variant
 
 # Load is followed at this spacing and interpolated.
 _LOAD_EVERY = 20  # samples
@@ -44,7 +44,7 @@ class LoadDependentFriction(Effect):
             return
         name = f"{element}_load_dependent_friction"
         bristle = joints.bristle(change.machine, element)
-        joints.insert_on_joint(change, joints.FRICTION, name, element, bristle)
+        joints.insert_on_joint(change, FRICTION, name, element, bristle)
         for load, share in values.items():
             change.set_parameter(name, f"{load}_load_coefficient", share)
         start_from_motion(change, name, element)

@@ -1,15 +1,13 @@
 """What a command meets on its way to a native actuator: dead band, play, lag, bias."""
 
-import math
 from abc import abstractmethod
 from collections.abc import Mapping
 from typing import ClassVar
 
 import mujoco
 import numpy as np
-from scipy.signal import lfilter
 
-from leglab.diagnosis import states
+from leglab.diagnosis import paths
 from leglab.diagnosis.change import Change
 from leglab.diagnosis.effects.base import Effect, EffectParameter, register
 from leglab.diagnosis.effects.command_path import write_command_path
@@ -98,7 +96,7 @@ class CommandDeadband(CommandEffect):
     def path(self, samples: np.ndarray, value: float, period: float) -> np.ndarray:
         """Takes the band off."""
         del period
-        return np.sign(samples) * np.maximum(np.abs(samples) - value, 0.0)
+        return paths.dead_band(samples, value)
 
 
 @register
@@ -116,7 +114,7 @@ class CommandHysteresis(CommandEffect):
     def path(self, samples: np.ndarray, value: float, period: float) -> np.ndarray:
         """Drags along."""
         del period
-        return states.play(samples, value)
+        return paths.play(samples, value)
 
 
 @register
@@ -134,11 +132,7 @@ class CommandBandwidth(CommandEffect):
 
     def path(self, samples: np.ndarray, value: float, period: float) -> np.ndarray:
         """Mean over each period of the exact response to held commands."""
-        decay = math.exp(-period / value)
-        start = np.array([decay * samples[0]])
-        reached, _ = lfilter([1.0 - decay], [1.0, -decay], samples, zi=start)
-        before = np.concatenate([samples[:1], reached[:-1]])
-        return samples + (before - samples) * (1.0 - decay) * value / period
+        return paths.lagged(samples, value, period)
 
 
 @register

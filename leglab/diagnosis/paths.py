@@ -1,0 +1,162 @@
+"""Faults of command and sensor paths: as functions of samples, and as a model carries them.
+
+Replays feed actuators directly and compare corrected samples, so what a model file says about these
+paths (a valve's delay, `leglab.command_path`, the numerics of `leglab.encoders`) is taken out of
+the replayed model and applied to commands and measured columns, as hypothetical faults are.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from scipy.signal import lfilter
+
+from leglab.encoders import ENCODER_OFFSET, ENCODER_SCALE, delayed_sensor
+
+COMMAND_PATH = "leglab.command_path"
+
+# What reached the actuator: commands (n,) and the sampling period [s] to commands (n,).
+CommandPath = Callable[[np.ndarray, float], np.ndarray]
+# What the sensor would have shown without its fault: samples (n,) and period to samples (n,).
+Correction = Callable[[np.ndarray, float], np.ndarray]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Carried:
+    """Path faults that a model file carries.
+
+    Attributes:
+        commands: What commands meet, by actuator, in order.
+        corrections: What undoes faults of a column, with the factor on its noise, in order.
+    """
+
+    commands: dict[str, list[CommandPath]]
+    corrections: dict[str, list[tuple[Correction, float]]]
+
+
+def take_out(spec: mujoco.MjSpec) -> Carried:
+    """Makes command paths of a specification neutral, in place, and returns what they did."""
+    commands: dict[str, list[CommandPath]] = {}
+    for actuator in spec.actuators:
+        delay = float(actuator.delay)
+        if delay > 0.0:
+            commands.setdefault(actuator.name, []).append(late(delay))
+            actuator.delay, actuator.nsample = 0.0, 0
+    for plugin in spec.plugins:
+        if plugin.plugin_name == COMMAND_PATH:
+            config = dict(plugin.config)
+            commands.setdefault(config["actuator"], []).extend(_functions(config))
+            kept = ("actuator", "actuator_gain", "max_delay")
+            plugin.config = {k: v for k, v in config.items() if k in kept}
+    corrections: dict[str, list[tuple[Correction, float]]] = {}
+    for joint in spec.joints:
+        found: list[tuple[Correction, float]] = []
+        offset = number_of(spec, ENCODER_OFFSET.format(joint=joint.name), 0.0)
+        if offset != 0.0:
+            found.append((undo_offset(offset), 1.0))
+        scale = number_of(spec, ENCODER_SCALE.format(joint=joint.name), 1.0)
+        if scale != 1.0:
+            found.append((undo_scale(scale), 1.0 / scale))
+        sensor = spec.sensor(delayed_sensor(joint.name))
+        if sensor is not None and float(sensor.delay) > 0.0:
+            found.append((undo_delay(float(sensor.delay)), 1.0))
+            sensor.delay, sensor.nsample = 0.0, 0
+        if found:
+            corrections[f"{joint.name}_position"] = found
+    return Carried(commands=commands, corrections=corrections)
+
+
+def number_of(spec: mujoco.MjSpec, name: str, otherwise: float) -> float:
+    """Value of a custom numeric of a specification."""
+    numeric = spec.numeric(name)
+    return otherwise if numeric is None else float(numeric.data[0])
+
+
+def _functions(config: dict[str, str]) -> list[CommandPath]:
+    """What a `leglab.command_path` does to held commands, in its order."""
+
+    def get(name: str, neutral: float = 0.0) -> float:
+        return float(config.get(name, neutral))
+
+    found: list[CommandPath] = []
+    if get("delay"):
+        found.append(late(get("delay")))
+    if get("gain", 1.0) != 1.0 or get("bias"):
+        found.append(lambda samples, period: get("gain", 1.0) * samples + get("bias"))
+    if get("hysteresis"):
+        found.append(lambda samples, period: play(samples, get("hysteresis")))
+    if get("dead_band"):
+        found.append(lambda samples, period: dead_band(samples, get("dead_band")))
+    if get("time_constant"):
+        found.append(lambda samples, period: lagged(samples, get("time_constant"), period))
+    return found
+
+
+def late(delay: float) -> CommandPath:
+    """A delay [s] of held commands."""
+    return lambda samples, period: delayed(samples, delay, period)
+
+
+def delayed(samples: np.ndarray, delay: float, period: float) -> np.ndarray:
+    """Held samples, shape (n,), that arrive later; between samples by their share of the period.
+
+    Args:
+        samples: Held from their instant to the next.
+        delay: s, not negative.
+        period: Sampling period [s].
+    """
+    whole, share = divmod(delay / period, 1.0)
+    shift = int(whole)
+    padded = np.concatenate([np.full(shift + 1, samples[0]), samples])
+    late = padded[1 : 1 + samples.size]
+    later = padded[: samples.size]
+    return (1.0 - share) * late + share * later
+
+
+def play(samples: np.ndarray, width: float) -> np.ndarray:
+    """Output of a play (hysteresis) of full width, shape (n,), from the middle at the start."""
+    if width <= 0.0:
+        return samples
+    half = 0.5 * width
+    out = np.empty_like(samples)
+    value = samples[0]
+    for i, sample in enumerate(samples.tolist()):
+        value = min(max(value, sample - half), sample + half)
+        out[i] = value
+    return out
+
+
+def dead_band(samples: np.ndarray, half_width: float) -> np.ndarray:
+    """Samples less the band on both sides of zero, shape (n,)."""
+    return np.sign(samples) * np.maximum(np.abs(samples) - half_width, 0.0)
+
+
+def lagged(samples: np.ndarray, time_constant: float, period: float) -> np.ndarray:
+    """Mean over each period of the exact first-order response to held samples, shape (n,)."""
+    decay = math.exp(-period / time_constant)
+    start = np.array([decay * samples[0]])
+    reached, _ = lfilter([1.0 - decay], [1.0, -decay], samples, zi=start)
+    before = np.concatenate([samples[:1], reached[:-1]])
+    return samples + (before - samples) * (1.0 - decay) * time_constant / period
+
+
+def undo_offset(offset: float) -> Correction:
+    """Takes an offset off measured samples."""
+    return lambda samples, period: samples - offset
+
+
+def undo_scale(scale: float) -> Correction:
+    """Divides measured samples by a factor."""
+    return lambda samples, period: samples / scale
+
+
+def undo_delay(delay: float) -> Correction:
+    """Brings measured samples forward by a delay [s], interpolating."""
+
+    def undo(samples: np.ndarray, period: float) -> np.ndarray:
+        index = np.arange(samples.size)
+        return np.interp(index + delay / period, index, samples)
+
+    return undo

@@ -1,0 +1,141 @@
+"""improved.xml carries what was found, sensor and command faults included, and is read back."""
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pytest
+
+from leglab import data
+from leglab.diagnosis.hypothesis import Hypothesis
+from leglab.diagnosis.machine import Machine
+from leglab.diagnosis.output import reloaded_error, write_improved
+from leglab.diagnosis.paths import take_out
+from leglab.diagnosis.verdict import diagnose
+from leglab.diagnosis.workflow import Settings, set_up
+from leglab.encoders import EncoderFaults
+from leglab.runner import RunSettings, run_scenario
+
+FOLDER = Path(__file__).parent / "data" / "diagnosis"
+NAMES = ("multisine", "slow", "walk")
+FAULTS = {
+    ("command_delay", "knee_valve"): np.array([0.0063]),
+    ("encoder_offset", "knee"): np.array([0.03]),
+    ("encoder_scale", "knee"): np.array([1.04]),
+    ("sensor_delay", "knee"): np.array([0.004]),
+}
+OFFSET = 0.05
+
+
+def recordings():
+    return {name: data.read(FOLDER / f"nominal_{name}.parquet") for name in NAMES}
+
+
+@pytest.fixture(scope="module")
+def problem():
+    settings = Settings(effects=tuple(name for name, _ in FAULTS), threads=1)
+    return set_up("knee_bench", recordings(), ("walk",), settings)
+
+
+@pytest.fixture(scope="module")
+def shifted():
+    """Verdict on recordings whose encoder has slipped."""
+    slipped = {
+        name: recording.with_columns({"knee_position": recording["knee_position"] + OFFSET})
+        for name, recording in recordings().items()
+    }
+    settings = Settings(effects=("encoder_offset", "valve_bias"), threads=1)
+    return slipped, *diagnose("knee_bench", slipped, held_out=("walk",), settings=settings)
+
+
+def found(problem, values):
+    return SimpleNamespace(problem=problem, fit=SimpleNamespace(hypothesis=Hypothesis(values)))
+
+
+@pytest.mark.parametrize("faults", [*([key] for key in FAULTS), list(FAULTS)], ids=str)
+def test_path_faults_are_read_back_from_the_patched_model(problem, tmp_path, faults):
+    search = found(problem, {key: FAULTS[key] for key in faults})
+    path = write_improved(search, tmp_path)
+    # Compared in corrected units; the file keeps every digit of a numeric and six of a delay.
+    assert reloaded_error(search, path) < 0.05
+    unpatched = found(problem, {})
+    assert reloaded_error(unpatched, path) > 20.0
+
+
+def test_a_patched_model_is_patched_once_more(problem, tmp_path):
+    """Found in two steps, faults are the same as found at once: scale after offset after scale."""
+    once, twice = tmp_path / "once", tmp_path / "twice"
+    once.mkdir()
+    twice.mkdir()
+    path = write_improved(found(problem, FAULTS), once)
+    settings = Settings(effects=tuple(name for name, _ in FAULTS), threads=1)
+    again = set_up(path, recordings(), ("walk",), settings)
+    # Whole samples: two linear interpolations are not one.
+    search = found(again, {**FAULTS, ("command_delay", "knee_valve"): np.array([0.006])})
+    assert reloaded_error(search, write_improved(search, twice)) < 0.05
+    faults = EncoderFaults.of(mujoco.MjModel.from_xml_path(str(twice / "improved.xml")), ["knee"])
+    # measured = 1.04 (1.04 true + 0.03) + 0.03
+    assert faults.scale == pytest.approx(1.04**2)
+    assert faults.offset == pytest.approx(1.04 * 0.03 + 0.03)
+    assert faults.delay == pytest.approx(0.008)
+
+
+def test_the_patched_model_reproduces_the_claimed_gap(shifted, tmp_path):
+    slipped, result, search = shifted
+    assert [effect.name for effect in result.effects] == ["encoder_offset"]
+    assert result.effects[0].parameters[0].value == pytest.approx(OFFSET, abs=2e-3)
+    assert result.gap.before > 20.0 * result.gap.after
+    path = write_improved(search, tmp_path)
+    patched = set_up(path, slipped, ("walk",), Settings(effects=("valve_bias",), threads=1))
+    gap = np.sqrt(np.mean(patched.residual(Hypothesis())[patched.held] ** 2))
+    assert gap == pytest.approx(result.gap.after, rel=0.05)
+
+
+def test_the_patched_model_runs_in_a_closed_loop(shifted, tmp_path):
+    """The encoder of the run is off as the diagnosis says, and the leg with it."""
+    _, result, search = shifted
+    offset = result.effects[0].parameters[0].value
+    path = write_improved(search, tmp_path)
+    wanted = RunSettings(scenario="nominal", model="knee_bench", duration=1.0)
+    true = []
+    for model in ("knee_bench", str(path)):
+        run = run_scenario(replace(wanted, model=model))
+        shown = run.recording["knee_position"] - run.recording["knee_truth"]
+        assert np.median(shown) == pytest.approx(offset if model == str(path) else 0.0, abs=1e-5)
+        true.append(run.recording["knee_truth"])
+    assert np.mean((true[0] - true[1])[-100:]) == pytest.approx(offset, rel=0.1)
+
+
+def test_command_paths_of_a_file_are_taken_out_in_their_order():
+    xml = """
+    <mujoco>
+      <extension><plugin plugin="leglab.command_path"><instance name="path">
+        <config key="actuator" value="drive"/><config key="delay" value="0.002"/>
+        <config key="gain" value="2"/><config key="bias" value="0.1"/>
+        <config key="dead_band" value="0.3"/><config key="actuator_gain" value="0.9"/>
+      </instance></plugin></extension>
+      <worldbody><body><joint name="hinge"/><geom size="0.1" mass="1"/></body></worldbody>
+      <actuator><motor name="drive" joint="hinge"/></actuator>
+    </mujoco>"""
+    Machine("knee_bench")  # registers the plugins
+    spec = mujoco.MjSpec.from_string(xml)
+    samples = np.array([0.0, 1.0, 1.0, -1.0, -1.0, -1.0])
+    for function in take_out(spec).commands["drive"]:
+        samples = function(samples, 1e-3)
+    np.testing.assert_allclose(samples, [0.0, 0.0, 0.0, 1.8, 1.8, -1.6])
+    (plugin,) = spec.plugins
+    assert dict(plugin.config) == {"actuator": "drive", "actuator_gain": "0.9"}
+
+
+def test_a_late_encoder_shows_what_was_between_samples():
+    faults = EncoderFaults(
+        offset=np.array([0.5, 0.0]), scale=np.array([2.0, 1.0]), delay=np.array([0.003, 0.0])
+    )
+    assert faults
+    positions = np.array([[0.0, 9.0], [1.0, 8.0], [4.0, 7.0]])
+    np.testing.assert_allclose(faults.seen(positions, 2e-3), [2.0 * 0.5 + 0.5, 7.0])
+    np.testing.assert_allclose(faults.seen(positions[:1], 2e-3), [0.5, 9.0])
+    healthy = EncoderFaults(offset=np.zeros(2), scale=np.ones(2), delay=np.zeros(2))
+    assert not healthy
