@@ -13,6 +13,7 @@ from rich.table import Table
 from leglab import __version__
 from leglab.cli_compare import compare
 from leglab.cli_diagnose import diagnose
+from leglab.cli_report import index, report
 from leglab.cli_video import video
 from leglab.errors import LeglabError
 from leglab.terminal import TOLERANCE, Json, Overwrite, errors, metrics_table, output, progress_bar
@@ -26,6 +27,8 @@ app = typer.Typer(
 app.command()(compare)
 app.command()(diagnose)
 app.command()(video)
+app.command()(report)
+app.command()(index)
 
 
 def _version(wanted: bool) -> None:

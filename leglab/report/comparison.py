@@ -14,10 +14,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator
 from leglab.data import write_atomically
 from leglab.errors import LeglabError
 from leglab.report.panels import add_head, add_panels
-from leglab.report.style import BLACK, BLUE, ORANGE, VERMILION, style
+from leglab.report.style import RUN_COLORS, VERMILION, style
 
-# Okabe and Ito 2008 but for vermilion, which marks the change.
-_COLORS = (BLACK, BLUE, ORANGE, "#009E73", "#CC79A7", "#56B4E9")
 _DASHES: tuple[Literal["-", "--", ":"], ...] = ("-", "--", ":")
 _MILLI = 1e3
 _LEGEND_COLUMNS = 4
@@ -38,7 +36,7 @@ def comparison_figure(results: Sequence[dict[str, Any]], *, title: str = "") -> 
     controllers = list(dict.fromkeys(result["metrics"]["controller"] for result in results))
     if not any(value for result in results for value in result["windowed_error_rad"]):
         raise LeglabError("no windowed error to draw: no run lasts a window")
-    looks = itertools.cycle(itertools.product(_DASHES, _COLORS))
+    looks = itertools.cycle(itertools.product(_DASHES, RUN_COLORS))
     lines = []
     with style():
         figure, (panel,) = add_panels(1, heights=(3.0,))

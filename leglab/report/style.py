@@ -14,6 +14,10 @@ BLACK = "#000000"
 LIGHT_GREY = "#B8B8B8"
 DARK_GREY = "#4D4D4D"
 
+# One colour a run or controller, in their order; vermilion is kept for what happens to the machine.
+RUN_COLORS = (BLACK, BLUE, ORANGE, "#009E73", "#CC79A7", "#56B4E9")
+RUN_COLORS_IN_THE_DARK = ("#F2F2F2", "#4DA6E0", ORANGE, "#1DBF91", "#D98DB7", "#A5D8F5")
+
 _STYLE: dict[Any, Any] = {
     "font.size": 9.0,
     "axes.titlesize": 10.0,

@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from leglab.diagnosis.result import Diagnosis, Rank, Rivals
-from leglab.report.diagnosis.words import number, readable
+from leglab.report.page.wording import number, readable
 from leglab.report.style import BLUE, DARK_GREY, LIGHT_GREY, ORANGE, VERMILION, style
 
 WIDTH = 6.6  # inch: readable on a page and, scrolled sideways, on a phone
