@@ -58,6 +58,7 @@ def settle(page: Page) -> None:
                 const film = document.querySelector("video");
                 const wind = () => {
                     film.addEventListener("seeked", resolve, { once: true });
+                    film.controls = false;  // they lie over the picture
                     film.currentTime = share * film.duration;
                 };
                 film.readyState ? wind() : film.addEventListener("loadedmetadata", wind);

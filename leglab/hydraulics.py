@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.integrate import solve_ivp
-from scipy.optimize import brentq, root
 
 from leglab._native import hydraulics as _native
 from leglab.errors import LeglabError
@@ -121,6 +119,8 @@ class Cylinder:
         Returns:
             scipy's solution with dense output.
         """
+        from scipy.integrate import solve_ivp  # slow to import, and seldom needed
+
         scale = np.array([1e-3, 1e-2, 1e-3, 1e-1, 1e4, 1e4, 1e-6] + [1e-3] * 6)
         return solve_ivp(
             lambda _, y: self.derivative(y, **inputs),
@@ -187,6 +187,8 @@ class Cylinder:
         Raises:
             LeglabError: If no valve opening reaches it; the message names speed and force.
         """
+        from scipy.optimize import brentq, root  # slow to import, and seldom needed
+
         ps, native = self.supply_pressure, self.native
 
         def balance(spool: float, start: np.ndarray) -> tuple[np.ndarray, float]:

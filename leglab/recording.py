@@ -3,7 +3,8 @@
 Columns are named after the MJCF element they belong to: `<joint>_position` [rad or m],
 `<joint>_velocity`, `<actuator>_command` in [-1, 1], `<joint>_pressure_a` and `<joint>_pressure_b`
 [Pa], `supply_pressure` [Pa], `oil_temperature` [°C]; a run of ours adds `<joint>_reference`,
-`<joint>_reference_velocity` and `<joint>_reference_acceleration`.
+`<joint>_reference_velocity` and `<joint>_reference_acceleration`, and what no sensor sees:
+`<joint>_truth` [rad or m], `<joint>_oil_temperature` [°C], `<joint>_seal_clearance` [1, new is 1].
 """
 
 import json

@@ -37,6 +37,7 @@ _RECORDED = {
     "oil_temperature": "oil_temperature",
     "spool": "spool_position",
     "energy_supply": "energy_supply",
+    "seal_clearance": "seal_clearance",
 }
 
 Progress = Callable[[float], None]

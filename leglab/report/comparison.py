@@ -14,7 +14,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator
 from leglab.data import write_atomically
 from leglab.errors import LeglabError
 from leglab.report.panels import add_head, add_panels
-from leglab.report.style import RUN_COLORS, VERMILION, style
+from leglab.report.style import SERIES, VERMILION, style
 
 _DASHES: tuple[Literal["-", "--", ":"], ...] = ("-", "--", ":")
 _MILLI = 1e3
@@ -36,7 +36,7 @@ def comparison_figure(results: Sequence[dict[str, Any]], *, title: str = "") -> 
     controllers = list(dict.fromkeys(result["metrics"]["controller"] for result in results))
     if not any(value for result in results for value in result["windowed_error_rad"]):
         raise LeglabError("no windowed error to draw: no run lasts a window")
-    looks = itertools.cycle(itertools.product(_DASHES, RUN_COLORS))
+    looks = itertools.cycle(itertools.product(_DASHES, SERIES))
     lines = []
     with style():
         figure, (panel,) = add_panels(1, heights=(3.0,))

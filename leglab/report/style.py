@@ -6,17 +6,26 @@ from typing import Any
 
 import matplotlib as mpl
 
-# Okabe and Ito 2008, Color Universal Design: told apart under all common colour blindness.
-BLUE = "#0072B2"
-ORANGE = "#E69F00"
-VERMILION = "#D55E00"
-BLACK = "#000000"
-LIGHT_GREY = "#B8B8B8"
-DARK_GREY = "#4D4D4D"
+from leglab.report.palette import (
+    BLACK,
+    BLUE,
+    DARK_GREY,
+    LIGHT_GREY,
+    ORANGE,
+    SERIES,
+    VERMILION,
+)
 
-# One colour a run or controller, in their order; vermilion is kept for what happens to the machine.
-RUN_COLORS = (BLACK, BLUE, ORANGE, "#009E73", "#CC79A7", "#56B4E9")
-RUN_COLORS_IN_THE_DARK = ("#F2F2F2", "#4DA6E0", ORANGE, "#1DBF91", "#D98DB7", "#A5D8F5")
+__all__ = [
+    "BLACK",
+    "BLUE",
+    "DARK_GREY",
+    "LIGHT_GREY",
+    "ORANGE",
+    "SERIES",
+    "VERMILION",
+    "style",
+]
 
 _STYLE: dict[Any, Any] = {
     "font.size": 9.0,

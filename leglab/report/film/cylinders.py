@@ -9,7 +9,8 @@ from leglab.simulation import Simulation
 # Cylinders are drawn wider than they are, for their colours to be seen in a small picture.
 _WIDER = 1.5
 _WALL = 0.0035  # m
-_GLOW = 0.45  # share of a colour that does not depend on the light
+# Half of a colour glows and half is lit, so that it looks as in the colour bar, and still round.
+_GLOW, _LIT = 0.9, 0.55
 _CAP, _CHROME = (0.14, 0.15, 0.17), (0.92, 0.93, 0.95)
 _BASE, _END = 0.012, 0.012  # length of the ends of a barrel [m]
 
@@ -35,6 +36,20 @@ class CylinderShapes:
         self._parameters = [simulation.cylinder_parameters(name) for name in simulation.actuators]
         self.tendons = {model.tendon(i).name for i in self._tendon if i >= 0}
 
+    def ends(self, data: mujoco.MjData) -> np.ndarray:
+        """Pins of all cylinders [m], (n, 3)."""
+        points = data.wrap_xpos.reshape(-1, 3)
+        rows = [
+            row
+            for tendon in self._tendon
+            if tendon >= 0 and data.ten_wrapnum[tendon] > 1
+            for row in (
+                data.ten_wrapadr[tendon],
+                data.ten_wrapadr[tendon] + data.ten_wrapnum[tendon] - 1,
+            )
+        ]
+        return points[np.array(rows, dtype=int)].copy()
+
     def draw(self, scene: mujoco.MjvScene, data: mujoco.MjData, levels: np.ndarray) -> None:
         """Adds the cylinders to a scene.
 
@@ -57,7 +72,9 @@ class CylinderShapes:
             share = float(np.clip(position / stroke, 0.02, 0.98))
             piston = _BASE + share * (barrel - _BASE - _END)
             radius = _WIDER * (0.5 * parameters["bore"] + _WALL)
-            cap, rod = (UNKNOWN if np.isnan(v) else pressure_color(v) for v in pair)
+            cap, rod = (
+                _LIT * np.array(UNKNOWN if np.isnan(v) else pressure_color(v)) for v in pair
+            )
             axis = (end - base) / max(length, 1e-9)
             for start, stop, size, colour, glow in (
                 (0.0, _BASE, radius + 0.001, _CAP, 0.0),

@@ -10,6 +10,7 @@ from leglab.errors import unknown_name
 
 FIELD_OF_VIEW = 24.0  # vertical [degrees]; narrow, so that panels beside each other look alike
 DEFAULT_CAMERA = "three_quarter"
+_MARGIN = 10  # px
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,31 @@ class Direction:
         )
         right = np.array([math.sin(azimuth), -math.cos(azimuth), 0.0])
         return np.stack([right, np.cross(right, forward), forward])
+
+
+@dataclass(frozen=True)
+class Crop:
+    """A part of a picture, right and bottom not included [px]."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height [px]."""
+        return self.right - self.left, self.bottom - self.top
+
+    def apply(self, scene: mujoco.MjvScene, size: tuple[int, int]) -> None:
+        """Narrows the view of a scene to this part of a picture of `size` [px]."""
+        width, height = size
+        for eye in scene.camera:
+            pixel = (eye.frustum_top - eye.frustum_bottom) / height
+            top = eye.frustum_top
+            eye.frustum_center += pixel * 0.5 * (self.left + self.right - width)
+            eye.frustum_top = top - pixel * self.top
+            eye.frustum_bottom = top - pixel * self.bottom
 
 
 def direction(model: mujoco.MjModel, data: mujoco.MjData, camera: str) -> Direction:
@@ -63,6 +89,27 @@ def corners(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray) -> np
     local = boxes[:, None, :3] + signs[None] * boxes[:, None, 3:]
     turned = np.einsum("gij,gkj->gki", data.geom_xmat[geoms].reshape(-1, 3, 3), local)
     return (turned + data.geom_xpos[geoms][:, None]).reshape(-1, 3)
+
+
+def crop(points: np.ndarray, camera: mujoco.MjvCamera, size: tuple[int, int]) -> Crop:
+    """The part of a camera's picture in which points appear, with a margin.
+
+    Args:
+        points: [m], (n, 3), all in front of the camera.
+        camera: Made by `frame`.
+        size: Width and height of the picture [px].
+    """
+    axes = Direction(camera.azimuth, camera.elevation).axes()
+    x, y, z = axes @ (points - camera.lookat + camera.distance * axes[2]).T
+    width, height = size
+    scale = 0.5 * height / math.tan(math.radians(FIELD_OF_VIEW) / 2)
+    columns, rows = 0.5 * width + scale * x / z, 0.5 * height - scale * y / z
+    return Crop(
+        left=max(math.floor(columns.min()) - _MARGIN, 0),
+        top=max(math.floor(rows.min()) - _MARGIN, 0),
+        right=min(math.ceil(columns.max()) + _MARGIN, width),
+        bottom=min(math.ceil(rows.max()) + _MARGIN, height),
+    )
 
 
 def frame(

@@ -8,6 +8,7 @@ HEADING = 36  # height of the heading of a panel, above its picture
 TRACES = 232  # height of the traces below them
 GAP = 4  # between panels
 GAUGES = 132  # width of the gauges at the left of a panel
+PRESSURES = 168  # width of the pressures at the right of a wide panel
 MAX_RUNS = 4
 
 
@@ -39,13 +40,21 @@ def panels(count: int) -> list[Rect]:
     return [Rect(left, HEAD + HEADING, left + width, bottom) for left in lefts]
 
 
+def has_pressures(panel: Rect) -> bool:
+    """Whether there is room for the pressures of every cylinder at the right of a panel."""
+    return panel.width >= 600
+
+
 def leg_region(panel: Rect) -> tuple[float, float, float, float]:
     """Left, right, bottom, top of what the leg may fill of a panel, from -1 to 1.
 
-    Changes and gauges keep to the left of it; in a wide panel the leg stands in the middle.
+    Changes and gauges keep to the left of it, pressures to the right.
     """
     left = 2.0 * (GAUGES + 16) / panel.width - 1.0
-    return max(left, -0.45), min(0.94, -left if panel.width > 700 else 0.94), -0.93, 0.93
+    right = 1.0 - 2.0 * (PRESSURES + 16) / panel.width if has_pressures(panel) else 0.94
+    if panel.width < 400:  # behind the gauges, which hide little of a leg's height
+        left = -0.45
+    return left, right, -0.93, 0.93
 
 
 def traces() -> tuple[Rect, Rect]:

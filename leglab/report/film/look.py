@@ -1,12 +1,13 @@
 """Inks, fonts and the colour of a pressure."""
 
 import functools
+import importlib.util
 from pathlib import Path
 
 import numpy as np
 from PIL import ImageFont
 
-from leglab.report.style import BLACK, BLUE, ORANGE, VERMILION
+from leglab.report.palette import SERIES, VERMILION
 
 Rgb = tuple[int, int, int]
 
@@ -19,8 +20,7 @@ def rgb(color: str) -> Rgb:
 INK, SOFT, FAINT, PAPER = (24, 28, 34), (92, 100, 110), (222, 226, 231), (255, 255, 255)
 ALARM = rgb(VERMILION)
 TIMES = "\N{MULTIPLICATION SIGN}"
-# One colour a run, Okabe and Ito 2008; vermilion is kept for what happens to the machine.
-RUNS = tuple(rgb(color) for color in (BLACK, BLUE, ORANGE, "#009E73"))
+RUNS = tuple(rgb(color) for color in SERIES)  # one a run
 GHOST = (0.02, 0.62, 0.80, 0.42)
 UNKNOWN = (0.55, 0.57, 0.60)
 
@@ -46,10 +46,13 @@ def pressure_color(level: float | np.ndarray) -> np.ndarray:
 @functools.cache
 def font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
     """The font of Matplotlib, which is there wherever leglab is."""
-    from matplotlib import get_data_path
-
+    # Found, not imported: Matplotlib takes longer to import than some films to render.
+    spec = importlib.util.find_spec("matplotlib")
+    assert spec is not None
+    assert spec.origin is not None
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
-    return ImageFont.truetype(str(Path(get_data_path()) / "fonts/ttf" / name), size)
+    folder = Path(spec.origin).parent / "mpl-data" / "fonts" / "ttf"
+    return ImageFont.truetype(str(folder / name), size)
 
 
 def fitted(text: str, size: int, width: float, bold: bool = False) -> str:

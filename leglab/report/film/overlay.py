@@ -1,19 +1,19 @@
 """What is written into the picture: title, headings, gauges, changes, the end of a run."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw
 
-from leglab.report.film.layout import GAUGES, HEAD, HEADING, SIZE, Rect
+from leglab.report.film.gauges import BAR, Gauges
+from leglab.report.film.layout import HEAD, HEADING, SIZE, Rect
 from leglab.report.film.look import (
     ALARM,
-    FAINT,
     GHOST,
     INK,
     PAPER,
     SOFT,
-    TIMES,
     Rgb,
     fitted,
     font,
@@ -21,33 +21,32 @@ from leglab.report.film.look import (
 )
 from leglab.report.film.track import Track
 
-_BAR = 1e5  # Pa
 _VEIL = (255, 255, 255, 200)
+_CARD = (255, 255, 255, 205)
 _FLASH = 1.2  # s
-_MOST_LEAKAGE = 100.0
-_HOTTEST = 100.0  # degC
+_MOST_CHANGES = 3
 
 
 def draw_title(image: Image.Image, title: str, subtitle: str, scale: float) -> None:
     """Title, what the ghost is, and the colour bar of the pressures up to `scale` [Pa]."""
     draw = ImageDraw.Draw(image)
-    text = fitted(title, 22, 380, bold=True)
+    text = fitted(title, 22, 390, bold=True)
     draw.text((16, 23), text, font=font(22, True), fill=INK, anchor="lm")
-    draw.text((16, 42), fitted(subtitle, 13, 420), font=font(13), fill=SOFT, anchor="lm")
-    x = 470
+    draw.text((16, 42), fitted(subtitle, 13, 390), font=font(13), fill=SOFT, anchor="lm")
+    x = 424
     tint = tuple(round(255 * (0.45 + 0.55 * c)) for c in GHOST[:3])
     draw.rounded_rectangle(
         (x, 17, x + 26, 35), 5, fill=tint, outline=tuple(round(200 * c) for c in GHOST[:3])
     )
     draw.text((x + 34, 26), "see-through leg: the reference", font=font(15), fill=INK, anchor="lm")
-    left, width = 852, 150
-    draw.text((left - 10, 26), "pressure", font=font(15), fill=INK, anchor="rm")
+    left, width = 872, 150
+    draw.text((left - 10, 26), "cylinder pressure", font=font(15), fill=INK, anchor="rm")
     colors = (255 * pressure_color(np.linspace(0, 1, width))).astype(np.uint8)
     image.paste(Image.fromarray(np.repeat(colors[None], 14, axis=0)), (left, 11))
     for value in (0.0, 0.5, 1.0):
         place = left + value * width
         draw.line((place, 25, place, 29), fill=SOFT, width=1)
-        label = f"{value * scale / _BAR:.0f}" + (" bar" if value == 1.0 else "")
+        label = f"{value * scale / BAR:.0f}" + (" bar" if value == 1.0 else "")
         draw.text((place, 31), label, font=font(14), fill=SOFT, anchor="mt")
 
 
@@ -64,7 +63,7 @@ class PanelWriter:
 
     Args:
         track: The run.
-        label: Its heading.
+        detail: What tells it from runs with the same controller.
         color: Its colour in the traces.
         panel: Its place.
         error: Moving error [mrad], (n,).
@@ -72,13 +71,10 @@ class PanelWriter:
     """
 
     def __init__(
-        self, track: Track, label: str, color: Rgb, panel: Rect, error: np.ndarray, scale: float
+        self, track: Track, detail: str, color: Rgb, panel: Rect, error: np.ndarray, scale: float
     ) -> None:
-        self._track, self._label, self._color, self._panel = track, label, color, panel
-        self._error, self._scale = error, scale
-        self._leakage = track.seal_leakage()
-        self._oil = track.oil_temperature()
-        self._supply = track.column("supply_pressure")
+        self._track, self._detail, self._color, self._panel = track, detail, color, panel
+        self._error, self._gauges = error, Gauges(track, panel, scale)
 
     def draw(self, image: Image.Image, time: float) -> None:
         """Everything that belongs to a time [s]."""
@@ -87,7 +83,7 @@ class PanelWriter:
         if over:
             draw.rectangle((panel.left, panel.top, panel.right - 1, panel.bottom - 1), fill=_VEIL)
         self._heading(draw, time)
-        self._gauges(draw, time)
+        self._gauges.draw(draw, track.row(time))
         self._changes(draw, time)
         if over:
             self._end(draw)
@@ -100,59 +96,30 @@ class PanelWriter:
         if np.isfinite(value):
             shown = f"{value:.{0 if value >= 100 else 1 if value >= 10 else 2}f} mrad"
             draw.text((panel.right - 10, middle), shown, font=font(17), fill=INK, anchor="rm")
-        text = fitted(self._label, 19, panel.width - 130, bold=True)
-        draw.text((panel.left + 10, middle), text, font=font(19, True), fill=INK, anchor="lm")
-
-    def _gauges(self, draw: ImageDraw.ImageDraw, time: float) -> None:
-        row = self._track.row(time)
-        gauges: list[tuple[str, str, float, bool]] = []
-        if self._supply is not None:
-            value = self._supply[row]
-            gauges.append(("supply", f"{value / _BAR:.0f} bar", value / self._scale, False))
-        if self._oil is not None:
-            value = self._oil[row]
-            gauges.append(("oil", f"{value:.0f} °C", value / _HOTTEST, False))
-        if self._leakage is not None:
-            worst = float(self._leakage[row].max())
-            share = np.log10(max(worst, 1.0)) / np.log10(_MOST_LEAKAGE)
-            text = f"{worst:.{1 if worst < 9.95 else 0}f}{TIMES} new"
-            gauges.append(("seal leakage", text, share, worst > 1.05))
-        left, step = self._panel.left + 14, 46
-        top = self._panel.bottom - 12 - step * len(gauges)
-        width = GAUGES - 14
-        if gauges:
-            box = (left - 8, top - 4, left + width + 8, self._panel.bottom - 8)
-            draw.rounded_rectangle(box, 6, fill=(255, 255, 255, 190))
-        for name, text, share, alarm in gauges:
-            ink = ALARM if alarm else INK
-            draw.text((left, top + 2), name, font=font(13), fill=SOFT, anchor="lt")
-            draw.text((left, top + 17), text, font=font(16, True), fill=ink, anchor="lt")
-            end = left + width * float(np.clip(np.nan_to_num(share), 0.0, 1.0))
-            draw.rectangle((left, top + 36, left + width, top + 39), fill=FAINT)
-            draw.rectangle((left, top + 36, end, top + 39), fill=ink)
-            top += step
+        name, room = str(self._track.settings["controller"]), panel.width - 125
+        size = next((n for n in (19, 17, 15) if font(n, True).getlength(name) <= room), 14)
+        text = fitted(name, size, room, bold=True)
+        draw.text((panel.left + 10, middle), text, font=font(size, True), fill=INK, anchor="lm")
 
     def _changes(self, draw: ImageDraw.ImageDraw, time: float) -> None:
-        panel = self._panel
+        panel, left, top = self._panel, self._panel.left + 14, self._panel.top + 16
         past = [change for change in self._track.changes if change.start <= time + 1e-9]
-        if not past:
-            return
-        moving = [c for c in past if c.start > 0]
-        age = time - moving[-1].start if moving else np.inf
+        moving = [change for change in past if change.start > 0]
         if moving:
-            width = 3 + round(7 * max(0.0, 1.0 - age / _FLASH))
+            width = 3 + round(7 * max(0.0, 1.0 - (time - moving[-1].start) / _FLASH))
             box = (panel.left, panel.top, panel.right - 1, panel.bottom - 1)
             draw.rectangle(box, outline=ALARM, width=width)
-        top = panel.top + 16
-        for change in past[-2:]:
+        if self._detail:
+            _tag(
+                draw, left, top, fitted(self._detail, 14, panel.width - 44), INK, _CARD, bold=False
+            )
+            top += 29
+        for change in past[-_MOST_CHANGES:]:
             text = change.text
             if change.start <= time < change.end:
                 text += f", {100 * (time - change.start) / (change.end - change.start):.0f} %"
             text = fitted(text, 15, panel.width - 44, bold=True)
-            left = panel.left + 14
-            end = left + font(15, True).getlength(text) + 16
-            draw.rounded_rectangle((left, top, end, top + 25), 5, fill=ALARM)
-            draw.text((left + 8, top + 13), text, font=font(15, True), fill=PAPER, anchor="lm")
+            _tag(draw, left, top, text, PAPER, (*ALARM, 255), bold=True)
             top += 29
 
     def _end(self, draw: ImageDraw.ImageDraw) -> None:
@@ -171,13 +138,26 @@ class PanelWriter:
             y += size + 10
 
 
+def _tag(
+    draw: ImageDraw.ImageDraw,
+    left: int,
+    top: int,
+    text: str,
+    ink: Rgb,
+    card: tuple[int, int, int, int],
+    *,
+    bold: bool,
+) -> None:
+    face = font(15 if bold else 14, bold)
+    draw.rounded_rectangle((left, top, left + face.getlength(text) + 16, top + 25), 5, fill=card)
+    draw.text((left + 8, top + 13), text, font=face, fill=ink, anchor="lm")
+
+
 def title_of(tracks: Sequence[Track]) -> tuple[str, str]:
     """Title and subtitle: what all runs share."""
     scenarios = list(dict.fromkeys(str(t.settings["scenario"]) for t in tracks))
     models = list(dict.fromkeys(str(t.settings["model"]) for t in tracks))
     references = list(dict.fromkeys(str(t.settings.get("reference", "")) for t in tracks))
-    from pathlib import Path
-
     parts = [", ".join(Path(model).stem for model in models), ", ".join(filter(None, references))]
     title = " / ".join(name.replace("_", " ") for name in scenarios)
     return title, " · ".join(part.replace("_", " ") for part in parts if part)

@@ -8,10 +8,11 @@ from PIL import Image
 
 from leglab.report.film import framing, layout
 from leglab.report.film.look import PAPER, RUNS
+from leglab.report.film.machine import Machine
 from leglab.report.film.overlay import PanelWriter, draw_clock, draw_title, title_of
-from leglab.report.film.stage import Machine, Stage
+from leglab.report.film.stage import Stage
 from leglab.report.film.traces import CommandTrace, ErrorTrace
-from leglab.report.film.track import labels, load_track
+from leglab.report.film.track import details, load_track
 
 _POSES = 24  # looked at to find what has to be in the picture
 _BAR_STEP = 20e5  # the colour bar ends at a multiple of this [Pa]
@@ -31,7 +32,7 @@ class Picture:
 
     def __init__(self, folders: Sequence[Path], span: tuple[float, float], camera: str) -> None:
         tracks = [load_track(folder) for folder in folders]
-        names, colors = labels(tracks), RUNS[: len(tracks)]
+        names, colors = [str(t.settings["controller"]) for t in tracks], RUNS[: len(tracks)]
         self._panels = layout.panels(len(tracks))
         size = (self._panels[0].width, self._panels[0].height)
         supplies = [track.column("supply_pressure") for track in tracks]
@@ -50,7 +51,9 @@ class Picture:
         self._command = CommandTrace(tracks, colors, names, right, span)
         self._writers = [
             PanelWriter(*row, scale)
-            for row in zip(tracks, names, colors, self._panels, self._error.errors, strict=True)
+            for row in zip(
+                tracks, details(tracks), colors, self._panels, self._error.errors, strict=True
+            )
         ]
         self._base = Image.new("RGB", layout.SIZE, PAPER)
         draw_title(self._base, *title_of(tracks), scale)
@@ -79,8 +82,9 @@ class Picture:
         """Gives runs of one model the same camera, so that they can be compared."""
         for machine in self._machines.values():
             stages = [s for s, m in zip(self._stages, machines, strict=True) if m is machine]
-            points = np.concatenate([stage.extent(times) for stage in stages])
+            extents = [stage.extent(times) for stage in stages]
+            body = np.concatenate([points for points, _ in extents])
+            rest = np.concatenate([points for _, points in extents])
             region = layout.leg_region(self._panels[0])
-            view = stages[0].direction(camera)
-            for stage in stages:
-                stage.camera = framing.frame(points, view, size[0] / size[1], region)
+            view = framing.frame(body, stages[0].direction(camera), size[0] / size[1], region)
+            machine.open(view, np.concatenate([body, rest]))

@@ -166,18 +166,21 @@ def load_track(folder: Path) -> Track:
     )
 
 
-def labels(tracks: list[Track]) -> list[str]:
-    """Headings that tell runs apart: the controller, and what else differs."""
+def details(tracks: list[Track]) -> list[str]:
+    """What tells the runs apart beside their controllers; empty where those suffice."""
+    shown: list[list[str]] = [[] for _ in tracks]
     names = [str(track.settings["controller"]) for track in tracks]
     for key in ("scenario", "model", "severity", "seed"):
         values = [track.settings.get(key) for track in tracks]
-        if len(set(names)) < len(names) and len({str(v) for v in values}) > 1:
-            texts = [f"{v:g}" if isinstance(v, float) else Path(str(v)).stem for v in values]
+        if len({str(value) for value in values}) > 1:
             prefix = f"{key} " if key in ("severity", "seed") else ""
-            names = [f"{n} · {prefix}{t}" for n, t in zip(names, texts, strict=True)]
-    if len(set(names)) < len(names):
-        names = [f"{n} · {t.folder.name}" for n, t in zip(names, tracks, strict=True)]
-    return names
+            for texts, value in zip(shown, values, strict=True):
+                text = f"{value:g}" if isinstance(value, float) else Path(str(value)).stem
+                texts.append(prefix + text.replace("_", " "))
+    found = [" · ".join(texts) for texts in shown]
+    if len(set(zip(names, found, strict=True))) < len(tracks):
+        found = [" · ".join([*t, r.folder.name]) for t, r in zip(shown, tracks, strict=True)]
+    return found
 
 
 def _filled(values: np.ndarray) -> np.ndarray:

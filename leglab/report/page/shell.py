@@ -11,9 +11,12 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from leglab.report.style import RUN_COLORS, RUN_COLORS_IN_THE_DARK
+from leglab.report.palette import ORANGE, SERIES
 
 _PACKAGE = "leglab.report.page"
+
+# SERIES for a dark background: as bright as they must be to be seen there.
+_SERIES_IN_THE_DARK = ("#F2F2F2", "#4DA6E0", ORANGE, "#1DBF91", "#D98DB7", "#A5D8F5")
 
 
 def render(template: str, *, scripts: Sequence[str] = (), **content: Any) -> str:
@@ -97,5 +100,5 @@ def _colors() -> str:
     def variables(colors: Sequence[str]) -> str:
         return " ".join(f"--run-{i}: {color};" for i, color in enumerate(colors))
 
-    dark = f"@media (prefers-color-scheme: dark) {{ :root {{ {variables(RUN_COLORS_IN_THE_DARK)} }}"
-    return f":root {{ {variables(RUN_COLORS)} }}\n{dark} }}\n"
+    dark = f"@media (prefers-color-scheme: dark) {{ :root {{ {variables(_SERIES_IN_THE_DARK)} }}"
+    return f":root {{ {variables(SERIES)} }}\n{dark} }}\n"

@@ -16,11 +16,11 @@ from leglab.data import write_atomically
 from leglab.errors import LeglabError
 from leglab.report.page.shell import asset, plotly, render
 from leglab.report.page.wording import listed
+from leglab.report.palette import SERIES
 from leglab.report.run import tables, words
 from leglab.report.run.film import film_bytes
 from leglab.report.run.plots import plot_data
 from leglab.report.run.source import ReportedRun
-from leglab.report.style import RUN_COLORS
 
 PAGE, FILM = "report.html", "report.mp4"
 
@@ -154,8 +154,8 @@ def _fill(
         sections=words.sections(runs),
         count=len(runs),
         labels=[run.label for run in runs],
-        colors=len(RUN_COLORS),
-        bars=tables.error_bars(runs, len(RUN_COLORS)),
+        colors=len(SERIES),
+        bars=tables.error_bars(runs, len(SERIES)),
         table=tables.run_table(runs),
         joint_tables=tables.joint_tables(runs),
         setting_tables=tables.setting_tables(runs),

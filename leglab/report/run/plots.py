@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from leglab.report.page.shell import printable
+from leglab.report.palette import SERIES
 from leglab.report.run.errors import moving_error, position_name
 from leglab.report.run.source import ReportedRun
 from leglab.report.run.words import change_words
-from leglab.report.style import RUN_COLORS
 
 _MILLI, _BAR = 1e3, 1e5
 # Points of all runs in one plot: more than any screen has columns, and the page stays small.
@@ -269,8 +269,8 @@ def _trace(
     return {
         "name": _text(name),
         "run": run,
-        "ink": "reference" if run < 0 else f"run-{run % len(RUN_COLORS)}",
-        "dash": "solid" if run < 0 else _DASHES[run // len(RUN_COLORS) % len(_DASHES)],
+        "ink": "reference" if run < 0 else f"run-{run % len(SERIES)}",
+        "dash": "solid" if run < 0 else _DASHES[run // len(SERIES) % len(_DASHES)],
         "width": width,
         "x": _packed(time),
         "y": _packed(values),

@@ -112,15 +112,20 @@ def setting_tables(runs: Sequence[ReportedRun]) -> tuple[Table, ...]:
     for run, found in zip(runs, versions, strict=True):
         if run.configuration.code:
             found["digest of the code"] = run.configuration.code[:12]
-    words = len(runs) + 1
-    return tuple(
-        Table(caption=caption, head=["", *labels], rows=rows, words=words)
-        for caption, rows in (
-            ("Settings of the runs", _side_by_side(settings)),
-            ("Versions they were made with", _side_by_side(versions)),
+    tables = []
+    for caption, columns in (("Settings", settings), ("Versions of the software", versions)):
+        rows = _side_by_side(columns)
+        differing = [row for row in rows if len(set(row[1:])) > 1]
+        common = [row[:2] for row in rows if row not in differing]
+        which = " in which the runs differ"
+        tables.append(
+            Table(
+                caption=caption + which, head=["name", *labels], rows=differing, words=len(runs) + 1
+            )
         )
-        if rows
-    )
+        which = " that all runs share" if len(runs) > 1 else ""
+        tables.append(Table(caption=caption + which, head=["name", "value"], rows=common, words=2))
+    return tuple(table for table in tables if table.rows)
 
 
 def _side_by_side(columns: Sequence[dict[str, str]]) -> list[list[str]]:

@@ -42,14 +42,14 @@
     })) : [];
     const time = { ...axis, title: { text: "time [s]", standoff: 6 }, automargin: true };
     time.range = span || content.span;
-    const value = { ...axis, title: { text: plot.axis, standoff: 4 }, automargin: false, type: plot.scale };
+    const value = { ...axis, title: narrow.matches ? undefined : { text: plot.axis, standoff: 4 }, automargin: false, type: plot.scale };
     if (plot.ticks) Object.assign(value, { tickmode: "array", tickvals: plot.ticks, ticktext: plot.ticks.map(String) });
     if (plot.range) value.range = plot.range;
     return {
       autosize: true, height: narrow.matches ? 250 + 20 * count : 300, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
       font: { family: "system-ui, sans-serif", size: 13, color: ink("ink") }, hovermode: "x unified",
       hoverlabel: { bgcolor: ink("box"), bordercolor: ink("line"), font: { color: ink("ink") }, namelength: -1 },
-      margin: { l: narrow.matches ? 50 : 64, r: 10, t: plot.labelled ? 26 : 8, b: 8 }, dragmode: narrow.matches ? false : "zoom",
+      margin: { l: narrow.matches ? 40 : 64, r: 10, t: plot.labelled ? 26 : 8, b: 8 }, dragmode: narrow.matches ? false : "zoom",
       showlegend: true, legend: { orientation: "h", x: 0, y: -0.22, yanchor: "top", itemdoubleclick: "toggleothers" },
       modebar: { bgcolor: "rgba(0,0,0,0)", color: ink("soft"), activecolor: ink("ink"), orientation: "h" },
       shapes: marks, annotations: names, xaxis: time, yaxis: value, 
