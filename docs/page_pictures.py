@@ -51,7 +51,7 @@ def main() -> None:
 def settle(page: Page) -> None:
     """Waits for plots, and winds the film to a moment at which something is to be seen."""
     if page.locator("#plot-data").count():
-        page.wait_for_function("document.documentElement.dataset.ready === 'yes'", timeout=60_000)
+        page.wait_for_selector("html[data-ready=yes]", state="attached", timeout=60_000)
     if page.locator("video").count():
         page.evaluate(
             """share => new Promise(resolve => {

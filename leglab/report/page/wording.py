@@ -31,6 +31,13 @@ def listed(names: tuple[str, ...], word: str = "and") -> str:
     return f"{', '.join(names[:-1])} {word} {names[-1]}"
 
 
+def shortened(name: str, most: int) -> str:
+    """The name, cut in the middle where it has more characters."""
+    if len(name) <= most:
+        return name
+    return f"{name[: most // 2]}\u2026{name[len(name) - (most - most // 2 - 1) :]}"
+
+
 def capital(text: str) -> str:
     """The text with its first letter capital, the others as they are."""
     return f"{text[:1].upper()}{text[1:]}"

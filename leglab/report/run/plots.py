@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from leglab.report.page.shell import printable
+from leglab.report.page.wording import shortened
 from leglab.report.palette import SERIES
 from leglab.report.run.errors import moving_error, position_name
 from leglab.report.run.source import ReportedRun
@@ -19,6 +20,8 @@ _MILLI, _BAR = 1e3, 1e5
 # Points of all runs in one plot: more than any screen has columns, and the page stays small.
 _POINTS, _LEAST, _MOST = 5400, 900, 3000
 _DASHES = ("solid", "dash", "dot")
+# Characters of a name in a legend.
+_LONGEST = 40
 # Strides before and after the change in its close-up.
 _CLOSE_UP = 2.0
 # Below this spread, a temperature is a constant and no plot [degC].
@@ -284,4 +287,4 @@ def _packed(values: np.ndarray) -> dict[str, str]:
 
 def _text(text: str) -> str:
     """Text for the plotting library, which reads some HTML in names: shown as it is."""
-    return html.escape(printable(text), quote=False)
+    return html.escape(printable(shortened(text, _LONGEST)), quote=False)

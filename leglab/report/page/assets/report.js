@@ -41,7 +41,7 @@
       xanchor: change.late ? "right" : "left", yanchor: "bottom", font: { size: 12, color: ink("change") },
     })) : [];
     const time = { ...axis, title: { text: "time [s]", standoff: 6 }, automargin: true };
-    time.range = span || content.span;
+    time.range = [...(span || content.span)]; // a copy: the library writes into it
     const value = { ...axis, title: narrow.matches ? undefined : { text: plot.axis, standoff: 4 }, automargin: false, type: plot.scale };
     if (plot.ticks) Object.assign(value, { tickmode: "array", tickvals: plot.ticks, ticktext: plot.ticks.map(String) });
     if (plot.range) value.range = plot.range;
@@ -103,7 +103,7 @@
   }
   document.getElementById("whole").addEventListener("click", () => { span = null; draw(); });
   const close = document.getElementById("close");
-  if (close) close.addEventListener("click", () => { span = content.close_up; draw(); });
+  if (close) close.addEventListener("click", () => { span = [...content.close_up]; draw(); });
   document.getElementById("controls").addEventListener("submit", (event) => event.preventDefault());
   addEventListener("beforeprint", () => document.querySelectorAll("details").forEach((part) => { part.open = true; }));
 })();
