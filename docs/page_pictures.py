@@ -13,6 +13,8 @@ from playwright.sync_api import Page, sync_playwright
 
 IMAGES = Path(__file__).parent / "images"
 DESKTOP, PHONE = {"width": 1120, "height": 1400}, {"width": 360, "height": 780}
+WIDE = {"width": 1280, "height": 760}
+GAP = 12  # px
 # Where in the film the picture is taken, as a share of its length.
 MOMENT = 0.6
 
@@ -39,11 +41,16 @@ def main() -> None:
             for look, (size, scheme) in looks.items():
                 if name != "report" and look != "desktop" and not options.full:
                     continue
+                size = WIDE if name == "index" and size is DESKTOP else size
                 page = browser.new_page(viewport=size, color_scheme=scheme)
                 page.goto(source.resolve().as_uri())
                 settle(page)
                 suffix = f"_{look}" if name == "report" or options.full else ""
-                save(page.screenshot(full_page=options.full), options.out / f"{name}{suffix}.png")
+                if name == "report" and look == "phone" and not options.full:
+                    pictures = [screen(page, part) for part in ("summary", "numbers", "plots")]
+                else:
+                    pictures = [page.screenshot(full_page=options.full)]
+                save(pictures, options.out / f"{name}{suffix}.png")
                 page.close()
         browser.close()
 
@@ -67,12 +74,22 @@ def settle(page: Page) -> None:
         )
 
 
-def save(picture: bytes, path: Path) -> None:
-    """Writes a PNG of few colours, which is a third of the size."""
-    image = Image.open(io.BytesIO(picture)).convert("RGB")
-    image.quantize(colors=256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(
-        path, optimize=True
-    )
+def screen(page: Page, part: str) -> bytes:
+    """What a phone shows after a touch on one of the links at the top."""
+    page.evaluate("part => document.getElementById(part).scrollIntoView()", part)
+    return page.screenshot()
+
+
+def save(pictures: list[bytes], path: Path) -> None:
+    """Writes pictures beside each other as one PNG."""
+    images = [Image.open(io.BytesIO(picture)).convert("RGB") for picture in pictures]
+    width = sum(image.width for image in images) + GAP * (len(images) - 1)
+    whole = Image.new("RGB", (width, images[0].height), (128, 128, 128))
+    left = 0
+    for image in images:
+        whole.paste(image, (left, 0))
+        left += image.width + GAP
+    whole.save(path, optimize=True)
     print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
 
 

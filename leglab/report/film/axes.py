@@ -42,10 +42,10 @@ def draw_frame(
         ticks: Height [px] and label of each grid line.
         note: Behind the title, in grey.
     """
-    draw.text((rect.left, rect.top - 14), title, font=font(15, True), fill=INK, anchor="ls")
+    draw.text((rect.left, rect.top - 17), title, font=font(15, True), fill=INK, anchor="ls")
     if note:
         x = rect.left + font(15, True).getlength(title) + 10
-        draw.text((x, rect.top - 14), note, font=font(_LABEL), fill=SOFT, anchor="ls")
+        draw.text((x, rect.top - 17), note, font=font(_LABEL), fill=SOFT, anchor="ls")
     for y, label in ticks:
         draw.line((rect.left, y, rect.right, y), fill=FAINT, width=1)
         if label:

@@ -36,19 +36,12 @@ class CylinderShapes:
         self._parameters = [simulation.cylinder_parameters(name) for name in simulation.actuators]
         self.tendons = {model.tendon(i).name for i in self._tendon if i >= 0}
 
-    def ends(self, data: mujoco.MjData) -> np.ndarray:
-        """Pins of all cylinders [m], (n, 3)."""
-        points = data.wrap_xpos.reshape(-1, 3)
-        rows = [
-            row
-            for tendon in self._tendon
-            if tendon >= 0 and data.ten_wrapnum[tendon] > 1
-            for row in (
-                data.ten_wrapadr[tendon],
-                data.ten_wrapadr[tendon] + data.ten_wrapnum[tendon] - 1,
-            )
-        ]
-        return points[np.array(rows, dtype=int)].copy()
+    def pins(self, data: mujoco.MjData) -> np.ndarray:
+        """Ends of all tendons, cylinders and springs [m], (n, 3)."""
+        used = data.ten_wrapnum > 0
+        first = data.ten_wrapadr[used]
+        last = first + data.ten_wrapnum[used] - 1
+        return data.wrap_xpos.reshape(-1, 3)[np.concatenate([first, last])]
 
     def draw(self, scene: mujoco.MjvScene, data: mujoco.MjData, levels: np.ndarray) -> None:
         """Adds the cylinders to a scene.

@@ -30,6 +30,7 @@ class Encoder:
     """
 
     def __init__(self, out: Path, size: tuple[int, int], rate: int) -> None:
+        program = _ffmpeg()
         self._out = out
         self._partial = out.with_name(f".{out.name}.partial.mp4")
         try:
@@ -41,18 +42,22 @@ class Encoder:
             raise LeglabError(f"{out}: cannot be written: {error.strerror}") from error
         width, height = size
         command = [
-            *(_ffmpeg(), "-hide_banner", "-loglevel", "error", "-y"),
+            *(program, "-hide_banner", "-loglevel", "error", "-y"),
             *("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(rate)),
             *("-i", "-", "-an", "-vf", "scale=out_color_matrix=bt709:out_range=tv"),
-            *("-c:v", "libx264", "-preset", "fast", "-crf", "20", "-pix_fmt", "yuv420p"),
+            *("-c:v", "libx264", "-preset", "veryfast", "-crf", "20", "-pix_fmt", "yuv420p"),
             *("-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709"),
             *("-color_range", "tv", "-threads", "1", "-fflags", "+bitexact"),
             *("-flags:v", "+bitexact", "-movflags", "+faststart", str(self._partial)),
         ]
         self._log = tempfile.TemporaryFile()  # noqa: SIM115
-        self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._log
-        )
+        try:
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._log
+            )
+        except OSError as error:
+            self._partial.unlink(missing_ok=True)
+            raise LeglabError(f"{program} cannot be run: {error.strerror}") from error
 
     def __enter__(self) -> Self:
         return self

@@ -80,7 +80,7 @@ class Gauges:
         top = panel.bottom - 40 - _ROW * len(self._pressures)
         draw.rounded_rectangle((left - 8, top - 8, right + 6, panel.bottom - 8), 6, fill=_CARD)
         draw.text((left, top), "cylinder", font=font(13), fill=SOFT, anchor="lt")
-        draw.text((right, top), "cap, rod, bar", font=font(13), fill=SOFT, anchor="rt")
+        draw.text((right, top), "cap, rod [bar]", font=font(13), fill=SOFT, anchor="rt")
         top += 22
         for joint, cap, rod in self._pressures:
             name = fitted(joint.replace("_", " "), 14, PRESSURES - 20)

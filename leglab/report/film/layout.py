@@ -53,7 +53,7 @@ def leg_region(panel: Rect) -> tuple[float, float, float, float]:
     left = 2.0 * (GAUGES + 16) / panel.width - 1.0
     right = 1.0 - 2.0 * (PRESSURES + 16) / panel.width if has_pressures(panel) else 0.94
     if panel.width < 400:  # behind the gauges, which hide little of a leg's height
-        left = -0.45
+        left = -0.25
     return left, right, -0.93, 0.93
 
 

@@ -20,13 +20,14 @@ _GHOST_SHIFT = 0.003
 _SPRING = (0.88, 0.33, 0.06, 1.0)
 _MAX_GEOMS = 4000
 _HIDDEN_GROUP = 5
+_FLIP = Image.Transpose.FLIP_TOP_BOTTOM
 
 
 class Machine:
     """A model with what is needed to draw it; runs of one model share it.
 
-    What cannot move is drawn once. After that only the part of the picture in which the machine
-    moves is rendered: in software pixels take the time, and a leg is narrow.
+    What cannot move is drawn once. After that only the part of the picture in which the machine is
+    at the time is rendered: in software pixels take the time, and a leg is narrow.
 
     Args:
         model: Name or path, as `load_model` takes it.
@@ -41,7 +42,7 @@ class Machine:
         self._size = size
         width, height = (_SUPERSAMPLING * n for n in size)
         view = self.model.vis.global_
-        view.offwidth, view.offheight = max(width, view.offwidth), max(height, view.offheight)
+        view.offwidth, view.offheight = width, height
         view.fovy = framing.FIELD_OF_VIEW
         self.model.vis.quality.offsamples = 0
         for i in range(self.model.ntendon):
@@ -51,29 +52,34 @@ class Machine:
         self._ghost = load_model(model)
         _make_ghost(self._ghost)
         self._option, self._perturbation = mujoco.MjvOption(), mujoco.MjvPerturb()
-        self._renderer: mujoco.Renderer | None = None
+        self._fixed_lights = not _lights_move(self.model)
+        self._moving = framing.moving_geoms(self.model)
+        self._scene = mujoco.MjvScene(self.model, _MAX_GEOMS)
+        for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
+            self._scene.flags[flag] = 0
+        self._gl = mujoco.GLContext(width, height)
+        self._gl.make_current()
+        self._context = mujoco.MjrContext(self.model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
 
-    def open(self, camera: mujoco.MjvCamera, points: np.ndarray) -> None:
-        """Chooses the view, and draws what stands still.
-
-        Args:
-            camera: Where from.
-            points: All that will ever move is between them [m], (n, 3).
-        """
+    def look(self, camera: mujoco.MjvCamera) -> None:
+        """Chooses the view, and draws what stands still."""
         self._camera = camera
-        whole = framing.Crop(0, 0, *self._size)
+        self._whole = framing.Crop(0, 0, *self._size)
         data = self.simulation.data
-        self._open_renderer(whole)
-        self._start_scene(data, whole, mujoco.mjtCatBit.mjCAT_STATIC)
-        self._background = self._render(data)
-        self.close()
-        self._crop = whole if _lights_move(self.model) else framing.crop(points, camera, self._size)
-        self._open_renderer(self._crop)
+        self._start_scene(data, self._whole, mujoco.mjtCatBit.mjCAT_STATIC)
+        self._background = self._render(data, self._whole)
 
     def close(self) -> None:
         """Frees the OpenGL context."""
-        if self._renderer:
-            self._renderer.close()
+        self._gl.make_current()
+        self._context.free()
+        self._gl.free()
+
+    def outline(self, data: mujoco.MjData) -> np.ndarray:
+        """Points around all that moves, but for its shadow [m], (n, 3)."""
+        corners = framing.corners(self.model, data, self._moving)
+        return np.concatenate([corners, self.cylinders.pins(data)])
 
     def draw(
         self, data: mujoco.MjData, reference: mujoco.MjData, pressures: np.ndarray
@@ -86,25 +92,22 @@ class Machine:
             pressures: Of both sides of each cylinder over the end of the colour bar, NaN where
                 unknown, (actuators, 2).
         """
-        scene = self._start_scene(data, self._crop, mujoco.mjtCatBit.mjCAT_ALL)
+        crop = self._whole
+        if self._fixed_lights:
+            parts = self.outline(data), self.outline(reference), self.shadow.corners(data)
+            crop = framing.crop(np.concatenate(parts), self._camera, self._size)
+        scene = self._start_scene(data, crop, mujoco.mjtCatBit.mjCAT_ALL)
         self.cylinders.draw(scene, data, pressures)
         self.shadow.draw(scene, data)
         self._add_ghost(scene, reference)
         picture = self._background.copy()
-        picture.paste(self._render(data), (self._crop.left, self._crop.top))
+        picture.paste(self._render(data, crop), (crop.left, crop.top))
         return picture
-
-    def _open_renderer(self, crop: framing.Crop) -> None:
-        width, height = (_SUPERSAMPLING * n for n in crop.size)
-        self._renderer = mujoco.Renderer(self.model, height, width, max_geom=_MAX_GEOMS)
-        for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
-            self._renderer.scene.flags[flag] = 0
 
     def _start_scene(
         self, data: mujoco.MjData, crop: framing.Crop, categories: mujoco.mjtCatBit
     ) -> mujoco.MjvScene:
-        assert self._renderer is not None
-        scene = self._renderer.scene
+        scene = self._scene
         scene.ngeom = 0
         mujoco.mjv_updateCamera(self.model, data, self._camera, scene)
         crop.apply(scene, self._size)
@@ -122,10 +125,16 @@ class Machine:
         for geom in scene.geoms[first : scene.ngeom]:
             geom.pos[:] += _GHOST_SHIFT * (geom.pos - eye)
 
-    def _render(self, data: mujoco.MjData) -> Image.Image:
-        assert self._renderer is not None
-        mujoco.mjv_makeLights(self.model, data, self._renderer.scene)
-        return Image.fromarray(self._renderer.render()).reduce(_SUPERSAMPLING)
+    def _render(self, data: mujoco.MjData, crop: framing.Crop) -> Image.Image:
+        mujoco.mjv_makeLights(self.model, data, self._scene)
+        width, height = (_SUPERSAMPLING * n for n in crop.size)
+        place = mujoco.MjrRect(0, 0, width, height)
+        pixels = np.empty((height, width, 3), np.uint8)
+        self._gl.make_current()
+        mujoco.mjr_render(place, self._scene, self._context)
+        mujoco.mjr_readPixels(pixels, None, place, self._context)
+        # OpenGL counts rows from below.
+        return Image.fromarray(pixels).reduce(_SUPERSAMPLING).transpose(_FLIP)
 
 
 def _make_ghost(model: mujoco.MjModel) -> None:

@@ -92,11 +92,12 @@ class PanelWriter:
         panel, middle = self._panel, self._panel.top - HEADING // 2 + 3
         top = panel.top - HEADING
         draw.rectangle((panel.left, top, panel.right - 1, top + 5), fill=self._color)
-        value = self._error[self._track.row(time)]
+        value, narrow = self._error[self._track.row(time)], panel.width < 400
         if np.isfinite(value):
             shown = f"{value:.{0 if value >= 100 else 1 if value >= 10 else 2}f} mrad"
+            shown = shown if narrow else f"error {shown}"
             draw.text((panel.right - 10, middle), shown, font=font(17), fill=INK, anchor="rm")
-        name, room = str(self._track.settings["controller"]), panel.width - 125
+        name, room = str(self._track.settings["controller"]), panel.width - (125 if narrow else 175)
         size = next((n for n in (19, 17, 15) if font(n, True).getlength(name) <= room), 14)
         text = fitted(name, size, room, bold=True)
         draw.text((panel.left + 10, middle), text, font=font(size, True), fill=INK, anchor="lm")

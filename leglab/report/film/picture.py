@@ -82,9 +82,7 @@ class Picture:
         """Gives runs of one model the same camera, so that they can be compared."""
         for machine in self._machines.values():
             stages = [s for s, m in zip(self._stages, machines, strict=True) if m is machine]
-            extents = [stage.extent(times) for stage in stages]
-            body = np.concatenate([points for points, _ in extents])
-            rest = np.concatenate([points for _, points in extents])
+            points = np.concatenate([stage.extent(times) for stage in stages])
             region = layout.leg_region(self._panels[0])
-            view = framing.frame(body, stages[0].direction(camera), size[0] / size[1], region)
-            machine.open(view, np.concatenate([body, rest]))
+            view = stages[0].direction(camera)
+            machine.look(framing.frame(points, view, size[0] / size[1], region))

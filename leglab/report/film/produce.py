@@ -55,10 +55,12 @@ def render_film(
     if not 1 <= len(folders) <= MAX_RUNS:
         raise LeglabError(f"{len(folders)} runs side by side; allowed: 1 to {MAX_RUNS}")
     first, last = _span([load_track(folder) for folder in folders], start, duration)
-    times = first + np.arange(max(round((last - first) * FRAME_RATE), 1)) / FRAME_RATE
+    count = max(round((last - first) * FRAME_RATE), 1)
     job = {
         "folders": [str(folder) for folder in folders],
-        "times": times.tolist(),
+        "start": first,
+        "frames": count,
+        "rate": FRAME_RATE,
         "last": last,
         "camera": camera,
     }
@@ -71,7 +73,7 @@ def render_film(
             for i, frame in enumerate(frames, start=2):
                 encoder.write(frame)
                 if progress:
-                    progress(i / len(times))
+                    progress(i / count)
             if progress:
                 progress(1.0)
     finally:
@@ -83,7 +85,7 @@ def _frames(job: dict[str, Any]) -> Generator[bytearray, None, None]:
     chosen = os.environ.get("MUJOCO_GL", "").lower()
     reasons = []
     for backend in (chosen,) if chosen in BACKENDS else BACKENDS:
-        count = worker_count(len(job["times"]))
+        count = worker_count(job["frames"])
         try:
             yield from draw_frames(job, backend=backend, count=count, frame_size=_FRAME_SIZE)
             return

@@ -46,22 +46,13 @@ class Stage:
                 compute(self._machine.model, data)
             mujoco.mj_tendon(self._machine.model, data)
 
-    def extent(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Points around all that moves at these times [s].
-
-        Returns:
-            Corners of the leg, its cylinders and its ghost, and corners of the shadow, each (n, 3)
-            [m]: a good picture holds the first, and nothing outside of both ever changes.
-        """
-        geoms = framing.moving_geoms(self._machine.model)
-        body, rest = [], []
+    def extent(self, times: np.ndarray) -> np.ndarray:
+        """Points around machine and ghost at these times [s], (n, 3) [m]."""
+        found = []
         for time in times:
             self.place(float(time))
-            for data in (self._data, self._reference):
-                body.append(framing.corners(self._machine.model, data, geoms))
-            body.append(self._machine.cylinders.ends(self._data))
-            rest.append(self._machine.shadow.corners(self._data))
-        return np.concatenate(body), np.concatenate(rest)
+            found += [self._machine.outline(data) for data in (self._data, self._reference)]
+        return np.concatenate(found)
 
     def direction(self, camera: str) -> framing.Direction:
         """Where a camera of the model looks."""

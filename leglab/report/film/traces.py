@@ -109,9 +109,9 @@ class CommandTrace:
     Args:
         tracks: The runs.
         colors: One a run.
+        names: One a run, to say which have no feed-forward.
         rect: Where the axes are.
         span: First and last time of the film [s].
-        window: Seconds to be seen at a time.
     """
 
     def __init__(

@@ -170,7 +170,10 @@ def details(tracks: list[Track]) -> list[str]:
     """What tells the runs apart beside their controllers; empty where those suffice."""
     shown: list[list[str]] = [[] for _ in tracks]
     names = [str(track.settings["controller"]) for track in tracks]
-    for key in ("scenario", "model", "severity", "seed"):
+    scenarios = {track.settings["scenario"] for track in tracks}
+    # Severities of different scenarios have different units: they say nothing beside each other.
+    keys = ("scenario", "model", *(() if len(scenarios) > 1 else ("severity",)), "seed")
+    for key in keys:
         values = [track.settings.get(key) for track in tracks]
         if len({str(value) for value in values}) > 1:
             prefix = f"{key} " if key in ("severity", "seed") else ""

@@ -25,11 +25,11 @@ def main() -> None:
     _open_gl()
     from leglab.report.film.picture import Picture
 
-    span = (job["times"][0], job["last"])
+    span = (job["start"], job["last"])
     picture = Picture([Path(folder) for folder in job["folders"]], span, job["camera"])
     with contextlib.closing(picture), frames:
-        for time in job["times"][job["first"] :: job["step"]]:
-            frames.write(picture.draw(time).tobytes())
+        for i in range(job["first"], job["frames"], job["step"]):
+            frames.write(picture.draw(job["start"] + i / job["rate"]).tobytes())
             frames.flush()
 
 

@@ -35,7 +35,8 @@ def draw_frames(
     """Draws the frames of a job.
 
     Args:
-        job: `folders`, `times` [s] of the frames, `last` time of the film [s], `camera`.
+        job: `folders`, `camera`, `start` and `last` time of the film [s], number of `frames` and
+            how many there are a second, `rate`.
         backend: What MuJoCo renders with, "egl" or "osmesa".
         count: Number of processes.
         frame_size: Bytes of a frame.
@@ -51,7 +52,7 @@ def draw_frames(
     quiet = {"OMP_NUM_THREADS": "1", "LP_NUM_THREADS": "0", **os.environ, "MUJOCO_GL": backend}
     workers = [_Worker({**job, "first": i, "step": count}, quiet, frame_size) for i in range(count)]
     try:
-        for i in range(len(job["times"])):
+        for i in range(job["frames"]):
             yield workers[i % count].next_frame()
     finally:
         for worker in workers:

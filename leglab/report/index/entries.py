@@ -141,7 +141,9 @@ def _mrad(phase: PhaseMetrics) -> float | None:
 def _readapted(time: float | None, changed: bool) -> str:
     if not changed:
         return ""
-    return "not re-adapted" if time is None else f"re-adapted after {time:.2f} s"
+    if time is None:
+        return "not re-adapted"
+    return f"re-adapted after {time:.2f} s" if time > 0.0 else "adapted throughout"
 
 
 def _comparison(path: Path) -> dict[str, Any]:
