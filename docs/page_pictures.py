@@ -12,7 +12,7 @@ from PIL import Image
 from playwright.sync_api import Page, sync_playwright
 
 IMAGES = Path(__file__).parent / "images"
-DESKTOP, PHONE = {"width": 1120, "height": 1400}, {"width": 360, "height": 780}
+DESKTOP, PHONE = {"width": 1120, "height": 1300}, {"width": 360, "height": 780}
 WIDE = {"width": 1280, "height": 760}
 GAP = 12  # px
 # Where in the film the picture is taken, as a share of its length.

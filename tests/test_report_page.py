@@ -5,6 +5,7 @@ import html
 import json
 import re
 import resource
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import imageio_ffmpeg
@@ -397,3 +398,17 @@ def test_the_index_escapes_names_of_folders(tmp_path, capsys):
     assert not elements.all("img")
     assert len(elements.all("script")) == 1
     assert any(name in text for text in elements.texts)
+
+
+def test_references_that_differ_are_told_apart(tmp_path):
+    folders = [write_folder(tmp_path / "a"), write_folder(tmp_path / "b", "arx", stopped=4.0)]
+    runs = read_runs(folders)
+
+    def names(of):
+        (angle,) = [p for p in plot_data(of, ("hip",), 0)["plots"] if p["name"] == "angle"]
+        return [trace["name"] for trace in angle["traces"][0]]
+
+    assert names(runs) == ["reference", "pd", "arx"]
+    assert names(runs[::-1]) == ["reference", "arx", "pd"]
+    other = runs[1].recording.with_columns({"hip_reference": 0.0 * runs[1].recording.time})
+    assert names((runs[0], replace(runs[1], recording=other))) == ["reference of pd", "pd", "arx"]

@@ -42,7 +42,7 @@ class Quantity:
         caption: What one sees.
         curves: Endings of columns with a name each, for all but the first a dash.
         factor: To the shown unit.
-        shared: Ending of a column that is alike in all runs and is drawn once, from the first run.
+        shared: Ending of a column that is drawn once, from the longest run.
     """
 
     name: str
@@ -228,9 +228,13 @@ def _joint_traces(
 ) -> list[dict[str, Any]]:
     traces = []
     if quantity.shared:
-        time, values = _samples(runs[0], joint, quantity.shared)
+        source = max(runs, key=lambda run: len(run.recording))
+        time, values = _samples(source, joint, quantity.shared)
+        name = "reference"
+        if not all(_agree(values, _samples(run, joint, quantity.shared)[1]) for run in runs):
+            name = f"reference of {source.label}"
         if len(time) > 1:
-            traces.append(_trace("reference", -1, time, quantity.factor * values, count, width=5.0))
+            traces.append(_trace(name, -1, time, quantity.factor * values, count, width=5.0))
     for i, run in enumerate(runs):
         for k, (ending, name) in enumerate(quantity.curves):
             time, values = _samples(run, joint, ending)
@@ -241,6 +245,10 @@ def _joint_traces(
             drawn = _trace(label, i, time, quantity.factor * values, count, width=1.3)
             traces.append({**drawn, "dash": dash} if k else drawn)
     return traces
+
+
+def _agree(longer: np.ndarray, shorter: np.ndarray) -> bool:
+    return np.array_equal(longer[: len(shorter)], shorter)
 
 
 def _samples(run: ReportedRun, joint: str, ending: str) -> tuple[np.ndarray, np.ndarray]:

@@ -207,11 +207,11 @@ def _fallback(run: ReportedRun) -> list[str]:
         mean = math.fsum(by_joint.values()) / len(by_joint)
         worst = max(by_joint, key=lambda name: by_joint[name])
         if mean > _RARE:
-            place = "all the time" if phase == "whole" else f"{phase} the change"
-            most = f", {worst} {100 * by_joint[worst]:.0f} %" if len(by_joint) > 1 else ""
-            told.append(
-                f"{100 * mean:.1f} % of the time {place}{most}".replace("all the time", "in all")
-            )
+            place = "in all" if phase == "whole" else f"{phase} the change"
+            text = f"{100 * mean:.1f} % of the time {place}"
+            if len(by_joint) > 1:
+                text += f" (most at {worst}: {100 * by_joint[worst]:.0f} %)"
+            told.append(text)
     if not told:
         return ["It never fell back to the static feed-forward."]
     return [f"It fell back to the static feed-forward {listed(tuple(told))}."]
