@@ -143,7 +143,7 @@ def _readapted(time: float | None, changed: bool) -> str:
         return ""
     if time is None:
         return "not re-adapted"
-    return f"re-adapted after {time:.2f} s" if time > 0.0 else "adapted throughout"
+    return f"re-adapted after {time:.2f} s" if time > 0.0 else "never above 1.25 times before"
 
 
 def _comparison(path: Path) -> dict[str, Any]:
