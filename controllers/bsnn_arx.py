@@ -29,7 +29,8 @@ class AdaptiveConfiguration(PdConfiguration):
         memory: N_0 of variable forgetting [learned samples].
         noise: Error of the model [share of full speed] that is no reason to forget; 0 takes the
             change detector's slow mean.
-        least_forgetting_factor: Lambda never falls below.
+        least_memory: Lambda never falls so far that less than so many learned samples a parameter
+            are remembered.
         restore_interval: Learned samples from one parameter to the next that is drawn back to the
             calibration by as much as was forgotten since its last turn; 0 for never.
         restore_gain: Variance of the parameters about the calibration by which they are drawn.
@@ -52,10 +53,10 @@ class AdaptiveConfiguration(PdConfiguration):
     change_windows: tuple[int, int] = Field(default=(40, 1500))
     hold_off: int = Field(default=1000, ge=0)
     memory: float = Field(default=2000.0, ge=1)
-    noise: float = Field(default=0.01, ge=0)
-    least_forgetting_factor: float = Field(default=0.99, ge=0.5, le=1)
+    noise: float = Field(default=0.0005, ge=0)
+    least_memory: float = Field(default=10.0, ge=2)
     restore_interval: int = Field(default=1, ge=0)
-    restore_gain: float = Field(default=30.0, gt=0)
+    restore_gain: float = Field(default=100.0, gt=0)
     route: Literal["inverse", "forward"] = Field(default="inverse")
     velocity_splines: int = Field(default=12, ge=0, le=100)
     position_splines: int = Field(default=5, ge=0, le=100)
@@ -108,12 +109,14 @@ class AdaptiveController:
             upper=np.array([m.position[-1] for m in maps]),
             speed=np.array([m.velocity[-1] for m in maps]),
         )
-        splines = {
-            "velocity_splines": config.velocity_splines,
-            "position_splines": config.position_splines,
-        }
         return AdaptiveFeedforward(
-            InverseMap(ranges, rls, **splines),
+            InverseMap(
+                ranges,
+                rls,
+                velocity_splines=config.velocity_splines,
+                position_splines=config.position_splines,
+                least_memory=config.least_memory,
+            ),
             ValveTable.of(maps, np.asarray(setup.require("direction", self.name))),
             self._pd.position_gain,
             AdaptationSettings(
@@ -137,7 +140,6 @@ class AdaptiveController:
         return Rls(
             initial_gain=config.initial_gain,
             forgetting="variable",
-            forgetting_factor=config.least_forgetting_factor,
             memory=config.memory,
             noise_variance=config.noise**2,
             gain_bound=10 * gain,

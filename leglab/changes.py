@@ -45,13 +45,38 @@ class Schedule:
     """
 
     def __init__(self, scenario: Scenario, simulation: Simulation, *others: Target) -> None:
-        self._scenario = scenario
+        self._simulation, self._targets = simulation, (simulation, *others)
         self._nominal: dict[tuple[str, str], float] = {}
         self._target: dict[tuple[str, str], Target] = {}
+        self._begin(scenario)
+
+    def follow(self, scenario: Scenario, now: float) -> None:
+        """Carries out another scenario from now on; what only the last one changed is undone.
+
+        Args:
+            scenario: Takes the place of the present one.
+            now: Time [s].
+
+        Raises:
+            LeglabError: If a change matches no element.
+        """
+        self.apply(now)
+        last = self._scenario
+        self._begin(scenario)
+        for (element, parameter), nominal in self._nominal.items():
+            # What stays as it was is not written: oil that has warmed up stays warm.
+            wanted = scenario.value_at(now, parameter, element, nominal)
+            if wanted != last.value_at(now, parameter, element, nominal):
+                self._target[element, parameter].set_parameter(element, parameter, wanted)
+        self.values = np.array([self._target[key].parameter(*key) for key in self.others])
+        self._previous = now
+
+    def _begin(self, scenario: Scenario) -> None:
+        self._scenario = scenario
         for change in scenario.changes:
             matched = [
                 (element, target)
-                for target in (simulation, *others)
+                for target in self._targets
                 for element in target.elements
                 if change.applies_to(element) and target.has(element, change.parameter)
             ]
@@ -62,11 +87,13 @@ class Schedule:
                 )
             for element, target in matched:
                 key = (element, change.parameter)
-                self._target[key] = target
-                self._nominal[key] = target.parameter(*key)
-        self.parameters = tuple(k for k, t in self._target.items() if t is simulation)
-        self.others = tuple(k for k, t in self._target.items() if t is not simulation)
-        self.values = np.array([self._nominal[key] for key in self.others])
+                if key not in self._target:
+                    self._target[key] = target
+                    self._nominal[key] = target.parameter(*key)
+        machine = self._simulation
+        self.parameters = tuple(k for k, t in self._target.items() if t is machine)
+        self.others = tuple(k for k, t in self._target.items() if t is not machine)
+        self.values = np.array([self._target[key].parameter(*key) for key in self.others])
         self._previous = -np.inf
         self._next = 0.0 if scenario.changes else np.inf
 

@@ -2,7 +2,7 @@
 
 import json
 import sys
-import traceback
+import tomllib
 from pathlib import Path
 from typing import Annotated
 
@@ -12,23 +12,38 @@ from rich.table import Table
 
 from leglab import __version__
 from leglab.cli_compare import compare
+from leglab.cli_conventions import (
+    BAD_INPUT,
+    FAILED,
+    INTERRUPTED,
+    Commands,
+    execute,
+    exit_status,
+    explain,
+)
+from leglab.cli_convert import convert, inspect
 from leglab.cli_diagnose import diagnose
 from leglab.cli_report import index, report
 from leglab.cli_video import video
-from leglab.errors import LeglabError
+from leglab.cli_view import view
 from leglab.terminal import TOLERANCE, Json, Overwrite, errors, metrics_table, output, progress_bar
 
 app = typer.Typer(
+    cls=Commands,
     help="Testbed for hydraulic humanoid-leg control on MuJoCo.",
+    epilog=f"{exit_status()}. With --json a command prints JSON alone on standard output.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command()(compare)
 app.command()(diagnose)
+app.command()(convert)
+app.command()(inspect)
 app.command()(video)
 app.command()(report)
 app.command()(index)
+app.command()(view)
 
 
 def _version(wanted: bool) -> None:
@@ -51,9 +66,9 @@ def _common(
 
 @app.command()
 def run(
-    scenario: Annotated[str, typer.Argument(help="Name of a scenario; `leglab list` shows them.")],
-    controller: Annotated[str, typer.Option(help="Name of a controller.")] = "pd",
-    model: Annotated[str, typer.Option(help="leg, leg_rail, knee_bench, or an MJCF file.")] = "leg",
+    scenario: Annotated[str, typer.Argument(help="What happens to the machine.")],
+    controller: Annotated[str, typer.Option(help="What drives it.")] = "pd",
+    model: Annotated[str, typer.Option(help="Machine.")] = "leg",
     duration: Annotated[
         float | None, typer.Option(help="Seconds; default: the scenario's.")
     ] = None,
@@ -63,7 +78,7 @@ def run(
     ] = None,
     ramp: Annotated[float, typer.Option(help="Seconds the change takes; 0 is a step.")] = 0.0,
     reference: Annotated[
-        str | None, typer.Option(help="walking_stride, random_stride, squat, sine_sweep or step.")
+        str | None, typer.Option(help="Reference; default: the scenario's.")
     ] = None,
     timestep: Annotated[float | None, typer.Option(help="Simulation step [s].")] = None,
     tolerance: Annotated[float, typer.Option(help=TOLERANCE)] = 0.0,
@@ -114,7 +129,7 @@ def run(
     if failure:
         interrupted = failure.startswith("interrupted")
         errors.print(f"[red]error:[/red] {failure}; what was recorded is in {folder}")
-        raise typer.Exit(130 if interrupted else 2)
+        raise typer.Exit(INTERRUPTED if interrupted else BAD_INPUT)
 
 
 @app.command("list")
@@ -145,13 +160,17 @@ def list_names(as_json: Json = False) -> None:
 
 @app.command()
 def tune(
-    model: Annotated[list[str] | None, typer.Option(help="Models to tune; default: all.")] = None,
+    models: Annotated[
+        list[str] | None,
+        typer.Option("--model", help="Repeatable; default: knee_bench, leg, leg_rail."),
+    ] = None,
     write: Annotated[bool, typer.Option(help="Write the gains file of the package.")] = False,
+    as_json: Json = False,
 ) -> None:
     """Finds the PD gains that keep 6 dB and 45 degrees of margin on the linearised plant."""
     from leglab.gains import TUNED_MODELS, gains_text
 
-    names = model or list(TUNED_MODELS)
+    names = models or list(TUNED_MODELS)
     with progress_bar() as bar:
         task = bar.add_task("tuning", total=None)
         text = gains_text(names, lambda label: bar.update(task, description=label))
@@ -159,8 +178,10 @@ def tune(
         from leglab.gains import GAINS_FILE
 
         GAINS_FILE.write_text(text)
-        output.print(f"written to {GAINS_FILE}")
-    else:
+        (errors if as_json else output).print(f"written to {GAINS_FILE}")
+    if as_json:
+        typer.echo(json.dumps(tomllib.loads(text), indent=2))
+    elif not write:
         typer.echo(text, nl=False)
 
 
@@ -171,6 +192,7 @@ def replicate(
     out: Annotated[Path, typer.Option(help="Folder of page and figures.")] = Path(
         "out/replication"
     ),
+    as_json: Json = False,
 ) -> None:
     """Replicates the BSNN-ARX paper: Table 1, figures, sensitivities, on one page."""
     from leglab.replication import paper
@@ -184,24 +206,35 @@ def replicate(
             paper.SEED if seed is None else seed,
             progress=lambda line: bar.update(task, description=line),
         )
+    if as_json:
+        typer.echo(json.dumps(result.to_json(), indent=2))
+        return
     output.print(result.table, soft_wrap=True)
     output.print(f"largest deviation of a validation mean: {result.worst_deviation:.1%}")
     output.print(f"written to {result.page}")
 
 
 @app.command()
-def verify() -> None:
+def verify(as_json: Json = False) -> None:
     """Checks the physics against closed forms and recordings; status 1 where a check fails."""
+    from leglab.verification import checks_as_json
     from leglab.verification import verify as run_checks
 
-    if not run_checks():
-        raise typer.Exit(1)
+    if as_json:
+        found = checks_as_json()
+        typer.echo(json.dumps(found, indent=2))
+        passed = found["passed"]
+    else:
+        passed = run_checks()
+    if not passed:
+        raise typer.Exit(FAILED)
 
 
 @app.command()
 def parameters(
     plugin: Annotated[str | None, typer.Argument(help="Name of a plugin; default: all.")] = None,
     markdown: Annotated[bool, typer.Option(help="Print Markdown, as in docs/.")] = False,
+    as_json: Json = False,
 ) -> None:
     """Shows the physical parameters of the plugins: units, defaults, bounds, sources."""
     from leglab.errors import unknown_name
@@ -211,6 +244,9 @@ def parameters(
     if plugin is not None and plugin not in tables:
         raise unknown_name("plugin", plugin, tables)
     chosen = [tables[plugin]] if plugin else list(tables.values())
+    if as_json:
+        typer.echo(json.dumps({entry.plugin: entry.to_json() for entry in chosen}, indent=2))
+        return
     if markdown:
         typer.echo(markdown_tables(chosen), nl=False)
         return
@@ -224,6 +260,9 @@ def parameters(
         output.print(table)
 
 
+explain(app)
+
+
 def run_scenario_as_script(name: str) -> None:
     """What `python -m leglab.scenarios.NAME` does: `leglab run NAME` with further options."""
     main(["run", name, *sys.argv[1:]])
@@ -231,17 +270,7 @@ def run_scenario_as_script(name: str) -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Runs the command line; errors are one line on stderr."""
-    arguments = sys.argv[1:] if arguments is None else arguments
-    try:
-        app(args=arguments, prog_name="leglab")
-    except LeglabError as error:
-        if "-v" in arguments or "--verbose" in arguments:
-            traceback.print_exc()
-        errors.print(f"[red]error:[/red] {error}")
-        sys.exit(2)
-    except KeyboardInterrupt:
-        errors.print("[red]interrupted[/red]")
-        sys.exit(130)
+    execute(app, sys.argv[1:] if arguments is None else arguments)
 
 
 if __name__ == "__main__":

@@ -19,11 +19,11 @@ from leglab.terminal import (
 
 
 def compare(
-    scenarios: Annotated[list[str], typer.Argument(help="Names of scenarios.")],
+    scenarios: Annotated[list[str], typer.Argument(help="What happens to the machine.")],
     controllers: Annotated[
         str, typer.Option(help="Names, separated by commas; ratios refer to the first.")
     ] = "pd,static_feedforward",
-    model: Annotated[str, typer.Option(help="leg, leg_rail, knee_bench, or an MJCF file.")] = "leg",
+    model: Annotated[str, typer.Option(help="Machine.")] = "leg",
     seeds: Annotated[int, typer.Option(help="Number of seeds, from 0 on.")] = 3,
     duration: Annotated[
         float | None, typer.Option(help="Seconds; default: the scenario's.")
@@ -32,7 +32,9 @@ def compare(
         float | None, typer.Option(help="How bad the changes are, in the scenario's own unit.")
     ] = None,
     ramp: Annotated[float, typer.Option(help="Seconds the changes take; 0 is a step.")] = 0.0,
-    reference: Annotated[str | None, typer.Option(help="Name of a reference trajectory.")] = None,
+    reference: Annotated[
+        str | None, typer.Option(help="Reference; default: the scenario's.")
+    ] = None,
     tolerance: Annotated[float, typer.Option(help=TOLERANCE)] = 0.0,
     jobs: Annotated[int, typer.Option(help="Processes at a time; -1: one a core.")] = -1,
     out: Annotated[Path, typer.Option(help="Output folder.")] = Path("runs/compare"),

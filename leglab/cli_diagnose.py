@@ -11,14 +11,16 @@ from leglab.terminal import Json, Overwrite, output, progress_bar
 
 
 def diagnose(
-    model: Annotated[str | None, typer.Argument(help="Name of a model, or an MJCF file.")] = None,
+    model: Annotated[str | None, typer.Argument(help="Machine.")] = None,
     recordings: Annotated[
-        list[Path] | None, typer.Argument(help="Recordings: .parquet, .csv, .mcap.")
+        list[Path] | None, typer.Argument(help="Recordings: .parquet, .csv, .mcap, .mat, .npz.")
     ] = None,
     out: Annotated[Path, typer.Option(help="Output folder.")] = Path("out/diagnosis"),
     held_out: Annotated[
         list[str] | None,
-        typer.Option(help="Recording kept from all fits; default: chosen by its excitation."),
+        typer.Option(
+            help="Recording kept from all fits, repeatable; default: chosen by excitation."
+        ),
     ] = None,
     columns: Annotated[
         Path | None,
@@ -27,7 +29,8 @@ def diagnose(
         ),
     ] = None,
     effect: Annotated[
-        list[str] | None, typer.Option(help="Effects to consider; default: all.")
+        list[str] | None,
+        typer.Option(help="Effect to consider, of docs/effects.md, repeatable; default: all."),
     ] = None,
     seed: Annotated[int, typer.Option(help="Of the bootstraps, or of the self-test.")] = 0,
     self_test: Annotated[

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -187,6 +188,7 @@ def _tell(runs: Sequence["ReportedRun"], written: "Report", *, as_json: bool) ->
 def index(
     folder: Annotated[Path, typer.Argument(help="Folder below which runs lie.")],
     out: Annotated[Path | None, typer.Option(help="Page; default FOLDER/index.html.")] = None,
+    as_json: Json = False,
 ) -> None:
     """Writes a page that lists all runs, reports, comparisons and diagnoses below a folder."""
     from leglab.report.index.page import write_index
@@ -195,4 +197,7 @@ def index(
     broken = sum(entry.state == "broken" for entry in entries)
     if broken:
         errors.print(f"[yellow]warning:[/yellow] {broken} of {len(entries)} cannot be read")
+    if as_json:
+        typer.echo(json.dumps([asdict(entry) for entry in entries], indent=2))
+        return
     output.print(f"{len(entries)} listed in {page}", markup=False, soft_wrap=True)

@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -89,6 +90,26 @@ class PluginTable:
             return self.states[name]
         raise unknown_name(f"{self.plugin} parameter", name, [*self.parameters, *self.states])
 
+    def to_json(self) -> dict[str, Any]:
+        """Returns the table as JSON can hold it; a default or bound that there is not is None."""
+        return {
+            "parameters": {
+                row.name: {
+                    "unit": row.unit,
+                    "default": _finite(row.nominal),
+                    "minimum": _finite(row.minimum),
+                    "minimum_allowed": row.minimum_allowed,
+                    "maximum": _finite(row.maximum),
+                    "meaning": row.description,
+                }
+                for row in self.parameters.values()
+            },
+            "states": {
+                state.name: {"unit": state.unit, "meaning": state.description}
+                for state in self.states.values()
+            },
+        }
+
 
 @functools.cache
 def plugin_tables() -> Mapping[str, PluginTable]:
@@ -118,6 +139,10 @@ def plugin_tables() -> Mapping[str, PluginTable]:
             states=MappingProxyType({row.name: row for row in dynamic}),
         )
     return MappingProxyType(tables)
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 def parameter_vector(plugin: str, values: Mapping[str, float]) -> np.ndarray:

@@ -7,23 +7,17 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from leglab.bodies import Bodies
 from leglab.changes import Schedule
 from leglab.control import (
     Controller,
     ControllerSetup,
-    Measurement,
     ReferencePoint,
     check_command,
 )
 from leglab.errors import LeglabError
-from leglab.measurement import (
-    Encoders,
-    SensorConfiguration,
-    loop_timing,
-    velocity_filter_coefficient,
-)
+from leglab.measurement import SensorConfiguration
 from leglab.references import Reference
+from leglab.sampled_machine import SampledMachine
 from leglab.scenario import Scenario
 from leglab.simulation import Simulation, SimulationError
 
@@ -113,26 +107,21 @@ def closed_loop(
         LeglabError: If the timing or the reference does not fit the machine.
     """
     model, data = simulation.model, simulation.data
-    timing = loop_timing(sensors, model.opt.timestep)
     period = sensors.control_period
     count = round(scenario.duration / period) + 1
     times = np.arange(count) * period
-    wanted = reference.sample(times)
-    bodies = Bodies(model)
-    encoders = Encoders(setup.joints, sensors, count=count, seed=seed)
-    schedule = Schedule(scenario, simulation, bodies, encoders)
-    joints = len(setup.joints)
-
-    noise = np.random.default_rng(seed)
-    position_noise = noise.normal(0.0, sensors.position_noise, (count, joints))
-    pressures = bool(getattr(controller, "uses_pressures", False))
-    columns, slots = _state_columns(simulation, schedule)
-    pressure_slots = np.concatenate(
-        [simulation.slots("pressure_a"), simulation.slots("pressure_b")]
+    machine = SampledMachine(
+        simulation,
+        scenario,
+        sensors,
+        count=count,
+        seed=seed,
+        pressures=bool(getattr(controller, "uses_pressures", False)),
     )
-    supply_slot = slots[columns.index("supply_pressure")]
-    filter_gain = velocity_filter_coefficient(period, sensors.velocity_cutoff) / period
-    leak = 1.0 - filter_gain * period
+    schedule, encoders = machine.schedule, machine.encoders
+    wanted = reference.sample(times)
+    joints = len(setup.joints)
+    columns, slots = _state_columns(simulation, schedule)
 
     all_qpos, all_qvel = np.empty((count, model.nq)), np.empty((count, model.nv))
     command, states = np.empty((count, joints)), np.empty((count, len(slots)))
@@ -140,34 +129,17 @@ def closed_loop(
     reports: dict[str, np.ndarray] = {}
 
     # The loop runs thousands of times a second: everything that can be looked up once is.
-    step = mujoco.mj_step
+    measure, advance = machine.measure, machine.advance
     qpos, qvel, ctrl, plugin_state = data.qpos, data.qvel, data.ctrl, data.plugin_state
     qpos_index = simulation.qpos_index
-    to_sample, to_command = timing
-    sample = qpos.take(qpos_index)
-    sampled_pressures = plugin_state.take(pressure_slots)
-    previous = encoders.read(0, sample + position_noise[0])
-    estimate = np.zeros(joints)
-    pressure_a = pressure_b = supply = None
     failure, rows = "", 0
     # MuJoCo would write its warnings to a log file; what they warn of is checked here.
     mujoco.set_mju_user_warning(_ignore)
     start = time.perf_counter()
-    rows_of = zip(
-        times.tolist(), map(ReferencePoint, *wanted), position_noise, command, strict=True
-    )
+    rows_of = zip(times.tolist(), map(ReferencePoint, *wanted), command, strict=True)
     try:
-        for k, (now, point, disturbance, output) in enumerate(rows_of):
-            schedule.apply(now)
-            sample += disturbance
-            measured = encoders.read(k, sample)
-            estimate = leak * estimate + filter_gain * (measured - previous)
-            previous = measured
-            if pressures:
-                noisy = sampled_pressures + noise.normal(0.0, sensors.pressure_noise, 2 * joints)
-                pressure_a, pressure_b = noisy[:joints], noisy[joints:]
-                supply = float(plugin_state[supply_slot])
-            measurement = Measurement(now, measured, estimate, pressure_a, pressure_b, supply)
+        for k, (now, point, output) in enumerate(rows_of):
+            measurement = measure()
             if k == 0:
                 controller.reset(measurement)
             wish = check_command(controller.command(measurement, point), setup, name, now)
@@ -182,13 +154,7 @@ def closed_loop(
             if reports or k == 0:
                 _record(reports, controller.diagnostics(), k, (count, joints))
             rows = k + 1
-            if to_sample:
-                step(model, data, to_sample)
-            sample = qpos.take(qpos_index)
-            if pressures:
-                sampled_pressures = plugin_state.take(pressure_slots)
-            if to_command:
-                step(model, data, to_command)
+            advance()
             if k % _CHECK_INTERVAL == 0:
                 simulation.check()
                 if progress:
@@ -200,7 +166,7 @@ def closed_loop(
         failure = f"interrupted at {data.time:.6g} s"
     finally:
         mujoco.set_mju_user_warning(None)
-        bodies.restore()
+        machine.close()
     wall_time = time.perf_counter() - start
     if rows == 0:
         raise LeglabError(failure)

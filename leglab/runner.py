@@ -1,69 +1,26 @@
 """One scenario from names to results: model, controller, closed loop, metrics."""
 
-import copy
-import math
 import platform
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from importlib import metadata
 from typing import Any
 
 import numpy as np
 
-import leglab.controllers
-import leglab.scenarios  # noqa: F401  registers the scenarios
 from leglab import __version__
 from leglab.bench_runs import BENCH_SEED, bench_runs
-from leglab.calibration import settle, speed_limits
-from leglab.commissioning import controller_setup
-from leglab.configuration import validate_configuration
-from leglab.control import make_controller
-from leglab.errors import LeglabError
+from leglab.control import ControllerSetup, make_controller
 from leglab.feedforward.offline import BenchRun
 from leglab.measurement import SensorConfiguration, held, quantise
+from leglab.preparation import Preparation, RunSettings, reference_config, scenario_of
 from leglab.recording import Recording
-from leglab.references import Joint, Reference, make_reference
+from leglab.references import Reference
 from leglab.rollout import History, Progress, closed_loop
-from leglab.scenario import Scenario, get_scenario
-from leglab.simulation import Simulation, load_model
+from leglab.scenario import Scenario
+from leglab.simulation import Simulation
 from leglab.summary import summary
-from leglab.tolerance import check_tolerance, vary_bodies, vary_parameters
 
-
-@dataclass(frozen=True, kw_only=True)
-class RunSettings:
-    """Everything that decides a run, as `run.json` stores it.
-
-    Attributes:
-        scenario: Name of the scenario.
-        controller: Name of the controller.
-        model: Name of a model or path of an MJCF file.
-        duration: [s]; None for the scenario's own.
-        seed: Of sensor noise and of everything random, a random reference included.
-        severity: Of the scenario's change, in its own unit; None for its own.
-        ramp_duration: How long the change takes [s].
-        reference: Name of the reference; None for the scenario's own.
-        reference_config: Settings of the reference, over those of the scenario.
-        controller_config: Settings of the controller.
-        sensors: Settings of sensors and timing.
-        timestep: Of the simulation [s]; None for the model's own.
-        tolerance: Relative standard deviation of the machine's parameters about those that the
-            controller knows [1]; the seed picks the specimen.
-    """
-
-    scenario: str
-    controller: str = "pd"
-    model: str = "leg"
-    duration: float | None = None
-    seed: int = 0
-    severity: float | None = None
-    ramp_duration: float = 0.0
-    reference: str | None = None
-    reference_config: Mapping[str, Any] = field(default_factory=dict)
-    controller_config: Mapping[str, Any] = field(default_factory=dict)
-    sensors: Mapping[str, Any] = field(default_factory=dict)
-    timestep: float | None = None
-    tolerance: float = 0.0
+__all__ = ["Run", "RunSettings", "run_scenario", "run_setup"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,45 +59,24 @@ def run_scenario(settings: RunSettings, progress: Progress | None = None) -> Run
         LeglabError: If a name, a setting or the machine does not fit. A run that fails half way
             does not raise: `history.failure` says why it ended.
     """
-    if settings.seed < 0:
-        raise LeglabError(f"seed {settings.seed} is negative; allowed: 0 or more")
-    scenario = get_scenario(
-        settings.scenario,
-        duration=settings.duration,
-        severity=settings.severity,
-        ramp_duration=settings.ramp_duration,
-    )
-    return _run(settings, scenario, progress)
+    return _run(settings, scenario_of(settings), progress)
+
+
+def run_setup(
+    preparation: Preparation, settings: RunSettings, scenario: Scenario
+) -> ControllerSetup:
+    """What a controller may know in a run; bench recordings are made when it asks for them."""
+    return preparation.setup(scenario, lambda: _bench_runs(settings, scenario))
 
 
 def _run(settings: RunSettings, scenario: Scenario, progress: Progress | None = None) -> Run:
-    check_tolerance(settings.tolerance)
-    sensors = validate_configuration(SensorConfiguration, settings.sensors, "sensors")
-    model = load_model(settings.model, timestep=settings.timestep, visual=False)
-    simulation = Simulation(model)
-    setup = controller_setup(simulation, settings.model, sensors)
-    setup = replace(
-        setup,
-        machine={
-            **setup.machine,
-            "first_change": min(scenario.breakpoints, default=math.inf),
-            "last_change": max(scenario.breakpoints, default=math.inf),
-            "bench_runs": lambda: _bench_runs(settings, scenario),
-        },
-    )
+    preparation = Preparation(settings)
+    sensors = preparation.sensors
+    setup = run_setup(preparation, settings, scenario)
     controller = make_controller(settings.controller, setup, settings.controller_config)
-    reference = make_reference(
-        settings.reference or scenario.reference,
-        reference_joints(simulation),
-        reference_config(settings, scenario),
-        seed=settings.seed,
-    )
-    if settings.tolerance:
-        specimen = copy.copy(model)
-        vary_bodies(specimen, settings.tolerance, settings.seed)
-        simulation = Simulation(specimen)
-        vary_parameters(simulation, settings.tolerance, settings.seed)
-    settle(simulation)
+    reference = preparation.reference(settings, scenario)
+    simulation = preparation.machine()
+    preparation.start(simulation, settings.seed)
     configuration = _configuration(settings, scenario, sensors, simulation, reference)
     history = closed_loop(
         simulation,
@@ -168,27 +104,6 @@ def _run(settings: RunSettings, scenario: Scenario, progress: Progress | None = 
         configuration=configuration,
         window=reference.period,
         joints=setup.joints,
-    )
-
-
-def reference_config(settings: RunSettings, scenario: Scenario) -> dict[str, Any]:
-    """Settings of the reference: the scenario's, for its own reference, below the user's."""
-    own = settings.reference in (None, scenario.reference)
-    return {**(scenario.reference_config if own else {}), **settings.reference_config}
-
-
-def reference_joints(simulation: Simulation) -> tuple[Joint, ...]:
-    """The driven joints with their limits, at rest in the present pose."""
-    rows = zip(
-        simulation.joints,
-        simulation.position(),
-        simulation.joint_range(),
-        speed_limits(simulation),
-        strict=True,
-    )
-    return tuple(
-        Joint(name=name, rest=float(rest), lower=low, upper=high, velocity_limit=float(speed))
-        for name, rest, (low, high), speed in rows
     )
 
 

@@ -1,5 +1,6 @@
 """A model with its data: loading, hydraulic states by name, stepping."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
@@ -35,7 +36,11 @@ def model_summary(name: str) -> str:
 
 
 def load_model(
-    model: str | Path, *, timestep: float | None = None, visual: bool = True
+    model: str | Path,
+    *,
+    timestep: float | None = None,
+    visual: bool = True,
+    edit: Callable[[mujoco.MjSpec], None] | None = None,
 ) -> mujoco.MjModel:
     """Loads a model with the plugins registered.
 
@@ -44,6 +49,7 @@ def load_model(
         timestep: Overrides the file's time step [s].
         visual: Whether to keep shapes that are there to be seen only; without them a model moves
             in just the same way, faster.
+        edit: Changes the specification before it is compiled.
 
     Raises:
         LeglabError: If there is no such model or MuJoCo refuses it; one line.
@@ -64,6 +70,8 @@ def load_model(
         spec.compiler.discardvisual = not visual
         # A simulation that blows up stays as it is, to be seen, instead of starting anew.
         spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        if edit:
+            edit(spec)
         compiled = spec.compile()
         mujoco.MjData(compiled)  # the plugins check the compiled model once more
     except (ValueError, mujoco.FatalError) as error:

@@ -1,12 +1,14 @@
 """What the commands share: consoles, progress bar, options, tables."""
 
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 errors = Console(stderr=True, highlight=False, soft_wrap=True)
 output = Console(highlight=False)
@@ -28,9 +30,23 @@ def print_wide(table: Table) -> None:
     Console(highlight=False, width=max(output.width, _WIDE)).print(table)
 
 
-def progress_bar() -> Progress:
+def progress_bar() -> "Progress":
     """A bar on stderr that leaves nothing behind."""
-    return Progress(
+    # Help and completion do without it.
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
+    class Bar(Progress):
+        def stop(self) -> None:
+            # The library prints an empty line here where there is no terminal.
+            self.live.stop()
+
+    return Bar(
         TextColumn("{task.description}"),
         BarColumn(),
         TaskProgressColumn(),

@@ -7,9 +7,10 @@ from leglab.commissioning import controller_setup
 from leglab.control import make_controller
 from leglab.errors import LeglabError
 from leglab.measurement import SensorConfiguration, loop_timing, quantise
+from leglab.preparation import reference_joints
 from leglab.references import make_reference
 from leglab.rollout import closed_loop
-from leglab.runner import RunSettings, reference_joints, run_scenario
+from leglab.runner import RunSettings, run_scenario
 from leglab.scenario import Scenario, get_scenario
 from leglab.schedule import ParameterChange
 from leglab.simulation import Simulation, load_model

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from leglab.cli import main
+from leglab.errors import LeglabError
 from leglab.verification import Row, report
 from leglab.verification.conformance import CASES
 from leglab.verification.drift import null_creep
@@ -138,3 +140,28 @@ def test_verify_prints_tables_and_reports_a_failure(monkeypatch, tmp_path):
         assert report.verify(console=console) is outcome
         text = console.export_text()
         assert ("wrong one" in text) is not outcome
+
+
+def test_checks_as_json(monkeypatch, tmp_path, capsys):
+    good = Row(case="a", quantity="q", solver="s", unit="m", expected=1.0, got=1.0, tolerance=1e-3)
+    bad = Row(**{**vars(good), "got": float("nan")})
+    monkeypatch.setattr(report.replay, "replay_all", lambda folder: [])
+
+    def missing():
+        raise LeglabError("no recordings here")
+
+    for rows, folder, status in (([good], missing, 0), ([good, bad], lambda: tmp_path, 1)):
+        monkeypatch.setattr(report, "CASES", {"a": lambda rows=rows: iter(rows)})
+        monkeypatch.setattr(report, "nominal_folder", folder)
+        if status:
+            with pytest.raises(SystemExit) as exit_:
+                main(["verify", "--json"])
+            assert exit_.value.code == status
+        else:
+            main(["verify", "--json"])
+        found = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+        assert found["passed"] is (status == 0)
+        assert len(found["checks"]) == len(rows)
+        assert found["left_out"] == (None if status else "no recordings here")
+    assert found["checks"][1]["got"] is None
+    assert found["checks"][1]["passed"] is False

@@ -9,8 +9,8 @@ from leglab.commissioning import controller_setup
 from leglab.control import Measurement, ReferencePoint, make_controller
 from leglab.energy import EnergyBooks
 from leglab.measurement import SensorConfiguration
+from leglab.preparation import reference_joints
 from leglab.references import make_reference
-from leglab.runner import reference_joints
 from leglab.simulation import Simulation, load_model
 
 PERIOD = 2e-3

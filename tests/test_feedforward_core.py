@@ -105,7 +105,7 @@ def test_core_agrees_with_numpy(splines, supervised, forward, monkeypatch):
         fell_back += int(other.fallback.any())
     assert made.learner.diagnostics(0)["learned"] > 1500
     assert made.learner.diagnostics(0)["dropped"] > 0
-    if supervised and splines[0]:
+    if supervised and splines[0] and not forward:
         assert 0 < fell_back < 4000, "the case does not exercise the supervisor"
 
 

@@ -1,5 +1,7 @@
 """The replication: plant, networks, scores and what the page reports."""
 
+import json
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -172,3 +174,8 @@ def test_page_has_all_figures(tmp_path, monkeypatch):
     for path in result.figures:
         assert path.stat().st_size > 5000
         assert f"({path.name})" in text
+    stored = json.loads(json.dumps(result.to_json(), allow_nan=False))
+    assert stored["worst_deviation"] == result.worst_deviation
+    scores = stored["scores"]["validation"]["BSNN-ARX"]
+    assert scores["instances"] == 3
+    assert scores["rms_mean"] == result.comparison.scores["validation"]["BSNN-ARX"].rms.mean()

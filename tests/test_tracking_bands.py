@@ -21,7 +21,7 @@ def test_tracking_error_is_in_its_band(case):
     "changed",
     [
         {"initial_gain": 1.5, "change_gain": 1.5},
-        {"memory": 4000.0, "least_forgetting_factor": 0.995},
+        {"memory": 4000.0, "least_memory": 20.0},
         {"interval": 4},
         {"change_ratio": 1e9},
     ],

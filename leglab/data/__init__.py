@@ -1,27 +1,57 @@
-"""Recordings in files: the suffix picks the format."""
+"""Recordings in files: the suffix picks the format, or its name does."""
 
 from pathlib import Path
 from types import ModuleType
 
-from leglab.data import csv, mcap, parquet
+from leglab.data import csv, matlab, mcap, parquet, plotjuggler, sysid
 from leglab.data.checks import Finding, inspect, to_recording
 from leglab.data.column_map import ColumnMap, read_column_map
 from leglab.data.files import write_atomically
-from leglab.errors import LeglabError
+from leglab.data.input_output import from_input_output, to_input_output
+from leglab.data.summary import Summary, summarise
+from leglab.data.sysid import from_time_series, to_time_series
+from leglab.errors import LeglabError, unknown_name
 from leglab.recording import Recording
 
 __all__ = [
+    "FORMATS",
     "ColumnMap",
     "Finding",
+    "Summary",
+    "format_of",
+    "from_input_output",
+    "from_time_series",
     "inspect",
+    "losses",
     "read",
     "read_column_map",
     "read_table",
+    "summarise",
+    "to_input_output",
+    "to_time_series",
     "write",
     "write_atomically",
 ]
 
-_FORMATS = {".parquet": parquet, ".csv": csv, ".mcap": mcap}
+_MODULES = {
+    "parquet": parquet,
+    "csv": csv,
+    "mcap": mcap,
+    "matlab": matlab,
+    "sysid": sysid,
+    "plotjuggler": plotjuggler,
+}
+# What a suffix stands for where no format is named.
+_SUFFIXES = {
+    ".parquet": "parquet",
+    ".csv": "csv",
+    ".mcap": "mcap",
+    ".mat": "matlab",
+    ".npz": "sysid",
+}
+
+FORMATS = tuple(_MODULES)
+"""Names of the formats that `write` knows."""
 
 
 def read(
@@ -30,8 +60,8 @@ def read(
     """Reads a recording.
 
     Args:
-        path: A `.parquet` or `.csv` file with a `time` column, a `.mcap` file with joint states, or
-            the folder of a ROS 2 bag.
+        path: A `.parquet`, `.csv` or `.mat` file with a `time` column, a `.mcap` file with joint
+            states, the folder of a ROS 2 bag, or a `.npz` file of `mujoco.sysid`.
         columns: How the columns of the file are called here, and their units: a map, or its file.
         repair: Whether what can be repaired without inventing data is: exact repetitions of a row
             and empty rows at the end are dropped, and noted in the metadata under "repairs".
@@ -67,7 +97,7 @@ def read_table(
     is_bag = path.is_dir()
     if not is_bag and not path.is_file():
         raise LeglabError(f"{path}: there is no such file")
-    form = mcap if is_bag else _format_of(path)
+    form = mcap if is_bag else _MODULES[format_of(path)]
     # Only topics have clocks of their own, and how they are brought onto one depends on the names.
     table, metadata = mcap.read_table(path, columns) if form is mcap else form.read_table(path)
     if columns is not None:
@@ -78,27 +108,56 @@ def read_table(
     return table, metadata
 
 
-def write(recording: Recording, path: str | Path) -> Path:
+def write(recording: Recording, path: str | Path, form: str | None = None) -> Path:
     """Writes a recording; an existing file is replaced as a whole or left as it was.
 
     Args:
-        recording: What to write. CSV holds no metadata; MCAP rounds times to 1 ns.
-        path: A `.parquet`, `.csv` or `.mcap` file.
+        recording: What to write. `losses` says what the format cannot hold.
+        path: The file.
+        form: One of `FORMATS`; None: what the suffix says.
 
     Returns:
         The path.
 
     Raises:
-        LeglabError: The suffix is not known, or the folder cannot be written to.
+        LeglabError: Suffix or format is not known, the format does not allow what the recording
+            holds, or the folder cannot be written to.
     """
     path = Path(path)
-    _format_of(path).write(recording, path)
+    _module(path, form).write(recording, path)
     return path
 
 
-def _format_of(path: Path) -> ModuleType:
-    if path.suffix not in _FORMATS:
+def losses(recording: Recording, path: str | Path, form: str | None = None) -> tuple[str, ...]:
+    """Returns what would not survive writing, one phrase each; nothing for most formats.
+
+    Args:
+        recording: What would be written.
+        path: The file.
+        form: See `write`.
+
+    Raises:
+        LeglabError: Suffix or format is not known.
+    """
+    return _module(Path(path), form).losses(recording)
+
+
+def format_of(path: str | Path) -> str:
+    """Returns the format that the suffix of a file stands for.
+
+    Raises:
+        LeglabError: The suffix is not known.
+    """
+    path = Path(path)
+    if path.suffix not in _SUFFIXES:
         raise LeglabError(
-            f"{path}: suffix {path.suffix!r} is not a known format, allowed: {', '.join(_FORMATS)}"
+            f"{path}: suffix {path.suffix!r} is not a known format, allowed: {', '.join(_SUFFIXES)}"
         )
-    return _FORMATS[path.suffix]
+    return _SUFFIXES[path.suffix]
+
+
+def _module(path: Path, form: str | None) -> ModuleType:
+    form = form or format_of(path)
+    if form not in _MODULES:
+        raise unknown_name("format", form, FORMATS)
+    return _MODULES[form]

@@ -62,6 +62,11 @@ def write(recording: Recording, path: Path) -> None:
     write_atomically(path, lambda stream: pc.write_csv(table, stream, options))
 
 
+def losses(recording: Recording) -> tuple[str, ...]:
+    """Returns what the format cannot hold."""
+    return ("metadata",) if recording.metadata else ()
+
+
 def _text_of(path: Path) -> bytes:
     """Returns a file's bytes if they are UTF-8; pyarrow trips over names and broken rows if not."""
     try:

@@ -5,6 +5,9 @@ The JointState topic gives the time axis and `<joint>_position`, `<joint>_veloci
 give a column named after the topic without its leading slash; arrays give `topic[0]`, `topic[1]`,
 and so on; other JointState topics `topic/joint/field`. A column map turns these into the names of
 the model.
+
+What is written opens in Foxglove as well: messages in chunks with an index, the definition of every
+message in the file, pressures as FluidPressure, temperatures as Temperature.
 """
 
 import json
@@ -19,10 +22,12 @@ from leglab.data.bag import METADATA_NAME, Bag, decode, scan
 from leglab.data.column_map import ColumnMap
 from leglab.data.files import write_atomically
 from leglab.data.ros_messages import (
-    FLOAT64,
-    FLOAT64_DEFINITION,
+    DEFINITIONS,
     JOINT_STATE,
     JOINT_STATE_DEFINITION,
+    header,
+    scalar_kind,
+    scalar_message,
 )
 from leglab.errors import LeglabError, unknown_name
 from leglab.recording import Recording
@@ -90,7 +95,7 @@ def read_table(path: Path, columns: ColumnMap | None = None) -> tuple[dict[str, 
 
 
 def write(recording: Recording, path: Path) -> None:
-    """Writes a recording: joints as JointState, other columns as one Float64 topic each.
+    """Writes a recording: joints as JointState, other columns as one topic each.
 
     Samples and metadata keep every bit, times are rounded to 1 ns.
 
@@ -113,6 +118,13 @@ def write(recording: Recording, path: Path) -> None:
     write_atomically(path, lambda stream: _write(recording, stamps.tolist(), stream))
 
 
+def losses(recording: Recording) -> tuple[str, ...]:
+    """Returns what the format cannot hold."""
+    rounded = np.rint(recording.time * 1e9) / 1e9
+    count = int((rounded != recording.time).sum())
+    return (f"{count} times are rounded to 1 ns",) if count else ()
+
+
 def _write(recording: Recording, stamps: list[int], stream: BinaryIO) -> None:
     joints = list(recording.joints)
     # A JointState has a velocity for every joint or for none.
@@ -126,19 +138,23 @@ def _write(recording: Recording, stamps: list[int], stream: BinaryIO) -> None:
         metadata = json.dumps(dict(recording.metadata), allow_nan=False, sort_keys=True)
         writer.add_metadata(METADATA_NAME, {"metadata": metadata})
         joint_state = writer.register_msgdef(JOINT_STATE, JOINT_STATE_DEFINITION)
-        float64 = writer.register_msgdef(FLOAT64, FLOAT64_DEFINITION)
+        kinds = {name: scalar_kind(name) for name in rest}
+        schemas = {
+            kind: writer.register_msgdef(kind, DEFINITIONS[kind])
+            for kind in dict.fromkeys(kinds.values())
+        }
         for row, stamp in enumerate(stamps):
-            second, nanosecond = divmod(stamp, 10**9)
             message = {
-                "header": {"stamp": {"sec": second, "nanosec": nanosecond}, "frame_id": ""},
+                "header": header(stamp),
                 "name": joints,
                 **{f: rows[row] if rows else [] for f, rows in arrays.items()},
             }
             message = {"velocity": [], "effort": [], **message}
             writer.write_message(_CLOCK_TOPIC, joint_state, message, stamp, stamp, row)
             for name, samples in rest.items():
-                number = {"data": samples[row]}
-                writer.write_message(f"/{name}", float64, number, stamp, stamp, row)
+                kind = kinds[name]
+                number = scalar_message(kind, samples[row], stamp)
+                writer.write_message(f"/{name}", schemas[kind], number, stamp, stamp, row)
 
 
 def _file_of(path: Path) -> Path:

@@ -44,3 +44,8 @@ def write(recording: Recording, path: Path) -> None:
     metadata = json.dumps(dict(recording.metadata), allow_nan=False, sort_keys=True)
     table = table.replace_schema_metadata({_METADATA_KEY: metadata})
     write_atomically(path, lambda stream: pq.write_table(table, stream, compression="zstd"))
+
+
+def losses(recording: Recording) -> tuple[str, ...]:
+    """Returns what the format cannot hold: nothing."""
+    return ()

@@ -8,13 +8,10 @@ from typing import Any
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 FLOAT64 = "std_msgs/msg/Float64"
+FLUID_PRESSURE = "sensor_msgs/msg/FluidPressure"
+TEMPERATURE = "sensor_msgs/msg/Temperature"
 
-JOINT_STATE_DEFINITION = f"""std_msgs/Header header
-string[] name
-float64[] position
-float64[] velocity
-float64[] effort
-{"=" * 80}
+_HEADER = f"""{"=" * 80}
 MSG: std_msgs/Header
 builtin_interfaces/Time stamp
 string frame_id
@@ -23,14 +20,28 @@ MSG: builtin_interfaces/Time
 int32 sec
 uint32 nanosec
 """
+JOINT_STATE_DEFINITION = f"""std_msgs/Header header
+string[] name
+float64[] position
+float64[] velocity
+float64[] effort
+{_HEADER}"""
 FLOAT64_DEFINITION = "float64 data\n"
+DEFINITIONS = {
+    FLOAT64: FLOAT64_DEFINITION,
+    FLUID_PRESSURE: (
+        f"std_msgs/Header header\nfloat64 fluid_pressure\nfloat64 variance\n{_HEADER}"
+    ),
+    TEMPERATURE: f"std_msgs/Header header\nfloat64 temperature\nfloat64 variance\n{_HEADER}",
+}
+"""Of the messages that `scalar_message` makes."""
 
 # The field of messages that hold one number.
 _SCALARS = {
     FLOAT64: "data",
     "std_msgs/msg/Float32": "data",
-    "sensor_msgs/msg/FluidPressure": "fluid_pressure",
-    "sensor_msgs/msg/Temperature": "temperature",
+    FLUID_PRESSURE: "fluid_pressure",
+    TEMPERATURE: "temperature",
 }
 _ARRAYS = ("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float32MultiArray")
 
@@ -56,6 +67,38 @@ def numbers(kind: str, message: Any, topic: str, *, is_clock: bool) -> dict[str,
     if kind in _ARRAYS:
         return {f"{owner}[{i}]": float(value) for i, value in enumerate(message.data)}
     return {owner: float(getattr(message, _SCALARS[kind]))}
+
+
+def scalar_kind(column: str) -> str:
+    """Returns the type of message that says most about a column of one number."""
+    if column.endswith(("_pressure", "_pressure_a", "_pressure_b")):
+        return FLUID_PRESSURE
+    return TEMPERATURE if column.endswith("_temperature") else FLOAT64
+
+
+def header(stamp: int) -> dict[str, Any]:
+    """Returns a header.
+
+    Args:
+        stamp: The time [ns].
+    """
+    second, nanosecond = divmod(stamp, 10**9)
+    return {"stamp": {"sec": second, "nanosec": nanosecond}, "frame_id": ""}
+
+
+def scalar_message(kind: str, value: float, stamp: int) -> dict[str, Any]:
+    """Returns a message with one number.
+
+    Args:
+        kind: A key of `DEFINITIONS`.
+        value: The number.
+        stamp: The time [ns], for messages with a header.
+    """
+    message: dict[str, Any] = {_SCALARS[kind]: value}
+    if kind == FLOAT64:
+        return message
+    # Zero is "unknown" in both definitions.
+    return {"header": header(stamp), **message, "variance": 0.0}
 
 
 def header_stamp(message: Any) -> int | None:

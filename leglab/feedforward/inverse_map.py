@@ -1,6 +1,6 @@
 """Structure of the learned map from motion to flow of every joint, linear in what it learns."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,7 +22,7 @@ ACCELERATION, JERK = 50.0, 2000.0
 # Prior deviation of the parameters of a group of terms against those of the splines. Chosen on the
 # walking leg and the squat on the ground with worn seals and valves, external leakage, hot oil and
 # tired springs; factors of two change the errors by some ten percent.
-_PRIOR = {"a": 1.0, "q": 0.3, "v": 1.0, "j": 4.0, "product": 3.0}
+_PRIOR = {"a": 1.0, "q": 0.3, "v": 1.0, "j": 1.0, "product": 2.0}
 
 # Knots of the velocity splines are dense within this share of full speed around standstill, where
 # valve overlap and friction bend the map.
@@ -60,15 +60,27 @@ class InverseMap:
         rls: How it is learned.
         velocity_splines: Splines in s; 0 for a linear map: v_i and a constant, no products.
         position_splines: Splines in p; 0 for a term linear in q_i.
+        least_memory: Samples a parameter that forgetting always keeps: the forgetting factor of
+            `rls`, then, is 1 - 1 / (least_memory * parameters). None leaves it as it is.
     """
 
     def __init__(
-        self, ranges: MotionRange, rls: Rls, *, velocity_splines: int, position_splines: int
+        self,
+        ranges: MotionRange,
+        rls: Rls,
+        *,
+        velocity_splines: int,
+        position_splines: int,
+        least_memory: float | None = None,
     ) -> None:
         self.joints = len(ranges.speed)
         self.ranges = ranges
         self.products = velocity_splines > 0
         self.settings = _structure(self.joints, rls, velocity_splines, position_splines)
+        if least_memory is not None:
+            parameters = self.learner().parameters.shape[-1]
+            factor = 1.0 - 1.0 / (least_memory * parameters)
+            self.settings = replace(self.settings, rls=replace(rls, forgetting_factor=factor))
 
     def learner(self) -> SplineNarx:
         """Returns a new learner of this structure."""

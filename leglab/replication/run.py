@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from leglab.errors import LeglabError
 from leglab.replication import cost, deployed, page, paper, sensitivity
@@ -48,6 +49,26 @@ class Replication:
     def worst_deviation(self) -> float:
         """Largest relative deviation of a validation mean from Table 1."""
         return worst_deviation(self.comparison.scores)
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns the scores by set and model and where the page is, as JSON can hold it."""
+        return {
+            "scores": {
+                part: {
+                    model: {
+                        "rms_mean": float(score.rms.mean()),
+                        "rms_std": float(score.rms.std()),
+                        "r2_mean": float(score.r2.mean()),
+                        "instances": len(score.rms),
+                    }
+                    for model, score in models.items()
+                }
+                for part, models in self.comparison.scores.items()
+            },
+            "worst_deviation": self.worst_deviation,
+            "page": str(self.page),
+            "figures": [str(figure) for figure in self.figures],
+        }
 
 
 def replicate(

@@ -1,8 +1,11 @@
 """Runs all checks and prints them as tables."""
 
+import math
 from collections import defaultdict
 from collections.abc import Iterable
+from dataclasses import asdict
 from itertools import chain
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -93,3 +96,35 @@ def verify(*, full: bool = True, console: Console | None = None) -> bool:
     results = list(replay.replay_all(folder))
     out.print(replay.table(results))
     return passed and all(result.passed for result in results)
+
+
+def checks_as_json() -> dict[str, Any]:
+    """Runs the checks of `verify`.
+
+    Returns:
+        As JSON can hold it: "passed" (whether all did), "checks" (one object a row), "replays" (one
+        a recording and time step), "left_out" (why there are no replays, or None). What is not
+        finite is None.
+    """
+    rows = list(chain.from_iterable(case() for case in CASES.values()))
+    found: dict[str, Any] = {
+        "passed": all(row.passed for row in rows),
+        "checks": [_as_json(row, deviation=row.deviation, passed=row.passed) for row in rows],
+        "replays": [],
+        "left_out": None,
+    }
+    try:
+        folder = nominal_folder()
+    except LeglabError as error:
+        return {**found, "left_out": str(error)}
+    results = list(replay.replay_all(folder))
+    found["replays"] = [_as_json(result, passed=result.passed) for result in results]
+    found["passed"] = found["passed"] and all(result.passed for result in results)
+    return found
+
+
+def _as_json(row: Row | replay.Replay, **more: Any) -> dict[str, Any]:
+    return {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value
+        for name, value in {**asdict(row), **more}.items()
+    }

@@ -1,0 +1,102 @@
+"""Recordings as data objects of the `nonlinear_benchmarks` package."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from leglab.errors import LeglabError
+from leglab.recording import Recording
+
+if TYPE_CHECKING:
+    from nonlinear_benchmarks import Input_output_data
+
+
+def to_input_output(
+    recording: Recording, inputs: Sequence[str], outputs: Sequence[str], *, name: str | None = None
+) -> "Input_output_data":
+    """Returns columns as input and output of a benchmark.
+
+    Args:
+        recording: Uniformly sampled. NaN stays NaN; metadata and the first time stamp are lost.
+        inputs: Columns of `u`; one gives shape (n,), several (n, len(inputs)).
+        outputs: Columns of `y`, likewise.
+        name: The name of the data.
+
+    Raises:
+        LeglabError: The package is missing, a column does not exist, none is named, there is one
+            sample only, or samples are not uniform.
+    """
+    try:
+        from nonlinear_benchmarks import Input_output_data
+    except ImportError as error:
+        raise LeglabError(
+            "the package nonlinear_benchmarks is missing: pip install 'leglab[interop]'"
+        ) from error
+    return Input_output_data(
+        u=_stacked(recording, inputs, "inputs"),
+        y=_stacked(recording, outputs, "outputs"),
+        sampling_time=recording.sampling_period,
+        name=name,
+    )
+
+
+def from_input_output(
+    data: "Input_output_data",
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    *,
+    start: float = 0.0,
+) -> Recording:
+    """Returns the data of a benchmark as a recording.
+
+    Args:
+        data: With a `sampling_time` [s]; `u` and `y` of shape (n,) or (n, m).
+        inputs: Names of the columns of `u`.
+        outputs: Names of the columns of `y`.
+        start: Time of the first sample [s].
+
+    Returns:
+        The recording; `name` and `state_initialization_window_length`, where given, are in its
+        metadata.
+
+    Raises:
+        LeglabError: The sampling time is missing, or the numbers of names and columns differ.
+    """
+    period = data.sampling_time
+    if not isinstance(period, (int, float, np.number)) or not 0 < period < np.inf:
+        raise LeglabError(f"sampling_time is {period!r}, allowed is a positive number of seconds")
+    names = [*inputs, *outputs]
+    if len(set(names)) < len(names):
+        raise LeglabError(f"columns {', '.join(map(repr, names))} are not all different")
+    columns = {
+        **_split(data.u, inputs, "u", "inputs"),
+        **_split(data.y, outputs, "y", "outputs"),
+    }
+    metadata: dict[str, Any] = {}
+    if data.name:
+        metadata["name"] = str(data.name)
+    if data.state_initialization_window_length is not None:
+        metadata["state_initialization_window_length"] = int(
+            data.state_initialization_window_length
+        )
+    time = start + np.arange(len(data.y)) * float(period)
+    return Recording(time=time, columns=columns, metadata=metadata)
+
+
+def _stacked(recording: Recording, names: Sequence[str], what: str) -> np.ndarray:
+    if isinstance(names, str) or not names:
+        raise LeglabError(f"{what} is {names!r}, allowed is a list of one or more columns")
+    columns = [np.array(recording[name]) for name in names]
+    return columns[0] if len(columns) == 1 else np.column_stack(columns)
+
+
+def _split(array: Any, names: Sequence[str], field: str, what: str) -> dict[str, np.ndarray]:
+    array = np.asarray(array)
+    if array.ndim == 1:
+        array = array[:, None]
+    if isinstance(names, str) or array.ndim != 2 or array.shape[1] != len(names):
+        raise LeglabError(
+            f"{field} has shape {array.shape}, {what} is {names!r}; allowed: one name a column"
+        )
+    return {name: array[:, i] for i, name in enumerate(names)}

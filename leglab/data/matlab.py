@@ -1,0 +1,235 @@
+"""Recordings as MATLAB files, version 5 (what `save` writes as `-v6` and `-v7`), through scipy.
+
+A file holds one struct `recording` with the fields `time` [s], `signals` and `units` (structs with
+one field a column), `name_map` (JSON: the column's name here by field name, for MATLAB does not
+allow all names) and `metadata` (JSON). Files of others may hold vectors of one length, at the top
+or as the fields of one struct; the columns of a matrix `x` become `x[0]`, `x[1]`, and so on.
+"""
+
+import io
+import json
+import re
+import warnings
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from leglab.data.files import write_atomically
+from leglab.data.matlab_check import checked
+from leglab.data.units import own_units, unit_of, usual_unit
+from leglab.errors import LeglabError
+from leglab.recording import Recording
+
+_VARIABLE = "recording"
+_NAME_LENGTH = 63  # MATLAB's namelengthmax until R2025.
+_KEYWORDS = frozenset(
+    {"break", "case", "catch", "classdef", "continue", "else", "elseif", "end", "for", "function"}
+    | {"global", "if", "otherwise", "parfor", "persistent", "return", "spmd", "switch", "try"}
+    | {"while"}
+)
+# scipy writes the time of day here; the same recording shall give the same bytes.
+_HEADER = b"MATLAB 5.0 MAT-file, written by leglab".ljust(116)
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+
+
+def read_table(path: Path) -> tuple[dict[str, np.ndarray], dict]:
+    """Reads a file of ours, or vectors of one length from another.
+
+    Returns:
+        Arrays of shape (n,) by column name, and the metadata. Units other than the usual ones
+        stand under "units", variables that are no samples under "left_out".
+
+    Raises:
+        LeglabError: The file is of version 7.3, truncated or broken, or lengths differ.
+    """
+    variables = _load(path)
+    try:
+        ours = variables.get(_VARIABLE)
+        if isinstance(ours, dict) and {"time", "signals", "name_map"} <= ours.keys():
+            return _own_table(ours)
+        return _foreign_table(variables)
+    except LeglabError as error:
+        raise LeglabError(f"{path}: {error}") from error
+
+
+def write(recording: Recording, path: Path) -> None:
+    """Writes a recording with its metadata and units; every sample keeps all bits.
+
+    Raises:
+        LeglabError: The folder cannot be written to, or the recording is too large (2 GB a column).
+    """
+    from scipy.io import savemat
+
+    fields = field_names(recording.columns)
+    metadata = dict(recording.metadata)
+    content = {
+        "time": recording.time,
+        "signals": {field: recording[name] for name, field in fields.items()},
+        "units": {field: unit_of(name, metadata) for name, field in fields.items()},
+        "name_map": json.dumps({field: name for name, field in fields.items()}),
+        "metadata": json.dumps(metadata, allow_nan=False, sort_keys=True),
+    }
+    stream = io.BytesIO()
+    try:
+        savemat(
+            stream,
+            {_VARIABLE: content},
+            long_field_names=True,
+            do_compression=True,
+            oned_as="column",
+        )
+    except ValueError as error:  # scipy's MatWriteError among them.
+        raise LeglabError(f"{path}: does not fit into a MATLAB file: {error}") from error
+    written = _HEADER + stream.getvalue()[len(_HEADER) :]
+    write_atomically(path, lambda file: file.write(written))
+
+
+def losses(recording: Recording) -> tuple[str, ...]:
+    """Returns what the format cannot hold: nothing."""
+    return ()
+
+
+def field_names(names: Iterable[str]) -> dict[str, str]:
+    """Returns a field name that MATLAB allows for every column name; all are different."""
+    names = list(names)
+    fields: dict[str, str] = {}
+    # Names that are allowed as they are come first, so that no other one takes them.
+    for name in sorted(names, key=lambda name: _allowed(name) != name):
+        field, count = _allowed(name), 1
+        while field in fields.values():
+            count += 1
+            end = f"_{count}"
+            field = _allowed(name)[: _NAME_LENGTH - len(end)] + end
+        fields[name] = field
+    return {name: fields[name] for name in names}
+
+
+def _allowed(name: str) -> str:
+    field = re.sub(r"[^A-Za-z0-9_]", "_", name)
+    if not field[0].isalpha() or field in _KEYWORDS:
+        field = f"x_{field}"
+    return field[:_NAME_LENGTH]
+
+
+def _load(path: Path) -> dict[str, Any]:
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise LeglabError(f"{path}: cannot be read: {error.strerror}") from error
+    if content.startswith((b"MATLAB 7.3", _HDF5)) or content[512:520] == _HDF5:
+        raise LeglabError(
+            f"{path}: a MATLAB file of version 7.3 (HDF5), allowed is version 5; in MATLAB: "
+            f"save('{path.name}', ..., '-v7')"
+        )
+    from scipy.io import loadmat
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Doubled variables: the last one counts.
+            found = loadmat(io.BytesIO(checked(content)), simplify_cells=True)
+    # Whatever the parser trips over, the cause is the file.
+    except Exception as error:
+        reason = next(iter(str(error).splitlines()), "") or type(error).__name__
+        raise LeglabError(f"{path}: not a complete MATLAB file: {reason}") from error
+    return {name: value for name, value in found.items() if not name.startswith("__")}
+
+
+def _own_table(content: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], dict]:
+    names: dict[str, str] = _json(content, "name_map")
+    metadata = _json(content, "metadata") if "metadata" in content else {}
+    if not all(isinstance(name, str) for name in names.values()):
+        raise LeglabError("field 'name_map' of 'recording' gives a name that is no text")
+    signals = content["signals"] if names else {}
+    units: Any = content.get("units") if names else {}
+    if not isinstance(signals, dict):
+        raise LeglabError("field 'signals' of 'recording' is not a struct")
+    table = {"time": _vector(content["time"], "time")}
+    for field, name in names.items():
+        if field not in signals:
+            raise LeglabError(f"field {field!r} of 'name_map' is missing in 'signals'")
+        if name in table:
+            raise LeglabError(f"field 'name_map' of 'recording' gives {name!r} twice")
+        table[name] = _vector(signals[field], name)
+    # Columns that somebody added in MATLAB.
+    for field in [field for field in signals if field not in names]:
+        if field in table:
+            raise LeglabError(f"'signals' holds {field!r} twice, by its field and by 'name_map'")
+        table[field] = _vector(signals[field], field)
+    _check_lengths(table)
+    if isinstance(units, dict):
+        known = own_units(metadata)
+        given = {str(names.get(f, f)): unit for f, unit in units.items()}
+        changed = {
+            name: unit
+            for name, unit in given.items()
+            if isinstance(unit, str) and unit and unit != known.get(name, usual_unit(name))
+        }
+        if changed:
+            metadata["units"] = {**known, **changed}
+    return table, metadata
+
+
+def _foreign_table(variables: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], dict]:
+    structs = [value for value in variables.values() if isinstance(value, dict)]
+    if len(variables) == len(structs) == 1:
+        variables = structs[0]
+    samples = {n: np.asarray(v) for n, v in variables.items() if _is_samples(v)}
+    rows = max((len(array) for array in samples.values()), default=0)
+    table: dict[str, np.ndarray] = {}
+    for name, array in samples.items():
+        columns = {name: array}
+        if array.ndim == 2:
+            if len(array) != rows and array.shape[1] == rows:
+                array = array.T
+            columns = {f"{name}[{i}]": column for i, column in enumerate(array.T)}
+        for key, column in columns.items():
+            if key in table:
+                raise LeglabError(f"two variables give column {key!r}")
+            table[key] = column.astype(np.float64)
+    _check_lengths(table)
+    left_out = sorted(variables.keys() - samples.keys())
+    return table, {"left_out": left_out} if left_out else {}
+
+
+def _is_samples(value: Any) -> bool:
+    """Whether this is a real vector or matrix; a lone number is rather a setting."""
+    if not isinstance(value, np.ndarray):
+        return False
+    return value.dtype.kind in "fiub" and value.ndim in (1, 2) and value.size > 1
+
+
+def _vector(value: Any, name: str) -> np.ndarray:
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiub" or array.ndim > 1:
+        raise LeglabError(f"column {name!r} is {_describe(value)}, allowed is a real vector")
+    return np.atleast_1d(array).astype(np.float64)
+
+
+def _describe(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        size = " x ".join(map(str, value.shape))
+        return f"a {size} array of {value.dtype}"
+    return f"a {type(value).__name__}"
+
+
+def _json(content: Mapping[str, Any], field: str) -> dict[str, Any]:
+    try:
+        found = json.loads(content[field])
+        json.dumps(found, allow_nan=False)  # Reading takes NaN, which is not JSON.
+    except (TypeError, ValueError, RecursionError) as error:
+        raise LeglabError(f"field {field!r} of 'recording' is not JSON: {error}") from error
+    if not isinstance(found, dict):
+        raise LeglabError(f"field {field!r} of 'recording' is not a JSON object")
+    for key in ("alignment", "repairs"):
+        if field == "metadata" and not isinstance(found.get(key, []), list):
+            raise LeglabError(f"metadata {key!r} is {found[key]!r}, allowed is a list")
+    return found
+
+
+def _check_lengths(table: Mapping[str, np.ndarray]) -> None:
+    lengths = {name: len(column) for name, column in table.items()}
+    if len(set(lengths.values())) > 1:
+        found = ", ".join(f"{name!r} {length}" for name, length in lengths.items())
+        raise LeglabError(f"vectors have different lengths: {found}")

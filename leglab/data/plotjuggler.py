@@ -1,0 +1,80 @@
+"""Recordings as CSV that PlotJuggler opens as it is.
+
+What its loader asks for (plotjuggler_plugins/DataLoadCSV in PlotJuggler's sources): names in the
+first line and no line before it; the delimiter is guessed from what is not in quotes there, and a
+quote cannot be escaped; the first value of a column settles its type, and a number with an
+exponent would make it text, a whole number of ten digits a date; an empty cell is no sample.
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from leglab.data import csv
+from leglab.data.files import write_atomically
+from leglab.errors import LeglabError
+from leglab.recording import Recording
+
+# Our own reader takes these files as well.
+read_table = csv.read_table
+
+# Beyond, decimals without an exponent become long; only first values must do without it.
+_POSITIONAL = (1e-6, 1e16)
+
+
+def write(recording: Recording, path: Path) -> None:
+    """Writes a recording with all digits; missing and infinite samples are empty cells.
+
+    Raises:
+        LeglabError: The folder cannot be written to, or two columns get one name.
+    """
+    names = _names(recording)
+    cells = [_cells(samples) for samples in (recording.time, *recording.columns.values())]
+    header = ",".join(f'"{name}"' for name in ("time", *names.values()))
+    lines = (",".join(row) for row in zip(*cells, strict=True))
+    text = "\n".join((header, *lines)) + "\n"
+    write_atomically(path, lambda stream: stream.write(text.encode()))
+
+
+def losses(recording: Recording) -> tuple[str, ...]:
+    """Returns what the format cannot hold."""
+    found = ["metadata"] if recording.metadata else []
+    found += [f"column {old!r} is called {new!r}" for old, new in _names(recording).items()
+              if old != new]  # fmt: skip
+    for name, samples in recording.columns.items():
+        count = int(np.isinf(samples).sum())
+        if count:
+            found.append(f"{count} infinite samples of {name!r} become empty cells")
+    return tuple(found)
+
+
+def _names(recording: Recording) -> dict[str, str]:
+    """Returns the names in the header by column: no quotes, no line ends, no spaces around."""
+    names: dict[str, str] = {}
+    for column in recording.columns:
+        name = " ".join(column.replace('"', "'").split())
+        if name in ("", "time") or name in names.values():
+            raise LeglabError(
+                f"column {column!r} would be called {name!r} in PlotJuggler; allowed: names that "
+                "differ in more than quotes and spaces"
+            )
+        names[column] = name
+    return names
+
+
+def _cells(samples: np.ndarray) -> Iterable[str]:
+    cells = []
+    first = True
+    for value in samples.tolist():
+        if not np.isfinite(value):
+            cells.append("")
+            continue
+        small, large = _POSITIONAL
+        if first or value == 0.0 or small <= abs(value) < large:
+            # Shortest decimals that give the same float64, always with a point.
+            cells.append(np.format_float_positional(value, unique=True, trim="0"))
+        else:
+            cells.append(repr(value))
+        first = False
+    return cells

@@ -1,0 +1,130 @@
+"""What is in a recording file, at a glance."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from leglab.data.checks import Finding
+from leglab.data.checks import inspect as find
+from leglab.data.units import unit_of
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColumnSummary:
+    """One column.
+
+    Attributes:
+        name: The column.
+        unit: Its unit, "" where nothing is known.
+        smallest: Smallest finite sample; None without one.
+        largest: Largest finite sample; None without one.
+        missing: Samples that are no finite numbers.
+    """
+
+    name: str
+    unit: str
+    smallest: float | None
+    largest: float | None
+    missing: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Summary:
+    """A table as it was read, unrepaired.
+
+    Attributes:
+        samples: Rows.
+        start: First finite time [s]; None without one.
+        duration: From the first to the last finite time [s]; None without one.
+        period: Median interval [s]; None where time does not go forward.
+        rate: Its inverse [Hz].
+        columns: The columns without the time.
+        findings: What is wrong with the data, see `leglab.data.inspect`.
+        metadata: Of the file.
+    """
+
+    samples: int
+    start: float | None
+    duration: float | None
+    period: float | None
+    rate: float | None
+    columns: tuple[ColumnSummary, ...]
+    findings: tuple[Finding, ...]
+    metadata: Mapping[str, Any]
+
+    @property
+    def gaps(self) -> tuple[Finding, ...]:
+        """The findings where samples are missing from the time axis."""
+        return tuple(finding for finding in self.findings if finding.kind == "gap")
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns the summary as JSON can hold it."""
+        return {
+            "samples": self.samples,
+            "start_s": self.start,
+            "duration_s": self.duration,
+            "period_s": self.period,
+            "rate_hz": self.rate,
+            "gaps": len(self.gaps),
+            "columns": [
+                {
+                    "name": c.name,
+                    "unit": c.unit,
+                    "min": c.smallest,
+                    "max": c.largest,
+                    "missing": c.missing,
+                }
+                for c in self.columns
+            ],
+            "findings": [
+                {
+                    "kind": f.kind,
+                    "column": f.column,
+                    "row": f.row,
+                    "count": f.count,
+                    "message": f.message,
+                    "fatal": f.fatal,
+                }
+                for f in self.findings
+            ],
+            "metadata": dict(self.metadata),
+        }
+
+
+def summarise(table: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> Summary:
+    """Summarises a table.
+
+    Args:
+        table: Arrays of shape (n,) by column name, `time` among them; see `leglab.data.read_table`.
+        metadata: Of the file.
+    """
+    time = table["time"][np.isfinite(table["time"])]
+    forward = np.diff(time)
+    forward = forward[forward > 0]
+    period = float(np.median(forward)) if forward.size else None
+    columns = []
+    for name, samples in table.items():
+        if name == "time":
+            continue
+        finite = samples[np.isfinite(samples)]
+        columns.append(
+            ColumnSummary(
+                name=name,
+                unit=unit_of(name, metadata),
+                smallest=float(finite.min()) if finite.size else None,
+                largest=float(finite.max()) if finite.size else None,
+                missing=int(samples.size - finite.size),
+            )
+        )
+    return Summary(
+        samples=table["time"].size,
+        start=float(time[0]) if time.size else None,
+        duration=float(time[-1] - time[0]) if time.size else None,
+        period=period,
+        rate=1.0 / period if period else None,
+        columns=tuple(columns),
+        findings=find(table),
+        metadata=metadata,
+    )

@@ -1,0 +1,156 @@
+"""Recordings as time series of MuJoCo's system identification, `mujoco.sysid.TimeSeries`.
+
+The class comes with MuJoCo and needs none of the packages of `mujoco[sysid]`. Its files end in
+`.npz` (`TimeSeries.save_to_disk`).
+
+Columns become signals of one number: `<joint>_position` is `<joint>_qpos`, `<joint>_velocity` is
+`<joint>_qvel`, `<actuator>_command` is `<actuator>_ctrl`, each of its type; all other columns keep
+their names as custom observations.
+"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from leglab.data.files import write_atomically
+from leglab.errors import LeglabError
+from leglab.recording import Recording
+
+if TYPE_CHECKING:
+    from mujoco.sysid import TimeSeries
+
+# End of a column's name here, of a signal's name there, and the signal's type.
+_ENDINGS = (
+    ("_position", "_qpos", "MjStateQPos"),
+    ("_velocity", "_qvel", "MjStateQVel"),
+    ("_command", "_ctrl", "MjCtrl"),
+)
+
+
+def to_time_series(recording: Recording) -> "TimeSeries":
+    """Returns the recording as a time series; its metadata is lost.
+
+    `mujoco.sysid.ModelSequences` takes controls and measurements apart: select the columns first.
+
+    Args:
+        recording: The recording; NaN stays NaN.
+
+    Raises:
+        LeglabError: Two columns get one signal name.
+    """
+    series, types = _classes()
+    mapping: dict[str, Any] = {}
+    for index, column in enumerate(recording.columns):
+        signal, kind = _signal_of(column)
+        if signal in mapping:
+            raise LeglabError(
+                f"column {column!r} and another one both become signal {signal!r} of mujoco.sysid"
+            )
+        mapping[signal] = (types[kind], np.array([index]))
+    data = np.empty((len(recording), len(recording.columns)))
+    for index, samples in enumerate(recording.columns.values()):
+        data[:, index] = samples
+    return series(times=np.array(recording.time), data=data, signal_mapping=mapping)
+
+
+def from_time_series(series: "TimeSeries") -> Recording:
+    """Returns a time series as a recording.
+
+    A signal of several numbers gives `name[0]`, `name[1]`, and so on; without a mapping the columns
+    are `signal[0]`, `signal[1]`, and so on.
+
+    Args:
+        series: Data of shape (n,) or (n, m).
+
+    Raises:
+        LeglabError: Times are not finite, an index of the mapping is outside the data, or two
+            signals give one column.
+    """
+    table = _table_of(series)
+    return Recording(time=table.pop("time"), columns=table)
+
+
+def read_table(path: Path) -> tuple[dict[str, np.ndarray], dict]:
+    """Reads a file of `TimeSeries.save_to_disk`.
+
+    Returns:
+        Arrays of shape (n,) by column name, and the metadata, which the format cannot hold: empty.
+
+    Raises:
+        LeglabError: The file is truncated or holds something else.
+    """
+    series, _ = _classes()
+    try:
+        found = series.load_from_disk(path)
+    # A foreign archive can fail anywhere in the loader; the cause is the file.
+    except Exception as error:
+        reason = next(iter(str(error).splitlines()), "") or type(error).__name__
+        raise LeglabError(f"{path}: not a time series of mujoco.sysid: {reason}") from error
+    try:
+        return _table_of(found), {}
+    except LeglabError as error:
+        raise LeglabError(f"{path}: {error}") from error
+
+
+def write(recording: Recording, path: Path) -> None:
+    """Writes a file that `TimeSeries.load_from_disk` reads; the metadata is lost.
+
+    Raises:
+        LeglabError: The folder cannot be written to, or two columns get one signal name.
+    """
+    series = to_time_series(recording)
+    write_atomically(path, series.save_to_disk)
+
+
+def losses(recording: Recording) -> tuple[str, ...]:
+    """Returns what the format cannot hold."""
+    return ("metadata",) if recording.metadata else ()
+
+
+def _classes() -> tuple[Any, Any]:
+    # `mujoco.sysid` shows the class only if all of its own optional packages are there.
+    from mujoco.sysid._src.timeseries import SignalType, TimeSeries
+
+    return TimeSeries, SignalType
+
+
+def _signal_of(column: str) -> tuple[str, str]:
+    for ours, theirs, kind in _ENDINGS:
+        if column.endswith(ours) and column != ours:
+            return column.removesuffix(ours) + theirs, kind
+    return column, "CustomObs"
+
+
+def _column_of(signal: str, kind: str) -> str:
+    for ours, theirs, its_kind in _ENDINGS:
+        if kind == its_kind and signal.endswith(theirs):
+            return signal.removesuffix(theirs) + ours
+    return signal
+
+
+def _table_of(series: Any) -> dict[str, np.ndarray]:
+    data = np.asarray(series.data)
+    if data.ndim == 1:
+        data = data[:, None]
+    if data.ndim != 2 or data.dtype.kind not in "fiub" or series.times.dtype.kind not in "fiub":
+        raise LeglabError(
+            f"a time series of shape {data.shape} and type {data.dtype}; allowed: real, (n, m)"
+        )
+    table = {"time": series.times.astype(np.float64)}
+    mapping = series.signal_mapping
+    signals = (
+        [("signal", "CustomObs", np.arange(data.shape[1]))]
+        if mapping is None
+        else [(name, kind.name, np.atleast_1d(i)) for name, (kind, i) in mapping.items()]
+    )
+    for name, kind, indices in signals:
+        column = _column_of(name, kind)
+        for i, index in enumerate(indices.tolist()):
+            if not 0 <= index < data.shape[1]:
+                raise LeglabError(f"signal {name!r} is in column {index} of {data.shape[1]}")
+            key = column if len(indices) == 1 and mapping is not None else f"{column}[{i}]"
+            if not key or key in table:
+                raise LeglabError(f"signal {name!r} gives the column {key!r}, which is taken")
+            table[key] = data[:, index].astype(np.float64)
+    return table

@@ -1,0 +1,14 @@
+"""The leg as a reinforcement-learning environment: dm_env through dm_control, and Gymnasium.
+
+Importing this package registers the Gymnasium environments where Gymnasium is installed;
+dm_control and shimmy are loaded with the first environment. All of them come with
+`pip install "leglab[rl]"`.
+"""
+
+from leglab.environment.loading import load, load_gymnasium
+from leglab.environment.registration import register
+from leglab.environment.rewards import REWARDS, Transition
+
+__all__ = ["REWARDS", "Transition", "load", "load_gymnasium"]
+
+register()

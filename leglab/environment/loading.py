@@ -1,0 +1,180 @@
+"""Makes environments from names."""
+
+import importlib
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from leglab.environment.episodes import Draw, Episode, Episodes
+from leglab.environment.rewards import Reward, chosen_reward
+from leglab.errors import LeglabError
+from leglab.preparation import Preparation, RunSettings
+
+if TYPE_CHECKING:
+    import gymnasium
+    from dm_control.rl import control
+
+ACTIONS = ("valve", "residual")
+PREVIEW = (0.02, 0.05, 0.1)
+
+
+def load(
+    scenario: str = "seal_wear",
+    *,
+    model: str = "leg",
+    action: str = "valve",
+    controller: str | None = None,
+    controller_config: Mapping[str, Any] | None = None,
+    residual_scale: float = 0.2,
+    reward: str | Reward = "tracking",
+    reference: str | None = None,
+    reference_config: Mapping[str, Any] | None = None,
+    severity: float | None = None,
+    ramp_duration: float = 0.0,
+    onset: float | None = None,
+    duration: float | None = None,
+    control_period: float | None = None,
+    sensors: Mapping[str, Any] | None = None,
+    timestep: float | None = None,
+    tolerance: float = 0.0,
+    seed: int = 0,
+    randomize: Mapping[str, tuple[float, float]] | Draw | None = None,
+    preview: Sequence[float] = PREVIEW,
+    error_limit: float = math.inf,
+    flat_observation: bool = False,
+) -> "control.Environment":
+    """Makes a `dm_control.rl.control.Environment`: one step is one control period.
+
+    Args:
+        scenario: Name of the scenario; its changes happen in the episode as in a run.
+        model: Name of a model or path of an MJCF file.
+        action: "valve": valve commands in [-1, 1]. "residual": `residual_scale` times the action
+            is added to the command of a controller, and the sum clipped to [-1, 1].
+        controller: Name of the controller of a residual action; None for static_feedforward.
+        controller_config: Its settings.
+        residual_scale: Valve command that a residual action of 1 stands for, in (0, 2].
+        reward: Name of a reward in `REWARDS`, or a function of a `Transition`.
+        reference: Name of the reference; None for the scenario's own.
+        reference_config: Its settings, over those of the scenario.
+        severity: Of the scenario's change, in its own unit; None for its own.
+        ramp_duration: How long the change takes [s].
+        onset: When the first change begins [s]; None for the scenario's own time.
+        duration: Of an episode [s]; None for the scenario's own.
+        control_period: [s]; None for the sensors' own.
+        sensors: Settings of sensors and timing.
+        timestep: Of the simulation [s]; None for the model's own.
+        tolerance: Of the machine's parameters [1]; the seed picks the specimen.
+        seed: Of sensor noise and of everything random.
+        randomize: None: every episode is the run of `seed`, bit for bit. Otherwise each episode
+            draws a new seed and what is named: a mapping of severity, onset [s], ramp_duration [s]
+            or seed to ranges (low, high), or a function of a `numpy.random.RandomState` that
+            returns values by these names.
+        preview: Times ahead of now at which the observation shows the reference [s].
+        error_limit: True error of a joint [rad] beyond which the episode terminates.
+        flat_observation: Whether the observation is one array.
+
+    Raises:
+        LeglabError: If a name or a setting does not fit, or dm_control is missing.
+    """
+    if action not in ACTIONS:
+        raise LeglabError(f"action {action!r} is not allowed; choose one of {', '.join(ACTIONS)}")
+    if action == "valve" and (controller is not None or controller_config):
+        raise LeglabError("a controller acts with action='residual' only; here it is 'valve'")
+    if not 0 < residual_scale <= 2:
+        raise LeglabError(f"residual_scale {residual_scale!r} is outside (0, 2]")
+    if not error_limit > 0:
+        raise LeglabError(f"error_limit {error_limit!r} rad is not allowed, must be > 0")
+    if not all(0 <= ahead < math.inf for ahead in preview):
+        raise LeglabError(f"preview {tuple(preview)} s is not allowed, all must be >= 0")
+    _require("dm_control.mujoco")
+    from dm_control.rl import control
+
+    from leglab.environment.physics import LegPhysics
+    from leglab.environment.task import TrackingTask
+
+    timing = {} if control_period is None else {"control_period": control_period}
+    settings = RunSettings(
+        scenario=scenario,
+        controller=controller or "static_feedforward",
+        model=model,
+        duration=duration,
+        seed=seed,
+        severity=severity,
+        ramp_duration=ramp_duration,
+        reference=reference,
+        reference_config=reference_config or {},
+        controller_config=controller_config or {},
+        sensors={**(sensors or {}), **timing},
+        timestep=timestep,
+        tolerance=tolerance,
+    )
+    base = Episode(settings=settings, onset=onset)
+    length = base.scenario().duration
+    preparation = Preparation(settings)
+    simulation = preparation.machine(visual=True)
+    task = TrackingTask(
+        preparation,
+        simulation,
+        Episodes(base, randomize),
+        residual_scale=residual_scale if action == "residual" else None,
+        reward=chosen_reward(reward),
+        preview=tuple(preview),
+        error_limit=error_limit,
+        flat=flat_observation,
+    )
+    period = preparation.sensors.control_period
+    return control.Environment(
+        LegPhysics.of(simulation),
+        task,
+        # Half a period short: the limit is a quotient of floats.
+        time_limit=(round(length / period) - 0.5) * period,
+        control_timestep=period,
+        flat_observation=flat_observation,
+        legacy_step=False,
+    )
+
+
+def load_gymnasium(
+    scenario: str = "seal_wear",
+    *,
+    render_mode: str | None = None,
+    camera: str = "three_quarter",
+    width: int = 640,
+    height: int = 480,
+    **settings: Any,
+) -> "gymnasium.Env":
+    """Makes a Gymnasium environment of the one that `load` makes, through shimmy.
+
+    Registered as "leglab/SealWear-v0" and alike, one a scenario.
+
+    Args:
+        scenario: Name of the scenario.
+        render_mode: "rgb_array" for pictures by `render()`, or None.
+        camera: Name of a camera of the model.
+        width: Of the pictures [px].
+        height: Of the pictures [px].
+        settings: As for `load`.
+
+    Raises:
+        LeglabError: If a name or a setting does not fit, or a package is missing.
+    """
+    _require("dm_control.mujoco")
+    _require("shimmy.dm_control_compatibility")
+    from leglab.environment.gymnasium_env import LegEnv
+
+    env = load(scenario, **settings)
+    render = {"camera_id": camera, "width": width, "height": height}
+    return LegEnv(env, render_mode=render_mode, render_kwargs=render)
+
+
+def _require(module: str) -> None:
+    try:
+        with warnings.catch_warnings():
+            # Without a display dm_control tries GLFW, which complains, before EGL.
+            warnings.filterwarnings("ignore", message=".*DISPLAY environment variable")
+            importlib.import_module(module)
+    except ImportError as error:
+        raise LeglabError(
+            f'the environment needs {module.partition(".")[0]} ({error}): pip install "leglab[rl]"'
+        ) from error

@@ -1,0 +1,54 @@
+"""dm_control's view of a simulation: the same model and data, stepped by the sampled machine."""
+
+from collections.abc import Callable
+
+import mujoco
+from dm_control.mujoco import Physics, wrapper
+
+from leglab.simulation import Simulation
+
+
+class LegPhysics(Physics):
+    """The physics of an environment, on the data of a `Simulation`.
+
+    Its state, `get_state()`, holds the plugins' states and parameters too. A copy is a physics of
+    its own that steps by time steps, without sensors and scenario.
+    """
+
+    # A copy, too, makes whole steps from its state.
+    legacy_step = False
+    _advance: Callable[[], None] | None = None
+
+    @classmethod
+    def of(cls, simulation: Simulation) -> "LegPhysics":
+        """Makes the physics of a simulation; both share model and data."""
+        return cls(wrapper.MjData(simulation.data))
+
+    def drive(self, advance: Callable[[], None]) -> None:
+        """Has `step` call this function, which ends a control period."""
+        self._advance = advance
+
+    def step(self, nstep: int = 1) -> None:
+        """Advances by one control period; a copy by a number of time steps."""
+        if self._advance is None:
+            super().step(nstep)
+            return
+        # MuJoCo would write its warnings to a log file; the task checks what they warn of.
+        mujoco.set_mju_user_warning(_ignore)
+        try:
+            self._advance()
+        finally:
+            mujoco.set_mju_user_warning(None)
+
+    def after_reset(self) -> None:
+        """Recomputes what follows from the state; valves stay open as they are.
+
+        The solver starts the first step where it would have started without this.
+        """
+        warm_start = self.data.qacc_warmstart.copy()
+        self.forward()
+        self.data.qacc_warmstart[:] = warm_start
+
+
+def _ignore(warning: str) -> None:
+    pass

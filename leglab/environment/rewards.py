@@ -1,0 +1,82 @@
+"""Rewards of an environment, by name; a user may give a function of his own."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from leglab.control import ReferencePoint
+from leglab.errors import unknown_name
+
+# Joint errors [rad] with full reward, and with a tenth of it.
+GOOD_ERROR, POOR_ERROR = 1e-3, 5e-2
+
+
+class Transition(NamedTuple):
+    """What one step of the environment did; rewards are functions of it.
+
+    Attributes:
+        time: Time at the end of the step [s].
+        position: True joint positions at its end [rad]. Shape (joints,).
+        velocity: True joint velocities at its end [rad/s]. Shape (joints,).
+        reference: Where the joints should be at its end.
+        command: Valve commands held during the step, in [-1, 1]. Shape (joints,).
+        previous_command: Those of the step before. Shape (joints,).
+        action: What the agent gave, in [-1, 1]. Shape (joints,).
+    """
+
+    time: float
+    position: np.ndarray
+    velocity: np.ndarray
+    reference: ReferencePoint
+    command: np.ndarray
+    previous_command: np.ndarray
+    action: np.ndarray
+
+    @property
+    def error(self) -> np.ndarray:
+        """True tracking error, position less reference [rad]. Shape (joints,)."""
+        return self.position - self.reference.position
+
+
+Reward = Callable[[Transition], float]
+
+
+def tracking(transition: Transition) -> float:
+    """Mean over the joints of `dm_control.utils.rewards.tolerance` of the error, in [0, 1].
+
+    1 up to 1 mrad, then a Gaussian that is 0.1 at 51 mrad.
+    """
+    from dm_control.utils import rewards
+
+    bounds = (-GOOD_ERROR, GOOD_ERROR)
+    return float(rewards.tolerance(transition.error, bounds, margin=POOR_ERROR).mean())
+
+
+def smooth_tracking(transition: Transition) -> float:
+    """`tracking` times a factor in [0.8, 1] for small changes of the valve commands, in [0, 1].
+
+    As the suite of dm_control weighs effort: 0.8 + 0.2 of a quadratic that is 0 for a change of
+    0.1 of full opening in one step.
+    """
+    from dm_control.utils import rewards
+
+    change = transition.command - transition.previous_command
+    calm = rewards.tolerance(change, margin=0.1, value_at_margin=0, sigmoid="quadratic").mean()
+    return tracking(transition) * (0.8 + 0.2 * float(calm))
+
+
+REWARDS: dict[str, Reward] = {"tracking": tracking, "smooth_tracking": smooth_tracking}
+
+
+def chosen_reward(reward: str | Reward) -> Reward:
+    """Returns a reward by name, or the function itself.
+
+    Raises:
+        LeglabError: If there is none of this name.
+    """
+    if callable(reward):
+        return reward
+    if reward not in REWARDS:
+        raise unknown_name("reward", reward, REWARDS)
+    return REWARDS[reward]

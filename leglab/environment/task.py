@@ -1,0 +1,263 @@
+"""The task of an environment: follow a reference while the machine changes."""
+
+import collections
+from collections.abc import Mapping
+
+import numpy as np
+from dm_control.rl.control import FLAT_OBSERVATION_KEY, Task
+from dm_env import specs
+
+from leglab.control import Controller, Measurement, ReferencePoint, check_command, make_controller
+from leglab.environment.episodes import Episode, Episodes
+from leglab.environment.physics import LegPhysics
+from leglab.environment.rewards import Reward, Transition
+from leglab.errors import LeglabError
+from leglab.preparation import Preparation, reference_joints
+from leglab.references import Samples
+from leglab.runner import run_setup
+from leglab.sampled_machine import SampledMachine
+from leglab.simulation import Simulation, SimulationError
+
+
+class TrackingTask(Task):
+    """Valve commands, or corrections of a controller's, against the tracking error.
+
+    Args:
+        preparation: Of the runs.
+        simulation: The machine, which the physics shares.
+        episodes: Draws what differs between episodes.
+        residual_scale: Valve command that an action of 1 adds to the controller's; None where the
+            action is the command.
+        reward: Of a transition.
+        preview: Times ahead of now at which the observation shows the reference [s].
+        error_limit: True error of a joint [rad] beyond which an episode terminates.
+        flat: Whether the environment makes one array of an observation.
+
+    Attributes:
+        episode: The present episode.
+        diverged: Whether the simulation blew up.
+    """
+
+    def __init__(
+        self,
+        preparation: Preparation,
+        simulation: Simulation,
+        episodes: Episodes,
+        *,
+        residual_scale: float | None,
+        reward: Reward,
+        preview: tuple[float, ...],
+        error_limit: float,
+        flat: bool,
+    ) -> None:
+        self._preparation, self._simulation, self._episodes = preparation, simulation, episodes
+        self._scale, self._reward, self._error_limit = residual_scale, reward, error_limit
+        self._flat = flat
+        period = preparation.sensors.control_period
+        self._preview = np.array([round(ahead / period) for ahead in preview], dtype=np.intp)
+        self._joints = reference_joints(preparation.nominal)
+        self._zero = np.zeros(len(self._joints))
+        self._machine: SampledMachine | None = None
+        self._command = self._previous = self._action = self._zero
+        self.episode: Episode | None = None
+        self._first: Episode | None = self._episodes.next()
+        self._begin(self._first)
+
+    @property
+    def _random(self) -> np.random.RandomState:
+        # By this name shimmy finds the source of randomness of a task.
+        return self._episodes.random
+
+    @_random.setter
+    def _random(self, random: np.random.RandomState) -> None:
+        self._episodes.random = random
+
+    def reseed(self, seed: int) -> None:
+        """Starts the sequence of episodes of another seed with the next episode."""
+        self._episodes.reseed(seed)
+        self._first = None
+
+    def initialize_episode(self, physics: LegPhysics) -> None:
+        """Puts the machine where the next episode starts and measures it."""
+        # The first episode was begun for its specifications; the reset of the data undid that.
+        self._begin(self._first or self._episodes.next())
+        self._first = None
+        assert self._machine is not None
+        physics.drive(self._machine.advance)
+
+    def before_step(self, action: np.ndarray, physics: LegPhysics) -> None:
+        """Sets the valve commands.
+
+        Raises:
+            LeglabError: If the action has another shape or is not finite.
+        """
+        self._action = _checked_action(action, len(self._joints))
+        wish = self._action if self._scale is None else self._wish + self._scale * self._action
+        self._previous = self._command
+        self._command = wish.clip(-1.0, 1.0)
+        physics.data.ctrl[:] = self._command
+
+    def after_step(self, physics: LegPhysics) -> None:
+        """Measures, unless the simulation blew up: then the last observation stays."""
+        try:
+            self._simulation.check()
+        except SimulationError:
+            self.diverged = True
+        else:
+            self._measure()
+
+    def get_observation(self, physics: LegPhysics) -> dict[str, np.ndarray]:
+        """Measurements, reference and commands; see docs/environment.md."""
+        return collections.OrderedDict(self._observation)
+
+    def get_reward(self, physics: LegPhysics) -> float:
+        """Reward of the step; 0 where the simulation blew up."""
+        if self.diverged:
+            return 0.0
+        return float(self._reward(self.transition()))
+
+    def get_termination(self, physics: LegPhysics) -> float | None:
+        """Discount 0 where the simulation blew up or an error is beyond the limit."""
+        if self.diverged:
+            return 0.0
+        error = self._simulation.position() - self._point.position
+        return 0.0 if np.abs(error).max() > self._error_limit else None
+
+    def transition(self) -> Transition:
+        """What the last step did."""
+        return Transition(
+            time=self._simulation.data.time,
+            position=self._simulation.position(),
+            velocity=self._simulation.velocity(),
+            reference=self._point,
+            command=self._command,
+            previous_command=self._previous,
+            action=self._action,
+        )
+
+    def action_spec(self, physics: LegPhysics) -> specs.BoundedArray:
+        """One number in [-1, 1] a joint."""
+        names = "\t".join(joint.name for joint in self._joints)
+        return specs.BoundedArray(self._zero.shape, float, -1.0, 1.0, name=names)
+
+    def observation_spec(self, physics: LegPhysics) -> Mapping[str, specs.Array]:
+        """Bounds where they are known: of references by the joints, of commands by the valves."""
+        low, high = (np.array([getattr(j, end) for j in self._joints]) for end in _ENDS)
+        speed = np.array([joint.velocity_limit for joint in self._joints])
+        bounds: dict[str, _Bounds] = {
+            "reference_position": (low, high),
+            "reference_velocity": (-speed, speed),
+            "reference_preview": (low, high),
+            "previous_command": (-1.0, 1.0),
+            "controller_command": (-1.0, 1.0),
+        }
+        named = collections.OrderedDict(
+            (name, _spec(name, value, bounds.get(name)))
+            for name, value in self._observation.items()
+        )
+        return _flat_spec(named) if self._flat else named
+
+    def _begin(self, episode: Episode) -> None:
+        if self._machine is not None:
+            self._machine.close()
+        if episode != self.episode:
+            self._prepare(episode)
+            self.episode = episode
+        settings = episode.settings
+        self._preparation.start(self._simulation, settings.seed)
+        self._machine = SampledMachine(
+            self._simulation,
+            self._scenario,
+            self._preparation.sensors,
+            count=self._count,
+            seed=settings.seed,
+            pressures=True,
+        )
+        self.diverged = False
+        self._action = self._command = self._previous = self._zero
+        self._measure()
+
+    def _prepare(self, episode: Episode) -> None:
+        """Makes what only another episode changes: scenario, reference, controller."""
+        settings, preparation = episode.settings, self._preparation
+        self._scenario = scenario = episode.scenario()
+        period = preparation.sensors.control_period
+        self._count = round(scenario.duration / period) + 1
+        ahead = int(self._preview.max(initial=0))
+        times = np.arange(self._count + ahead) * period
+        self._wanted: Samples = preparation.reference(settings, scenario).sample(times)
+        self._controller: Controller | None = None
+        if self._scale is not None:
+            self._setup = run_setup(preparation, settings, scenario)
+            self._controller = make_controller(
+                settings.controller, self._setup, settings.controller_config
+            )
+
+    def _measure(self) -> None:
+        assert self._machine is not None
+        measurement = self._machine.measure()
+        row = self._machine.row
+        self._point = point = ReferencePoint(*(part[row] for part in self._wanted))
+        observation = self._observed(measurement, point, row)
+        if self._controller is not None:
+            if row == 0:
+                self._controller.reset(measurement)
+            name = self.episode.settings.controller if self.episode else ""
+            wish = self._controller.command(measurement, point)
+            self._wish = check_command(wish, self._setup, name, measurement.time)
+            observation["controller_command"] = self._wish.clip(-1.0, 1.0)
+            feedforward = self._controller.diagnostics().get("feedforward")
+            if feedforward is not None:
+                observation["feedforward"] = feedforward.copy()
+        self._observation = observation
+
+    def _observed(
+        self, measurement: Measurement, point: ReferencePoint, row: int
+    ) -> collections.OrderedDict[str, np.ndarray]:
+        assert measurement.pressure_a is not None
+        assert measurement.pressure_b is not None
+        return collections.OrderedDict(
+            position=measurement.position.copy(),
+            velocity=measurement.velocity.copy(),
+            pressure_a=measurement.pressure_a.copy(),
+            pressure_b=measurement.pressure_b.copy(),
+            supply_pressure=np.array([measurement.supply_pressure]),
+            reference_position=point.position.copy(),
+            reference_velocity=point.velocity.copy(),
+            reference_acceleration=point.acceleration.copy(),
+            reference_preview=self._wanted.position[row + self._preview],
+            previous_command=self._command.copy(),
+        )
+
+
+_ENDS = ("lower", "upper")
+
+
+_Bounds = tuple[np.ndarray | float, np.ndarray | float]
+
+
+def _spec(name: str, value: np.ndarray, bounds: _Bounds | None) -> specs.Array:
+    if bounds is None:
+        return specs.Array(value.shape, value.dtype, name=name)
+    low, high = (np.broadcast_to(end, value.shape) for end in bounds)
+    return specs.BoundedArray(value.shape, value.dtype, low, high, name=name)
+
+
+def _flat_spec(named: Mapping[str, specs.Array]) -> Mapping[str, specs.Array]:
+    ends = [
+        np.concatenate(
+            [np.ravel(np.broadcast_to(getattr(s, end, default), s.shape)) for s in named.values()]
+        )
+        for end, default in (("minimum", -np.inf), ("maximum", np.inf))
+    ]
+    spec = specs.BoundedArray(ends[0].shape, float, *ends, name=FLAT_OBSERVATION_KEY)
+    return collections.OrderedDict({FLAT_OBSERVATION_KEY: spec})
+
+
+def _checked_action(action: np.ndarray, joints: int) -> np.ndarray:
+    values = np.asarray(action, dtype=float)
+    if values.shape != (joints,):
+        raise LeglabError(f"action has shape {values.shape}, allowed is ({joints},)")
+    if not np.isfinite(values).all():
+        raise LeglabError(f"action {values.tolist()} is not finite; allowed: numbers in [-1, 1]")
+    return values.clip(-1.0, 1.0)

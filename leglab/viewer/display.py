@@ -1,0 +1,171 @@
+"""What the viewer's window shows: a model of its own with sliders, a ghost, figures."""
+
+import mujoco
+import numpy as np
+
+from leglab.simulation import load_model
+from leglab.viewer.session import HISTORY, Session
+
+_GHOST = np.array([0.10, 0.45, 0.75, 0.28], dtype=np.float32)
+_COLOURS = {
+    "error": (0.95, 0.45, 0.30),
+    "command": (0.85, 0.85, 0.85),
+    "feed-forward": (0.4, 0.75, 1.0),
+}
+# Added to the time shown [s]: the viewer's own reset leaves 0, which a restart shows as well.
+_NOT_RESET = 1e-9
+# Points of a line; a moment each.
+_POINTS = 200
+# Size of a figure: share of the view's width and height, and what its text needs [px].
+_SHARE, _LEAST = (0.34, 0.26), (330, 170)
+
+
+class Display:
+    """A copy of the machine for the viewer.
+
+    The machine itself stays as it is: the copy has one actuator more for each slider, without gain,
+    and takes its state from the machine. What the user does to it is read back from it.
+
+    Args:
+        session: To be shown.
+        model: Name of the model or path of its file.
+
+    Attributes:
+        model: The viewer's model.
+        data: Its state; `data.ctrl` holds commands, then sliders.
+    """
+
+    def __init__(self, session: Session, model: str) -> None:
+        self._session = session
+        simulation = session.simulation
+        self._actuators = simulation.model.nu
+
+        def add_sliders(spec: mujoco.MjSpec) -> None:
+            for slider in session.sliders.values():
+                actuator = spec.add_actuator(name=slider.name, target=session.joints[0])
+                actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
+                actuator.gainprm[0] = 0.0
+                actuator.ctrllimited = True
+                actuator.ctrlrange = [slider.lowest, slider.highest]
+            for key in spec.keys:
+                key.ctrl = np.zeros(0)
+
+        self.model = load_model(model, timestep=simulation.model.opt.timestep, edit=add_sliders)
+        self.data = mujoco.MjData(self.model)
+        self._ghost = mujoco.MjData(self.model)
+        self._option, self._perturb = mujoco.MjvOption(), mujoco.MjvPerturb()
+        for flag in (mujoco.mjtVisFlag.mjVIS_TENDON, mujoco.mjtVisFlag.mjVIS_STATIC):
+            self._option.flags[flag] = 0
+        self.reset_sliders()
+        self.show()
+
+    def reset_sliders(self) -> None:
+        """Puts the sliders where the session has them."""
+        self.data.ctrl[self._actuators :] = list(self._session.values.values())
+
+    def show(self) -> None:
+        """Takes over the machine's state."""
+        source = self._session.simulation.data
+        self.data.time = source.time + _NOT_RESET
+        for name in ("qpos", "qvel", "act", "plugin_state"):
+            getattr(self.data, name)[:] = getattr(source, name)
+        self.data.ctrl[: self._actuators] = source.ctrl
+        mujoco.mj_forward(self.model, self.data)
+
+    def take_over(self) -> bool:
+        """Carries what the user did to the machine: sliders and pushes.
+
+        Returns:
+            Whether the user reset the viewer's state: the session should restart.
+        """
+        session = self._session
+        if self.data.time != session.simulation.data.time + _NOT_RESET:
+            return True
+        for name, value in zip(session.sliders, self.data.ctrl[self._actuators :], strict=True):
+            session.move(name, float(value))
+        self.reset_sliders()  # "Clear all" asks for 0, which is not in every range
+        session.simulation.data.xfrc_applied[:] = self.data.xfrc_applied
+        return False
+
+    def draw_ghost(self, scene: mujoco.MjvScene) -> None:
+        """Draws the driven joints at their reference, everything else as it is."""
+        ghost, simulation = self._ghost, self._session.simulation
+        ghost.qpos[:] = self.data.qpos
+        ghost.qpos[simulation.qpos_index] = self._session.point.position
+        mujoco.mj_kinematics(self.model, ghost)
+        scene.ngeom = 0
+        moving = mujoco.mjtCatBit.mjCAT_DYNAMIC
+        mujoco.mjv_addGeoms(self.model, ghost, self._option, self._perturb, moving, scene)
+        for geom in scene.geoms[: scene.ngeom]:
+            geom.rgba[:] = _GHOST
+            geom.matid = -1
+            geom.category = mujoco.mjtCatBit.mjCAT_DECOR
+
+    def figures(self, viewport: mujoco.MjrRect) -> list[tuple[mujoco.MjrRect, mujoco.MjvFigure]]:
+        """Tracking error of all joints, and command and feed-forward of the worst one."""
+        moments = list(self._session.moments)[:: -max(len(self._session.moments) // _POINTS, 1)]
+        if not moments:
+            return []
+        now = moments[0].time
+        ages = np.array([moment.time - now for moment in moments])
+        errors = 1e3 * np.array([moment.error for moment in moments])
+        rms = np.sqrt(np.mean(errors**2, axis=1))
+        worst = int(np.argmax(np.abs(errors).mean(axis=0)))
+        command = np.array([moment.command[worst] for moment in moments])
+        feedforward = np.array([moment.feedforward[worst] for moment in moments])
+        error_figure = _figure("RMS error [mrad], last 10 s", {"error": (ages, rms)})
+        joint = self._session.joints[worst].replace("_", " ")
+        lines = {"command": (ages, command)}
+        if np.isfinite(feedforward).all():
+            lines["feed-forward"] = ages, feedforward
+        width, height = (
+            min(max(round(share * size), least), size)
+            for share, size, least in zip(
+                _SHARE, (viewport.width, viewport.height), _LEAST, strict=True
+            )
+        )
+        left = viewport.left
+        return [
+            (mujoco.MjrRect(left, viewport.bottom + height, width, height), error_figure),
+            (
+                mujoco.MjrRect(left, viewport.bottom, width, height),
+                _figure(f"valve of {joint}", lines),
+            ),
+        ]
+
+    def texts(self, *, paused: bool) -> tuple[str, str]:
+        """Two columns: what is shown, and its values."""
+        session = self._session
+        rows = {"time": f"{session.time:.1f} s", "scenario": session.scenario.name}
+        rows["fault"] = "on" if session.fault else "off" if session.scenario.changes else "none"
+        for name, slider in session.sliders.items():
+            rows[name.replace("_", " ")] = f"{session.values[name]:.3g} {slider.unit}"
+        recent = list(session.moments)[-round(session.window / session.period) :]
+        if recent:
+            rms = np.sqrt(np.mean([moment.error**2 for moment in recent]))
+            rows["RMS error"] = f"{1e3 * rms:.1f} mrad over {session.window:.2g} s"
+        if paused:
+            rows["paused"] = "Space goes on"
+        if session.failure:
+            rows["failed"] = session.failure
+        return "\n".join(rows), "\n".join(rows.values())
+
+
+def _figure(title: str, lines: dict[str, tuple[np.ndarray, np.ndarray]]) -> mujoco.MjvFigure:
+    figure = mujoco.MjvFigure()
+    mujoco.mjv_defaultFigure(figure)
+    figure.title = title
+    figure.flg_legend = len(lines) > 1
+    figure.yformat = "%.3g"
+    figure.figurergba[:] = (0.1, 0.1, 0.1, 0.6)
+    figure.gridsize[:] = (3, 4)
+    figure.range[0] = (-HISTORY, 0.0)
+    values = np.concatenate([y for _, y in lines.values()])
+    low, high = min(0.0, float(values.min())), max(float(values.max()), 1e-3)
+    figure.range[1] = (low, high)
+    for i, (name, (x, y)) in enumerate(lines.items()):
+        figure.linename[i] = name
+        figure.linergb[i] = _COLOURS[name]
+        figure.linepnt[i] = len(x)
+        figure.linedata[i, : 2 * len(x)] = np.column_stack([x, y]).ravel()
+    return figure

@@ -1,0 +1,76 @@
+"""What a user changes by hand while he watches."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from leglab.bodies import ADDED_MASS, Bodies
+from leglab.schedule import ParameterChange
+from leglab.simulation import Simulation
+
+# Where there is a body of this name it carries the load, as in the scenario "payload".
+_LOADED = "shank"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slider:
+    """A slider of the control panel.
+
+    Attributes:
+        name: Name of its actuator in the viewer's model.
+        unit: Unit of its value.
+        lowest: Smallest value.
+        highest: Largest value.
+        initial: Value of the unchanged machine.
+        change: Makes the change that a value stands for, from a time [s] on.
+    """
+
+    name: str
+    unit: str
+    lowest: float
+    highest: float
+    initial: float
+    change: Callable[[float, float], ParameterChange]
+
+    def clip(self, value: float) -> float:
+        """The nearest value of the range: the panel's "Clear all" asks for 0."""
+        return min(max(value, self.lowest), self.highest)
+
+
+def sliders(simulation: Simulation, bodies: Bodies) -> tuple[Slider, ...]:
+    """The sliders of a machine: seal_wear, oil_temperature and payload."""
+    temperature = simulation.parameter(simulation.actuators[0], "oil_temperature")
+    loaded = _LOADED if _LOADED in bodies.elements else bodies.elements[-1]
+
+    def change(
+        parameter: str, element: str, kind: str
+    ) -> Callable[[float, float], ParameterChange]:
+        return lambda value, start: ParameterChange(
+            parameter=parameter, element=element, kind=kind, value=value, start=start
+        )
+
+    return (
+        Slider(
+            name="seal_wear",
+            unit="x leakage",
+            lowest=1.0,
+            highest=50.0,
+            initial=1.0,
+            change=change("internal_leakage", "*", "scale"),
+        ),
+        Slider(
+            name="oil_temperature",
+            unit="deg C",
+            lowest=-10.0,
+            highest=120.0,
+            initial=temperature,
+            change=change("oil_temperature", "*", "set"),
+        ),
+        Slider(
+            name="payload",
+            unit=f"kg on {loaded}",
+            lowest=0.0,
+            highest=30.0,
+            initial=0.0,
+            change=change(ADDED_MASS.name, loaded, "set"),
+        ),
+    )

@@ -1,0 +1,158 @@
+"""MuJoCo's interactive viewer around a session, in real time."""
+
+import os
+import queue
+import threading
+import time
+import warnings
+
+from leglab.errors import LeglabError
+from leglab.viewer.display import Display
+from leglab.viewer.session import Session
+
+HELP = """\
+keys       Space      pause, go on
+           Enter      fault of the scenario on or off
+           Backspace  start again
+           Home       ghost of the reference on or off
+           Tab        options of MuJoCo's viewer
+sliders    click "Control" on the right: seal_wear, oil_temperature, payload
+mouse      double-click a body, then Ctrl + right button pushes it
+close the window to end"""
+
+# GLFW's codes of the keys.
+SPACE, ENTER, BACKSPACE, HOME = 32, 257, 259, 268
+_FRAME = 1.0 / 60.0
+# Bounds of the time that a frame may spend on the machine [s], as long as the frame before it;
+# what the machine lacks then is not caught up.
+_BUDGET = (0.25, 1.0)
+# How long the window's thread may take to end [s].
+_FAREWELL = 10.0
+
+
+class Window:
+    """The window of a session.
+
+    Args:
+        session: To be shown.
+        model: Name of its model or path of the file.
+
+    Attributes:
+        display: What is shown.
+        handle: MuJoCo's handle of the window.
+
+    Raises:
+        LeglabError: If no window can be opened; names the way without one.
+    """
+
+    def __init__(self, session: Session, model: str) -> None:
+        check_display()
+        import mujoco.viewer
+
+        self._session = session
+        self.display = Display(session, model)
+        self._keys: queue.SimpleQueue[int] = queue.SimpleQueue()
+        self._paused, self._ghost = False, True
+        threads = set(threading.enumerate())
+        # The callback comes from the window's thread.
+        self.handle = mujoco.viewer.launch_passive(
+            self.display.model,
+            self.display.data,
+            key_callback=self._keys.put,
+            show_left_ui=False,
+        )
+        self._threads = set(threading.enumerate()) - threads
+        camera = mujoco.mj_name2id(self.display.model, mujoco.mjtObj.mjOBJ_CAMERA, "three_quarter")
+        if camera >= 0:
+            self.handle.cam.type = mujoco.mjtCamera.mjCAMERA_FIXED
+            self.handle.cam.fixedcamid = camera
+
+    def run(self, duration: float | None = None) -> None:
+        """Shows the session in real time until the window is closed.
+
+        Args:
+            duration: Longest time [s]; None for no limit.
+        """
+        begin = clock = time.monotonic()
+        while self.handle.is_running() and (duration is None or clock - begin < duration):
+            now = time.monotonic()
+            self.frame(now - clock)
+            clock = now
+            time.sleep(max(0.0, _FRAME - (time.monotonic() - now)))
+
+    def frame(self, elapsed: float) -> None:
+        """Goes on by some time [s] and shows it."""
+        session = self._session
+        self._use_keys()
+        until = session.time + elapsed
+        deadline = time.monotonic() + min(max(elapsed, _BUDGET[0]), _BUDGET[1])
+        while not self._paused and session.time < until and not session.failure:
+            session.step()
+            if time.monotonic() > deadline:
+                break
+        handle = self.handle
+        with handle.lock():
+            self.display.show()
+            if self._ghost:
+                self.display.draw_ghost(handle.user_scn)
+            else:
+                handle.user_scn.ngeom = 0
+        handle.set_texts((None, None, *self.display.texts(paused=self._paused)))
+        if handle.viewport is not None:
+            handle.set_figures(self.display.figures(handle.viewport))
+        handle.sync()
+        with handle.lock():
+            if self.display.take_over():
+                self._restart()
+
+    def close(self) -> None:
+        """Closes the window."""
+        self.handle.close()
+        # A process that ends while this thread still draws gets an error from the X server.
+        for thread in self._threads:
+            thread.join(_FAREWELL)
+        self._session.close()
+
+    def _use_keys(self) -> None:
+        while not self._keys.empty():
+            key = self._keys.get()
+            if key == SPACE:
+                self._paused = not self._paused
+            elif key == ENTER:
+                self._session.switch_fault()
+            elif key == BACKSPACE:
+                self._restart()
+            elif key == HOME:
+                self._ghost = not self._ghost
+
+    def _restart(self) -> None:
+        self._session.restart()
+        self.display.reset_sliders()
+        self.display.show()
+
+
+def check_display() -> None:
+    """Raises where no window can be opened.
+
+    MuJoCo's viewer opens its window in a thread of its own and would wait there for ever.
+
+    Raises:
+        LeglabError: Names DISPLAY and the way without a window.
+    """
+    without = "without a display: leglab run, then leglab video"
+    if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise LeglabError(f"the viewer needs a display, but DISPLAY is not set; {without}")
+    import glfw
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        ready = glfw.init()
+        window = None
+        if ready:
+            glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
+            window = glfw.create_window(16, 16, "leglab", None, None)
+            glfw.default_window_hints()
+    if not window:
+        where = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+        raise LeglabError(f"the viewer cannot open a window on DISPLAY={where}; {without}")
+    glfw.destroy_window(window)
