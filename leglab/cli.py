@@ -23,6 +23,7 @@ from leglab.cli_conventions import (
 )
 from leglab.cli_convert import convert, inspect
 from leglab.cli_diagnose import diagnose
+from leglab.cli_report import index, report
 from leglab.cli_video import video
 from leglab.cli_view import view
 from leglab.terminal import TOLERANCE, Json, Overwrite, errors, metrics_table, output, progress_bar
@@ -40,6 +41,8 @@ app.command()(diagnose)
 app.command()(convert)
 app.command()(inspect)
 app.command()(video)
+app.command()(report)
+app.command()(index)
 app.command()(view)
 
 

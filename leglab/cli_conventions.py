@@ -54,6 +54,11 @@ EXAMPLES = {
         "leglab video runs/seal_wear-pd-leg-0",
         "leglab video runs/seal_wear-*-leg-0 --start 8 --duration 6 --out film.mp4",
     ),
+    "report": (
+        "leglab report --scenario seal_wear --controllers pd,static_feedforward,bsnn_arx",
+        "leglab report runs/a runs/b --out out/a_b --start 8 --duration 6",
+    ),
+    "index": ("leglab index runs", "leglab index runs --json | jq '.[].told'"),
     "view": ("leglab view seal_wear", "leglab view cold_oil --controller pd --model knee_bench"),
     "tune": ("leglab tune --model knee_bench", "leglab tune --write"),
     "replicate": ("leglab replicate", "leglab replicate --instances 10 --out out/quick"),

@@ -150,7 +150,7 @@ def run_all(
     if todo:
         worker = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
         try:
-            with _interrupts_ignored():
+            with interrupts_ignored():
                 labels = worker(delayed(_run_and_store)(run, folder, code) for run in todo)
             for label in labels:
                 done += 1
@@ -196,7 +196,7 @@ def _stored(settings: RunSettings, folder: Path, code: str) -> dict[str, Any] | 
 
 
 @contextmanager
-def _interrupts_ignored() -> Iterator[None]:
+def interrupts_ignored() -> Iterator[None]:
     """Processes that start inside ignore Ctrl-C, which reaches them as well: we stop them."""
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -25,7 +25,8 @@ from leglab.diagnosis.result import (
 )
 from leglab.report.diagnosis.figures import short
 from leglab.report.diagnosis.page import pictures, write_page
-from leglab.report.diagnosis.words import number, parameter_words, sections
+from leglab.report.diagnosis.words import parameter_words, sections
+from leglab.report.page.wording import number
 
 HOSTILE = "<script>alert('1')</script> & \"$\\frac\" \x00"
 SPACE = "{http://www.w3.org/1999/xhtml}"

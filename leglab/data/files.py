@@ -17,7 +17,7 @@ def write_atomically(path: str | Path, write: Callable[[BinaryIO], object]) -> N
         write: Writes the content into the binary stream that it is given.
 
     Raises:
-        LeglabError: The folder does not exist or cannot be written to.
+        LeglabError: The folder does not exist or cannot be written to, or the disk is full.
     """
     path = Path(path)
     try:
@@ -32,6 +32,8 @@ def write_atomically(path: str | Path, write: Callable[[BinaryIO], object]) -> N
         os.umask(mask)
         os.chmod(temporary, 0o666 & ~mask)
         os.replace(temporary, path)
-    except BaseException:
+    except BaseException as error:
         os.unlink(temporary)
+        if isinstance(error, OSError) and error.strerror:
+            raise LeglabError(f"{path}: cannot be written: {error.strerror}") from error
         raise

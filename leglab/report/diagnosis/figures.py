@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from leglab.diagnosis.result import Diagnosis, Rank, Rivals
-from leglab.report.diagnosis.words import number, readable
+from leglab.report.page.wording import number, readable, shortened
 from leglab.report.style import BLUE, DARK_GREY, LIGHT_GREY, ORANGE, VERMILION, style
 
 WIDTH = 6.6  # inch: readable on a page and, scrolled sideways, on a phone
@@ -54,9 +54,7 @@ def short(name: str, most: int = _LONGEST) -> str:
     """A name that fits beside an axis: without its file type, cut in the middle."""
     name = "".join(c if c.isprintable() else "\ufffd" for c in " ".join(name.split()))
     name = re.sub(r"\.(parquet|csv|mcap)$", "", name)
-    if len(name) <= most:
-        return name
-    return f"{name[: most // 2]}…{name[len(name) - (most - most // 2 - 1) :]}"
+    return shortened(name, most)
 
 
 def gap_picture(result: Diagnosis) -> Picture | None:

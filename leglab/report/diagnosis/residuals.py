@@ -11,7 +11,8 @@ from matplotlib.ticker import MaxNLocator
 
 from leglab.diagnosis.result import Diagnosis, ResidualTrace
 from leglab.report.diagnosis.figures import WIDTH, Picture, look, short
-from leglab.report.diagnosis.words import number, readable, rms, shown_unit
+from leglab.report.diagnosis.words import rms, shown_unit
+from leglab.report.page.wording import number, readable
 from leglab.report.style import BLACK, BLUE, DARK_GREY, VERMILION
 
 _MOST_CHANNELS = 6

@@ -5,52 +5,16 @@ All texts are plain: whoever puts them into a page escapes them.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from leglab.diagnosis.result import Diagnosis, Estimate, NamedEffect
+from leglab.report.page.wording import Section, capital, listed, number, readable
 
 # Below this share of the gap, "closed" would mislead.
 _HARDLY = 0.05
 # More channels than this make no sentence.
 _CHANNELS = 6
-
-
-@dataclass(frozen=True, kw_only=True)
-class Section:
-    """One question and its answer.
-
-    Attributes:
-        title: The question.
-        lines: Answers, a sentence or two each.
-    """
-
-    title: str
-    lines: tuple[str, ...]
-
-
-def readable(name: str) -> str:
-    """A name as one reads it: "valve_deadband" becomes "valve deadband"."""
-    return name.replace("_", " ")
-
-
-def listed(names: tuple[str, ...], word: str = "and") -> str:
-    """Joins names as in a sentence: "a, b and c"."""
-    if len(names) < 2:
-        return "".join(names)
-    return f"{', '.join(names[:-1])} {word} {names[-1]}"
-
-
-def number(value: float, digits: int = 3) -> str:
-    """Few digits, powers of ten only where they are short; "unknown" for what is not finite."""
-    if not math.isfinite(value):
-        return "unknown"
-    rounded = float(f"{value:.{digits}g}")
-    if 1e2 <= abs(rounded) < 1e6:
-        decimals = max(0, digits - 1 - math.floor(math.log10(abs(rounded))))
-        return f"{rounded:,.{decimals}f}"
-    return f"{rounded:.{digits}g}"
 
 
 def percent(share: float) -> str:
@@ -156,11 +120,11 @@ def _missing(result: Diagnosis) -> tuple[str, ...]:
         for p in effect.parameters:
             value, interval, nominal = parameter_words(p)
             told.append(f"{readable(p.name)} {value} (95 %: {interval}), in the model {nominal}")
-        text = f"{_capital(readable(effect.name))} at {effect.element}. {_sentence(effect)}"
+        text = f"{capital(readable(effect.name))} at {effect.element}. {_sentence(effect)}"
         lines.append(f"{text} Fitted: {'; '.join(told)}." if told else text)
         if effect.onset:
             times = listed(tuple(f"{time:.2f} s of {name}" for name, time in effect.onset))
-            lines.append(f"{_capital(readable(effect.name))} begins at {times}.")
+            lines.append(f"{capital(readable(effect.name))} begins at {times}.")
     return tuple(lines)
 
 
@@ -168,14 +132,10 @@ def _sentence(effect: NamedEffect) -> str:
     return f"{effect.physics.rstrip('.')}." if effect.physics else ""
 
 
-def _capital(text: str) -> str:
-    return f"{text[:1].upper()}{text[1:]}"
-
-
 def _sure(result: Diagnosis) -> tuple[str, ...]:
     lines = []
     for effect in result.effects:
-        name = _capital(readable(effect.name))
+        name = capital(readable(effect.name))
         lines.append(
             f"{name}: confidence {percent(effect.confidence)}; added last, it closes "
             f"{percent(effect.contribution)} of what is open without it."
@@ -231,7 +191,7 @@ def _where(result: Diagnosis) -> tuple[str, ...]:
     if not result.where:
         return ("No balance of torque and oil was possible: it needs chamber pressures.",)
     lines = [
-        f"{_capital(w.residual)} balance of {w.element}: {number(w.level)} noise levels"
+        f"{capital(w.residual)} balance of {w.element}: {number(w.level)} noise levels"
         + (f", worst at {w.region}." if " in [" in w.region else f", {w.region or 'anywhere'}.")
         for w in result.where
     ]
@@ -246,10 +206,10 @@ def _where(result: Diagnosis) -> tuple[str, ...]:
 
 def _untold(result: Diagnosis) -> tuple[str, ...]:
     lines = [
-        f"{_capital(readable(entry.name))} at {entry.element}: {entry.reason.rstrip('.')}."
+        f"{capital(readable(entry.name))} at {entry.element}: {entry.reason.rstrip('.')}."
         for entry in result.not_testable
     ]
-    lines += [f"{_capital(note).rstrip('.')}." for note in result.notes]
+    lines += [f"{capital(note).rstrip('.')}." for note in result.notes]
     return tuple(lines) or ("These recordings excite every effect that was tried.",)
 
 
@@ -267,7 +227,7 @@ def _next(result: Diagnosis) -> tuple[str, ...]:
     one, other = (readable(name) for name in proposal.rivals)
     text = proposal.description or proposal.name
     return (
-        f"{_capital(text).rstrip('.')}.",
+        f"{capital(text).rstrip('.')}.",
         f"It separates {one} from {other} by a chi-square of {number(proposal.separation)} in one "
         f"second; all present recordings give {number(proposal.separation_now)}.",
     )

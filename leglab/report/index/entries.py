@@ -1,0 +1,204 @@
+"""What lies below a folder: runs, reports, comparisons, diagnoses, whole or broken."""
+
+import html
+import json
+import os
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal
+from urllib.parse import quote
+
+from leglab.errors import LeglabError
+from leglab.report.run.source import PhaseMetrics, read_metrics
+
+State = Literal["whole", "stopped", "broken"]
+_RUN_FILES = ("metrics.json", "run.json", "recording.parquet")
+# Title and first heading lie there; what follows are scripts and data.
+_HEAD_LENGTH = 200_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """One line of the index.
+
+    Attributes:
+        name: Path below the folder.
+        link: To the page, or to the best other file there is; relative and quoted. Empty for none.
+        kind: run, report, comparison or diagnosis.
+        state: Whether it is whole, stopped half way, or cannot be read.
+        told: What it says, or what is wrong with it.
+        written: When, in UTC.
+        scenario: Of a run, or the scenarios of a comparison.
+        controller: Of a run, or the controllers of a comparison.
+        model: Of a run, comparison or diagnosis.
+        seed: Of a run.
+        before: RMS error of a run before the change, or of the whole run [mrad].
+        after: RMS error of a run after the change [mrad].
+    """
+
+    name: str
+    link: str
+    kind: str
+    state: State = "whole"
+    told: str = ""
+    written: str = ""
+    scenario: str = ""
+    controller: str = ""
+    model: str = ""
+    seed: int | None = None
+    before: float | None = None
+    after: float | None = None
+
+
+def find_entries(folder: Path, base: Path) -> list[Entry]:
+    """Looks for everything below a folder; links to folders are not followed.
+
+    Args:
+        folder: Where to look.
+        base: Folder of the page; links are relative to it.
+
+    Returns:
+        Entries in the order of their paths.
+
+    Raises:
+        LeglabError: There is no such folder.
+    """
+    if not folder.is_dir():
+        raise LeglabError(f"{str(folder)!r} is not a folder")
+    found = []
+    for place, folders, files in os.walk(folder):
+        folders.sort()
+        found += list(_entries(Path(place), set(files), folder, base))
+        # Folders that are being written, or were when the power went.
+        folders[:] = [f for f in folders if not f.startswith(".") or f.endswith(".partial")]
+    return sorted(found, key=lambda entry: (entry.name, entry.kind))
+
+
+def _entries(place: Path, files: set[str], folder: Path, base: Path) -> Iterator[Entry]:
+    name = "." if place == folder else place.relative_to(folder).as_posix()
+
+    def entry(kind: str, mark: str, link: str, **told: Any) -> Entry:
+        return Entry(
+            name=name,
+            link=_link(place / link, base) if link else "",
+            kind=kind,
+            written=_written(place / mark),
+            **told,
+        )
+
+    if "compare.json" in files:
+        link = next((f for f in sorted(files) if f.endswith(".png")), "compare.json")
+        yield entry("comparison", "compare.json", link, **_comparison(place / "compare.json"))
+    if "diagnosis.json" in files:
+        link = "diagnosis.html" if "diagnosis.html" in files else "diagnosis.json"
+        yield entry("diagnosis", "diagnosis.json", link, **_diagnosis(place, files))
+    present = [f for f in _RUN_FILES if f in files]
+    if "run.json" in files or "metrics.json" in files or place.name.endswith(".partial"):
+        best = ("report.html", "tracking.png", "metrics.json", *_RUN_FILES)
+        link = next((f for f in best if f in files), "")
+        yield entry("run", present[0] if present else ".", link, **_run(place, files))
+    elif "report.html" in files:
+        yield entry("report", "report.html", "report.html", told=_headline(place / "report.html"))
+
+
+def _run(place: Path, files: set[str]) -> dict[str, Any]:
+    if place.name.endswith(".partial"):
+        return {"state": "broken", "told": "was not written to its end"}
+    missing = [name for name in _RUN_FILES if name not in files]
+    if missing:
+        return {"state": "broken", "told": f"has no {' and no '.join(missing)}"}
+    try:
+        metrics = read_metrics(place)
+    except LeglabError as error:
+        return {"state": "broken", "told": str(error).removeprefix(f"{place}{os.sep}")}
+    first, last = metrics.phases[0], metrics.phases[-1]
+    told = {
+        "scenario": metrics.scenario,
+        "controller": metrics.controller,
+        "model": metrics.model,
+        "seed": metrics.seed,
+        "before": _mrad(first),
+        "after": _mrad(last) if last is not first else None,
+    }
+    if metrics.completed:
+        return {**told, "told": _readapted(metrics.readaptation.time_s, last is not first)}
+    reason = metrics.failure or "no reason was stored"
+    return {
+        **told,
+        "state": "stopped",
+        "told": f"stopped at {metrics.duration:.2f} s: {reason}",
+    }
+
+
+def _mrad(phase: PhaseMetrics) -> float | None:
+    value = phase.rms_rad.get("all")
+    return None if value is None else 1e3 * value
+
+
+def _readapted(time: float | None, changed: bool) -> str:
+    if not changed:
+        return ""
+    if time is None:
+        return "not re-adapted"
+    return f"re-adapted after {time:.2f} s" if time > 0.0 else "never above 1.25 times before"
+
+
+def _comparison(path: Path) -> dict[str, Any]:
+    content = _content(path)
+    try:
+        scenarios, controllers = content["scenarios"], content["controllers"]
+        return {
+            "scenario": ", ".join(map(str, scenarios)),
+            "controller": ", ".join(map(str, controllers)),
+            "model": str(content["model"]),
+            "told": f"{int(content['seeds'])} seeds",
+        }
+    except (KeyError, TypeError, ValueError):
+        return {"state": "broken", "told": f"{path.name} does not have the form of a comparison"}
+
+
+def _diagnosis(place: Path, files: set[str]) -> dict[str, Any]:
+    content = _content(place / "diagnosis.json")
+    try:
+        verdict = str(content["verdict"]).replace("_", " ")
+        effects = [f"{effect['name']} at {effect['element']}" for effect in content["effects"]]
+    except (KeyError, TypeError):
+        return {"state": "broken", "told": "diagnosis.json does not have the form of a diagnosis"}
+    told = f"{verdict}: {', '.join(effects)}" if effects else verdict
+    if "diagnosis.html" not in files:
+        told += "; it has no page"
+    return {"told": told}
+
+
+def _content(path: Path) -> Any:
+    try:
+        return json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return None
+
+
+def _headline(path: Path) -> str:
+    try:
+        with path.open(encoding="utf-8", errors="replace") as stream:
+            head = stream.read(_HEAD_LENGTH)
+    except OSError:
+        return ""
+    found = re.search(r"<h1[^>]*>([^<]*)</h1>", head)
+    return html.unescape(found.group(1)).strip() if found else ""
+
+
+def _link(path: Path, base: Path) -> str:
+    relative = os.path.relpath(path.resolve(), base.resolve())
+    # A first part with a colon would be read as a scheme.
+    return "./" + quote(Path(relative).as_posix(), errors="surrogateescape")
+
+
+def _written(path: Path) -> str:
+    try:
+        seconds = path.stat().st_mtime
+    except OSError:
+        return ""
+    return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%d %H:%M")

@@ -1,0 +1,1 @@
+"""What all pages share: the shell, the style sheet, tables, plots and scripts."""

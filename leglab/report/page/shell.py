@@ -1,0 +1,104 @@
+"""Pages from templates: everything inlined, everything escaped, nothing loaded from elsewhere."""
+
+import base64
+import functools
+import hashlib
+import json
+from collections.abc import Sequence
+from importlib import resources
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from leglab.report.palette import ORANGE, SERIES
+
+_PACKAGE = "leglab.report.page"
+
+# SERIES for a dark background: as bright as they must be to be seen there.
+_SERIES_IN_THE_DARK = ("#F2F2F2", "#4DA6E0", ORANGE, "#1DBF91", "#D98DB7", "#A5D8F5")
+
+
+def render(template: str, *, scripts: Sequence[str] = (), **content: Any) -> str:
+    """Fills a template.
+
+    Args:
+        template: File name in `templates`.
+        scripts: JavaScript to be inlined, in this order; nothing else on the page can run.
+        content: What the template shows; all text is escaped.
+    """
+    return (
+        _environment()
+        .get_template(template)
+        .render(
+            css=Markup(_colors() + asset("page.css")),
+            policy=_policy(scripts),
+            scripts=[Markup(script) for script in scripts],
+            **content,
+        )
+    )
+
+
+@functools.cache
+def asset(name: str) -> str:
+    """Text of a style sheet or script of this package."""
+    return resources.files(_PACKAGE).joinpath("assets", name).read_text(encoding="utf-8")
+
+
+def plotly() -> str:
+    """The plotting library, as one script."""
+    from plotly.offline import get_plotlyjs
+
+    return get_plotlyjs()
+
+
+def inline_json(content: Any) -> Markup:
+    """JSON that may stand inside a script element, whatever texts it holds."""
+    text = content if isinstance(content, str) else json.dumps(content, allow_nan=False)
+    for sign in "<>&\u2028\u2029":
+        text = text.replace(sign, f"\\u{ord(sign):04x}")
+    return Markup(text)
+
+
+def printable(text: str) -> str:
+    """The text with control characters, which no page may hold, made visible."""
+    return "".join(c if c.isprintable() or c == " " else "\ufffd" for c in text)
+
+
+@functools.cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader(_PACKAGE),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        finalize=_finished,
+    )
+    environment.globals["inline_json"] = inline_json
+    return environment
+
+
+def _finished(value: Any) -> Any:
+    return printable(value) if isinstance(value, str) and not hasattr(value, "__html__") else value
+
+
+def _policy(scripts: Sequence[str]) -> str:
+    """A policy by which browsers run these scripts alone and load nothing."""
+    digests = (base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts)
+    allowed = " ".join(f"'sha256-{digest}'" for digest in digests) or "'none'"
+    return (
+        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; "
+        "img-src data: blob:; media-src blob:"
+    )
+
+
+def _colors() -> str:
+    """Colours of the runs as variables of the style sheet."""
+
+    def variables(colors: Sequence[str]) -> str:
+        return " ".join(f"--run-{i}: {color};" for i, color in enumerate(colors))
+
+    dark = f"@media (prefers-color-scheme: dark) {{ :root {{ {variables(_SERIES_IN_THE_DARK)} }}"
+    return f":root {{ {variables(SERIES)} }}\n{dark} }}\n"

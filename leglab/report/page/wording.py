@@ -1,0 +1,54 @@
+"""Names, numbers and lists as one reads them. Plain text: the page escapes it."""
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """One question and its answer.
+
+    Attributes:
+        title: The question.
+        lines: Answers, a sentence or two each.
+        names: What each line is about, where they are about several things.
+    """
+
+    title: str
+    lines: tuple[str, ...]
+    names: tuple[str, ...] = ()
+
+
+def readable(name: str) -> str:
+    """A name as one reads it: "valve_deadband" becomes "valve deadband"."""
+    return name.replace("_", " ")
+
+
+def listed(names: tuple[str, ...], word: str = "and") -> str:
+    """Joins names as in a sentence: "a, b and c"."""
+    if len(names) < 2:
+        return "".join(names)
+    return f"{', '.join(names[:-1])} {word} {names[-1]}"
+
+
+def shortened(name: str, most: int) -> str:
+    """The name, cut in the middle where it has more characters."""
+    if len(name) <= most:
+        return name
+    return f"{name[: most // 2]}\u2026{name[len(name) - (most - most // 2 - 1) :]}"
+
+
+def capital(text: str) -> str:
+    """The text with its first letter capital, the others as they are."""
+    return f"{text[:1].upper()}{text[1:]}"
+
+
+def number(value: float, digits: int = 3) -> str:
+    """Few digits, powers of ten only where they are short; "unknown" for what is not finite."""
+    if not math.isfinite(value):
+        return "unknown"
+    rounded = float(f"{value:.{digits}g}")
+    if 1e2 <= abs(rounded) < 1e6:
+        decimals = max(0, digits - 1 - math.floor(math.log10(abs(rounded))))
+        return f"{rounded:,.{decimals}f}"
+    return f"{rounded:.{digits}g}"

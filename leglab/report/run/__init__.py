@@ -1,0 +1,1 @@
+"""The report of runs: words, tables, plots and the film on one page."""

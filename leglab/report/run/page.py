@@ -1,0 +1,186 @@
+"""The page of one run or several, and the film beside it."""
+
+import base64
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
+
+from leglab.data import write_atomically
+from leglab.errors import LeglabError
+from leglab.report.page.shell import asset, plotly, render
+from leglab.report.page.wording import listed
+from leglab.report.palette import SERIES
+from leglab.report.run import tables, words
+from leglab.report.run.film import film_bytes
+from leglab.report.run.plots import plot_data
+from leglab.report.run.source import ReportedRun
+
+PAGE, FILM = "report.html", "report.mp4"
+
+# Size that a page keeps below by encoding its film with fewer bits, and the least that it leaves
+# to the film [byte].
+_LARGEST, _FILM_LEAST = 14_500_000, 2_000_000
+
+# Draws a film to the path that it is given.
+Filmer = Callable[[Path], Path]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """What was written.
+
+    Attributes:
+        page: The page.
+        film: The film; None where there is none.
+        why_no_film: Why there is none; empty otherwise.
+    """
+
+    page: Path
+    film: Path | None
+    why_no_film: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilmPart:
+    """The film as the page shows it: its data, or the reason why there is none."""
+
+    text: str
+    data: Markup | None = None
+    name: str = FILM
+    link: str = FILM
+    width: int = 1280
+    height: int = 720
+
+
+def check_out(folder: Path, *, overwrite: bool) -> None:
+    """Refuses a folder that holds a report already, before any work is done.
+
+    Raises:
+        LeglabError: There is a report and it may not be replaced, or the path is no folder.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise LeglabError(f"{str(folder)!r} is not a folder")
+    if (folder / PAGE).exists() and not overwrite:
+        raise LeglabError(f"{str(folder / PAGE)!r} exists; remove it or give --overwrite")
+
+
+def write_report(
+    runs: Sequence[ReportedRun], folder: Path, *, filmer: Filmer | None, no_film: str = ""
+) -> Report:
+    """Writes `report.html` and `report.mp4`, both or none.
+
+    Args:
+        runs: From `read_runs`.
+        folder: Where to; made where it is missing. An earlier report is replaced.
+        filmer: Draws the film; None for a page without one. Where it fails with `LeglabError`, the
+            page says why, and an earlier film goes.
+        no_film: Why there is no film, where there is no filmer.
+
+    Raises:
+        LeglabError: The folder cannot be written to.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        workplace = Path(tempfile.mkdtemp(dir=folder, prefix=".report."))
+    except OSError as error:
+        raise LeglabError(f"{folder}: cannot be written: {error.strerror}") from error
+    try:
+        film = None
+        if filmer is not None:
+            try:
+                film = filmer(workplace / FILM)
+            except LeglabError as error:
+                no_film = str(error)
+        text = page(runs, film=film, no_film=no_film)
+        write_atomically(workplace / PAGE, lambda stream: stream.write(text.encode()))
+        if film is None:
+            (folder / FILM).unlink(missing_ok=True)
+        else:
+            os.replace(film, folder / FILM)
+        os.replace(workplace / PAGE, folder / PAGE)
+    except OSError as error:
+        raise LeglabError(f"{folder}: cannot be written: {error.strerror}") from error
+    finally:
+        shutil.rmtree(workplace, ignore_errors=True)
+    return Report(
+        page=folder / PAGE,
+        film=None if film is None else folder / FILM,
+        why_no_film="" if film is not None else no_film,
+    )
+
+
+def page(runs: Sequence[ReportedRun], *, film: Path | None = None, no_film: str = "") -> str:
+    """The page as one file that needs no other.
+
+    Args:
+        runs: From `read_runs`.
+        film: The film, which is put into the page.
+        no_film: Why there is none.
+    """
+    joints = tuple(dict.fromkeys(joint for run in runs for joint in run.joints))
+    # The joint with the largest error is what one looks for.
+    shared = [joint for joint in joints if all(joint in run.joints for run in runs)] or joints
+    first = joints.index(max(shared, key=partial(_worst, runs)))
+    data = plot_data(runs, joints, first)
+    fill = partial(_fill, runs, joints, first, data)
+    if film is None:
+        return fill(FilmPart(text=no_film or "none was asked for."))
+    empty = FilmPart(text=_description(runs), data=Markup(""))
+    most = max(_FILM_LEAST, (_LARGEST - len(fill(empty).encode())) * 3 // 4)
+    content = base64.b64encode(film_bytes(film, most)).decode()
+    return fill(FilmPart(text=empty.text, data=Markup(content)))
+
+
+def _fill(
+    runs: Sequence[ReportedRun],
+    joints: Sequence[str],
+    first: int,
+    data: dict[str, Any],
+    film: FilmPart,
+) -> str:
+    return render(
+        "report.html",
+        kind="report",
+        scripts=(plotly(), asset("report.js")),
+        title=words.title(runs),
+        headline=words.headline(runs),
+        sections=words.sections(runs),
+        count=len(runs),
+        labels=[run.label for run in runs],
+        colors=len(SERIES),
+        bars=tables.error_bars(runs, len(SERIES)),
+        table=tables.run_table(runs),
+        joint_tables=tables.joint_tables(runs),
+        setting_tables=tables.setting_tables(runs),
+        joints=joints,
+        first_joint=first,
+        plots=data["plots"],
+        plot_data=data,
+        film=film,
+    )
+
+
+def _worst(runs: Sequence[ReportedRun], joint: str) -> float:
+    return max(run.last.rms_rad.get(joint, 0.0) for run in runs)
+
+
+def _description(runs: Sequence[ReportedRun]) -> str:
+    """What one would see."""
+    run = runs[0]
+    labels = tuple(run.label for run in runs)
+    places = f"{listed(labels)}, side by side" if len(runs) > 1 else labels[0]
+    changes = listed(tuple(words.change_words(c) for c in run.configuration.changes))
+    what = (
+        f" What happens to the machine is written into the picture: {changes}." if changes else ""
+    )
+    return (
+        f"The {run.metrics.model} follows {run.setting('reference')} under {places}; a curve below "
+        f"the picture shows the RMS tracking error up to each moment.{what} It has no sound."
+    )

@@ -1,0 +1,298 @@
+"""Curves of a report as data for the plotting library, thinned so that a page stays small."""
+
+import base64
+import html
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from leglab.report.page.shell import printable
+from leglab.report.page.wording import shortened
+from leglab.report.palette import SERIES
+from leglab.report.run.errors import moving_error, position_name
+from leglab.report.run.source import ReportedRun
+from leglab.report.run.words import change_words
+
+_MILLI, _BAR = 1e3, 1e5
+# Points of all runs in one plot: more than any screen has columns, and the page stays small.
+_POINTS, _LEAST, _MOST = 5400, 900, 3000
+_DASHES = ("solid", "dash", "dot")
+# Characters of a name in a legend.
+_LONGEST = 40
+# Strides before and after the change in its close-up.
+_CLOSE_UP = 2.0
+# Below this spread, a temperature is a constant and no plot [degC].
+_STEADY = 0.1
+# Above this ratio of the largest to the smallest error, a linear axis shows one of them alone.
+_LOG_RATIO = 8.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantity:
+    """What one plot by joint shows.
+
+    Attributes:
+        name: Of the plot.
+        title: Heading.
+        axis: Of the values, with unit.
+        unit: For what is shown at the mouse.
+        caption: What one sees.
+        curves: Endings of columns with a name each, for all but the first a dash.
+        factor: To the shown unit.
+        shared: Ending of a column that is drawn once, from the longest run.
+    """
+
+    name: str
+    title: str
+    axis: str
+    unit: str
+    caption: str
+    curves: tuple[tuple[str, str], ...]
+    factor: float = 1.0
+    shared: str = ""
+
+
+def plot_data(runs: Sequence[ReportedRun], joints: Sequence[str], first: int) -> dict[str, Any]:
+    """All plots with their curves.
+
+    Args:
+        runs: Of the report.
+        joints: Whose curves can be chosen.
+        first: Number of the joint that is shown at first.
+
+    Returns:
+        Content for `assets/report.js`: plain types, arrays as base64 of float32.
+    """
+    count = int(np.clip(_POINTS // len(runs), _LEAST, _MOST))
+    end = max(float(run.recording.time[-1]) for run in runs)
+    start = min(float(run.recording.time[0]) for run in runs)
+    plots = [_error_plot(runs, count)]
+    plots += [_joint_plot(q, runs, joints, count) for q in _quantities(runs, joints)]
+    return {
+        "first_joint": first,
+        "span": [start, end],
+        "close_up": _close_up(runs, start, end),
+        "changes": _changes(runs, end),
+        "plots": [plot for plot in plots if plot is not None],
+    }
+
+
+def _close_up(runs: Sequence[ReportedRun], start: float, end: float) -> list[float] | None:
+    """Some strides before and after the first change; None without one."""
+    starts = [c.start for run in runs for c in run.configuration.changes if start < c.start < end]
+    if not starts:
+        return None
+    margin = _CLOSE_UP * max(run.configuration.window for run in runs)
+    return [max(start, min(starts) - margin), min(end, min(starts) + margin)]
+
+
+def _quantities(runs: Sequence[ReportedRun], joints: Sequence[str]) -> tuple[Quantity, ...]:
+    position = position_name(runs[0])
+    measured = "" if position == "truth" else ", as measured"
+    positions = measured or " as they were"
+    quantities = (
+        Quantity(
+            name="deviation",
+            title="Tracking error",
+            axis="error [mrad]",
+            unit="mrad",
+            caption=f"Position less reference{measured}.",
+            curves=((f"{position} error", ""),),
+            factor=_MILLI,
+        ),
+        Quantity(
+            name="angle",
+            title="Angle and reference",
+            axis="angle [rad]",
+            unit="rad",
+            caption=f"The broad grey line is the reference; positions{positions}.",
+            curves=((position, ""),),
+            shared="reference",
+        ),
+        Quantity(
+            name="command",
+            title="Valve command",
+            axis="command [1]",
+            unit="",
+            caption="Share of the spool's travel that was asked for; the part of the feed-forward "
+            "is dashed.",
+            curves=(("command", ""), ("feedforward", "feed-forward")),
+        ),
+        Quantity(
+            name="pressure",
+            title="Chamber pressures",
+            axis="pressure [bar]",
+            unit="bar",
+            caption="Chamber A is the cap side (solid), B the rod side (dashed).",
+            curves=(("pressure_a", "A"), ("pressure_b", "B")),
+            factor=1 / _BAR,
+        ),
+        Quantity(
+            name="temperature",
+            title="Oil temperature",
+            axis="temperature [°C]",
+            unit="°C",
+            caption="Temperature of the oil in the cylinder.",
+            curves=(("oil_temperature", ""),),
+        ),
+    )
+    return quantities if _warms(runs, joints) else quantities[:-1]
+
+
+def _warms(runs: Sequence[ReportedRun], joints: Sequence[str]) -> bool:
+    samples = [_samples(run, joint, "oil_temperature")[1] for run in runs for joint in joints]
+    values = np.concatenate(samples)
+    return bool(values.size) and float(np.ptp(values)) > _STEADY
+
+
+def _changes(runs: Sequence[ReportedRun], end: float) -> list[dict[str, Any]]:
+    """Changes of the machine, those at one time under one label."""
+    marks: dict[tuple[float, float], list[str]] = {}
+    for run in runs:
+        for change in run.configuration.changes:
+            words = marks.setdefault((change.start, change.start + change.ramp_duration), [])
+            text = change_words(change)
+            if text not in words:
+                words.append(text)
+    labels = {}
+    for span, words in marks.items():
+        text = words[0] if len(words) == 1 else f"{len(words)} changes"
+        labels[span] = text if len(text) < 48 else "change of the machine"
+    return [
+        {"start": start, "end": stop, "label": _text(label), "late": start >= 0.5 * end}
+        for (start, stop), label in labels.items()
+        if start > 0
+    ]
+
+
+def _error_plot(runs: Sequence[ReportedRun], count: int) -> dict[str, Any] | None:
+    traces, values = [], []
+    for i, run in enumerate(runs):
+        time, error = moving_error(run)
+        if len(time) > 1:
+            values.append(_MILLI * error)
+            traces.append(_trace(run.label, i, time, values[-1], count, width=1.8))
+    if not traces:
+        return None
+    low, high = min(v.min() for v in values), max(v.max() for v in values)
+    log = low > 0 and high / low > _LOG_RATIO
+    return {
+        "name": "error",
+        "title": "RMS error of all joints over one stride",
+        "axis": "RMS error [mrad]",
+        "unit": "mrad",
+        "caption": "Over the stride that ends at each time."
+        + (" The axis is logarithmic: equal distances are equal ratios." if log else ""),
+        "by_joint": False,
+        "labelled": True,
+        "scale": "log" if log else "linear",
+        "ticks": _ticks(float(low), float(high)) if log else None,
+        "range": None if log else [0.0, 1.06 * float(high)],
+        "traces": traces,
+    }
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    """Round numbers for a logarithmic axis: 1, 2, 5, or powers of ten alone where it is long."""
+    factors = (1, 2, 5) if high / low < 1e3 else (1,)
+    powers = range(math.floor(math.log10(low)) - 1, math.ceil(math.log10(high)) + 1)
+    return [float(f"{factor}e{power}") for power in powers for factor in factors]
+
+
+def _joint_plot(
+    quantity: Quantity, runs: Sequence[ReportedRun], joints: Sequence[str], count: int
+) -> dict[str, Any] | None:
+    by_joint = [_joint_traces(quantity, runs, joint, count) for joint in joints]
+    if not any(by_joint):
+        return None
+    return {
+        "name": quantity.name,
+        "title": quantity.title,
+        "axis": quantity.axis,
+        "unit": quantity.unit,
+        "caption": quantity.caption,
+        "by_joint": True,
+        "labelled": False,
+        "scale": "linear",
+        "ticks": None,
+        "range": None,
+        "traces": by_joint,
+    }
+
+
+def _joint_traces(
+    quantity: Quantity, runs: Sequence[ReportedRun], joint: str, count: int
+) -> list[dict[str, Any]]:
+    traces = []
+    if quantity.shared:
+        source = max(runs, key=lambda run: len(run.recording))
+        time, values = _samples(source, joint, quantity.shared)
+        name = "reference"
+        if not all(_agree(values, _samples(run, joint, quantity.shared)[1]) for run in runs):
+            name = f"reference of {source.label}"
+        if len(time) > 1:
+            traces.append(_trace(name, -1, time, quantity.factor * values, count, width=5.0))
+    for i, run in enumerate(runs):
+        for k, (ending, name) in enumerate(quantity.curves):
+            time, values = _samples(run, joint, ending)
+            if len(time) < 2:
+                continue
+            label = f"{run.label} {name}".strip()
+            dash = "dot" if k else "solid"
+            drawn = _trace(label, i, time, quantity.factor * values, count, width=1.3)
+            traces.append({**drawn, "dash": dash} if k else drawn)
+    return traces
+
+
+def _agree(longer: np.ndarray, shorter: np.ndarray) -> bool:
+    return np.array_equal(longer[: len(shorter)], shorter)
+
+
+def _samples(run: ReportedRun, joint: str, ending: str) -> tuple[np.ndarray, np.ndarray]:
+    """Finite samples of a column of the joint or of its actuator; none where it is not there."""
+    recording = run.recording
+    if ending.endswith(" error"):
+        position = recording[f"{joint}_{ending.removesuffix(' error')}"]
+        values = position - recording[f"{joint}_reference"]
+    else:
+        names = [f"{joint}_{ending}", f"{joint}_valve_{ending}"]
+        name = next((name for name in names if name in recording), None)
+        if name is None:
+            return np.empty(0), np.empty(0)
+        values = recording[name]
+    finite = np.isfinite(values)
+    return recording.time[finite], values[finite]
+
+
+def _trace(
+    name: str, run: int, time: np.ndarray, values: np.ndarray, count: int, *, width: float
+) -> dict[str, Any]:
+    if len(time) > count:
+        from tsdownsample import MinMaxLTTBDownsampler
+
+        kept = MinMaxLTTBDownsampler().downsample(
+            np.ascontiguousarray(time), np.ascontiguousarray(values), n_out=count
+        )
+        time, values = time[kept], values[kept]
+    return {
+        "name": _text(name),
+        "run": run,
+        "ink": "reference" if run < 0 else f"run-{run % len(SERIES)}",
+        "dash": "solid" if run < 0 else _DASHES[run // len(SERIES) % len(_DASHES)],
+        "width": width,
+        "x": _packed(time),
+        "y": _packed(values),
+    }
+
+
+def _packed(values: np.ndarray) -> dict[str, str]:
+    data = base64.b64encode(np.asarray(values, dtype="<f4").tobytes()).decode()
+    return {"dtype": "f4", "bdata": data}
+
+
+def _text(text: str) -> str:
+    """Text for the plotting library, which reads some HTML in names: shown as it is."""
+    return html.escape(printable(shortened(text, _LONGEST)), quote=False)

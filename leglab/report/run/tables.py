@@ -1,0 +1,159 @@
+"""Tables and bars of a report."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from leglab.report.page.table import Table
+from leglab.report.page.wording import number, readable
+from leglab.report.run.source import PhaseMetrics, ReportedRun
+from leglab.report.run.words import change_words, different
+
+_NONE = "-"
+# Not settings that one reads in a table of a line each.
+_HIDDEN = ("elements",)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bar:
+    """One bar: label, share of the longest [%], text of the value, number of the run's colour."""
+
+    name: str
+    width: float
+    value: str
+    color: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bars:
+    """Bars below each other, with what they show."""
+
+    caption: str
+    rows: tuple[Bar, ...]
+
+
+def error_bars(runs: Sequence[ReportedRun], colors: int) -> Bars | None:
+    """Error of each run in its last phase, against the first run; None for a single one."""
+    if len(runs) < 2:
+        return None
+    values = [run.last.rms_rad["all"] for run in runs]
+    most = max(values) or 1.0
+    comparable = not different(runs)
+    rows = []
+    for i, (run, value) in enumerate(zip(runs, values, strict=True)):
+        text = f"{number(1e3 * value)} mrad"
+        if i and comparable and runs[0].metrics.completed and run.metrics.completed and values[0]:
+            text += f" ({100.0 * (value / values[0] - 1.0):+.0f} %)".replace("-", "\u2212")
+        if not run.metrics.completed:
+            text += ", stopped early"
+        rows.append(
+            Bar(name=run.label, width=round(100.0 * value / most, 2), value=text, color=i % colors)
+        )
+    when = "after the change" if runs[0].last.name == "after" else "of all joints"
+    against = f", in brackets against {runs[0].label}" if comparable else ""
+    return Bars(caption=f"RMS tracking error {when}{against}", rows=tuple(rows))
+
+
+def run_table(runs: Sequence[ReportedRun]) -> Table:
+    """One line a run."""
+    changed = any(run.before for run in runs)
+    phases = ["before", "after"] if changed else [runs[0].last.name]
+    head = ["run"]
+    for name in phases:
+        head += [f"RMS {name} [mrad]", f"peak {name} [mrad]"]
+    head += ["re-adapted [s]"] * changed
+    head += ["RMS command", "energy [J]", "came to [s]"]
+    rows = []
+    for run in runs:
+        row = [run.label]
+        for name in phases:
+            phase = next((p for p in run.metrics.phases if p.name == name), None)
+            for values in (phase.rms_rad, phase.peak_rad) if phase else (None, None):
+                row.append(_NONE if values is None else number(1e3 * values["all"]))
+        if changed:
+            row.append(_readapted(run))
+        row.append(number(run.last.effort["all"]) if "all" in run.last.effort else _NONE)
+        energies = [p.energy_j["all"] for p in run.metrics.phases if "all" in p.energy_j]
+        row.append(number(sum(energies)) if energies else _NONE)
+        row.append(f"{run.metrics.duration:g} of {run.planned:g}")
+        rows.append(row)
+    return Table(caption="Tracking error of all joints and its costs", head=head, rows=rows)
+
+
+def joint_tables(runs: Sequence[ReportedRun]) -> tuple[Table, ...]:
+    """One table a run, one line a joint."""
+    tables = []
+    for run in runs:
+        head = ["joint"]
+        for phase in run.metrics.phases:
+            name = phase.name
+            head += [f"RMS {name}", f"95 % {name}", f"peak {name}"]
+        rows = [
+            [joint, *(cell for phase in run.metrics.phases for cell in _cells(phase, joint))]
+            for joint in run.joints
+        ]
+        tables.append(Table(caption=f"{run.label}: tracking error [mrad]", head=head, rows=rows))
+    return tuple(tables)
+
+
+def setting_tables(runs: Sequence[ReportedRun]) -> tuple[Table, ...]:
+    """Settings, what changed and versions, a column a run."""
+    labels = [run.label for run in runs]
+    settings = [_flat(run.configuration.settings) for run in runs]
+    for run, found in zip(runs, settings, strict=True):
+        found["folder"] = run.folder.name
+        found["stride, window of the moving error [s]"] = f"{run.configuration.window:g}"
+        for i, change in enumerate(run.configuration.changes):
+            when = f"{change_words(change)}, from {change.start:g} s"
+            found[f"change {i + 1}"] = when + (
+                f" over {change.ramp_duration:g} s" if change.ramp_duration else ""
+            )
+    versions = [dict(run.configuration.versions) for run in runs]
+    for run, found in zip(runs, versions, strict=True):
+        if run.configuration.code:
+            found["digest of the code"] = run.configuration.code[:12]
+    tables = []
+    for caption, columns in (("Settings", settings), ("Versions of the software", versions)):
+        rows = _side_by_side(columns)
+        differing = [row for row in rows if len(set(row[1:])) > 1]
+        common = [row[:2] for row in rows if row not in differing]
+        which = " in which the runs differ"
+        tables.append(
+            Table(
+                caption=caption + which, head=["name", *labels], rows=differing, words=len(runs) + 1
+            )
+        )
+        which = " that all runs share" if len(runs) > 1 else ""
+        tables.append(Table(caption=caption + which, head=["name", "value"], rows=common, words=2))
+    return tuple(table for table in tables if table.rows)
+
+
+def _side_by_side(columns: Sequence[dict[str, str]]) -> list[list[str]]:
+    names = list(dict.fromkeys(name for column in columns for name in column))
+    return [[readable(name), *(column.get(name, _NONE) for column in columns)] for name in names]
+
+
+def _flat(settings: dict, prefix: str = "") -> dict[str, str]:
+    found = {}
+    for name, value in settings.items():
+        if name in _HIDDEN:
+            continue
+        if isinstance(value, dict):
+            found.update(_flat(value, f"{prefix}{name}: "))
+        elif isinstance(value, float):
+            found[f"{prefix}{name}"] = f"{value:g}"
+        else:
+            found[f"{prefix}{name}"] = value if isinstance(value, str) else json.dumps(value)
+    return found
+
+
+def _cells(phase: PhaseMetrics, joint: str) -> list[str]:
+    values = (phase.rms_rad, phase.p95_rad, phase.peak_rad)
+    return [number(1e3 * v[joint]) if joint in v else _NONE for v in values]
+
+
+def _readapted(run: ReportedRun) -> str:
+    found = run.metrics.readaptation
+    if found.time_s is not None:
+        return f"{found.time_s:.2f}"
+    return _NONE if found.reason or found.threshold is None else "never"

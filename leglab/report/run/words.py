@@ -1,0 +1,264 @@
+"""Runs in words: what was tested, what happened, what it shows and what not."""
+
+import math
+from collections.abc import Sequence
+
+from leglab.report.page.wording import Section, capital, listed, number
+from leglab.report.run.errors import fallback_shares, saturation
+from leglab.report.run.source import Change, ReportedRun
+
+# Settings that runs must share for their errors to be compared.
+_DECISIVE = (
+    "scenario",
+    "model",
+    "duration",
+    "severity",
+    "ramp_duration",
+    "reference",
+    "reference_config",
+    "seed",
+    "sensors",
+    "timestep",
+    "tolerance",
+)
+# Differences below this share are none that one would speak of.
+_ALIKE = 0.05
+_TIMES = "\u00d7"
+# An error that grew by less is no growth that one would speak of.
+_HURT = 1.25
+# More rivals than this make no headline.
+_MOST_TOLD = 3
+# Below this share of the time, a fallback or a saturated valve is not worth a sentence.
+_RARE = 0.001
+
+
+def mrad(value: float) -> str:
+    """An error in rad, told in mrad."""
+    return f"{number(1e3 * value)} mrad"
+
+
+def relative(value: float, base: float) -> str:
+    """A change against a base: "38 % less", "2.5 times as much"."""
+    if not base > 0:
+        return "no ratio"
+    ratio = value / base
+    if abs(ratio - 1.0) < 0.005:
+        return "the same"
+    if ratio >= 2.0:
+        return f"{number(ratio)} times as much"
+    return f"{number(100.0 * abs(ratio - 1.0), 2)} % {'more' if ratio > 1 else 'less'}"
+
+
+def title(runs: Sequence[ReportedRun]) -> str:
+    """What the report is about: scenario, model and controllers."""
+    scenarios = tuple(dict.fromkeys(run.metrics.scenario for run in runs))
+    models = tuple(dict.fromkeys(run.metrics.model for run in runs))
+    labels = tuple(run.label for run in runs)
+    return f"{listed(scenarios)} on {listed(models)}: {listed(labels)}"
+
+
+def headline(runs: Sequence[ReportedRun]) -> str:
+    """The outcome in one sentence."""
+    if len(runs) == 1:
+        return _single(runs[0])
+    whole = [run for run in runs if run.metrics.completed]
+    stopped = tuple(run.label for run in runs if not run.metrics.completed)
+    ending = f"; {listed(stopped)} stopped early" if stopped else ""
+    if not whole:
+        return "All runs stopped early."
+    if different(runs):
+        return f"{len(runs)} runs that differ in more than their controllers{ending}."
+    best = min(whole, key=_error)
+    when = "After the change, " if best.before else ""
+    if len(whole) == 1:
+        text = f"only {best.label} came to the end: {mrad(_error(best))} RMS error"
+    elif max(map(_error, whole)) <= (1 + _ALIKE) * _error(best):
+        text = f"no controller is clearly better: all within {100 * _ALIKE:.0f} % in RMS error"
+    else:
+        others = sorted((run for run in whole if run is not best), key=_error)
+        if len(others) > _MOST_TOLD:
+            others = [runs[0] if runs[0] in others else others[0]]
+        told = listed(tuple(f"{run.label} {mrad(_error(run))}" for run in others))
+        text = f"{best.label} tracked best: {mrad(_error(best))} RMS error; {told}"
+    return capital(f"{when}{text}{ending}.")
+
+
+def sections(runs: Sequence[ReportedRun]) -> tuple[Section, ...]:
+    """Questions a reader has, in the order in which they are asked."""
+    names = tuple(f"{run.label}:" for run in runs) if len(runs) > 1 else ()
+    happened = tuple(_happened(run) for run in runs)
+    parts = [
+        Section(title="What was tested", lines=_tested(runs)),
+        Section(title="What happened", lines=happened, names=names),
+    ]
+    verdict = _verdict(runs)
+    if verdict:
+        parts.append(Section(title="Verdict", lines=verdict))
+    parts.append(Section(title="What this does not show", lines=_limits(runs)))
+    return tuple(parts)
+
+
+def different(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
+    """Settings other than the controller in which the runs differ."""
+    return tuple(n for n in _DECISIVE if any(run.setting(n) != runs[0].setting(n) for run in runs))
+
+
+def change_words(change: Change) -> str:
+    """One change, for instance "internal leakage of all elements = 2" or with a factor."""
+    where = "all elements" if change.element == "*" else change.element
+    name = change.parameter.replace("_", " ")
+    sign = _TIMES if change.kind == "scale" else "="
+    return f"{name} of {where} {sign} {change.value:g}"
+
+
+def _error(run: ReportedRun) -> float:
+    return run.last.rms_rad["all"]
+
+
+def _single(run: ReportedRun) -> str:
+    if not run.metrics.completed:
+        return f"{run.label} stopped at {run.metrics.duration:.2f} s of {run.planned:g} s."
+    if run.before is None or run.last is run.before:
+        return f"{run.label} tracked to {mrad(_error(run))} RMS over {run.metrics.duration:g} s."
+    before = run.before.rms_rad["all"]
+    return f"{run.label}: {mrad(before)} RMS error before the change, {mrad(_error(run))} after it."
+
+
+def _tested(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
+    differing = different(runs)
+    if differing:
+        told = listed(tuple(name.replace("_", " ") for name in differing))
+        return (
+            f"{len(runs)} runs that differ in {told}; the settings below tell each of them.",
+            "Their errors stand side by side, but no ratio between them says which controller is "
+            "better.",
+        )
+    run = runs[0]
+    joints = f"{len(run.joints)} driven joint{'s' * (len(run.joints) != 1)}"
+    text = (
+        f"Scenario {run.metrics.scenario} on the model {run.metrics.model} with {joints}; "
+        f"reference {run.setting('reference')}, {run.planned:g} s, seed {run.metrics.seed}."
+    )
+    return (text, *(_change(change) for change in run.configuration.changes))
+
+
+def _change(change: Change) -> str:
+    over = f", over {change.ramp_duration:g} s" if change.ramp_duration else ", at once"
+    if change.start <= 0:
+        return f"From the start: {change_words(change)}."
+    return f"At {change.start:g} s: {change_words(change)}{over}."
+
+
+def _happened(run: ReportedRun) -> str:
+    parts = [] if run.metrics.completed else [_stopped(run)]
+    last, joint = run.last, max(run.joints, key=lambda name: run.last.peak_rad[name])
+    peak = f"at most {mrad(last.peak_rad[joint])} (at {joint})"
+    if run.before is not None and last is not run.before:
+        before = run.before.rms_rad["all"]
+        parts.append(
+            f"RMS error {mrad(before)} before the change, {mrad(_error(run))} {last.name} it "
+            f"({relative(_error(run), before)}), {peak}."
+        )
+        parts += _readapted(run)
+    else:
+        parts.append(f"RMS error {mrad(_error(run))}, {peak}.")
+    parts += _fallback(run)
+    share = saturation(run)
+    if share > _RARE:
+        parts.append(f"A valve was at its limit {number(100 * share, 2)} % of the time.")
+    energy, seconds = last.energy_j.get("all"), _reached(run)
+    if energy is not None and seconds > 0:
+        parts.append(f"Hydraulic power drawn: {number(energy / seconds)} W.")
+    return " ".join(parts)
+
+
+def _reached(run: ReportedRun) -> float:
+    return min(run.last.end, run.metrics.duration) - run.last.start
+
+
+def _stopped(run: ReportedRun) -> str:
+    reason = (run.metrics.failure or "no reason was stored").rstrip(".")
+    return (
+        f"Stopped at {run.metrics.duration:.2f} s of {run.planned:g} s: {reason}. What follows "
+        "holds as far as it came."
+    )
+
+
+def _readapted(run: ReportedRun) -> list[str]:
+    found = run.metrics.readaptation
+    if found.reason:
+        return [f"Re-adaptation cannot be told: {found.reason.rstrip('.')}."]
+    if found.threshold is None:
+        return []
+    limit = f"1.25 times the error before ({mrad(found.threshold)})"
+    if found.time_s is None:
+        return [f"Not re-adapted by the end, that is, not back to {limit}."]
+    if found.time_s == 0.0:
+        return [f"No stride after the change was worse than {limit}."]
+    return [f"Re-adapted after {found.time_s:.2f} s, that is, back to {limit}."]
+
+
+def _fallback(run: ReportedRun) -> list[str]:
+    shares = fallback_shares(run)
+    if shares is None:
+        return []
+    told = []
+    for phase, by_joint in shares.items():
+        mean = math.fsum(by_joint.values()) / len(by_joint)
+        worst = max(by_joint, key=lambda name: by_joint[name])
+        if mean > _RARE:
+            place = "in all" if phase == "whole" else f"{phase} the change"
+            text = f"{100 * mean:.1f} % of the time {place}"
+            if len(by_joint) > 1:
+                text += f" (most at {worst}: {100 * by_joint[worst]:.0f} %)"
+            told.append(text)
+    if not told:
+        return ["It never fell back to the static feed-forward."]
+    return [f"It fell back to the static feed-forward {listed(tuple(told))}."]
+
+
+def _verdict(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
+    if len(runs) < 2 or different(runs):
+        return ()
+    first, lines = runs[0], []
+    if not first.metrics.completed:
+        return (f"{first.label}, the first, stopped early: nothing is compared with it.",)
+    for run in runs[1:]:
+        if not run.metrics.completed:
+            lines.append(f"{run.label} stopped early, so it is not compared.")
+            continue
+        ratio = _error(run) / _error(first) if _error(first) > 0 else math.nan
+        if abs(ratio - 1.0) < _ALIKE:
+            word = "is about as good as"
+        else:
+            word = "tracks better than" if ratio < 1 else "tracks worse than"
+        when = f" {run.last.name} the change" if run.before else ""
+        text = (
+            f"{run.label} {word} {first.label}: {relative(_error(run), _error(first))} RMS "
+            f"error{when}."
+        )
+        if run.before and ratio < 1 and _growth(run) > max(_HURT, _growth(first)):
+            text += (
+                f" In proportion the change cost it more: its error grew "
+                f"{number(_growth(run))} times, that of {first.label} "
+                f"{number(_growth(first))} times."
+            )
+        lines.append(text)
+    return tuple(lines)
+
+
+def _growth(run: ReportedRun) -> float:
+    before = run.before.rms_rad["all"] if run.before else 0.0
+    return _error(run) / before if before > 0 else math.inf
+
+
+def _limits(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
+    lines = [
+        "These are simulations. One run a controller says nothing about the scatter over seeds; "
+        "leglab compare gives intervals."
+    ]
+    if any(not run.metrics.completed for run in runs):
+        lines.append("Figures of a run that stopped early cover another time than the others'.")
+    if any(run.label and run.metrics.controller == "oracle" for run in runs):
+        lines.append("oracle knows the changed machine beforehand: it is a bound, no rival.")
+    return tuple(lines)

@@ -1,0 +1,105 @@
+"""Folders of runs made up by hand, in the form that a run leaves behind."""
+
+import json
+
+import numpy as np
+
+from leglab import data
+from leglab.recording import Recording
+
+HOSTILE = '</script><img src=x onerror="window.hit=1"><script>window.hit=1</script>&\'{{7*7}}\x00'
+
+
+def write_folder(
+    folder,
+    controller="pd",
+    *,
+    before=0.020,
+    after=0.030,
+    readaptation=None,
+    stopped=None,
+    fallback=None,
+    scenario="seal_wear",
+    model="leg",
+    joints=("hip", "knee"),
+    seed=0,
+    change=5.0,
+    duration=10.0,
+):
+    """Writes a run whose errors are sines with these RMS values [rad] before and after the change.
+
+    A run that is `stopped` at a time [s] is cut off there. `fallback` is the share of the time.
+    """
+    end = duration if stopped is None else stopped
+    time = np.arange(0.0, end, 0.004)
+    columns = {}
+    for i, joint in enumerate(joints):
+        reference = np.sin(2 * np.pi * time + i)
+        size = np.where(time < change, before, after) * np.sqrt(2)
+        columns[f"{joint}_position"] = reference + size * np.sin(2 * np.pi * time)
+        columns[f"{joint}_truth"] = columns[f"{joint}_position"]
+        columns[f"{joint}_reference"] = reference
+        columns[f"{joint}_valve_command"] = 0.3 * reference
+        columns[f"{joint}_feedforward"] = 0.2 * reference
+        columns[f"{joint}_pressure_a"] = 8e6 + 1e6 * reference
+        columns[f"{joint}_pressure_b"] = 8e6 - 1e6 * reference
+        columns[f"{joint}_oil_temperature"] = 40.0 + 0.5 * time
+        if fallback is not None:
+            columns[f"{joint}_fallback"] = (time % 1.0 < fallback).astype(float)
+    parts = [("before", 0.0, change, before), ("after", change, duration, after)]
+    metrics = {
+        "scenario": scenario,
+        "controller": controller,
+        "model": model,
+        "seed": seed,
+        "duration": float(time[-1]) if stopped else duration,
+        "severity": 10.0,
+        "completed": stopped is None,
+        "failure": None if stopped is None else "the knee blew up",
+        "phases": [
+            {
+                "name": name,
+                "start": start,
+                "end": stop,
+                "rms_rad": dict.fromkeys([*joints, "all"], level),
+                "peak_rad": dict.fromkeys([*joints, "all"], 1.4142 * level),
+                "p95_rad": dict.fromkeys([*joints, "all"], 1.4 * level),
+                "effort": dict.fromkeys([*joints, "all"], 0.2),
+                "energy_j": dict.fromkeys([*joints, "all"], 500.0),
+            }
+            for name, start, stop, level in parts
+            if start < end
+        ],
+        "readaptation": {"time_s": readaptation, "threshold": 1.25 * before, "reason": None},
+        "excess_error_area_rad_s": 0.01,
+    }
+    run = {
+        "settings": {
+            "scenario": scenario,
+            "controller": controller,
+            "model": model,
+            "duration": duration,
+            "seed": seed,
+            "severity": 10.0,
+            "ramp_duration": 0.0,
+            "reference": "walking_stride",
+            "sensors": {"control_period": 0.004},
+        },
+        "window": 1.0,
+        "changes": [
+            {
+                "parameter": "internal_leakage",
+                "element": "*",
+                "kind": "scale",
+                "value": 10.0,
+                "start": change,
+                "ramp_duration": 0.0,
+            }
+        ],
+        "versions": {"leglab": "0.1.0", "mujoco": "3.17.0"},
+    }
+    folder.mkdir(parents=True)
+    data.write(Recording(time=time, columns=columns), folder / "recording.parquet")
+    (folder / "metrics.json").write_text(json.dumps(metrics))
+    (folder / "run.json").write_text(json.dumps(run))
+    return folder

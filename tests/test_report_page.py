@@ -1,0 +1,414 @@
+"""Report and index without a browser: words, escaping, half runs, size, resumption."""
+
+import base64
+import html
+import json
+import re
+import resource
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+
+from leglab import run_folders
+from leglab.cli import main
+from leglab.errors import LeglabError
+from leglab.report.page.shell import inline_json
+from leglab.report.run import page as page_module
+from leglab.report.run.page import page, write_report
+from leglab.report.run.plots import plot_data
+from leglab.report.run.source import read_runs
+from leglab.report.run.words import headline, sections
+from leglab.runner import run_scenario
+from tests.report_folders import HOSTILE, write_folder
+
+
+def leglab(*arguments, capsys):
+    try:
+        main([str(argument) for argument in arguments])
+        status = 0
+    except SystemExit as exit_:
+        status = exit_.code or 0
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+def story(runs, title):
+    found = next(s for s in sections(runs) if s.title == title)
+    names = found.names or [""] * len(found.lines)
+    return [f"{name} {line}".strip() for name, line in zip(names, found.lines, strict=True)]
+
+
+class Elements(HTMLParser):
+    """Tags with attributes in order, and the text outside scripts and styles."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.texts, self._silent = [], [], False
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append((tag, dict(attributes)))
+        self._silent = tag in ("script", "style")
+
+    def handle_endtag(self, tag):
+        self._silent = False
+
+    def handle_data(self, content):
+        if not self._silent:
+            self.texts.append(content)
+
+    def all(self, tag):
+        return [attributes for name, attributes in self.tags if name == tag]
+
+
+def test_the_better_controller_is_named_with_exact_numbers(tmp_path):
+    runs = read_runs(
+        [
+            write_folder(tmp_path / "a", "pd", before=0.020, after=0.040),
+            write_folder(tmp_path / "b", "bsnn_arx", after=0.010, before=0.004, readaptation=1.2),
+        ]
+    )
+    assert headline(runs) == (
+        "After the change, bsnn_arx tracked best: 10 mrad RMS error; pd 40 mrad."
+    )
+    assert story(runs, "What was tested") == [
+        "Scenario seal_wear on the model leg with 2 driven joints; reference walking_stride, "
+        "10 s, seed 0.",
+        "At 5 s: internal leakage of all elements \u00d7 10, at once.",
+    ]
+    pd, bsnn = story(runs, "What happened")
+    assert pd.startswith(
+        "pd: RMS error 20 mrad before the change, 40 mrad after it (2 times as much), at most 56.6"
+    )
+    assert "Not re-adapted by the end" in pd
+    assert "Re-adapted after 1.20 s, that is, back to 1.25 times the error before (5 mrad)." in bsnn
+    assert "Hydraulic power drawn: 100 W." in bsnn
+    assert story(runs, "Verdict") == [
+        "bsnn_arx tracks better than pd: 75 % less RMS error after the change. In proportion the "
+        "change cost it more: its error grew 2.5 times, that of pd 2 times."
+    ]
+
+
+def test_a_worse_controller_is_called_worse(tmp_path):
+    runs = read_runs(
+        [
+            write_folder(tmp_path / "a", "pd", after=0.030),
+            write_folder(tmp_path / "b", "arx", after=0.045),
+            write_folder(tmp_path / "c", "frozen", after=0.0306),
+        ]
+    )
+    assert headline(runs).startswith("After the change, pd tracked best")
+    assert story(runs, "Verdict") == [
+        "arx tracks worse than pd: 50 % more RMS error after the change.",
+        "frozen is about as good as pd: 2 % more RMS error after the change.",
+    ]
+    alike = (runs[0], runs[2])
+    assert "no controller is clearly better" in headline(alike)
+
+
+def test_a_fallback_is_admitted(tmp_path):
+    (often,) = read_runs([write_folder(tmp_path / "a", "bsnn_arx", fallback=0.25)])
+    (never,) = read_runs([write_folder(tmp_path / "b", "bsnn_arx", fallback=0.0)])
+    (told,) = story([often], "What happened")
+    found = re.search(r"fell back to the static feed-forward ([\d.]+) % of the time before", told)
+    assert float(found.group(1)) == pytest.approx(25.0, abs=0.5)
+    assert "It never fell back" in story([never], "What happened")[0]
+
+
+def test_a_run_that_stopped_is_reported_as_far_as_it_came(tmp_path):
+    runs = read_runs(
+        [
+            write_folder(tmp_path / "a", "pd"),
+            write_folder(tmp_path / "b", "arx", stopped=3.0),
+        ]
+    )
+    assert headline(runs) == (
+        "After the change, only pd came to the end: 30 mrad RMS error; arx stopped early."
+    )
+    assert story(runs, "What happened")[1].startswith(
+        "arx: Stopped at 3.00 s of 10 s: the knee blew up. What follows holds as far as it came."
+    )
+    assert story(runs, "Verdict") == ["arx stopped early, so it is not compared."]
+    text = page(runs)
+    assert "stopped early" in text
+    assert read_runs([tmp_path / "b"])[0].last.name == "before"
+    assert page(read_runs([tmp_path / "b"]))
+
+
+def test_runs_that_differ_are_not_compared(tmp_path):
+    runs = read_runs(
+        [write_folder(tmp_path / "a", seed=0), write_folder(tmp_path / "b", seed=1, after=0.5)]
+    )
+    assert [run.label for run in runs] == ["pd, seed 0", "pd, seed 1"]
+    assert "differ in seed" in story(runs, "What was tested")[0]
+    assert not [s for s in sections(runs) if s.title == "Verdict"]
+    assert "%)" not in "".join(Elements(page(runs)).texts)
+
+
+def test_runs_that_are_alike_keep_apart_by_their_folders(tmp_path):
+    folders = [write_folder(tmp_path / name) for name in ("first", "second")]
+    assert [run.label for run in read_runs(folders)] == ["pd, first", "pd, second"]
+    with pytest.raises(LeglabError, match="given twice"):
+        read_runs([folders[0], tmp_path / "second" / ".." / "first"])
+
+
+def test_curves_keep_their_extremes_when_they_are_thinned(tmp_path):
+    folder = write_folder(tmp_path / "a", duration=60.0, change=30.0, after=0.2)
+    (run,) = read_runs([folder])
+    content = plot_data([run], run.joints, 0)
+    (deviation,) = [p for p in content["plots"] if p["name"] == "deviation"]
+    values = np.frombuffer(base64.b64decode(deviation["traces"][1][0]["y"]["bdata"]), "<f4")
+    error = 1e3 * (run.recording["knee_truth"] - run.recording["knee_reference"])
+    assert len(error) == 15000
+    assert len(values) == 3000
+    assert values.max() == pytest.approx(error.max(), rel=1e-3)
+    assert values.min() == pytest.approx(error.min(), rel=1e-3)
+    names = [plot["name"] for plot in content["plots"]]
+    assert names == ["error", "deviation", "angle", "command", "pressure", "temperature"]
+
+
+def test_hostile_names_are_shown_and_do_nothing(tmp_path):
+    folder = write_folder(
+        tmp_path / "<b>&",
+        HOSTILE,
+        scenario=HOSTILE,
+        model=HOSTILE,
+        joints=(HOSTILE, "knee"),
+        stopped=8.0,
+    )
+    elements = Elements(page(read_runs([folder])))
+    scripts = elements.all("script")
+    assert [s.get("type") for s in scripts] == ["application/json", None, None]
+    assert not elements.all("img")
+    assert not [a for _, a in elements.tags if any(name.startswith("on") for name in a)]
+    shown = HOSTILE.replace("\x00", "\ufffd")
+    assert any(shown in text for text in elements.texts)
+    (policy,) = [
+        m["content"] for m in elements.all("meta") if "content" in m and "src" in m["content"]
+    ]
+    assert re.search(r"script-src 'sha256-[^ ]+' 'sha256-[^ ]+';", policy)
+
+
+def test_json_in_a_page_cannot_leave_its_element():
+    text = inline_json({"name": "</script><!--\u2028&"})
+    assert not re.search("[<>&\u2028]", text)
+    assert json.loads(text) == {"name": "</script><!--\u2028&"}
+
+
+def test_nothing_is_loaded_from_elsewhere(tmp_path):
+    elements = Elements(page(read_runs([write_folder(tmp_path / "a")])))
+    for _, attributes in elements.tags:
+        for name in ("src", "href"):
+            assert not re.match(r"\s*(\w+:)?//", attributes.get(name) or "")
+    assert not elements.all("link")
+
+
+def test_a_missing_film_is_said_on_the_page(tmp_path):
+    def fails(path):
+        raise LeglabError("no OpenGL library for egl; install one with: apt-get <this>")
+
+    runs = read_runs([write_folder(tmp_path / "a")])
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "report.mp4").write_text("of an earlier report")
+    written = write_report(runs, tmp_path / "out", filmer=fails)
+    assert written.film is None
+    assert "no OpenGL library" in written.why_no_film
+    text = written.page.read_text()
+    assert "No film: no OpenGL library for egl; install one with: apt-get &lt;this&gt;" in text
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["report.html"]
+
+
+def test_a_film_that_is_too_large_is_encoded_anew_for_the_page(tmp_path, monkeypatch):
+    def film(path):
+        # Noise is what a codec can do least about.
+        random = np.random.default_rng(0)
+        writer = imageio_ffmpeg.write_frames(
+            str(path), (320, 192), codec="libx264", output_params=["-crf", "10"]
+        )
+        writer.send(None)
+        for _ in range(30):
+            writer.send(random.integers(0, 255, (192, 320, 3), dtype=np.uint8).tobytes())
+        writer.close()
+        return path
+
+    runs = read_runs([write_folder(tmp_path / "a")])
+    most = len(page(runs)) + 400_000
+    monkeypatch.setattr(page_module, "_LARGEST", most)
+    monkeypatch.setattr(page_module, "_FILM_LEAST", 0)
+    written = write_report(runs, tmp_path / "out", filmer=film)
+    assert written.film.stat().st_size > 1e6  # it would not have fitted
+    assert most - 390_000 < written.page.stat().st_size < most
+    data = re.search(r'id="film-data">([^<]+)<', written.page.read_text()).group(1)
+    assert base64.b64decode(data)[4:8] == b"ftyp"
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["report.html", "report.mp4"]
+
+
+def test_twenty_seconds_of_three_runs_leave_room_for_a_film(tmp_path):
+    joints = ("hip_yaw", "hip_roll", "hip_pitch", "knee", "ankle_pitch", "ankle_roll")
+    folders = [
+        write_folder(tmp_path / n, n, duration=20.0, change=10.0, joints=joints) for n in "abc"
+    ]
+    assert len(page(read_runs(folders)).encode()) < 8e6
+
+
+def test_a_full_disk_leaves_nothing_half_written(tmp_path, capsys):
+    folder = write_folder(tmp_path / "a")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, hard))
+    try:
+        status, _, told = leglab(
+            "report", folder, "--no-video", "--out", tmp_path / "out", capsys=capsys
+        )
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert status == 2
+    assert re.search(r"error: .*report\.html: cannot be written: File too large\n$", told)
+    assert not list((tmp_path / "out").iterdir())
+
+
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [
+        (lambda f: (f / "run.json").unlink(), "is not the folder of a run: it has no run.json"),
+        (lambda f: (f / "metrics.json").write_text("{"), "metrics.json: cannot be read"),
+        (lambda f: (f / "metrics.json").write_text("[" * 100000), "metrics.json: cannot be read"),
+        (lambda f: (f / "run.json").write_text("{}"), "run.json: settings: field required"),
+        (lambda f: (f / "recording.parquet").write_text("x"), "recording.parquet"),
+    ],
+)
+def test_a_folder_that_is_no_run_gets_one_line(tmp_path, capsys, spoil, told):
+    folder = write_folder(tmp_path / "a")
+    spoil(folder)
+    status, _, error = leglab("report", folder, "--no-video", capsys=capsys)
+    assert status == 2
+    assert told in error
+    assert error.count("\n") == 1
+    assert not (folder / "report.html").exists()
+
+
+def test_the_command_writes_beside_the_run_and_replaces_only_when_asked(tmp_path, capsys):
+    folder = write_folder(tmp_path / "a", stopped=8.0)
+    status, out, told = leglab("report", folder, "--no-video", "--json", capsys=capsys)
+    assert status == 0
+    content = json.loads(out)
+    assert content["page"] == str(folder / "report.html")
+    assert content["runs"][0]["rms_rad"] == {"before": 0.02, "after": 0.03}
+    assert "warning: pd stopped early: the knee blew up" in told
+    first = (folder / "report.html").read_bytes()
+    status, _, told = leglab("report", folder, "--no-video", capsys=capsys)
+    assert (status, "--overwrite" in told) == (2, True)
+    assert leglab("report", folder, "--no-video", "--overwrite", capsys=capsys)[0] == 0
+    assert (folder / "report.html").read_bytes() == first  # same run, same bytes
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ((), "needs the folder of at least one run, or --scenario"),
+        (("x", "--seed", "1"), "--seed says what to run: it needs --scenario"),
+        (("x", "--scenario", "nominal"), "not both"),
+        (("--scenario", "nominl"), "did you mean 'nominal'"),
+        (("--scenario", "nominal", "--controllers", "pd,pd"), "'pd' is given twice"),
+        (("--scenario", "nominal", "--controllers", "pdd"), "unknown controller 'pdd'"),
+        (("--scenario", "nominal", "--jobs", "0"), "jobs is 0"),
+    ],
+)
+def test_bad_requests_get_one_line(tmp_path, capsys, monkeypatch, arguments, told):
+    monkeypatch.chdir(tmp_path)
+    status, _, error = leglab("report", *arguments, capsys=capsys)
+    assert status == 2
+    assert told in error
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_scenario_is_run_once_and_reported(tmp_path, capsys, monkeypatch):
+    calls = []
+
+    def counted(settings):
+        calls.append(settings.controller)
+        return run_scenario(settings)
+
+    monkeypatch.setattr(run_folders, "run_scenario", counted)
+    command = ["report", "--scenario", "seal_wear", "--model", "knee_bench", "--duration", "4"]
+    command += ["--jobs", "1", "--no-video", "--out", tmp_path / "out", "--json", "--controllers"]
+    status, out, _ = leglab(*command, "pd", capsys=capsys)
+    assert status == 0
+    metrics = json.loads((tmp_path / "out" / "runs" / "pd" / "metrics.json").read_text())
+    assert json.loads(out)["runs"][0]["rms_rad"] == {
+        phase["name"]: phase["rms_rad"]["all"] for phase in metrics["phases"]
+    }
+    kept = (tmp_path / "out" / "runs" / "pd" / "run.json").stat().st_mtime_ns
+    assert leglab(*command, "pd,static_feedforward", capsys=capsys)[0] == 0
+    assert calls == ["pd", "static_feedforward"]
+    assert (tmp_path / "out" / "runs" / "pd" / "run.json").stat().st_mtime_ns == kept
+    # Half a folder is made again, and so is one with other settings.
+    (tmp_path / "out" / "runs" / "pd" / "recording.parquet").unlink()
+    assert leglab(*command, "pd", capsys=capsys)[0] == 0
+    assert leglab(*command, "pd", "--seed", "1", capsys=capsys)[0] == 0
+    assert calls == ["pd", "static_feedforward", "pd", "pd"]
+
+
+def test_the_index_lists_what_is_there_whole_or_not(tmp_path, capsys):
+    write_folder(tmp_path / "whole run")
+    write_folder(tmp_path / "deep" / "#half%41", "arx", stopped=3.0)
+    (write_folder(tmp_path / "cut") / "recording.parquet").unlink()
+    (write_folder(tmp_path / "bad") / "metrics.json").write_text("{}")
+    write_folder(tmp_path / ".new.partial")
+    (tmp_path / "compare").mkdir()
+    (tmp_path / "compare" / "compare.json").write_text(
+        json.dumps({"scenarios": ["nominal"], "controllers": ["pd"], "model": "leg", "seeds": 3})
+    )
+    (tmp_path / "diagnosis").mkdir()
+    (tmp_path / "diagnosis" / "diagnosis.json").write_text(
+        json.dumps({"verdict": "named", "effects": [{"name": "payload", "element": "<b>"}]})
+    )
+    assert leglab("report", tmp_path / "whole run", "--no-video", capsys=capsys)[0] == 0
+    status, out, told = leglab("index", tmp_path, capsys=capsys)
+    assert status == 0
+    assert "7 listed" in out
+    assert "3 of 7 cannot be read" in told
+    text = (tmp_path / "index.html").read_text()
+    shown = " ".join(" ".join(Elements(text).texts).split())
+    assert "1 comparison, 1 diagnosis, 5 runs; 1 stopped half way; 3 cannot be read." in shown
+    assert "stopped at 3.00 s: the knee blew up" in shown
+    assert "has no recording.parquet" in shown
+    assert "metrics.json: scenario: field required" in shown
+    assert "was not written to its end" in shown
+    assert "named: payload at <b>" in shown
+    links = {a["href"] for a in Elements(text).all("a")}
+    assert "./whole%20run/report.html" in links
+    assert "./deep/%23half%2541/metrics.json" in links
+    # Again, over its own page; but not over another.
+    assert leglab("index", tmp_path, capsys=capsys)[0] == 0
+    (tmp_path / "other.html").write_text("mine")
+    status, _, told = leglab("index", tmp_path, "--out", tmp_path / "other.html", capsys=capsys)
+    assert status == 2
+    assert "is no index of leglab" in told
+    assert leglab("index", tmp_path / "none", capsys=capsys)[0] == 2
+
+
+def test_the_index_escapes_names_of_folders(tmp_path, capsys):
+    name = html.escape("x") + "<img src=x onerror=hit()>"
+    write_folder(tmp_path / name, "<script>hit()</script>")
+    assert leglab("index", tmp_path, capsys=capsys)[0] == 0
+    elements = Elements((tmp_path / "index.html").read_text())
+    assert not elements.all("img")
+    assert len(elements.all("script")) == 1
+    assert any(name in text for text in elements.texts)
+
+
+def test_references_that_differ_are_told_apart(tmp_path):
+    folders = [write_folder(tmp_path / "a"), write_folder(tmp_path / "b", "arx", stopped=4.0)]
+    runs = read_runs(folders)
+
+    def names(of):
+        (angle,) = [p for p in plot_data(of, ("hip",), 0)["plots"] if p["name"] == "angle"]
+        return [trace["name"] for trace in angle["traces"][0]]
+
+    assert names(runs) == ["reference", "pd", "arx"]
+    assert names(runs[::-1]) == ["reference", "arx", "pd"]
+    other = runs[1].recording.with_columns({"hip_reference": 0.0 * runs[1].recording.time})
+    assert names((runs[0], replace(runs[1], recording=other))) == ["reference of pd", "pd", "arx"]
