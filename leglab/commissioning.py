@@ -2,9 +2,13 @@
 
 import copy
 import functools
+import hashlib
+
+import mujoco
+import numpy as np
 
 from leglab.backstepping_gains import backstepping_gains
-from leglab.calibration import directions, valve_maps
+from leglab.calibration import ValveMap, directions, valve_maps
 from leglab.control import ControllerSetup
 from leglab.gains import stored_gains, tuned_gains
 from leglab.measurement import SensorConfiguration, position_uncertainty, velocity_delay
@@ -48,7 +52,7 @@ def controller_setup(
             "velocity_delay": velocity_delay(sensors.control_period, sensors.velocity_cutoff),
             "position_gain": lambda: [gain[0] for gain in gains()],
             "velocity_gain": lambda: [gain[1] for gain in gains()],
-            "valve_maps": lambda: valve_maps(machine()),
+            "valve_maps": lambda: _calibrated(machine()),
             "cylinders": lambda: nominal_cylinders(machine()),
             "inverse_dynamics": lambda: NominalDynamics(machine()),
             "backstepping_gains": lambda: backstepping_gains(model, machine(), sensors),
@@ -56,3 +60,19 @@ def controller_setup(
             "pressure_noise": sensors.pressure_noise,
         },
     )
+
+
+_calibrations: dict[bytes, tuple[ValveMap, ...]] = {}
+
+
+def _calibrated(machine: Simulation) -> tuple[ValveMap, ...]:
+    """Valve maps of a machine as it is loaded; the same model is calibrated once a process."""
+    content = np.empty(mujoco.mj_sizeModel(machine.model), np.uint8)
+    mujoco.mj_saveModel(machine.model, None, content)
+    key = hashlib.sha256(content).digest()
+    if key not in _calibrations:
+        maps = valve_maps(machine)
+        for part in (array for m in maps for array in (m.position, m.velocity, m.command)):
+            part.flags.writeable = False
+        _calibrations[key] = maps
+    return _calibrations[key]
