@@ -105,8 +105,8 @@ def _same(said: str, printed: str) -> bool:
     return abs(a - b) <= max(_TOLERANCE * abs(a), 1.001 * last)
 
 
-def run(path: Path, folder: Path) -> None:
-    """Runs a page in a folder.
+def run(path: Path, folder: Path, languages: tuple[str, ...] = ("sh", "python")) -> None:
+    """Runs a page in a folder: blocks in these languages, and files.
 
     Raises:
         AssertionError: A block fails, or prints something else than the page says.
@@ -120,13 +120,13 @@ def run(path: Path, folder: Path) -> None:
             target.parent.mkdir(parents=True, exist_ok=True)
             target.write_text(block.text)
             continue
+        if block.language not in languages:
+            continue
         status, printed = (_shell if block.language == "sh" else _python)(block, where, names)
         wanted = 2 if said is not None and said.startswith("error:") else 0
         assert status == wanted, f"{where}: status {status}\n{printed}"
         if said is not None:
-            assert agrees(said, printed), (
-                f"{where}: the page says\n{said}\nprinted was\n{printed}"
-            )
+            assert agrees(said, printed), f"{where}: the page says\n{said}\nprinted was\n{printed}"
 
 
 def _shell(block: Block, where: str, names: dict) -> tuple[int, str]:
@@ -164,6 +164,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("pages", nargs="+", type=Path)
     parser.add_argument("--keep", type=Path, help="run in this folder and leave it")
+    parser.add_argument("--only", action="append", choices=("sh", "python"))
     options = parser.parse_args()
     for page in [path.resolve() for path in options.pages]:
         with contextlib.ExitStack() as stack:
@@ -174,7 +175,7 @@ def main() -> None:
                 folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
             os.chdir(folder)
             try:
-                run(page, folder)
+                run(page, folder, tuple(options.only or ("sh", "python")))
             except AssertionError as error:
                 sys.exit(str(error))
             finally:

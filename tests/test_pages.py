@@ -1,21 +1,31 @@
 """Every example of the tutorial and the how-to pages, run in order as it stands there."""
 
 import os
+import shlex
 import subprocess
 import sys
 
 import pytest
+import typer
 
+from leglab.cli import app
 from tests.pages import ROOT, agrees, blocks, steps
+from tests.tables import pages
 
-PAGES = ("docs/tutorial.md", *sorted(f"docs/how_to/{p.name}" for p in ROOT.glob("docs/how_to/*.md")))
+HOW_TO = sorted(f"docs/how_to/{path.name}" for path in ROOT.glob("docs/how_to/*.md"))
+PAGES = ("docs/tutorial.md", *HOW_TO)
+# Their shell lines take hours or install things: Python runs, commands are only looked up.
+OTHERS = ("README.md", "docs/getting_started.md")
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_the_page_does_what_it_says(page, tmp_path):
+@pytest.mark.parametrize(
+    ("page", "options"), [*((p, ()) for p in PAGES), *((p, ("--only", "python")) for p in OTHERS)]
+)
+def test_the_page_does_what_it_says(page, options, tmp_path):
     # A process of its own: pages register effects, scenarios and controllers.
+    arguments = [str(ROOT / page), "--keep", str(tmp_path / "page"), *options]
     done = subprocess.run(
-        [sys.executable, "-m", "tests.pages", str(ROOT / page), "--keep", str(tmp_path / "page")],
+        [sys.executable, "-m", "tests.pages", *arguments],
         cwd=ROOT,
         env={**os.environ, "OMP_NUM_THREADS": "1"},
         capture_output=True,
@@ -23,6 +33,22 @@ def test_the_page_does_what_it_says(page, tmp_path):
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def _commands():
+    for path in pages():
+        for block in blocks(path.read_text()):
+            for line in block.text.replace("\\\n", " ").splitlines():
+                if block.language == "console" and line.startswith("leglab "):
+                    yield f"{path.name}:{block.line}", line
+
+
+@pytest.mark.parametrize(("where", "line"), list(_commands()))
+def test_commands_and_options_exist(where, line):
+    name, *arguments = shlex.split(line, comments=True)[1:]
+    group = typer.main.get_command(app)
+    assert name in group.commands, f"{where}: no command {name!r}"
+    group.commands[name].make_context(name, arguments)
 
 
 @pytest.mark.parametrize("page", PAGES)

@@ -1,4 +1,4 @@
-"""A rig that is not there: recordings as its logger writes them, `python -m leglab.diagnosis.blind.rig`.
+"""A rig that is not there, recorded as its logger would: `python -m leglab.diagnosis.blind.rig`.
 
 The bench of the blind tests with hidden faults, written down the way somebody else's data logger
 would: CSV, columns and units of its own, an encoder that counts the other way, a clock with jitter

@@ -1,0 +1,60 @@
+"""Sphinx: `make docs` builds these pages and the API reference into out/docs."""
+
+import re
+from importlib import metadata
+
+project = "leglab"
+author = "leglab"
+release = metadata.version("leglab")
+html_title = f"leglab {release}"
+
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.napoleon",
+    "sphinx_copybutton",
+    "myst_parser",
+]
+source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
+templates_path = ["_templates"]
+exclude_patterns = ["_templates", "data"]
+autosummary_generate = True
+# Pages that a toctree names by a pattern need not be there.
+suppress_warnings = ["toc.empty_glob"]
+# `name` in a docstring is code, as in Markdown.
+default_role = "literal"
+# Types of other packages are not resolved: the build needs no network. Names without a dot are
+# type variables and aliases.
+nitpick_ignore_regex = [("py:.*", r"(?!leglab\.).*"), ("py:.*", r"leglab\.(.*\.)?_.*")]
+
+# Pages are read on their own as well, so headings are linked to by their text.
+myst_heading_anchors = 3
+myst_enable_extensions = ["colon_fence"]
+
+autodoc_typehints = "signature"
+autodoc_member_order = "bysource"
+autodoc_default_options = {"members": True, "show-inheritance": True}
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True
+
+html_theme = "furo"
+html_static_path = ["_static"]
+html_css_files = ["leglab.css"]
+html_theme_options = {"navigation_with_keys": True}
+pygments_style = "friendly"
+pygments_dark_style = "monokai"
+copybutton_prompt_text = "$ "
+
+
+def _escape_bars(app, what, name, obj, options, lines):
+    """|v| in a docstring is a magnitude, not a substitution of reStructuredText."""
+    del app, what, name, obj, options
+    for i, line in enumerate(lines):
+        parts = re.split(r"(``.*?``|`.*?`)", line)
+        lines[i] = "".join(p if p.startswith("`") else p.replace("|", "\\|") for p in parts)
+
+
+def setup(app):
+    """Connects what the docstrings need."""
+    app.connect("autodoc-process-docstring", _escape_bars)
