@@ -16,11 +16,11 @@ extensions = [
     "myst_parser",
 ]
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
+# Pages of parts that may not be built in.
+OPTIONAL = ("environment", "viewer", "command_line", "data_formats")
 templates_path = ["_templates"]
 exclude_patterns = ["_templates", "data"]
 autosummary_generate = True
-# Pages that a toctree names by a pattern need not be there.
-suppress_warnings = ["toc.empty_glob"]
 # `name` in a docstring is code, as in Markdown.
 default_role = "literal"
 # Types of other packages are not resolved: the build needs no network. Names without a dot are
@@ -55,6 +55,15 @@ def _escape_bars(app, what, name, obj, options, lines):
         lines[i] = "".join(p if p.startswith("`") else p.replace("|", "\\|") for p in parts)
 
 
+def _drop_missing(app, docname, source):
+    """Takes pages that are not there out of the table of contents."""
+    if docname == "index":
+        for name in OPTIONAL:
+            if not (app.srcdir / f"{name}.md").exists():
+                source[0] = source[0].replace(f"\n{name}\n", "\n")
+
+
 def setup(app):
-    """Connects what the docstrings need."""
+    """Connects the two."""
     app.connect("autodoc-process-docstring", _escape_bars)
+    app.connect("source-read", _drop_missing)
