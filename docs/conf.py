@@ -63,7 +63,14 @@ def _drop_missing(app, docname, source):
                 source[0] = source[0].replace(f"\n{name}\n", "\n")
 
 
+def _skip(app, what, name, obj, skip, options):
+    """Fields of a named tuple are described by its docstring."""
+    del app, what, name, options
+    return True if str(obj.__doc__).startswith("Alias for field number") else skip
+
+
 def setup(app):
-    """Connects the two."""
+    """Connects these."""
+    app.connect("autodoc-skip-member", _skip)
     app.connect("autodoc-process-docstring", _escape_bars)
     app.connect("source-read", _drop_missing)
