@@ -25,7 +25,10 @@ autosummary_generate = True
 default_role = "literal"
 # Types of other packages are not resolved: the build needs no network. Names without a dot are
 # type variables and aliases.
-nitpick_ignore_regex = [("py:.*", r"(?!leglab\.).*"), ("py:.*", r"leglab\.(.*\.)?_.*")]
+nitpick_ignore_regex = [
+    ("py:.*", r"(?!leglab\.).*"),
+    ("py:.*", r"leglab\.((.*\.)?_.*|configuration\.Model)"),
+]
 
 # Pages are read on their own as well, so headings are linked to by their text.
 myst_heading_anchors = 3

@@ -122,14 +122,18 @@ def write_rig(settings: RigSettings, folder: Path) -> list[Path]:
         rng = np.random.default_rng([settings.seed, 2, i])
         content = logged(recording, pressures=settings.pressures, rng=rng)
         paths.append(folder / f"{name}.csv")
-        write_atomically(paths[-1], lambda file, content=content: file.write(content))
+        _write(paths[-1], content)
     lines = [
         f"{name}: {hidden.parameter or 'size'} = {hidden.value:.5g}\n"
         for name, hidden in zip(settings.effects, severities, strict=True)
     ]
     truth = "".join(lines) or "nothing is hidden\n"
-    write_atomically(folder / "truth.txt", lambda file: file.write(truth.encode()))
+    _write(folder / "truth.txt", truth.encode())
     return paths
+
+
+def _write(path: Path, content: bytes) -> None:
+    write_atomically(path, lambda file: file.write(content))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
