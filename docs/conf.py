@@ -17,7 +17,7 @@ extensions = [
 ]
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 # Pages of parts that may not be built in.
-OPTIONAL = ("environment", "viewer", "command_line", "data_formats")
+OPTIONAL = ("environment", "report", "viewer", "command_line", "data_formats")
 templates_path = ["_templates"]
 exclude_patterns = ["_templates", "data"]
 autosummary_generate = True
