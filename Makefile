@@ -22,6 +22,7 @@ lint: $(STAMP)
 	$(BIN)/lint-imports
 
 docs: $(STAMP)
+	rm -rf docs/api/generated  # pages of modules that are gone
 	$(BIN)/python -m sphinx -W --keep-going -n -q docs out/docs
 	@echo "open out/docs/index.html"
 
