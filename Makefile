@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/installed
 SOURCES := pyproject.toml CMakeLists.txt $(shell find leglab/csrc -type f)
 
-.PHONY: demo test lint clean
+.PHONY: demo test lint docs clean
 
 demo: $(STAMP)
 	$(BIN)/leglab run seal_wear --controller pd --out out/demo --overwrite
@@ -20,6 +20,11 @@ lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+docs: $(STAMP)
+	rm -rf docs/api/generated  # pages of modules that are gone
+	$(BIN)/python -m sphinx -W --keep-going -n -q docs out/docs
+	@echo "open out/docs/index.html"
 
 $(STAMP): $(SOURCES)
 	@$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11)' || { echo "leglab needs Python 3.11 or newer: make PYTHON=/path/to/python3.11"; exit 2; }

@@ -1,8 +1,10 @@
 """What adapting gains on a changing machine: `python benchmarks/adaptation_claims.py`.
 
 Runs every scenario with every controller and many seeds (an interrupted call goes on where it was)
-and prints one table a claim; `--write FILE` writes them as Markdown. Errors are RMS over joints and
-time in mrad, of the true positions; intervals are 95 % over seeds.
+and prints one table a claim. `--write FILE` writes them as Markdown, and what they were made from
+to docs/data; `--render` prints the page from there without running anything, which is how a test
+keeps page and data together. Errors are RMS over joints and time in mrad, of the true positions;
+intervals are 95 % over seeds.
 """
 
 import argparse
@@ -10,7 +12,8 @@ import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from adaptation_tables import Cells, claims
+from adaptation_data import Cells, condense, read, save, stored
+from adaptation_tables import claims
 from rich.console import Console
 from rich.progress import Progress
 
@@ -31,7 +34,8 @@ ALL = (
 )
 HEADER = """# What adapting gains
 
-Made by `python benchmarks/adaptation_claims.py{seeds} --write FILE`; not to be edited.
+Made by `python benchmarks/adaptation_claims.py --render > docs/adaptation_results.md`
+from the results of `{command}`; not to be edited.
 RMS errors over joints and time in mrad, of the true positions; 95 % intervals over seeds. `before`
 starts at 5 s, `end` is the last 5 s.
 
@@ -120,7 +124,7 @@ RIGS = {
 }
 
 
-def gather(rig: Rig, folder: Path, jobs: int) -> Cells:
+def gather(rig: Rig, folder: Path, jobs: int, *, as_stored: bool = False) -> Cells:
     """Results by scenario, severity and controller."""
     cells: Cells = {}
     with Progress() as bar:
@@ -128,11 +132,18 @@ def gather(rig: Rig, folder: Path, jobs: int) -> Cells:
         task = bar.add_task(folder.name, total=sum(len(runs) for runs in cases.values()))
         for (name, severity), runs in cases.items():
             at = folder / (name if severity is None else f"{name}-{severity:g}")
-            for result in run_all(runs, at, jobs=jobs):
+            results = stored(runs, at) if as_stored else run_all(runs, at, jobs=jobs)
+            for result in results:
                 controller = result["settings"]["controller"]
                 cells.setdefault((name, severity, controller), []).append(result)
             bar.advance(task, len(runs))
     return cells
+
+
+def page(rigs: dict[str, Cells], command: str) -> str:
+    """The page of condensed results."""
+    tables = [table.markdown() for name, cells in rigs.items() for table in claims(cells, name)]
+    return HEADER.format(command=command) + "\n\n".join(tables) + "\n"
 
 
 def main() -> None:
@@ -143,10 +154,18 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/claims"))
     parser.add_argument("--rigs", nargs="*", default=list(RIGS), choices=list(RIGS))
     parser.add_argument("--controllers", nargs="*", help="only these")
-    parser.add_argument("--write", type=Path)
+    parser.add_argument("--write", type=Path, metavar="FILE")
+    parser.add_argument("--render", action="store_true", help="print the page of committed results")
+    parser.add_argument(
+        "--stored", action="store_true", help="take what --out holds, whatever code made it"
+    )
     options = parser.parse_args()
+    if options.render:
+        command, known = read()
+        print(page(known, command), end="")
+        return
     console = Console(width=150)
-    page = []
+    rigs: dict[str, Cells] = {}
     for name in options.rigs:
         rig = RIGS[name]
         if options.controllers:
@@ -156,15 +175,22 @@ def main() -> None:
             rig = replace(rig, seeds=options.seeds, peer_seeds=options.seeds)
         folder = options.out / re.sub(r"\W+", "-", name)
         try:
-            cells = gather(rig, folder, options.jobs)
+            raw = gather(rig, folder, options.jobs, as_stored=options.stored)
         except LeglabError as error:
             raise SystemExit(f"error: {error}") from None
-        for table in claims(cells, name):
+        rigs[name] = condense(raw)
+        for table in claims(rigs[name], name):
             console.print(table.rich())
-            page.append(table.markdown())
     if options.write:
-        seeds = f" --seeds {options.seeds}" if options.seeds else ""
-        options.write.write_text(HEADER.format(seeds=seeds) + "\n\n".join(page) + "\n")
+        command = "python benchmarks/adaptation_claims.py"
+        if options.seeds:
+            command += f" --seeds {options.seeds}"
+        if options.rigs != list(RIGS):
+            command += " --rigs " + " ".join(f'"{name}"' for name in options.rigs)
+        if options.controllers:
+            command += " --controllers " + " ".join(options.controllers)
+        save(rigs, command)
+        options.write.write_text(page(rigs, command))
 
 
 if __name__ == "__main__":

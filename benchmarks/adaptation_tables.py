@@ -1,19 +1,14 @@
-"""One table a claim, from the results of `adaptation_claims.py`."""
+"""One table a claim, from the results of `adaptation_claims.py` as `adaptation_data` keeps them."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from adaptation_data import ADAPTIVE, Cells, pooled
 from rich.table import Table as RichTable
 from scipy import stats
 
-from leglab.metrics import READAPTATION_RATIO, settling_time
-
-# Results by scenario, severity (None for the default) and controller, one a seed.
-Cells = dict[tuple[str, float | None, str], list[dict[str, Any]]]
-
-ADAPTIVE = "bsnn_arx"
 # Not one step of one kind: two changes at once, a machine that never stops changing, none at all.
 NOT_SINGLE = ("seal_wear_supply_drop", "cold_start", "nominal")
 MOVING = 0.1  # rad: joints that travel more count in the nominal claim
@@ -128,16 +123,9 @@ def readaptation(cells: Cells, rig: str) -> Table:
         if name in NOT_SINGLE:
             continue
         runs = cells[name, severity, ADAPTIVE]
-        oracle = np.mean(pooled(cells[name, severity, "oracle"], "end_rms_rad")) / 1e3
-        strict, fair = [], []
-        for run in runs:
-            time = np.array(run["time"])
-            error = np.array([np.nan if e is None else e for e in run["windowed_error_rad"]])
-            change, window = run["changes"][0], run["window"]
-            before = error[np.searchsorted(time, change) - 1]
-            for found, level in ((strict, before), (fair, max(before, oracle))):
-                limit = READAPTATION_RATIO * level
-                found.append(settling_time(time, error, change, window, limit))
+        strict, fair = (
+            [run["readaptation_s"][kind] for run in runs] for kind in ("strict", "fair")
+        )
         never = [np.inf if t is None else t for t in fair]
         every += never
         table.rows.append((label(name, severity), times(strict), times(fair), f"{max(never):.2f}"))
@@ -155,15 +143,7 @@ def safety(cells: Cells, rig: str) -> Table:
     )
     over = []
     for name, severity in cases(cells):
-        worst = (0.0, 0.0, 0.0, 0.0)
-        statics = {r["settings"]["seed"]: r for r in cells[name, severity, "static_feedforward"]}
-        for run in cells[name, severity, ADAPTIVE]:
-            other = statics[run["settings"]["seed"]]
-            for t, ours, theirs in zip(
-                run["time"], run["safety_error_rad"], other["safety_error_rad"], strict=False
-            ):
-                if t >= 7.0 and ours is not None and theirs:
-                    worst = max(worst, (ours / theirs, t, 1e3 * ours, 1e3 * theirs))
+        worst = max(tuple(run["safety"]) for run in cells[name, severity, ADAPTIVE])
         if worst[0] > 1.1:
             over.append(label(name, severity))
         table.rows.append(
@@ -220,24 +200,9 @@ def label(name: str, severity: float | None) -> str:
     return name if severity is None else f"{name} {severity:g}"
 
 
-def pooled(runs: list[dict[str, Any]], key: str) -> np.ndarray:
-    """RMS over joints of every run that has it [mrad]; failed runs count as infinite."""
-    values = []
-    for run in runs:
-        if not run["metrics"]["completed"]:
-            values.append(np.inf)
-        elif run[key] is not None:
-            values.append(1e3 * np.sqrt(np.mean(np.square(list(run[key].values())))))
-    return np.array(values) if values else np.array([np.nan])
-
-
 def whole_after(runs: list[dict[str, Any]]) -> np.ndarray:
     """RMS from the change to the end of every run [mrad]."""
-    values = []
-    for run in runs:
-        phase = run["metrics"]["phases"][-1]
-        failed = not run["metrics"]["completed"]
-        values.append(np.inf if failed else 1e3 * phase["rms_rad"]["all"])
+    values = [1e3 * run["after_rms_rad"] if run["completed"] else np.inf for run in runs]
     return np.array(values) if values else np.array([np.nan])
 
 

@@ -133,21 +133,17 @@ def run(
 
 
 @app.command("list")
-def list_names(as_json: Json = False) -> None:
+def list_names(
+    as_json: Json = False,
+    markdown: Annotated[bool, typer.Option(help="Print Markdown, as in docs/.")] = False,
+) -> None:
     """Shows scenarios, controllers, references and models."""
-    import leglab.controllers
-    import leglab.scenarios  # noqa: F401
-    from leglab.control import controller_names, controller_summary
-    from leglab.references import reference_names, reference_summary
-    from leglab.scenario import scenario_names, scenario_summary
-    from leglab.simulation import model_names, model_summary
+    from leglab import listing
 
-    groups = {
-        "scenarios": {name: scenario_summary(name) for name in scenario_names()},
-        "controllers": {name: controller_summary(name) for name in controller_names()},
-        "references": {name: reference_summary(name) for name in reference_names()},
-        "models": {name: model_summary(name) for name in model_names()},
-    }
+    if markdown:
+        typer.echo(listing.markdown(), nl=False)
+        return
+    groups = listing.summaries()
     if as_json:
         typer.echo(json.dumps(groups, indent=2))
         return

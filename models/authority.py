@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from leglab.models.linkage import JOINTS, SUPPLY_PRESSURE, cylinders, lever_rows
+from leglab.models.linkage import JOINTS, SUPPLY_PRESSURE, cylinders, lever_rows, print_tables
 from leglab.models.swap import load_with_motors
 
 STANCE = 0.6  # of the stride
@@ -113,28 +113,35 @@ def walk(model: mujoco.MjModel, samples: int = 1000) -> tuple[np.ndarray, np.nda
     return np.array(tau), np.min(margins, 0), np.array(flow)
 
 
-def main() -> None:
-    """Prints the tables."""
+def squat_table() -> list[str]:
+    """Torques of the squat and margins as Markdown."""
     model = load_with_motors("leg_motor")
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("squat").id)
     mujoco.mj_forward(model, data)
     under_hip = data.body("thigh").xpos[0] - data.body("ankle_cross").xpos[0]
-    print(f"squat on {9.81 * model.body_mass.sum():.0f} N")
-    print("| force acts, m before the ankle | hip_pitch, knee, ankle_pitch, N m | least margin |")
-    print("|---|---|---|")
+    lines = ["| force acts, m before the ankle | N m | least margin |", "|---|---|---|"]
     for ahead in (under_hip, 0.0, 0.05, 0.12):
         tau, margin = squat(model, ahead)
-        print(f"| {ahead:.3f} | {tau[2]:.0f}, {tau[3]:.0f}, {tau[4]:.0f} | {margin.min():.2f} |")
-    tau, margin, flow = walk(model)
-    print("\n| joint | stride torque, N m | peak rad/s | force margin | speed margin |")
-    print("|---|---|---|---|---|")
+        torques = ", ".join(f"{value:.0f}" for value in tau[2:5])
+        place = f"{ahead:.3f}" + (" (under the hip)" if ahead == under_hip else "")
+        lines.append(f"| {place} | {torques} | {margin.min():.2f} |")
+    return lines
+
+
+def stride_table() -> list[str]:
+    """Torques and speeds of the stride, margins and supply flow as Markdown."""
+    tau, margin, flow = walk(load_with_motors("leg_motor"))
+    lines = ["| joint | torque, N m | peak rad/s | force margin | speed margin |"]
+    lines.append("|---|---|---|---|---|")
     peak = abs(stride(np.linspace(0, 1, 1000))[1]).max(0)
     for i, j in enumerate(JOINTS):
         row = [j, f"{tau[:, i].min():.0f} to {tau[:, i].max():.0f}", f"{peak[i]:.1f}"]
-        print("|", " | ".join([*row, *(f"{m:.2f}" for m in margin[:, i])]), "|")
-    print(f"\nsupply flow, l/min: mean {6e4 * flow.mean():.1f}, peak {6e4 * flow.max():.1f}")
+        lines.append(f"| {' | '.join([*row, *(f'{m:.2f}' for m in margin[:, i])])} |")
+    mean, most = 6e4 * flow.mean(), 6e4 * flow.max()
+    lines += ["", f"Flow of the cylinders: {mean:.1f} l/min on average, {most:.1f} at the peak."]
+    return lines
 
 
 if __name__ == "__main__":
-    main()
+    print_tables({"squat": squat_table, "stride": stride_table})

@@ -3,6 +3,8 @@
 `python -m leglab.models.linkage` prints the tables of docs/leg_design.md.
 """
 
+import argparse
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
@@ -138,8 +140,8 @@ def resonance(model: mujoco.MjModel, box: np.ndarray, count: int = 2000) -> tupl
     return np.sqrt(alone) * step, np.sqrt(stuck) * step, np.sqrt(coupled) * step
 
 
-def print_tables() -> None:
-    """Prints geometry, limits and resonance of every cylinder as Markdown."""
+def _travel() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Ranges [rad], (6, 2); shortest and longest levers, first and last pistons [m], (2, 6)."""
     model, sizes = load_with_motors("leg"), cylinders()
     data = mujoco.MjData(model)
     ranges = np.array([model.joint(j).range for j in JOINTS])
@@ -149,38 +151,69 @@ def print_tables() -> None:
         levers.append(np.abs(np.diag(lever_rows(model, data))))
         lengths = [data.tendon(f"{j}_cylinder").length[0] for j in JOINTS]
         positions.append([sizes[j].position(x) for j, x in zip(JOINTS, lengths, strict=True)])
-    short, long = np.min(levers, 0), np.max(levers, 0)
-    first, last = 1e3 * np.min(positions, 0), 1e3 * np.max(positions, 0)
-    print("| joint | range, rad | lever, mm (shortest, longest) | piston, mm of stroke |")
-    print("|---|---|---|---|")
+    rows = [np.min(levers, 0), np.max(levers, 0), np.min(positions, 0), np.max(positions, 0)]
+    return ranges, np.array(rows[:2]), np.array(rows[2:])
+
+
+def lever_table() -> list[str]:
+    """Ranges, levers and piston positions as Markdown."""
+    ranges, (short, long), (first, last) = _travel()
+    sizes = cylinders()
+    lines = ["| joint | range, rad | lever, mm (shortest, longest) | piston, mm of stroke |"]
+    lines.append("|---|---|---|---|")
     for i, j in enumerate(JOINTS):
-        row = [
-            j,
-            f"{ranges[i, 0]:g} to {ranges[i, 1]:g}",
-            f"{1e3 * short[i]:.1f}, {1e3 * long[i]:.1f}",
-        ]
-        row.append(f"{first[i]:.1f} to {last[i]:.1f} of {1e3 * sizes[j].stroke:.0f}")
-        print("|", " | ".join(row), "|")
-    print(
-        "\n| joint | push, pull, N | N m at longest lever | at shortest | no-load rad/s, longest |"
-    )
-    print("|---|---|---|---|---|")
+        row = [j, f"{ranges[i, 0]:g} to {ranges[i, 1]:g}"]
+        row.append(f"{1e3 * short[i]:.1f}, {1e3 * long[i]:.1f}")
+        stroke = 1e3 * sizes[j].stroke
+        row.append(f"{1e3 * first[i]:.1f} to {1e3 * last[i]:.1f} of {stroke:.0f}")
+        lines.append(f"| {' | '.join(row)} |")
+    return lines
+
+
+def limit_table() -> list[str]:
+    """Forces, torques and speeds as Markdown."""
+    _, (short, long), _ = _travel()
+    sizes = cylinders()
+    head = ("joint", "push, pull, N", "N m at longest lever", "at shortest")
+    lines = [f"| {' | '.join(head)} | no-load rad/s, longest |", "|---|---|---|---|---|"]
     for i, j in enumerate(JOINTS):
         push, pull = (SUPPLY_PRESSURE * area for area in sizes[j].areas)
         row = [j, f"{push:.0f}, {pull:.0f}"]
         row += [f"{push * arm:.0f}, {pull * arm:.0f}" for arm in (long[i], short[i])]
         row.append(", ".join(f"{sizes[j].speed(0, way) / long[i]:.1f}" for way in (1, -1)))
-        print("|", " | ".join(row), "|")
+        lines.append(f"| {' | '.join(row)} |")
+    return lines
+
+
+def resonance_table() -> list[str]:
+    """Largest w_h h of every cylinder as Markdown, and with stuck bristles below."""
+    ranges = _travel()[0]
+    short = ("yaw", "roll", "pitch", "knee", "ankle pitch", "ankle roll")
+    lines = [f"| model, range | {' | '.join(short)} | all six |", "|---|" + "---|" * 7]
+    worst, where = 0.0, ""
     for name in ("leg", "leg_rail"):
         variant = load_with_motors(name)
         for label, box in (("usual", USUAL), ("joint range", ranges)):
             alone, stuck, coupled = resonance(variant, box)
-            print(
-                f"\n{name}, {label}: w_h h", np.round(alone, 2), f"all six {coupled:.3f};", end=" "
-            )
-            print("with stuck bristles", np.round(stuck, 2), end="")
-    print()
+            values = " | ".join(f"{value:.2f}" for value in alone)
+            lines.append(f"| {name}, {label} | {values} | {coupled:.3f} |")
+            if stuck.max() > worst:
+                worst, where = stuck.max(), JOINTS[int(np.argmax(stuck))]
+    lines += ["", "While a seal sticks its bristle adds to the oil's stiffness: at most"]
+    lines.append(f"{worst:.2f} ({where}).")
+    return lines
+
+
+TABLES = {"levers": lever_table, "limits": limit_table, "resonance": resonance_table}
+
+
+def print_tables(tables: Mapping[str, Callable[[], list[str]]]) -> None:
+    """Prints the tables, or that of the option `--table`."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--table", choices=list(tables), help="this one alone")
+    chosen = parser.parse_args().table
+    print("\n\n".join("\n".join(tables[n]()) for n in ([chosen] if chosen else tables)))
 
 
 if __name__ == "__main__":
-    print_tables()
+    print_tables(TABLES)

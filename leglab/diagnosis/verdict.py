@@ -257,6 +257,8 @@ def exact_twins(channels: Sequence[Channel], name: str) -> tuple[str, ...]:
 def _next_experiment(found: Search, effects: tuple[NamedEffect, ...]) -> Proposal | None:
     """What would tell the first effect that is tied from its rival."""
     for effect in effects:
+        if exact_twins(found.problem.channels, effect.name):
+            continue  # No excitation tells them apart, only a further sensor.
         for stage in found.stages:
             fits = {c.key[0]: c.fit.hypothesis for c in stage.contenders}
             tied = [name for name in effect.indistinguishable_from if name in fits]

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from leglab.diagnosis.fitting import Fit, refit
+from leglab.diagnosis.gate import check_recordings
 from leglab.diagnosis.hypothesis import Hypothesis, Key, Library
 from leglab.diagnosis.judging import rarely_but_surely, t_value
 from leglab.diagnosis.machine import Machine
@@ -140,6 +141,7 @@ def set_up(
     """
     machine = Machine(model)
     found = channels(machine, recordings)
+    check_recordings(machine, recordings)  # Before anything is replayed with wrong units.
     period = sampling_period(recordings)
     machine = machine.at_timestep(replay_timestep(machine, period))
     needed = tuple(dict.fromkeys([*(c.column for c in found), *machine.columns]))

@@ -16,6 +16,8 @@ from leglab.verification.bench import nominal_folder
 from leglab.verification.conformance import CASES
 from leglab.verification.rows import Row
 
+_ROUNDING = 1e-11
+
 
 def table(title: str, rows: Iterable[Row]) -> Table:
     """A table of rows, failures in red."""
@@ -68,6 +70,20 @@ def summary(rows: Iterable[Row]) -> Table:
             style=None if passed == len(group) else "bold red",
         )
     return grid
+
+
+def markdown() -> str:
+    """The row closest to its limit of each case as Markdown, in MuJoCo at 1 ms or the core."""
+    lines = ["| case | closest row | deviation | allowed |", "|---|---|---|---|"]
+    for name, case in CASES.items():
+        rows = [row for row in case() if row.solver in ("core", "MuJoCo 1 ms")]
+        worst = max(rows, key=lambda row: row.deviation / row.tolerance)
+        # What is left of rounding differs between processors.
+        exact = worst.deviation < _ROUNDING
+        deviation = "rounding" if exact else f"{worst.deviation:.1e}"
+        quantity = "all" if exact else worst.quantity
+        lines.append(f"| {name} | {quantity} | {deviation} | {worst.tolerance:.0e} |")
+    return "\n".join(lines) + "\n"
 
 
 def verify(*, full: bool = True, console: Console | None = None) -> bool:

@@ -43,7 +43,7 @@ class _Figure:
 
 
 def write_page(result: Diagnosis, folder: Path, *, model: str) -> Path:
-    """Writes DIR/diagnosis.html and DIR/figures/*.png; figures of an earlier diagnosis go.
+    """Writes `DIR/diagnosis.html` and `DIR/figures/*.png`; figures of an earlier diagnosis go.
 
     Args:
         result: The diagnosis.

@@ -37,7 +37,7 @@ def pressure_color(level: float | np.ndarray) -> np.ndarray:
         level: Pressure over that at the end of the colour bar, any shape; clipped to [0, 1].
 
     Returns:
-        Red, green, blue in 0..1, shape (*level.shape, 3).
+        Red, green, blue in 0..1, shape `(*level.shape, 3)`.
     """
     level = np.clip(np.asarray(level, dtype=float), 0.0, 1.0)
     return np.stack([np.interp(level, _STOPS, _COLORS[:, i]) for i in range(3)], axis=-1)

@@ -1,0 +1,127 @@
+"""Tables that a command makes: `python -m tests.tables` compares, `--write` makes them anew.
+
+In README.md and docs/ there are two kinds:
+
+- between `<!-- made by: COMMAND -->` and `<!-- end -->` stands what the command prints;
+- a page that says "Made by `COMMAND > docs/PAGE.md`" is, as a whole, what the command prints.
+
+Commands are `leglab ...` or `python ...` and run in the repository's root.
+"""
+
+import argparse
+import difflib
+import os
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+_BLOCK = re.compile(r"^<!-- made by: (.+?) -->\n(.*?)^<!-- end -->$", re.MULTILINE | re.DOTALL)
+_PAGE = re.compile(r"^Made by `([^`]+) > (docs/[\w/]+\.md)`", re.MULTILINE)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Made:
+    """A part of a page that a command makes.
+
+    Attributes:
+        page: The page, from the root.
+        command: What makes it.
+        text: What stands there.
+    """
+
+    page: str
+    command: str
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.page}: {self.command}"
+
+
+def pages() -> list[Path]:
+    """README.md and everything in docs/."""
+    return [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+def made(paths: Iterable[Path] | None = None) -> list[Made]:
+    """Everything that commands make in these pages; None for all."""
+    found = []
+    for path in pages() if paths is None else paths:
+        page, text = path.relative_to(ROOT).as_posix(), path.read_text()
+        whole = _PAGE.search(text)
+        if whole:
+            if whole[2] != page:
+                raise ValueError(f"{page} says that it is {whole[2]}")
+            found.append(Made(page=page, command=whole[1], text=text))
+        found += [Made(page=page, command=b[1], text=b[2]) for b in _BLOCK.finditer(text)]
+    return found
+
+
+def printed(command: str) -> str:
+    """What a command prints.
+
+    Raises:
+        ValueError: It fails, or is neither `leglab` nor `python`.
+    """
+    program, *arguments = shlex.split(command)
+    known = {"leglab": ["-m", "leglab.cli"], "python": []}
+    if program not in known:
+        raise ValueError(f"{command!r} starts with {program!r}; allowed: {', '.join(known)}")
+    done = subprocess.run(
+        [sys.executable, *known[program], *arguments],
+        cwd=ROOT,
+        env={**os.environ, "COLUMNS": "100", "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode:
+        raise ValueError(f"{command!r} ended with status {done.returncode}: {done.stderr}")
+    return done.stdout
+
+
+def difference(part: Made, now: str) -> str:
+    """What differs between a page and what its command prints now; empty if nothing does."""
+    lines = difflib.unified_diff(
+        part.text.splitlines(), now.splitlines(), part.page, part.command, lineterm="", n=0
+    )
+    return "\n".join(lines)
+
+
+def write(part: Made, now: str) -> None:
+    """Puts what a command prints now into its page."""
+    path = ROOT / part.page
+    text = path.read_text()
+    if part.text == text:
+        path.write_text(now)
+        return
+    head = f"<!-- made by: {part.command} -->\n"
+    path.write_text(text.replace(head + part.text + "<!-- end -->", head + now + "<!-- end -->"))
+
+
+def main() -> None:
+    """Compares or writes."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("pages", nargs="*", type=Path, help="default: README.md and docs/")
+    parser.add_argument("--write", action="store_true", help="put what is printed now into pages")
+    options = parser.parse_args()
+    chosen = [path.resolve() for path in options.pages] or None
+    stale = 0
+    for part in made(chosen):
+        now = printed(part.command)
+        changed = difference(part, now)
+        print(f"{'differs' if changed else 'same   '}  {part}")
+        if changed:
+            stale += 1
+            print(changed)
+            if options.write:
+                write(part, now)
+    sys.exit(1 if stale and not options.write else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,78 @@
+"""Every example of the tutorial and the how-to pages, run in order as it stands there."""
+
+import os
+import shlex
+import subprocess
+import sys
+
+import pytest
+import typer
+
+from leglab.cli import app
+from tests.pages import ROOT, agrees, blocks, steps
+from tests.tables import pages
+
+HOW_TO = sorted(f"docs/how_to/{path.name}" for path in ROOT.glob("docs/how_to/*.md"))
+PAGES = ("docs/tutorial.md", *HOW_TO)
+# Their shell lines take hours or install things: Python runs, commands are only looked up.
+OTHERS = ("README.md", "docs/getting_started.md")
+
+
+@pytest.mark.parametrize(
+    ("page", "options"), [*((p, ()) for p in PAGES), *((p, ("--only", "python")) for p in OTHERS)]
+)
+def test_the_page_does_what_it_says(page, options, tmp_path):
+    # A process of its own: pages register effects, scenarios and controllers.
+    arguments = [str(ROOT / page), "--keep", str(tmp_path / "page"), *options]
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.pages", *arguments],
+        cwd=ROOT,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def _commands():
+    for path in pages():
+        for block in blocks(path.read_text()):
+            for line in block.text.replace("\\\n", " ").splitlines():
+                if block.language == "console" and line.startswith("leglab "):
+                    yield f"{path.name}:{block.line}", line
+
+
+@pytest.mark.parametrize(("where", "line"), list(_commands()))
+def test_commands_and_options_exist(where, line):
+    name, *arguments = shlex.split(line, comments=True)[1:]
+    group = typer.main.get_command(app)
+    assert name in group.commands, f"{where}: no command {name!r}"
+    group.commands[name].make_context(name, arguments)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_example_is_run(page):
+    text = (ROOT / page).read_text()
+    assert any(said for _, said in steps(text)), "no block says what it prints"
+    run = {block.start for block, _ in steps(text)}
+    said = [b for b in blocks(text) if b.language == "text"]
+    assert len(said) == sum(1 for _, s in steps(text) if s), "a text block follows no example"
+    for block in blocks(text):
+        assert block.start in run or block.language == "text", f"line {block.line} is not run"
+
+
+@pytest.mark.parametrize(
+    ("said", "printed", "same"),
+    [
+        ("lap 0.0386", "lap 0.0387\n", True),
+        ("lap 0.0386", "lap 0.0412\n", False),
+        ("verdict: named ...", "verdict: named\n┃ 3 ┃ x", True),
+        ("verdict: named ...", "verdict: partial", False),
+        ("a ... b", "a 1 b 2 b", True),
+        ("a b", "a b c", False),
+        ("12 of 12", "12 of 13", False),
+    ],
+)
+def test_what_counts_as_the_same(said, printed, same):
+    assert agrees(said, printed) is same
