@@ -8,9 +8,8 @@ SOURCES := pyproject.toml CMakeLists.txt $(shell find leglab/csrc -type f)
 .PHONY: demo test lint docs clean
 
 demo: $(STAMP)
-	$(BIN)/leglab run seal_wear --controller pd --out out/demo --overwrite
-	@$(BIN)/leglab video out/demo --start 6 --duration 8 || true
-	@echo "numbers in out/demo/metrics.json, plots beside it"
+	$(BIN)/leglab report --scenario seal_wear --controllers pd,static_feedforward,bsnn_arx --out out/demo
+	@echo "open out/demo/report.html"
 
 test: $(STAMP)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
