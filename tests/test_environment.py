@@ -313,7 +313,9 @@ def test_every_scenario_is_registered():
         ({"randomize": {"wear": (0, 1)}}, "unknown random quantity of an episode 'wear'"),
         ({"randomize": {"severity": 3.0}}, "3.0 is no range"),
         ({"randomize": {"severity": (9.0, 3.0)}}, "is no range"),
-        ({"randomize": lambda random: {"wear": 1}}, "unknown random quantity"),
+        pytest.param(
+            {"randomize": lambda random: {"wear": 1}}, "unknown random quantity", id="callable"
+        ),
         ({"scenario": "nominal", "onset": 1.0}, "'nominal' changes nothing, so it has no onset"),
         ({"onset": 1.0}, "lasts until 1 s, the run ends at 0.2 s"),
         ({"control_period": 0.0012}, "multiple of the model's timestep"),
