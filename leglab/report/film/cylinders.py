@@ -12,6 +12,7 @@ _WALL = 0.0035  # m
 # Half of a colour glows and half is lit, so that it looks as in the colour bar, and still round.
 _GLOW, _LIT = 0.9, 0.55
 _CAP, _CHROME = (0.14, 0.15, 0.17), (0.92, 0.93, 0.95)
+_ORIGIN, _UPRIGHT = np.zeros(3), np.eye(3).ravel()
 _BASE, _END = 0.012, 0.012  # length of the ends of a barrel [m]
 
 
@@ -52,11 +53,15 @@ class CylinderShapes:
             levels: Pressures of cap and rod side over the end of the colour bar, NaN where unknown,
                 (actuators, 2).
         """
-        for tendon, parameters, pair in zip(self._tendon, self._parameters, levels, strict=True):
+        known = ~np.isnan(levels)[..., None]
+        colours = _LIT * np.where(known, pressure_color(np.nan_to_num(levels)), UNKNOWN)
+        points = data.wrap_xpos.reshape(-1, 3)
+        for tendon, parameters, (cap, rod) in zip(
+            self._tendon, self._parameters, colours, strict=True
+        ):
             if tendon < 0 or data.ten_wrapnum[tendon] < 2:
                 continue
             first = int(data.ten_wrapadr[tendon])
-            points = data.wrap_xpos.reshape(-1, 3)
             base, end = points[first], points[first + data.ten_wrapnum[tendon] - 1]
             length = float(np.linalg.norm(end - base))
             stroke = parameters["stroke"]
@@ -65,9 +70,6 @@ class CylinderShapes:
             share = float(np.clip(position / stroke, 0.02, 0.98))
             piston = _BASE + share * (barrel - _BASE - _END)
             radius = _WIDER * (0.5 * parameters["bore"] + _WALL)
-            cap, rod = (
-                _LIT * np.array(UNKNOWN if np.isnan(v) else pressure_color(v)) for v in pair
-            )
             axis = (end - base) / max(length, 1e-9)
             for start, stop, size, colour, glow in (
                 (0.0, _BASE, radius + 0.001, _CAP, 0.0),
@@ -93,7 +95,7 @@ def _segment(
     geom = scene.geoms[scene.ngeom]
     shape = mujoco.mjtGeom.mjGEOM_CYLINDER
     rgba = np.array([*colour, 1.0], np.float32)
-    mujoco.mjv_initGeom(geom, shape, np.zeros(3), np.zeros(3), np.eye(3).ravel(), rgba)
+    mujoco.mjv_initGeom(geom, shape, _ORIGIN, _ORIGIN, _UPRIGHT, rgba)
     mujoco.mjv_connector(geom, shape, radius, start, stop)
     geom.emission, geom.specular, geom.shininess = glow, 0.3, 0.3
     scene.ngeom += 1

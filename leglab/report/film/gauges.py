@@ -4,7 +4,7 @@ import numpy as np
 from PIL import ImageDraw
 
 from leglab.report.film.layout import GAUGES, PRESSURES, Rect, has_pressures
-from leglab.report.film.look import ALARM, FAINT, INK, SOFT, TIMES, fitted, font, pressure_color
+from leglab.report.film.look import ALARM, FAINT, INK, SOFT, TIMES, fitted, pressure_color, write
 from leglab.report.film.track import Track
 
 BAR = 1e5  # Pa
@@ -49,8 +49,8 @@ class Gauges:
             draw.rounded_rectangle(box, 6, fill=_CARD)
         for name, text, share, alarm in readings:
             ink = ALARM if alarm else INK
-            draw.text((left, top + 2), name, font=font(13), fill=SOFT, anchor="lt")
-            draw.text((left, top + 17), text, font=font(16, True), fill=ink, anchor="lt")
+            write(draw, (left, top + 2), name, 13, SOFT)
+            write(draw, (left, top + 17), text, 16, ink, bold=True)
             end = left + width * float(np.clip(np.nan_to_num(share), 0.0, 1.0))
             draw.rectangle((left, top + 36, left + width, top + 39), fill=FAINT)
             draw.rectangle((left, top + 36, end, top + 39), fill=ink)
@@ -79,12 +79,12 @@ class Gauges:
         left, right = panel.right - PRESSURES, panel.right - 14
         top = panel.bottom - 40 - _ROW * len(self._pressures)
         draw.rounded_rectangle((left - 8, top - 8, right + 6, panel.bottom - 8), 6, fill=_CARD)
-        draw.text((left, top), "cylinder", font=font(13), fill=SOFT, anchor="lt")
-        draw.text((right, top), "cap, rod [bar]", font=font(13), fill=SOFT, anchor="rt")
+        write(draw, (left, top), "cylinder", 13, SOFT)
+        write(draw, (right, top), "cap, rod [bar]", 13, SOFT, anchor="rt")
         top += 22
         for joint, cap, rod in self._pressures:
             name = fitted(joint.replace("_", " "), 14, PRESSURES - 20)
-            draw.text((left, top), name, font=font(14), fill=INK, anchor="lt")
+            write(draw, (left, top), name, 14, INK)
             for i, value in enumerate((float(cap[row]), float(rod[row]))):
                 y = top + 17 + 12 * i
                 level = float(np.clip(np.nan_to_num(value / self._scale), 0.0, 1.0))
@@ -92,5 +92,5 @@ class Gauges:
                 draw.rectangle((left, y, left + _BAR_LENGTH, y + 8), fill=FAINT)
                 draw.rectangle((left, y, left + _BAR_LENGTH * level, y + 8), fill=color)
                 text = f"{value / BAR:.0f}" if np.isfinite(value) else "-"
-                draw.text((right, y + 4), text, font=font(13), fill=INK, anchor="rm")
+                write(draw, (right, y + 4), text, 13, INK, anchor="rm")
             top += _ROW

@@ -5,7 +5,7 @@ import importlib.util
 from pathlib import Path
 
 import numpy as np
-from PIL import ImageFont
+from PIL import Image, ImageDraw, ImageFont
 
 from leglab.report.palette import SERIES, VERMILION
 
@@ -55,6 +55,7 @@ def font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
     return ImageFont.truetype(str(folder / name), size)
 
 
+@functools.lru_cache(maxsize=512)
 def fitted(text: str, size: int, width: float, bold: bool = False) -> str:
     """The text, cut off with an ellipsis where it would be wider than `width` [px]."""
     face = font(size, bold)
@@ -63,3 +64,28 @@ def fitted(text: str, size: int, width: float, bold: bool = False) -> str:
     while text and face.getlength(text + "…") > width:
         text = text[:-1]
     return text.rstrip() + "…"
+
+
+def write(
+    draw: ImageDraw.ImageDraw,
+    place: tuple[int, int],
+    text: str,
+    size: int,
+    fill: Rgb,
+    *,
+    bold: bool = False,
+    anchor: str = "lt",
+) -> None:
+    """Writes a line of text; `anchor` as in Pillow. Shapes of texts are kept: most come again."""
+    shape, left, top = _shape(text, size, bold, anchor)
+    draw.bitmap((place[0] + left, place[1] + top), shape, fill=fill)
+
+
+@functools.lru_cache(maxsize=512)
+def _shape(text: str, size: int, bold: bool, anchor: str) -> tuple[Image.Image, int, int]:
+    """How much of each pixel a text covers, and where it starts [px]."""
+    face = font(size, bold)
+    left, top, right, bottom = (int(edge) for edge in face.getbbox(text, anchor=anchor))
+    shape = Image.new("L", (max(right - left, 1), max(bottom - top, 1)))
+    ImageDraw.Draw(shape).text((-left, -top), text, font=face, fill=255, anchor=anchor)
+    return shape, left, top

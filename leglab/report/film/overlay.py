@@ -18,6 +18,7 @@ from leglab.report.film.look import (
     fitted,
     font,
     pressure_color,
+    write,
 )
 from leglab.report.film.track import Track
 
@@ -31,23 +32,23 @@ def draw_title(image: Image.Image, title: str, subtitle: str, scale: float) -> N
     """Title, what the ghost is, and the colour bar of the pressures up to `scale` [Pa]."""
     draw = ImageDraw.Draw(image)
     text = fitted(title, 22, 390, bold=True)
-    draw.text((16, 23), text, font=font(22, True), fill=INK, anchor="lm")
-    draw.text((16, 42), fitted(subtitle, 13, 390), font=font(13), fill=SOFT, anchor="lm")
+    write(draw, (16, 23), text, 22, INK, bold=True, anchor="lm")
+    write(draw, (16, 42), fitted(subtitle, 13, 390), 13, SOFT, anchor="lm")
     x = 424
     tint = tuple(round(255 * (0.45 + 0.55 * c)) for c in GHOST[:3])
     draw.rounded_rectangle(
         (x, 17, x + 26, 35), 5, fill=tint, outline=tuple(round(200 * c) for c in GHOST[:3])
     )
-    draw.text((x + 34, 26), "see-through leg: the reference", font=font(15), fill=INK, anchor="lm")
+    write(draw, (x + 34, 26), "see-through leg: the reference", 15, INK, anchor="lm")
     left, width = 872, 150
-    draw.text((left - 10, 26), "cylinder pressure", font=font(15), fill=INK, anchor="rm")
+    write(draw, (left - 10, 26), "cylinder pressure", 15, INK, anchor="rm")
     colors = (255 * pressure_color(np.linspace(0, 1, width))).astype(np.uint8)
     image.paste(Image.fromarray(np.repeat(colors[None], 14, axis=0)), (left, 11))
     for value in (0.0, 0.5, 1.0):
         place = left + value * width
         draw.line((place, 25, place, 29), fill=SOFT, width=1)
         label = f"{value * scale / BAR:.0f}" + (" bar" if value == 1.0 else "")
-        draw.text((place, 31), label, font=font(14), fill=SOFT, anchor="mt")
+        write(draw, (place, 31), label, 14, SOFT, anchor="mt")
 
 
 def draw_clock(image: Image.Image, time: float) -> None:
@@ -96,11 +97,11 @@ class PanelWriter:
         if np.isfinite(value):
             shown = f"{value:.{0 if value >= 100 else 1 if value >= 10 else 2}f} mrad"
             shown = shown if narrow else f"error {shown}"
-            draw.text((panel.right - 10, middle), shown, font=font(17), fill=INK, anchor="rm")
+            write(draw, (panel.right - 10, middle), shown, 17, INK, anchor="rm")
         name, room = str(self._track.settings["controller"]), panel.width - (125 if narrow else 175)
         size = next((n for n in (19, 17, 15) if font(n, True).getlength(name) <= room), 14)
         text = fitted(name, size, room, bold=True)
-        draw.text((panel.left + 10, middle), text, font=font(size, True), fill=INK, anchor="lm")
+        write(draw, (panel.left + 10, middle), text, size, INK, bold=True, anchor="lm")
 
     def _changes(self, draw: ImageDraw.ImageDraw, time: float) -> None:
         panel, left, top = self._panel, self._panel.left + 14, self._panel.top + 16
@@ -135,7 +136,7 @@ class PanelWriter:
             lines = [(f"run ends at {track.end:.2f} s", 20, INK)]
         for text, size, ink in lines:
             text = fitted(text, size, panel.width - 20, bold=size == 20)
-            draw.text((x, y), text, font=font(size, size == 20), fill=ink, anchor="mm")
+            write(draw, (x, y), text, size, ink, bold=size == 20, anchor="mm")
             y += size + 10
 
 
@@ -149,9 +150,10 @@ def _tag(
     *,
     bold: bool,
 ) -> None:
-    face = font(15 if bold else 14, bold)
-    draw.rounded_rectangle((left, top, left + face.getlength(text) + 16, top + 25), 5, fill=card)
-    draw.text((left + 8, top + 13), text, font=face, fill=ink, anchor="lm")
+    size = 15 if bold else 14
+    width = font(size, bold).getlength(text)
+    draw.rounded_rectangle((left, top, left + width + 16, top + 25), 5, fill=card)
+    write(draw, (left + 8, top + 13), text, size, ink, bold=bold, anchor="lm")
 
 
 def title_of(tracks: Sequence[Track]) -> tuple[str, str]:

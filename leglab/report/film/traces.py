@@ -1,5 +1,6 @@
 """Traces that run along with the motion: tracking error and feed-forward command."""
 
+import functools
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -240,8 +241,13 @@ def _cursor(draw: ImageDraw.ImageDraw, rect: Rect, at: int) -> None:
 
 
 def _dot(image: Image.Image, x: float, y: float, color: Rgb) -> None:
-    dot = smooth_lines((13, 13), lambda draw, k: _paint_dot(draw, k, color))
+    dot = _smooth_dot(color)
     image.paste(dot, (round(x) - 6, round(y) - 6), dot)
+
+
+@functools.cache
+def _smooth_dot(color: Rgb) -> Image.Image:
+    return smooth_lines((13, 13), lambda draw, k: _paint_dot(draw, k, color))
 
 
 def _paint_dot(draw: ImageDraw.ImageDraw, scale: int, color: Rgb) -> None:
