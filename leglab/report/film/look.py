@@ -68,7 +68,7 @@ def fitted(text: str, size: int, width: float, bold: bool = False) -> str:
 
 def write(
     draw: ImageDraw.ImageDraw,
-    place: tuple[int, int],
+    place: tuple[float, float],
     text: str,
     size: int,
     fill: Rgb,
@@ -78,7 +78,7 @@ def write(
 ) -> None:
     """Writes a line of text; `anchor` as in Pillow. Shapes of texts are kept: most come again."""
     shape, left, top = _shape(text, size, bold, anchor)
-    draw.bitmap((place[0] + left, place[1] + top), shape, fill=fill)
+    draw.bitmap((int(place[0]) + left, int(place[1]) + top), shape, fill=fill)
 
 
 @functools.lru_cache(maxsize=512)
