@@ -106,9 +106,7 @@ class Rig:
 
 RIGS = {
     "leg, walking": Rig(model="leg", reference=None, controllers=ALL[1:], seeds=10, peer_seeds=2),
-    "leg, squat": Rig(
-        model="leg", reference="squat", controllers=ALL[1:], seeds=10, peer_seeds=2
-    ),
+    "leg, squat": Rig(model="leg", reference="squat", controllers=ALL[1:], seeds=10, peer_seeds=2),
     "knee_bench, walking": Rig(
         model="knee_bench", reference=None, controllers=ALL[1:], peer_seeds=2
     ),
