@@ -1,6 +1,7 @@
 """Folders of runs made up by hand, in the form that a run leaves behind."""
 
 import json
+from html.parser import HTMLParser
 
 import numpy as np
 
@@ -103,3 +104,26 @@ def write_folder(
     (folder / "metrics.json").write_text(json.dumps(metrics))
     (folder / "run.json").write_text(json.dumps(run))
     return folder
+
+
+class Elements(HTMLParser):
+    """Tags with attributes in order, and the text outside scripts and styles."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.texts, self._silent = [], [], False
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append((tag, dict(attributes)))
+        self._silent = tag in ("script", "style")
+
+    def handle_endtag(self, tag):
+        self._silent = False
+
+    def handle_data(self, content):
+        if not self._silent:
+            self.texts.append(content)
+
+    def all(self, tag):
+        return [attributes for name, attributes in self.tags if name == tag]
