@@ -23,10 +23,23 @@ from leglab.cli_conventions import (
 )
 from leglab.cli_convert import convert, inspect
 from leglab.cli_diagnose import diagnose
+from leglab.cli_options import (
+    Controller,
+    Duration,
+    Json,
+    Model,
+    Overwrite,
+    Ramp,
+    Reference,
+    Scenario,
+    Seed,
+    Severity,
+    Tolerance,
+)
 from leglab.cli_report import index, report
 from leglab.cli_video import video
 from leglab.cli_view import view
-from leglab.terminal import TOLERANCE, Json, Overwrite, errors, metrics_table, output, progress_bar
+from leglab.terminal import errors, metrics_table, output, progress_bar
 
 app = typer.Typer(
     cls=Commands,
@@ -66,22 +79,16 @@ def _common(
 
 @app.command()
 def run(
-    scenario: Annotated[str, typer.Argument(help="What happens to the machine.")],
-    controller: Annotated[str, typer.Option(help="What drives it.")] = "pd",
-    model: Annotated[str, typer.Option(help="Machine.")] = "leg",
-    duration: Annotated[
-        float | None, typer.Option(help="Seconds; default: the scenario's.")
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of sensor noise.")] = 0,
-    severity: Annotated[
-        float | None, typer.Option(help="How bad the change is, in the scenario's own unit.")
-    ] = None,
-    ramp: Annotated[float, typer.Option(help="Seconds the change takes; 0 is a step.")] = 0.0,
-    reference: Annotated[
-        str | None, typer.Option(help="Reference; default: the scenario's.")
-    ] = None,
+    scenario: Scenario,
+    controller: Controller = "pd",
+    model: Model = "leg",
+    duration: Duration = None,
+    seed: Seed = 0,
+    severity: Severity = None,
+    ramp: Ramp = 0.0,
+    reference: Reference = None,
     timestep: Annotated[float | None, typer.Option(help="Simulation step [s].")] = None,
-    tolerance: Annotated[float, typer.Option(help=TOLERANCE)] = 0.0,
+    tolerance: Tolerance = 0.0,
     out: Annotated[
         Path | None,
         typer.Option(help="Output folder; default runs/SCENARIO-CONTROLLER-MODEL-SEED."),

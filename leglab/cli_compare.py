@@ -6,16 +6,9 @@ from typing import Annotated
 
 import typer
 
+from leglab.cli_options import Duration, Jobs, Json, Model, Ramp, Reference, Severity, Tolerance
 from leglab.errors import LeglabError
-from leglab.terminal import (
-    TOLERANCE,
-    Json,
-    comparison_table,
-    errors,
-    output,
-    print_wide,
-    progress_bar,
-)
+from leglab.terminal import comparison_table, errors, output, print_wide, progress_bar
 
 
 def compare(
@@ -23,20 +16,14 @@ def compare(
     controllers: Annotated[
         str, typer.Option(help="Names, separated by commas; ratios refer to the first.")
     ] = "pd,static_feedforward",
-    model: Annotated[str, typer.Option(help="Machine.")] = "leg",
+    model: Model = "leg",
     seeds: Annotated[int, typer.Option(help="Number of seeds, from 0 on.")] = 3,
-    duration: Annotated[
-        float | None, typer.Option(help="Seconds; default: the scenario's.")
-    ] = None,
-    severity: Annotated[
-        float | None, typer.Option(help="How bad the changes are, in the scenario's own unit.")
-    ] = None,
-    ramp: Annotated[float, typer.Option(help="Seconds the changes take; 0 is a step.")] = 0.0,
-    reference: Annotated[
-        str | None, typer.Option(help="Reference; default: the scenario's.")
-    ] = None,
-    tolerance: Annotated[float, typer.Option(help=TOLERANCE)] = 0.0,
-    jobs: Annotated[int, typer.Option(help="Processes at a time; -1: one a core.")] = -1,
+    duration: Duration = None,
+    severity: Severity = None,
+    ramp: Ramp = 0.0,
+    reference: Reference = None,
+    tolerance: Tolerance = 0.0,
+    jobs: Jobs = -1,
     out: Annotated[Path, typer.Option(help="Output folder.")] = Path("runs/compare"),
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Repeat runs that are there.")

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from leglab.cli_options import Json
 from leglab.errors import LeglabError, unknown_name
-from leglab.terminal import Json, errors, output, print_wide
+from leglab.terminal import errors, output, print_wide
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -6,8 +6,9 @@ from typing import Annotated
 
 import typer
 
+from leglab.cli_options import Json, Overwrite
 from leglab.errors import LeglabError
-from leglab.terminal import Json, Overwrite, output, progress_bar
+from leglab.terminal import output, progress_bar
 
 
 def diagnose(

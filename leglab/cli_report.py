@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.markup import escape
 
+from leglab.cli_options import Camera, Jobs, Json
 from leglab.errors import LeglabError
-from leglab.terminal import Json, errors, output, progress_bar
+from leglab.terminal import errors, output, progress_bar
 
 if TYPE_CHECKING:
     from leglab.report.run.page import Filmer, Report
@@ -30,7 +31,7 @@ def report(
     duration: Annotated[
         float | None, typer.Option(help="Seconds of the film; with --scenario of the runs.")
     ] = None,
-    camera: Annotated[str, typer.Option(help="Camera of the model.")] = "three_quarter",
+    camera: Camera = "three_quarter",
     scenario: Annotated[
         str | None, typer.Option(help="Run this scenario first, once a controller.")
     ] = None,
@@ -46,7 +47,7 @@ def report(
     severity: Annotated[
         float | None, typer.Option(help="With --scenario: how bad the change is, in its own unit.")
     ] = None,
-    jobs: Annotated[int, typer.Option(help="Processes at a time; -1: one a core.")] = -1,
+    jobs: Jobs = -1,
     overwrite: Annotated[
         bool,
         typer.Option("--overwrite", help="Replace a report; with --scenario repeat its runs."),

@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from leglab.terminal import Json, output, progress_bar
+from leglab.cli_options import Camera, Json
+from leglab.terminal import output, progress_bar
 
 
 def video(
@@ -17,7 +18,7 @@ def video(
     ] = None,
     start: Annotated[float | None, typer.Option(help="First second shown.")] = None,
     duration: Annotated[float | None, typer.Option(help="Seconds shown; default: all.")] = None,
-    camera: Annotated[str, typer.Option(help="Camera of the model.")] = "three_quarter",
+    camera: Camera = "three_quarter",
     as_json: Json = False,
 ) -> None:
     """Renders runs side by side to MP4, headless, with EGL or OSMesa."""

@@ -1,26 +1,31 @@
 """The command `leglab view`."""
 
-from typing import Annotated
-
 import typer
 
-from leglab.terminal import TOLERANCE, errors, output
+from leglab.cli_options import (
+    Controller,
+    Duration,
+    Model,
+    Ramp,
+    Reference,
+    Scenario,
+    Seed,
+    Severity,
+    Tolerance,
+)
+from leglab.terminal import errors, output
 
 
 def view(
-    scenario: Annotated[str, typer.Argument(help="Name of a scenario; `leglab list` shows them.")],
-    controller: Annotated[str, typer.Option(help="Name of a controller.")] = "bsnn_arx",
-    model: Annotated[str, typer.Option(help="leg, leg_rail, knee_bench, or an MJCF file.")] = "leg",
-    duration: Annotated[
-        float | None, typer.Option(help="Seconds of the scenario; default: its own.")
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of sensor noise.")] = 0,
-    severity: Annotated[
-        float | None, typer.Option(help="How bad the change is, in the scenario's own unit.")
-    ] = None,
-    ramp: Annotated[float, typer.Option(help="Seconds the change takes; 0 is a step.")] = 0.0,
-    reference: Annotated[str | None, typer.Option(help="Name of a reference trajectory.")] = None,
-    tolerance: Annotated[float, typer.Option(help=TOLERANCE)] = 0.0,
+    scenario: Scenario,
+    controller: Controller = "bsnn_arx",
+    model: Model = "leg",
+    duration: Duration = None,
+    seed: Seed = 0,
+    severity: Severity = None,
+    ramp: Ramp = 0.0,
+    reference: Reference = None,
+    tolerance: Tolerance = 0.0,
 ) -> None:
     """Opens MuJoCo's viewer: the controller lives, and sliders wear, heat and load the leg.
 

@@ -1,8 +1,7 @@
-"""What the commands share: consoles, progress bar, options, tables."""
+"""What the commands share: consoles, progress bar, tables."""
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
@@ -14,15 +13,6 @@ errors = Console(stderr=True, highlight=False, soft_wrap=True)
 output = Console(highlight=False)
 
 _WIDE = 120  # characters
-
-Overwrite = Annotated[
-    bool, typer.Option("--overwrite", help="Replace the folder of an earlier run.")
-]
-TOLERANCE = (
-    "Relative standard deviation of the machine's parameters about those that controllers know; "
-    "the seed picks the specimen."
-)
-Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 
 
 def print_wide(table: Table) -> None:
