@@ -6,9 +6,11 @@ further; the part of the last seconds in which some valve is open by more than 9
 it is from what the valves can give. RMS tracking errors in mrad.
 """
 
+import argparse
+from typing import Any
+
 import numpy as np
-from rich.console import Console
-from rich.table import Table
+import results
 
 from leglab.rollout import History
 from leglab.runner import RunSettings, run_scenario
@@ -16,7 +18,8 @@ from leglab.runner import RunSettings, run_scenario
 CHANGE, DURATION = 40.0, 80.0  # s
 WINDOWS = ((2.0, 4.0), (5.0, 10.0), (15.0, 20.0), (35.0, 40.0))  # s after the change
 CASES = ("seal_wear", "hot_oil", "friction_rise", "stiction", "spring_fatigue")
-FACTORS = (10.0, 20.0, 30.0, 40.0, 50.0)
+FACTORS = (10.0, 20.0, 30.0, 40.0, 50.0)  # leakage over new
+MAPS = ("bsnn_arx", "oracle")
 OPEN = 0.95
 
 
@@ -41,48 +44,52 @@ def error(run: History, start: float, end: float) -> float:
     return float(1e3 * np.sqrt(np.mean(run.error[inside] ** 2)))
 
 
-def longer() -> Table:
-    """Error of both maps by time since the change."""
-    table = Table(title="bsnn_arx / oracle by seconds after the change, mrad")
-    table.add_column("scenario")
-    for start, end in WINDOWS:
-        table.add_column(f"{start:g}-{end:g} s", justify="right")
-    for scenario in CASES:
-        runs = [history(scenario, name, DURATION) for name in ("bsnn_arx", "oracle")]
-        table.add_row(
-            scenario,
-            *(
-                " / ".join(f"{error(run, CHANGE + a, CHANGE + b):.2f}" for run in runs)
-                for a, b in WINDOWS
-            ),
-        )
-    return table
+def longer(scenario: str) -> list[list[float]]:
+    """Errors in every window of `WINDOWS`, of both maps."""
+    runs = [history(scenario, name, DURATION) for name in MAPS]
+    return [[error(run, CHANGE + a, CHANGE + b) for run in runs] for a, b in WINDOWS]
 
 
-def harder() -> Table:
-    """Error of both maps, and how open the valves are, by leakage."""
-    table = Table(title="seal_wear, last 5 s of 20 s, by leakage over new")
-    for name in ("leakage", "bsnn_arx", "oracle", "ratio", "a valve open, % of the time"):
-        table.add_column(name, justify="right")
-    for factor in FACTORS:
-        runs = [history("seal_wear", name, 20.0, factor) for name in ("bsnn_arx", "oracle")]
-        learned, offline = (error(run, 15.0, 20.0) for run in runs)
-        open_ = np.abs(runs[0].command[runs[0].time >= 15.0]).max(axis=1) > OPEN
-        table.add_row(
+def harder(factor: float) -> list[float]:
+    """Errors of both maps, and the share of time in which a valve is open [%]."""
+    runs = [history("seal_wear", name, 20.0, factor) for name in MAPS]
+    last = np.abs(runs[0].command[runs[0].time >= 15.0])
+    return [*(error(run, 15.0, 20.0) for run in runs), 100.0 * float((last.max(1) > OPEN).mean())]
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Both experiments."""
+    del options
+    return {
+        "longer": {scenario: longer(scenario) for scenario in CASES},
+        "harder": [harder(factor) for factor in FACTORS],
+    }
+
+
+def tables(measured: dict[str, Any]) -> str:
+    """Both tables."""
+    head = ["bsnn_arx / oracle after the change", *(f"{a:g}-{b:g} s" for a, b in WINDOWS)]
+    rows = [
+        (name, *(" / ".join(f"{value:.2f}" for value in pair) for pair in pairs))
+        for name, pairs in measured["longer"].items()
+    ]
+    leakage = [
+        (
             f"{factor:g}",
             f"{learned:.2f}",
             f"{offline:.2f}",
             f"{learned / offline:.2f}",
-            f"{100 * open_.mean():.0f}",
+            f"{share:.0f}",
         )
-    return table
+        for factor, (learned, offline, share) in zip(FACTORS, measured["harder"], strict=True)
+    ]
+    second = ["leakage over new", *MAPS, "ratio", "a valve open, % of the time"]
+    return results.table(head, rows) + "\n" + results.table(second, leakage)
 
 
 def main() -> None:
-    """Prints both tables."""
-    console = Console()
-    console.print(longer())
-    console.print(harder())
+    """Measures, or prints what is kept."""
+    results.main(argparse.ArgumentParser(description=__doc__.partition("\n")[0]), measure, tables)
 
 
 if __name__ == "__main__":
