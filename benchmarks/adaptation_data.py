@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from results import DATA as FOLDER
+from results import rounded
 
 from leglab.data import write_atomically
 from leglab.metrics import READAPTATION_RATIO, settling_time
@@ -14,11 +16,10 @@ from leglab.runner import RunSettings
 # Results by scenario, severity (None for the default) and controller, one a seed.
 Cells = dict[tuple[str, float | None, str], list[dict[str, Any]]]
 
-DATA = Path(__file__).parent.parent / "docs" / "data" / "adaptation_results.json"
+DATA = FOLDER / "adaptation_results.json"
 ADAPTIVE, _CALIBRATED = "bsnn_arx", "static_feedforward"
 # The first windows see the start of learning; from here on a window counts [s].
 _SAFE_FROM = 7.0
-_DIGITS = 6  # significant; tables show at most four
 
 
 def condense(cells: Cells) -> Cells:
@@ -47,7 +48,7 @@ def condense(cells: Cells) -> Cells:
                 if run["changes"]:
                     entry["readaptation_s"] = _readaptation(run, others["oracle"])
                 entry["safety"] = _safety(run, others[_CALIBRATED])
-            small.setdefault((name, severity, controller), []).append(_rounded(entry))
+            small.setdefault((name, severity, controller), []).append(rounded(entry))
     return small
 
 
@@ -120,13 +121,3 @@ def _safety(run: dict[str, Any], statics: list[dict[str, Any]]) -> tuple[float, 
             if t >= _SAFE_FROM and ours is not None and theirs:
                 worst = max(worst, (ours / theirs, t, 1e3 * ours, 1e3 * theirs))
     return worst
-
-
-def _rounded(value: Any) -> Any:
-    if isinstance(value, float):
-        return float(f"{value:.{_DIGITS}g}") if np.isfinite(value) else None
-    if isinstance(value, dict):
-        return {key: _rounded(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_rounded(item) for item in value]
-    return value

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import results
 from adaptation_data import ADAPTIVE, Cells, pooled
 from rich.table import Table as RichTable
 from scipy import stats
@@ -34,10 +35,9 @@ class Table:
 
     def markdown(self) -> str:
         """For a page."""
-        lines = [f"## {self.title}", "", "| " + " | ".join(self.columns) + " |"]
-        lines.append("|" + "---|" * len(self.columns))
-        lines += ["| " + " | ".join(row) + " |" for row in self.rows]
-        return "\n".join([*lines, "", *self.notes])
+        return "\n".join(
+            [f"## {self.title}", "", results.table(self.columns, self.rows), *self.notes]
+        )
 
 
 def claims(cells: Cells, rig: str) -> Iterator[Table]:

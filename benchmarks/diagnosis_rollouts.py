@@ -1,21 +1,21 @@
 """Replays a second of the diagnosis and of mujoco.sysid: `python benchmarks/diagnosis_rollouts.py`.
 
-Needs the benchmarks group (mujoco[sysid]). The same model at the same time step, the same four
-recordings of 12 s, the same threads, taking turns; one replay is all recordings once with another
-flow gain of the valve. mujoco.sysid gets the recordings as in its documentation, whole and one
-after the other, and also as the windows of the diagnosis with their start states, all in one call,
-which uses its threads best. It compares positions; the diagnosis makes the start states anew,
+Measuring needs the benchmarks group (mujoco[sysid]). The same model at the same time step, the same
+four recordings of 12 s, the same threads, taking turns; one replay is all recordings once with
+another flow gain of the valve. mujoco.sysid gets the recordings as in its documentation, whole and
+one after the other, and also as the windows of the diagnosis with their start states, all in one
+call, which uses its threads best. It compares positions; the diagnosis makes the start states anew,
 compares pressures as well, and whitens.
 """
 
 import argparse
 import statistics
 import time
+from typing import Any
 
 import mujoco
 import numpy as np
-from absl import logging
-from mujoco import sysid
+import results
 
 from leglab.diagnosis.change import Change
 from leglab.diagnosis.hypothesis import Hypothesis
@@ -31,6 +31,8 @@ NAME = "rated_flow"
 
 def trajectories(problem, windows):
     """Controls, positions and start states for mujoco.sysid: of windows, or of whole recordings."""
+    from mujoco import sysid
+
     replay, machine = problem.replay, problem.machine
     change, variant = Change(machine), machine.base
     states, controls, sensors = [], [], []
@@ -67,6 +69,8 @@ def trajectories(problem, windows):
 
 def peer(problem: Problem, threads: int, *, windows: bool):
     """mujoco.sysid's residual as a function of the rated flow [m^3/s]."""
+    from mujoco import sysid
+
     spec = problem.machine.spec()
     spec.option.timestep = problem.machine.timestep
     spec.compiler.discardvisual = True
@@ -105,42 +109,64 @@ def peer(problem: Problem, threads: int, *, windows: bool):
     return at_once
 
 
-def main() -> None:
-    """Prints the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--rounds", type=int, default=15)
-    arguments = parser.parse_args()
+def replays(options: argparse.Namespace) -> dict[str, Any]:
+    """Seconds of a replay, by tool."""
+    from absl import logging
+
     logging.set_verbosity(logging.ERROR)  # it warns that not all sensors of the model are used
     recordings = read_recordings(sorted(nominal_folder().glob("*.parquet")))
     recordings, held = split_held_out("knee_bench", recordings, [])
-    problem = set_up("knee_bench", recordings, held, Settings(threads=arguments.threads))
+    problem = set_up("knee_bench", recordings, held, Settings(threads=options.threads))
     runs = {
         "leglab diagnose": lambda v: problem.residual(Hypothesis({KEY: np.array([v])})),
-        "mujoco.sysid, recordings whole": peer(problem, arguments.threads, windows=False),
-        "mujoco.sysid, windows in one call": peer(problem, arguments.threads, windows=True),
+        "mujoco.sysid, recordings whole": peer(problem, options.threads, windows=False),
+        "mujoco.sysid, windows in one call": peer(problem, options.threads, windows=True),
     }
     nominal = problem.machine.parameter("knee_valve", NAME)
     wall: dict[str, list[float]] = {name: [] for name in runs}
     spent: dict[str, list[float]] = {name: [] for name in runs}
-    for i in range(arguments.rounds + 1):
+    for i in range(options.rounds + 1):
         for name, run in runs.items():
             began, processor = time.perf_counter(), time.process_time()
             run(nominal * (1.0 + 1e-3 * i))
             if i:  # the first of each warms up
                 wall[name].append(time.perf_counter() - began)
                 spent[name].append(time.process_time() - processor)
-    print(
-        f"{len(recordings)} recordings, {problem.replay.windows} windows, time step "
-        f"{1e3 * problem.machine.timestep:g} ms, {arguments.threads} threads\n"
-    )
-    print("| tool | replays/s, best | median | processor s a replay, median |")
-    print("|---|---|---|---|")
-    for name in runs:
-        print(
-            f"| {name} | {1 / min(wall[name]):.2f} | {1 / statistics.median(wall[name]):.2f} "
-            f"| {statistics.median(spent[name]):.3f} |"
+    return {
+        "setting": f"{len(recordings)} recordings, {problem.replay.windows} windows, time step "
+        f"{1e3 * problem.machine.timestep:g} ms, {options.threads} threads",
+        "replays": {
+            name: {
+                "best_per_s": 1 / min(wall[name]),
+                "median_per_s": 1 / statistics.median(wall[name]),
+                "processor_s": statistics.median(spent[name]),
+            }
+            for name in runs
+        },
+    }
+
+
+def tables(found: dict[str, Any]) -> str:
+    """A row a tool."""
+    rows = [
+        (
+            name,
+            f"{row['best_per_s']:.2f}",
+            f"{row['median_per_s']:.2f}",
+            f"{row['processor_s']:.3f}",
         )
+        for name, row in found["replays"].items()
+    ]
+    head = ("tool", "replays/s, best", "median", "processor s a replay, median")
+    return f"{results.table(head, rows)}\n{found['setting']}"
+
+
+def main() -> None:
+    """Measures, or prints what is kept."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--rounds", type=int, default=15)
+    results.main(parser, replays, tables)
 
 
 if __name__ == "__main__":

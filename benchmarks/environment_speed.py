@@ -4,18 +4,19 @@ One process, one core; bare stepping of the same model, the runner's closed loop
 take turns, and each figure is its best burst, so that other work disturbs all alike.
 """
 
+import argparse
 import time
 from collections.abc import Callable
 
 import mujoco
 import numpy as np
-from rich.console import Console
-from rich.table import Table
+import results
 
 import leglab.environment
 from leglab.simulation import load_model
 
-BURSTS, PERIODS = 20, 400
+PERIODS = 400
+BARE = "bare `mj_step`, with shapes"
 
 
 def bare(visual: bool) -> tuple[Callable[[], None], Callable[[], None]]:
@@ -47,33 +48,45 @@ def gym() -> tuple[Callable[[], None], Callable[[], None]]:
     return env.reset, lambda: env.step(action)
 
 
-def main() -> None:
-    """Prints the table."""
+def measure(options: argparse.Namespace) -> dict[str, dict[str, float]]:
+    """Steps a second, and the time of one over bare physics."""
     cases = {
-        "bare mj_step, without shapes": bare(visual=False),
-        "bare mj_step, with shapes": bare(visual=True),
+        "bare `mj_step`, without shapes": bare(visual=False),
+        BARE: bare(visual=True),
         "dm_env, valve": dm_env(),
-        "dm_env, residual on static_feedforward": dm_env(action="residual"),
-        "dm_env, residual on bsnn_arx": dm_env(action="residual", controller="bsnn_arx"),
-        "Gymnasium, residual on static_feedforward": gym(),
+        "dm_env, residual on `static_feedforward`": dm_env(action="residual"),
+        "dm_env, residual on `bsnn_arx`": dm_env(action="residual", controller="bsnn_arx"),
+        "Gymnasium, residual on `static_feedforward`": gym(),
     }
     best = dict.fromkeys(cases, np.inf)
-    for _ in range(BURSTS):
+    for _ in range(options.bursts):
         for name, (start, step) in cases.items():
             start()
             begin = time.perf_counter()
             for _ in range(PERIODS):
                 step()
             best[name] = min(best[name], (time.perf_counter() - begin) / PERIODS)
-    reference = best["bare mj_step, with shapes"]
-    table = Table(title="control periods of 2 ms, model leg")
-    for column in ("", "steps/s", "x real time", "time over bare physics"):
-        table.add_column(column, justify="right")
-    for name, seconds in best.items():
-        table.add_row(
-            name, f"{1 / seconds:.0f}", f"{2e-3 / seconds:.0f}", f"{seconds / reference:.2f}"
-        )
-    Console().print(table)
+    return {
+        name: {"steps_per_s": 1 / seconds, "over_bare": seconds / best[BARE]}
+        for name, seconds in best.items()
+    }
+
+
+def tables(found: dict[str, dict[str, float]]) -> str:
+    """A row a case."""
+    rows = [
+        (name, f"{row['steps_per_s']:,.0f}", results.number(row["over_bare"]))
+        for name, row in found.items()
+    ]
+    head = ("leg, control periods of 2 ms", "steps/s", "time over bare physics")
+    return results.table(head, rows)
+
+
+def main() -> None:
+    """Measures, or prints what is kept."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--bursts", type=int, default=20, help=f"of {PERIODS} periods")
+    results.main(parser, measure, tables)
 
 
 if __name__ == "__main__":

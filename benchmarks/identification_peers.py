@@ -1,10 +1,9 @@
 """Accuracy and time per sample beside padasip, SysIdentPy and plain NumPy/SciPy, in one run.
 
-    python benchmarks/identification_peers.py [--samples 20000]
-
 Every linear model gets the same regressor [y(t-1..t-3), u(t-1..t-3), 1], scaled by the same
 declared ranges, and the same F(0) = 1e4 I. All are free-run tested on samples they have not seen.
-Times are the best of `REPEATS` passes over the training part, on one core.
+Times are the best of `REPEATS` passes over the training part, on one core, construction included.
+RMSE in the unit of the data (Silverbox: mV). Measuring needs padasip and sysidentpy.
 """
 
 import argparse
@@ -12,23 +11,19 @@ import logging
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from importlib import metadata
 
 import numpy as np
-import padasip
+import results
 import scipy.linalg
 import scipy.signal
-from sysidentpy.basis_function import Polynomial
-from sysidentpy.model_structure_selection import FROLS
-from sysidentpy.parameter_estimation import LeastSquares, RecursiveLeastSquares
 
-from leglab.errors import LeglabError
 from leglab.identification import BsnnArx, SplineNarx
 from leglab.replication import deployed, paper, real_data
 from leglab.replication.online import Settings
 from leglab.replication.plant import simulate
 from leglab.replication.real_data import Dataset
-from leglab.replication.scores import markdown
 from leglab.replication.structures import SILVERBOX
 
 LAGS = 3
@@ -139,6 +134,9 @@ def padasip_filter(problem: Problem, make: Callable[[int], object]) -> Result:
 
 
 def sysidentpy_frols(problem: Problem, degree: int, estimator: object) -> Result:
+    from sysidentpy.basis_function import Polynomial
+    from sysidentpy.model_structure_selection import FROLS
+
     train_u, train_y = (s.reshape(-1, 1) for s in (problem.u, problem.y))
     test_u, test_y = (s.reshape(-1, 1) for s in (problem.u_test, problem.y_test))
 
@@ -222,55 +220,78 @@ def silverbox_problem(samples: int) -> tuple[Problem, Callable, Callable]:
     return problem, lambda: SplineNarx(linear), lambda: SplineNarx(full)
 
 
-def compare(problem: Problem, linear: Callable, full: Callable) -> str:
-    results = {}
+def compare(problem: Problem, linear: Callable, full: Callable) -> dict[str, Result]:
+    import padasip
+    from sysidentpy.parameter_estimation import LeastSquares, RecursiveLeastSquares
+
+    filters, frols = (
+        f"{name} {metadata.version(name.lower())}" for name in ("padasip", "SysIdentPy")
+    )
+    found = {}
     if problem.data.name != "Silverbox":  # its ranges are those of the paper's experiment
-        results["leglab paper's BSNN-ARX, batch call"] = ours(problem, paper_model)
-        results["leglab paper's BSNN-ARX, single calls"] = ours(problem, paper_model, single=True)
-    results |= {
-        "leglab ARX + constant, batch call": ours(problem, linear),
-        "leglab ARX + constant, single calls": ours(problem, linear, single=True),
-        "leglab deployed, batch call": ours(problem, full),
-        "leglab deployed, single calls": ours(problem, full, single=True),
-        "padasip RLS": padasip_filter(
+        found["leglab, paper's BSNN-ARX, array"] = ours(problem, paper_model)
+        found["leglab, paper's BSNN-ARX, single calls"] = ours(problem, paper_model, single=True)
+    return found | {
+        "leglab, ARX + constant, array": ours(problem, linear),
+        "leglab, ARX + constant, single calls": ours(problem, linear, single=True),
+        "leglab, deployed, array": ours(problem, full),
+        "leglab, deployed, single calls": ours(problem, full, single=True),
+        f"{filters} RLS": padasip_filter(
             problem, lambda n: padasip.filters.FilterRLS(n, mu=1.0, eps=1 / INITIAL_GAIN, w="zeros")
         ),
-        "padasip NLMS": padasip_filter(
+        f"{filters} NLMS": padasip_filter(
             problem, lambda n: padasip.filters.FilterNLMS(n, mu=0.5, w="zeros")
         ),
-        "NumPy RLS": numpy_rls(problem),
+        "NumPy RLS, written out": numpy_rls(problem),
         "SciPy least squares (batch)": scipy_batch(problem),
-        "SysIdentPy FROLS, degree 3, least squares (batch)": sysidentpy_frols(
+        f"{frols} FROLS, degree 3, least squares (batch)": sysidentpy_frols(
             problem, 3, LeastSquares()
         ),
-        "SysIdentPy FROLS, degree 1, RLS": sysidentpy_frols(problem, 1, RecursiveLeastSquares()),
+        f"{frols} FROLS, degree 1, RLS": sysidentpy_frols(problem, 1, RecursiveLeastSquares()),
     }
-    unit = f" [{problem.data.unit[0]}]" if problem.data.unit[0] else ""
-    rows = [
-        (name, r.parameters, f"{r.nanoseconds:.0f}", r.one_step, r.free_run)
-        for name, r in results.items()
-    ]
-    return markdown(
-        ("model", "parameters", "ns a sample", f"one step{unit}", f"free run{unit}"), rows
-    )
+
+
+def measure(options: argparse.Namespace) -> dict[str, dict[str, dict[str, float]]]:
+    """Results by data set and model."""
+    warnings.filterwarnings("ignore", module="sysidentpy")
+    logging.disable(logging.WARNING)
+    cases = [plant_problem()]
+    if options.samples:
+        cases.append(silverbox_problem(options.samples))
+    found = {}
+    for problem, linear, full in cases:
+        title = f"{problem.data.name}, {len(problem.u)} samples"
+        rows = compare(problem, linear, full)
+        found[title] = {name: asdict(result) for name, result in rows.items()}
+    return found
+
+
+def tables(found: dict[str, dict[str, dict[str, float]]]) -> str:
+    """A table a data set."""
+    grids = []
+    for title, rows in found.items():
+        cells = [
+            (
+                name,
+                str(row["parameters"]),
+                results.number(row["nanoseconds"], 2),
+                *(
+                    "diverges" if e is None else f"{e:.4f}"
+                    for e in (row["one_step"], row["free_run"])
+                ),
+            )
+            for name, row in rows.items()
+        ]
+        head = (title, "parameters", "ns a sample", "one step", "free run")
+        grids.append(results.table(head, cells))
+    return "\n".join(grids)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--samples", type=int, default=20_000, help="Silverbox training samples")
-    options = parser.parse_args()
-    warnings.filterwarnings("ignore", module="sysidentpy")
-    logging.disable(logging.WARNING)
-    problem, linear, full = plant_problem()
-    print(f"## {problem.data.name}, {len(problem.u)} training samples\n")
-    print(compare(problem, linear, full))
-    try:
-        problem, linear, full = silverbox_problem(options.samples)
-    except LeglabError as reason:
-        print(f"Silverbox left out: {reason}")
-        return
-    print(f"## {problem.data.name}, {len(problem.u)} training samples, multisine\n")
-    print(compare(problem, linear, full))
+    """Measures, or prints what is kept."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--samples", type=int, default=20_000, help="of Silverbox; 0 leaves it out")
+    results.main(parser, measure, tables)
 
 
 if __name__ == "__main__":

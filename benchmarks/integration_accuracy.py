@@ -11,14 +11,12 @@ motion touches that, the two keep a difference that no step removes.
 Run: python benchmarks/integration_accuracy.py
 """
 
-import sys
+import argparse
 import time
-from collections.abc import Callable
-from itertools import product
+from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
+import results
 from scipy.integrate import solve_ivp
 
 from leglab.hydraulics import Cylinder
@@ -27,9 +25,9 @@ SIZE = {"bore": 0.016, "rod": 0.010, "stroke": 0.080}
 HOLD, DURATION, MASS = 1e-3, 0.5, 20.0  # s, s, kg
 START = {"position": 0.03, "pressure_a": 6e6, "pressure_b": 9.846e6}
 NO_AIR = {"entrained_air": 0.0, "coulomb": 0.0, "static": 0.0, "sigma_0": 0.0, "sigma_1": 0.0}
-MODELS = {"no air, viscous friction": NO_AIR, "air and LuGre friction": {}}
-# What physics.md reports for n = 4 without air at 1 ms: mm, bar, ns.
-ASKED = (0.04, 1.9, 460.0)
+NAIVE = (1e-3, 5e-4, 1e-5)  # s
+SCHEME = ((1e-3, 1), (1e-3, 2), (1e-3, 4), (5e-4, 2), (2.5e-4, 2))  # s, sub-steps
+MODELS = {"air and LuGre friction": {}, "no air, viscous friction": NO_AIR}
 
 
 def commands() -> np.ndarray:
@@ -87,59 +85,77 @@ def naive(cylinder: Cylinder, h: float) -> np.ndarray:
     return np.array(rows)
 
 
-def errors(got: np.ndarray, wanted: np.ndarray) -> tuple[str, str, str]:
-    """RMS and largest error of x [mm] and RMS of both pressures [bar], as text."""
+def errors(got: np.ndarray, wanted: np.ndarray) -> dict[str, float]:
+    """RMS and largest error of x [mm] and RMS of both pressures [bar], or when lost [ms]."""
     if len(got) < len(wanted):
-        return f"lost at {len(got)} ms", "", ""
+        return {"lost_ms": len(got)}
     x = (got[:, 0] - wanted[:, 0]) * 1e3
     p = (got[:, 1:] - wanted[:, 1:]) / 1e5
-    return (
-        f"{np.sqrt(np.mean(x**2)):.4f}",
-        f"{np.abs(x).max():.4f}",
-        f"{np.sqrt(np.mean(p**2)):.2f}",
-    )
+    return {
+        "x_rms_mm": np.sqrt(np.mean(x**2)),
+        "x_max_mm": np.abs(x).max(),
+        "p_rms_bar": np.sqrt(np.mean(p**2)),
+    }
 
 
-def timed(title: str, parameters: dict[str, float], report: Callable[[object], None]) -> None:
-    grid = Table(title=title, title_justify="left")
-    grid.add_column("solver")
-    for heading in ("h ms", "n", "x rms mm", "x max mm", "p rms bar", "ns a step", "us a ms"):
-        grid.add_column(heading, justify="right")
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Rows and lowest pressure of the reference, by model."""
+    del options
+    return {title: compared(parameters) for title, parameters in MODELS.items()}
+
+
+def compared(parameters: dict[str, float]) -> list[dict[str, Any]]:
+    """Every solver against LSODA."""
     cylinder = Cylinder({**SIZE, **parameters})
     exact, spent = reference(cylinder, "LSODA", 1e-10)
-    count = round(DURATION / HOLD)
-    grid.add_row("LSODA 1e-10", "", "", "0", "0", "0", "", f"{spent / count * 1e6:.0f}")
+    per_ms = 1e6 * HOLD / DURATION
+    rows = [{"solver": "LSODA 1e-10", **errors(exact, exact), "us_a_ms": spent * per_ms}]
     stiff, spent = reference(cylinder, "Radau", 1e-8)
-    grid.add_row("Radau 1e-8", "", "", *errors(stiff, exact), "", f"{spent / count * 1e6:.0f}")
-    for h in (1e-3, 5e-4, 1e-4, 1e-5):
-        grid.add_row("naive", f"{h * 1e3:g}", "", *errors(naive(cylinder, h), exact), "", "")
-    grid.add_section()
-    for h, substeps in product((1e-3, 5e-4, 2.5e-4), (1, 2, 4, 8)):
+    rows.append({"solver": "Radau 1e-8", **errors(stiff, exact), "us_a_ms": spent * per_ms})
+    for h in NAIVE:
+        row = {"solver": "naive explicit", "h_ms": h * 1e3}
+        rows.append({**row, **errors(naive(cylinder, h), exact)})
+    for h, substeps in SCHEME:
         got, ns = scheme(parameters, substeps, h)
-        cost = ns * HOLD / h * 1e-3
-        grid.add_row(
-            "leglab",
-            f"{h * 1e3:g}",
-            f"{substeps}",
-            *errors(got, exact),
-            f"{ns:.0f}",
-            f"{cost:.2f}",
+        row = {"solver": "leglab", "h_ms": h * 1e3, "substeps": substeps}
+        rows.append({**row, **errors(got, exact), "us_a_ms": ns * HOLD / h * 1e-3})
+    return rows
+
+
+def tables(found: dict[str, Any]) -> str:
+    """A table a model."""
+    return "\n".join(grid(title, rows) for title, rows in found.items())
+
+
+def grid(title: str, rows: list[dict[str, Any]]) -> str:
+    """Errors and cost of every solver."""
+    head = (title, "h, ms", "sub-steps", "x rms, mm", "x max, mm", "p rms, bar", "µs a ms")
+    cells = []
+    for row in rows:
+        lost = row.get("lost_ms")
+        cells.append(
+            (
+                row["solver"],
+                f"{row['h_ms']:g}" if "h_ms" in row else "",
+                str(row.get("substeps", "")),
+                fixed(row.get("x_rms_mm"), 3) if lost is None else f"lost at {lost} ms",
+                fixed(row.get("x_max_mm"), 3),
+                fixed(row.get("p_rms_bar"), 2),
+                results.number(row.get("us_a_ms")),
+            )
         )
-    report(grid)
-    lowest = exact[:, 1:].min() / 1e5
-    report(f"lowest pressure of the reference: {lowest:.2f} bar gauge\n")
+    return results.table(head, cells)
 
 
-def main() -> int:
-    console = Console()
-    for title, parameters in MODELS.items():
-        timed(title, parameters, console.print)
-    console.print(
-        f"physics.md, without air, h = 1 ms, n = 4: {ASKED[0]} mm, {ASKED[1]} bar, "
-        f"{ASKED[2]:.0f} ns (another motion, another machine)"
-    )
-    return 0
+def fixed(value: float | None, decimals: int) -> str:
+    """So many decimals; nothing for None."""
+    return "" if value is None else f"{value:.{decimals}f}"
+
+
+def main() -> None:
+    """Measures, or prints what is kept."""
+    results.main(argparse.ArgumentParser(description=__doc__.partition("\n")[0]), measure, tables)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -5,22 +5,30 @@ loop against real time, with PD and with six adaptive identifiers. Measurements 
 figure is its best burst, so that other work on the machine disturbs both sides alike.
 """
 
+import argparse
 import time
+from typing import Any
 
 import mujoco
 import numpy as np
-from rich.console import Console
-from rich.table import Table
+import results
 
 from leglab.runner import RunSettings, run_scenario
 from leglab.simulation import load_model
 
-BURSTS, STEPS = 200, 100
+STEPS = 100
 MODELS = ("leg", "leg_motor")
+# With shapes or not, commands moving or zero.
+CASES = {
+    "as shipped": (True, True),
+    "without shapes": (False, True),
+    "as shipped, at rest": (True, False),
+}
+ASKED = {"pd": "at least 50", "static_feedforward": "", "bsnn_arx": "at least 30"}
 
 
-def step_times(visual: bool) -> dict[str, float]:
-    """Best time of one step [us] of each model, all valves or motors moving."""
+def step_times(bursts: int, *, visual: bool, moving: bool) -> dict[str, float]:
+    """Best time of one step [us] of each model."""
     machines = {}
     for name in MODELS:
         model = load_model(name, visual=visual)
@@ -28,11 +36,11 @@ def step_times(visual: bool) -> dict[str, float]:
         data = mujoco.MjData(model)
         machines[name] = model, data
     best = dict.fromkeys(MODELS, np.inf)
-    for burst in range(BURSTS):
+    for burst in range(bursts):
         for name, (model, data) in machines.items():
             amplitude = 0.05 if name == "leg" else 0.5  # relative opening; N
             mujoco.mj_resetDataKeyframe(model, data, 0)
-            data.ctrl[:] = amplitude * np.sin(0.3 * burst + np.arange(model.nu))
+            data.ctrl[:] = moving * amplitude * np.sin(0.3 * burst + np.arange(model.nu))
             mujoco.mj_step(model, data, STEPS)
             start = time.perf_counter()
             mujoco.mj_step(model, data, STEPS)
@@ -40,39 +48,54 @@ def step_times(visual: bool) -> dict[str, float]:
     return best
 
 
-def main() -> None:
-    """Prints both tables."""
-    table = Table(title="one step of the leg")
-    for column in ("model", "leg, us", "leg_motor, us", "ratio", "asked"):
-        table.add_column(column, justify="right")
-    for visual, label in ((True, "as shipped"), (False, "without shapes")):
-        times = step_times(visual)
-        ratio = times["leg"] / times["leg_motor"]
-        table.add_row(
-            label, *(f"{times[name]:.2f}" for name in MODELS), f"{ratio:.2f}", "at most 2.0"
-        )
-    console = Console()
-    console.print(table)
-
-    loop_speeds(console)
-
-
-def loop_speeds(console: Console) -> None:
+def loop_speeds(rounds: int, duration: float) -> dict[str, float]:
     """Closed loop, 1 ms step, 2 ms control period: runs of the controllers take turns."""
-    asked = {"pd": "at least 50", "static_feedforward": "", "bsnn_arx": "at least 30"}
-    best = dict.fromkeys(asked, 0.0)
-    for _ in range(5):
-        for name in asked:
-            settings = RunSettings(scenario="seal_wear", controller=name, duration=20.0)
+    best = dict.fromkeys(ASKED, 0.0)
+    for _ in range(rounds):
+        for name in ASKED:
+            settings = RunSettings(scenario="seal_wear", controller=name, duration=duration)
             factor = run_scenario(settings).metrics["real_time_factor"]
             best[name] = max(best[name], factor)
-    table = Table(title="closed loop of the whole leg")
-    for column in ("controller", "x real time", "asked", "controller beyond pd"):
-        table.add_column(column, justify="right")
-    for name, factor in best.items():
-        share = 1 - factor / best["pd"]
-        table.add_row(name, f"{factor:.0f}", asked[name], f"{share:.0%} of its loop")
-    console.print(table)
+    return best
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Both tables' figures."""
+    steps = {}
+    for label, (visual, moving) in CASES.items():
+        times = step_times(options.bursts, visual=visual, moving=moving)
+        steps[label] = {**times, "ratio": times["leg"] / times["leg_motor"]}
+    return {"step_us": steps, "loop": loop_speeds(options.rounds, options.duration)}
+
+
+def tables(found: dict[str, Any]) -> str:
+    """One step, and the closed loop."""
+    step = [
+        (label, *(results.number(row[k]) for k in (*MODELS, "ratio")), "at most 2.0")
+        for label, row in found["step_us"].items()
+    ]
+    pd = found["loop"]["pd"]
+    loop = [
+        (f"`{name}`", f"{factor:.0f}", ASKED[name], f"{1 - factor / pd:.0%}")
+        for name, factor in found["loop"].items()
+        if factor is not None
+    ]
+    head = ("closed loop of the leg", "times real time", "asked", "of its time beyond PD's")
+    return "\n".join(
+        (
+            results.table(("one step", "`leg`, µs", "`leg_motor`, µs", "ratio", "asked"), step),
+            results.table(head, loop),
+        )
+    )
+
+
+def main() -> None:
+    """Measures, or prints what is kept."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--bursts", type=int, default=200, help=f"of {STEPS} steps")
+    parser.add_argument("--rounds", type=int, default=5, help="runs of each controller")
+    parser.add_argument("--duration", type=float, default=20.0, help="of a run [s]")
+    results.main(parser, measure, tables)
 
 
 if __name__ == "__main__":

@@ -5,9 +5,10 @@ changed machine had been seen by then. A stride takes 1.2 s: what a joint does i
 not been seen before. RMS tracking errors in mrad.
 """
 
+import argparse
+
 import numpy as np
-from rich.console import Console
-from rich.table import Table
+import results
 
 from leglab.runner import RunSettings, run_scenario
 
@@ -27,15 +28,23 @@ def end_error(scenario: str, seen: float | None) -> float:
     return float(1e3 * np.sqrt(np.mean(history.error[history.time >= 15.0] ** 2)))
 
 
+def measure(options: argparse.Namespace) -> dict[str, list[float]]:
+    """Errors in the order of `SEEN`, by scenario."""
+    del options
+    return {scenario: [end_error(scenario, seen) for seen in SEEN] for scenario in CASES}
+
+
+def tables(errors: dict[str, list[float]]) -> str:
+    """A row a scenario."""
+    head = ["learned after the change", *("all" if t is None else f"{t:g} s" for t in SEEN)]
+    return results.table(
+        head, [(name, *(results.number(x, 2) for x in row)) for name, row in errors.items()]
+    )
+
+
 def main() -> None:
-    """Prints the table."""
-    table = Table(title="error 5-10 s after the change, by seconds of learning after it, mrad")
-    table.add_column("scenario")
-    for seen in SEEN:
-        table.add_column("all" if seen is None else f"{seen:g} s", justify="right")
-    for scenario in CASES:
-        table.add_row(scenario, *(f"{end_error(scenario, seen):.2f}" for seen in SEEN))
-    Console().print(table)
+    """Measures, or prints what is kept."""
+    results.main(argparse.ArgumentParser(description=__doc__.partition("\n")[0]), measure, tables)
 
 
 if __name__ == "__main__":

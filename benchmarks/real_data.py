@@ -5,11 +5,12 @@ python benchmarks/real_data.py --select   # how the structures were chosen (minu
 """
 
 import argparse
-import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import results
 from matplotlib.figure import Figure
 
 from leglab.identification import (
@@ -26,8 +27,9 @@ from leglab.replication.networks import LAGS
 from leglab.replication.networks import train as train_network
 from leglab.replication.online import Settings
 from leglab.replication.real_data import Dataset
-from leglab.replication.scores import markdown
 from leglab.replication.structures import ACTUATOR, SILVERBOX
+
+DIVERGED = 1e3  # in the unit of the table
 
 
 class Scaled:
@@ -56,9 +58,9 @@ def online_models(data: Dataset, deployed: dict) -> dict[str, tuple[Identifier, 
     sensitivity = replace(base, features=(Lags(signal="y", count=3), spline, Constant()))
     over = real_data.spline_narx(data, **linear, splines=8, input_lags=(1, 2, 3))
     models = {}
-    for gain in (5.6, 1e4):
-        scaled = Scaled(data, gain)
-        models[f"BSNN-ARX (paper), F(0) = {gain:g} I"] = (scaled.model, scaled.data)
+    for gain in ("5.6", "1e4"):
+        scaled = Scaled(data, float(gain))
+        models[f"BSNN-ARX (paper), F(0) = {gain} I"] = (scaled.model, scaled.data)
     models["ARX (3, 3) + constant"] = (SplineNarx(base), data)
     models["BSNN-ARX, spline through the ARX sensitivity"] = (SplineNarx(sensitivity), data)
     models["Hammerstein, over-parameterised (3, 3)"] = (SplineNarx(over), data)
@@ -72,19 +74,18 @@ def online_models(data: Dataset, deployed: dict) -> dict[str, tuple[Identifier, 
     return models
 
 
-def table(data: Dataset, deployed: dict, *, networks: bool) -> str:
+def compared(data: Dataset, deployed: dict, *, networks: bool) -> dict[str, Any]:
+    """Free-run errors of every model, in the order of the tests."""
     rows = []
     for name, (model, its_data) in online_models(data, deployed).items():
-        start = time.perf_counter()
         real_data.train(model, its_data)
-        nanoseconds = (time.perf_counter() - start) / len(data.u[data.train]) * 1e9
         errors = real_data.free_run_errors(model, its_data)
-        rows.append((name, len(model.parameters), f"{nanoseconds:.0f}", *errors.values()))
+        rows.append((name, len(model.parameters), *errors.values()))
     if networks:
         rows += network_rows(data)
-    rows += [(f"published: {name}", "", "", *row) for name, row in data.published.items()]
-    unit = f" [{data.unit[0]}]" if data.unit[0] else ""
-    return markdown(("model", "parameters", "ns a sample", *(t + unit for t in data.tests)), rows)
+    rows += [(f"published: {name}", None, *row) for name, row in data.published.items()]
+    unit = f", {data.unit[0]}" if data.unit[0] else ""
+    return {"tests": [test + unit for test in data.tests], "rows": rows}
 
 
 def network_rows(data: Dataset) -> list[tuple]:
@@ -98,7 +99,7 @@ def network_rows(data: Dataset) -> list[tuple]:
             run = network.free_run(data.u[part], data.y[part][:LAGS])
             residual = (run - data.y[part])[data.given :]
             errors.append(float(np.sqrt(np.mean(residual**2))) * data.unit[1])
-        rows.append((name, len(network.weights), "", *errors))
+        rows.append((name, len(network.weights), *errors))
     return rows
 
 
@@ -136,26 +137,48 @@ def show_selection(data: Dataset, grid: list, splits: tuple) -> None:
         print(f"  {candidate.error:.3f}  tests, for information: {shown}  {candidate.structure}")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--select", action="store_true", help="choose the structures again")
-    parser.add_argument("--no-networks", action="store_true", help="leave out NNARX and NNOE")
-    parser.add_argument("--figures", type=Path, help="folder for figures of the free runs")
-    options = parser.parse_args()
+def measure(options: argparse.Namespace) -> dict[str, Any] | None:
+    """Tables by data set; None where figures or a selection were wanted."""
     cases = (
         (real_data.silverbox(), SILVERBOX, selection.silverbox_grid, selection.SILVERBOX_SPLITS),
         (real_data.actuator(), ACTUATOR, selection.actuator_grid, selection.ACTUATOR_SPLITS),
     )
+    found = {}
     for data, deployed, grid, splits in cases:
         if options.select:
             show_selection(data, grid(), splits)
-            continue
-        if options.figures:
+        elif options.figures:
             options.figures.mkdir(parents=True, exist_ok=True)
             figures(data, deployed, options.figures)
-            continue
-        print(f"## {data.name}\n")
-        print(table(data, deployed, networks=not options.no_networks))
+        else:
+            found[data.name] = compared(data, deployed, networks=not options.no_networks)
+    return found or None
+
+
+def tables(found: dict[str, Any]) -> str:
+    """A table a data set."""
+    grids = []
+    for name, part in found.items():
+        rows = [
+            (model, "" if size is None else str(size), *map(shown, errors))
+            for model, size, *errors in part["rows"]
+        ]
+        grids.append(results.table((name, "parameters", *part["tests"]), rows))
+    return "\n".join(grids)
+
+
+def shown(error: float | None) -> str:
+    """A free run's error; None where it overflows."""
+    return f"{error:.3g}" if error is not None and error < DIVERGED else "diverges"
+
+
+def main() -> None:
+    """Measures, or prints what is kept."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--select", action="store_true", help="choose the structures again")
+    parser.add_argument("--no-networks", action="store_true", help="leave out NNARX and NNOE")
+    parser.add_argument("--figures", type=Path, help="folder for figures of the free runs")
+    results.main(parser, measure, tables)
 
 
 if __name__ == "__main__":

@@ -3,21 +3,20 @@
 `straight_line.cc` holds the arithmetic of the default step (two sub-steps, oil with air, LuGre
 friction, leakage) in a row, without parameters, guards, error estimate, hysteresis, wear,
 temperature and the books of energy. Compiled here with the flags of the core, it says what the
-structure of the core costs. Both run the same motion; the final states show that they compute
-the same.
+structure of the core costs. Both run the same motion and must end in the same state.
 
 Run: python benchmarks/speed.py
 """
 
+import argparse
 import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
+import results
 
 from leglab.hydraulics import Cylinder
 
@@ -57,35 +56,46 @@ def core(**parameters: float) -> np.ndarray:
     return np.array([best / STEPS * 1e9, *out[-1, :4]])
 
 
-def main() -> int:
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Both tables' figures.
+
+    Raises:
+        SystemExit: The two loops do not compute the same.
+    """
+    del options
     bare, ours = straight_line(), core()
-    grid = Table(title="One cylinder's update, 2 sub-steps, oil with air", title_justify="left")
-    for heading in ("loop", "ns a step", "ratio", "final x mm", "pA bar", "pB bar"):
-        grid.add_column(heading, justify="left" if heading == "loop" else "right")
-    for name, row in (("straight line", bare), ("Cylinder.simulate", ours)):
-        ns, x, _, pa, pb = row
-        grid.add_row(
-            name,
-            f"{ns:.0f}",
-            f"{ns / bare[0]:.2f}",
-            f"{x * 1e3:.6f}",
-            f"{pa / 1e5:.5f}",
-            f"{pb / 1e5:.5f}",
-        )
-    console = Console()
-    console.print(grid)
-    variants = Table(title="Cylinder.simulate", title_justify="left")
-    for heading in ("sub-steps", "with air ns", "without air ns"):
-        variants.add_column(heading, justify="right")
-    for substeps in (1.0, 2.0, 4.0):
-        cells = [core(substeps=substeps, entrained_air=air)[0] for air in (0.005, 0.0)]
-        variants.add_row(f"{substeps:g}", *(f"{ns:.0f}" for ns in cells))
-    console.print(variants)
-    same = np.allclose(bare[1:], ours[1:], rtol=1e-5)
-    if not same:
-        console.print("[red]the two loops do not compute the same[/red]")
-    return 0 if same else 1
+    if not np.allclose(bare[1:], ours[1:], rtol=1e-5):
+        raise SystemExit(f"the two loops end at {bare[1:]} and {ours[1:]}")
+    return {
+        "straight_line_ns": bare[0],
+        "cylinder_ns": ours[0],
+        "substeps": {
+            f"{n:g}": [core(substeps=n, entrained_air=air)[0] for air in (0.005, 0.0)]
+            for n in (1.0, 2.0, 4.0)
+        },
+    }
+
+
+def tables(found: dict[str, Any]) -> str:
+    """The two loops, and sub-steps with and without air."""
+    bare, ours = found["straight_line_ns"], found["cylinder_ns"]
+    loops = results.table(
+        ("one update, 2 sub-steps, oil with air", "ns", "ratio"),
+        [
+            ("straight-line C++ loop of its own arithmetic", f"{bare:.0f}", "1"),
+            ("`Cylinder.simulate`", f"{ours:.0f}", f"{ours / bare:.2f}"),
+        ],
+    )
+    if not found["substeps"]:
+        return loops
+    rows = [(n, *(f"{ns:.0f}" for ns in row)) for n, row in found["substeps"].items()]
+    return f"{loops}\n{results.table(('sub-steps', 'ns with air', 'ns without air'), rows)}"
+
+
+def main() -> None:
+    """Measures, or prints what is kept."""
+    results.main(argparse.ArgumentParser(description=__doc__.partition("\n")[0]), measure, tables)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

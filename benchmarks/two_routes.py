@@ -1,12 +1,16 @@
 """Inverse or forward model for the feed-forward: `python benchmarks/two_routes.py`.
 
 Both learn the same features online; one says what flow a motion takes, the other what speed a flow
-gives, which is then solved for the flow (identification.md). RMS tracking errors in mrad.
+gives, which is then solved for the flow (identification.md). RMS tracking errors in mrad before and
+0-2, 2-4 and 5-10 s after the change.
 """
 
+import argparse
+from collections.abc import Iterable
+from typing import Any
+
 import numpy as np
-from rich.console import Console
-from rich.table import Table
+import results
 
 from leglab.runner import RunSettings, run_scenario
 
@@ -44,26 +48,48 @@ def errors(model: str, reference: str | None, scenario: str, route: str) -> np.n
     return 1e3 * np.sqrt(np.mean(squares, axis=0))
 
 
-def main() -> None:
-    """Prints the table."""
-    table = Table(title="before / 0-2 / 2-4 / 5-10 s after the change, mrad")
-    for column in ("model", "reference", "scenario", "inverse", "forward", "forward / inverse"):
-        table.add_column(column)
-    ratios = []
-    for model, reference, scenario in CASES:
-        inverse, forward = (
-            errors(model, reference, scenario, route) for route in ("inverse", "forward")
+def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
+    """A row a case."""
+    del options
+    return [
+        {
+            "model": model,
+            "reference": reference or "walking_stride",
+            "scenario": scenario,
+            **{
+                route: list(errors(model, reference, scenario, route))
+                for route in ("inverse", "forward")
+            },
+        }
+        for model, reference, scenario in CASES
+    ]
+
+
+def tables(found: list[dict[str, Any]]) -> str:
+    """A row a case, and the geometric mean."""
+    ratios = [np.divide(row["forward"], row["inverse"]) for row in found]
+    rows = [
+        (
+            *(row[key] for key in ("model", "reference", "scenario")),
+            *(shown(values) for values in (row["inverse"], row["forward"], ratio)),
         )
-        ratios.append(forward / inverse)
-        table.add_row(
-            model,
-            reference or "walking_stride",
-            scenario,
-            *(" / ".join(f"{x:.2f}" for x in values) for values in (inverse, forward, ratios[-1])),
-        )
+        for row, ratio in zip(found, ratios, strict=True)
+    ]
     mean = np.exp(np.mean(np.log(ratios), axis=0))
-    table.add_row("geometric mean", "", "", "", "", " / ".join(f"{x:.2f}" for x in mean))
-    Console(width=140).print(table)
+    rows.append(("geometric mean", "", "", "", "", shown(mean)))
+    return results.table(
+        ("model", "reference", "scenario", "inverse", "forward", "forward / inverse"), rows
+    )
+
+
+def shown(values: Iterable[float]) -> str:
+    """Values of the parts."""
+    return " / ".join(f"{value:.2f}" for value in values)
+
+
+def main() -> None:
+    """Measures, or prints what is kept."""
+    results.main(argparse.ArgumentParser(description=__doc__.partition("\n")[0]), measure, tables)
 
 
 if __name__ == "__main__":

@@ -199,8 +199,13 @@ def deployed(
         f"realisations. The floor, {floor:.4f}, is the exact plant fed the sampled input, linearly "
         "interpolated."
     )
+    page.text(free_run_table(rows))
+
+
+def free_run_table(rows: list[tuple[str, int, float, float, float, float]]) -> str:
+    """Rows of `leglab.replication.deployed.free_runs` as Markdown."""
     head = ("model", "parameters", "one step", "free run", "worst free run", "free run / floor")
-    page.text(markdown(head, rows))
+    return markdown(head, rows)
 
 
 def readaptation(page: Page, recoveries: Mapping[str, Mapping[str, Recovery]]) -> None:
@@ -212,6 +217,19 @@ def readaptation(page: Page, recoveries: Mapping[str, Mapping[str, Recovery]]) -
         f"value before: median / worst of {seeds} seeds / all seeds pooled. Steady state is the "
         "one-step RMS before the change, and its ratio to plain recursive least squares."
     )
+    page.text(recovery_table(recoveries))
+    for name in CHANGES:
+        curves = {mode: recoveries[mode][name].error for mode in SHOWN_MODES}
+        first = next(iter(curves.values()))
+        time = (np.arange(len(first)) - 1000) * figures.SAMPLING_TIME
+        path = page.folder / f"readaptation_{name}.png"
+        title = f"One-step error around a doubling of {name} at 0 s"
+        label = f"RMS over the next {WINDOW * figures.SAMPLING_TIME} s"
+        page.figure(figures.traces(path, title, ("time [s]", time), label, curves))
+
+
+def recovery_table(recoveries: Mapping[str, Mapping[str, Recovery]]) -> str:
+    """Results of `leglab.replication.deployed.readaptation` as Markdown."""
     plain = recoveries["plain"][CHANGES[0]].before
     rows = []
     for mode, by_change in recoveries.items():
@@ -222,12 +240,4 @@ def readaptation(page: Page, recoveries: Mapping[str, Mapping[str, Recovery]]) -
         steady = by_change[CHANGES[0]].before
         rows.append((mode, *cells, steady, steady / plain))
     head = ("mode", *(f"{name} x 2" for name in CHANGES), "steady state", "/ plain")
-    page.text(markdown(head, rows))
-    for name in CHANGES:
-        curves = {mode: recoveries[mode][name].error for mode in SHOWN_MODES}
-        first = next(iter(curves.values()))
-        time = (np.arange(len(first)) - 1000) * figures.SAMPLING_TIME
-        path = page.folder / f"readaptation_{name}.png"
-        title = f"One-step error around a doubling of {name} at 0 s"
-        label = f"RMS over the next {WINDOW * figures.SAMPLING_TIME} s"
-        page.figure(figures.traces(path, title, ("time [s]", time), label, curves))
+    return markdown(head, rows)

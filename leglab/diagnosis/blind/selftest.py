@@ -23,6 +23,7 @@ from leglab.errors import LeglabError
 MODEL = "knee_bench"
 # Of every hundred single-effect cases.
 _SHARES = {"single": 1.0, "null": 0.3, "pair": 0.2, "removed": 0.1, "onset": 0.05}
+SCORE_HEAD = ("question", "reached", "cases", "asked")
 _SET = 3  # largest confusion set that counts as an answer
 _SURE = 0.9  # a name that is wrong must not be given with more confidence
 _DOUBT = 0.5  # at most this is low confidence
@@ -194,18 +195,16 @@ def _read(path: Path) -> Iterator[Outcome]:
         yield Outcome(**{**row, **lists})
 
 
-def score_table(outcomes: list[Outcome]) -> Table:
-    """What was asked and what was reached."""
-    table = Table(title="self-test", title_justify="left")
-    for name in ("question", "reached", "cases", "asked"):
-        table.add_column(name)
+def scores(outcomes: list[Outcome]) -> list[tuple[str, str, str, str]]:
+    """Rows of `SCORE_HEAD`: what was asked and what was reached."""
+    rows: list[tuple[str, str, str, str]] = []
 
     def of(kind: str) -> list[Outcome]:
         return [o for o in outcomes if o.kind == kind]
 
     def add(question: str, good: int, total: int, asked: str) -> None:
         if total:
-            table.add_row(question, f"{good} ({good / total:.0%})", str(total), asked)
+            rows.append((question, f"{good} ({good / total:.0%})", str(total), asked))
 
     single, pairs = of("single"), of("pair")
     add("single effect named first", sum(o.first for o in single), len(single), "85 %")
@@ -226,12 +225,22 @@ def score_table(outcomes: list[Outcome]) -> Table:
     add("onset at 6 s named and within 0.3 s", good, len(onset), "all")
     seconds = [o.seconds for o in outcomes]
     if seconds:
-        table.add_row(
-            "seconds a diagnosis on one thread, median / longest",
-            f"{np.median(seconds):.1f} / {max(seconds):.1f}",
-            str(len(seconds)),
-            "",
+        rows.append(
+            (
+                "seconds a diagnosis on one thread, median / longest",
+                f"{np.median(seconds):.1f} / {max(seconds):.1f}",
+                str(len(seconds)),
+                "",
+            )
         )
+    return rows
+
+
+def score_table(outcomes: list[Outcome]) -> Table:
+    """The scores, for the terminal."""
+    table = Table(*SCORE_HEAD, title="self-test", title_justify="left")
+    for row in scores(outcomes):
+        table.add_row(*row)
     return table
 
 

@@ -1,0 +1,49 @@
+"""Table 1 of the paper, as `leglab replicate` finds it: `python benchmarks/replication.py`.
+
+Page and figures of the same run go to docs/replication.
+"""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import results
+
+from leglab.replication import paper, replicate
+from leglab.replication.run import REALISATIONS
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """What `leglab replicate --json` prints, without paths."""
+    found = replicate(options.instances, options.out).to_json()
+    return {key: value for key, value in found.items() if key not in ("page", "figures")}
+
+
+def tables(found: dict[str, Any]) -> str:
+    """Table 1, validation set."""
+    rows = []
+    for model in paper.MODELS:
+        got, printed = found["scores"]["validation"][model], paper.TABLE_1["validation"][model]
+        spread = found["spread"][model]
+        rows.append(
+            (
+                model,
+                f"{got['rms_mean']:.4f} ({printed.rms_mean:.4f})",
+                f"{got['r2_mean']:.3f} ({printed.r2_mean:.3f})",
+                f"{spread['rms_mean']:.4f} ± {spread['rms_std']:.4f}",
+            )
+        )
+    last = f"RMS, mean and standard deviation over {REALISATIONS} noise realisations"
+    return results.table(("model", "RMS mean", "R² mean", last), rows)
+
+
+def main() -> None:
+    """Replicates, or prints what is kept."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--instances", type=int, default=paper.INSTANCES)
+    parser.add_argument("--out", type=Path, default=Path("docs/replication"))
+    results.main(parser, measure, tables)
+
+
+if __name__ == "__main__":
+    main()

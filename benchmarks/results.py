@@ -1,0 +1,115 @@
+"""Results that are kept in docs/data, and the pages' tables of them.
+
+For benchmarks that take long, depend on the machine's speed, or need data or packages that a test
+has not: `--write FILE` keeps what was measured with where it comes from, `--render` prints its
+tables from there without measuring, which is how a test keeps page and data together.
+"""
+
+import argparse
+import json
+import os
+import shlex
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from datetime import date
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from leglab.data import write_atomically
+
+DATA = Path(__file__).parent.parent / "docs" / "data"
+_DIGITS = 6  # significant; tables show at most four
+
+
+def main(
+    parser: argparse.ArgumentParser,
+    measure: Callable[[argparse.Namespace], Any],
+    tables: Callable[[Any], str],
+) -> None:
+    """Measures and prints, or prints what is kept.
+
+    Args:
+        parser: Of the benchmark's own options.
+        measure: Gives the results, as JSON holds them, from the options; None if it shows nothing.
+        tables: The Markdown tables of results that went through JSON.
+    """
+    script = Path(sys.argv[0])
+    parser.add_argument("--write", type=Path, metavar="FILE", help="keep the results, as JSON")
+    parser.add_argument(
+        "--render",
+        type=Path,
+        metavar="FILE",
+        nargs="?",
+        const=DATA / f"{script.stem}.json",
+        help=f"print the tables of kept results; default: docs/data/{script.stem}.json",
+    )
+    options = parser.parse_args()
+    if options.render:
+        kept = json.loads(options.render.read_text())
+    else:
+        results = measure(options)
+        if results is None:
+            return
+        kept = json.loads(json.dumps(_kept(script.name, results), allow_nan=False))
+    print(f"{tables(kept['results']).rstrip()}\n\n{_origin(kept)}")
+    if options.write:
+        text = json.dumps(kept, indent=1, ensure_ascii=False) + "\n"
+        options.write.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(options.write, lambda file: file.write(text.encode()))
+
+
+def load(name: str) -> Any:
+    """Results that docs/data keeps under this name."""
+    return json.loads((DATA / f"{name}.json").read_text())["results"]
+
+
+def rounded(value: Any) -> Any:
+    """The same with as many digits as are kept; what is not finite becomes None."""
+    if isinstance(value, (float, np.floating)):
+        return float(f"{value:.{_DIGITS}g}") if np.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: rounded(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [rounded(item) for item in value]
+    return value
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A Markdown table of text."""
+    lines = ["| " + " | ".join(line) + " |\n" for line in (head, *rows)]
+    lines.insert(1, "|" + "---|" * len(head) + "\n")
+    return "".join(lines)
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """So many significant digits, none cut off before the point; nothing for None."""
+    if value is None:
+        return ""
+    return f"{value:.0f}" if abs(value) >= 10**digits else f"{value:#.{digits}g}".rstrip(".")
+
+
+def _kept(script: str, results: Any) -> dict[str, Any]:
+    """Results with where they come from."""
+    words = [word for word in sys.argv[1:] if not word.startswith("--write=")]
+    if "--write" in words:
+        at = words.index("--write")
+        del words[at : at + 2]
+    return {
+        "command": shlex.join(["python", f"benchmarks/{script}", *words]),
+        "date": date.today().isoformat(),
+        "versions": {name: metadata.version(name) for name in ("leglab", "mujoco", "numpy")},
+        "machine": f"{os.cpu_count()} cores, load {os.getloadavg()[1]:.1f}",
+        "results": rounded(results),
+    }
+
+
+def _origin(kept: dict[str, Any]) -> str:
+    """The line below the tables: the command and what it ran on."""
+    parts = [f"`{kept['command']}`", kept["date"]]
+    parts += [f"{name} {version}" for name, version in (kept.get("versions") or {}).items()]
+    if kept.get("transcribed"):
+        parts.append("copied from an earlier state of this page")
+    return ", ".join(parts) + f"; {kept['machine']}."
