@@ -32,10 +32,6 @@ class EncoderOffset(EncoderEffect):
     source = "mounting error of an encoder"
     excitation = "positions over a range in which gravity, lever or springs change"
 
-    def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Joints whose position matters: a free slide is the same everywhere."""
-        return machine.joints
-
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """The offset."""
         travel = 1.0 if joints.unit(machine, element) == "rad" else 0.2
@@ -91,7 +87,6 @@ class EncoderScale(EncoderEffect):
     def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
         """Divides what was measured by the factor."""
         scale = values["scale"]
-
         if scale != 1.0:
             change.correct(f"{element}_position", undo_scale(scale), noise_gain=1.0 / scale)
 
