@@ -18,6 +18,8 @@ _LEAST = 3  # windows on either side of a change
 _FACTOR = 3.0
 # Chi-square that an onset must save over the same effect throughout.
 _NEEDED = 60.0
+# Chi-square by which a window tells that an effect is, or is not, at work in it.
+_CLEAR = 12.0
 # Errors of a window have left the noise where they exceed that of healthy windows this much.
 _DEPARTED = 6.0
 
@@ -68,7 +70,7 @@ def suspected_onset(problem: Problem, chosen: np.ndarray) -> tuple[np.ndarray, F
 
 
 def checked_onsets(problem: Problem, fit: Fit, named: Sequence[Key], chosen: np.ndarray) -> Fit:
-    """Drops onsets that are not needed, and adds those that are, for every named effect."""
+    """Drops onsets that are not needed, adds those that are, and centres them."""
     for key in named:
         now = window_cost(problem, fit.hypothesis)
         if key in fit.hypothesis.onsets:
@@ -92,6 +94,38 @@ def checked_onsets(problem: Problem, fit: Fit, named: Sequence[Key], chosen: np.
             later = sharpen(problem, later, chosen, iterations=3)
             if problem.size * (now - window_cost(problem, later.hypothesis)).sum() > _NEEDED:
                 fit = later
+    return _bracketed(problem, fit, named)
+
+
+def _bracketed(problem: Problem, fit: Fit, named: Sequence[Key]) -> Fit:
+    """Moves onsets to the middle of the time in which the effect may have begun.
+
+    An effect that shows only in fast motion, say, departs from the noise some time after it began.
+    What is sure is that it was absent in windows that replays with it miss, and present from the
+    start of windows that replays without it miss and those with it meet.
+    """
+    begin, length = problem.replay.start, problem.replay.layout.window
+    for key in named:
+        if key not in fit.hypothesis.onsets:
+            continue
+        present = window_cost(problem, fit.hypothesis.with_onset(key, None))
+        absent = window_cost(problem, fit.hypothesis.without(key))
+        evidence = problem.size * (absent - present)
+        onsets = fit.hypothesis.onsets[key].copy()
+        for i in np.flatnonzero(np.isfinite(onsets)):
+            seen, here = onsets[i], problem.replay.recording == i
+            later = present[here & (begin > seen)]
+            if not later.size:
+                continue
+            met = present < max(_HEALTHY, _FACTOR * float(np.median(later)))
+            out = here & ((evidence < -_CLEAR) | ~met) & (begin < seen)
+            if not out.any():
+                continue
+            last = begin[out].max()
+            shown = here & (evidence > _CLEAR) & met & (begin > last) & (begin + length < seen)
+            seen = min([seen, *begin[shown]])
+            onsets[i] = 0.5 * (seen + min(seen, last + length))
+        fit = _with(fit, fit.hypothesis.with_onset(key, onsets))
     return fit
 
 
