@@ -104,11 +104,12 @@ def crop(points: np.ndarray, camera: mujoco.MjvCamera, size: tuple[int, int]) ->
     width, height = size
     scale = 0.5 * height / math.tan(math.radians(FIELD_OF_VIEW) / 2)
     columns, rows = 0.5 * width + scale * x / z, 0.5 * height - scale * y / z
+    # Even edges, for the larger picture it is made of to end with a whole pixel as well.
     return Crop(
-        left=max(math.floor(columns.min()) - _MARGIN, 0),
-        top=max(math.floor(rows.min()) - _MARGIN, 0),
-        right=min(math.ceil(columns.max()) + _MARGIN, width),
-        bottom=min(math.ceil(rows.max()) + _MARGIN, height),
+        left=max(2 * (math.floor(columns.min() - _MARGIN) // 2), 0),
+        top=max(2 * (math.floor(rows.min() - _MARGIN) // 2), 0),
+        right=min(-2 * (-math.ceil(columns.max() + _MARGIN) // 2), width),
+        bottom=min(-2 * (-math.ceil(rows.max() + _MARGIN) // 2), height),
     )
 
 

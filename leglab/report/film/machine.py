@@ -1,5 +1,7 @@
 """A model as a picture: its pose, a ghost at the reference, pressures in colour."""
 
+import math
+
 import mujoco
 import numpy as np
 from PIL import Image
@@ -10,8 +12,8 @@ from leglab.report.film.look import GHOST
 from leglab.report.film.shadow import FloorShadow
 from leglab.simulation import Simulation, load_model
 
-# Rendered this many times larger and averaged: finer edges than multisampling, in less time.
-_SUPERSAMPLING = 2
+# Rendered half again as large and averaged: edges as fine as by multisampling, in less time.
+_SUPERSAMPLING = 1.5
 # Parts of a ghost that are smaller than this are left out [m].
 _SMALL_PART = 0.05
 # A ghost is moved away from the camera by this share of its distance, so that it does not flicker
@@ -20,7 +22,7 @@ _GHOST_SHIFT = 0.003
 _SPRING = (0.88, 0.33, 0.06, 1.0)
 _MAX_GEOMS = 4000
 _HIDDEN_GROUP = 5
-_FLIP = Image.Transpose.FLIP_TOP_BOTTOM
+_FLIP, _AVERAGE = Image.Transpose.FLIP_TOP_BOTTOM, Image.Resampling.HAMMING
 
 
 class Machine:
@@ -40,7 +42,7 @@ class Machine:
         self.cylinders = CylinderShapes(self.simulation)
         self.shadow = FloorShadow(self.model)
         self._size = size
-        width, height = (_SUPERSAMPLING * n for n in size)
+        width, height = _larger(size)
         view = self.model.vis.global_
         view.offwidth, view.offheight = width, height
         view.fovy = framing.FIELD_OF_VIEW
@@ -127,14 +129,19 @@ class Machine:
 
     def _render(self, data: mujoco.MjData, crop: framing.Crop) -> Image.Image:
         mujoco.mjv_makeLights(self.model, data, self._scene)
-        width, height = (_SUPERSAMPLING * n for n in crop.size)
+        width, height = _larger(crop.size)
         place = mujoco.MjrRect(0, 0, width, height)
         pixels = np.empty((height, width, 3), np.uint8)
         self._gl.make_current()
         mujoco.mjr_render(place, self._scene, self._context)
         mujoco.mjr_readPixels(pixels, None, place, self._context)
         # OpenGL counts rows from below.
-        return Image.fromarray(pixels).reduce(_SUPERSAMPLING).transpose(_FLIP)
+        return Image.fromarray(pixels).transpose(_FLIP).resize(crop.size, _AVERAGE)
+
+
+def _larger(size: tuple[int, int]) -> tuple[int, int]:
+    width, height = (math.ceil(_SUPERSAMPLING * n) for n in size)
+    return width, height
 
 
 def _make_ghost(model: mujoco.MjModel) -> None:
