@@ -12,7 +12,7 @@ demo: $(STAMP)
 	@echo "open out/demo/report.html"
 
 test: $(STAMP)
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --durations=15
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal --durations=15
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
