@@ -1,0 +1,38 @@
+"""Where an onset is put between the windows that rule it out and those that need it."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from leglab.diagnosis import onset
+from leglab.diagnosis.fitting import Fit
+from leglab.diagnosis.hypothesis import Hypothesis
+
+KEY = ("quadratic_damping", "knee")
+START = np.arange(4.0, 8.0, 0.3)
+BLIND = 1.0  # robust mean square of a replay that noise alone explains
+
+
+@pytest.mark.parametrize(
+    ("shows", "seen", "expected"),
+    [
+        (lambda t: t >= 0, 6.01, 6.01),  # always visible: the departure from the noise is kept
+        (lambda t: (t < 5.0) | (t > 6.5), 6.7, 0.5 * (6.7 + 5.2)),  # slow motion in between
+    ],
+)
+def test_an_onset_stands_in_the_middle_of_what_is_possible(monkeypatch, shows, seen, expected):
+    visible, after = shows(START), START >= 6.0
+    present = np.where(visible & ~after, 50.0, BLIND)
+    absent = np.where(visible & (START + 0.3 > 6.0), 50.0, BLIND)
+    costs = {False: absent, True: present}
+    monkeypatch.setattr(onset, "window_cost", lambda _, hypothesis: costs[KEY in hypothesis])
+    replay = SimpleNamespace(
+        start=START, layout=SimpleNamespace(window=0.3), recording=np.zeros(len(START), int)
+    )
+    problem = SimpleNamespace(replay=replay, size=60)
+    hypothesis = Hypothesis({KEY: np.array([2.0])}, {KEY: np.array([seen])})
+    none = np.zeros(0)
+    fit = Fit(hypothesis=hypothesis, free=frozenset(), cost=none, residual=none, tangents=none)
+    found = onset._bracketed(problem, fit, [KEY]).hypothesis.onsets[KEY]
+    assert found[0] == pytest.approx(expected, abs=0.05)
