@@ -88,11 +88,10 @@ class AdaptiveController:
     name = "bsnn_arx"
 
     def __init__(self, setup: ControllerSetup, config: AdaptiveConfiguration) -> None:
-        self._pd = Pd(setup, config)
+        self._feedback = Pd(setup, config)
         self.adaptation = self._adaptation(
             setup, config, self._rls(config), self._stop_time(setup, config), config.supervised
         )
-        self._feedforward = np.zeros(len(setup.joints))
 
     def _adaptation(
         self,
@@ -118,7 +117,8 @@ class AdaptiveController:
                 least_memory=config.least_memory,
             ),
             ValveTable.of(maps, np.asarray(setup.require("direction", self.name))),
-            self._pd.position_gain,
+            self._feedback.position_gain,
+            self._feedback.velocity_gain,
             AdaptationSettings(
                 control_period=setup.control_period,
                 latency=latency,
@@ -159,25 +159,12 @@ class AdaptiveController:
 
     def reset(self, measurement: Measurement) -> None:
         """Starts a run with the nominal map."""
-        self._pd.reset(measurement)
         self.adaptation.reset()
 
     def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
         """Valve commands, (joints,)."""
-        adaptation = self.adaptation
-        self._feedforward, seen = adaptation.step(measurement.time, measurement.position, reference)
-        command = self._feedforward + self._pd.command(measurement, seen)
-        if not math.isfinite(command.dot(command)):  # a sensor failed: feed-forward alone
-            command = np.where(np.isfinite(command), command, self._feedforward)
-        adaptation.sent(command)
-        return command
+        return self.adaptation.step(measurement, reference)
 
     def diagnostics(self) -> dict[str, np.ndarray]:
         """Feed-forward, feedback, error of the model, and 1 where the nominal map stands in."""
-        error, fallback = self.adaptation.report()
-        return {
-            "feedforward": self._feedforward,
-            "model_error": error,
-            "fallback": fallback,
-            **self._pd.diagnostics(),
-        }
+        return self.adaptation.report

@@ -26,6 +26,8 @@ class Pd:
 
     Attributes:
         position_gain: s K_p [1/rad], (joints,).
+        velocity_gain: s K_v [s/rad], (joints,).
+        feedback: The last commands, (joints,).
     """
 
     def __init__(self, setup: ControllerSetup, config: PdConfiguration) -> None:
@@ -38,18 +40,20 @@ class Pd:
             if len(values) != len(setup.joints):
                 raise setup.wrong_length(name, values, "pd")
             gains.append(direction * np.asarray(values, dtype=float))
-        self.position_gain, self._velocity_gain = gains
-        self._feedback = np.zeros(len(setup.joints))
+        self.position_gain, self.velocity_gain = gains
+        self.feedback = np.zeros(len(setup.joints))
 
     def reset(self, measurement: Measurement) -> None:
         """Starts a run; the law has no memory."""
 
     def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
         """Valve commands in [-1, 1] before clipping, (joints,)."""
-        self._feedback = self.position_gain * (reference.position - measurement.position)
-        self._feedback += self._velocity_gain * (reference.velocity - measurement.velocity)
-        return self._feedback
+        wanted, wanted_velocity, _ = reference
+        feedback = self.position_gain * (wanted - measurement.position)
+        feedback += self.velocity_gain * (wanted_velocity - measurement.velocity)
+        self.feedback = feedback
+        return feedback
 
     def diagnostics(self) -> dict[str, np.ndarray]:
         """The feedback part of the command, (joints,)."""
-        return {"feedback": self._feedback}
+        return {"feedback": self.feedback}

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from leglab._native.identification import ValveMaps
 from leglab.control import ControllerSetup, Measurement, ReferencePoint, register_controller
 from leglab.controllers.pd import Pd, PdConfiguration
 
@@ -21,32 +22,21 @@ class ValveMapTable:
     """
 
     def __init__(self, maps: Sequence) -> None:
-        self._start = np.array([m.position[0] for m in maps])
-        self._spacing = np.array([m.position[1] - m.position[0] for m in maps])
-        self._speed = np.array([m.velocity[-1] for m in maps])
-        self._fractions = maps[0].velocity / maps[0].velocity[-1]
-        table = np.stack([m.command for m in maps])
-        self._rows, self._columns = table.shape[1:]
-        self._flat = table.ravel()
-        self._offset = np.arange(len(maps)) * self._rows * self._columns
+        self._core = ValveMaps(
+            {
+                "start": np.array([m.position[0] for m in maps]),
+                "spacing": np.array([m.position[1] - m.position[0] for m in maps]),
+                "full_speed": np.array([m.velocity[-1] for m in maps]),
+                "shares": np.asarray(maps[0].velocity / maps[0].velocity[-1]),
+                "commands": np.stack([m.command for m in maps]),
+            }
+        )
 
     def __call__(self, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """Valve commands (joints,) at joint positions [rad] and velocities [rad/s], (joints,)."""
-        a = ((position - self._start) / self._spacing).clip(0.0, self._rows - 1.0)
-        row = a.astype(np.intp)
-        np.minimum(row, self._rows - 2, out=row)
-        a -= row
-        speed = (velocity / self._speed).clip(-1.0, 1.0)
-        column = self._fractions.searchsorted(speed, "right") - 1
-        np.minimum(column, self._columns - 2, out=column)
-        left = self._fractions[column]
-        b = (speed - left) / (self._fractions[column + 1] - left)
-        at = self._offset + row * self._columns + column
-        flat = self._flat
-        low = flat[at] + b * (flat[at + 1] - flat[at])
-        at += self._columns
-        high = flat[at] + b * (flat[at + 1] - flat[at])
-        return low + a * (high - low)
+        command = np.empty(len(position))
+        self._core.command(position, velocity, command)
+        return command
 
 
 @register_controller(
@@ -73,4 +63,4 @@ class StaticFeedforward:
 
     def diagnostics(self) -> dict[str, np.ndarray]:
         """Feed-forward and feedback parts of the command, each (joints,)."""
-        return {"feedforward": self._feedforward, **self._pd.diagnostics()}
+        return {"feedforward": self._feedforward, "feedback": self._pd.feedback}

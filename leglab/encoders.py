@@ -1,16 +1,23 @@
-"""Encoder faults that a model file carries.
+"""What encoders report, and what can be wrong with them.
 
-MJCF has no element for a shifted or miscounting encoder, so a model says it by custom numerics:
-`<joint>_encoder_offset` [rad or m] and `<joint>_encoder_scale`, measured = scale x true + offset.
+Faults come with a scenario or with the model. MJCF has no element for a shifted or miscounting
+encoder, so a model says it by custom numerics: `<joint>_encoder_offset` [rad or m] and
+`<joint>_encoder_scale`, measured = scale x true + offset.
 A late encoder is a `jointpos` sensor `<joint>_delayed_position` with MuJoCo's own `delay`.
 `leglab diagnose` writes them into improved.xml; closed loops and replays read them.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+
+from leglab._native.loop import Readings
+from leglab.errors import unknown_name
+from leglab.measurement import SensorConfiguration, velocity_filter_coefficient
+from leglab.parameters import Parameter
 
 ENCODER_OFFSET = "{joint}_encoder_offset"
 ENCODER_SCALE = "{joint}_encoder_scale"
@@ -69,3 +76,133 @@ class EncoderFaults:
         joints = np.arange(self.delay.size)
         early, later = positions[before, joints], positions[np.minimum(before + 1, last), joints]
         return self.scale * (early + (at - before) * (later - early)) + self.offset
+
+
+_FAULTS = {
+    row.name: row
+    for row in (
+        Parameter(
+            name="encoder_offset",
+            unit="rad",
+            nominal=0.0,
+            minimum=-math.pi,
+            maximum=math.pi,
+            minimum_allowed=True,
+            description="added to every reading, as after a slip of the encoder on its shaft",
+            offset=0,
+        ),
+        Parameter(
+            name="encoder_dropout",
+            unit="1",
+            nominal=0.0,
+            minimum=0.0,
+            maximum=1.0,
+            minimum_allowed=True,
+            description="share of readings that are lost; the last one is repeated",
+            offset=1,
+        ),
+    )
+}
+
+
+class Encoders:
+    """What the encoders of the driven joints report, and the faults that they can have.
+
+    Args:
+        joints: Names of the joints, the elements of a change.
+        sensors: Resolution and timing.
+        positions: Array with the true positions [rad], which somebody else moves.
+        index: Where in it the joints are, (joints,).
+        noise: Added to the readings [rad], (count, joints).
+        seed: Of the losses.
+        built_in: Faults that the model carries from the start; None for none.
+
+    Attributes:
+        elements: Names of the joints.
+        position: The last reading [rad], (joints,).
+        velocity: The difference of readings, filtered [rad/s], (joints,).
+        sample: Function that takes the positions of this instant for the next reading.
+        shift: What faults added to every reading so far [rad], (count, joints).
+        lost: Which readings so far were lost, (count, joints).
+    """
+
+    def __init__(
+        self,
+        joints: tuple[str, ...],
+        sensors: SensorConfiguration,
+        *,
+        positions: np.ndarray,
+        index: np.ndarray,
+        noise: np.ndarray,
+        seed: int,
+        built_in: EncoderFaults | None = None,
+    ) -> None:
+        self.elements = joints
+        self._built_in = built_in or None
+        self._period = period = sensors.control_period
+        self._shown = np.zeros(noise.shape if self._built_in else (0, len(joints)))
+        self._noisy = np.zeros(len(joints))
+        self.position, self.velocity = np.zeros(len(joints)), np.zeros(len(joints))
+        self.shift = np.zeros(noise.shape)
+        self.lost = np.zeros(noise.shape, dtype=bool)
+        self._values = np.zeros((len(_FAULTS), len(joints)))
+        self._chance = np.random.default_rng([seed, 2]).random(noise.shape)
+        gain = velocity_filter_coefficient(period, sensors.velocity_cutoff) / period
+        self._readings = Readings(
+            positions=positions,
+            joints=np.asarray(index, dtype=np.int64),
+            noise=noise,
+            shift=self.shift,
+            lost=self.lost,
+            counts=sensors.encoder_counts,
+            gain=gain,
+            keep=1.0 - gain * period,
+            position=self.position,
+            velocity=self.velocity,
+        )
+        self.sample = self._readings.sample
+        self.sample()
+        self._faulty = self._built_in is not None
+        if self._faulty:
+            self._disturb(0)
+        self._readings.start()
+
+    def has(self, element: str, name: str) -> bool:
+        """Says whether a joint has a fault of this name."""
+        return element in self.elements and name in _FAULTS
+
+    def parameter(self, element: str, name: str) -> float:
+        """Present size of a fault, in its own unit."""
+        return float(self._values[self._index(element, name)])
+
+    def set_parameter(self, element: str, name: str, value: float) -> None:
+        """Sets a fault of an encoder from now on.
+
+        Raises:
+            LeglabError: If joint or name do not exist or the value is out of bounds.
+        """
+        index = self._index(element, name)
+        self._values[index] = _FAULTS[name].check(value, f"encoder of joint {element!r}")
+        self._faulty = True
+
+    def read(self, k: int) -> None:
+        """Turns the last sample into reading number `k` of position and velocity."""
+        if self._faulty:
+            self._disturb(k)
+        self._readings.read(k)
+
+    def _disturb(self, k: int) -> None:
+        """Writes what faults do to reading `k`."""
+        self.shift[k] = self._values[0]
+        if self._built_in:
+            self._readings.noisy(k, self._noisy)
+            self._shown[k] = self._noisy
+            self.shift[k] += self._built_in.seen(self._shown[: k + 1], self._period) - self._noisy
+        self.lost[k] = self._chance[k] < self._values[1]
+
+    def _index(self, element: str, name: str) -> tuple[int, int]:
+        if name not in _FAULTS:
+            raise unknown_name("encoder fault", name, _FAULTS)
+        if element not in self.elements:
+            raise unknown_name("joint", element, self.elements)
+        return _FAULTS[name].offset, self.elements.index(element)

@@ -7,9 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from leglab.configuration import Configuration
-from leglab.encoders import EncoderFaults
-from leglab.errors import LeglabError, unknown_name
-from leglab.parameters import Parameter
+from leglab.errors import LeglabError
 
 
 class SensorConfiguration(Configuration):
@@ -97,112 +95,6 @@ def quantise(position: np.ndarray, counts: int) -> np.ndarray:
     rounded = np.rint(position * (counts / (2.0 * math.pi)))
     rounded *= 2.0 * math.pi / counts
     return rounded
-
-
-_FAULTS = {
-    row.name: row
-    for row in (
-        Parameter(
-            name="encoder_offset",
-            unit="rad",
-            nominal=0.0,
-            minimum=-math.pi,
-            maximum=math.pi,
-            minimum_allowed=True,
-            description="added to every reading, as after a slip of the encoder on its shaft",
-            offset=0,
-        ),
-        Parameter(
-            name="encoder_dropout",
-            unit="1",
-            nominal=0.0,
-            minimum=0.0,
-            maximum=1.0,
-            minimum_allowed=True,
-            description="share of readings that are lost; the last one is repeated",
-            offset=1,
-        ),
-    )
-}
-
-
-class Encoders:
-    """What the encoders of the driven joints report, and the faults that they can have.
-
-    Args:
-        joints: Names of the joints, the elements of a change.
-        sensors: Resolution.
-        count: Number of readings.
-        seed: Of the losses.
-        built_in: Faults that the model carries from the start; None for none.
-
-    Attributes:
-        elements: Names of the joints.
-        shift: What faults added to every reading so far [rad], (count, joints).
-        lost: Which readings so far were lost, (count, joints).
-    """
-
-    def __init__(
-        self,
-        joints: tuple[str, ...],
-        sensors: SensorConfiguration,
-        *,
-        count: int,
-        seed: int,
-        built_in: EncoderFaults | None = None,
-    ) -> None:
-        self.elements = joints
-        self._built_in = built_in or None
-        self._period = sensors.control_period
-        self._shown = np.zeros((count if self._built_in else 0, len(joints)))
-        self.shift = np.zeros((count, len(joints)))
-        self.lost = np.zeros((count, len(joints)), dtype=bool)
-        self._counts = sensors.encoder_counts
-        self._values = np.zeros((len(_FAULTS), len(joints)))
-        self._faulty = False
-        self._chance = np.random.default_rng([seed, 2]).random((count, len(joints)))
-        self._last = np.empty(len(joints))
-
-    def has(self, element: str, name: str) -> bool:
-        """Says whether a joint has a fault of this name."""
-        return element in self.elements and name in _FAULTS
-
-    def parameter(self, element: str, name: str) -> float:
-        """Present size of a fault, in its own unit."""
-        return float(self._values[self._index(element, name)])
-
-    def set_parameter(self, element: str, name: str, value: float) -> None:
-        """Sets a fault of an encoder from now on.
-
-        Raises:
-            LeglabError: If joint or name do not exist or the value is out of bounds.
-        """
-        index = self._index(element, name)
-        self._values[index] = _FAULTS[name].check(value, f"encoder of joint {element!r}")
-        self._faulty = bool(self._values.any())
-
-    def read(self, k: int, position: np.ndarray) -> np.ndarray:
-        """Returns the readings number `k` [rad], (joints,), of noisy positions [rad]."""
-        if self._built_in:
-            self._shown[k] = position
-            self.shift[k] = self._built_in.seen(self._shown[: k + 1], self._period) - position
-        if self._faulty:
-            self.shift[k] += self._values[0]
-            self.lost[k] = self._chance[k] < self._values[1]
-        if self._built_in or self._faulty:
-            position = position + self.shift[k]
-        reading = quantise(position, self._counts)
-        if self._faulty and k > 0:
-            reading = np.where(self.lost[k], self._last, reading)
-        self._last = reading
-        return reading
-
-    def _index(self, element: str, name: str) -> tuple[int, int]:
-        if name not in _FAULTS:
-            raise unknown_name("encoder fault", name, _FAULTS)
-        if element not in self.elements:
-            raise unknown_name("joint", element, self.elements)
-        return _FAULTS[name].offset, self.elements.index(element)
 
 
 def held(reading: np.ndarray, lost: np.ndarray) -> np.ndarray:

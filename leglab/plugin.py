@@ -11,6 +11,7 @@ import mujoco
 
 import leglab._native
 from leglab.errors import LeglabError, unknown_name
+from leglab.headless import library
 from leglab.parameters import PluginTable, plugin_tables
 
 # Attributes of the plugins that are names, not numbers.
@@ -50,8 +51,7 @@ def slots(names: Iterable[str]) -> dict[int, str]:
     """Registration slots of plugins, as in `MjModel.plugin`, by number."""
     load()
     # MuJoCo's Python bindings do not expose mjp_getPlugin.
-    (path,) = Path(mujoco.__path__[0]).glob("libmujoco.so.*")
-    look_up = ctypes.CDLL(str(path)).mjp_getPlugin
+    look_up = library().mjp_getPlugin
     look_up.restype = ctypes.c_void_p
     found = {}
     for name in names:

@@ -3,10 +3,11 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
-import mujoco
 import numpy as np
 
+from leglab._native.loop import Rows
 from leglab.changes import Schedule
 from leglab.control import (
     Controller,
@@ -15,6 +16,7 @@ from leglab.control import (
     check_command,
 )
 from leglab.errors import LeglabError
+from leglab.headless import headless
 from leglab.measurement import SensorConfiguration
 from leglab.references import Reference
 from leglab.sampled_machine import SampledMachine
@@ -106,7 +108,6 @@ def closed_loop(
     Raises:
         LeglabError: If the timing or the reference does not fit the machine.
     """
-    model, data = simulation.model, simulation.data
     period = sensors.control_period
     count = round(scenario.duration / period) + 1
     times = np.arange(count) * period
@@ -118,79 +119,96 @@ def closed_loop(
         seed=seed,
         pressures=bool(getattr(controller, "uses_pressures", False)),
     )
-    schedule, encoders = machine.schedule, machine.encoders
     wanted = reference.sample(times)
-    joints = len(setup.joints)
-    columns, slots = _state_columns(simulation, schedule)
-
-    all_qpos, all_qvel = np.empty((count, model.nq)), np.empty((count, model.nv))
-    command, states = np.empty((count, joints)), np.empty((count, len(slots)))
-    others = np.empty((count, len(schedule.others)))
-    reports: dict[str, np.ndarray] = {}
-
+    records = _Records(simulation, machine.schedule, count)
     # The loop runs thousands of times a second: everything that can be looked up once is.
-    measure, advance = machine.measure, machine.advance
-    qpos, qvel, ctrl, plugin_state = data.qpos, data.qvel, data.ctrl, data.plugin_state
-    qpos_index = simulation.qpos_index
+    measure, send, advance, record = machine.measure, machine.send, machine.advance, records.take
+    command, diagnostics = controller.command, controller.diagnostics
     failure, rows = "", 0
-    # MuJoCo would write its warnings to a log file; what they warn of is checked here.
-    mujoco.set_mju_user_warning(_ignore)
     start = time.perf_counter()
-    rows_of = zip(times.tolist(), map(ReferencePoint, *wanted), command, strict=True)
     try:
-        for k, (now, point, output) in enumerate(rows_of):
-            measurement = measure()
-            if k == 0:
-                controller.reset(measurement)
-            wish = check_command(controller.command(measurement, point), setup, name, now)
-
-            all_qpos[k] = qpos
-            all_qvel[k] = qvel
-            plugin_state.take(slots, out=states[k])
-            others[k] = schedule.values
-            np.minimum(wish, 1.0, out=output)
-            np.maximum(output, -1.0, out=output)
-            ctrl[:] = output
-            if reports or k == 0:
-                _record(reports, controller.diagnostics(), k, (count, joints))
-            rows = k + 1
-            advance()
-            if k % _CHECK_INTERVAL == 0:
-                simulation.check()
-                if progress:
-                    progress(now)
+        with headless(simulation.model):
+            for k, point in enumerate(map(ReferencePoint, *wanted)):
+                measurement = measure()
+                if k == 0:
+                    controller.reset(measurement)
+                wish = command(measurement, point)
+                if not send(wish):  # wrong, or of another type of number
+                    send(check_command(wish, setup, name, measurement.time).astype(float))
+                record(k, diagnostics())
+                rows = k + 1
+                advance()
+                if k % _CHECK_INTERVAL == 0:
+                    simulation.check()
+                    if progress:
+                        progress(measurement.time)
         simulation.check()
     except LeglabError as error:
-        failure, rows = _first_failure(simulation, times[:rows], all_qvel[:rows], error)
+        failure, rows = _first_failure(simulation, times[:rows], records.qvel[:rows], error)
     except KeyboardInterrupt:
-        failure = f"interrupted at {data.time:.6g} s"
+        failure = f"interrupted at {simulation.data.time:.6g} s"
     finally:
-        mujoco.set_mju_user_warning(None)
         machine.close()
     wall_time = time.perf_counter() - start
     if rows == 0:
         raise LeglabError(failure)
     return History(
         time=times[:rows],
-        position=all_qpos[:rows, qpos_index],
-        velocity=all_qvel[:rows, simulation.dof_index],
-        passive={name: all_qpos[:rows, index] for name, index in simulation.passive_joints.items()},
-        command=command[:rows],
+        **records.first(rows),
         reference=ReferencePoint(*[part[:rows] for part in wanted]),
-        states={
-            **{column: states[:rows, i] for i, column in enumerate(columns)},
-            **{"_".join(key): others[:rows, i] for i, key in enumerate(schedule.others)},
-        },
-        encoder_shift=encoders.shift[:rows],
-        encoder_lost=encoders.lost[:rows],
-        diagnostics={key: values[:rows] for key, values in reports.items()},
+        encoder_shift=machine.encoders.shift[:rows],
+        encoder_lost=machine.encoders.lost[:rows],
         wall_time=wall_time,
         failure=failure,
     )
 
 
-def _ignore(warning: str) -> None:
-    pass
+class _Records:
+    """Rows of everything that a run keeps, one a control period."""
+
+    def __init__(self, simulation: Simulation, schedule: Schedule, count: int) -> None:
+        model, data = simulation.model, simulation.data
+        self._simulation, self._schedule, self._count = simulation, schedule, count
+        self._columns, slots = _state_columns(simulation, schedule)
+        self._qpos, self.qvel = np.empty((count, model.nq)), np.empty((count, model.nv))
+        self._command, self._states = np.empty((count, model.nu)), np.empty((count, len(slots)))
+        self._others = np.empty((count, len(schedule.others)))
+        self._reports: dict[str, np.ndarray] = {}
+        rows = (
+            Rows(data.qpos, np.arange(model.nq), self._qpos),
+            Rows(data.qvel, np.arange(model.nv), self.qvel),
+            Rows(data.ctrl, np.arange(model.nu), self._command),
+            Rows(data.plugin_state, slots, self._states),
+        )
+        self._takes = tuple(row.take for row in rows)
+
+    def take(self, k: int, reported: dict[str, np.ndarray]) -> None:
+        """Keeps the machine as it is now and what its controller reports, as row `k`."""
+        for take in self._takes:
+            take(k)
+        if self._schedule.others:
+            self._others[k] = self._schedule.values
+        reports = self._reports
+        for key, value in reported.items():
+            if key not in reports:
+                reports[key] = np.full(self._command.shape, np.nan)
+            reports[key][k] = value
+
+    def first(self, rows: int) -> dict[str, Any]:
+        """The first rows, by attribute of `History`."""
+        machine, qpos = self._simulation, self._qpos[:rows]
+        keys = enumerate(self._schedule.others)
+        return {
+            "position": qpos[:, machine.qpos_index],
+            "velocity": self.qvel[:rows, machine.dof_index],
+            "passive": {name: qpos[:, index] for name, index in machine.passive_joints.items()},
+            "command": self._command[:rows],
+            "states": {
+                **{column: self._states[:rows, i] for i, column in enumerate(self._columns)},
+                **{"_".join(key): self._others[:rows, i] for i, key in keys},
+            },
+            "diagnostics": {key: values[:rows] for key, values in self._reports.items()},
+        }
 
 
 def _first_failure(
@@ -203,15 +221,6 @@ def _first_failure(
         except SimulationError as first:
             return str(first), max(row, 1)
     return str(error), len(times)
-
-
-def _record(
-    reports: dict[str, np.ndarray], values: dict[str, np.ndarray], k: int, shape: tuple[int, int]
-) -> None:
-    for key, value in values.items():
-        if key not in reports:
-            reports[key] = np.full(shape, np.nan)
-        reports[key][k] = value
 
 
 def _state_columns(simulation: Simulation, schedule: Schedule) -> tuple[list[str], np.ndarray]:

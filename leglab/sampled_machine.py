@@ -2,16 +2,12 @@
 
 import numpy as np
 
+from leglab._native.loop import Valves
 from leglab.bodies import Bodies
 from leglab.changes import Schedule
 from leglab.control import Measurement
-from leglab.encoders import EncoderFaults
-from leglab.measurement import (
-    Encoders,
-    SensorConfiguration,
-    loop_timing,
-    velocity_filter_coefficient,
-)
+from leglab.encoders import EncoderFaults, Encoders
+from leglab.measurement import SensorConfiguration, loop_timing
 from leglab.scenario import Scenario
 from leglab.simulation import Simulation
 
@@ -19,8 +15,8 @@ from leglab.simulation import Simulation
 class SampledMachine:
     """Takes a simulation through a scenario in steps of one control period.
 
-    One period is `measure`, a command written to `data.ctrl`, and `advance`. Whoever steps the
-    machine, a headless run, an environment or a viewer, gets the same bits from the same seed.
+    One period is `measure`, `send` and `advance`. Whoever steps the machine, a headless run, an
+    environment or a viewer, gets the same bits from the same seed.
 
     Args:
         simulation: The machine, at the start of the run.
@@ -36,6 +32,8 @@ class SampledMachine:
         bodies: Loads on its bodies; `close` takes them off.
         encoders: Its encoders and their faults.
         schedule: Carries out the scenario's changes.
+        send: Function that sends commands (joints,) to the valves, clipped to [-1, 1]; False, and
+            nothing sent, for what is no array of finite numbers.
         row: Number of the present period within the drawn noise.
 
     Raises:
@@ -55,31 +53,33 @@ class SampledMachine:
         joints = len(simulation.joints)
         self._to_sample, self._to_command = loop_timing(sensors, simulation.model.opt.timestep)
         self.simulation = simulation
-        self.period = period = sensors.control_period
+        self.period = sensors.control_period
         self.bodies = Bodies(simulation.model)
-        built_in = EncoderFaults.of(simulation.model, simulation.joints)
+        self._noise = np.random.default_rng(seed)
         self.encoders = Encoders(
-            simulation.joints, sensors, count=count, seed=seed, built_in=built_in
+            simulation.joints,
+            sensors,
+            positions=simulation.data.qpos,
+            index=simulation.qpos_index,
+            noise=self._noise.normal(0.0, sensors.position_noise, (count, joints)),
+            seed=seed,
+            built_in=EncoderFaults.of(simulation.model, simulation.joints),
         )
         self.schedule = Schedule(scenario, simulation, self.bodies, self.encoders)
-        self._noise = np.random.default_rng(seed)
-        self._position_noise = self._noise.normal(0.0, sensors.position_noise, (count, joints))
         self._pressure_noise = sensors.pressure_noise
         self._pressures = pressures
         # A control loop runs thousands of times a second: what can be looked up once is.
         self._step, self._state = simulation.step, simulation.data.plugin_state
-        self._qpos, self._qpos_index = simulation.data.qpos, simulation.qpos_index
+        self._apply, self._read = self.schedule.apply, self.encoders.read
+        self._sample = self.encoders.sample
+        self._readings = self.encoders.position, self.encoders.velocity
+        self.send = Valves(simulation.data.ctrl).send
         self._pressure_slots = np.concatenate(
             [simulation.slots("pressure_a"), simulation.slots("pressure_b")]
         )
         self._supply_slot = simulation.supply_slot
         self._joints, self._count = joints, count
-        self._gain = velocity_filter_coefficient(period, sensors.velocity_cutoff) / period
-        self._leak = 1.0 - self._gain * period
-        self._sample = self._qpos.take(self._qpos_index)
         self._sampled_pressures = self._state.take(self._pressure_slots)
-        self._previous = self.encoders.read(0, self._sample + self._position_noise[0])
-        self._velocity = np.zeros(joints)
         self._periods = 0
         self.row = -1
 
@@ -91,26 +91,20 @@ class SampledMachine:
             row = 0
         self._periods += 1
         self.row = row
-        self.schedule.apply(now)
-        sample = self._sample
-        sample += self._position_noise[row]
-        measured = self.encoders.read(row, sample)
-        self._velocity = velocity = self._leak * self._velocity + self._gain * (
-            measured - self._previous
-        )
-        self._previous = measured
+        self._apply(now)
+        self._read(row)
         if not self._pressures:
-            return Measurement(now, measured, velocity)
+            return Measurement(now, *self._readings)
         joints = self._joints
         noisy = self._sampled_pressures + self._noise.normal(0.0, self._pressure_noise, 2 * joints)
         supply = float(self._state[self._supply_slot])
-        return Measurement(now, measured, velocity, noisy[:joints], noisy[joints:], supply)
+        return Measurement(now, *self._readings, noisy[:joints], noisy[joints:], supply)
 
     def advance(self) -> None:
         """Ends a period: the command is held, and the next sample taken ahead of its end."""
         if self._to_sample:
             self._step(self._to_sample)
-        self._sample = self._qpos.take(self._qpos_index)
+        self._sample()
         if self._pressures:
             self._sampled_pressures = self._state.take(self._pressure_slots)
         if self._to_command:

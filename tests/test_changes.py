@@ -8,8 +8,9 @@ import pytest
 
 from leglab.bodies import Bodies
 from leglab.changes import Schedule
+from leglab.encoders import Encoders
 from leglab.errors import LeglabError
-from leglab.measurement import Encoders, SensorConfiguration, held
+from leglab.measurement import SensorConfiguration, held
 from leglab.runner import RunSettings, run_scenario
 from leglab.scenario import Scenario, get_scenario, scenario_names
 from leglab.schedule import ParameterChange
@@ -191,14 +192,34 @@ def test_lost_readings_are_repeated_and_the_share_is_right():
 
 
 def test_an_encoder_without_faults_only_quantises():
-    encoders = Encoders(("a", "b"), SensorConfiguration(encoder_counts=0), count=4, seed=0)
-    np.testing.assert_array_equal(encoders.read(0, np.array([0.1, 0.2])), [0.1, 0.2])
+    positions = np.array([9.0, 0.1, 0.2])
+    encoders = Encoders(
+        ("a", "b"),
+        SensorConfiguration(encoder_counts=0),
+        positions=positions,
+        index=np.array([1, 2]),
+        noise=np.zeros((4, 2)),
+        seed=0,
+    )
+
+    def reading(k: int, *true: float) -> np.ndarray:
+        positions[1:] = true
+        encoders.sample()
+        positions[1:] = np.nan  # a reading is of the sample, not of now
+        encoders.read(k)
+        return encoders.position
+
+    np.testing.assert_array_equal(reading(0, 0.1, 0.2), [0.1, 0.2])
     encoders.set_parameter("b", "encoder_dropout", 1.0)
     encoders.set_parameter("a", "encoder_offset", -0.5)
-    np.testing.assert_array_equal(encoders.read(1, np.array([1.0, 1.0])), [0.5, 0.2])
+    np.testing.assert_array_equal(reading(1, 1.0, 1.0), [0.5, 0.2])
     encoders.set_parameter("b", "encoder_dropout", 0.0)
-    np.testing.assert_array_equal(encoders.read(2, np.array([1.0, 1.0])), [0.5, 1.0])
+    np.testing.assert_array_equal(reading(2, 1.0, 1.0), [0.5, 1.0])
     np.testing.assert_array_equal(encoders.shift[:3], [[0, 0], [-0.5, 0], [-0.5, 0]])
+    # A viewer goes round: what a reading was shifted by last time does not add up.
+    np.testing.assert_array_equal(reading(1, 1.0, 1.0), [0.5, 1.0])
+    encoders.set_parameter("a", "encoder_offset", 0.0)
+    np.testing.assert_array_equal(reading(2, 1.0, 1.0), [1.0, 1.0])
     for arguments, message in (
         (("c", "encoder_offset", 0.1), "unknown joint 'c'"),
         (("a", "offset", 0.1), "unknown encoder fault 'offset'"),

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from leglab.control import ReferencePoint
+from leglab.control import Measurement, ReferencePoint
 from leglab.feedforward.adaptive import AdaptationSettings, AdaptiveFeedforward
 from leglab.feedforward.inverse_map import InverseMap, MotionRange
 from leglab.feedforward.valve_table import ValveTable
@@ -54,7 +54,7 @@ def parts_of(feedforward, table, inverse_map, settings, position_gain, monkeypat
     seen = {}
     real = feedforward.Feedforward
     monkeypatch.setattr(feedforward, "Feedforward", lambda parts: seen.update(parts) or real(parts))
-    made = AdaptiveFeedforward(inverse_map, table, position_gain, settings)
+    made = AdaptiveFeedforward(inverse_map, table, position_gain, 0.1 * position_gain, settings)
     monkeypatch.undo()
     return made, seen
 
@@ -93,15 +93,24 @@ def test_core_agrees_with_numpy(splines, supervised, forward, monkeypatch):
             position[0] += 0.05  # an encoder slips for one reading
         if k in (900, 901):
             position[1] = np.nan
-        have = made.step(t, position, reference).feedforward.copy()
-        want = other.step(t, position, reference)
-        np.testing.assert_allclose(have, want, rtol=0, atol=2e-9, err_msg=f"step {k}")
-        command = have + 0.3 * signs * np.nan_to_num(reference.position - position)
-        if 1200 < k < 1230:
-            command[0] = 1.5  # saturated
-        made.sent(command)
+        velocity = reference.velocity + 0.1 * rng.standard_normal(2)
+        have = made.step(Measurement(t, position, velocity), reference)
+        want, seen = other.step(t, position, reference)
+        np.testing.assert_allclose(
+            made.report["feedforward"], want, rtol=0, atol=2e-9, err_msg=f"step {k}"
+        )
+        feedback = 2.0 * signs * (seen[0] - position + 0.1 * (seen[1] - velocity))
+        np.testing.assert_allclose(made.report["feedback"], feedback, rtol=0, atol=1e-12)
+        # Without a measurement the feed-forward goes alone.
+        command = made.report["feedforward"] + np.nan_to_num(feedback)
+        np.testing.assert_allclose(have, command, rtol=0, atol=1e-12)
+        if k % 500 < 480:  # mostly somebody else, more cautious, sends the commands
+            command = want + 0.3 * signs * np.nan_to_num(reference.position - position)
+            if 1200 < k < 1230:
+                command[0] = 1.5  # saturated
+            made.sent(command)
         other.sent = np.clip(command, -1, 1)
-        np.testing.assert_array_equal(made.report()[1], other.fallback, err_msg=f"step {k}")
+        np.testing.assert_array_equal(made.report["fallback"], other.fallback, err_msg=f"step {k}")
         fell_back += int(other.fallback.any())
     assert made.learner.diagnostics(0)["learned"] > 1500
     assert made.learner.diagnostics(0)["dropped"] > 0

@@ -69,10 +69,18 @@ class Feedforward:
         self,
         time: float,
         measured: NDArray[float64],
+        measured_velocity: NDArray[float64],
         position: NDArray[float64],
         velocity: NDArray[float64],
         acceleration: NDArray[float64],
         out: NDArray[float64],
     ) -> None: ...
     def sent(self, command: NDArray[float64]) -> None: ...
-    def report(self, out: NDArray[float64]) -> None: ...
+
+class ValveMaps:
+    """Commands of calibrated valve maps."""
+
+    def __init__(self, parts: dict[str, Any]) -> None: ...
+    def command(
+        self, position: NDArray[float64], velocity: NDArray[float64], out: NDArray[float64]
+    ) -> None: ...

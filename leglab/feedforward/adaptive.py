@@ -1,16 +1,18 @@
 """Learns the inverse map while the machine moves, and gives the feed-forward from it, safely."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from leglab._native.identification import Feedforward
-from leglab.control import ReferencePoint
+from leglab.control import Measurement, ReferencePoint
 from leglab.feedforward.inverse_map import ACCELERATION, JERK, InverseMap
 from leglab.feedforward.motion import smoothing_kernel
 from leglab.feedforward.valve_table import ValveTable
 from leglab.identification import SplineNarx
+
+# What a period reports, in the order of the core's rows behind the command.
+_REPORTED = ("feedforward", "feedback", "model_error", "fallback")
 
 # Tracking errors below this [rad] are no reason to distrust the model.
 _NOISE = 0.2e-3
@@ -56,20 +58,8 @@ class AdaptationSettings:
     margin: float = 1.05
 
 
-class Step(NamedTuple):
-    """What one control period gives; the arrays are the caller's to keep until the next one.
-
-    Attributes:
-        feedforward: Valve commands, (joints,).
-        seen: The reference as the sensors show it.
-    """
-
-    feedforward: np.ndarray
-    seen: ReferencePoint
-
-
 class AdaptiveFeedforward:
-    """Feed-forward of all joints: the calibrated valve map at the flow that the learner asks for.
+    """Feed-forward of all joints beside PD: the calibrated valve map at the flow that is learned.
 
     A sample is the motion in the middle of the smoothing window and the flow there: the speed that
     the calibrated valve map gives for the command sent, smoothed alike. What the learner takes for
@@ -82,7 +72,13 @@ class AdaptiveFeedforward:
         inverse_map: Structure of the learner.
         table: Calibrated valve maps: where learning starts.
         position_gain: Of the feedback [1/rad], (joints,); how fast it forgets an error.
+        velocity_gain: Of the feedback [s/rad], (joints,).
         settings: See `AdaptationSettings`.
+
+    Attributes:
+        report: What the last period gave, by name, each (joints,): `feedforward` and `feedback`
+            [valve command], `model_error` of the last sample [share of full speed], and `fallback`,
+            1 where the calibrated map stands in. The arrays change with the next period.
     """
 
     def __init__(
@@ -90,6 +86,7 @@ class AdaptiveFeedforward:
         inverse_map: InverseMap,
         table: ValveTable,
         position_gain: np.ndarray,
+        velocity_gain: np.ndarray,
         settings: AdaptationSettings,
     ) -> None:
         self._map = inverse_map
@@ -126,51 +123,50 @@ class AdaptiveFeedforward:
                 "velocity_delay": settings.velocity_delay,
                 "start": table.start,
                 "spacing": table.spacing,
-                "speeds": table.share,
+                "shares": table.share,
                 "commands": np.ascontiguousarray(table.command),
                 # Calibrated positions end a little before the stops.
                 "learn_lower": ranges.lower - 0.02 * width,
                 "learn_upper": ranges.upper + 0.02 * width,
                 "bandwidth": np.abs(position_gain) * table.full_speed / rise,
+                "position_gain": position_gain,
+                "velocity_gain": velocity_gain,
             }
         )
-        joints = inverse_map.joints
-        self._out, self._report = np.zeros((3, joints)), np.zeros((2, joints))
+        self._out = np.zeros((1 + len(_REPORTED), inverse_map.joints))
+        self._command = self._out[0]
+        self.report = dict(zip(_REPORTED, self._out[1:], strict=True))
         self._learner = inverse_map.learner()
 
     def reset(self) -> None:
         """Forgets everything learned: the feed-forward is the calibration's."""
         self._learner = self._map.learner()
         self._core.reset(self._learner.bank)
-        self._report[:] = 0.0
+        self._out[:] = 0.0
 
     @property
     def learner(self) -> SplineNarx:
         """What has been learned."""
         return self._learner
 
-    def step(self, time: float, measured: np.ndarray, reference: ReferencePoint) -> Step:
-        """Learns from a measurement and gives the feed-forward; call it once a period.
+    def step(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
+        """Learns from a measurement and gives the valve commands; call it once a period.
+
+        Feedback holds the reference against the measurement at the time it was taken. Where a
+        measurement is NaN the command is the feed-forward alone. What is sent counts as clipped to
+        [-1, 1].
 
         Args:
-            time: Of the measurement [s].
-            measured: Positions [rad], (joints,); NaN where there is none.
+            measurement: Of now.
             reference: Of now.
-        """
-        position, velocity, acceleration = reference
-        out = self._out
-        self._core.step(time, measured, position, velocity, acceleration, out)
-        return Step(out[0], ReferencePoint(out[1], out[2], acceleration))
-
-    def sent(self, command: np.ndarray) -> None:
-        """Takes the command that is sent now, (joints,); values beyond [-1, 1] are clipped."""
-        self._core.sent(command)
-
-    def report(self) -> tuple[np.ndarray, np.ndarray]:
-        """Error of the model at the last sample [share of full speed], and 1 where it is not used.
 
         Returns:
-            Two arrays (joints,).
+            Shape (joints,); the array changes with the next period.
         """
-        self._core.report(self._report)
-        return self._report[0].copy(), self._report[1].copy()
+        time, position, velocity, *_ = measurement
+        self._core.step(time, position, velocity, *reference, self._out)
+        return self._command
+
+    def sent(self, command: np.ndarray) -> None:
+        """Takes the commands (joints,) that were sent, where they are not what `step` gave."""
+        self._core.sent(command)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leglab.control import ReferencePoint
+from leglab.control import Measurement, ReferencePoint
 from leglab.feedforward.adaptive import AdaptiveFeedforward
 
 
@@ -35,6 +35,7 @@ class BenchRun:
             Parameters of its learner, (joints, parameters) or (parameters,) of one joint.
         """
         learning.reset()
+        still = np.zeros_like(self.position[0])  # velocities are the feedback's business alone
         rows = zip(
             self.time.tolist(),
             np.ascontiguousarray(self.position),
@@ -43,6 +44,6 @@ class BenchRun:
             strict=True,
         )
         for time, position, command, reference in rows:
-            learning.step(time, position, reference)
+            learning.step(Measurement(time, position, still), reference)
             learning.sent(command)
         return learning.learner.parameters

@@ -1,17 +1,15 @@
 """A live run without a window: the closed loop in single periods, changed by hand."""
 
-import contextlib
 from collections import deque
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 
 from leglab.bodies import Bodies
 from leglab.control import ReferencePoint, check_command, make_controller
 from leglab.errors import LeglabError, unknown_name
+from leglab.headless import without_warnings
 from leglab.preparation import Preparation, RunSettings, scenario_of
 from leglab.runner import run_setup
 from leglab.sampled_machine import SampledMachine
@@ -180,7 +178,7 @@ class Session:
         self.moments.append(Moment(self.time, error, command, feedforward.copy()))
         self.simulation.data.ctrl[:] = command
         self.point = point
-        with _without_warnings():
+        with without_warnings():
             machine.advance()
         self._count += 1
 
@@ -195,13 +193,3 @@ class Session:
         changes = sorted((*self._fault, *self._moved.values()), key=lambda change: change.start)
         live = Scenario(name=self.scenario.name, duration=_NEVER, changes=tuple(changes))
         self._machine.schedule.follow(live, self.time)
-
-
-@contextlib.contextmanager
-def _without_warnings() -> Iterator[None]:
-    # MuJoCo would write its warnings to a log file; the session checks what they warn of.
-    mujoco.set_mju_user_warning(lambda warning: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(None)

@@ -89,6 +89,7 @@ class Feedforward:
         self.learner.update(inputs, np.where(usable, flow - v, np.nan))
 
     def step(self, time, position, reference):
+        """The feed-forward, and the reference's position and velocity as the sensors show them."""
         p, h = self.p, self.p["control_period"]
         self.learn(time, position)
         r, rd, rdd = reference
@@ -127,7 +128,7 @@ class Feedforward:
                 wish = np.clip(wish, self.last[j] - most, self.last[j] + most)
             out[j] = wish
         self.last = out
-        return out
+        return out, (seen, at(-p["velocity_delay"])[1])
 
     def supervise(self, j, error, gained):
         if not np.abs(error) < 1e3:

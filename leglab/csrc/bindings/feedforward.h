@@ -1,8 +1,8 @@
-// The adaptive feed-forward for Python, beside the bank of identifiers that it lets learn.
+// Adaptive feed-forward and valve maps for Python, beside the bank of identifiers that it lets learn.
 #pragma once
 
 #include "bindings/identification_bank.h"
-#include "feedforward/adaptive.h"
+#include "feedforward/controller.h"
 
 namespace leglab::bindings {
 
@@ -10,15 +10,71 @@ namespace ff = feedforward;
 
 using SplineNarxBank64 = Bank<id::SplineNarx<double>, id::SplineNarxSettings<double>, double>;
 
+inline std::vector<double> values(nb::dict parts, const char* name) {
+  const auto array = nb::cast<Input>(parts[name]);
+  return {array.data(), array.data() + array.size()};
+}
+
+// Valve tables of all joints, with the values that they point to.
+class ValveTables {
+ public:
+  explicit ValveTables(nb::dict parts)
+      : commands_(values(parts, "commands")), shares_(values(parts, "shares")) {
+    const std::vector<double> start = values(parts, "start"), spacing = values(parts, "spacing");
+    tables_.resize(start.size());
+    for (std::size_t j = 0; j < tables_.size(); ++j) {
+      ff::ValveTable& table = tables_[j];
+      table.columns = int(shares_.size());
+      table.rows = int(commands_.size() / (tables_.size() * shares_.size()));
+      table.start = start[j];
+      table.spacing = spacing[j];
+      table.speed = shares_.data();
+      table.commands = commands_.data() + j * std::size_t(table.rows * table.columns);
+    }
+  }
+
+  ValveTables(const ValveTables&) = delete;
+  ValveTables& operator=(const ValveTables&) = delete;
+
+  const std::vector<ff::ValveTable>& tables() const { return tables_; }
+
+ private:
+  std::vector<double> commands_, shares_;
+  std::vector<ff::ValveTable> tables_;
+};
+
+// Commands of calibrated valve maps; beyond their ends those of the ends.
+class ValveMaps {
+ public:
+  explicit ValveMaps(nb::dict parts) : tables_(parts), full_speed_(values(parts, "full_speed")) {}
+
+  void command(Input position, Input velocity, Output out) const {
+    const auto& tables = tables_.tables();
+    if (position.size() != tables.size() || velocity.size() != tables.size() ||
+        out.size() != tables.size()) {
+      throw nb::value_error("wrong number of values");
+    }
+    for (std::size_t j = 0; j < tables.size(); ++j) {
+      const double share = std::clamp(velocity.data()[j] / full_speed_[j], -1.0, 1.0);
+      out.data()[j] = tables[j].command(position.data()[j], share);
+    }
+  }
+
+ private:
+  ValveTables tables_;
+  std::vector<double> full_speed_;
+};
+
 // `parts` are the attributes of leglab.feedforward.adaptive's `AdaptiveFeedforward` as arrays and
 // numbers; the front-end has checked them.
 class Feedforward {
  public:
   explicit Feedforward(nb::dict parts)
-      : commands_(values(parts, "commands")), speeds_(values(parts, "speeds")),
-        core_(settings(parts), map(parts), window(parts), reference(parts), tables(parts),
-              values(parts, "learn_lower"), values(parts, "learn_upper"),
-              values(parts, "bandwidth")) {}
+      : tables_(parts),
+        core_({settings(parts), map(parts), window(parts), reference(parts), tables_.tables(),
+               values(parts, "learn_lower"), values(parts, "learn_upper"),
+               values(parts, "bandwidth")},
+              {values(parts, "position_gain"), values(parts, "velocity_gain")}) {}
 
   Feedforward(const Feedforward&) = delete;
   Feedforward& operator=(const Feedforward&) = delete;
@@ -30,29 +86,27 @@ class Feedforward {
     core_.reset(std::move(learners));
   }
 
-  // Rows of `out`: command, position and velocity that the sensors would show. (3, joints)
-  void step(double time, Input measured, Input position, Input velocity, Input acceleration,
-            Output out) {
-    const std::size_t n = measured.size();
-    core_.step(time, measured.data(), {position.data(), velocity.data(), acceleration.data()},
-               out.data(), out.data() + n, out.data() + 2 * n);
+  // Rows of `out`: command, feed-forward, feedback, error of the model, whether the calibration
+  // stands in. (5, joints)
+  void step(double time, Input measured, Input measured_velocity, Input position, Input velocity,
+            Input acceleration, Output out) {
+    const std::size_t n = tables_.tables().size();
+    for (const Input* array : {&measured, &measured_velocity, &position, &velocity, &acceleration}) {
+      if (array->size() != n) throw nb::value_error("wrong number of values");
+    }
+    double* row = out.data();
+    core_.step(time, measured.data(), measured_velocity.data(),
+               {position.data(), velocity.data(), acceleration.data()},
+               {row, row + n, row + 2 * n, row + 3 * n, row + 4 * n});
   }
-  void sent(Input command) { core_.sent(command.data()); }
 
-  // Rows of `out`: error of the model [share of full speed], whether the calibration stands in.
-  void report(Output out) const {
-    const auto& error = core_.error();
-    std::copy(error.begin(), error.end(), out.data());
-    std::copy(core_.fallback().begin(), core_.fallback().end(), out.data() + error.size());
+  void sent(Input command) {
+    if (command.size() != tables_.tables().size()) throw nb::value_error("wrong number of values");
+    core_.sent(command.data());
   }
 
  private:
   static double number(nb::dict parts, const char* name) { return nb::cast<double>(parts[name]); }
-
-  static std::vector<double> values(nb::dict parts, const char* name) {
-    const auto array = nb::cast<Input>(parts[name]);
-    return {array.data(), array.data() + array.size()};
-  }
 
   static ff::AdaptiveSettings settings(nb::dict parts) {
     ff::AdaptiveSettings out;
@@ -93,22 +147,8 @@ class Feedforward {
             number(parts, "position_delay"), number(parts, "velocity_delay")};
   }
 
-  std::vector<ff::ValveTable> tables(nb::dict parts) const {
-    const std::vector<double> start = values(parts, "start"), spacing = values(parts, "spacing");
-    std::vector<ff::ValveTable> out(start.size());
-    for (std::size_t j = 0; j < out.size(); ++j) {
-      out[j].columns = int(speeds_.size());
-      out[j].rows = int(commands_.size() / (out.size() * speeds_.size()));
-      out[j].start = start[j];
-      out[j].spacing = spacing[j];
-      out[j].speed = speeds_.data();
-      out[j].commands = commands_.data() + j * std::size_t(out[j].rows * out[j].columns);
-    }
-    return out;
-  }
-
-  std::vector<double> commands_, speeds_;  // the tables point into them
-  ff::AdaptiveFeedforward core_;
+  ValveTables tables_;  // the core's point into them
+  ff::Controller core_;
 };
 
 inline void bind_feedforward(nb::module_& module) {
@@ -116,8 +156,10 @@ inline void bind_feedforward(nb::module_& module) {
       .def(nb::init<nb::dict>(), nb::arg("parts"))
       .def("reset", &Feedforward::reset, nb::keep_alive<1, 2>())
       .def("step", &Feedforward::step)
-      .def("sent", &Feedforward::sent)
-      .def("report", &Feedforward::report);
+      .def("sent", &Feedforward::sent);
+  nb::class_<ValveMaps>(module, "ValveMaps")
+      .def(nb::init<nb::dict>(), nb::arg("parts"))
+      .def("command", &ValveMaps::command);
 }
 
 }  // namespace leglab::bindings

@@ -113,9 +113,14 @@ class UdFactor {
  private:
   T column_power(int j) const {
     const T* column = u_ + j * (j - 1) / 2;
-    T sum = T(1);
-    for (int i = 0; i < j; ++i) sum += column[i] * column[i];
-    return sum;
+    // Four sums: the additions of one wait for each other.
+    T sum[4] = {T(1), T(0), T(0), T(0)};
+    int i = 0;
+    for (; i + 3 < j; i += 4) {
+      for (int k = 0; k < 4; ++k) sum[k] += column[i + k] * column[i + k];
+    }
+    for (; i < j; ++i) sum[0] += column[i] * column[i];
+    return (sum[0] + sum[1]) + (sum[2] + sum[3]);
   }
 
   // Scales D where a column's share of the trace is beyond the bound. A column that would need

@@ -1,0 +1,155 @@
+// Python module leglab._native.loop: what a closed loop does with arrays in every control period.
+// Its objects keep the arrays that they are made with and read or write them in place.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/vector.h>
+
+#include <algorithm>
+#include <stdexcept>
+#include <vector>
+
+#include "loop/sensing.h"
+
+namespace nb = nanobind;
+
+namespace leglab::bindings {
+namespace {
+
+template <class T>
+using Array = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
+using Values = Array<double>;
+using Index = Array<const std::int64_t>;
+
+void gather(const Values& from, const Index& index, double* to) {
+  for (std::size_t i = 0; i < index.size(); ++i) to[i] = from.data()[index.data()[i]];
+}
+
+void check_index(const Values& from, const Index& index) {
+  for (std::size_t i = 0; i < index.size(); ++i) {
+    if (index.data()[i] < 0 || std::size_t(index.data()[i]) >= from.size()) {
+      throw nb::index_error("index outside the array");
+    }
+  }
+}
+
+// Encoders that sample at one instant and are read later, at the start of the next period.
+class Readings {
+ public:
+  // noise, shift, lost: (periods, joints); position, velocity: (joints,), written by `read`.
+  Readings(Values positions, Index joints, Values noise, Values shift, Array<bool> lost, int counts,
+           double gain, double keep, Values position, Values velocity)
+      : positions_(std::move(positions)), joints_(std::move(joints)), noise_(std::move(noise)),
+        shift_(std::move(shift)), lost_(std::move(lost)), position_(std::move(position)),
+        velocity_(std::move(velocity)), sample_(joints_.size()),
+        sensing_({joints_.size(), counts, gain, keep}, position_.data(), velocity_.data()) {
+    check_index(positions_, joints_);
+    const std::size_t n = joints_.size();
+    if (noise_.size() % n || shift_.size() != noise_.size() || lost_.size() != noise_.size() ||
+        position_.size() != n || velocity_.size() != n) {
+      throw nb::value_error("arrays of different shapes");
+    }
+  }
+
+  void sample() { gather(positions_, joints_, sample_.data()); }
+
+  // True positions of the last sample and their noise in a period. (joints,)
+  void noisy(std::size_t period, Values out) const {
+    const double* noise = noise_.data() + at(period);
+    if (out.size() != sample_.size()) throw nb::value_error("wrong number of values");
+    for (std::size_t j = 0; j < sample_.size(); ++j) out.data()[j] = sample_[j] + noise[j];
+  }
+
+  void start() { sensing_.start(sample_.data(), disturbance(0)); }
+  void read(std::size_t period) { sensing_.read(sample_.data(), disturbance(period)); }
+
+ private:
+  std::size_t at(std::size_t period) const {
+    const std::size_t first = period * sample_.size();
+    if (first >= noise_.size()) throw nb::index_error("no such period");
+    return first;
+  }
+
+  loop::Disturbance disturbance(std::size_t period) const {
+    const std::size_t first = at(period);
+    // The first reading has none before it that could be repeated.
+    const bool* lost = period > 0 ? lost_.data() + first : nullptr;
+    return {noise_.data() + first, shift_.data() + first, lost};
+  }
+
+  Values positions_;
+  Index joints_;
+  Values noise_, shift_;
+  Array<bool> lost_;
+  Values position_, velocity_;
+  std::vector<double> sample_;
+  loop::Sensing sensing_;
+};
+
+// Copies values out of one array into the rows of another.
+class Rows {
+ public:
+  Rows(Values from, Index index, Values rows)
+      : from_(std::move(from)), index_(std::move(index)), rows_(std::move(rows)) {
+    check_index(from_, index_);
+    if (rows_.ndim() != 2 || rows_.shape(1) != index_.size()) {
+      throw nb::value_error("rows of another length");
+    }
+  }
+
+  void take(std::size_t row) {
+    if (row >= rows_.shape(0)) throw nb::index_error("no such row");
+    gather(from_, index_, rows_.data() + row * index_.size());
+  }
+
+ private:
+  Values from_;
+  Index index_;
+  Values rows_;
+};
+
+// Writes commands into an array, clipped to [-1, 1]; false, and nothing written, for anything but
+// an array of as many finite numbers.
+class Valves {
+ public:
+  explicit Valves(Values to) : to_(std::move(to)) {}
+
+  bool send(nb::object command) {
+    Array<const double> values;
+    if (!nb::try_cast(command, values) || values.ndim() != 1 || values.size() != to_.size()) {
+      return false;
+    }
+    const double* from = values.data();
+    if (!std::all_of(from, from + to_.size(), [](double u) { return std::isfinite(u); })) {
+      return false;
+    }
+    std::transform(from, from + to_.size(), to_.data(),
+                   [](double u) { return std::clamp(u, -1.0, 1.0); });
+    return true;
+  }
+
+ private:
+  Values to_;
+};
+
+}  // namespace
+
+NB_MODULE(loop, module) {
+  nb::class_<Readings>(module, "Readings")
+      .def(nb::init<Values, Index, Values, Values, Array<bool>, int, double, double, Values,
+                    Values>(),
+           nb::arg("positions"), nb::arg("joints"), nb::arg("noise"), nb::arg("shift"),
+           nb::arg("lost"), nb::arg("counts"), nb::arg("gain"), nb::arg("keep"),
+           nb::arg("position"), nb::arg("velocity"))
+      .def("sample", &Readings::sample)
+      .def("noisy", &Readings::noisy)
+      .def("start", &Readings::start)
+      .def("read", &Readings::read);
+  nb::class_<Rows>(module, "Rows")
+      .def(nb::init<Values, Index, Values>(), nb::arg("source"), nb::arg("index"), nb::arg("rows"))
+      .def("take", &Rows::take);
+  nb::class_<Valves>(module, "Valves")
+      .def(nb::init<Values>(), nb::arg("target"))
+      .def("send", &Valves::send, nb::arg("command").none());
+}
+
+}  // namespace leglab::bindings
