@@ -1,5 +1,7 @@
 """What one control period does with arrays, against NumPy: readings, commands, records."""
 
+import contextlib
+
 import mujoco
 import numpy as np
 import pytest
@@ -139,9 +141,25 @@ def test_headless_steps_give_the_same_bits_and_put_everything_back():
     assert not np.isnan(machine.data.sensordata).any()
 
 
-def test_headless_puts_everything_back_after_an_error():
+def test_headless_puts_flags_back_after_an_error():
     model = load_model("knee_bench")
     flags = model.opt.disableflags
-    with pytest.raises(RuntimeError), headless(model):
-        raise RuntimeError
+    with pytest.raises(ZeroDivisionError), headless(model):
+        _ = 1 / 0
     assert model.opt.disableflags == flags
+
+
+def test_the_clock_is_back_when_the_last_of_overlapping_runs_ends():
+    simulation, other = (Simulation(load_model("knee_bench")) for _ in range(2))
+    flags = simulation.model.opt.disableflags
+    duration = simulation.data.timer[mujoco.mjtTimer.mjTIMER_STEP]
+    with contextlib.ExitStack() as late:
+        first = late.enter_context(contextlib.ExitStack())
+        first.enter_context(headless(simulation.model))
+        late.enter_context(headless(other.model))
+        first.close()
+        simulation.step()
+        assert duration.duration == 0.0
+    assert simulation.model.opt.disableflags == other.model.opt.disableflags == flags
+    simulation.step()
+    assert duration.duration > 0.0

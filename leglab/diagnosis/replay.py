@@ -20,6 +20,7 @@ from leglab.diagnosis.starts import (
     start_states,
 )
 from leglab.errors import LeglabError
+from leglab.headless import headless
 
 # Where no pressures are measured, a replay of this time before a window, which forgets where it
 # began, says what they are at its start.
@@ -274,10 +275,11 @@ class Replay:
                 self._buffers.clear()
             self._buffers[shape] = np.empty(shape)
         states = self._buffers[shape]
-        sensors = np.empty((shape[0], shape[1], model.nsensordata))
-        self._pool.rollout(
-            model, self._datas[key][1], starts, controls, state=states, sensordata=sensors
-        )
+        sensors = np.empty((shape[0], shape[1], model.nsensordata))  # else made every time
+        with headless(model):
+            self._pool.rollout(
+                model, self._datas[key][1], starts, controls, state=states, sensordata=sensors
+            )
         self.rollouts += shape[0] / self.windows
         return states
 

@@ -2,9 +2,9 @@
 
 from collections.abc import Callable
 
-import mujoco
 from dm_control.mujoco import Physics, wrapper
 
+from leglab.headless import without_warnings
 from leglab.simulation import Simulation
 
 
@@ -33,12 +33,8 @@ class LegPhysics(Physics):
         if self._advance is None:
             super().step(nstep)
             return
-        # MuJoCo would write its warnings to a log file; the task checks what they warn of.
-        mujoco.set_mju_user_warning(_ignore)
-        try:
+        with without_warnings():  # the task checks what they warn of
             self._advance()
-        finally:
-            mujoco.set_mju_user_warning(None)
 
     def after_reset(self) -> None:
         """Recomputes what follows from the state; valves stay open as they are.
@@ -48,7 +44,3 @@ class LegPhysics(Physics):
         warm_start = self.data.qacc_warmstart.copy()
         self.forward()
         self.data.qacc_warmstart[:] = warm_start
-
-
-def _ignore(warning: str) -> None:
-    pass
