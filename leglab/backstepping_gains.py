@@ -12,13 +12,6 @@ import numpy as np
 
 import leglab.controllers
 from leglab.backstepping.data import BacksteppingGains
-from leglab.backstepping_tuning import (
-    SENSITIVITY,
-    SLOW_SENSITIVITY,
-    VALVE_SHARE,
-    joint_loop,
-    tuned_gains,
-)
 from leglab.gains import TUNED_MODELS
 from leglab.measurement import SensorConfiguration
 from leglab.simulation import Simulation, load_model
@@ -30,6 +23,14 @@ _TIMING = ("control_period", "latency")
 
 def gains_text(models: Sequence[str]) -> str:
     """Tunes models for the default sensors and formats the gains as TOML."""
+    from leglab.backstepping_tuning import (
+        SENSITIVITY,
+        SLOW_SENSITIVITY,
+        VALVE_SHARE,
+        joint_loop,
+        tuned_gains,
+    )
+
     sensors = SensorConfiguration()
     lines = [
         "# Gains of adaptive_backstepping by `python -m leglab.backstepping_gains`: the smallest",
@@ -68,6 +69,9 @@ def backstepping_gains(
     if known and all(name in joints for name in simulation.joints):
         rows = [joints[name] for name in simulation.joints]
         return BacksteppingGains(**{key: np.array([row[key] for row in rows]) for key in _NAMES})
+    # Needs python-control, which takes a second to import.
+    from leglab.backstepping_tuning import tuned_gains
+
     tuned = [tuned_gains(simulation, joint, sensors) for joint in range(len(simulation.joints))]
     return BacksteppingGains(
         **{key: np.concatenate([getattr(gains, key) for gains in tuned]) for key in _NAMES}

@@ -7,7 +7,6 @@ from pathlib import Path
 import leglab.controllers
 from leglab.measurement import SensorConfiguration
 from leglab.simulation import Simulation, load_model
-from leglab.tuning import GAIN_MARGIN_DB, PHASE_MARGIN_DEG, tune
 
 # Tuned once by `leglab tune`, and not touched afterwards.
 GAINS_FILE = Path(leglab.controllers.__path__[0]) / "pd_gains.toml"
@@ -16,6 +15,8 @@ TUNED_MODELS = ("knee_bench", "leg", "leg_rail")
 
 def gains_text(models: Sequence[str], progress: Callable[[str], None]) -> str:
     """Tunes models for the default sensors and formats the gains as TOML."""
+    from leglab.tuning import GAIN_MARGIN_DB, PHASE_MARGIN_DEG, tune
+
     sensors = SensorConfiguration()
     lines = [
         "# PD gains by `leglab tune --write`: the greatest K_p that keeps "
@@ -62,6 +63,8 @@ def stored_gains(
 
 def tuned_gains(model: str, sensors: SensorConfiguration) -> list[tuple[float, float]]:
     """Gains tuned now, for a model or a timing without stored ones."""
+    from leglab.tuning import tune  # needs python-control, which takes a second to import
+
     simulation = Simulation(load_model(model))
     result = []
     for joint in range(len(simulation.joints)):

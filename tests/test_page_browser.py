@@ -154,6 +154,16 @@ def test_the_film_plays_from_the_page_alone(browser, pages, tmp_path):
         video = page.locator("video")
         assert video.get_attribute("aria-describedby") == "film-text"
         assert "pd and arx, side by side" in page.locator("#film-text").inner_text()
+        # A still from the film stands there before it is played.
+        size = page.evaluate(
+            """async () => {
+                const still = new Image();
+                still.src = document.querySelector("video").poster;
+                await still.decode();
+                return [still.naturalWidth, still.naturalHeight];
+            }"""
+        )
+        assert size == [320, 192]
         page.evaluate("document.querySelector('video').play()")
         until(page, "document.querySelector('video').currentTime > 0.3")
         assert page.evaluate("document.querySelector('video').videoWidth") == 320

@@ -3,14 +3,16 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import BSpline
 
 from leglab.errors import LeglabError
 from leglab.identification import checks
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
 
 Kind = Literal["full", "paper"]
 Outside = Literal["clamp", "linear", "quadratic"]
@@ -118,7 +120,7 @@ class Basis:
         t = self.extended_knots if self.kind == "full" else np.asarray(self.knots)
         return (t[1 : 1 + self.count] + t[2 : 2 + self.count]) / 2
 
-    def spline(self, weights: ArrayLike, bias: float = 0.0) -> BSpline:
+    def spline(self, weights: ArrayLike, bias: float = 0.0) -> "BSpline":
         """Returns sum_i weights_i N_i + bias as a SciPy spline of degree 2.
 
         It agrees with the network within the knots; SciPy continues it quadratically outside.
@@ -131,6 +133,8 @@ class Basis:
             LeglabError: The middle piece is the printed one, which is no spline, or the number
                 of weights is wrong.
         """
+        from scipy.interpolate import BSpline  # takes half a second
+
         w = np.asarray(weights, dtype=float)
         if w.shape != (self.count,):
             raise LeglabError(f"weights have shape {w.shape}: must be ({self.count},)")

@@ -1,13 +1,11 @@
 """The paper's model: B-spline network and ARX model learning together (Algorithm 1)."""
 
 from dataclasses import dataclass, field
-from typing import ClassVar, get_args
+from typing import TYPE_CHECKING, ClassVar, get_args
 
-import control
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
 
 from leglab._native import identification as native
 from leglab.errors import LeglabError
@@ -15,6 +13,10 @@ from leglab.identification import checks, linear
 from leglab.identification.basis import Basis
 from leglab.identification.front import Array, Identifier
 from leglab.identification.settings import Guard, Rls, Scalar
+
+if TYPE_CHECKING:
+    import control
+    from scipy.interpolate import BSpline
 
 MAX_NETWORK_INPUTS = 8  # as in the core (bsnn.h)
 
@@ -147,7 +149,7 @@ class BsnnArx(Identifier):
             return np.zeros(self.parameters.shape[:-1])
         return self.parameters[..., at]
 
-    def static_spline(self, joint: int = 0, *, network_input: int = 0) -> BSpline:
+    def static_spline(self, joint: int = 0, *, network_input: int = 0) -> "BSpline":
         """Static map from one input to the ARX part's input as a SciPy spline.
 
         With several inputs the bias belongs to none of them and is left out.
@@ -164,7 +166,7 @@ class BsnnArx(Identifier):
 
     def transfer_function(
         self, joint: int = 0, *, timestep: float | bool = True
-    ) -> control.TransferFunction:
+    ) -> "control.TransferFunction":
         """ARX part (Eq. 1) from the network's output n to y; timestep in seconds."""
         theta = np.atleast_2d(self.theta)[joint]
         na, nk = self.settings.na, self.settings.nk

@@ -1,13 +1,17 @@
 """Linear part of an identifier: transfer functions and poles from coefficients of lags."""
 
-import control
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    import control
 
 
 def transfer_function(
     output: ArrayLike, inputs: ArrayLike, timestep: float | bool = True
-) -> control.TransferFunction:
+) -> "control.TransferFunction":
     """Transfer function of y(t) = sum_k output_k y(t-k) + sum_k inputs_k u(t-k).
 
     Args:
@@ -15,6 +19,8 @@ def transfer_function(
         inputs: Coefficients of u(t), u(t - 1), ...
         timestep: Sampling time [s]; True leaves it unspecified.
     """
+    import control  # takes a second
+
     a, b = np.asarray(output, dtype=float), np.asarray(inputs, dtype=float)
     order = max(len(a), len(b) - 1)
     denominator = np.zeros(order + 1)

@@ -3,12 +3,10 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import ClassVar, get_args
+from typing import TYPE_CHECKING, ClassVar, get_args
 
-import control
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
 
 from leglab._native import identification as native
 from leglab.errors import LeglabError, unknown_name
@@ -25,6 +23,10 @@ from leglab.identification.features import (
 )
 from leglab.identification.front import Array, Identifier
 from leglab.identification.settings import MAX_INPUTS, Guard, Rls, Scalar
+
+if TYPE_CHECKING:
+    import control
+    from scipy.interpolate import BSpline
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -227,7 +229,7 @@ class SplineNarx(Identifier):
         signal: str | None = None,
         at: Mapping[str, float] | None = None,
         timestep: float | bool = True,
-    ) -> control.TransferFunction:
+    ) -> "control.TransferFunction":
         """Transfer function from one input (the first by default) to y; see `linearise`."""
         names = [s.name for s in self.settings.inputs]
         name = names[0] if signal is None else signal
@@ -242,7 +244,7 @@ class SplineNarx(Identifier):
         """Poles of the output's lags, complex; see `linearise` for `at`."""
         return linear.poles(np.trim_zeros(self.linearise(joint, at)[0, 1:], "b"))
 
-    def static_spline(self, feature: int = 0, joint: int = 0) -> BSpline:
+    def static_spline(self, feature: int = 0, joint: int = 0) -> "BSpline":
         """Static map of one feature as a SciPy spline in physical units.
 
         Args:

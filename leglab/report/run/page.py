@@ -5,7 +5,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from leglab.report.page.shell import asset, plotly, render
 from leglab.report.page.wording import listed
 from leglab.report.palette import SERIES
 from leglab.report.run import tables, words
-from leglab.report.run.film import film_bytes
+from leglab.report.run.film import film_bytes, still_bytes
 from leglab.report.run.plots import plot_data
 from leglab.report.run.source import ReportedRun
 
@@ -49,10 +49,11 @@ class Report:
 
 @dataclass(frozen=True, kw_only=True)
 class FilmPart:
-    """The film as the page shows it: its data, or the reason why there is none."""
+    """The film as the page shows it: its data and a still, or the reason why there is none."""
 
     text: str
     data: Markup | None = None
+    still: str = ""
     name: str = FILM
     link: str = FILM
     width: int = 1280
@@ -132,10 +133,11 @@ def page(runs: Sequence[ReportedRun], *, film: Path | None = None, no_film: str 
     fill = partial(_fill, runs, joints, first, data)
     if film is None:
         return fill(FilmPart(text=no_film or "none was asked for."))
-    empty = FilmPart(text=_description(runs), data=Markup(""))
+    still = base64.b64encode(still_bytes(film)).decode()
+    empty = FilmPart(text=_description(runs), data=Markup(""), still=still)
     most = max(_FILM_LEAST, (_LARGEST - len(fill(empty).encode())) * 3 // 4)
     content = base64.b64encode(film_bytes(film, most)).decode()
-    return fill(FilmPart(text=empty.text, data=Markup(content)))
+    return fill(replace(empty, data=Markup(content)))
 
 
 def _fill(
