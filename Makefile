@@ -22,7 +22,7 @@ lint: $(STAMP)
 
 docs: $(STAMP)
 	rm -rf docs/api/generated  # pages of modules that are gone
-	$(BIN)/python -m sphinx -W --keep-going -n -q docs out/docs
+	$(BIN)/python -m sphinx -W --keep-going -n -q -j auto docs out/docs
 	@echo "open out/docs/index.html"
 
 $(STAMP): $(SOURCES)
