@@ -109,7 +109,5 @@ def _kept(script: str, results: Any) -> dict[str, Any]:
 def _origin(kept: dict[str, Any]) -> str:
     """The line below the tables: the command and what it ran on."""
     parts = [f"`{kept['command']}`", kept["date"]]
-    parts += [f"{name} {version}" for name, version in (kept.get("versions") or {}).items()]
-    if kept.get("transcribed"):
-        parts.append("copied from an earlier state of this page")
+    parts += [f"{name} {version}" for name, version in kept["versions"].items()]
     return ", ".join(parts) + f"; {kept['machine']}."
