@@ -77,7 +77,11 @@ class Controller(Protocol):
         """
 
     def diagnostics(self) -> dict[str, np.ndarray]:
-        """Returns what is worth recording of the last period, by name. Each of shape (joints,)."""
+        """Returns what is worth recording of the last period, by name. Each of shape (joints,).
+
+        The runner copies the arrays: they may change with the next period, as may those that
+        `command` returns.
+        """
 
 
 @dataclass(frozen=True, kw_only=True)

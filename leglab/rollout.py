@@ -168,7 +168,7 @@ class _Records:
 
     def __init__(self, simulation: Simulation, schedule: Schedule, count: int) -> None:
         model, data = simulation.model, simulation.data
-        self._simulation, self._schedule, self._count = simulation, schedule, count
+        self._simulation, self._schedule = simulation, schedule
         self._columns, slots = _state_columns(simulation, schedule)
         self._qpos, self.qvel = np.empty((count, model.nq)), np.empty((count, model.nv))
         self._command, self._states = np.empty((count, model.nu)), np.empty((count, len(slots)))
