@@ -136,7 +136,7 @@ class AdaptiveFeedforward:
         self._out = np.zeros((1 + len(_REPORTED), inverse_map.joints))
         self._command = self._out[0]
         self.report = dict(zip(_REPORTED, self._out[1:], strict=True))
-        self._learner = inverse_map.learner()
+        self.reset()
 
     def reset(self) -> None:
         """Forgets everything learned: the feed-forward is the calibration's."""
