@@ -155,6 +155,6 @@ def cost(path: Path, title: str, x: tuple[str, Sequence[float]], measured: Seque
     axis.plot(x[1], measured, "o-", markersize=4)
     axis.set(xlabel=x[0], ylabel="ns a sample", title=title)
     axis.set_xlim(left=0)
-    axis.set_ylim(bottom=0)
+    axis.set_ylim(0, 1.1 * max(measured))  # flat data leave themselves no room above
     axis.grid(alpha=0.3)
     return _save(figure, path)
