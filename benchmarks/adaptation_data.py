@@ -10,8 +10,8 @@ from results import DATA as FOLDER
 from results import rounded
 
 from leglab.data import write_atomically
-from leglab.metrics import READAPTATION_RATIO, settling_time
-from leglab.runner import RunSettings
+from leglab.runs.metrics import READAPTATION_RATIO, settling_time
+from leglab.runs.run import RunSettings
 
 # Results by scenario, severity (None for the default) and controller, one a seed.
 Cells = dict[tuple[str, float | None, str], list[dict[str, Any]]]
@@ -23,7 +23,7 @@ _SAFE_FROM = 7.0
 
 
 def condense(cells: Cells) -> Cells:
-    """Reduces the results of `leglab.sweep.run_all` to numbers, one dictionary a run.
+    """Reduces the results of `leglab.runs.sweep.run_all` to numbers, one dictionary a run.
 
     Each has `seed`, `completed`, `settled_rms_rad` and `end_rms_rad` by joint, `after_rms_rad`;
     nominal ones `travel_rad`; those of `bsnn_arx` also `readaptation_s` to 1.25 of the error before

@@ -9,9 +9,9 @@ import sys
 import numpy as np
 from adaptation_data import Cells, pooled, read
 
+from leglab.base.scenario import scenario_names, scenario_summary
+from leglab.cli.catalogue import severity_text
 from leglab.control import controller_names, controller_summary
-from leglab.listing import severity_text
-from leglab.scenario import scenario_names, scenario_summary
 
 RIG = "leg, walking"
 SHOWN = ("static_feedforward", "frozen", "bsnn_arx", "oracle")

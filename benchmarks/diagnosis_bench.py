@@ -15,7 +15,7 @@ import results
 from leglab.diagnosis.recordings import read_recordings, split_held_out
 from leglab.diagnosis.result import Diagnosis
 from leglab.diagnosis.verdict import diagnose
-from leglab.verification.bench import nominal_folder
+from leglab.studies.verification.bench import nominal_folder
 
 CASES = ("nominal", *(f"d{i}" for i in range(1, 8)))
 HEAD = (

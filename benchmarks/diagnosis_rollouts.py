@@ -17,13 +17,13 @@ import mujoco
 import numpy as np
 import results
 
-from leglab.diagnosis.change import Change
 from leglab.diagnosis.hypothesis import Hypothesis
-from leglab.diagnosis.problem import Problem
+from leglab.diagnosis.model import Change
 from leglab.diagnosis.recordings import read_recordings, split_held_out
+from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.starts import measure, start_states
 from leglab.diagnosis.workflow import Settings, set_up
-from leglab.verification.bench import nominal_folder
+from leglab.studies.verification.bench import nominal_folder
 
 KEY = ("valve_gain", "knee_valve")
 NAME = "rated_flow"

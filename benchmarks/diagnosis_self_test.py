@@ -8,7 +8,7 @@ from pathlib import Path
 
 import results
 
-from leglab.diagnosis.blind.selftest import SCORE_HEAD, scores, self_test
+from leglab.studies.blind.selftest import SCORE_HEAD, scores, self_test
 
 
 def main() -> None:

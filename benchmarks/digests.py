@@ -1,8 +1,8 @@
 """Digests of fixed runs and the results of fixed diagnoses, to prove that a change changes nothing.
 
-`--write FILE` at the commit before a change, `--compare FILE` after it, on the same machine: other
-processors and library versions may round differently. Run it as `python -m benchmarks.digests`. Runs must agree to the last bit; diagnoses in
-verdict, names and notes, and to 1e-9 in every value.
+`python -m benchmarks.digests --write FILE` at the commit before a change, `--compare FILE` after
+it, on the same machine: other processors and library versions may round differently. Runs must
+agree to the last bit; diagnoses in verdict, names and notes, and to 1e-9 in every value.
 """
 
 import argparse
@@ -155,9 +155,7 @@ def main():
         options.write.write_text(json.dumps(results, indent=1) + "\n")
     if options.compare:
         kept = json.loads(options.compare.read_text())
-        found = [
-            line for name in results for line in differences(kept[name], results[name], name)
-        ]
+        found = [line for name in results for line in differences(kept[name], results[name], name)]
         print("\n".join(found) if found else f"no difference to {options.compare}")
         sys.exit(bool(found))
 

@@ -13,7 +13,7 @@ import numpy as np
 import results
 
 import leglab.environment
-from leglab.simulation import load_model
+from leglab.machine.simulation import load_model
 
 PERIODS = 400
 BARE = "bare `mj_step`, with shapes"

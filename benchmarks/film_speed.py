@@ -19,12 +19,12 @@ os.environ.setdefault("LP_NUM_THREADS", "0")
 
 import mujoco
 
+from leglab.machine.simulation import Simulation, load_model
 from leglab.report.film import FRAME_RATE, SIZE, render_film
 from leglab.report.film.picture import Picture
 from leglab.report.film.workers import worker_count
-from leglab.report.run_folder import write_run
-from leglab.runner import RunSettings, run_scenario
-from leglab.simulation import Simulation, load_model
+from leglab.runs.folder import write_run
+from leglab.runs.run import RunSettings, run_scenario
 
 CONTROLLERS = ("pd", "static_feedforward", "bsnn_arx")
 FILM, LIMIT = 20.0, 60.0  # s
@@ -60,7 +60,7 @@ def main() -> None:
                 scenario="seal_wear", controller=controller, duration=arguments.seconds
             )
             folder = Path(name) / controller
-            folders.append(write_run(run_scenario(settings), folder, figures=False))
+            folders.append(write_run(run_scenario(settings), folder))
 
         model = load_model("leg")
         data = Simulation(model).data

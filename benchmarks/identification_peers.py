@@ -20,11 +20,11 @@ import scipy.linalg
 import scipy.signal
 
 from leglab.identification import BsnnArx, SplineNarx
-from leglab.replication import deployed, paper, real_data
-from leglab.replication.online import Settings
-from leglab.replication.plant import simulate
-from leglab.replication.real_data import Dataset
-from leglab.replication.structures import SILVERBOX
+from leglab.studies.replication import deployed, paper, real_data
+from leglab.studies.replication.online import Settings
+from leglab.studies.replication.plant import simulate
+from leglab.studies.replication.real_data import Dataset
+from leglab.studies.replication.structures import SILVERBOX
 
 LAGS = 3
 INITIAL_GAIN = 1e4

@@ -9,9 +9,9 @@ import sys
 import numpy as np
 import results
 
-from leglab.replication import deployed, paper
-from leglab.replication.page import free_run_table, recovery_table
-from leglab.replication.run import CHANGE_SEEDS, REALISATIONS
+from leglab.studies.replication import deployed, paper
+from leglab.studies.replication.page import free_run_table, recovery_table
+from leglab.studies.replication.run import CHANGE_SEEDS, REALISATIONS
 
 REPLICATE, REAL_DATA = "`leglab replicate`", "`benchmarks/real_data.py`"
 

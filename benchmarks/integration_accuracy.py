@@ -19,7 +19,7 @@ import numpy as np
 import results
 from scipy.integrate import solve_ivp
 
-from leglab.hydraulics import Cylinder
+from leglab.machine.cylinder import Cylinder
 
 SIZE = {"bore": 0.016, "rod": 0.010, "stroke": 0.080}
 HOLD, DURATION, MASS = 1e-3, 0.5, 20.0  # s, s, kg

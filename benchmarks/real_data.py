@@ -22,12 +22,12 @@ from leglab.identification import (
     Lags,
     SplineNarx,
 )
-from leglab.replication import real_data, selection
-from leglab.replication.networks import LAGS
-from leglab.replication.networks import train as train_network
-from leglab.replication.online import Settings
-from leglab.replication.real_data import Dataset
-from leglab.replication.structures import ACTUATOR, SILVERBOX
+from leglab.studies.replication import real_data, selection
+from leglab.studies.replication.networks import LAGS
+from leglab.studies.replication.networks import train as train_network
+from leglab.studies.replication.online import Settings
+from leglab.studies.replication.real_data import Dataset
+from leglab.studies.replication.structures import ACTUATOR, SILVERBOX
 
 DIVERGED = 1e3  # in the unit of the table
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import results
 
-from leglab.replication import paper, replicate
-from leglab.replication.run import REALISATIONS
+from leglab.studies.replication import paper, replicate
+from leglab.studies.replication.run import REALISATIONS
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:

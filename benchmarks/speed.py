@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import results
 
-from leglab.hydraulics import Cylinder
+from leglab.machine.cylinder import Cylinder
 
 # Two seconds: longer, and the leaking null would creep into the end stops.
 STEPS, TIMESTEP, REPEATS = 4000, 5e-4, 200

@@ -6,7 +6,7 @@ itself.
 
 from functools import partial
 
-from leglab.control import CONTROLLERS
-from leglab.registry import import_modules
+from leglab.base.registry import import_modules
+from leglab.control.contract import CONTROLLERS
 
 CONTROLLERS.add_loader(partial(import_modules, __name__, __path__))

@@ -12,15 +12,15 @@ import math
 import numpy as np
 from pydantic import Field
 
-from leglab.backstepping.adaptation import Adaptation
-from leglab.backstepping.cylinder import CylinderModel
-from leglab.backstepping.data import FORCE_CUTOFF, PRESSURE_CUTOFF, BacksteppingGains
-from leglab.backstepping.feedback import Feedback, no_load_speed
-from leglab.backstepping.friction import Bristles
-from leglab.configuration import Configuration
+from leglab.base.errors import LeglabError
+from leglab.base.settings import Configuration
 from leglab.control import ControllerSetup, Measurement, ReferencePoint, register_controller
-from leglab.errors import LeglabError
-from leglab.feedforward.motion import ReferenceMotion
+from leglab.control.backstepping.adaptation import Adaptation
+from leglab.control.backstepping.cylinder import CylinderModel
+from leglab.control.backstepping.data import FORCE_CUTOFF, PRESSURE_CUTOFF, BacksteppingGains
+from leglab.control.backstepping.feedback import Feedback, no_load_speed
+from leglab.control.backstepping.friction import Bristles
+from leglab.control.feedforward.motion import ReferenceMotion
 
 _NAME = "adaptive_backstepping"
 _GAINS = ("position_gain", "force_damping", "force_drift", "flow_drift")

@@ -7,10 +7,10 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from leglab.control import ControllerSetup, Measurement, ReferencePoint, register_controller
+from leglab.control.feedforward.adaptive import AdaptationSettings, AdaptiveFeedforward
+from leglab.control.feedforward.inverse_map import InverseMap, MotionRange
+from leglab.control.feedforward.valve_table import ValveTable
 from leglab.controllers.pd import Pd, PdConfiguration
-from leglab.feedforward.adaptive import AdaptationSettings, AdaptiveFeedforward
-from leglab.feedforward.inverse_map import InverseMap, MotionRange
-from leglab.feedforward.valve_table import ValveTable
 from leglab.identification import ChangeDetection, Rls
 
 
@@ -82,7 +82,7 @@ class AdaptiveController:
     """u = map(r, r', r'', r''') + PD on the reference as old as the measurement it is held against.
 
     The map starts as the nominal valve map and learns from what the machine did with the commands
-    it was sent. See `leglab.feedforward`.
+    it was sent. See `leglab.control.feedforward`.
     """
 
     name = "bsnn_arx"

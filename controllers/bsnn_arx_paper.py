@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import Field
 
 from leglab.control import ControllerSetup, Measurement, ReferencePoint, register_controller
+from leglab.control.feedforward.motion import ReferenceMotion, SmoothingWindow
 from leglab.controllers.pd import Pd, PdConfiguration
-from leglab.feedforward.motion import ReferenceMotion, SmoothingWindow
 from leglab.identification import Basis, Bsnn, BsnnArx, BsnnArxSettings, Rls
 
 

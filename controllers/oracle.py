@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from leglab.control import ControllerSetup, Measurement, ReferencePoint, register_controller
+from leglab.control.feedforward.offline import BenchRun
 from leglab.controllers.bsnn_arx import AdaptiveConfiguration, AdaptiveController
-from leglab.feedforward.offline import BenchRun
 from leglab.identification import Rls
 
 # Prior variance of the parameters, so wide that the recording alone decides.

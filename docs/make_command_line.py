@@ -5,7 +5,7 @@ from pathlib import Path
 import typer
 
 from leglab.cli import app
-from leglab.cli_conventions import EXAMPLES, EXIT_STATUS
+from leglab.cli.conventions import EXAMPLES, EXIT_STATUS
 
 PAGE = Path(__file__).with_name("command_line.md")
 

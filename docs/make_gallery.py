@@ -15,8 +15,8 @@ from PIL import Image
 
 from leglab.report.film import SIZE, render_film
 from leglab.report.film.workers import draw_frames
-from leglab.report.run_folder import write_run
-from leglab.runner import RunSettings, run_scenario
+from leglab.runs.folder import write_run
+from leglab.runs.run import RunSettings, run_scenario
 
 CONTROLLERS = ("pd", "static_feedforward", "bsnn_arx")
 DURATION = 20.0  # s; the seals wear out half way
@@ -33,7 +33,7 @@ def make_runs(folder: Path) -> dict[str, Path]:
     )
     for name, settings in wanted.items():
         if not (folder / name).exists():
-            write_run(run_scenario(settings), folder / name, figures=False)
+            write_run(run_scenario(settings), folder / name)
     return {name: folder / name for name in wanted}
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from leglab.simulation import Simulation
+from leglab.machine.simulation import Simulation
 
 _BOOKS = ("supply", "valve", "leakage", "friction", "stored", "load")
 

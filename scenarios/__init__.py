@@ -1,12 +1,12 @@
 """Scenarios, one a file, by name.
 
-Importing this package makes all of them known to `leglab.scenario`; a new file here is found by
-itself.
+Importing this package makes all of them known to `leglab.base.scenario`; a new file here is
+found by itself.
 """
 
 from functools import partial
 
-from leglab.registry import import_modules
-from leglab.scenario import SCENARIOS
+from leglab.base.registry import import_modules
+from leglab.base.scenario import SCENARIOS
 
 SCENARIOS.add_loader(partial(import_modules, __name__, __path__))

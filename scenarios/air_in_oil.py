@@ -4,8 +4,7 @@ The chambers become soft: at 30 bar 5 % of air instead of 0.5 % lower the bulk m
 0.6 GPa. Well-kept systems have 0.5 to 2 %; a low tank or a leaking suction line lets in more.
 """
 
-from leglab.scenario import Options, Severity, register_scenario
-from leglab.schedule import ParameterChange
+from leglab.base.scenario import Options, ParameterChange, Severity, register_scenario
 
 
 @register_scenario(

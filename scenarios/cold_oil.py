@@ -5,8 +5,7 @@ Viscous friction grows and leakage shrinks with the viscosity: 577 cSt instead o
 controller meets that was tuned at 40 °C, and has a before and an after to compare.
 """
 
-from leglab.scenario import Options, Severity, register_scenario
-from leglab.schedule import ParameterChange
+from leglab.base.scenario import Options, ParameterChange, Severity, register_scenario
 
 
 @register_scenario(

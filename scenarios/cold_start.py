@@ -6,9 +6,8 @@ surroundings, as cold as the oil was, cool it. Choices of this project: 250 J/K 
 air and, with the oil, to the tank.
 """
 
-from leglab.errors import LeglabError
-from leglab.scenario import Options, Severity, register_scenario
-from leglab.schedule import ParameterChange
+from leglab.base.errors import LeglabError
+from leglab.base.scenario import Options, ParameterChange, Severity, register_scenario
 
 THERMAL_CAPACITY = 250.0  # J/K
 HEAT_TRANSFER = 5.0  # W/K

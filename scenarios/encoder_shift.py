@@ -4,8 +4,7 @@ What the controller believes to be tracked is off by the slip: nothing but anoth
 The tracking error counts from the true position.
 """
 
-from leglab.scenario import Options, Severity, register_scenario
-from leglab.schedule import ParameterChange
+from leglab.base.scenario import Options, ParameterChange, Severity, register_scenario
 
 
 @register_scenario(

@@ -4,8 +4,7 @@
 detects (0.07 to 0.25 l/min; ASME FPMC 2014). The pump has to make up for it.
 """
 
-from leglab.scenario import Options, Severity, register_scenario
-from leglab.schedule import ParameterChange
+from leglab.base.scenario import Options, ParameterChange, Severity, register_scenario
 
 
 @register_scenario(

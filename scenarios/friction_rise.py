@@ -1,7 +1,6 @@
 """All friction of seals and joints grows at half time, as with swollen seals."""
 
-from leglab.scenario import Options, Severity, register_scenario
-from leglab.schedule import ParameterChange
+from leglab.base.scenario import Options, ParameterChange, Severity, register_scenario
 
 
 @register_scenario(

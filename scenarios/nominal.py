@@ -1,7 +1,6 @@
 """Nothing changes: the machine as it was built."""
 
-from leglab.scenario import Options, register_scenario
-from leglab.schedule import ParameterChange
+from leglab.base.scenario import Options, ParameterChange, register_scenario
 
 
 @register_scenario("nominal", summary="the machine as it was built", duration=10.0)

@@ -4,8 +4,7 @@ The point mass sits at the shank's centre of mass: 5 kg weigh as much again as t
 knee bench (4.5 kg).
 """
 
-from leglab.scenario import Options, Severity, register_scenario
-from leglab.schedule import ParameterChange
+from leglab.base.scenario import Options, ParameterChange, Severity, register_scenario
 
 
 @register_scenario(

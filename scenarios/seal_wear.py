@@ -4,8 +4,7 @@ Leakage grows with the cube of the seal's clearance (physics.md, "Values"): x2, 
 for 1.26, 2.15 and 3.68 times the clearance.
 """
 
-from leglab.scenario import Options, Severity, register_scenario
-from leglab.schedule import ParameterChange
+from leglab.base.scenario import Options, ParameterChange, Severity, register_scenario
 
 
 @register_scenario(

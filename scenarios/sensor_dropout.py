@@ -4,8 +4,7 @@ A lost reading is replaced by the last good one; each is lost by itself, by chan
 of the run. Positions stand still and jump, and so the speeds that are made of them.
 """
 
-from leglab.scenario import Options, Severity, register_scenario
-from leglab.schedule import ParameterChange
+from leglab.base.scenario import Options, ParameterChange, Severity, register_scenario
 
 
 @register_scenario(

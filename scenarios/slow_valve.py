@@ -1,7 +1,6 @@
 """The spools of all valves become slow at half time, as with a clogged pilot stage."""
 
-from leglab.scenario import Options, Severity, register_scenario
-from leglab.schedule import ParameterChange
+from leglab.base.scenario import Options, ParameterChange, Severity, register_scenario
 
 
 @register_scenario(

@@ -1,7 +1,6 @@
 """The parallel springs tire at half time (k_1 and k_2 of Eq. 23 of Folgheraiter)."""
 
-from leglab.scenario import Options, Severity, register_scenario
-from leglab.schedule import ParameterChange
+from leglab.base.scenario import Options, ParameterChange, Severity, register_scenario
 
 
 @register_scenario(

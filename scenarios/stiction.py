@@ -1,7 +1,6 @@
 """Seals stick from half time on: breakaway friction grows, Coulomb friction stays."""
 
-from leglab.scenario import Options, Severity, register_scenario
-from leglab.schedule import ParameterChange
+from leglab.base.scenario import Options, ParameterChange, Severity, register_scenario
 
 
 @register_scenario(

@@ -5,8 +5,7 @@ the pressure now swings with the demand of all joints together. Only models with
 droop.
 """
 
-from leglab.scenario import Options, Severity, register_scenario
-from leglab.schedule import ParameterChange
+from leglab.base.scenario import Options, ParameterChange, Severity, register_scenario
 
 
 @register_scenario(

@@ -4,8 +4,7 @@ Speed and force of every joint shrink, and the flow gain of the valves with the 
 pressure. With an accumulator the cylinders see the fall as fast as they empty it.
 """
 
-from leglab.scenario import Options, Severity, register_scenario
-from leglab.schedule import ParameterChange
+from leglab.base.scenario import Options, ParameterChange, Severity, register_scenario
 
 
 @register_scenario(

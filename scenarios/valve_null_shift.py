@@ -3,8 +3,7 @@
 New servovalves stay within 2 % over temperature and supply pressure (physics.md, "Values").
 """
 
-from leglab.scenario import Options, Severity, register_scenario
-from leglab.schedule import ParameterChange
+from leglab.base.scenario import Options, ParameterChange, Severity, register_scenario
 
 
 @register_scenario(

@@ -3,8 +3,7 @@
 A new small servovalve has an overlap of 2 % and less than 3 % of hysteresis (physics.md, "Values").
 """
 
-from leglab.scenario import Options, Severity, register_scenario
-from leglab.schedule import ParameterChange
+from leglab.base.scenario import Options, ParameterChange, Severity, register_scenario
 
 
 @register_scenario(

@@ -6,8 +6,7 @@ nu_100 = 6.8 cSt (VG/46)^0.665: 5.3, 8.8, 11.4 and 14.9 for VG 32, 68, 100 and 1
 8.7, 11.4 and 15.0 in makers' tables.
 """
 
-from leglab.scenario import Options, Severity, register_scenario
-from leglab.schedule import ParameterChange
+from leglab.base.scenario import Options, ParameterChange, Severity, register_scenario
 
 NOMINAL_GRADE = 46.0  # of the shipped models, cSt at 40 °C
 SLOPE = 0.665

@@ -2,8 +2,8 @@
 
 import mujoco
 
-from leglab import plugin
-from leglab.parameters import plugin_tables
+from leglab.machine import plugin
+from leglab.machine.parameters import plugin_tables
 from tests.plugin_models import instance
 
 plugin.load()

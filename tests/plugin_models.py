@@ -3,8 +3,8 @@
 import mujoco
 import numpy as np
 
-from leglab import plugin
-from leglab.parameters import plugin_tables
+from leglab.machine import plugin
+from leglab.machine.parameters import plugin_tables
 
 plugin.load()
 

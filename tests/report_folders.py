@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 import numpy as np
 
 from leglab import data
-from leglab.recording import Recording
+from leglab.base.recording import Recording
 
 HOSTILE = '</script><img src=x onerror="window.hit=1"><script>window.hit=1</script>&\'{{7*7}}\x00'
 

@@ -68,7 +68,7 @@ def printed(command: str) -> str:
         ValueError: It fails, or is neither `leglab` nor `python`.
     """
     program, *arguments = shlex.split(command)
-    known = {"leglab": ["-m", "leglab.cli"], "python": []}
+    known = {"leglab": ["-m", "leglab"], "python": []}
     if program not in known:
         raise ValueError(f"{command!r} starts with {program!r}; allowed: {', '.join(known)}")
     done = subprocess.run(

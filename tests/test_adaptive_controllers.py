@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from leglab.base.errors import LeglabError
 from leglab.control import ControllerSetup, Measurement, ReferencePoint, make_controller
+from leglab.control.feedforward.motion import ReferenceMotion, SmoothingWindow, smoothing_kernel
 from leglab.controllers.bsnn_arx import AdaptiveController
-from leglab.errors import LeglabError
-from leglab.feedforward.motion import ReferenceMotion, SmoothingWindow, smoothing_kernel
-from leglab.runner import Run, RunSettings, run_scenario
+from leglab.runs.run import Run, RunSettings, run_scenario
 
 ADAPTIVE = ("bsnn_arx", "frozen", "arx")
 

@@ -6,20 +6,24 @@ import mujoco
 import numpy as np
 import pytest
 
-from leglab.backstepping.cylinder import CylinderModel
-from leglab.backstepping.error_observer import ErrorObserver
-from leglab.backstepping.friction import Bristles
-from leglab.backstepping.least_squares import BoundedLeastSquares
-from leglab.backstepping_gains import backstepping_gains
-from leglab.backstepping_tuning import SENSITIVITY, BacksteppingGains, joint_loop
-from leglab.commissioning import controller_setup
+from leglab.base.errors import LeglabError
+from leglab.commissioning.backstepping_gains import (
+    SENSITIVITY,
+    BacksteppingGains,
+    backstepping_gains,
+    joint_loop,
+)
+from leglab.commissioning.nominal import NominalDynamics, nominal_cylinders
+from leglab.commissioning.setup import controller_setup
 from leglab.control import Measurement, ReferencePoint, make_controller
-from leglab.errors import LeglabError
-from leglab.hydraulics import Cylinder
-from leglab.measurement import SensorConfiguration
-from leglab.nominal import NominalDynamics, nominal_cylinders
-from leglab.runner import Run, RunSettings, run_scenario
-from leglab.simulation import Simulation, load_model
+from leglab.control.backstepping.cylinder import CylinderModel
+from leglab.control.backstepping.error_observer import ErrorObserver
+from leglab.control.backstepping.friction import Bristles
+from leglab.control.backstepping.least_squares import BoundedLeastSquares
+from leglab.machine.cylinder import Cylinder
+from leglab.machine.sensors import SensorConfiguration
+from leglab.machine.simulation import Simulation, load_model
+from leglab.runs.run import Run, RunSettings, run_scenario
 
 NAME = "adaptive_backstepping"
 

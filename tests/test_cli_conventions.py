@@ -11,9 +11,10 @@ from pathlib import Path
 import pytest
 import typer
 
-from leglab import cli_names, data
+from leglab import data
 from leglab.cli import app, main
-from leglab.cli_conventions import EXAMPLES, explain
+from leglab.cli import names as cli_names
+from leglab.cli.conventions import EXAMPLES, explain
 from tests.test_cli import leglab as call
 from tests.test_interop import example
 
@@ -43,7 +44,7 @@ def test_every_command_explains_itself(name, capsys):
     assert purpose.endswith(".")
     assert purpose[0].isupper()
     examples = (command.epilog or "").count(f"leglab {name}")
-    assert examples >= 2, f"give leglab {name} two examples in leglab/cli_conventions.py"
+    assert examples >= 2, f"give leglab {name} two examples in leglab/cli/conventions.py"
     options = [p for p in command.params if p.param_type_name == "option" and p.name != "help"]
     for option in options:
         assert option.help, f"{name} {option.name}"
@@ -73,7 +74,7 @@ def test_json_stands_alone_on_standard_output(name, tmp_path, monkeypatch, capsy
 
 
 def test_json_of_tune(monkeypatch, capsys):
-    from leglab import gains
+    from leglab.commissioning.setup import pd_gains as gains
 
     monkeypatch.setattr(gains, "tuned_gains", lambda model, sensors: [(1.0, 2.0)] * 6)
     status, printed, _ = call("tune", "--model", "knee_bench", "--json", capsys=capsys)
@@ -111,10 +112,10 @@ def test_verbose_anywhere(place, flag, capsys):
 
 
 def test_status_1_where_a_check_fails(monkeypatch, capsys):
-    import leglab.verification
+    import leglab.studies.verification
 
     found = {"passed": False, "checks": [], "replays": [], "left_out": None}
-    monkeypatch.setattr(leglab.verification, "checks_as_json", lambda: found)
+    monkeypatch.setattr(leglab.studies.verification, "checks_as_json", lambda: found)
     status, printed, _ = call("verify", "--json", capsys=capsys)
     assert status == 1
     assert parse(printed) == found
@@ -124,7 +125,7 @@ def test_status_130_when_interrupted(monkeypatch, capsys):
     def interrupt(*args, **kwargs):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("leglab.parameters.plugin_tables", interrupt)
+    monkeypatch.setattr("leglab.machine.parameters.plugin_tables", interrupt)
     status, _, errors = call("parameters", capsys=capsys)
     assert status == 130
     assert errors == "interrupted\n"
@@ -141,11 +142,11 @@ def test_status_is_in_the_help(capsys):
 def test_names_are_those_of_the_registries():
     import leglab.controllers
     import leglab.scenarios  # noqa: F401
+    from leglab.base.scenario import scenario_names
     from leglab.control import controller_names
     from leglab.diagnosis.effects import all_effects
+    from leglab.machine.simulation import model_names
     from leglab.references import reference_names
-    from leglab.scenario import scenario_names
-    from leglab.simulation import model_names
 
     assert cli_names.scenarios() == scenario_names()
     assert cli_names.controllers() == controller_names()
@@ -158,7 +159,7 @@ def test_names_are_those_of_the_registries():
 
 
 def process(*arguments, env=None, code=None, cwd=None):
-    command = ["-c", code] if code else ["-m", "leglab.cli", *arguments]
+    command = ["-c", code] if code else ["-m", "leglab", *arguments]
     found = subprocess.run(
         [sys.executable, *command],
         capture_output=True,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from leglab import data
-from leglab.recording import Recording
+from leglab.base.recording import Recording
 from tests.test_cli import leglab
 from tests.test_interop import bits, example
 

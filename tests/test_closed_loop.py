@@ -3,17 +3,15 @@
 import numpy as np
 import pytest
 
-from leglab.commissioning import controller_setup
+from leglab.base.errors import LeglabError
+from leglab.base.scenario import ParameterChange, Scenario, get_scenario
+from leglab.commissioning.setup import controller_setup
 from leglab.control import make_controller
-from leglab.errors import LeglabError
-from leglab.measurement import SensorConfiguration, loop_timing, quantise
-from leglab.preparation import reference_joints
+from leglab.machine.sensors import SensorConfiguration, loop_timing, quantise
+from leglab.machine.simulation import Simulation, load_model
 from leglab.references import make_reference
-from leglab.rollout import closed_loop
-from leglab.runner import RunSettings, run_scenario
-from leglab.scenario import Scenario, get_scenario
-from leglab.schedule import ParameterChange
-from leglab.simulation import Simulation, load_model
+from leglab.runs.loop import closed_loop
+from leglab.runs.run import RunSettings, reference_joints, run_scenario
 
 
 def settings(**changes) -> RunSettings:
@@ -75,7 +73,7 @@ def test_controllers_see_measurements_not_the_truth():
 def test_replay_of_the_recorded_commands_gives_the_recorded_motion():
     run = run_scenario(settings(scenario="nominal", duration=1.0))
     simulation = Simulation(load_model("knee_bench"))
-    from leglab.calibration import settle
+    from leglab.commissioning.calibration import settle
 
     settle(simulation)
     for command, position in zip(run.history.command, run.history.position, strict=True):

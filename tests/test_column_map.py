@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from leglab import data
+from leglab.base.errors import LeglabError
 from leglab.data.column_map import ColumnMap, ColumnRule
-from leglab.errors import LeglabError
 
 
 def write(tmp_path, text):

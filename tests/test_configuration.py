@@ -1,8 +1,8 @@
 import pytest
 from pydantic import Field, model_validator
 
-from leglab.configuration import Configuration, validate_configuration
-from leglab.errors import LeglabError
+from leglab.base.errors import LeglabError
+from leglab.base.settings import Configuration, validate_configuration
 
 
 class Gains(Configuration):

@@ -8,19 +8,19 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from leglab.base.errors import LeglabError
 from leglab.cli import main
-from leglab.errors import LeglabError
-from leglab.verification import Row, report
-from leglab.verification.conformance import CASES
-from leglab.verification.drift import null_creep
-from leglab.verification.geometry import (
+from leglab.studies.verification import Row, report
+from leglab.studies.verification.conformance import CASES
+from leglab.studies.verification.drift import null_creep
+from leglab.studies.verification.geometry import (
     LEAKAGE,
     dynamic_viscosity_ratio,
     stiffness,
     walther,
 )
-from leglab.verification.oil import bulk_modulus
-from leglab.verification.steady import stall_pressure, steady_speed
+from leglab.studies.verification.oil import bulk_modulus
+from leglab.studies.verification.steady import stall_pressure, steady_speed
 
 REFERENCE = json.loads((Path(__file__).parent / "data" / "hydraulics_conformance.json").read_text())
 STEADY = ("a no-load speed", "b load", "k worn stall", "null leak")

@@ -3,7 +3,9 @@ import pytest
 from pydantic import Field
 
 from leglab import control
-from leglab.configuration import Configuration
+from leglab.base.errors import LeglabError
+from leglab.base.registry import Registry
+from leglab.base.settings import Configuration
 from leglab.control import (
     ControllerSetup,
     Measurement,
@@ -14,8 +16,6 @@ from leglab.control import (
     make_controller,
     register_controller,
 )
-from leglab.errors import LeglabError
-from leglab.registry import Registry
 
 SETUP = ControllerSetup(joints=("hip", "knee"), control_period=0.002, machine={"gain": 3.0})
 

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from leglab._native.loop import Readings, Rows, Valves
-from leglab.encoders import Encoders
-from leglab.headless import headless
-from leglab.measurement import (
+from leglab.machine.plugin import headless
+from leglab.machine.sensors import (
+    Encoders,
     SensorConfiguration,
     held,
     quantise,
     velocity_filter_coefficient,
 )
-from leglab.simulation import Simulation, load_model
+from leglab.machine.simulation import Simulation, load_model
 
 JOINTS, COUNT = 3, 60
 

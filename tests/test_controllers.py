@@ -6,7 +6,8 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 import leglab.controllers  # noqa: F401
-from leglab.calibration import ValveMap
+from leglab.commissioning.calibration import ValveMap
+from leglab.commissioning.pd_gains import SPEEDS, joint_plant, sampled_plant, stored_gains, tune
 from leglab.control import (
     ControllerSetup,
     Measurement,
@@ -15,11 +16,9 @@ from leglab.control import (
     make_controller,
 )
 from leglab.controllers.static_feedforward import ValveMapTable
-from leglab.gains import stored_gains
-from leglab.measurement import SensorConfiguration, velocity_filter_coefficient
-from leglab.runner import RunSettings, run_scenario
-from leglab.simulation import Simulation, load_model
-from leglab.tuning import SPEEDS, joint_plant, sampled_plant, tune
+from leglab.machine.sensors import SensorConfiguration, velocity_filter_coefficient
+from leglab.machine.simulation import Simulation, load_model
+from leglab.runs.run import RunSettings, run_scenario
 
 
 @pytest.mark.parametrize("name", controller_names())

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from leglab import data
+from leglab.base.errors import LeglabError
+from leglab.base.recording import Recording
 from leglab.data.checks import drop_redundant_rows
-from leglab.errors import LeglabError
-from leglab.recording import Recording
 
 FORMATS = ["csv", "parquet"]
 ROOT = Path(__file__).resolve().parents[1]

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from mcap.writer import CompressionType
 
 from leglab import data
+from leglab.base.errors import LeglabError
+from leglab.base.recording import Recording
 from leglab.data.ros_messages import FLOAT64, JOINT_STATE
-from leglab.errors import LeglabError
-from leglab.recording import Recording
 from tests.test_mcap import joints, write_bag
 
 MESSAGES = [

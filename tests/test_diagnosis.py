@@ -8,20 +8,23 @@ import numpy as np
 import pytest
 
 from leglab import data
+from leglab.base.errors import LeglabError
+from leglab.base.recording import Recording
 from leglab.cli import main
-from leglab.diagnosis.change import Change
 from leglab.diagnosis.experiment import catalogue, propose
-from leglab.diagnosis.gate import check_recordings
 from leglab.diagnosis.hypothesis import Hypothesis, Library
-from leglab.diagnosis.machine import Machine
+from leglab.diagnosis.model import Change, Machine
 from leglab.diagnosis.output import reloaded_error, write_diagnosis, write_improved
-from leglab.diagnosis.recordings import read_recordings, split_held_out
+from leglab.diagnosis.recordings import (
+    check_recordings,
+    held_out_choice,
+    read_recordings,
+    split_held_out,
+)
 from leglab.diagnosis.search import window_cost
-from leglab.diagnosis.series import Channel
 from leglab.diagnosis.verdict import diagnose, exact_twins
-from leglab.diagnosis.workflow import Settings, held_out_choice, set_up
-from leglab.errors import LeglabError
-from leglab.recording import Recording
+from leglab.diagnosis.windows import Channel
+from leglab.diagnosis.workflow import Settings, set_up
 
 FOLDER = Path(__file__).parent / "data" / "diagnosis"
 NAMES = ("multisine", "slow", "walk")

@@ -4,10 +4,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from leglab.diagnosis.change import Change, Measured
 from leglab.diagnosis.effects.backlash import motor_states
-from leglab.diagnosis.effects.load_friction import carried_load
-from leglab.diagnosis.machine import Machine
+from leglab.diagnosis.effects.friction import carried_load
+from leglab.diagnosis.model import Change, Machine, Measured
 from tests.native_models import backlash, compiled, friction, pendulum
 from tests.plugin_models import Slots
 

@@ -4,12 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
-import leglab.plugin
-from leglab.diagnosis.change import Change
+import leglab.machine.plugin
 from leglab.diagnosis.effects import all_effects
 from leglab.diagnosis.effects.base import Effect
-from leglab.diagnosis.effects.cylinder_parameter import CylinderEffect
-from leglab.diagnosis.machine import Machine
+from leglab.diagnosis.effects.cylinder import CylinderEffect
+from leglab.diagnosis.model import Change, Machine
 from tests.native_models import pendulum, slide
 
 SERVO = '<position name="drive" joint="hinge" kp="40" kv="2" ctrlrange="-2 2"/>'
@@ -200,7 +199,7 @@ def test_what_is_written_moves_as_what_was_fitted(machines):
 
 def compiled_xml(spec):
     spec.compile()
-    return leglab.plugin.to_xml(spec)
+    return leglab.machine.plugin.to_xml(spec)
 
 
 def test_sensor_faults_are_written_beside_the_model(machines):

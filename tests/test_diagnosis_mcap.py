@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from leglab import data
+from leglab.base.recording import Recording
 from leglab.cli import main
-from leglab.recording import Recording
 
 FOLDER = Path(__file__).parent / "data" / "diagnosis"
 NAMES = ("multisine", "slow", "walk")

@@ -3,23 +3,23 @@
 import numpy as np
 import pytest
 
-from leglab.diagnosis.blind.bench import bench
-from leglab.diagnosis.blind.faults import FAULTS, detuned
-from leglab.diagnosis.blind.plant import Plant
-from leglab.diagnosis.blind.references import references
-from leglab.diagnosis.blind.selftest import Outcome, score_table
-from leglab.diagnosis.blind.trial import Case, cases, make
+from leglab.base.errors import LeglabError
 from leglab.diagnosis.effects.base import Effect, EffectParameter, register
+from leglab.diagnosis.fitting import Sums, solve_step
 from leglab.diagnosis.judging import preferences, t_value
 from leglab.diagnosis.onset import _change
 from leglab.diagnosis.paths import delayed, play
-from leglab.diagnosis.problem import robust_cost
+from leglab.diagnosis.residual import robust_cost
 from leglab.diagnosis.screening import Candidate
 from leglab.diagnosis.search import chance_gain
-from leglab.diagnosis.series import noise_level
-from leglab.diagnosis.states import bristle, spool
-from leglab.diagnosis.steps import Sums, solve_step
-from leglab.errors import LeglabError
+from leglab.diagnosis.starts import bristle, spool
+from leglab.diagnosis.windows import noise_level
+from leglab.studies.blind.bench import bench
+from leglab.studies.blind.faults import FAULTS, detuned
+from leglab.studies.blind.plant import Plant
+from leglab.studies.blind.references import references
+from leglab.studies.blind.selftest import Outcome, score_table
+from leglab.studies.blind.trial import Case, cases, make
 
 
 def test_noise_level_of_a_noisy_sine():
@@ -180,7 +180,7 @@ def test_a_case_is_fixed_by_its_number_and_the_seed():
 
 
 def test_made_case_has_four_recordings_and_its_severity(monkeypatch):
-    import leglab.diagnosis.blind.trial as trial
+    import leglab.studies.blind.trial as trial
 
     monkeypatch.setattr(trial, "references", lambda rng: {"walk": references(rng, 0.3)["walk"]})
     found, (severity,) = make(Case(kind="single", number=0, effects=("stiction",)), 1)

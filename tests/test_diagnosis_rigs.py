@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from leglab.diagnosis.judging import rarely_but_surely, t_value
-from leglab.diagnosis.machine import Machine
+from leglab.diagnosis.model import Machine
 from leglab.diagnosis.output import write_improved
 from leglab.diagnosis.verdict import diagnose
 from tests.rigs import PENDULUM, SLIDE_AXIS, Truth, record

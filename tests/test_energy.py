@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 import leglab.controllers  # noqa: F401
-from leglab.calibration import settle
-from leglab.commissioning import controller_setup
+from leglab.commissioning.calibration import settle
+from leglab.commissioning.setup import controller_setup
 from leglab.control import Measurement, ReferencePoint, make_controller
 from leglab.energy import EnergyBooks
-from leglab.measurement import SensorConfiguration
-from leglab.preparation import reference_joints
+from leglab.machine.sensors import SensorConfiguration
+from leglab.machine.simulation import Simulation, load_model
 from leglab.references import make_reference
-from leglab.simulation import Simulation, load_model
+from leglab.runs.run import reference_joints
 
 PERIOD = 2e-3
 

@@ -18,10 +18,10 @@ from gymnasium.utils.env_checker import check_env
 from shimmy import DmControlCompatibilityV0
 
 import leglab.environment
+from leglab.base.errors import LeglabError
+from leglab.base.scenario import scenario_names
 from leglab.environment.registration import environment_id
-from leglab.errors import LeglabError
-from leglab.runner import RunSettings, run_scenario
-from leglab.scenario import scenario_names
+from leglab.runs.run import RunSettings, run_scenario
 
 KNEE = {"model": "knee_bench", "duration": 0.2}
 ROOT = Path(__file__).parents[1]
@@ -344,7 +344,7 @@ def test_a_missing_package_is_named_with_the_line_that_installs_it(missing):
     code = (
         f"import sys; sys.modules[{missing!r}] = None\n"
         "import leglab.environment as e\n"
-        "from leglab.errors import LeglabError\n"
+        "from leglab.base.errors import LeglabError\n"
         "try: e.load_gymnasium('seal_wear', model='knee_bench')\n"
         "except LeglabError as error: print(error)"
     )

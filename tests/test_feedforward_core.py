@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from leglab.control import Measurement, ReferencePoint
-from leglab.feedforward.adaptive import AdaptationSettings, AdaptiveFeedforward
-from leglab.feedforward.inverse_map import InverseMap, MotionRange
-from leglab.feedforward.valve_table import ValveTable
+from leglab.control.feedforward.adaptive import AdaptationSettings, AdaptiveFeedforward
+from leglab.control.feedforward.inverse_map import InverseMap, MotionRange
+from leglab.control.feedforward.valve_table import ValveTable
 from leglab.identification import ChangeDetection, Rls
 from tests.reference import feedforward_oracle as oracle
 
@@ -64,7 +64,7 @@ def parts_of(feedforward, table, inverse_map, settings, position_gain, monkeypat
     [((10, 4), True, False), ((0, 0), True, False), ((10, 4), False, False), ((10, 4), True, True)],
 )
 def test_core_agrees_with_numpy(splines, supervised, forward, monkeypatch):
-    import leglab.feedforward.adaptive as module
+    import leglab.control.feedforward.adaptive as module
 
     signs = np.array([1.0, -1.0])
     maps = [CalibratedMap(sign) for sign in signs]

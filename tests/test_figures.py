@@ -3,8 +3,9 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from leglab.errors import LeglabError
-from leglab.recording import Recording
+from leglab.base.errors import LeglabError
+from leglab.base.recording import Recording
+from leglab.base.scenario import Phase
 from leglab.report.figures import (
     command_figure,
     pressure_figure,
@@ -13,7 +14,6 @@ from leglab.report.figures import (
 )
 from leglab.report.panels import add_panels
 from leglab.report.style import VERMILION
-from leglab.schedule import Phase
 
 STEP = (Phase(name="before", start=0, end=2), Phase(name="after", start=2, end=4))
 RAMP = (

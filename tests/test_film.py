@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 
 from leglab import data
+from leglab.base.errors import LeglabError
+from leglab.base.recording import Recording
 from leglab.cli import main
-from leglab.errors import LeglabError
-from leglab.recording import Recording
 from leglab.report.film import layout, render_film
 from leglab.report.film.encoder import Encoder
 from leglab.report.film.look import ALARM, GHOST, pressure_color
 from leglab.report.film.track import load_track
 from leglab.report.film.workers import draw_frames
-from leglab.report.run_folder import write_run
-from leglab.runner import RunSettings, run_scenario
+from leglab.runs.folder import write_run
+from leglab.runs.run import RunSettings, run_scenario
 
 LENGTH, CHANGE = 2.0, 1.0  # s
 BAR = 1e5  # Pa
@@ -31,7 +31,7 @@ def make_run(folder, controller="pd", **options):
     settings = RunSettings(
         scenario="seal_wear", controller=controller, model="knee_bench", **options
     )
-    return write_run(run_scenario(settings), folder, figures=False)
+    return write_run(run_scenario(settings), folder)
 
 
 def edited(folder, out, edit=lambda columns: {}, end=None):

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from leglab.errors import LeglabError
-from leglab.hydraulics import CONTINUOUS_STATES, Cylinder
-from leglab.parameters import plugin_tables
+from leglab.base.errors import LeglabError
+from leglab.machine.cylinder import CONTINUOUS_STATES, Cylinder
+from leglab.machine.parameters import plugin_tables
 from tests.reference import hydraulics_oracle as oracle
 
 SIZE = {"bore": 0.016, "rod": 0.010, "stroke": 0.080}

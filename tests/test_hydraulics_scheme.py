@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from leglab.hydraulics import Cylinder
+from leglab.machine.cylinder import Cylinder
 from tests.reference import hydraulics_oracle as oracle
 
 SIZE = {"bore": 0.016, "rod": 0.010, "stroke": 0.080}

@@ -6,7 +6,7 @@ import control
 import numpy as np
 import pytest
 
-from leglab.errors import LeglabError
+from leglab.base.errors import LeglabError
 from leglab.identification import (
     Basis,
     BsnnArx,

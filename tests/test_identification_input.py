@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leglab.errors import LeglabError
+from leglab.base.errors import LeglabError
 from leglab.identification import (
     Basis,
     Bsnn,

@@ -12,9 +12,9 @@ from mcap_ros2.decoder import DecoderFactory
 from mujoco.sysid._src.timeseries import SignalType, TimeSeries
 
 from leglab import data
+from leglab.base.errors import LeglabError
+from leglab.base.recording import Recording
 from leglab.data.units import unit_of
-from leglab.errors import LeglabError
-from leglab.recording import Recording
 
 # Not all of Unicode: its tables take Hypothesis seconds on a busy machine.
 CHARACTERS = st.sampled_from("aZ9_ .,;:'\"\\/[]{}%\t\n\x01äΩ膝\u2028😀")

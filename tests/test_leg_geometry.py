@@ -27,7 +27,7 @@ SHORTEST_LEVER = {
 def load(name: str) -> mujoco.MjModel:
     """Loads a model with its plugins where the library is there, else with motors."""
     try:
-        from leglab import plugin
+        from leglab.machine import plugin
 
         plugin.load()
     except (ImportError, OSError):

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from scipy.io import loadmat, savemat
 
 from leglab import data
+from leglab.base.errors import LeglabError
+from leglab.base.recording import Recording
 from leglab.data.matlab import field_names
-from leglab.errors import LeglabError
-from leglab.recording import Recording
 from tests.test_data_fuzz import mutate, mutations, read_or_refuse
 from tests.test_interop import NAMES, example
 

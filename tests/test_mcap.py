@@ -11,14 +11,14 @@ from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer
 
 from leglab import data
+from leglab.base.errors import LeglabError
+from leglab.base.recording import Recording
 from leglab.data.ros_messages import (
     FLOAT64,
     FLOAT64_DEFINITION,
     JOINT_STATE,
     JOINT_STATE_DEFINITION,
 )
-from leglab.errors import LeglabError
-from leglab.recording import Recording
 
 HEADER = JOINT_STATE_DEFINITION[JOINT_STATE_DEFINITION.index("=" * 80) :]
 DEFINITIONS = {

@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from leglab.errors import LeglabError
-from leglab.metrics import (
+from leglab.base.errors import LeglabError
+from leglab.base.scenario import Phase
+from leglab.runs.metrics import (
     excess_error_area,
     peak,
     percentile,
@@ -17,7 +18,6 @@ from leglab.metrics import (
     sliding_rms,
     usage_table,
 )
-from leglab.schedule import Phase
 
 errors = hnp.arrays(
     np.float64,

@@ -14,7 +14,7 @@ import pytest
 from leglab.report.diagnosis.page import write_page
 from leglab.report.index.page import write_index
 from leglab.report.run.page import write_report
-from leglab.report.run.source import read_runs
+from leglab.runs.folder import read_runs
 from tests.report_folders import HOSTILE, write_folder
 from tests.test_diagnosis_page import diagnosis
 

@@ -3,8 +3,8 @@
 import mujoco
 import pytest
 
-from leglab.errors import LeglabError
-from leglab.plugin import load_error
+from leglab.base.errors import LeglabError
+from leglab.machine.plugin import load_error
 from tests.plugin_models import compiled, instance, slides, valve
 
 

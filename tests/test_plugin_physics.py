@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from leglab.hydraulics import Cylinder
+from leglab.machine.cylinder import Cylinder
 from tests.plugin_models import CYLINDER, Slots, compiled, instance, slides, valve
 
 

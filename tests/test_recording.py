@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from leglab.errors import LeglabError
-from leglab.recording import Recording
+from leglab.base.errors import LeglabError
+from leglab.base.recording import Recording
 
 
 def make(n=10, **metadata):

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from leglab.errors import LeglabError
+from leglab.base.errors import LeglabError
 from leglab.references import Joint, make_reference, reference_names, reference_summary
 from leglab.references.gait import GAIT
 

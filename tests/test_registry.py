@@ -2,8 +2,8 @@ import sys
 
 import pytest
 
-from leglab.errors import LeglabError
-from leglab.registry import Registry, import_modules
+from leglab.base.errors import LeglabError
+from leglab.base.registry import Registry, import_modules
 
 
 def build():

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from leglab.errors import LeglabError
-from leglab.verification.bench import KneeBench, nominal_folder, read_recording, reconstruct
-from leglab.verification.replay import LIMITS, Recording, replay
+from leglab.base.errors import LeglabError
+from leglab.studies.verification.bench import KneeBench, nominal_folder, read_recording, reconstruct
+from leglab.studies.verification.replay import LIMITS, Recording, replay
 
 WALK = Path(__file__).parent / "data" / "knee_bench_walk.parquet"  # 3 s of nominal/walk
 

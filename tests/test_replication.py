@@ -7,13 +7,13 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import approx_fprime
 
-from leglab.errors import LeglabError
-from leglab.replication import deployed, networks, paper, replicate, run, sensitivity
-from leglab.replication.comparison import compare
-from leglab.replication.cost import multiplications
-from leglab.replication.online import Settings, run_online
-from leglab.replication.plant import Excitation, Plant, exact_free_run, simulate
-from leglab.replication.scores import score, table_1, worst_deviation
+from leglab.base.errors import LeglabError
+from leglab.studies.replication import deployed, networks, paper, replicate, run, sensitivity
+from leglab.studies.replication.comparison import compare
+from leglab.studies.replication.cost import multiplications
+from leglab.studies.replication.online import Settings, run_online
+from leglab.studies.replication.plant import Excitation, Plant, exact_free_run, simulate
+from leglab.studies.replication.scores import score, table_1, worst_deviation
 
 
 @pytest.fixture(scope="module")

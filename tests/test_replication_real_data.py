@@ -2,10 +2,10 @@
 
 import pytest
 
-from leglab.errors import LeglabError
+from leglab.base.errors import LeglabError
 from leglab.identification import SplineNarx
-from leglab.replication import real_data, selection
-from leglab.replication.structures import ACTUATOR, SILVERBOX
+from leglab.studies.replication import real_data, selection
+from leglab.studies.replication.structures import ACTUATOR, SILVERBOX
 
 
 def recording(load):

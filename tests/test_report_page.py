@@ -9,13 +9,13 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 
-from leglab.errors import LeglabError
+from leglab.base.errors import LeglabError
 from leglab.report.page.shell import inline_json
 from leglab.report.run import page as page_module
 from leglab.report.run.page import page, write_report
 from leglab.report.run.plots import plot_data
-from leglab.report.run.source import read_runs
 from leglab.report.run.words import headline, sections
+from leglab.runs.folder import read_runs
 from tests.report_folders import HOSTILE, Elements, write_folder
 
 

@@ -8,11 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import leglab.scenarios
-from leglab import scenario as module
-from leglab.errors import LeglabError
-from leglab.registry import Registry
-from leglab.scenario import (
+from leglab.base import scenario as module
+from leglab.base.errors import LeglabError
+from leglab.base.registry import Registry
+from leglab.base.scenario import (
     Options,
+    ParameterChange,
     Scenario,
     Severity,
     get_scenario,
@@ -21,7 +22,6 @@ from leglab.scenario import (
     scenario_severity,
     scenario_summary,
 )
-from leglab.schedule import ParameterChange
 
 FOLDER = Path(leglab.scenarios.__file__).parent
 
@@ -174,7 +174,7 @@ def test_a_scenario_runs_as_a_script(tmp_path):
     program = (
         "import runpy, sys, types, warnings\n"
         "warnings.simplefilter('error')\n"
-        "from leglab.scenario import get_scenario\n"
+        "from leglab.base.scenario import get_scenario\n"
         "cli = types.ModuleType('leglab.cli')\n"
         "cli.run_scenario_as_script = lambda name: print(get_scenario(name).name)\n"
         "sys.modules['leglab.cli'] = cli\n"

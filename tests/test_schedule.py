@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from leglab.errors import LeglabError
-from leglab.schedule import ParameterChange
+from leglab.base.errors import LeglabError
+from leglab.base.scenario import ParameterChange
 
 
 def change(**settings):

@@ -7,10 +7,16 @@ import numpy as np
 import pytest
 
 import leglab.models
-from leglab.calibration import holding_forces, settle, speed_limits, valve_maps
-from leglab.errors import LeglabError
-from leglab.hydraulics import Cylinder
-from leglab.simulation import Simulation, SimulationError, load_model, model_names, model_summary
+from leglab.base.errors import LeglabError
+from leglab.commissioning.calibration import holding_forces, settle, speed_limits, valve_maps
+from leglab.machine.cylinder import Cylinder
+from leglab.machine.simulation import (
+    Simulation,
+    SimulationError,
+    load_model,
+    model_names,
+    model_summary,
+)
 
 
 @pytest.fixture(scope="module")

@@ -13,14 +13,13 @@ import pytest
 from matplotlib.colors import to_hex
 
 import leglab.controllers
-from leglab import sweep
+from leglab.base.errors import LeglabError
 from leglab.cli import main
-from leglab.errors import LeglabError
 from leglab.report.comparison import comparison_figure
 from leglab.report.style import VERMILION
-from leglab.runner import RunSettings, run_scenario
-from leglab.sweep import Comparison, run_all
-from leglab.sweep_summary import compare, estimate
+from leglab.runs import sweep
+from leglab.runs.run import RunSettings, run_scenario
+from leglab.runs.sweep import Comparison, compare, estimate, run_all
 
 
 def bench(**changes) -> Comparison:
@@ -229,7 +228,7 @@ def test_the_command_writes_table_figures_and_json(tmp_path, capsys):
 
 @pytest.mark.parametrize("group", [True, False], ids=["terminal", "one process"])
 def test_an_interrupted_comparison_keeps_what_is_done(tmp_path, group):
-    command = [sys.executable, "-m", "leglab.cli", "compare", "seal_wear", "--out", str(tmp_path)]
+    command = [sys.executable, "-m", "leglab", "compare", "seal_wear", "--out", str(tmp_path)]
     command += ["--model", "knee_bench", "--controllers", "pd", "--seeds", "200", "--jobs", "2"]
     # A shell's background job passes on that it ignores Ctrl-C: not so this one.
     process = subprocess.Popen(

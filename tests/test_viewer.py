@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 from PIL import ImageGrab
 
-from leglab.errors import LeglabError
-from leglab.preparation import RunSettings
-from leglab.runner import run_scenario
-from leglab.simulation import load_model
+from leglab.base.errors import LeglabError
+from leglab.machine.simulation import load_model
+from leglab.runs.run import RunSettings, run_scenario
 from leglab.viewer.display import Display
 from leglab.viewer.session import Session
 
@@ -226,7 +225,7 @@ def test_without_a_display_one_line_names_the_way(display):
     if display:
         environment["DISPLAY"] = display
     result = subprocess.run(
-        [sys.executable, "-m", "leglab.cli", "view", "seal_wear"],
+        [sys.executable, "-m", "leglab", "view", "seal_wear"],
         env=environment,
         capture_output=True,
         text=True,
@@ -241,7 +240,7 @@ def test_without_a_display_one_line_names_the_way(display):
 _WINDOW = """
     import sys, time
     import numpy as np
-    from leglab.preparation import RunSettings
+    from leglab.runs.run import RunSettings
     from leglab.viewer.session import Session
     from leglab.viewer.window import ENTER, SPACE, Window
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leglab.errors import LeglabError
+from leglab.base.errors import LeglabError
 
 # A pause this many times the usual interval is a gap that no value is drawn across: above the
 # jitter of a topic on a busy computer, where single messages come one or two periods late.

@@ -12,9 +12,9 @@ from mcap.records import Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 
+from leglab.base.errors import LeglabError
 from leglab.data.alignment import Series
 from leglab.data.ros_messages import SUPPORTED, header_stamp, numbers
-from leglab.errors import LeglabError
 
 # Our metadata record, with JSON under the key "metadata".
 METADATA_NAME = "leglab"

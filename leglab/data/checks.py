@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from leglab.errors import LeglabError
-from leglab.recording import Recording
+from leglab.base.errors import LeglabError
+from leglab.base.recording import Recording
 
 # An interval this much longer than the usual one has lost at least one sample: between 1 (none
 # lost) and 2 (one lost), with room for jitter on both sides.

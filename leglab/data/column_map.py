@@ -10,8 +10,8 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
-from leglab.configuration import Configuration, validate_configuration
-from leglab.errors import LeglabError
+from leglab.base.errors import LeglabError
+from leglab.base.settings import Configuration, validate_configuration
 
 
 class ColumnRule(Configuration):

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from leglab.errors import LeglabError
+from leglab.base.errors import LeglabError
 
 
 def to_arrays(table: pa.Table, path: Path) -> dict[str, np.ndarray]:

@@ -6,10 +6,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pc
 
+from leglab.base.errors import LeglabError
+from leglab.base.recording import Recording
 from leglab.data.columns import to_arrays, to_table
 from leglab.data.files import write_atomically
-from leglab.errors import LeglabError
-from leglab.recording import Recording
 
 # What stands for a missing sample; all other text is refused.
 _MISSING = ["", "nan", "NaN", "NAN", "null", "NULL", "NA", "n/a"]

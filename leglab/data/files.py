@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
-from leglab.errors import LeglabError
+from leglab.base.errors import LeglabError
 
 
 def write_atomically(path: str | Path, write: Callable[[BinaryIO], object]) -> None:

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from leglab.errors import LeglabError
-from leglab.recording import Recording
+from leglab.base.errors import LeglabError
+from leglab.base.recording import Recording
 
 if TYPE_CHECKING:
     from nonlinear_benchmarks import Input_output_data

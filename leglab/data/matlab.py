@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
+from leglab.base.errors import LeglabError
+from leglab.base.recording import Recording
 from leglab.data.files import write_atomically
 from leglab.data.matlab_check import checked
 from leglab.data.units import own_units, unit_of, usual_unit
-from leglab.errors import LeglabError
-from leglab.recording import Recording
 
 _VARIABLE = "recording"
 _NAME_LENGTH = 63  # MATLAB's namelengthmax until R2025.

@@ -17,6 +17,8 @@ from typing import BinaryIO
 import numpy as np
 from mcap_ros2.writer import Writer
 
+from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.recording import Recording
 from leglab.data.alignment import Series, aligned, overlaps
 from leglab.data.bag import METADATA_NAME, Bag, decode, scan
 from leglab.data.column_map import ColumnMap
@@ -29,8 +31,6 @@ from leglab.data.ros_messages import (
     scalar_kind,
     scalar_message,
 )
-from leglab.errors import LeglabError, unknown_name
-from leglab.recording import Recording
 
 _CLOCK_TOPIC = "/joint_states"
 

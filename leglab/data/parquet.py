@@ -7,10 +7,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from leglab.base.errors import LeglabError
+from leglab.base.recording import Recording
 from leglab.data.columns import to_arrays, to_table
 from leglab.data.files import write_atomically
-from leglab.errors import LeglabError
-from leglab.recording import Recording
 
 _METADATA_KEY = b"leglab"
 

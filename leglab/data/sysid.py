@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from leglab.base.errors import LeglabError
+from leglab.base.recording import Recording
 from leglab.data.files import write_atomically
-from leglab.errors import LeglabError
-from leglab.recording import Recording
 
 if TYPE_CHECKING:
     from mujoco.sysid import TimeSeries

@@ -3,7 +3,7 @@
 import numpy as np
 
 from leglab.diagnosis.hypothesis import Hypothesis
-from leglab.diagnosis.problem import Problem
+from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.result import Proposal
 
 _DURATION = 1.0  # s

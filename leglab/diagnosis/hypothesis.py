@@ -5,9 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leglab.diagnosis.change import Change
 from leglab.diagnosis.effects.base import Effect, EffectParameter, all_effects
-from leglab.diagnosis.machine import Machine
+from leglab.diagnosis.model import Change, Machine
 
 # Effect and element.
 Key = tuple[str, str]

@@ -7,12 +7,12 @@ import mujoco
 import numpy as np
 from scipy.interpolate import BSpline
 
-from leglab.diagnosis.machine import CYLINDER, Machine
+from leglab.diagnosis.model import CYLINDER, Machine
 from leglab.diagnosis.result import Where
-from leglab.diagnosis.series import Channel, Series, derivative, smoothed
-from leglab.diagnosis.states import spool
-from leglab.hydraulics import Cylinder
-from leglab.parameters import State
+from leglab.diagnosis.starts import spool
+from leglab.diagnosis.windows import Channel, Series, derivative, smoothed
+from leglab.machine.cylinder import Cylinder
+from leglab.machine.parameters import State
 
 _STRIDE = 0.01  # s between samples at which balances are taken
 _KNOTS = 7

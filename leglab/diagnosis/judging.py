@@ -6,7 +6,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from leglab.diagnosis.fitting import Fit, free_tangents
-from leglab.diagnosis.problem import Problem, robust_weight
+from leglab.diagnosis.residual import Problem, robust_weight
 
 _DRAWS = 1000
 # A window has changed if its cost did by more than this noise variance ...

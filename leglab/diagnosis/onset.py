@@ -6,7 +6,7 @@ import numpy as np
 
 from leglab.diagnosis.fitting import Fit
 from leglab.diagnosis.hypothesis import Hypothesis, Key
-from leglab.diagnosis.problem import Problem
+from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.search import baseline, sharpen, window_cost
 
 # The first part of every recording is taken for healthy ...

@@ -7,13 +7,13 @@ from pathlib import Path
 import mujoco
 from rich.table import Table
 
-import leglab.plugin
+import leglab.machine.plugin
+from leglab.base.errors import LeglabError
 from leglab.data import write_atomically
 from leglab.diagnosis.hypothesis import Hypothesis
-from leglab.diagnosis.machine import Machine
+from leglab.diagnosis.model import Machine
 from leglab.diagnosis.result import Diagnosis
 from leglab.diagnosis.workflow import Search
-from leglab.errors import LeglabError
 
 
 def write_diagnosis(result: Diagnosis, folder: Path) -> Path:
@@ -46,10 +46,10 @@ def write_improved(found: Search, folder: Path) -> Path:
     path = folder / "improved.xml"
     try:
         spec.compile()
-        text = leglab.plugin.to_xml(spec)
+        text = leglab.machine.plugin.to_xml(spec)
         mujoco.MjModel.from_xml_string(text)
     except (ValueError, mujoco.FatalError) as error:
-        raise leglab.plugin.load_error(error, path.name, spec) from error
+        raise leglab.machine.plugin.load_error(error, path.name, spec) from error
     write_atomically(path, lambda stream: stream.write(text.encode()))
     return path
 

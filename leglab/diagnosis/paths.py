@@ -1,8 +1,8 @@
 """Faults of command and sensor paths: as functions of samples, and as a model carries them.
 
 Replays feed actuators directly and compare corrected samples, so what a model file says about these
-paths (a valve's delay, `leglab.command_path`, the numerics of `leglab.encoders`) is taken out of
-the replayed model and applied to commands and measured columns, as hypothetical faults are.
+paths (a valve's delay, `leglab.command_path`, numerics of encoder faults) is taken out of the
+replayed model and applied to commands and measured columns, as hypothetical faults are.
 """
 
 import math
@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from scipy.signal import lfilter
 
-from leglab.encoders import ENCODER_OFFSET, ENCODER_SCALE, delayed_sensor
+from leglab.machine.sensors import ENCODER_OFFSET, ENCODER_SCALE, delayed_sensor
 
 COMMAND_PATH = "leglab.command_path"
 

@@ -1,16 +1,110 @@
-"""Recordings of a diagnosis: read from files, and split into fitted and held-out ones."""
+"""Recordings for a diagnosis: read, checked before anything is fitted, and one held out."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from leglab import data
-from leglab.diagnosis.machine import Machine
-from leglab.diagnosis.workflow import held_out_choice
-from leglab.errors import LeglabError, unknown_name
-from leglab.recording import Recording
+import mujoco
+import numpy as np
 
+from leglab import data
+from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.recording import Recording
+from leglab.data import inspect
+from leglab.diagnosis.model import CYLINDER, Machine
+
+_DEGREES = 180.0 / np.pi
+# A position may pass the joint's range by this share before its unit is doubted.
+_BEYOND = 0.5
+# No hydraulic machine runs its whole recording below this pressure [Pa]: 10 kPa are 0.1 bar.
+_NO_PRESSURE = 1e4
+_STUCK = 20  # equal samples at a limit in a row
 # Share of a single recording that is held out, at its end.
 _TAIL = 0.3
+
+
+def check_recordings(machine: Machine, recordings: Mapping[str, Recording]) -> tuple[str, ...]:
+    """Refuses what cannot be meant, and notes what a reader should know.
+
+    Returns:
+        Notes: gaps, constant columns, saturated sensors, commands beyond their range.
+
+    Raises:
+        LeglabError: Units that cannot be right; names recording, column, range and what is
+            allowed.
+    """
+    notes = []
+    for name, recording in recordings.items():
+        _check_positions(machine, name, recording)
+        _check_pressures(machine, name, recording)
+        notes += [f"{name}: {text}" for text in _notes(machine, recording)]
+    return tuple(notes)
+
+
+def _check_positions(machine: Machine, name: str, recording: Recording) -> None:
+    model = machine.base.model
+    for joint in machine.joints:
+        values = recording[f"{joint}_position"]
+        low, high = np.nanmin(values), np.nanmax(values)
+        entry = model.joint(joint)
+        hinge = int(entry.type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE)
+        lower, upper = (float(x) for x in entry.range)
+        if lower == upper == 0.0:
+            lower, upper = (-4.0 * np.pi, 4.0 * np.pi) if hinge else (-np.inf, np.inf)
+        room = _BEYOND * (upper - lower)
+        if low < lower - room or high > upper + room:
+            inside = hinge and low / _DEGREES > lower - room and high / _DEGREES < upper + room
+            hint = "; is it in degrees?" if inside else ""
+            raise LeglabError(
+                f"{name}: column '{joint}_position' covers [{low:.4g}, {high:.4g}], joint "
+                f"{joint!r} allows [{lower:.4g}, {upper:.4g}] {'rad' if hinge else 'm'}{hint}"
+            )
+
+
+def _check_pressures(machine: Machine, name: str, recording: Recording) -> None:
+    for cylinder in machine.instances(CYLINDER):
+        joint = machine.driven[cylinder][0]
+        supply = machine.parameter(cylinder, "supply_pressure")
+        for chamber in ("pressure_a", "pressure_b"):
+            column = f"{joint}_{chamber}"
+            if column in recording and np.nanmax(np.abs(recording[column])) < _NO_PRESSURE:
+                raise LeglabError(
+                    f"{name}: column {column!r} stays below "
+                    f"{np.nanmax(np.abs(recording[column])):.4g}, the supply of {cylinder!r} "
+                    f"is {supply:.4g} Pa; is it in bar? allowed: Pa"
+                )
+
+
+def _notes(machine: Machine, recording: Recording) -> Iterator[str]:
+    for finding in inspect(recording):
+        yield finding.message
+    model = machine.base.model
+    for actuator in machine.actuators:
+        entry = model.actuator(actuator)
+        if not entry.ctrllimited[0]:
+            continue
+        low, high = (float(x) for x in entry.ctrlrange)
+        values = recording[f"{actuator}_command"]
+        outside = int(((values < low) | (values > high)).sum())
+        if outside:
+            yield (
+                f"column '{actuator}_command' leaves [{low:g}, {high:g}] in {outside} samples; "
+                "the model clips it"
+            )
+    for column, values in recording.columns.items():
+        if column.endswith("_command"):
+            continue
+        for limit, word in ((np.nanmin(values), "smallest"), (np.nanmax(values), "largest")):
+            run = _longest_run(values == limit)
+            if _STUCK <= run < 0.9 * values.size:
+                yield (
+                    f"column {column!r} holds its {word} value {limit:.6g} for {run} samples in a "
+                    "row: is the sensor saturated?"
+                )
+
+
+def _longest_run(mask: np.ndarray) -> int:
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
+    return int((edges[1::2] - edges[::2]).max()) if edges.size else 0
 
 
 def read_recordings(paths: Sequence[Path], columns: Path | None = None) -> dict[str, Recording]:
@@ -76,3 +170,32 @@ def split_held_out(
                 f"{', '.join(recording.columns)}. Measured under other names? Give a column map"
             )
     return recordings, held_out_choice(recordings, machine)
+
+
+def held_out_choice(recordings: Mapping[str, Recording], machine: Machine) -> tuple[str, ...]:
+    """Recording to hold out: that which lies most within the ranges of the others.
+
+    A model is judged by another excitation than it was fitted to, yet not by extrapolation. Among
+    equals the one with the fastest motion says most.
+    """
+    if len(recordings) < 2:
+        return ()
+
+    def features(recording: Recording) -> np.ndarray:
+        rows = [recording[c] for c in machine.columns]
+        rows += [
+            np.gradient(recording[c], recording.time)
+            for c in machine.columns
+            if c.endswith("_position")
+        ]
+        return np.stack(rows)[:, :: max(1, len(recording) // 2000)]
+
+    tables = {name: features(recording) for name, recording in recordings.items()}
+    scores = {}
+    for name, table in tables.items():
+        others = np.concatenate([t for n, t in tables.items() if n != name], axis=1)
+        low, high = np.nanmin(others, axis=1), np.nanmax(others, axis=1)
+        inside = ((table >= low[:, None]) & (table <= high[:, None])).mean()
+        speed = np.nanmean(np.abs(table[-1]))
+        scores[name] = (round(float(inside), 2), float(speed))
+    return (max(scores, key=lambda n: scores[n]),)

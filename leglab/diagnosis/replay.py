@@ -7,10 +7,8 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from leglab.diagnosis.change import Change, Measured
-from leglab.diagnosis.cutting import Cut, cut_series
-from leglab.diagnosis.machine import CYLINDER, Machine, Variant
-from leglab.diagnosis.series import Channel, Series
+from leglab.base.errors import LeglabError
+from leglab.diagnosis.model import CYLINDER, Change, Machine, Measured, Variant
 from leglab.diagnosis.starts import (
     PLUGIN,
     Nudge,
@@ -19,8 +17,8 @@ from leglab.diagnosis.starts import (
     pressure_slots,
     start_states,
 )
-from leglab.errors import LeglabError
-from leglab.headless import headless
+from leglab.diagnosis.windows import Channel, Cut, Series, cut_series
+from leglab.machine.plugin import headless
 
 # Where no pressures are measured, a replay of this time before a window, which forgets where it
 # began, says what they are at its start.

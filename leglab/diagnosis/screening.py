@@ -6,10 +6,9 @@ from itertools import combinations
 
 import numpy as np
 
-from leglab.diagnosis.fitting import BOX, FreeTangents, departures, profiled, profiled_step
+from leglab.diagnosis.fitting import BOX, FreeTangents, Sums, departures, profiled, profiled_step
 from leglab.diagnosis.hypothesis import Hypothesis, Key, Site
-from leglab.diagnosis.problem import Nuisance, Problem
-from leglab.diagnosis.steps import Sums
+from leglab.diagnosis.residual import Nuisance, Problem
 
 # First-order steps go this many times as far as a trial.
 _FURTHEST = 20.0

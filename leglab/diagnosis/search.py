@@ -7,7 +7,7 @@ import numpy as np
 
 from leglab.diagnosis.fitting import Fit, free_tangents, refit
 from leglab.diagnosis.hypothesis import Hypothesis, Key
-from leglab.diagnosis.problem import Problem, robust_cost
+from leglab.diagnosis.residual import Problem, robust_cost
 from leglab.diagnosis.screening import Candidate, pairs, screen
 
 # How many of the screened effects are refitted, and how many of those sharpened.

@@ -6,14 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
+from leglab.base.recording import Recording
 from leglab.diagnosis.fitting import Fit, refit
-from leglab.diagnosis.gate import check_recordings
 from leglab.diagnosis.hypothesis import Hypothesis, Key, Library
 from leglab.diagnosis.judging import rarely_but_surely, t_value
-from leglab.diagnosis.machine import Machine
+from leglab.diagnosis.model import Machine
 from leglab.diagnosis.onset import checked_onsets, suspected_onset
-from leglab.diagnosis.problem import Problem
+from leglab.diagnosis.recordings import check_recordings
 from leglab.diagnosis.replay import Layout
+from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.search import (
     Contender,
     Stage,
@@ -24,8 +25,7 @@ from leglab.diagnosis.search import (
     thinned,
     window_cost,
 )
-from leglab.diagnosis.series import Series, channels, sampling_period
-from leglab.recording import Recording
+from leglab.diagnosis.windows import Series, channels, sampling_period
 
 # Robust mean square error below which nothing more is missing: noise gives 1, windows that start
 # in stick-slip or beside jumps of the command lift it on good models to at most this.
@@ -89,35 +89,6 @@ class Search:
     named: tuple[Key, ...]
     stages: list[Stage]
     chosen: np.ndarray
-
-
-def held_out_choice(recordings: Mapping[str, Recording], machine: Machine) -> tuple[str, ...]:
-    """Recording to hold out: that which lies most within the ranges of the others.
-
-    A model is judged by another excitation than it was fitted to, yet not by extrapolation. Among
-    equals the one with the fastest motion says most.
-    """
-    if len(recordings) < 2:
-        return ()
-
-    def features(recording: Recording) -> np.ndarray:
-        rows = [recording[c] for c in machine.columns]
-        rows += [
-            np.gradient(recording[c], recording.time)
-            for c in machine.columns
-            if c.endswith("_position")
-        ]
-        return np.stack(rows)[:, :: max(1, len(recording) // 2000)]
-
-    tables = {name: features(recording) for name, recording in recordings.items()}
-    scores = {}
-    for name, table in tables.items():
-        others = np.concatenate([t for n, t in tables.items() if n != name], axis=1)
-        low, high = np.nanmin(others, axis=1), np.nanmax(others, axis=1)
-        inside = ((table >= low[:, None]) & (table <= high[:, None])).mean()
-        speed = np.nanmean(np.abs(table[-1]))
-        scores[name] = (round(float(inside), 2), float(speed))
-    return (max(scores, key=lambda n: scores[n]),)
 
 
 def replay_timestep(machine: Machine, period: float) -> float:

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from leglab.errors import LeglabError, unknown_name
-from leglab.preparation import RunSettings, scenario_of
-from leglab.scenario import Scenario
+from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.scenario import Scenario
+from leglab.runs.run import RunSettings, scenario_of
 
 RANDOM = ("seed", "severity", "onset", "ramp_duration")
 _SEEDS = 2**31 - 1
@@ -23,7 +23,7 @@ class Episode:
     """One episode.
 
     Attributes:
-        settings: Of the run; `leglab.runner.run_scenario` repeats it where `onset` is None.
+        settings: Of the run; `leglab.runs.run.run_scenario` repeats it where `onset` is None.
         onset: When the first change begins [s]; None for the scenario's own time.
     """
 

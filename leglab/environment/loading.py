@@ -6,10 +6,10 @@ import warnings
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from leglab.base.errors import LeglabError
 from leglab.environment.episodes import Draw, Episode, Episodes
 from leglab.environment.rewards import Reward, chosen_reward
-from leglab.errors import LeglabError
-from leglab.preparation import Preparation, RunSettings
+from leglab.runs.run import Preparation, RunSettings
 
 if TYPE_CHECKING:
     import gymnasium

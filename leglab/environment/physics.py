@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 from dm_control.mujoco import Physics, wrapper
 
-from leglab.headless import without_warnings
-from leglab.simulation import Simulation
+from leglab.machine.plugin import without_warnings
+from leglab.machine.simulation import Simulation
 
 
 class LegPhysics(Physics):

@@ -3,7 +3,7 @@
 import importlib.util
 
 import leglab.scenarios  # noqa: F401  registers the scenarios
-from leglab.scenario import scenario_names
+from leglab.base.scenario import scenario_names
 
 
 def register() -> None:

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from leglab.base.errors import unknown_name
 from leglab.control import ReferencePoint
-from leglab.errors import unknown_name
 
 # Joint errors [rad] with full reward, and with a tenth of it.
 GOOD_ERROR, POOR_ERROR = 1e-3, 5e-2

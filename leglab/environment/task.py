@@ -7,16 +7,15 @@ import numpy as np
 from dm_control.rl.control import FLAT_OBSERVATION_KEY, Task
 from dm_env import specs
 
+from leglab.base.errors import LeglabError
 from leglab.control import Controller, Measurement, ReferencePoint, check_command, make_controller
 from leglab.environment.episodes import Episode, Episodes
 from leglab.environment.physics import LegPhysics
 from leglab.environment.rewards import Reward, Transition
-from leglab.errors import LeglabError
-from leglab.preparation import Preparation, reference_joints
+from leglab.machine.simulation import Simulation, SimulationError
 from leglab.references import Samples
-from leglab.runner import run_setup
-from leglab.sampled_machine import SampledMachine
-from leglab.simulation import Simulation, SimulationError
+from leglab.runs.loop import SampledMachine
+from leglab.runs.run import Preparation, reference_joints, run_setup
 
 
 class TrackingTask(Task):

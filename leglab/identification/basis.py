@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from leglab.errors import LeglabError
+from leglab.base.errors import LeglabError
 from leglab.identification import checks
 
 if TYPE_CHECKING:

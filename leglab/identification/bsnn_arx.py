@@ -8,7 +8,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from leglab._native import identification as native
-from leglab.errors import LeglabError
+from leglab.base.errors import LeglabError
 from leglab.identification import checks, linear
 from leglab.identification.basis import Basis
 from leglab.identification.front import Array, Identifier

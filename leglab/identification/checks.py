@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Sequence
 
-from leglab.errors import LeglabError, unknown_name
+from leglab.base.errors import LeglabError, unknown_name
 
 
 def number(

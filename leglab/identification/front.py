@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from leglab.errors import LeglabError
+from leglab.base.errors import LeglabError
 from leglab.identification import checks
 
 Array = NDArray[np.float64]

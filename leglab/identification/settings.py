@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
-from leglab.errors import LeglabError
+from leglab.base.errors import LeglabError
 from leglab.identification import checks
 
 Forgetting = Literal["none", "exponential", "directional", "variable"]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leglab._native import identification as native
-from leglab.errors import LeglabError, unknown_name
+from leglab.base.errors import LeglabError, unknown_name
 from leglab.identification import checks, linear
 from leglab.identification.basis import Basis
 from leglab.identification.features import (

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from leglab._native import identification as native
-from leglab.errors import LeglabError, unknown_name
+from leglab.base.errors import LeglabError, unknown_name
 from leglab.identification import basis, bsnn_arx, features, settings, spline_narx
 from leglab.identification.front import Identifier
 

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from leglab.configuration import Configuration, validate_configuration
-from leglab.errors import LeglabError
-from leglab.registry import Registry
+from leglab.base.errors import LeglabError
+from leglab.base.registry import Registry
+from leglab.base.settings import Configuration, validate_configuration
 
 
 @dataclass(frozen=True, kw_only=True)

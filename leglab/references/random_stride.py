@@ -3,7 +3,7 @@
 import numpy as np
 from pydantic import Field
 
-from leglab.configuration import Configuration
+from leglab.base.settings import Configuration
 from leglab.references.base import Joint, Motion, Samples, register_reference, rest_pose
 from leglab.references.blending import fade_in, product
 from leglab.references.walking_stride import gait_series

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from leglab.errors import unknown_name
+from leglab.base.errors import unknown_name
 from leglab.references.base import Joint
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 from pydantic import Field
 
-from leglab.configuration import Configuration
+from leglab.base.settings import Configuration
 from leglab.references.base import (
     Joint,
     Motion,

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator
 
+from leglab.base.errors import LeglabError
 from leglab.data import write_atomically
-from leglab.errors import LeglabError
 from leglab.report.panels import add_head, add_panels
 from leglab.report.style import SERIES, VERMILION, style
 

@@ -10,13 +10,14 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
+from leglab.base.errors import LeglabError
+from leglab.base.recording import Recording
+from leglab.base.scenario import Phase
 from leglab.data import write_atomically
-from leglab.errors import LeglabError
-from leglab.metrics import phase_table, sliding_rms
-from leglab.recording import Recording
 from leglab.report.panels import add_head, add_panels
 from leglab.report.style import BLACK, BLUE, DARK_GREY, LIGHT_GREY, ORANGE, VERMILION, style
-from leglab.schedule import Phase
+from leglab.runs.metrics import phase_table, sliding_rms
+from leglab.runs.run import Run
 
 _BAR = 1e5  # Pa
 _MILLI = 1e3
@@ -158,6 +159,19 @@ def command_figure(
             _finish(axes, phases)
         _head(figure, title, [_line("command", BLUE), _line("at its limit", ORANGE, 3)], phases)
     return figure
+
+
+def draw_run(run: Run, folder: Path) -> tuple[Path, ...]:
+    """Draws a run into a folder; see `save_run_figures`."""
+    settings = run.settings
+    return save_run_figures(
+        run.recording,
+        folder,
+        phases=run.scenario.phases,
+        window=run.window,
+        title=f"{settings.scenario}, {settings.controller}, {Path(settings.model).stem}, "
+        f"seed {settings.seed}",
+    )
 
 
 def save_run_figures(

@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from leglab.simulation import load_model
+from leglab.machine.simulation import load_model
 from leglab.viewer.session import HISTORY, Session
 
 _GHOST = np.array([0.10, 0.45, 0.75, 0.28], dtype=np.float32)

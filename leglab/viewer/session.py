@@ -6,16 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from leglab.bodies import Bodies
+from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.scenario import ParameterChange, Scenario
 from leglab.control import ReferencePoint, check_command, make_controller
-from leglab.errors import LeglabError, unknown_name
-from leglab.headless import without_warnings
-from leglab.preparation import Preparation, RunSettings, scenario_of
-from leglab.runner import run_setup
-from leglab.sampled_machine import SampledMachine
-from leglab.scenario import Scenario
-from leglab.schedule import ParameterChange
-from leglab.simulation import SimulationError
+from leglab.machine.changes import Bodies
+from leglab.machine.plugin import without_warnings
+from leglab.machine.simulation import SimulationError
+from leglab.runs.loop import SampledMachine
+from leglab.runs.run import Preparation, RunSettings, run_setup, scenario_of
 from leglab.viewer.sliders import sliders
 
 # A live run has no end; a scenario needs one [s].
@@ -45,7 +43,7 @@ class Moment(NamedTuple):
 class Session:
     """A controller on a machine, stepped by whoever shows it.
 
-    Until something is changed by hand it is the run of `leglab.runner.run_scenario`, bit for bit.
+    Until something is changed by hand it is the run of `leglab.runs.run.run_scenario`, bit for bit.
     It goes on after the scenario's duration; the sensor noise repeats then.
 
     Args:

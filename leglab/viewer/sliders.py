@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from leglab.bodies import ADDED_MASS, Bodies
-from leglab.schedule import ParameterChange
-from leglab.simulation import Simulation
+from leglab.base.scenario import ParameterChange
+from leglab.machine.changes import ADDED_MASS, Bodies
+from leglab.machine.simulation import Simulation
 
 # Where there is a body of this name it carries the load, as in the scenario "payload".
 _LOADED = "shank"

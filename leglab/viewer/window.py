@@ -6,7 +6,7 @@ import threading
 import time
 import warnings
 
-from leglab.errors import LeglabError
+from leglab.base.errors import LeglabError
 from leglab.viewer.display import Display
 from leglab.viewer.session import Session
 

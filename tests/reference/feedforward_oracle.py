@@ -29,7 +29,7 @@ def table_share(table, joint, position, command):
 
 
 class Feedforward:
-    """The same constants as `leglab.feedforward.adaptive` hands to the core."""
+    """The same constants as `leglab.control.feedforward.adaptive` hands to the core."""
 
     def __init__(self, parts, table, learner):
         self.p, self.table, self.learner = parts, table, learner

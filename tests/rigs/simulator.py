@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from leglab.recording import Recording
+from leglab.base.recording import Recording
 
 _H = 2e-5  # s
 _PERIOD = 1e-3  # s

@@ -65,7 +65,7 @@ class ValveMaps {
   std::vector<double> full_speed_;
 };
 
-// `parts` are the attributes of leglab.feedforward.adaptive's `AdaptiveFeedforward` as arrays and
+// `parts` are the attributes of leglab.control.feedforward.adaptive's `AdaptiveFeedforward` as arrays and
 // numbers; the front-end has checked them.
 class Feedforward {
  public:

@@ -1,7 +1,7 @@
 """Effects that a simulation may lack, one family a file; importing the package registers all."""
 
+from leglab.base.registry import import_modules
 from leglab.diagnosis.effects.base import Effect, EffectParameter, all_effects, register
-from leglab.registry import import_modules
 
 __all__ = ["Effect", "EffectParameter", "all_effects", "register"]
 

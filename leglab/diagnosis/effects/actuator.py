@@ -4,11 +4,10 @@ from collections.abc import Mapping
 
 import mujoco
 
-from leglab.diagnosis.change import Change
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import Effect, EffectParameter, register
 from leglab.diagnosis.effects.spring import insert_spring
-from leglab.diagnosis.machine import Machine
+from leglab.diagnosis.model import Change, Machine
 
 _LINEAR_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
 _LINEAR_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))

@@ -6,10 +6,9 @@ from collections.abc import Callable, Mapping
 import mujoco
 import numpy as np
 
-from leglab.diagnosis.change import Change, Measured
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import Effect, EffectParameter, register
-from leglab.diagnosis.machine import Machine, Variant
+from leglab.diagnosis.model import Change, Machine, Measured, Variant
 
 BACKLASH = "leglab.backlash"
 _JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))

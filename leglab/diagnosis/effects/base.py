@@ -7,9 +7,8 @@ from typing import ClassVar, Literal
 
 import mujoco
 
-from leglab.diagnosis.change import Change
-from leglab.diagnosis.machine import Machine
-from leglab.errors import LeglabError
+from leglab.base.errors import LeglabError
+from leglab.diagnosis.model import Change, Machine
 
 Group = Literal["oil and seals", "valve and command", "friction", "mechanics", "sensing"]
 

@@ -5,16 +5,15 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
-from leglab.diagnosis.change import Change
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import Effect, EffectParameter, register
-from leglab.diagnosis.machine import Machine
+from leglab.diagnosis.model import Change, Machine
 from leglab.diagnosis.paths import number_of, undo_delay, undo_offset, undo_scale
-from leglab.encoders import ENCODER_OFFSET, ENCODER_SCALE, delayed_sensor
+from leglab.machine.sensors import ENCODER_OFFSET, ENCODER_SCALE, delayed_sensor
 
 
 class EncoderEffect(Effect):
-    """Base: sits on all joints, and is written beside the model, see `leglab.encoders`."""
+    """Base: sits on all joints, and is written beside the model, see `leglab.machine.sensors`."""
 
     group = "sensing"
 

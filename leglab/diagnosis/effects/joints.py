@@ -7,8 +7,7 @@ from functools import lru_cache
 import mujoco
 import numpy as np
 
-from leglab.diagnosis.change import Change
-from leglab.diagnosis.machine import CYLINDER, Machine
+from leglab.diagnosis.model import CYLINDER, Change, Machine
 
 SPRING = "leglab.spring_damper"
 _POSES = 12

@@ -6,10 +6,9 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
-from leglab.diagnosis.change import Change
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import Effect, EffectParameter, register
-from leglab.diagnosis.machine import Machine
+from leglab.diagnosis.model import Change, Machine
 
 _AXES = {"roll": (1.0, 0.0, 0.0), "pitch": (0.0, 1.0, 0.0), "yaw": (0.0, 0.0, 1.0)}
 _PROBE = 0.02  # rad

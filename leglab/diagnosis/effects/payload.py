@@ -4,9 +4,8 @@ from collections.abc import Mapping
 
 import mujoco
 
-from leglab.diagnosis.change import Change
 from leglab.diagnosis.effects.base import Effect, EffectParameter, register
-from leglab.diagnosis.machine import Machine
+from leglab.diagnosis.model import Change, Machine
 
 
 @register

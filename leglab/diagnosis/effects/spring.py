@@ -5,10 +5,9 @@ from collections.abc import Mapping
 
 import mujoco
 
-from leglab.diagnosis.change import Change
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import Effect, EffectParameter, register
-from leglab.diagnosis.machine import Machine
+from leglab.diagnosis.model import Change, Machine
 
 # Good springs differ by 2 to 3 % (DIN 2095 grade 2: 5 % of the load at a given length).
 _TOLERANCE = 0.025

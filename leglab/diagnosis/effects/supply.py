@@ -6,11 +6,10 @@ import mujoco
 import numpy as np
 from scipy.signal import lfilter
 
-from leglab.diagnosis.change import Change, Measured
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import Effect, EffectParameter, register
-from leglab.diagnosis.machine import CYLINDER, Machine, Variant
-from leglab.parameters import plugin_tables
+from leglab.diagnosis.model import CYLINDER, Change, Machine, Measured, Variant
+from leglab.machine.parameters import plugin_tables
 
 SUPPLY = "leglab.supply"
 _NAME = "supply"

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from leglab.base.errors import LeglabError
 from leglab.data import write_atomically
 from leglab.diagnosis.result import Diagnosis
-from leglab.errors import LeglabError
 from leglab.report.diagnosis.figures import (
     Picture,
     gap_picture,

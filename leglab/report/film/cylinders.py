@@ -3,8 +3,8 @@
 import mujoco
 import numpy as np
 
+from leglab.machine.simulation import Simulation
 from leglab.report.film.look import UNKNOWN, pressure_color
-from leglab.simulation import Simulation
 
 # Cylinders are drawn wider than they are, for their colours to be seen in a small picture.
 _WIDER = 1.5

@@ -8,7 +8,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from leglab.errors import LeglabError
+from leglab.base.errors import LeglabError
 
 # What explains a failure best comes first; ffmpeg is told to print nothing but errors.
 _TELLING = ("No space left", "Unknown encoder", "")

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from leglab.errors import unknown_name
+from leglab.base.errors import unknown_name
 
 FIELD_OF_VIEW = 24.0  # vertical [degrees]; narrow, so that panels beside each other look alike
 DEFAULT_CAMERA = "three_quarter"

@@ -6,11 +6,11 @@ import mujoco
 import numpy as np
 from PIL import Image
 
+from leglab.machine.simulation import Simulation, load_model
 from leglab.report.film import framing
 from leglab.report.film.cylinders import CylinderShapes
 from leglab.report.film.look import GHOST
 from leglab.report.film.shadow import FloorShadow
-from leglab.simulation import Simulation, load_model
 
 # Rendered half again as large and averaged; twice as large takes an eighth longer and looks alike.
 _SUPERSAMPLING = 1.5

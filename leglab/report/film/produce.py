@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from leglab.errors import LeglabError
+from leglab.base.errors import LeglabError
 from leglab.report.film.encoder import Encoder
 from leglab.report.film.framing import DEFAULT_CAMERA
 from leglab.report.film.layout import MAX_RUNS, SIZE

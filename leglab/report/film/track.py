@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from leglab import data, metrics
-from leglab.errors import LeglabError
-from leglab.recording import Recording
+from leglab import data
+from leglab.base.errors import LeglabError
+from leglab.base.recording import Recording
 from leglab.report.film.look import TIMES
+from leglab.runs import metrics
 
 # A run counts as stopped early where it lacks more than this [s].
 _TOLERANCE = 0.05
@@ -232,7 +233,7 @@ def _changes(changes: list[dict[str, Any]], recording: Recording) -> tuple[Chang
 
 
 def _units() -> dict[str, str]:
-    from leglab.parameters import plugin_tables
+    from leglab.machine.parameters import plugin_tables
 
     found = {"added_mass": "kg", "encoder_offset": "rad"}
     for table in plugin_tables().values():

@@ -9,7 +9,7 @@ import os
 import sys
 from pathlib import Path
 
-from leglab.errors import LeglabError
+from leglab.base.errors import LeglabError
 
 # Begins the line on standard error that is meant for the user.
 ERROR_MARK = "leglab-error: "

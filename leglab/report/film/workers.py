@@ -12,7 +12,7 @@ import threading
 from collections.abc import Iterator
 from typing import IO, Any
 
-from leglab.errors import LeglabError
+from leglab.base.errors import LeglabError
 from leglab.report.film.worker import ERROR_MARK, NO_OPENGL
 
 _AHEAD = 6  # frames that a process may be ahead of the film

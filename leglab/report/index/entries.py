@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, Literal
 from urllib.parse import quote
 
-from leglab.errors import LeglabError
-from leglab.report.run.source import PhaseMetrics, read_metrics
+from leglab.base.errors import LeglabError
+from leglab.runs.folder import PhaseMetrics, read_metrics
 
 State = Literal["whole", "stopped", "broken"]
 _RUN_FILES = ("metrics.json", "run.json", "recording.parquet")

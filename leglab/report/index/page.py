@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
+from leglab.base.errors import LeglabError
 from leglab.data import write_atomically
-from leglab.errors import LeglabError
 from leglab.report.index.entries import Entry, find_entries
 from leglab.report.page.shell import asset, render
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from leglab.metrics import sliding_rms
-from leglab.report.run.source import ReportedRun
+from leglab.runs.folder import ReportedRun
+from leglab.runs.metrics import sliding_rms
 
 
 def position_name(run: ReportedRun) -> str:

@@ -4,7 +4,7 @@ import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 
-from leglab.errors import LeglabError
+from leglab.base.errors import LeglabError
 
 # Share of the wanted size that is aimed at: one pass meets a bit rate roughly.
 _AIM = 0.85

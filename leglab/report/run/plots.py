@@ -13,8 +13,8 @@ from leglab.report.page.shell import printable
 from leglab.report.page.wording import shortened
 from leglab.report.palette import SERIES
 from leglab.report.run.errors import moving_error, position_name
-from leglab.report.run.source import ReportedRun
 from leglab.report.run.words import change_words
+from leglab.runs.folder import ReportedRun
 
 _MILLI, _BAR = 1e3, 1e5
 # Points of all runs in one plot: more than any screen has columns, and the page stays small.

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from leglab.report.page.table import Table
 from leglab.report.page.wording import number, readable
-from leglab.report.run.source import PhaseMetrics, ReportedRun
 from leglab.report.run.words import change_words, different
+from leglab.runs.folder import PhaseMetrics, ReportedRun
 
 _NONE = "-"
 # Not settings that one reads in a table of a line each.

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from leglab.report.page.wording import Section, capital, listed, number
 from leglab.report.run.errors import fallback_shares, saturation
-from leglab.report.run.source import Change, ReportedRun
+from leglab.runs.folder import Change, ReportedRun
 
 # Settings that runs must share for their errors to be compared.
 _DECISIVE = (

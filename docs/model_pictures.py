@@ -1,0 +1,37 @@
+"""Renders the models in their keyframes: `python docs/model_pictures.py --out docs/images`."""
+
+import argparse
+import os
+from pathlib import Path
+
+os.environ.setdefault("MUJOCO_GL", "egl")
+
+import matplotlib.image
+import mujoco
+
+from leglab.machine.simulation import Simulation, load_model
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--model", default="leg")
+    parser.add_argument("--out", type=Path, default=Path("docs/images"))
+    parser.add_argument("--cameras", nargs="+", default=["side", "three_quarter"])
+    parser.add_argument("--poses", nargs="+", default=["home", "swing", "squat"])
+    parser.add_argument("--size", type=int, nargs=2, default=(1280, 720))
+    arguments = parser.parse_args()
+    width, height = arguments.size
+    simulation = Simulation(load_model(arguments.model))
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    with mujoco.Renderer(simulation.model, height, width) as renderer:
+        for pose in arguments.poses:
+            simulation.reset(pose)
+            for camera in arguments.cameras:
+                renderer.update_scene(simulation.data, camera)
+                path = arguments.out / f"{arguments.model}_{pose}_{camera}.png"
+                matplotlib.image.imsave(path, renderer.render())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""What everything speaks: errors, settings, registries, recordings, scenarios."""

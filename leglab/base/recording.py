@@ -1,0 +1,226 @@
+"""A recording: what was measured or simulated, sample by sample.
+
+Columns are named after the MJCF element they belong to: `<joint>_position` [rad or m],
+`<joint>_velocity`, `<actuator>_command` in [-1, 1], `<joint>_pressure_a` and `<joint>_pressure_b`
+[Pa], `supply_pressure` [Pa], `oil_temperature` [°C]; a run of ours adds `<joint>_reference`,
+`<joint>_reference_velocity` and `<joint>_reference_acceleration`, and what no sensor sees:
+`<joint>_truth` [rad or m], `<joint>_oil_temperature` [°C], `<joint>_seal_clearance` [1, new is 1].
+"""
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from leglab.base.errors import LeglabError, unknown_name
+
+# Time stamps count as uniform while no interval leaves the median by more than this share: well
+# above the rounding of a time column in milliseconds, well below a lost sample.
+_UNIFORM_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recording:
+    """Validated time series that share one time axis.
+
+    NaN in a column marks a missing sample; the time axis has none.
+
+    Attributes:
+        time: Sample times [s], finite and strictly increasing. Shape (n,), n >= 1, read-only.
+        columns: Samples by column name, SI units. Each of shape (n,), float64, read-only.
+        metadata: Anything JSON can hold: scenario, seed, versions, ...
+    """
+
+    time: np.ndarray
+    columns: Mapping[str, np.ndarray]
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        time = _read_only(self.time, "time")
+        if time.size == 0:
+            raise LeglabError("a recording needs at least one sample, 'time' is empty")
+        _check_time(time)
+        columns = {}
+        for name, samples in self.columns.items():
+            if not isinstance(name, str) or not name or name == "time":
+                raise LeglabError(f"{name!r} cannot name a column: use text other than 'time'")
+            columns[name] = _read_only(samples, name)
+            if columns[name].size != time.size:
+                raise LeglabError(
+                    f"column {name!r} has {columns[name].size} samples, 'time' has {time.size}"
+                )
+        for key, value in self.metadata.items():
+            try:
+                json.dumps({key: value}, allow_nan=False)
+            except (TypeError, ValueError) as error:
+                raise LeglabError(f"metadata {key!r} cannot be stored as JSON: {error}") from error
+        object.__setattr__(self, "time", time)
+        object.__setattr__(self, "columns", MappingProxyType(columns))
+        object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
+
+    def __len__(self) -> int:
+        return self.time.size
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Returns a column, or the time axis for "time". Shape (n,)."""
+        if name == "time":
+            return self.time
+        if name not in self.columns:
+            raise unknown_name("column", name, self.columns)
+        return self.columns[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.columns
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Recording):
+            return NotImplemented
+        return (
+            np.array_equal(self.time, other.time)
+            and self.columns.keys() == other.columns.keys()
+            and all(
+                np.array_equal(samples, other.columns[name], equal_nan=True)
+                for name, samples in self.columns.items()
+            )
+            and dict(self.metadata) == dict(other.metadata)
+        )
+
+    __hash__ = None  # type: ignore[assignment]  # Arrays have no hash.
+
+    def __reduce__(self) -> tuple:
+        # Mapping proxies cannot be pickled, and runs travel between processes.
+        return _rebuild, (self.time, dict(self.columns), dict(self.metadata))
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last sample [s]."""
+        return float(self.time[-1] - self.time[0])
+
+    @property
+    def sampling_period(self) -> float:
+        """Time between two samples [s].
+
+        Raises:
+            LeglabError: There is one sample only, or the intervals differ; names the row.
+        """
+        if self.time.size < 2:
+            raise LeglabError("a recording of one sample has no sampling period")
+        intervals = np.diff(self.time)
+        period = float(np.median(intervals))
+        worst = int(np.argmax(np.abs(intervals - period)))
+        if abs(intervals[worst] - period) > _UNIFORM_TOLERANCE * period:
+            raise LeglabError(
+                f"samples are not uniform: {intervals[worst]:g} s between rows {worst} and "
+                f"{worst + 1}, usual are {period:g} s"
+            )
+        return self.duration / (self.time.size - 1)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Joints with a `<joint>_position` column, in column order."""
+        return self._owners("_position")
+
+    @property
+    def actuators(self) -> tuple[str, ...]:
+        """Actuators with an `<actuator>_command` column, in column order."""
+        return self._owners("_command")
+
+    def stack(self, elements: Iterable[str], quantity: str) -> np.ndarray:
+        """Puts one quantity of several elements side by side.
+
+        Args:
+            elements: Joints or actuators.
+            quantity: The end of the column names, for instance "position" or "pressure_a".
+
+        Returns:
+            Samples, in the column's unit. Shape (n, len(elements)).
+
+        Raises:
+            LeglabError: A column does not exist.
+        """
+        return np.column_stack([self[f"{element}_{quantity}"] for element in elements])
+
+    def select(self, names: Iterable[str]) -> "Recording":
+        """Returns a recording with these columns alone, in this order.
+
+        Raises:
+            LeglabError: A column does not exist.
+        """
+        columns = {name: self[name] for name in names}
+        return Recording(time=self.time, columns=columns, metadata=self.metadata)
+
+    def between(self, start: float, end: float) -> "Recording":
+        """Returns the samples with start <= time < end [s].
+
+        Raises:
+            LeglabError: There is no such sample.
+        """
+        first, last = np.searchsorted(self.time, (start, end))
+        if first >= last:
+            raise LeglabError(
+                f"no sample in [{start:g}, {end:g}) s: the recording covers "
+                f"[{self.time[0]:g}, {self.time[-1]:g}] s"
+            )
+        columns = {name: samples[first:last] for name, samples in self.columns.items()}
+        return Recording(time=self.time[first:last], columns=columns, metadata=self.metadata)
+
+    def with_columns(self, columns: Mapping[str, np.ndarray]) -> "Recording":
+        """Returns a recording with more columns; existing ones of the same name are replaced."""
+        return Recording(
+            time=self.time, columns={**self.columns, **columns}, metadata=self.metadata
+        )
+
+    def with_metadata(self, **metadata: Any) -> "Recording":
+        """Returns a recording with more metadata; existing keys are replaced."""
+        return Recording(
+            time=self.time, columns=self.columns, metadata={**self.metadata, **metadata}
+        )
+
+    def _owners(self, ending: str) -> tuple[str, ...]:
+        return tuple(name.removesuffix(ending) for name in self.columns if name.endswith(ending))
+
+
+def _rebuild(time: np.ndarray, columns: dict, metadata: dict) -> Recording:
+    return Recording(time=time, columns=columns, metadata=metadata)
+
+
+def _read_only(samples: Any, name: str) -> np.ndarray:
+    """Returns the samples as a read-only float64 array of shape (n,) that nobody else can write."""
+    array = np.asarray(samples)
+    if array.ndim != 1:
+        raise LeglabError(f"column {name!r} has shape {array.shape}, allowed is (n,)")
+    if array.dtype == np.float64 and array.base is None and not array.flags.writeable:
+        return array
+    try:
+        array = np.array(array, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        row, value = _first_not_a_number(array)
+        raise LeglabError(f"column {name!r}, row {row}: {value!r} is not a number") from error
+    array.setflags(write=False)
+    return array
+
+
+def _first_not_a_number(array: np.ndarray) -> tuple[int, Any]:
+    for row, value in enumerate(array.tolist()):
+        try:
+            float(value)
+        except (TypeError, ValueError):
+            return row, value
+    return 0, array.tolist()[0]
+
+
+def _check_time(time: np.ndarray) -> None:
+    finite = np.isfinite(time)
+    if not finite.all():
+        row = int(np.argmin(finite))
+        raise LeglabError(f"column 'time', row {row}: {time[row]} is not a finite time")
+    backwards = np.diff(time) <= 0
+    if backwards.any():
+        row = int(np.argmax(backwards)) + 1
+        raise LeglabError(
+            f"column 'time', row {row}: {float(time[row])!r} s does not come after "
+            f"{float(time[row - 1])!r} s; time must increase strictly"
+        )

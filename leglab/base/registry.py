@@ -1,0 +1,95 @@
+"""Things that are found by name: scenarios, controllers, references."""
+
+import importlib
+import os
+import pkgutil
+import sys
+from collections.abc import Callable, Iterable
+from typing import Generic, TypeVar
+
+from leglab.base.errors import LeglabError, unknown_name
+
+Entry = TypeVar("Entry")
+
+
+class Registry(Generic[Entry]):
+    """Named entries of one kind; files that define some are imported at the first look-up.
+
+    Loading late keeps `import leglab` fast, and lets a module of the registry's package run as a
+    script without having been imported before.
+    """
+
+    def __init__(self, kind: str) -> None:
+        """Starts an empty registry.
+
+        Args:
+            kind: What an entry is, for error messages, for instance "scenario".
+        """
+        self._kind = kind
+        self._entries: dict[str, Entry] = {}
+        self._definitions: dict[str, tuple[str, str]] = {}
+        self._loaders: list[Callable[[], None]] = []
+
+    def add(self, name: str, entry: Entry, defined_by: Callable) -> None:
+        """Adds an entry.
+
+        Args:
+            name: Its name.
+            entry: What `get` returns.
+            defined_by: The function or class that defines it. The same definition may come twice
+                (a module that runs as a script is imported under its own name as well).
+
+        Raises:
+            LeglabError: Another definition has this name already.
+        """
+        definition = _definition_of(defined_by)
+        taken = self._definitions.get(name)
+        if taken not in (None, definition):
+            raise LeglabError(
+                f"{self._kind} {name!r} is defined twice: in {taken[0]} and in {definition[0]}"
+            )
+        self._definitions[name] = definition
+        self._entries[name] = entry
+
+    def add_loader(self, load: Callable[[], None]) -> None:
+        """Adds a function that imports modules with entries; it runs once, at the first look-up."""
+        self._loaders.append(load)
+
+    def get(self, name: str) -> Entry:
+        """Returns the entry of this name.
+
+        Raises:
+            LeglabError: There is none; the known names are listed.
+        """
+        self._load()
+        if name not in self._entries:
+            raise unknown_name(self._kind, name, self._entries)
+        return self._entries[name]
+
+    def names(self) -> tuple[str, ...]:
+        """Returns all names in alphabetical order."""
+        self._load()
+        return tuple(sorted(self._entries))
+
+    def _load(self) -> None:
+        while self._loaders:
+            self._loaders.pop()()
+
+
+def import_modules(package: str, path: Iterable[str]) -> None:
+    """Imports every public module of a package, so that each can register what it defines.
+
+    Args:
+        package: The package's name.
+        path: Its `__path__`.
+    """
+    for module in sorted(pkgutil.iter_modules(path), key=lambda module: module.name):
+        if not module.name.startswith("_"):
+            importlib.import_module(f"{package}.{module.name}")
+
+
+def _definition_of(function: Callable) -> tuple[str, str]:
+    """Returns the real path of the file and the qualified name that define a function or class."""
+    module = sys.modules.get(function.__module__)
+    path = getattr(module, "__file__", None) or function.__module__
+    return os.path.realpath(path), function.__qualname__

@@ -1,0 +1,356 @@
+"""Scenarios: what the leg does, and what happens to the machine meanwhile."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
+from typing import Any
+
+from leglab.base.errors import LeglabError
+from leglab.base.registry import Registry
+
+_KINDS = ("scale", "set")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParameterChange:
+    """A physical parameter that changes once, in a step or along a straight ramp.
+
+    Attributes:
+        parameter: Name of the parameter, for instance "internal_leakage".
+        element: Which elements change: a name or a pattern such as "*" or "ankle_*".
+        kind: "scale": the value is a factor on what the parameter was; "set": it is the new value.
+        value: Factor [1], or value in the parameter's own unit.
+        start: When the change begins [s].
+        ramp_duration: How long it takes [s]; 0 is a step.
+    """
+
+    parameter: str
+    element: str = "*"
+    kind: str = "scale"
+    value: float
+    start: float
+    ramp_duration: float = 0.0
+
+    def __post_init__(self) -> None:
+        where = f"change of {self.parameter!r}"
+        if self.kind not in _KINDS:
+            raise LeglabError(f"{where}: unknown kind {self.kind!r}: choose {' or '.join(_KINDS)}")
+        if not math.isfinite(self.value):
+            raise LeglabError(f"{where}: value {self.value!r} is not finite")
+        if self.kind == "scale" and self.value < 0:
+            raise LeglabError(f"{where}: factor {self.value!r} is negative, allowed is >= 0")
+        for name in ("start", "ramp_duration"):
+            seconds = getattr(self, name)
+            if not (seconds >= 0 and math.isfinite(seconds)):
+                raise LeglabError(f"{where}: {name} {seconds!r} s is not allowed, must be >= 0")
+
+    @property
+    def end(self) -> float:
+        """When the change is complete [s]."""
+        return self.start + self.ramp_duration
+
+    def applies_to(self, element: str) -> bool:
+        """Says whether an element changes."""
+        return fnmatchcase(element, self.element)
+
+    def value_at(self, time: float, before: float) -> float:
+        """Returns the parameter's value.
+
+        Args:
+            time: Time [s].
+            before: Its value before the change, in its own unit.
+        """
+        if time >= self.end:
+            share = 1.0
+        elif time <= self.start:
+            share = 0.0
+        else:
+            share = (time - self.start) / self.ramp_duration
+        if share == 0.0:
+            return before
+        after = before * self.value if self.kind == "scale" else self.value
+        return after if share == 1.0 else before + share * (after - before)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Phase:
+    """A named part of a run.
+
+    Attributes:
+        name: "whole", or "before", "during" and "after" a change.
+        start: First time [s].
+        end: Last time [s], not included where another phase follows.
+    """
+
+    name: str
+    start: float
+    end: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Severity:
+    """How bad a scenario's change is.
+
+    Attributes:
+        meaning: What the number says, with its unit, for instance "internal leakage ratio [1]".
+        default: The severity if none is asked for.
+        lowest: Smallest severity allowed.
+        highest: Largest severity allowed.
+    """
+
+    meaning: str
+    default: float
+    lowest: float
+    highest: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """What a scenario is built from.
+
+    Attributes:
+        duration: Duration of the run [s].
+        severity: Severity of the change, in the unit that the scenario declares; NaN without one.
+        ramp_duration: How long the change takes [s]; 0 is a step.
+    """
+
+    duration: float
+    severity: float
+    ramp_duration: float
+
+    @property
+    def half(self) -> float:
+        """The middle of the run [s]."""
+        return self.duration / 2
+
+    def set(self, parameter: str, value: float, element: str = "*") -> ParameterChange:
+        """A change to a new value, in the parameter's own unit, at half time."""
+        return self._change("set", parameter, value, element)
+
+    def scale(self, parameter: str, factor: float, element: str = "*") -> ParameterChange:
+        """A change by a factor at half time."""
+        return self._change("scale", parameter, factor, element)
+
+    def _change(self, kind: str, parameter: str, value: float, element: str) -> ParameterChange:
+        return ParameterChange(
+            parameter=parameter,
+            element=element,
+            kind=kind,
+            value=value,
+            start=self.half,
+            ramp_duration=self.ramp_duration,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    """A run to be made.
+
+    Attributes:
+        name: Name it was registered by.
+        summary: One line for listings and reports.
+        duration: Duration [s].
+        reference: Name of the reference trajectory, unless the user chooses another.
+        reference_config: Settings of that trajectory.
+        changes: What happens to the machine, in the order in which it begins. Where two apply to
+            one parameter of one element, the second starts from what the first left.
+        severity: Severity that the changes have been built with; None without one.
+    """
+
+    name: str
+    summary: str = ""
+    duration: float
+    reference: str = "walking_stride"
+    reference_config: Mapping[str, Any] = field(default_factory=dict)
+    changes: tuple[ParameterChange, ...] = field(default=())
+    severity: float | None = None
+
+    def __post_init__(self) -> None:
+        where = f"scenario {self.name!r}"
+        if not (self.duration > 0 and math.isfinite(self.duration)):
+            raise LeglabError(f"{where}: duration {self.duration!r} s is not allowed, must be > 0")
+        for earlier, later in zip(self.changes, self.changes[1:], strict=False):
+            if later.start < earlier.start:
+                raise LeglabError(
+                    f"{where}: the schedule goes backwards: {later.parameter!r} changes at "
+                    f"{later.start:g} s, listed after {earlier.parameter!r} at {earlier.start:g} s"
+                )
+        for change in self.changes:
+            if change.end > self.duration:
+                raise LeglabError(
+                    f"{where}: the change of {change.parameter!r} lasts until {change.end:g} s, "
+                    f"the run ends at {self.duration:g} s"
+                )
+
+    @property
+    def breakpoints(self) -> tuple[float, ...]:
+        """Times at which a change begins or is complete [s], increasing, without repetition."""
+        times = {t for change in self.changes for t in (change.start, change.end)}
+        return tuple(sorted(times))
+
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        """The parts of the run: "before", "during" (ramps alone) and "after", or "whole".
+
+        "before" ends when the first change begins, "after" starts when the last is complete. A
+        part without duration is left out.
+        """
+        if not self.changes:
+            return (Phase(name="whole", start=0.0, end=self.duration),)
+        names = ("before", "during", "after")
+        edges = (0.0, self.breakpoints[0], self.breakpoints[-1], self.duration)
+        return tuple(
+            Phase(name=name, start=start, end=end)
+            for name, start, end in zip(names, edges, edges[1:], strict=False)
+            if start < end
+        )
+
+    def changed_from_start(self) -> "Scenario":
+        """Returns the scenario of a machine that has changed before the run begins."""
+        changes = tuple(replace(c, start=0.0, ramp_duration=0.0) for c in self.changes)
+        return replace(self, changes=changes)
+
+    def value_at(self, time: float, parameter: str, element: str, nominal: float) -> float:
+        """Returns the value of a parameter of one element.
+
+        Args:
+            time: Time [s].
+            parameter: Name of the parameter.
+            element: Name of the element.
+            nominal: Value in the unchanged machine, in the parameter's own unit.
+        """
+        value = nominal
+        for change in self.changes:
+            if change.parameter == parameter and change.applies_to(element):
+                value = change.value_at(time, value)
+        return value
+
+    def moving(self, previous: float, time: float) -> tuple[ParameterChange, ...]:
+        """Returns the changes that have another value at a time than at the previous one [s].
+
+        A runner writes parameters for these alone; before the first step, `previous` is -inf.
+        """
+        return tuple(c for c in self.changes if c.start <= time and previous < c.end)
+
+
+# Says what happens to the machine.
+Builder = Callable[[Options], tuple[ParameterChange, ...]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Entry:
+    build: Builder
+    summary: str
+    duration: float
+    reference: str
+    reference_config: Mapping[str, Any]
+    severity: Severity | None
+
+
+SCENARIOS: Registry[_Entry] = Registry("scenario")
+
+
+def register_scenario(
+    name: str,
+    *,
+    summary: str,
+    duration: float = 20.0,
+    reference: str = "walking_stride",
+    reference_config: Mapping[str, Any] | None = None,
+    severity: Severity | None = None,
+) -> Callable[[Builder], Builder]:
+    """Registers the decorated builder of changes under a name.
+
+    Args:
+        name: Name that users give.
+        summary: One line for listings and reports.
+        duration: Default duration [s].
+        reference: Default reference trajectory.
+        reference_config: Settings of that trajectory; None for its own.
+        severity: How bad the change can be; None where there is nothing to choose.
+    """
+
+    def register(build: Builder) -> Builder:
+        entry = _Entry(
+            build=build,
+            summary=summary,
+            duration=duration,
+            reference=reference,
+            reference_config=reference_config or {},
+            severity=severity,
+        )
+        SCENARIOS.add(name, entry, build)
+        return build
+
+    return register
+
+
+def get_scenario(
+    name: str,
+    *,
+    duration: float | None = None,
+    severity: float | None = None,
+    ramp_duration: float = 0.0,
+) -> Scenario:
+    """Builds a scenario.
+
+    Args:
+        name: One of `scenario_names()`.
+        duration: Duration [s]; None stands for the scenario's own.
+        severity: Severity of the change; None stands for the scenario's own.
+        ramp_duration: How long the change takes [s]; 0 is a step.
+
+    Raises:
+        LeglabError: The name is not known, or an option is not allowed for this scenario.
+    """
+    entry = SCENARIOS.get(name)
+    duration = entry.duration if duration is None else duration
+    chosen = _choose_severity(name, entry.severity, severity)
+    options = Options(
+        duration=duration,
+        severity=math.nan if chosen is None else chosen,
+        ramp_duration=ramp_duration,
+    )
+    settled: dict[str, Any] = {"name": name, "summary": entry.summary, "duration": duration}
+    Scenario(**settled)  # Refuses a bad duration before changes are built upon it.
+    changes = entry.build(options)
+    if ramp_duration and not changes:
+        raise LeglabError(f"scenario {name!r} changes nothing, so it has no ramp_duration")
+    return Scenario(
+        **settled,
+        reference=entry.reference,
+        reference_config=entry.reference_config,
+        changes=changes,
+        severity=chosen,
+    )
+
+
+def scenario_names() -> tuple[str, ...]:
+    """Returns the names of all scenarios."""
+    return SCENARIOS.names()
+
+
+def scenario_summary(name: str) -> str:
+    """Returns the line that describes a scenario."""
+    return SCENARIOS.get(name).summary
+
+
+def scenario_severity(name: str) -> Severity | None:
+    """Returns what severities a scenario has; None without any."""
+    return SCENARIOS.get(name).severity
+
+
+def _choose_severity(name: str, severity: Severity | None, asked: float | None) -> float | None:
+    if severity is None:
+        if asked is not None:
+            raise LeglabError(f"scenario {name!r} has no severity, but {asked!r} was given")
+        return None
+    if asked is None:
+        return severity.default
+    if not severity.lowest <= asked <= severity.highest:
+        raise LeglabError(
+            f"scenario {name!r}: severity {asked!r} is outside [{severity.lowest:g}, "
+            f"{severity.highest:g}]; it is the {severity.meaning}"
+        )
+    return asked

@@ -1,0 +1,195 @@
+"""What all commands have in common: examples, groups of options, completion, one-line errors."""
+
+import inspect
+import sys
+import traceback
+import typing
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import typer
+from rich.markup import escape
+from typer.core import TyperGroup
+from typer.models import OptionInfo, ParameterInfo
+
+from leglab.base.errors import LeglabError
+from leglab.cli import names as cli_names
+from leglab.cli.terminal import errors
+
+DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+EXIT_STATUS = {
+    DONE: "done",
+    FAILED: "a check failed",
+    BAD_INPUT: "bad input, or a run that broke off",
+    INTERRUPTED: "interrupted",
+}
+
+EXAMPLES = {
+    "run": (
+        "leglab run seal_wear --controller static_feedforward",
+        "leglab run cold_oil --model knee_bench --ramp 2 --seed 3",
+        "leglab run nominal --reference random_stride --json > metrics.json",
+    ),
+    "compare": (
+        "leglab compare seal_wear hot_oil --controllers pd,bsnn_arx --seeds 5",
+        "leglab compare seal_wear --tolerance 0.1 --out runs/specimens --jobs 2",
+    ),
+    "diagnose": (
+        "leglab diagnose knee_bench rec/*.parquet --out out/knee",
+        "leglab diagnose axis.xml log.mcap --columns map.toml --effect backlash",
+        "leglab diagnose --self-test --cases 20",
+    ),
+    "convert": (
+        "leglab convert run.parquet run.mat",
+        "leglab convert log.mcap run.parquet --columns map.toml",
+        "leglab convert run.parquet plot.csv --to plotjuggler",
+    ),
+    "inspect": (
+        "leglab inspect log.mcap",
+        "leglab inspect run.csv --json | jq .rate_hz",
+    ),
+    "list": ("leglab list", "leglab list --json | jq -r '.scenarios | keys[]'"),
+    "video": (
+        "leglab video runs/seal_wear-pd-leg-0",
+        "leglab video runs/seal_wear-*-leg-0 --start 8 --duration 6 --out film.mp4",
+    ),
+    "report": (
+        "leglab report --scenario seal_wear --controllers pd,static_feedforward,bsnn_arx",
+        "leglab report runs/a runs/b --out out/a_b --start 8 --duration 6",
+    ),
+    "index": ("leglab index runs", "leglab index runs --json | jq '.[].told'"),
+    "view": ("leglab view seal_wear", "leglab view cold_oil --controller pd --model knee_bench"),
+    "tune": ("leglab tune --model knee_bench", "leglab tune --write"),
+    "replicate": ("leglab replicate", "leglab replicate --instances 10 --out out/quick"),
+    "verify": ("leglab verify", "leglab verify --json > verification.json"),
+    "parameters": (
+        "leglab parameters leglab.cylinder",
+        "leglab parameters --markdown > docs/parameters.md",
+    ),
+}
+"""Two or three lines for the shell by command."""
+
+# The panel of an option in the help, by its name in Python.
+_PANELS = {
+    "What runs": (
+        "scenario", "scenarios", "controller", "controllers", "model", "models", "reference",
+        "duration", "severity", "ramp", "seed", "seeds", "timestep", "tolerance",
+    ),
+    "Data": ("recordings", "held_out", "columns", "to"),
+    "Output": ("out", "overwrite", "figures", "as_json", "markdown", "write"),
+}  # fmt: skip
+
+_COMPLETION: dict[str, Callable[[str], list[str]]] = {
+    "scenario": cli_names.completion(cli_names.scenarios),
+    "scenarios": cli_names.completion(cli_names.scenarios),
+    "controller": cli_names.completion(cli_names.controllers),
+    "controllers": cli_names.list_completion(cli_names.controllers),
+    "reference": cli_names.completion(cli_names.references),
+    "model": cli_names.path_completion(".xml", names=cli_names.models),
+    "models": cli_names.completion(cli_names.models),
+    "effect": cli_names.completion(cli_names.effects),
+    "to": cli_names.completion(cli_names.formats),
+    "recordings": cli_names.path_completion(*cli_names.RECORDINGS),
+    "columns": cli_names.path_completion(".toml"),
+}
+
+# What typer raises for wrong arguments; its name is not public.
+_UsageError: Any = typer.BadParameter.__base__
+
+_ALLOWED: dict[str, Callable[[], tuple[str, ...]]] = {
+    "scenario": cli_names.scenarios,
+    "scenarios": cli_names.scenarios,
+    "controller": cli_names.controllers,
+    "controllers": cli_names.controllers,
+    "reference": cli_names.references,
+    "model": lambda: (*cli_names.models(), "an MJCF file"),
+    "to": cli_names.formats,
+}
+
+
+class Commands(TyperGroup):
+    """The commands; an interrupted one says so and ends with status 130."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Runs the command."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            errors.print("[red]interrupted[/red]")
+            raise typer.Exit(INTERRUPTED) from None
+
+
+def exit_status() -> str:
+    """One line with all exit statuses."""
+    return "Exit status: " + ", ".join(f"{code} {text}" for code, text in EXIT_STATUS.items())
+
+
+def explain(app: typer.Typer) -> None:
+    """Adds examples, panels, completion and allowed values to all commands of an application.
+
+    What a command sets itself stays. Twice is once.
+    """
+    for command in app.registered_commands:
+        assert command.callback is not None
+        name = command.name or command.callback.__name__.replace("_", "-")
+        if command.epilog is None and name in EXAMPLES:
+            # \b keeps the line breaks of a paragraph.
+            command.epilog = "\n".join(("\b", "Examples:", *(f"  {e}" for e in EXAMPLES[name])))
+        if command.help is None and command.callback.__doc__:
+            paragraphs = inspect.cleandoc(command.callback.__doc__).split("\n\n")
+            command.help = "\n\n".join(" ".join(text.split()) for text in paragraphs)
+        for parameter, info in _parameters(command.callback):
+            _explain(parameter, info)
+
+
+def execute(app: typer.Typer, arguments: Sequence[str]) -> None:
+    """Runs a command line; wrong input is one line on stderr.
+
+    Args:
+        app: The application.
+        arguments: Of the shell; -v or --verbose, before any `--`, adds the traceback of an error.
+
+    Raises:
+        SystemExit: With a status of `EXIT_STATUS`, unless all is done.
+    """
+    arguments, verbose = _without_verbose(list(arguments))
+    try:
+        status = app(args=arguments, prog_name="leglab", standalone_mode=False)
+    except (LeglabError, _UsageError) as error:
+        if verbose:
+            traceback.print_exc()
+        text = error.format_message() if isinstance(error, _UsageError) else str(error)
+        if text:  # Without a command the help has been printed.
+            errors.print(f"[red]error:[/red] {escape(text)}")
+        sys.exit(BAD_INPUT)
+    if isinstance(status, int) and status:
+        sys.exit(status)
+
+
+def _without_verbose(arguments: list[str]) -> tuple[list[str], bool]:
+    end = arguments.index("--") if "--" in arguments else len(arguments)
+    kept = [a for a in arguments[:end] if a not in ("-v", "--verbose")]
+    return kept + arguments[end:], len(kept) < end
+
+
+def _explain(parameter: str, info: ParameterInfo) -> None:
+    if info.rich_help_panel is None and isinstance(info, OptionInfo):
+        panels = (panel for panel, names in _PANELS.items() if parameter in names)
+        info.rich_help_panel = next(panels, None)
+    if info.autocompletion is None and info.shell_complete is None:
+        info.autocompletion = _COMPLETION.get(parameter)
+    if parameter in _ALLOWED:
+        allowed = f"One of: {', '.join(_ALLOWED[parameter]())}."
+        if info.help is not None and allowed not in info.help:
+            info.help = f"{info.help} {allowed}"
+
+
+def _parameters(callback: Callable) -> list[tuple[str, ParameterInfo]]:
+    hints = typing.get_type_hints(callback, include_extras=True)
+    return [
+        (name, info)
+        for name, hint in hints.items()
+        for info in getattr(hint, "__metadata__", ())
+        if isinstance(info, ParameterInfo)
+    ]

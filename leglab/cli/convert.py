@@ -1,0 +1,132 @@
+"""`leglab convert` and `leglab inspect`: recordings of one format in another, and at a glance."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from leglab.base.errors import LeglabError, unknown_name
+from leglab.cli.options import Json
+from leglab.cli.terminal import errors, output, print_wide
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from leglab.data import Summary
+
+Columns = Annotated[
+    Path | None,
+    typer.Option(help="TOML file: what the columns are called here, and their units."),
+]
+
+
+def convert(
+    source: Annotated[
+        Path,
+        typer.Argument(metavar="IN", help=".parquet, .csv, .mcap, .mat, .npz, or a ROS 2 bag."),
+    ],
+    target: Annotated[
+        Path, typer.Argument(metavar="OUT", help=".parquet, .csv, .mcap, .mat or .npz.")
+    ],
+    to: Annotated[
+        str | None, typer.Option(metavar="FORMAT", help="Format; default: by the suffix of OUT.")
+    ] = None,
+    columns: Columns = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Converts a recording to another format and says what is lost.
+
+    Samples keep every bit; docs/data_formats.md says what else survives in which format.
+    """
+    from leglab import data
+
+    # First of all what costs nothing to check.
+    if to is not None and to not in data.FORMATS:
+        raise unknown_name("format", to, data.FORMATS)
+    form = to or data.format_of(target)
+    if target.exists() and not overwrite:
+        raise LeglabError(f"{target} exists; --overwrite replaces it")
+    recording = data.read(source, columns=columns)
+    lost = data.losses(recording, target, form)
+    data.write(recording, target, form)
+    repairs = list(recording.metadata.get("repairs", ()))
+    if as_json:
+        found = {
+            "source": str(source),
+            "target": str(target),
+            "format": form,
+            "samples": len(recording),
+            "columns": list(recording.columns),
+            "lost": list(lost),
+            "repairs": repairs,
+        }
+        typer.echo(json.dumps(found, indent=2, ensure_ascii=False))
+        return
+    for line in repairs:
+        errors.print(f"repaired: {line}", markup=False)
+    for line in lost:
+        errors.print(f"lost: {line}", markup=False)
+    count = len(recording.columns)
+    output.print(
+        f"written to {target}: {form}, {len(recording)} samples of {count} columns",
+        markup=False,
+        soft_wrap=True,
+    )
+
+
+def inspect(
+    file: Annotated[
+        Path, typer.Argument(help=".parquet, .csv, .mcap, .mat, .npz, or the folder of a bag.")
+    ],
+    columns: Columns = None,
+    as_json: Json = False,
+) -> None:
+    """Shows what is in a recording: columns, units, rate, duration, gaps, what is wrong."""
+    from leglab import data
+
+    table, metadata = data.read_table(file, columns=columns)
+    summary = data.summarise(table, metadata)
+    if as_json:
+        typer.echo(json.dumps({"file": str(file), **summary.to_json()}, indent=2))
+        return
+    output.print(f"{file}: {_axis(summary)}", markup=False, soft_wrap=True)
+    print_wide(_table(summary))
+    for finding in summary.findings:
+        label = "error" if finding.fatal else finding.kind
+        output.print(f"{label}: {finding.message}", markup=False, soft_wrap=True)
+    if not summary.findings:
+        output.print("no gap, nothing missing, no constant column")
+    for key, value in summary.metadata.items():
+        text = json.dumps(value, ensure_ascii=False)
+        short = text if len(text) <= 100 else f"{text[:97]}..."
+        output.print(f"{key} = {short}", markup=False, soft_wrap=True)
+
+
+def _axis(summary: "Summary") -> str:
+    text = f"{summary.samples} samples"
+    if summary.duration is not None:
+        text += f" over {summary.duration:g} s from {summary.start:g} s"
+    if summary.rate is not None and summary.period is not None:
+        text += f", {summary.rate:.6g} Hz ({summary.period:.6g} s)"
+    count = len(summary.gaps)
+    return f"{text}, {count or 'no'} gap{'s' * (count != 1)}"
+
+
+def _table(summary: "Summary") -> "Table":
+    from rich.box import SIMPLE_HEAD
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(box=SIMPLE_HEAD)
+    table.add_column("column")
+    table.add_column("unit")
+    for heading in ("smallest", "largest", "missing"):
+        table.add_column(heading, justify="right")
+    for column in summary.columns:
+        limits = (column.smallest, column.largest)
+        cells = ("-" if value is None else f"{value:.6g}" for value in limits)
+        missing = str(column.missing) if column.missing else "-"
+        table.add_row(escape(column.name), column.unit, *cells, missing)
+    return table

@@ -1,0 +1,112 @@
+"""`leglab diagnose`: names what the simulation is missing."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from leglab.base.errors import LeglabError
+from leglab.cli.options import Json, Overwrite
+from leglab.cli.terminal import output, progress_bar
+
+
+def diagnose(
+    model: Annotated[str | None, typer.Argument(help="Machine.")] = None,
+    recordings: Annotated[
+        list[Path] | None, typer.Argument(help="Recordings: .parquet, .csv, .mcap, .mat, .npz.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Output folder.")] = Path("out/diagnosis"),
+    held_out: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Recording kept from all fits, repeatable; default: chosen by excitation."
+        ),
+    ] = None,
+    columns: Annotated[
+        Path | None,
+        typer.Option(
+            help="TOML file: what the columns of the recordings are called here, and units."
+        ),
+    ] = None,
+    effect: Annotated[
+        list[str] | None,
+        typer.Option(help="Effect to consider, of docs/effects.md, repeatable; default: all."),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of the bootstraps, or of the self-test.")] = 0,
+    self_test: Annotated[
+        bool, typer.Option("--self-test", help="Diagnose blind cases with known truth instead.")
+    ] = False,
+    cases: Annotated[int, typer.Option(help="Single-effect cases of the self-test.")] = 100,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Finds the physical effect that a simulation lacks, from measured recordings.
+
+    Writes diagnosis.json, improved.xml (the model with the effect), figures and the page
+    diagnosis.html, and shows the gap on recordings that were not used to find it.
+    """
+    if self_test:
+        _self_test(out, cases, seed, as_json)
+        return
+    if model is None or not recordings:
+        raise LeglabError("diagnose needs a model and at least one recording, or --self-test")
+    from leglab.diagnosis.output import (
+        summary_lines,
+        summary_tables,
+        write_diagnosis,
+        write_improved,
+    )
+    from leglab.diagnosis.recordings import read_recordings, split_held_out
+    from leglab.diagnosis.verdict import diagnose as run_diagnosis
+    from leglab.diagnosis.workflow import Settings
+    from leglab.report.diagnosis.page import write_page
+    from leglab.report.diagnosis.words import headline
+    from leglab.runs.folder import check_folder
+
+    check_folder(out, overwrite=overwrite, mark="diagnosis.json")
+    named = read_recordings(recordings, columns)
+    named, held = split_held_out(model, named, held_out or [])
+    settings = Settings(effects=tuple(effect) if effect else None, seed=seed)
+    with progress_bar() as bar:
+        task = bar.add_task("diagnosis", total=None)
+        result, found = run_diagnosis(
+            model,
+            named,
+            held_out=held,
+            settings=settings,
+            progress=lambda line: bar.update(task, description=line),
+        )
+    out.mkdir(parents=True, exist_ok=True)
+    improved = write_improved(found, out)
+    result = result.with_model(improved.name)
+    write_diagnosis(result, out)
+    write_page(result, out, model=Path(model).stem)
+    if as_json:
+        typer.echo(json.dumps(result.to_json(), indent=2, ensure_ascii=False))
+        return
+    output.print(headline(result), markup=False, highlight=False)
+    for table in summary_tables(result):
+        output.print(table)
+    for line in summary_lines(result):
+        output.print(line, markup=False)
+    output.print(f"{result.seconds:.1f} s, {result.rollouts:.0f} replays; {out}/diagnosis.html")
+
+
+def _self_test(folder: Path, count: int, seed: int, as_json: bool) -> None:
+    from dataclasses import asdict
+
+    from leglab.studies.blind.selftest import confusion_table, score_table, self_test
+
+    with progress_bar() as bar:
+        task = bar.add_task("self-test", total=count)
+
+        def show(label: str, done: int, total: int) -> None:
+            bar.update(task, description=label or "self-test", completed=done, total=total)
+
+        outcomes = self_test(folder, count, seed=seed, progress=show)
+    if as_json:
+        typer.echo(json.dumps([asdict(o) for o in outcomes], indent=2))
+        return
+    output.print(score_table(outcomes))
+    output.print(confusion_table(outcomes))

@@ -1,0 +1,1 @@
+"""What an engineer measures and tunes on a machine before a controller runs on it."""

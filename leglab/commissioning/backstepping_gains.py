@@ -1,0 +1,433 @@
+"""Gains of `adaptive_backstepping` from the linearised plant, within a bound on sensitivity.
+
+Those of the shipped models stand in `backstepping_gains.toml`, which
+`python -m leglab.commissioning.backstepping_gains` writes anew (some minutes).
+"""
+
+import math
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from leglab.base.errors import LeglabError
+from leglab.commissioning.nominal import inertia_matrix, nominal_cylinders
+from leglab.commissioning.pd_gains import SPEEDS, TUNED_MODELS, joint_plant
+from leglab.control.backstepping.cylinder import CylinderModel
+from leglab.control.backstepping.data import (
+    FORCE_CUTOFF,
+    PRESSURE_CUTOFF,
+    BacksteppingGains,
+    NominalCylinders,
+)
+from leglab.control.backstepping.feedback import Feedback, no_load_speed
+from leglab.machine.cylinder import Cylinder
+from leglab.machine.sensors import SensorConfiguration, position_uncertainty
+from leglab.machine.simulation import Simulation, load_model
+
+GAINS_FILE = Path(__file__).with_name("backstepping_gains.toml")
+
+
+@dataclass(frozen=True, kw_only=True)
+class OperatingPoint:
+    """The plant of one joint around a pose and a piston speed, sampled.
+
+    Attributes:
+        a: State matrix with the measurement's memory, (9, 9).
+        b: Of the spool command, (9, 1).
+        disturbance: Of a force on the piston against extension, in shares of the force at supply
+            pressure, (9, 1).
+        c: To piston position and both pressures, as measured, (3, 9).
+        spool_per_speed: Of the inverted valve [s/m].
+        spool_per_force: Change of spool per unit of phi [1/m], by the pressures at the valve.
+        spool_per_sum: Change of spool with the measured pressures by their sum mode, (2,) [1/Pa].
+    """
+
+    a: np.ndarray
+    b: np.ndarray
+    disturbance: np.ndarray
+    c: np.ndarray
+    spool_per_speed: float
+    spool_per_force: float
+    spool_per_sum: np.ndarray
+
+
+def operating_points(
+    simulation: Simulation, joint: int, data: NominalCylinders, *, period: float, latency: float
+) -> list[OperatingPoint]:
+    """Linearises a joint where the PD gains do, with the other joints free and held.
+
+    Args:
+        simulation: The nominal machine in its rest pose; it is left there.
+        joint: Index of the joint.
+        data: The data of that joint alone.
+        period: Control period [s].
+        latency: Age of a measurement [s].
+    """
+    model, points = CylinderModel(data), []
+    home = simulation.data.qpos.copy()
+    index = simulation.qpos_index[joint]
+    low, high = simulation.joint_range()[joint]
+    for position in (home[index], low + 0.25 * (high - low), low + 0.75 * (high - low)):
+        simulation.data.qpos[:], simulation.data.qvel[:] = home, 0.0
+        simulation.data.qpos[index] = position
+        mujoco.mj_forward(simulation.model, simulation.data)
+        for speed in SPEEDS:
+            for held in (False, True):
+                try:
+                    point = _point(simulation, joint, speed, held, model, period, latency)
+                except LeglabError:
+                    continue  # the cylinder cannot run at this speed under this load
+                points.append(point)
+    simulation.data.qpos[:] = home
+    mujoco.mj_forward(simulation.model, simulation.data)
+    return points
+
+
+def _point(
+    simulation: Simulation,
+    joint: int,
+    speed: float,
+    held: bool,
+    model: CylinderModel,
+    period: float,
+    latency: float,
+) -> OperatingPoint:
+    import control  # takes a second
+
+    lever = float(simulation.levers()[joint])
+    plant = joint_plant(simulation, joint, speed)
+    if held:  # the mass with the other joints free, over that with them held
+        plant.A[0] *= _mass_ratio(simulation, joint)
+    # States: piston velocity, both pressures, spool and its velocity, joint position.
+    c = np.zeros((3, 6))
+    c[0, 5], c[1, 1], c[2, 2] = lever, 1.0, 1.0
+    # Pressure A accelerates the piston by area/m: that tells the mass.
+    push = np.zeros((6, 1))
+    push[0] = -plant.A[0, 1] * model.data.supply_pressure
+    plant = control.ss(plant.A, np.hstack([plant.B, push]), c, 0)
+    full = control.c2d(plant, period, "zoh")
+    part = control.c2d(plant, period - latency, "zoh")
+    a = np.block([[full.A, np.zeros((6, 3))], [c @ part.A, np.zeros((3, 3))]])
+    b = np.vstack([full.B, c @ part.B])
+
+    values = simulation.cylinder_parameters(simulation.actuators[joint])
+    values.update(coulomb=0.0, static=0.0, sigma_0=0.0, sigma_1=0.0)
+    force = float(simulation.data.qfrc_bias[simulation.dof_index[joint]]) / lever
+    steady = Cylinder(values).steady_state(speed, force)
+    pressure = np.array([[steady.pressure_a], [steady.pressure_b]])
+    supply = model.data.supply_pressure
+    piston = model.geometry(simulation.position()[joint : joint + 1])[1]
+    leakage = np.array([model.data.internal_leakage, [0.0], [0.0]])
+    lap = model.data.lap
+
+    def spool(change: np.ndarray | float = 0.0, faster: float = 0.0) -> float:
+        shifted = pressure + change
+        chambers = model.chambers(shifted, supply, piston)
+        rate = model.rate_for(np.array([speed + faster]), shifted, leakage, chambers)
+        return float(model.spool_for(rate, chambers, lap)[0])
+
+    weight = model.chambers(pressure, supply, piston).weight
+    area, stiffness = model.data.area, float((model.data.area * weight).sum())
+    by_force = np.array([weight[0], -weight[1]])
+    by_sum = area[::-1] / stiffness
+    step = 1e-6  # m, of phi
+    per_sum = np.zeros(2)
+    scale = 1e3  # Pa
+    for chamber in range(2):
+        change = np.zeros((2, 1))
+        change[chamber] = scale
+        total = weight[::-1] * change
+        pressures = by_sum * total.sum(axis=0)
+        per_sum[chamber] = (spool(pressures) - spool(-pressures)) / (2 * scale)
+    return OperatingPoint(
+        a=a,
+        b=b[:, :1],
+        disturbance=b[:, 1:],
+        c=np.hstack([np.zeros((3, 6)), np.eye(3)]),
+        spool_per_speed=(spool(0.0, 1e-5) - spool(0.0, -1e-5)) / 2e-5,
+        spool_per_force=(spool(step * by_force) - spool(-step * by_force)) / (2 * step),
+        spool_per_sum=per_sum,
+    )
+
+
+def _mass_ratio(simulation: Simulation, joint: int) -> float:
+    """Inertia of a joint with the others free, as a share of that with the others held."""
+    inertia, dof = inertia_matrix(simulation), simulation.dof_index[joint]
+    return float(1.0 / (np.linalg.inv(inertia)[dof, dof] * inertia[dof, dof]))
+
+
+# Largest sensitivity |1/(1 + L)|: 2 leaves a gain margin of 6 dB and a phase margin of 29 degrees.
+SENSITIVITY = 2.0
+# The same with valves of this share of their bandwidth, which the controller does not know.
+VALVE_SHARE, SLOW_SENSITIVITY = 0.5, 3.0
+# Steps that the gains are judged by: so much of the no-load speed and of the piston's force.
+_STEP = 0.05
+# Bounds of the search, decades of (position_gain, force_drift, flow_drift) and force_damping.
+_BOUNDS = ((0.5, 2.2), (-3.0, 0.0), (-3.5, -0.3), (0.0, 1.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearController:
+    """The controller of one joint between measured (x, p_A, p_B) and the spool, linear.
+
+    Attributes:
+        a: State matrix: observer, past speeds, slow force, filtered pressures.
+        b: Of (x, p_A, p_B), three columns.
+        c: One row.
+        d: (1, 3).
+    """
+
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+    d: np.ndarray
+
+
+def linear_controller(
+    law: Feedback, area: np.ndarray, point: OperatingPoint, period: float
+) -> LinearController:
+    """Writes `adaptive_backstepping` of one joint as a linear system.
+
+    Args:
+        law: Feedback of that joint alone.
+        area: Piston areas, (2,) [m^2].
+        point: Operating point, for the valve's inverse.
+        period: Control period [s].
+    """
+    smoothing = -math.expm1(-PRESSURE_CUTOFF * period)
+    slowly = -math.expm1(-FORCE_CUTOFF * period)
+    a0, old, new, gain, ahead, ahead_input = law.observer.matrices(0)
+    weights = law.weights[0]
+    past = law.observer.past
+    measure = np.zeros((2, 5))
+    measure[0, 0] = measure[1, 2] = 1.0
+    y = np.zeros((2, 3))
+    y[0, 0] = -1.0
+    y[1, 1:] = np.array([area[0], -area[1]]) / law.stiffness[0]
+    keep = np.eye(5) - gain @ measure
+    size = 5 + past + 2 + 3
+    a, b = np.zeros((size, size)), np.zeros((size, 3))
+    a[:5, :5] = keep @ a0
+    a[:5, 5 + past] += keep @ new
+    a[:5, 6 + past] += keep @ old
+    b[:5] = gain @ y
+    speed, speed_b = weights @ ahead @ a[:5], weights @ ahead @ b[:5]
+    speed[5] += weights @ ahead_input
+    a[5], b[5] = speed, speed_b
+    for i in range(6, 7 + past):
+        a[i, i - 1] = 1.0
+    # phi on its slow way into the expected pressures.
+    a[-3], b[-3] = slowly * a[3], slowly * b[3]
+    a[-3, -3] = 1.0 - slowly
+    for chamber in range(2):
+        row = size - 2 + chamber
+        a[row, row] = 1.0 - smoothing
+        b[row, 1 + chamber] = smoothing
+    c = point.spool_per_speed * speed + point.spool_per_force * a[-3]
+    d = point.spool_per_speed * speed_b + point.spool_per_force * b[-3]
+    c = c + point.spool_per_sum @ a[-2:]
+    d = d + point.spool_per_sum @ b[-2:]
+    return LinearController(a=a, b=b, c=c[None], d=d[None])
+
+
+class Loop:
+    """Frequency responses of one joint's plants, to judge gains by.
+
+    Args:
+        points: Operating points.
+        data: Data of the joint alone.
+        sensors: Sensors and timing.
+    """
+
+    def __init__(
+        self,
+        points: Sequence[OperatingPoint],
+        data: NominalCylinders,
+        sensors: SensorConfiguration,
+    ) -> None:
+        self._points, self._model, self._sensors = points, CylinderModel(data), sensors
+        self._speed = float(no_load_speed(data)[0])
+        nyquist = math.pi / sensors.control_period
+        self._frequencies = np.geomspace(0.5, 0.999 * nyquist, 120)
+        self._z = np.exp(1j * self._frequencies * sensors.control_period)[:, None, None]
+        self._plants = [
+            p.c @ np.linalg.solve(self._z * np.eye(len(p.a)) - p.a, np.hstack([p.b, p.disturbance]))
+            for p in points
+        ]
+
+    def law(self, gains: BacksteppingGains) -> Feedback:
+        """Feedback with these gains."""
+        return Feedback(
+            self._model,
+            gains,
+            position_noise=position_uncertainty(self._sensors),
+            pressure_noise=self._sensors.pressure_noise,
+            period=self._sensors.control_period,
+            latency=self._sensors.latency,
+        )
+
+    def judge(self, gains: BacksteppingGains) -> tuple[float, float]:
+        """Worst response to steps of unknown flow and force, and largest sensitivity.
+
+        Returns:
+            Root of the integrated squares of the piston's errors after both steps [m s^(1/2)],
+            and max |1/(1 + L)|; where a loop is unstable, infinity and its largest eigenvalue.
+        """
+        law, worst, peak, radius = self.law(gains), 0.0, 0.0, 0.0
+        period = self._sensors.control_period
+        area, w = self._model.data.area[:, 0], self._frequencies
+        for point, plant in zip(self._points, self._plants, strict=True):
+            k = linear_controller(law, area, point, period)
+            closed = np.block(
+                [[point.a + point.b @ k.d @ point.c, point.b @ k.c], [k.b @ point.c, k.a]]
+            )
+            radius = max(radius, float(np.abs(np.linalg.eigvals(closed)).max()))
+            if radius >= 1.0:
+                continue
+            answer = (k.c @ np.linalg.solve(self._z * np.eye(len(k.a)) - k.a, k.b))[:, 0] + k.d
+            sensitivity = 1.0 / (1.0 - (answer * plant[:, :, 0]).sum(axis=1))
+            peak = max(peak, float(np.abs(sensitivity).max()))
+            by_flow = plant[:, 0, 0] * point.spool_per_speed * sensitivity * self._speed
+            spool = (answer * plant[:, :, 1]).sum(axis=1) * sensitivity
+            by_force = plant[:, 0, 1] + plant[:, 0, 0] * spool
+            square = (np.abs(by_flow) ** 2 + np.abs(by_force) ** 2) / w**2
+            worst = max(worst, _STEP * math.sqrt(np.trapezoid(square, w) / math.pi))
+        if radius >= 1.0:
+            return math.inf, radius
+        return worst, peak
+
+
+def joint_loop(
+    simulation: Simulation, joint: int, sensors: SensorConfiguration, *, valve_share: float = 1.0
+) -> Loop:
+    """Prepares the judgement of one joint's gains on the nominal machine in its rest pose.
+
+    Args:
+        simulation: The machine; it is left as it was.
+        joint: Index of the joint.
+        sensors: Sensors and timing.
+        valve_share: Bandwidth of the valve, as a share of the one that the controller knows.
+    """
+    data = nominal_cylinders(simulation).joint(joint)
+    actuator = simulation.actuators[joint]
+    bandwidth = simulation.parameter(actuator, "bandwidth_hz")
+    simulation.set_parameter(actuator, "bandwidth_hz", valve_share * bandwidth)
+    points = operating_points(
+        simulation, joint, data, period=sensors.control_period, latency=sensors.latency
+    )
+    simulation.set_parameter(actuator, "bandwidth_hz", bandwidth)
+    return Loop(points, data, sensors)
+
+
+def tuned_gains(
+    simulation: Simulation, joint: int, sensors: SensorConfiguration
+) -> BacksteppingGains:
+    """Gains of one joint: the quickest within `SENSITIVITY`, slowed down for a slower valve."""
+    gains = tune_joint(joint_loop(simulation, joint, sensors))[0]
+    slower = joint_loop(simulation, joint, sensors, valve_share=VALVE_SHARE)
+    return derated(gains, slower)
+
+
+def derated(gains: BacksteppingGains, loop: Loop) -> BacksteppingGains:
+    """Scales position gain and drifts down until `SLOW_SENSITIVITY` is kept; a tenth at least."""
+    for factor in np.geomspace(1.0, 0.1, 19):
+        slower = replace(
+            gains,
+            position_gain=factor * gains.position_gain,
+            force_drift=factor * gains.force_drift,
+            flow_drift=factor * gains.flow_drift,
+        )
+        response, peak = loop.judge(slower)
+        if math.isfinite(response) and peak <= SLOW_SENSITIVITY:
+            break
+    return slower
+
+
+def gains_of(values: Sequence[float] | np.ndarray) -> BacksteppingGains:
+    """Gains of one joint from the variables of the search."""
+    return BacksteppingGains(
+        position_gain=np.array([10.0 ** values[0]]),
+        force_drift=np.array([10.0 ** values[1]]),
+        flow_drift=np.array([10.0 ** values[2]]),
+        force_damping=np.array([values[3]]),
+    )
+
+
+def tune_joint(loop: Loop) -> tuple[BacksteppingGains, float, float]:
+    """Gains with the smallest response to unknown flow and force that keep `SENSITIVITY`.
+
+    Returns:
+        The gains, the response and the largest sensitivity, as `Loop.judge` gives them.
+    """
+
+    def cost(values: np.ndarray) -> float:
+        worst, peak = loop.judge(gains_of(values))
+        if not math.isfinite(worst):
+            return 1e2 * peak
+        return math.log(worst) + 20.0 * max(0.0, peak / SENSITIVITY - 1.0)
+
+    from scipy.optimize import differential_evolution  # slow to import, seldom needed
+
+    result = differential_evolution(
+        cost, _BOUNDS, seed=0, popsize=8, maxiter=18, tol=1e-4, polish=False
+    )
+    gains = gains_of(result.x)
+    return gains, *loop.judge(gains)
+
+
+_NAMES = tuple(field.name for field in fields(BacksteppingGains))
+_TIMING = ("control_period", "latency")
+
+
+def gains_text(models: Sequence[str]) -> str:
+    """Tunes models for the default sensors and formats the gains as TOML."""
+    sensors = SensorConfiguration()
+    lines = [
+        "# Gains by `python -m leglab.commissioning.backstepping_gains`: the smallest",
+        f"# response to unknown flow and force with a sensitivity of at most {SENSITIVITY:g}",
+        "# at every pose and piston speed of the linearised nominal plant, slowed down for",
+        f"# {SLOW_SENSITIVITY:g} at {VALVE_SHARE:g} times the valves' bandwidth. Not to be edited.",
+    ]
+    for model in models:
+        lines += ["", f"[{model}]"]
+        lines += [f"{name} = {getattr(sensors, name)!r}" for name in _TIMING]
+        simulation = Simulation(load_model(model))
+        for joint, name in enumerate(simulation.joints):
+            gains = tuned_gains(simulation, joint, sensors)
+            response, peak = joint_loop(simulation, joint, sensors).judge(gains)
+            values = [f"{key} = {getattr(gains, key)[0]:.4g}" for key in _NAMES]
+            values += [f"response = {response:.3g}", f"sensitivity = {peak:.3f}"]
+            lines.append(f"joints.{name} = {{ {', '.join(values)} }}")
+            print(lines[-1], flush=True)
+    return "\n".join(lines) + "\n"
+
+
+def backstepping_gains(
+    model: str, simulation: Simulation, sensors: SensorConfiguration
+) -> BacksteppingGains:
+    """Gains of a shipped model from `GAINS_FILE`; for others, and other timing, tuned now.
+
+    Args:
+        model: Name or path of the model.
+        simulation: The nominal machine in its rest pose, where it is left.
+        sensors: Sensors and timing.
+    """
+    file = tomllib.loads(GAINS_FILE.read_text()) if GAINS_FILE.exists() else {}
+    stored = file.get(str(model), {})
+    joints = stored.get("joints", {})
+    known = all(stored.get(name) == getattr(sensors, name) for name in _TIMING)
+    if known and all(name in joints for name in simulation.joints):
+        rows = [joints[name] for name in simulation.joints]
+        return BacksteppingGains(**{key: np.array([row[key] for row in rows]) for key in _NAMES})
+    tuned = [tuned_gains(simulation, joint, sensors) for joint in range(len(simulation.joints))]
+    return BacksteppingGains(
+        **{key: np.concatenate([getattr(gains, key) for gains in tuned]) for key in _NAMES}
+    )
+
+
+if __name__ == "__main__":
+    GAINS_FILE.write_text(gains_text(TUNED_MODELS))

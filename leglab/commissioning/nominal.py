@@ -1,0 +1,119 @@
+"""The nominal machine as data for model-based controllers: cylinders, levers, rigid bodies."""
+
+import copy
+
+import mujoco
+import numpy as np
+
+from leglab.control.backstepping.data import NominalCylinders
+from leglab.machine.cylinder import Cylinder
+from leglab.machine.simulation import Simulation
+
+# Positions over each joint's range at which levers are tabulated. Between them a lever of
+# curvature r'' = r is off by a thousandth for a range of 2 rad.
+_LEVER_POSITIONS = 33
+
+
+def nominal_cylinders(simulation: Simulation) -> NominalCylinders:
+    """Reads the cylinders' data sheets and measures their levers over the joint ranges.
+
+    Args:
+        simulation: The nominal machine in its rest pose; its positions are as before afterwards.
+    """
+    sheets = [simulation.cylinder_parameters(name) for name in simulation.actuators]
+
+    def row(name: str) -> np.ndarray:
+        return np.array([sheet[name] for sheet in sheets])
+
+    mass = _effective_masses(simulation)
+    position, lever, length = _lever_tables(simulation)
+    return NominalCylinders(
+        area=np.array([Cylinder(sheet).native.areas() for sheet in sheets]).T,
+        dead_volume=np.stack([row("dead_volume_a"), row("dead_volume_b")]),
+        stroke=row("stroke"),
+        orifice_gain=row("rated_flow") / np.sqrt(row("rated_pressure_drop") / 2),
+        laminar_transition_pressure=row("laminar_transition_pressure"),
+        lap=row("lap"),
+        edge_rounding=row("edge_rounding"),
+        valve_frequency=2 * np.pi * row("bandwidth_hz"),
+        valve_damping=row("damping_ratio"),
+        supply_pressure=row("supply_pressure"),
+        tank_pressure=row("tank_pressure"),
+        bulk_modulus=row("bulk_modulus"),
+        entrained_air=row("entrained_air"),
+        polytropic_index=row("polytropic_index"),
+        internal_leakage=row("internal_leakage"),
+        viscous=row("viscous"),
+        coulomb=row("coulomb"),
+        static=row("static"),
+        stribeck_velocity=row("stribeck_velocity"),
+        sigma_0=row("sigma_0"),
+        mass=mass,
+        position=position,
+        lever=lever,
+        piston=length + (row("stroke") / 2 - row("mid_length"))[:, None],
+    )
+
+
+def _effective_masses(simulation: Simulation) -> np.ndarray:
+    """Mass [kg] that each cylinder moves with all other joints free, (joints,)."""
+    inverse = np.diag(np.linalg.inv(inertia_matrix(simulation)))[simulation.dof_index]
+    return 1.0 / (inverse * simulation.levers() ** 2)
+
+
+def inertia_matrix(simulation: Simulation) -> np.ndarray:
+    """Joint-space inertia in the present pose [kg m^2 and alike], (nv, nv)."""
+    model, data = simulation.model, simulation.data
+    columns, unit = np.zeros((model.nv, model.nv)), np.eye(model.nv)
+    for i in range(model.nv):
+        mujoco.mj_mulM(model, data, columns[i], unit[i])
+    return columns
+
+
+def _lever_tables(simulation: Simulation) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Positions, levers and actuator lengths over each joint's range, each (joints, p)."""
+    model, data = simulation.model, simulation.data
+    pose = data.qpos.copy()
+    low, high = simulation.joint_range().T
+    position = np.linspace(low, high, _LEVER_POSITIONS, axis=1)
+    lever, length = np.empty_like(position), np.empty_like(position)
+    for column in range(_LEVER_POSITIONS):
+        # Every cylinder spans one joint alone, so all of them move at once.
+        data.qpos[simulation.qpos_index] = position[:, column]
+        mujoco.mj_fwdPosition(model, data)
+        lever[:, column] = simulation.levers()
+        length[:, column] = data.actuator_length
+    data.qpos[:] = pose
+    mujoco.mj_forward(model, data)
+    return position, lever, length
+
+
+class NominalDynamics:
+    """Joint torques that a motion of the nominal machine needs: bodies, gravity, springs, dampers.
+
+    A machine of its own, not the one that runs: on a robot the same table of masses and lengths
+    would feed any rigid-body library. It hangs free, without ground contact; joints that no
+    cylinder drives stand still.
+
+    Args:
+        simulation: The nominal machine in its rest pose.
+    """
+
+    def __init__(self, simulation: Simulation) -> None:
+        self._model = copy.copy(simulation.model)
+        self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+        self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
+        self._data = mujoco.MjData(self._model)
+        self._data.qpos[:] = simulation.data.qpos
+        self._qpos, self._dof = simulation.qpos_index, simulation.dof_index
+
+    def __call__(
+        self, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
+    ) -> np.ndarray:
+        """Torques [N m], (joints,), for a motion [rad, rad/s, rad/s^2], each (joints,)."""
+        data = self._data
+        data.qpos[self._qpos] = position
+        data.qvel[self._dof] = velocity
+        data.qacc[self._dof] = acceleration
+        mujoco.mj_inverse(self._model, data)
+        return data.qfrc_inverse[self._dof]

@@ -1,0 +1,291 @@
+"""PD gains from the linearised plant: the fastest loop that keeps its stability margins.
+
+Those of the shipped models stand in `pd_gains.toml`, which `leglab tune` writes.
+"""
+
+import math
+import tomllib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from leglab.base.errors import LeglabError
+from leglab.machine.cylinder import CONTINUOUS_STATES, Cylinder
+from leglab.machine.sensors import SensorConfiguration, velocity_filter_coefficient
+from leglab.machine.simulation import Simulation, load_model
+
+if TYPE_CHECKING:
+    import control
+
+# Tuned once by `leglab tune`, and not touched afterwards.
+GAINS_FILE = Path(__file__).with_name("pd_gains.toml")
+TUNED_MODELS = ("knee_bench", "leg", "leg_rail")
+
+GAIN_MARGIN_DB = 6.0
+PHASE_MARGIN_DEG = 45.0
+# Piston speeds [m/s] at which the plant is linearised: creeping and running, both ways. Dry
+# friction only steadies the loop (sgn(v) has no slope), so it is left out.
+SPEEDS = (-0.2, -0.05, -0.01, 0.01, 0.05, 0.2)
+_INDEX = {name: i for i, name in enumerate(CONTINUOUS_STATES)}
+_STATES = ("velocity", "pressure_a", "pressure_b", "spool_position", "spool_velocity")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gains:
+    """Proportional-derivative gains of one joint, with the margins they keep.
+
+    Attributes:
+        position: Valve command per position error [1/rad].
+        velocity: Valve command per velocity error [s/rad].
+        gain_margin_db: Smallest gain margin over the operating points [dB].
+        phase_margin_deg: Smallest phase margin [deg].
+        crossover: Smallest gain crossover frequency [rad/s].
+    """
+
+    position: float
+    velocity: float
+    gain_margin_db: float
+    phase_margin_deg: float
+    crossover: float
+
+
+def joint_plant(simulation: Simulation, joint: int, speed: float) -> "control.StateSpace":
+    """Linear plant of one joint from valve command to joint position [rad] in the present pose.
+
+    The piston runs at `speed` [m/s] under the load of the pose; the other joints are free, so
+    that the cylinder sees the effective mass 1/(J M^-1 J').
+    """
+    import control  # takes a second, and most runs find their gains in the file
+
+    model, data = simulation.model, simulation.data
+    lever = float(simulation.levers()[joint])
+    row = np.zeros(model.nv)
+    row[simulation.dof_index[joint]] = lever
+    solved = np.zeros((1, model.nv))
+    mujoco.mj_solveM(model, data, solved, row[None, :])
+    mass = 1.0 / float(row @ solved[0])
+
+    values = {**simulation.cylinder_parameters(simulation.actuators[joint])}
+    values.update(coulomb=0.0, static=0.0, sigma_0=0.0, sigma_1=0.0)
+    cylinder = Cylinder(values)
+    force = float(data.qfrc_bias[simulation.dof_index[joint]]) / lever
+    steady = cylinder.steady_state(speed, force)
+    length = data.actuator_length[joint]
+    position = 0.5 * values["stroke"] + length - values["mid_length"]
+    centre = cylinder.initial_state(
+        position=position,
+        velocity=speed,
+        spool_position=steady.spool,
+        pressure_a=steady.pressure_a,
+        pressure_b=steady.pressure_b,
+    )
+    command = steady.spool - values["null_bias"]
+
+    def slope(offset: np.ndarray, step: float = 0.0) -> np.ndarray:
+        return cylinder.derivative(centre + offset, command=command + step, mass=mass, load=force)
+
+    rows = [_INDEX[name] for name in _STATES]
+    a = np.zeros((6, 6))
+    for column, (name, eps) in enumerate(zip(_STATES, (1e-5, 1e1, 1e1, 1e-6, 1e-3), strict=True)):
+        offset = np.zeros(len(CONTINUOUS_STATES))
+        offset[_INDEX[name]] = eps
+        a[:5, column] = (slope(offset) - slope(-offset))[rows] / (2 * eps)
+    zero = np.zeros(len(CONTINUOUS_STATES))
+    b = np.zeros((6, 1))
+    b[:5, 0] = (slope(zero, 1e-6) - slope(zero, -1e-6))[rows] / 2e-6
+    a[5, 0] = 1.0 / lever  # joint speed from piston speed
+    return control.ss(a, b, np.eye(6)[5:], 0)
+
+
+def sampled_plant(
+    plant: "control.StateSpace", period: float, latency: float
+) -> "control.StateSpace":
+    """Samples a plant behind a zero-order hold, measured `latency` <= period before the command.
+
+    The measurement at t - latency comes from the state one period earlier, moved on by
+    period - latency under the command of that time; both enter as extra states.
+    """
+    import control  # takes a second, and most runs find their gains in the file
+
+    full = control.c2d(plant, period, "zoh")
+    part = control.c2d(plant, period - latency, "zoh") if latency < period else None
+    ad, bd = full.A, full.B
+    cp = plant.C @ part.A if part is not None else plant.C
+    dp = plant.C @ part.B if part is not None else np.zeros((1, 1))
+    n = ad.shape[0]
+    # State (x, y_measured): y[k+1] = C (A_p x[k] + B_p u[k]).
+    a = np.block([[ad, np.zeros((n, 1))], [cp, np.zeros((1, 1))]])
+    b = np.vstack([bd, dp])
+    c = np.hstack([np.zeros((1, n)), np.ones((1, 1))])
+    return control.ss(a, b, c, 0, period)
+
+
+def _loops(
+    simulation: Simulation, joint: int, poses: Sequence[np.ndarray], period: float, latency: float
+) -> list["control.StateSpace"]:
+    plants = []
+    data = simulation.data
+    for pose in poses:
+        data.qpos[:], data.qvel[:] = pose, 0.0
+        mujoco.mj_forward(simulation.model, data)
+        for speed in SPEEDS:
+            try:
+                plant = joint_plant(simulation, joint, speed)
+            except LeglabError:
+                continue  # the cylinder cannot run at this speed under this load
+            direction = float(np.sign(simulation.levers()[joint]))
+            plants.append(sampled_plant(direction * plant, period, latency))
+    return plants
+
+
+def tune(
+    simulation: Simulation,
+    joint: int,
+    *,
+    sensors: SensorConfiguration,
+    poses: Sequence[np.ndarray] | None = None,
+) -> Gains:
+    """Finds the PD gains with the greatest K_p that keep 6 dB and 45 degrees everywhere.
+
+    Margins are those of the sampled loop, with hold, latency and velocity filter, at every pose
+    and piston speed. K_p decides the error in following a ramp, so the greatest is the best.
+
+    Args:
+        simulation: The nominal machine; its positions are changed.
+        joint: Index of the joint.
+        sensors: Control period, latency and velocity filter of the loop.
+        poses: Positions (nq,) at which to linearise; None for the present one and the joint at a
+            quarter and three quarters of its range.
+    """
+    if poses is None:
+        home = simulation.data.qpos.copy()
+        low, high = simulation.joint_range()[joint]
+        poses = [home]
+        for fraction in (0.25, 0.75):
+            pose = home.copy()
+            pose[simulation.qpos_index[joint]] = low + fraction * (high - low)
+            poses.append(pose)
+    period, latency = sensors.control_period, sensors.latency
+    frequencies = np.geomspace(0.05, math.pi / period * 0.999, 4000)
+    z = np.exp(1j * frequencies * period)
+    responses = [plant(z).ravel() for plant in _loops(simulation, joint, poses, period, latency)]
+    alpha = velocity_filter_coefficient(period, sensors.velocity_cutoff)
+    derivative = alpha * (1 - 1 / z) / period / (1 - (1 - alpha) / z)
+
+    def margins(kp: float, kv: float) -> tuple[float, float, float]:
+        worst = [math.inf, math.inf, math.inf]
+        for plant in responses:
+            loop = plant * (kp + kv * derivative)
+            worst = [min(a, b) for a, b in zip(worst, _margins(loop, frequencies), strict=True)]
+        return worst[0], worst[1], worst[2]
+
+    def greatest(kv: float) -> float:
+        low, high = 0.0, 50.0
+        for _ in range(40):
+            middle = 0.5 * (low + high)
+            gain, phase, _ = margins(middle, kv)
+            if gain >= GAIN_MARGIN_DB and phase >= PHASE_MARGIN_DEG:
+                low = middle
+            else:
+                high = middle
+        return low
+
+    best = max(((greatest(kv), -kv) for kv in np.linspace(0.0, 0.2, 41)), default=(0.0, 0.0))
+    kp, kv = _round_down(best[0]), round(float(-best[1]), 4)
+    gain, phase, crossover = margins(kp, kv)
+    return Gains(
+        position=kp,
+        velocity=kv,
+        gain_margin_db=gain,
+        phase_margin_deg=phase,
+        crossover=crossover,
+    )
+
+
+def _margins(loop: np.ndarray, frequencies: np.ndarray) -> tuple[float, float, float]:
+    """Gain margin [dB], phase margin [deg] and crossover [rad/s] of a sampled frequency response.
+
+    Every crossing counts: a resonance crosses the unit circle more than once.
+    """
+    magnitude = np.abs(loop)
+    sign_change = loop.imag[1:] * loop.imag[:-1] <= 0
+    cross = np.flatnonzero(sign_change & (loop.real[1:] < 0))
+    gain = math.inf
+    if cross.size:
+        gain = float(-20 * np.log10(np.maximum(magnitude[cross], magnitude[cross + 1]).max()))
+    unity = np.flatnonzero((magnitude[1:] - 1) * (magnitude[:-1] - 1) <= 0)
+    phase, crossover = math.inf, 0.0
+    if unity.size:
+        angle = np.degrees(np.angle(-loop[unity]))
+        phase = float(np.abs(angle).min())
+        crossover = float(frequencies[unity[0]])
+    return gain, phase, crossover
+
+
+def _round_down(value: float) -> float:
+    """Three significant digits, never more than the value."""
+    if value <= 0:
+        return 0.0
+    scale = 10.0 ** (math.floor(math.log10(value)) - 2)
+    return math.floor(value / scale) * scale
+
+
+def gains_text(models: Sequence[str], progress: Callable[[str], None]) -> str:
+    """Tunes models for the default sensors and formats the gains as TOML."""
+    sensors = SensorConfiguration()
+    lines = [
+        "# PD gains by `leglab tune --write`: the greatest K_p that keeps "
+        f"{GAIN_MARGIN_DB:g} dB and {PHASE_MARGIN_DEG:g} degrees",
+        "# at every pose and piston speed of the linearised plant. Not to be edited by hand.",
+    ]
+    for model in models:
+        lines += [
+            "",
+            f"[{model}]",
+            f"control_period = {sensors.control_period!r}",
+            f"latency = {sensors.latency!r}",
+            f"velocity_cutoff = {sensors.velocity_cutoff!r}",
+        ]
+        simulation = Simulation(load_model(model))
+        for i, joint in enumerate(simulation.joints):
+            progress(f"{model} {joint}")
+            simulation.reset()
+            gains = tune(simulation, i, sensors=sensors)
+            lines.append(
+                f"joints.{joint} = {{ position = {gains.position:.4g}, "
+                f"velocity = {gains.velocity:.4g}, gain_margin_db = {gains.gain_margin_db:.2f}, "
+                f"phase_margin_deg = {gains.phase_margin_deg:.1f}, "
+                f"crossover = {gains.crossover:.2f} }}"
+            )
+    return "\n".join(lines) + "\n"
+
+
+def stored_gains(
+    model: str, simulation: Simulation, sensors: SensorConfiguration
+) -> list[tuple[float, float]] | None:
+    """Gains of a shipped model from `GAINS_FILE`; None where it has none for this loop."""
+    if not GAINS_FILE.exists():
+        return None
+    entry = tomllib.loads(GAINS_FILE.read_text()).get(str(model))
+    timing = ("control_period", "latency", "velocity_cutoff")
+    if entry is None or any(entry[name] != getattr(sensors, name) for name in timing):
+        return None
+    joints = entry["joints"]
+    if any(name not in joints for name in simulation.joints):
+        return None
+    return [(joints[name]["position"], joints[name]["velocity"]) for name in simulation.joints]
+
+
+def tuned_gains(model: str, sensors: SensorConfiguration) -> list[tuple[float, float]]:
+    """Gains tuned now, for a model or a timing without stored ones."""
+    simulation = Simulation(load_model(model))
+    result = []
+    for joint in range(len(simulation.joints)):
+        simulation.reset()
+        gains = tune(simulation, joint, sensors=sensors)
+        result.append((gains.position, gains.velocity))
+    return result

@@ -1,0 +1,25 @@
+"""Controllers' side of the loop: what they see and give, and the parts that they are made of."""
+
+from leglab.control.contract import (
+    Controller,
+    ControllerSetup,
+    Measurement,
+    ReferencePoint,
+    check_command,
+    controller_names,
+    controller_summary,
+    make_controller,
+    register_controller,
+)
+
+__all__ = [
+    "Controller",
+    "ControllerSetup",
+    "Measurement",
+    "ReferencePoint",
+    "check_command",
+    "controller_names",
+    "controller_summary",
+    "make_controller",
+    "register_controller",
+]

@@ -1,0 +1,212 @@
+"""Leakage, valve and friction parameters, estimated from the nominal machine's equations."""
+
+import math
+
+import numpy as np
+
+from leglab.control.backstepping.cylinder import CylinderModel
+from leglab.control.backstepping.data import InverseDynamics
+from leglab.control.backstepping.friction import Bristles
+from leglab.control.backstepping.least_squares import BoundedLeastSquares
+from leglab.control.feedforward.motion import smoothing_kernel
+
+# Samples of the smoothing window and of control periods from one estimate to the next.
+_WINDOW, _INTERVAL = 21, 5
+# Commands beyond this, anywhere in the window, teach nothing: the valve may be at its stop.
+_SATURATED = 0.97
+# Flows below this share of the flow at full opening, and forces below this share of the piston's,
+# are not told from noise and unmodelled detail.
+_FLOW_NOISE, _FORCE_NOISE = 2e-3, 5e-3
+# Nothing is learned below this share of the no-load speed.
+_LEAST_SPEED = 3e-3
+
+
+class Adaptation:
+    """Physical parameters of all joints from smoothed measurements.
+
+    Flow, chamber by chamber, in (C_i, C_A, C_B, null, lap), with Q from the valve equation at the
+    spool that the commands must have led to:
+
+        Q_A - A_A v - V_A/beta p_A' = C_i (p_A - p_B) + C_A p_A
+        Q_B + A_B v - V_B/beta p_B' = -C_i (p_A - p_B) + C_B p_B
+
+    Force in (b, F_c, s, d_0, d_1, d_2), with tau the nominal inverse dynamics of the measured
+    motion, z the bristles and q in half ranges from the middle; d is a load that the nominal
+    machine does not have, as that of a foot on the ground:
+
+        p_A A_A - p_B A_B = b v + F_c z + (1 + s) tau/r + d_0 + d_1 q + d_2 q^2
+
+    Args:
+        model: The nominal hydraulics.
+        torque: The nominal rigid bodies.
+        period: Control period [s].
+        latency: Age of a measurement when its command is given [s].
+        valve_delay: Of the spool behind its command [s].
+        speed: No-load speed [m/s], (joints,).
+        flow_memory: Time constant of forgetting of the flow equations while learning [s].
+        force_memory: The same of the force equation [s].
+        dead_zone: Residuals up to so many times the noise teach nothing.
+
+    Attributes:
+        flow: Estimator of (C_i, C_A, C_B, null, lap).
+        force: Estimator of (b, F_c, s, d_0, d_1, d_2).
+    """
+
+    def __init__(
+        self,
+        model: CylinderModel,
+        torque: InverseDynamics,
+        *,
+        period: float,
+        latency: float,
+        valve_delay: float,
+        speed: np.ndarray,
+        flow_memory: float,
+        force_memory: float,
+        dead_zone: float,
+    ) -> None:
+        self._model, self._torque = model, torque
+        data, joints = model.data, model.joints
+        self._joints, self._bristles = joints, Bristles(data)
+        self._step = _INTERVAL * period
+        low, high = data.position[:, 0], data.position[:, -1]
+        self._middle, self._half = (low + high) / 2, (high - low) / 2
+        self._kernel = smoothing_kernel(_WINDOW, 4, period)[:3]
+        # Every row is written twice, a window apart, so that a slice is always in order.
+        self._rows = np.zeros((2 * _WINDOW, 4 * joints + 1))
+        # The command before a measurement held, on average, half a period before it was followed.
+        self._shift = period / 2 - latency - valve_delay
+        self._least_speed = _LEAST_SPEED * speed
+        ones = np.ones(joints)
+        flow = data.orifice_gain * np.sqrt(data.supply_pressure)
+        leak = 0.01 * flow / data.supply_pressure
+        push = data.area[0] * data.supply_pressure
+        self.flow = BoundedLeastSquares(
+            start=np.stack([data.internal_leakage, 0 * ones, 0 * ones, 0 * ones, data.lap]),
+            scale=np.stack([leak, leak, leak, 0.005 * ones, 0.01 * ones]),
+            lower=np.stack([0 * ones, 0 * ones, 0 * ones, -0.1 * ones, 0 * ones]),
+            upper=np.stack([100 * leak, 100 * leak, 100 * leak, 0.1 * ones, 0.15 * ones]),
+            forgetting_factor=math.exp(-_INTERVAL * period / flow_memory),
+            noise=_FLOW_NOISE * flow,
+            dead_zone=dead_zone,
+        )
+        self.force = BoundedLeastSquares(
+            start=np.stack([data.viscous, data.coulomb, *[0 * ones] * 4]),
+            scale=np.stack([data.viscous, data.coulomb, 0.2 * ones, *[0.2 * push] * 3]),
+            lower=np.stack([0 * ones, 0 * ones, -0.5 * ones, *[-push] * 3]),
+            upper=np.stack([30 * data.viscous, 10 * data.coulomb, 2 * ones, *[push] * 3]),
+            forgetting_factor=math.exp(-_INTERVAL * period / force_memory),
+            noise=_FORCE_NOISE * push,
+            dead_zone=dead_zone,
+        )
+        self.reset()
+
+    @property
+    def leakage(self) -> np.ndarray:
+        """C_i, C_A and C_B [m^3/s/Pa], (3, joints)."""
+        return self.flow.values[:3]
+
+    @property
+    def null(self) -> np.ndarray:
+        """Shift of the valves' nulls, of full spool travel, (joints,)."""
+        return self.flow.values[3]
+
+    @property
+    def lap(self) -> np.ndarray:
+        """Overlap of the metering edges, of full spool travel, (joints,)."""
+        return self.flow.values[4]
+
+    def reset(self) -> None:
+        """Forgets everything learned."""
+        self.flow.reset()
+        self.force.reset()
+        self._bristles.reset()
+        self._count = 0
+
+    def take(
+        self,
+        position: np.ndarray,
+        pressure: np.ndarray,
+        supply_pressure: float,
+        command: np.ndarray,
+    ) -> None:
+        """Takes one period's measurements and the command before them; learns now and then.
+
+        Args:
+            position: Measured [rad], (joints,).
+            pressure: Measured [Pa], (2, joints).
+            supply_pressure: Measured [Pa].
+            command: As sent to the valves before, in [-1, 1], (joints,).
+        """
+        row = self._rows[self._count % _WINDOW]
+        joints = self._joints
+        row[:joints] = position
+        row[joints : 3 * joints] = pressure.ravel()
+        row[3 * joints : 4 * joints] = command
+        row[4 * joints] = supply_pressure
+        self._rows[self._count % _WINDOW + _WINDOW] = row
+        self._count += 1
+        if self._count >= _WINDOW and self._count % _INTERVAL == 0:
+            self._learn()
+
+    def _learn(self) -> None:
+        joints, model = self._joints, self._model
+        area = model.data.area
+        start = self._count % _WINDOW
+        rows = self._rows[start : start + _WINDOW]
+        smooth = np.dot(self._kernel, rows)
+        motion = smooth[:, :joints]
+        pressure, change = smooth[:2, joints : 3 * joints].reshape(2, 2, joints)
+        supply = float(smooth[0, 4 * joints])
+        command, command_rate = smooth[:2, 3 * joints : 4 * joints]
+        spool = command + self._shift * command_rate
+        lever, piston = model.geometry(motion[0])
+        speed = lever * motion[1]
+        usable = np.abs(rows[:, 3 * joints : 4 * joints]).max(axis=0) < _SATURATED
+        usable &= np.abs(speed) > self._least_speed
+
+        before = self.flow.values
+        internal, leak_a, leak_b, null, lap = before
+        chambers = model.chambers(pressure, supply, piston)
+        opening, slope = model.openings(spool + null, lap)
+        supplied, drained = chambers.edge
+        across = pressure[0] - pressure[1]
+        flow = supplied * opening - drained * opening[::-1]
+        flow -= chambers.compliance * change
+        zero = np.zeros(joints)
+        residual = flow[0] - area[0] * speed - internal * across - leak_a * pressure[0]
+        gain, drain = supplied[0] * slope[0], drained[0] * slope[1]
+        row_a = np.stack([across, pressure[0], zero, -(gain + drain), gain - drain])
+        self.flow.update(row_a, residual, usable)
+        residual = flow[1] + area[1] * speed + internal * across - leak_b * pressure[1]
+        gain, drain = supplied[1] * slope[1], drained[1] * slope[0]
+        row_b = np.stack([-across, zero, pressure[1], gain + drain, gain - drain])
+        residual -= (row_b * (self.flow.values - before)).sum(axis=0)
+        self.flow.update(row_b, residual, usable)
+
+        needed = self._torque(motion[0], motion[1], motion[2]) / lever
+        bristles = self._bristles.advance(speed, self._step)
+        load = area[0] * pressure[0] - area[1] * pressure[1]
+        row = self._force_regressor(motion[0], speed, bristles, needed)
+        residual = load - needed - (row * self.force.values).sum(axis=0)
+        self.force.update(row, residual, usable)
+
+    def _force_regressor(
+        self, position: np.ndarray, speed: np.ndarray, bristles: np.ndarray, needed: np.ndarray
+    ) -> np.ndarray:
+        place = (position - self._middle) / self._half
+        return np.stack([speed, bristles, needed, np.ones_like(place), place, place * place])
+
+    def load_force(
+        self, position: np.ndarray, speed: np.ndarray, bristles: np.ndarray, needed: np.ndarray
+    ) -> np.ndarray:
+        """Force that a motion needs as the parameters are now [N], (joints,).
+
+        Args:
+            position: Joint positions [rad], (joints,).
+            speed: Of the pistons [m/s], (joints,).
+            bristles: From `Bristles.advance`, (joints,).
+            needed: tau/r of the nominal machine [N], (joints,).
+        """
+        row = self._force_regressor(position, speed, bristles, needed)
+        return needed + (row * self.force.values).sum(axis=0)

@@ -1,0 +1,170 @@
+"""Flow and pressure equations of all cylinders at once, with nominal data, and their inverse.
+
+Chamber quantities have shape (2, joints): cap side (A) first, rod side (B) second. Equations and
+symbols are those of docs/physics.md.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from leglab.control.backstepping.data import NominalCylinders
+
+_ATMOSPHERE = 101325.0  # Pa
+# Share of the supply pressure below which a pressure drop is taken for this much: the inverse of
+# the flow equation has no solution without a pressure drop.
+_LEAST_DROP = 0.02
+# Spool positions beyond this are of no use: the stops are at 1.
+_FULL = 1.5
+
+
+class Chambers(NamedTuple):
+    """Chambers at a position and pressures.
+
+    Attributes:
+        edge: Flow per edge opening from the supply and to the tank [m^3/s], (2, 2, joints): first
+            axis supply, tank.
+        compliance: V/beta [m^3/Pa], (2, joints).
+        weight: A beta/V, force rate of a flow into the chamber [N/m^3], (2, joints).
+        stiffness: Of the oil spring [N/m], (joints,).
+    """
+
+    edge: np.ndarray
+    compliance: np.ndarray
+    weight: np.ndarray
+    stiffness: np.ndarray
+
+
+class CylinderModel:
+    """The hydraulics of all joints as their data sheets tell.
+
+    Args:
+        data: The data sheets.
+    """
+
+    def __init__(self, data: NominalCylinders) -> None:
+        self.data = data
+        joints = len(data.stroke)
+        self.joints = joints
+        # The drop over an edge is +-(p - p_end): supply row ps - p, tank row p - pt.
+        self._sign = np.array([-1.0, 1.0])[:, None, None]
+        self._transition = np.broadcast_to(
+            data.laminar_transition_pressure**2, (2, 2, joints)
+        ).copy()
+        self._least = _LEAST_DROP * data.supply_pressure
+        self._inverse_index = 1.0 / data.polytropic_index
+        self._ends = np.zeros((2, 1, joints))
+        self._ends[1, 0] = data.tank_pressure
+        self._quarter = data.edge_rounding**2 / 4
+        self._chamber_sign = np.array([1.0, -1.0])[:, None]
+        self._start = data.position[:, 0]
+        self._per_step = 1.0 / (data.position[:, 1] - data.position[:, 0])
+        self._columns = data.position.shape[1]
+        self._table = np.stack([data.lever, data.piston]).reshape(2, -1)
+        self._offset = np.arange(joints) * self._columns
+
+    def geometry(self, position: np.ndarray) -> np.ndarray:
+        """Levers [m/rad] and piston positions [m], (2, joints), at joint positions [rad]."""
+        at = (position - self._start) * self._per_step
+        at = np.minimum(np.maximum(at, 0.0), self._columns - 1.0)
+        column = np.minimum(at.astype(np.intp), self._columns - 2)
+        at -= column
+        column += self._offset
+        low = self._table.take(column, axis=1)
+        column += 1
+        return low + at * (self._table.take(column, axis=1) - low)
+
+    def chambers(
+        self, pressure: np.ndarray, supply_pressure: np.ndarray | float, piston: np.ndarray
+    ) -> Chambers:
+        """Evaluates what depends on pressures and positions alone.
+
+        Args:
+            pressure: Gauge [Pa], (2, joints).
+            supply_pressure: Gauge [Pa].
+            piston: Piston positions [m], (joints,).
+        """
+        data = self.data
+        self._ends[0, 0] = supply_pressure
+        drop = self._sign * (pressure - self._ends)
+        drop = np.maximum(drop, self._least)
+        edge = data.orifice_gain * drop / np.sqrt(np.sqrt(drop * drop + self._transition))
+        volume = np.empty_like(pressure)
+        volume[0] = piston
+        volume[1] = data.stroke - piston
+        volume *= data.area
+        volume += data.dead_volume
+        compliance = volume / self.bulk_modulus(pressure)
+        weight = data.area / compliance
+        return Chambers(edge, compliance, weight, (data.area * weight).sum(axis=0))
+
+    def bulk_modulus(self, pressure: np.ndarray) -> np.ndarray:
+        """Effective bulk modulus [Pa] of the oil with its air at gauge pressures [Pa].
+
+        beta = (g + l)/(g/(n p) + l/beta_l), g = x_0 (p_0/p)^(1/n), l about 1 - x_0.
+        """
+        data = self.data
+        absolute = np.maximum(pressure + _ATMOSPHERE, 0.1 * _ATMOSPHERE)
+        gas = data.entrained_air * (_ATMOSPHERE / absolute) ** self._inverse_index
+        oil = 1.0 - data.entrained_air
+        return (gas + oil) / (gas * self._inverse_index / absolute + oil / data.bulk_modulus)
+
+    def openings(self, spool: np.ndarray, lap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Openings of the edges for positive and negative spool, (2, joints), and their slopes."""
+        d = self._chamber_sign * spool - lap
+        root = np.sqrt(d * d + 4 * self._quarter)
+        return 0.5 * (d + root), 0.5 * (1.0 + d / root)
+
+    def rate_for(
+        self,
+        speed: np.ndarray,
+        pressure: np.ndarray,
+        leakage: np.ndarray,
+        chambers: Chambers,
+    ) -> np.ndarray:
+        """Force rate that valve flow must give for a piston speed at constant force [N/s].
+
+        Args:
+            speed: Of the piston [m/s], (joints,).
+            pressure: [Pa], (2, joints).
+            leakage: Internal, and external of A and B [m^3/s/Pa], (3, joints).
+            chambers: At these pressures.
+        """
+        across = leakage[0] * (pressure[0] - pressure[1])
+        outside = leakage[1:] * pressure
+        lost_a, lost_b = chambers.weight[0] * (across + outside[0]), outside[1] - across
+        return chambers.stiffness * speed + lost_a - chambers.weight[1] * lost_b
+
+    def spool_for(self, rate: np.ndarray, chambers: Chambers, lap: np.ndarray) -> np.ndarray:
+        """Spool positions that change the load force at a rate, (joints,).
+
+        Solves w_A Q_A(x) - w_B Q_B(x) = rate, monotone in x, by Newton's rule from the solution
+        with one edge open.
+
+        Args:
+            rate: Wanted force rate by valve flow alone [N/s], (joints,).
+            chambers: Present chambers.
+            lap: Overlap, (joints,).
+        """
+        (supply_a, supply_b), (tank_a, tank_b) = chambers.edge
+        weight_a, weight_b = chambers.weight
+        up = weight_a * supply_a + weight_b * tank_b
+        down = weight_a * tank_a + weight_b * supply_b
+        # One edge: (d + sqrt(d^2 + eps^2))/2 = w has the solution d = w - eps^2/(4 w).
+        one = np.where(rate > 0, rate / up, -rate / down) + 0.3 * self.data.edge_rounding
+        spool = np.copysign(np.maximum(lap + one - self._quarter / one, 0.0), rate)
+        for _ in range(3):
+            opening, slope = self.openings(spool, lap)
+            excess = up * opening[0] - down * opening[1] - rate
+            spool = spool - excess / (up * slope[0] + down * slope[1])
+            spool = np.minimum(np.maximum(spool, -_FULL), _FULL)
+        return spool
+
+    def rate_of(self, spool: np.ndarray, chambers: Chambers, lap: np.ndarray) -> np.ndarray:
+        """Force rate by valve flow at spool positions [N/s], (joints,): inverse of `spool_for`."""
+        (supply_a, supply_b), (tank_a, tank_b) = chambers.edge
+        weight_a, weight_b = chambers.weight
+        opening, _ = self.openings(spool, lap)
+        return (weight_a * supply_a + weight_b * tank_b) * opening[0] - (
+            weight_a * tank_a + weight_b * supply_b
+        ) * opening[1]

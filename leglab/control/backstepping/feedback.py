@@ -1,0 +1,100 @@
+"""The feedback part: desired-compensation backstepping on estimated and predicted errors."""
+
+import numpy as np
+
+from leglab.control.backstepping.cylinder import CylinderModel
+from leglab.control.backstepping.data import BacksteppingGains, NominalCylinders
+from leglab.control.backstepping.error_observer import ErrorObserver
+
+# Noise that the observer reckons with at least [rad], [Pa], that of the default sensors: with
+# better ones it would become so fast that the valve, which it takes for a delay, makes the loop
+# unstable.
+_LEAST_NOISE = (2e-5, 1.5e4)
+
+
+def no_load_speed(data: NominalCylinders) -> np.ndarray:
+    """Piston speed of a fully open valve without load, retracting [m/s], (joints,).
+
+    v = K sqrt(A_B p_s/(A_A^3 + A_B^3)), case a of docs/physics.md.
+    """
+    return data.orifice_gain * np.sqrt(
+        data.area[1] * data.supply_pressure / (data.area**3).sum(axis=0)
+    )
+
+
+class Feedback:
+    """Piston speed beyond the reference's that brings position and load force back.
+
+    With z_1 = e and virtual load force F_v = F_d - k phi + m ((k_1 + k_2) e' + k_1 k_2 e), the
+    speed that makes the force error decay with k_3 is the state feedback whose error dynamics are
+    (s + k_1)(s + k_2)(s + k_3). The oil spring itself gives s^2 + w^2; it cannot be cancelled
+    behind a hold and a delay, so k_2 and k_3 are the pair k_2 k_3 = w^2, k_2 + k_3 = 2 zeta w:
+
+        v = k_1 e + (2 zeta k_1/w) e' - (k_1 + 2 zeta w)(p - phi) + eta
+
+    Args:
+        model: The nominal hydraulics.
+        gains: What it is designed from.
+        position_noise: Of the measured joint positions [rad].
+        pressure_noise: Of the measured pressures [Pa].
+        period: Control period [s].
+        latency: Age of a measurement when its command is given [s].
+
+    Attributes:
+        stiffness: Of the oil around mid stroke [N/m], (joints,).
+        frequency: w, of the nominal mass on it [rad/s], (joints,).
+        valve_delay: Of the slowest spool, 2 zeta/w_n [s].
+        observer: Estimates e, e', p, phi and eta.
+        weights: Of (e, e', p, phi, eta), (joints, 5).
+    """
+
+    def __init__(
+        self,
+        model: CylinderModel,
+        gains: BacksteppingGains,
+        *,
+        position_noise: float,
+        pressure_noise: float,
+        period: float,
+        latency: float,
+    ) -> None:
+        data = model.data
+        middle = data.position.shape[1] // 2
+        half = np.tile(data.supply_pressure / 2, (2, 1))
+        chambers = model.chambers(half, data.supply_pressure, data.piston[:, middle])
+        self.stiffness = chambers.stiffness
+        self.frequency = w = np.sqrt(self.stiffness / data.mass)
+        self.valve_delay = float(np.max(2 * data.valve_damping / data.valve_frequency))
+        force = data.area[0] * data.supply_pressure
+        speed = no_load_speed(data)
+        noise = np.stack(
+            [
+                np.abs(data.lever[:, middle]) * max(position_noise, _LEAST_NOISE[0]),
+                np.sqrt((data.area**2).sum(axis=0))
+                * max(pressure_noise, _LEAST_NOISE[1])
+                / self.stiffness,
+            ]
+        )
+        self.observer = ErrorObserver(
+            frequency=w,
+            damping=data.viscous / data.mass,
+            period=period,
+            delay=latency + self.valve_delay,
+            noise=noise,
+            drift=np.stack([gains.force_drift * force / self.stiffness, gains.flow_drift * speed]),
+        )
+        k, zeta = gains.position_gain, gains.force_damping
+        damping = k + 2 * zeta * w
+        self.weights = np.stack([k, 2 * zeta * k / w, -damping, damping, np.ones_like(k)], axis=1)
+
+    @property
+    def unknown_force(self) -> np.ndarray:
+        """Force beyond the model's that the load needs, k phi [N], (joints,)."""
+        return self.stiffness * self.observer.state[:, 3]
+
+    def __call__(self, error: np.ndarray, force_error: np.ndarray) -> np.ndarray:
+        """Speed [m/s], (joints,), from measured e and p [m], (joints,) each.
+
+        The estimate behind it is left in `observer`; tell `observer.sent` what became of it.
+        """
+        return np.einsum("ij,ij->i", self.weights, self.observer.predict(error, force_error))

@@ -1,0 +1,49 @@
+"""Identification from a recording: what an engineer does on the bench."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from leglab.control import Measurement, ReferencePoint
+from leglab.control.feedforward.adaptive import AdaptiveFeedforward
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchRun:
+    """What was measured while a machine moved, one row a control period.
+
+    Attributes:
+        time: [s], (n,).
+        position: Measured positions [rad], (n, joints).
+        command: Valve commands sent, (n, joints).
+        reference: Of the same times, each (n, joints).
+    """
+
+    time: np.ndarray
+    position: np.ndarray
+    command: np.ndarray
+    reference: ReferencePoint
+
+    def identify(self, learning: AdaptiveFeedforward) -> np.ndarray:
+        """Parameters that a feed-forward learns from the recording as if it had been there.
+
+        Args:
+            learning: It is reset and learns; with plain least squares the result is that of a
+                batch.
+
+        Returns:
+            Parameters of its learner, (joints, parameters) or (parameters,) of one joint.
+        """
+        learning.reset()
+        still = np.zeros_like(self.position[0])  # velocities are the feedback's business alone
+        rows = zip(
+            self.time.tolist(),
+            np.ascontiguousarray(self.position),
+            np.ascontiguousarray(self.command),
+            map(ReferencePoint, *map(np.ascontiguousarray, self.reference)),
+            strict=True,
+        )
+        for time, position, command, reference in rows:
+            learning.step(Measurement(time, position, still), reference)
+            learning.sent(command)
+        return learning.learner.parameters

@@ -1,0 +1,318 @@
+"""Friction of joints: viscous, Coulomb and stiction, with the load, by direction."""
+
+from collections.abc import Mapping
+
+import mujoco
+import numpy as np
+
+from leglab.diagnosis.effects import joints
+from leglab.diagnosis.effects.base import Effect, EffectParameter, register
+from leglab.diagnosis.model import FRICTION, Change, Machine, Measured, Variant
+from leglab.diagnosis.starts import bristle
+
+
+@register
+class JointViscousFriction(Effect):
+    """Another damping of a joint."""
+
+    name = "viscous_friction"
+    group = "friction"
+    physics = "b v: lubricated bearings, grease, eddy currents."
+    source = "Armstrong-Helouvry et al. 1994; 10 % between good machines"
+    excitation = "fast motion"
+
+    def elements(self, machine: Machine) -> tuple[str, ...]:
+        """Joints without a cylinder."""
+        return joints.plain_joints(machine)
+
+    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
+        """The joint's damping."""
+        own = float(machine.base.model.dof_damping[joints.dof(machine, element)])
+        size = joints.force_scale(machine, element)
+        trials = tuple(own + share * size for share in (0.02, 0.15))
+        return (
+            EffectParameter(
+                name="damping",
+                unit=f"{joints.force_unit(machine, element)} s/{joints.unit(machine, element)}",
+                nominal=own,
+                lower=0.0,
+                upper=own + 10.0 * size,
+                trials=(0.5 * own, *trials) if own > 0 else trials,
+                tolerance=0.1 * own,
+            ),
+        )
+
+    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
+        """Sets MuJoCo's own damping."""
+        damping = values["damping"]
+        own = change.machine.base.model.dof_damping[joints.dof(change.machine, element)]
+
+        def edit(spec: mujoco.MjSpec) -> None:
+            spec.joint(element).damping[0] = damping
+
+        if damping != own:
+            change.edit(("damping", element, damping), edit)
+
+
+@register
+class JointCoulombFriction(Effect):
+    """Another dry friction of a joint."""
+
+    name = "coulomb_friction"
+    group = "friction"
+    physics = "F_c sgn(v); at rest it holds up to F_c."
+    source = "Armstrong-Helouvry et al. 1994"
+    excitation = "slow motion in both directions, and rest"
+
+    def elements(self, machine: Machine) -> tuple[str, ...]:
+        """Joints without a cylinder."""
+        return joints.plain_joints(machine)
+
+    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
+        """The joint's friction loss."""
+        own = float(machine.base.model.dof_frictionloss[joints.dof(machine, element)])
+        size = joints.force_scale(machine, element)
+        trials = tuple(own + share * size for share in (0.01, 0.08))
+        return (
+            EffectParameter(
+                name="coulomb",
+                unit=joints.force_unit(machine, element),
+                nominal=own,
+                lower=0.0,
+                upper=own + size,
+                trials=(0.5 * own, *trials) if own > 0 else trials,
+                tolerance=0.1 * own,
+            ),
+        )
+
+    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
+        """Sets MuJoCo's own friction loss."""
+        coulomb = values["coulomb"]
+        own = change.machine.base.model.dof_frictionloss[joints.dof(change.machine, element)]
+
+        def edit(spec: mujoco.MjSpec) -> None:
+            spec.joint(element).frictionloss = coulomb
+
+        if coulomb != own:
+            change.edit(("frictionloss", element, coulomb), edit)
+
+
+@register
+class JointStiction(Effect):
+    """Breakaway friction above the Coulomb friction of a joint."""
+
+    name = "stiction"
+    group = "friction"
+    physics = "(F_s - F_c) exp(-(v/v_s)^2) sgn(v), LuGre bristle before sliding."
+    source = "Canudas de Wit et al. 1995"
+    excitation = "slow motion, reversals and rest"
+
+    def elements(self, machine: Machine) -> tuple[str, ...]:
+        """Joints without a cylinder."""
+        return joints.plain_joints(machine)
+
+    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
+        """Breakaway above Coulomb friction, and the Stribeck velocity."""
+        size = joints.force_scale(machine, element)
+        length = joints.unit(machine, element)
+        return (
+            EffectParameter(
+                name="breakaway",
+                unit=joints.force_unit(machine, element),
+                nominal=0.0,
+                lower=0.0,
+                upper=size,
+                trials=(0.02 * size, 0.1 * size),
+            ),
+            EffectParameter(
+                name="stribeck_velocity",
+                unit=f"{length}/s",
+                nominal=0.05 if length == "rad" else 0.01,
+                lower=0.005 if length == "rad" else 0.001,
+                upper=1.0 if length == "rad" else 0.2,
+                role="shape",
+            ),
+        )
+
+    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
+        """Inserts joint friction that has a breakaway level only."""
+        if values["breakaway"] == 0.0:
+            return
+        name = f"{element}_stiction"
+        bristle = joints.bristle(change.machine, element)
+        joints.insert_on_joint(change, FRICTION, name, element, bristle)
+        change.set_parameter(name, "static", values["breakaway"])
+        change.set_parameter(name, "stribeck_velocity", values["stribeck_velocity"])
+
+
+# Load is followed at this spacing and interpolated.
+_LOAD_EVERY = 20  # samples
+
+
+@register
+class LoadDependentFriction(Effect):
+    """Friction that grows with the load that the joint carries."""
+
+    name = "load_dependent_friction"
+    group = "friction"
+    physics = "|k_a F_actuator + k_b F_bias| sgn(v): gears and bearings under load."
+    source = "Duclusaud et al. 2025 (BAM, model M3); worm and harmonic gears: 0.02 to 0.4"
+    excitation = "motion under loads of different size; a load without motion shows nothing"
+
+    def elements(self, machine: Machine) -> tuple[str, ...]:
+        """Joints that an actuator or gravity loads."""
+        return tuple(joint for joint in machine.joints if _loads(machine, joint))
+
+    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
+        """Shares of the actuator's force and of gravity, Coriolis and centrifugal force."""
+        return tuple(
+            EffectParameter(
+                name=name, unit="1", nominal=0.0, lower=0.0, upper=1.0, trials=(0.03, 0.15)
+            )
+            for name in _loads(machine, element)
+        )
+
+    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
+        """Inserts joint friction that has a load coefficient only."""
+        if not any(values.values()):
+            return
+        name = f"{element}_load_dependent_friction"
+        bristle = joints.bristle(change.machine, element)
+        joints.insert_on_joint(change, FRICTION, name, element, bristle)
+        for load, share in values.items():
+            change.set_parameter(name, f"{load}_load_coefficient", share)
+        start_from_motion(change, name, element)
+
+
+def _loads(machine: Machine, joint: str) -> tuple[str, ...]:
+    """What can load a joint: its actuators, gravity."""
+    driven = any(joint in moved for moved in machine.driven.values())
+    heavy = joints.gravity(machine, joint) > 0.01 * joints.inertia(machine, joint)
+    return ("actuator",) * driven + ("bias",) * heavy
+
+
+def start_from_motion(change: Change, instance: str, joint: str) -> None:
+    """Reconstructs load and bristle at window starts from the measured motion."""
+    latest: list[tuple[Measured, np.ndarray]] = []  # both states of a recording need its load
+
+    def series(measured: Measured, variant: Variant) -> np.ndarray:
+        if not latest or latest[0][0] is not measured:
+            latest[:] = [(measured, carried_load(change, measured, variant, instance, joint))]
+        return latest[0][1]
+
+    def load(measured: Measured, variant: Variant, state: np.ndarray) -> np.ndarray:
+        del state
+        return series(measured, variant)[measured.samples]
+
+    def deflection(measured: Measured, variant: Variant, state: np.ndarray) -> np.ndarray:
+        def get(name: str) -> float:
+            return float(state[0, variant.slot(instance, name)])
+
+        velocity = measured.velocity[joint]
+        level = get("coulomb") + 0.5 * get("coulomb_difference") * np.sign(velocity)
+        level = np.maximum(level + series(measured, variant), 1e-9)
+        return bristle(velocity, level, get("sigma_0"), measured.period, measured.samples)
+
+    change.start(instance, "load", load)
+    change.start(instance, "bristle", deflection)
+
+
+def carried_load(
+    change: Change, measured: Measured, variant: Variant, instance: str, joint: str
+) -> np.ndarray:
+    """|k_a qfrc_actuator + k_b qfrc_bias| of `leglab.joint_friction` along a recording, (n,)."""
+    count = measured.velocity[joint].size
+    actuator, bias = (
+        change.parameters.get((instance, f"{kind}_load_coefficient"), 0.0)
+        for kind in ("actuator", "bias")
+    )
+    if actuator == 0.0 and bias == 0.0:
+        return np.zeros(count)
+    model, data = variant.model, mujoco.MjData(variant.model)
+    data.plugin_state[:] = variant.plugin_state
+    index = int(model.joint(joint).dofadr[0])
+    pressures = _chambers(change.machine, measured, variant)
+    chosen = np.unique(np.append(np.arange(0, count, _LOAD_EVERY), count - 1))
+    load = np.empty(chosen.size)
+    for i, k in enumerate(chosen.tolist()):
+        for name in change.machine.joints:
+            data.qpos[model.joint(name).qposadr[0]] = measured.position[name][k]
+            data.qvel[model.joint(name).dofadr[0]] = measured.velocity[name][k]
+        for number, name in enumerate(change.machine.actuators):
+            data.ctrl[number] = measured.command[name][k]
+        for slot, pressure in pressures:
+            data.plugin_state[slot] = pressure[k]
+        mujoco.mj_forward(model, data)
+        load[i] = actuator * data.qfrc_actuator[index] + bias * data.qfrc_bias[index]
+    return np.abs(np.interp(np.arange(count), chosen, load))
+
+
+def _chambers(
+    machine: Machine, measured: Measured, variant: Variant
+) -> list[tuple[int, np.ndarray]]:
+    """Slots of the chamber pressures in `plugin_state` with what was measured."""
+    found = []
+    for cylinder in machine.instances("leglab.cylinder"):
+        for chamber in ("pressure_a", "pressure_b"):
+            column = f"{machine.driven[cylinder][0]}_{chamber}"
+            if column in measured.pressure:
+                found.append((variant.slot(cylinder, chamber), measured.pressure[column]))
+    return found
+
+
+@register
+class AsymmetricFriction(Effect):
+    """Friction that differs by direction."""
+
+    name = "asymmetric_friction"
+    group = "friction"
+    physics = "(F_1 + b_1 |v|) for v > 0, (F_2 + b_2 |v|) for v < 0, against the motion."
+    source = "Armstrong-Helouvry et al. 1994: one-sided seals and preloaded gears"
+    excitation = "motion in both directions at several speeds; reversals"
+
+    def elements(self, machine: Machine) -> tuple[str, ...]:
+        """All joints."""
+        return machine.joints
+
+    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
+        """Added friction of each direction."""
+        size = joints.force_scale(machine, element)
+        force, length = joints.force_unit(machine, element), joints.unit(machine, element)
+        least = -0.8 * joints.drive_damping(machine, element)
+        viscous = [
+            EffectParameter(
+                name=f"viscous_{side}",
+                unit=f"{force} s/{length}",
+                nominal=0.0,
+                lower=least,
+                upper=10.0 * size,
+                trials=(0.1 * size,),
+            )
+            for side in ("forward", "backward")
+        ]
+        coulomb = [
+            EffectParameter(
+                name=f"coulomb_{side}",
+                unit=force,
+                nominal=0.0,
+                lower=0.0,
+                upper=size,
+                trials=(0.05 * size,),
+            )
+            for side in ("forward", "backward")
+        ]
+        return (*viscous, *coulomb)
+
+    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
+        """Inserts joint friction with a mean and a difference."""
+        if not any(values.values()):
+            return
+        name = f"{element}_asymmetric_friction"
+        bristle = joints.bristle(change.machine, element)
+        joints.insert_on_joint(change, FRICTION, name, element, bristle)
+        for kind in ("viscous", "coulomb"):
+            forward, backward = values[f"{kind}_forward"], values[f"{kind}_backward"]
+            change.set_parameter(name, kind, 0.5 * (forward + backward))
+            change.set_parameter(name, f"{kind}_difference", forward - backward)
+        change.set_parameter(name, "static", change.parameter(name, "coulomb"))
+        start_from_motion(change, name, element)

@@ -1,0 +1,306 @@
+"""The machine under diagnosis: its model, compiled variants, and where parameters live."""
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+import leglab.machine.plugin
+import leglab.models
+from leglab.base.errors import LeglabError, unknown_name
+from leglab.diagnosis.paths import CommandPath, Correction, take_out
+from leglab.machine.parameters import PluginTable
+
+CYLINDER = "leglab.cylinder"
+FRICTION = "leglab.joint_friction"
+SPRING = "leglab.spring_damper"
+
+Edit = tuple[Hashable, Callable[[mujoco.MjSpec], None]]
+_SIMPLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+_CACHED_VARIANTS = 64
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variant:
+    """A compiled model and what is needed to start it.
+
+    Attributes:
+        model: Compiled at the replay's time step.
+        elements: Place in `plugin_state` and table of every plugin instance, by name.
+        joint_of: Joint that a passive instance acts on, by instance.
+        plugin_state: After a reset, shape (npluginstate,): parameters and initial states.
+        qpos: Positions after a reset, shape (nq,).
+    """
+
+    model: mujoco.MjModel
+    elements: dict[str, tuple[int, PluginTable]]
+    joint_of: dict[str, str]
+    plugin_state: np.ndarray
+    qpos: np.ndarray
+
+    def slot(self, element: str, name: str) -> int:
+        """Index in `plugin_state` of a parameter or state.
+
+        Raises:
+            LeglabError: If the element or the parameter does not exist.
+        """
+        if element not in self.elements:
+            raise unknown_name("element", element, self.elements)
+        start, table = self.elements[element]
+        return start + table.entry(name).offset
+
+
+class Machine:
+    """An MJCF model whose hinge and slide joints are measured.
+
+    Args:
+        path: MJCF file, or the name of a model that ships with leglab.
+        timestep: Of the replays [s]; None for the file's own.
+
+    Attributes:
+        base: The model as it is.
+        joints: Names of the hinge and slide joints.
+        actuators: Names of the actuators.
+        driven: Joints that each actuator moves, by actuator: those of its moment at qpos0.
+        carried: Faults of command and sensor paths in the file; variants are free of them.
+
+    Raises:
+        LeglabError: If the model cannot be loaded or has another kind of joint.
+    """
+
+    def __init__(self, path: str | Path, *, timestep: float | None = None) -> None:
+        leglab.machine.plugin.load()
+        file = Path(leglab.models.__path__[0]) / f"{path}.xml"
+        self.path = file if file.exists() else Path(path)
+        if not self.path.is_file():
+            raise LeglabError(f"model file {str(path)!r} does not exist")
+        try:
+            self._spec = mujoco.MjSpec.from_file(str(self.path))
+        except ValueError as error:
+            raise leglab.machine.plugin.load_error(error, self.path.name) from error
+        self.file_timestep = float(self._spec.option.timestep)
+        self._timestep = timestep or self.file_timestep
+        self.carried = take_out(self._spec)
+        self._variants: OrderedDict[Hashable, Variant] = OrderedDict()
+        self.base = self.variant(())
+        model = self.base.model
+        for i in range(model.njnt):
+            if model.jnt_type[i] not in _SIMPLE:
+                raise LeglabError(
+                    f"{self.path.name}: joint {model.joint(i).name!r} is neither hinge nor slide; "
+                    "only those can be replayed"
+                )
+        self.joints = tuple(model.joint(i).name for i in range(model.njnt))
+        self.actuators = tuple(model.actuator(i).name for i in range(model.nu))
+        self.driven = self._driven_joints()
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns that a recording of it must have."""
+        positions = tuple(f"{joint}_position" for joint in self.joints)
+        return positions + tuple(f"{actuator}_command" for actuator in self.actuators)
+
+    @property
+    def timestep(self) -> float:
+        """Time step of the replays [s]."""
+        return self._timestep
+
+    def at_timestep(self, timestep: float) -> "Machine":
+        """The same machine with another time step [s]."""
+        return Machine(self.path, timestep=timestep)
+
+    def spec(self) -> mujoco.MjSpec:
+        """A fresh copy of the model's specification, as in the file."""
+        # MjSpec.copy() of MuJoCo 3.17.0 loses passive plugin instances.
+        return mujoco.MjSpec.from_file(str(self.path))
+
+    def instances(self, plugin: str) -> tuple[str, ...]:
+        """Instances of a plugin in the unmodified model; a cylinder goes by its actuator."""
+        return tuple(name for name, (_, t) in self.base.elements.items() if t.plugin == plugin)
+
+    def native_actuators(self) -> tuple[str, ...]:
+        """Names of the actuators that no plugin computes."""
+        model = self.base.model
+        return tuple(name for i, name in enumerate(self.actuators) if model.actuator_plugin[i] < 0)
+
+    def parameter(self, element: str, name: str) -> float:
+        """Value of a plugin parameter in the unmodified model."""
+        return float(self.base.plugin_state[self.base.slot(element, name)])
+
+    def spring_of(self, joint: str) -> str | None:
+        """Name of the spring-damper instance that acts on a joint."""
+        for plugin in self._spec.plugins:
+            if plugin.plugin_name == SPRING and plugin.config.get("joint") == joint:
+                return plugin.name
+        return None
+
+    def variant(self, edits: tuple[Edit, ...]) -> Variant:
+        """The model after edits of its specification, compiled once per set of keys.
+
+        Raises:
+            LeglabError: If MuJoCo refuses the edited model.
+        """
+        key = tuple(key for key, _ in edits)
+        if key in self._variants:
+            self._variants.move_to_end(key)
+            return self._variants[key]
+        spec = self.spec()
+        take_out(spec)
+        spec.option.timestep = self._timestep
+        spec.compiler.discardvisual = True
+        spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+        try:
+            for _, edit in edits:
+                edit(spec)
+            model = spec.compile()
+            if not (model.geom_contype.any() or model.geom_conaffinity.any() or model.npair):
+                # Nothing can touch: a fifth of the time of a replay is saved by not looking.
+                model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+            data = mujoco.MjData(model)
+        except (ValueError, mujoco.FatalError) as error:
+            raise leglab.machine.plugin.load_error(error, self.path.name, spec) from error
+        variant = Variant(
+            model=model,
+            elements=leglab.machine.plugin.elements(model),
+            joint_of={
+                plugin.name: plugin.config["joint"]
+                for plugin in spec.plugins
+                if plugin.name and "joint" in plugin.config
+            },
+            plugin_state=data.plugin_state.copy(),
+            qpos=data.qpos.copy(),
+        )
+        self._variants[key] = variant
+        if len(self._variants) > _CACHED_VARIANTS:
+            self._variants.popitem(last=False)
+        return variant
+
+    def _driven_joints(self) -> dict[str, tuple[str, ...]]:
+        model = self.base.model
+        data = mujoco.MjData(model)
+        # A singular qpos0 (a straight linkage) must not hide a moment.
+        data.qpos[:] = model.qpos0 + 0.1
+        mujoco.mj_forward(model, data)
+        moment = np.zeros((model.nu, model.nv))
+        mujoco.mju_sparse2dense(
+            moment,
+            data.actuator_moment,
+            data.moment_rownnz,
+            data.moment_rowadr,
+            data.moment_colind,
+        )
+        return {
+            name: tuple(self.joints[int(model.dof_jntid[k])] for k in np.flatnonzero(row))
+            for name, row in zip(self.actuators, moment, strict=True)
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """Measured series of one recording, smoothed, for the reconstruction of hidden states.
+
+    Attributes:
+        period: Sampling period [s].
+        position: Joint positions by joint, each (n,).
+        velocity: Joint velocities by joint, each (n,).
+        piston_velocity: d(actuator length)/dt of the cylinders by actuator [m/s], each (n,).
+        lever: d(actuator length)/d(joint position) of the cylinders by actuator, each (n,).
+        command: What reaches each actuator (command path applied), each (n,).
+        pressure: Pressures by "<joint>_pressure_a" and so on, each (n,), where measured.
+        samples: Where windows start, shape (windows,).
+    """
+
+    period: float
+    position: dict[str, np.ndarray]
+    velocity: dict[str, np.ndarray]
+    piston_velocity: dict[str, np.ndarray]
+    lever: dict[str, np.ndarray]
+    command: dict[str, np.ndarray]
+    pressure: dict[str, np.ndarray]
+    samples: np.ndarray
+
+
+# Value of a plugin state at the start of every window, shape (windows,).
+Start = Callable[[Measured, Variant, np.ndarray], np.ndarray]
+
+
+class Change:
+    """What effects do to a machine: a builder that they write to, in order.
+
+    Args:
+        machine: The unmodified machine.
+    """
+
+    def __init__(self, machine: Machine) -> None:
+        self.machine = machine
+        self.edits: list[Edit] = []
+        self.parameters: dict[tuple[str, str], float] = {}
+        # What the model file says of these paths comes first.
+        self.commands: dict[str, list[CommandPath]] = {
+            actuator: list(paths) for actuator, paths in machine.carried.commands.items()
+        }
+        self.corrections: dict[str, list[tuple[Correction, float]]] = {
+            column: list(undone) for column, undone in machine.carried.corrections.items()
+        }
+        self.starts: dict[tuple[str, str], Start] = {}
+
+    def parameter(self, element: str, name: str) -> float:
+        """Present value of a plugin parameter: as set before, else as in the unmodified model."""
+        if (element, name) in self.parameters:
+            return self.parameters[element, name]
+        return self.machine.parameter(element, name)
+
+    def set_parameter(self, element: str, name: str, value: float) -> None:
+        """Sets a plugin parameter through `plugin_state`: the fast path, nothing is compiled.
+
+        The element may be one that an `edit` inserts.
+        """
+        self.parameters[element, name] = float(value)
+
+    def scale_parameter(self, element: str, name: str, factor: float) -> None:
+        """Multiplies a plugin parameter, so that effects on the same one compose."""
+        self.set_parameter(element, name, factor * self.parameter(element, name))
+
+    def add_parameter(self, element: str, name: str, difference: float) -> None:
+        """Adds to a plugin parameter, so that effects on the same one compose."""
+        self.set_parameter(element, name, self.parameter(element, name) + difference)
+
+    def edit(self, key: Hashable, function: Callable[[mujoco.MjSpec], None]) -> None:
+        """Edits the specification: inserts an element, or changes a native attribute.
+
+        Models are compiled once per set of keys, so the key holds every value that `function`
+        writes. An element that is inserted with its parameters at neutral values, which are then
+        set by `set_parameter`, is compiled once for all.
+        """
+        if key not in [known for known, _ in self.edits]:
+            self.edits.append((key, function))
+
+    def command(self, actuator: str, function: CommandPath) -> None:
+        """Puts a fault between the measured command and an actuator."""
+        if actuator not in self.machine.actuators:
+            raise LeglabError(f"actuator {actuator!r} does not exist")
+        self.commands.setdefault(actuator, []).append(function)
+
+    def correct(self, column: str, function: Correction, *, noise_gain: float = 1.0) -> None:
+        """Undoes a sensor fault in a measured column, before states are reconstructed from it.
+
+        Predictions are compared in corrected units.
+
+        Args:
+            column: Of the recording, for instance "knee_position".
+            function: Measured to corrected samples.
+            noise_gain: Factor by which it multiplies sensor noise (1/scale of a gain fault), so
+                that a fit cannot gain by shrinking the noise.
+        """
+        self.corrections.setdefault(column, []).append((function, noise_gain))
+
+    def start(self, element: str, state: str, function: Start) -> None:
+        """Says how a hidden plugin state follows from the measured series at window starts.
+
+        Needed only where the general rules of `leglab.diagnosis.starts` do not know the plugin.
+        """
+        self.starts[element, state] = function

@@ -1,0 +1,283 @@
+"""Measured series of one recording on a uniform grid, and the machine's channels in it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+from scipy.ndimage import maximum_filter1d
+from scipy.signal import savgol_coeffs, savgol_filter
+
+from leglab.base.errors import LeglabError
+from leglab.base.recording import Recording
+from leglab.diagnosis.model import CYLINDER, Machine
+
+# Further than this many periods from a true sample, a value on the grid is not measured.
+_GAP = 1.5
+_CHAMBERS = ("pressure_a", "pressure_b")
+# Quartic over 21 ms for positions, quadratic over 5 ms for pressures: they pass the motion of a leg
+# and, at 1 kHz, take noise to a third.
+_POSITION_FILTER = (0.021, 7, 4)  # s, least samples, order
+_PRESSURE_FILTER = (0.005, 5, 2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Channel:
+    """One measured output that a replay predicts.
+
+    Attributes:
+        column: Of the recordings.
+        joint: That it belongs to.
+        cylinder: Whose chamber it is; None for a position.
+        chamber: "pressure_a" or "pressure_b"; None for a position.
+        filter: Length in samples and order of the Savitzky-Golay filter that smooths it.
+    """
+
+    column: str
+    joint: str
+    cylinder: str | None = None
+    chamber: str | None = None
+    filter: tuple[int, int] = (21, 4)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Series:
+    """One recording, ready for replay.
+
+    Attributes:
+        name: Of its file.
+        period: s.
+        time: Shape (n,), s.
+        columns: Samples on the grid by column, each (n,), gaps bridged linearly.
+        valid: Where every channel was measured, shape (n,).
+    """
+
+    name: str
+    period: float
+    time: np.ndarray
+    columns: dict[str, np.ndarray]
+    valid: np.ndarray
+
+    @classmethod
+    def from_recording(cls, recording: Recording, name: str, needed: tuple[str, ...]) -> "Series":
+        """Puts the needed columns of a recording on a uniform grid.
+
+        Raises:
+            LeglabError: The recording is too short to have a period.
+        """
+        if len(recording) < 3:
+            raise LeglabError(f"{name}: {len(recording)} samples are too few to replay")
+        intervals = np.diff(recording.time)
+        period = float(np.median(intervals))
+        # A clock that counts in whole samples of a rounded period: use the mean of usual intervals.
+        usual = intervals[np.abs(intervals - period) < 0.5 * period]
+        period = float(usual.mean())
+        count = round(recording.duration / period) + 1
+        grid = recording.time[0] + period * np.arange(count)
+        valid = np.ones(count, dtype=bool)
+        columns = {}
+        for column in needed:
+            good = np.isfinite(recording[column])
+            if good.sum() < 2:
+                raise LeglabError(f"{name}: column {column!r} holds no numbers")
+            times = recording.time[good]
+            columns[column] = np.interp(grid, times, recording[column][good])
+            after = np.searchsorted(times, grid).clip(1, times.size - 1)
+            distance = np.minimum(np.abs(grid - times[after - 1]), np.abs(times[after] - grid))
+            near = np.maximum(times[after] - times[after - 1], 0.0)
+            valid &= (near <= _GAP * period) | (distance < 1e-3 * period)
+        return cls(name=name, period=period, time=grid, columns=columns, valid=valid)
+
+
+def sampling_period(recordings: Mapping[str, Recording]) -> float:
+    """Common sampling period [s].
+
+    Raises:
+        LeglabError: A recording is too short, or periods differ; names the recordings.
+    """
+    periods = {}
+    for name, recording in recordings.items():
+        if len(recording) < 3:
+            raise LeglabError(f"{name}: {len(recording)} samples are too few to replay")
+        periods[name] = float(np.median(np.diff(recording.time)))
+    first = next(iter(periods))
+    for name, period in periods.items():
+        if abs(period - periods[first]) > 1e-2 * periods[first]:
+            raise LeglabError(
+                f"{name} is sampled every {period:g} s, {first} every {periods[first]:g} s; "
+                "allowed: one period for all"
+            )
+    return float(np.median(list(periods.values())))
+
+
+def channels(machine: Machine, recordings: Mapping[str, Recording]) -> tuple[Channel, ...]:
+    """Measured outputs that all recordings share: positions, then chamber pressures.
+
+    Raises:
+        LeglabError: A joint's position or an actuator's command is missing; lists both sides.
+    """
+    shared = set.intersection(*(set(r.columns) for r in recordings.values()))
+    missing = [column for column in machine.columns if column not in shared]
+    if missing:
+        raise LeglabError(
+            f"the recordings have no column {', '.join(map(repr, missing))}: the model needs "
+            f"{', '.join(machine.columns)}; all recordings have {', '.join(sorted(shared))}. "
+            "Measured under other names? Give a column map"
+        )
+    period = sampling_period(recordings)
+    position, pressure = _filter(_POSITION_FILTER, period), _filter(_PRESSURE_FILTER, period)
+    found = [
+        Channel(column=f"{joint}_position", joint=joint, filter=position)
+        for joint in machine.joints
+    ]
+    for cylinder in machine.instances(CYLINDER):
+        joint = machine.driven[cylinder][0]
+        found += [
+            Channel(
+                column=f"{joint}_{chamber}",
+                joint=joint,
+                cylinder=cylinder,
+                chamber=chamber,
+                filter=pressure,
+            )
+            for chamber in _CHAMBERS
+            if f"{joint}_{chamber}" in shared
+        ]
+    return tuple(found)
+
+
+def _filter(choice: tuple[float, int, int], period: float) -> tuple[int, int]:
+    duration, least, order = choice
+    return max(least, 2 * round(0.5 * (duration / period - 1.0)) + 1), order
+
+
+def noise_level(samples: np.ndarray, window: tuple[int, int]) -> float:
+    """Standard deviation of white sensor noise, from what a smoothing filter leaves over.
+
+    The filter keeps its centre coefficient c of each sample, so that white noise of variance s^2
+    leaves s^2 (1 - c). The median makes jumps of the signal count little (Rousseeuw and
+    Croux 1993).
+
+    Args:
+        samples: Shape (n,).
+        window: Length and order of the Savitzky-Golay filter.
+    """
+    if samples.size < window[0]:
+        return 0.0
+    rest = samples - savgol_filter(samples, *window)
+    centre = savgol_coeffs(*window)[window[0] // 2]
+    return float(1.4826 * np.median(np.abs(rest)) / np.sqrt(1.0 - centre))
+
+
+def smoothed(samples: np.ndarray, window: tuple[int, int]) -> np.ndarray:
+    """Savitzky-Golay smoothing; series shorter than the filter stay as they are."""
+    return savgol_filter(samples, *window) if samples.size >= window[0] else samples
+
+
+def derivative(samples: np.ndarray, window: tuple[int, int], period: float) -> np.ndarray:
+    """First derivative by the same filter."""
+    if samples.size < window[0]:
+        return np.gradient(samples, period)
+    return savgol_filter(samples, *window, deriv=1, delta=period)
+
+
+def filter_difference(
+    samples: np.ndarray, window: tuple[int, int], period: float | None = None
+) -> np.ndarray:
+    """Difference that a filter of the same length and two orders less makes, shape (n,)."""
+    length, order = window
+    other = (length, max(order - 2, 0 if period is None else 1))
+    if period is None:
+        return smoothed(samples, window) - smoothed(samples, other)
+    return derivative(samples, window, period) - derivative(samples, other, period)
+
+
+# Smoothing filters reach this far to both sides of a window's start.
+MARGIN = 12  # samples
+# Windows start at the calmest sample within this share of their length from the regular grid.
+_ROOM = 0.35
+# A chamber this low may hold vapour, whose amount no pressure sensor tells: no window starts there.
+VAPOUR = 2e4  # Pa gauge
+
+
+@dataclass(kw_only=True)
+class Cut:
+    """Windows of one series.
+
+    Attributes:
+        series: The recording.
+        firsts: Samples at which windows start, shape (windows,).
+        levers: d(actuator length)/d(joint position) of the cylinders, each (n,).
+        smooth: Smoothed samples and their derivative by column, each (n,).
+    """
+
+    series: Series
+    firsts: np.ndarray
+    levers: dict[str, np.ndarray] = field(default_factory=dict)
+    smooth: dict[str, tuple[np.ndarray, ...]] = field(default_factory=dict)
+
+
+def cut_series(
+    machine: Machine, series: Series, channels: tuple[Channel, ...], samples: int, lead: int
+) -> Cut:
+    """Cuts a series into windows of `samples`, none before `lead` samples have passed."""
+    last = series.time.size - samples - MARGIN - 1
+    unrest = _unrest(machine, series, channels)
+    room = round(_ROOM * samples)
+    grid = np.arange(max(MARGIN, lead), last + 1, samples)
+    calm = [g + int(np.argmin(unrest[g : min(g + room, last) + 1])) for g in grid.tolist()]
+    firsts = np.array(calm, dtype=np.int64)
+    missing = np.concatenate([[0], np.cumsum(~series.valid)])
+    keep = missing[firsts + samples + 1] == missing[firsts - lead]
+    for channel in channels:
+        if channel.chamber:
+            level = smoothed(series.columns[channel.column], channel.filter)
+            keep &= level[firsts] > VAPOUR
+    cut = Cut(series=series, firsts=firsts[keep])
+    for cylinder in machine.instances(CYLINDER):
+        cut.levers[cylinder] = _lever(machine, series, cylinder)
+    return cut
+
+
+def _unrest(machine: Machine, series: Series, channels: tuple[Channel, ...]) -> np.ndarray:
+    """How badly smoothing serves around each sample, (n,): windows start where it is calm.
+
+    What two filters disagree about, in noise levels, and jumps of the commands.
+    """
+    total = np.zeros(series.time.size)
+    for channel in channels:
+        samples = series.columns[channel.column]
+        level = noise_level(samples, channel.filter) or 1.0
+        length = max(2 * MARGIN - 3, channel.filter[0])
+        total += (filter_difference(samples, (length, 4)) / level) ** 2
+    for actuator in machine.actuators:
+        command = series.columns[f"{actuator}_command"]
+        jump = np.abs(np.gradient(command)) / (command.std() or 1.0)
+        total += (10.0 * jump) ** 2
+    return maximum_filter1d(total, 2 * MARGIN + 1)
+
+
+def _lever(machine: Machine, series: Series, cylinder: str) -> np.ndarray:
+    """d(actuator length)/d(joint position) over a series, shape (n,), every tenth exact."""
+    model = machine.base.model
+    data = mujoco.MjData(model)
+    actuator = model.actuator(cylinder).id
+    joint = machine.driven[cylinder][0]
+    dof = int(model.joint(joint).dofadr[0])
+    moment = np.zeros((model.nu, model.nv))
+    chosen = np.arange(0, series.time.size, 10)
+    lever = np.empty(chosen.size)
+    addresses = [int(model.joint(name).qposadr[0]) for name in machine.joints]
+    positions = np.stack([series.columns[f"{name}_position"] for name in machine.joints], 1)
+    for i, row in enumerate(positions[chosen]):
+        data.qpos[addresses] = row
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mju_sparse2dense(
+            moment,
+            data.actuator_moment,
+            data.moment_rownnz,
+            data.moment_rowadr,
+            data.moment_colind,
+        )
+        lever[i] = moment[actuator, dof]
+    return np.interp(np.arange(series.time.size), chosen, lever)

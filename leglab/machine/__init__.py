@@ -1,0 +1,1 @@
+"""The simulated leg: MuJoCo, the hydraulic plugin, sensors, and what changes in a run."""

@@ -1,0 +1,254 @@
+"""Carries out a scenario's changes on a machine and its sensors."""
+
+from collections.abc import Iterable
+from typing import Protocol
+
+import mujoco
+import numpy as np
+
+from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.scenario import Scenario
+from leglab.machine.parameters import Parameter
+from leglab.machine.simulation import Simulation
+
+ADDED_MASS = Parameter(
+    name="added_mass",
+    unit="kg",
+    nominal=0.0,
+    minimum=0.0,
+    maximum=1000.0,
+    minimum_allowed=True,
+    description="point mass fixed at the body's centre of mass",
+    offset=0,
+)
+
+
+class Bodies:
+    """Point masses at the centres of mass of the moving bodies of a model.
+
+    There they change neither the centre of mass nor the inertia about it, so that the body's frame
+    of principal axes stays as it was compiled. The model itself changes: `restore` gives it back.
+
+    Args:
+        model: The model to change; nobody else may use it meanwhile.
+
+    Attributes:
+        elements: Names of the bodies that move.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._model = model
+        self._ids = {
+            model.body(i).name: i
+            for i in range(1, model.nbody)
+            if model.body_weldid[i] != 0 and model.body(i).name
+        }
+        self._nominal = model.body_mass.copy()
+        self._added = dict.fromkeys(self._ids, 0.0)
+        self._scratch: mujoco.MjData | None = None
+        self.elements = tuple(self._ids)
+
+    def has(self, element: str, name: str) -> bool:
+        """Says whether a body has a parameter of this name."""
+        return element in self._ids and name == ADDED_MASS.name
+
+    def parameter(self, element: str, name: str) -> float:
+        """Mass that a body carries [kg]."""
+        self._check(element, name)
+        return self._added[element]
+
+    def set_parameter(self, element: str, name: str, value: float) -> None:
+        """Loads a body from now on.
+
+        Raises:
+            LeglabError: If body or name do not exist or the mass [kg] is out of bounds.
+        """
+        self._check(element, name)
+        value = ADDED_MASS.check(value, f"body {element!r}")
+        if value == self._added[element]:
+            return
+        self._added[element] = value
+        body = self._ids[element]
+        self._model.body_mass[body] = self._nominal[body] + value
+        # Inverse weights, subtree masses and the like follow from the masses (MuJoCo, "Modeling",
+        # "Changing inertial properties"). On data of its own: mj_setConst overwrites the state.
+        if self._scratch is None:
+            self._scratch = mujoco.MjData(self._model)
+        mujoco.mj_setConst(self._model, self._scratch)
+
+    def restore(self) -> None:
+        """Takes all loads off."""
+        for element in self.elements:
+            self.set_parameter(element, ADDED_MASS.name, 0.0)
+
+    def _check(self, element: str, name: str) -> None:
+        if element not in self._ids:
+            raise unknown_name("body", element, self._ids)
+        if name != ADDED_MASS.name:
+            raise unknown_name("body parameter", name, [ADDED_MASS.name])
+
+
+# What differs from one specimen to the next, by element; each by a factor of its own. Geometry,
+# pressures and the oil's grade are known well and left alone.
+_PARAMETERS = (
+    "rated_flow",
+    "lap",
+    "bandwidth_hz",
+    "bulk_modulus",
+    "entrained_air",
+    "internal_leakage",
+    "viscous",
+    "coulomb",
+    "k1",
+    "k2",
+    "d1",
+)
+
+# A third and more would be another machine.
+LARGEST = 0.3
+
+
+def check_tolerance(tolerance: float) -> None:
+    """Raises a `LeglabError` for a tolerance outside [0, 0.3]."""
+    if not 0 <= tolerance <= LARGEST:
+        raise LeglabError(f"tolerance {tolerance!r} is outside [0, {LARGEST:g}]")
+
+
+def vary_bodies(model: mujoco.MjModel, tolerance: float, seed: int) -> None:
+    """Scales mass and inertia of every body by a factor exp(tolerance N(0, 1)), in place.
+
+    Args:
+        model: Changed; make its `MjData` afterwards.
+        tolerance: Relative standard deviation [1].
+        seed: Of the specimen.
+    """
+    factor = np.exp(tolerance * np.random.default_rng([seed, 11]).standard_normal(model.nbody))
+    model.body_mass[:] *= factor
+    model.body_inertia[:] *= factor[:, None]
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def vary_parameters(simulation: Simulation, tolerance: float, seed: int) -> None:
+    """Scales hydraulic, friction and spring parameters of every element, each by its own factor.
+
+    The breakaway friction keeps its ratio to the Coulomb friction.
+
+    Args:
+        simulation: Changed.
+        tolerance: Relative standard deviation [1].
+        seed: Of the specimen.
+    """
+    rng = np.random.default_rng([seed, 12])
+    for element in simulation.elements:
+        for name in _PARAMETERS:
+            factor = float(np.exp(tolerance * rng.standard_normal()))
+            names = (name, "static") if name == "coulomb" else (name,)
+            # The larger first where they grow: static friction is never below Coulomb's.
+            for each in reversed(names) if factor > 1 else names:
+                if simulation.has(element, each):
+                    value = simulation.parameter(element, each)
+                    simulation.set_parameter(element, each, factor * value)
+
+
+class Target(Protocol):
+    """Something with elements whose parameters can change: a machine, its bodies, its sensors."""
+
+    @property
+    def elements(self) -> Iterable[str]:
+        """Names of the elements."""
+
+    def has(self, element: str, name: str) -> bool:
+        """Says whether a change of this parameter of the element has an effect."""
+
+    def parameter(self, element: str, name: str) -> float:
+        """Current value in the parameter's own unit."""
+
+    def set_parameter(self, element: str, name: str, value: float) -> None:
+        """Sets the value from now on."""
+
+
+class Schedule:
+    """Writes a scenario's parameter changes into a simulation and what belongs to it.
+
+    Args:
+        scenario: Says what changes.
+        simulation: The machine, unchanged.
+        others: What else can change, unchanged.
+
+    Attributes:
+        parameters: Element and parameter of everything in the simulation that changes.
+        others: The same of everything else that changes.
+        values: Present values of `others`, (len(others),).
+
+    Raises:
+        LeglabError: If a change matches no element.
+    """
+
+    def __init__(self, scenario: Scenario, simulation: Simulation, *others: Target) -> None:
+        self._simulation, self._targets = simulation, (simulation, *others)
+        self._nominal: dict[tuple[str, str], float] = {}
+        self._target: dict[tuple[str, str], Target] = {}
+        self._begin(scenario)
+
+    def follow(self, scenario: Scenario, now: float) -> None:
+        """Carries out another scenario from now on; what only the last one changed is undone.
+
+        Args:
+            scenario: Takes the place of the present one.
+            now: Time [s].
+
+        Raises:
+            LeglabError: If a change matches no element.
+        """
+        self.apply(now)
+        last = self._scenario
+        self._begin(scenario)
+        for (element, parameter), nominal in self._nominal.items():
+            # What stays as it was is not written: oil that has warmed up stays warm.
+            wanted = scenario.value_at(now, parameter, element, nominal)
+            if wanted != last.value_at(now, parameter, element, nominal):
+                self._target[element, parameter].set_parameter(element, parameter, wanted)
+        self.values = np.array([self._target[key].parameter(*key) for key in self.others])
+        self._previous = now
+
+    def _begin(self, scenario: Scenario) -> None:
+        self._scenario = scenario
+        for change in scenario.changes:
+            matched = [
+                (element, target)
+                for target in self._targets
+                for element in target.elements
+                if change.applies_to(element) and target.has(element, change.parameter)
+            ]
+            if not matched:
+                raise LeglabError(
+                    f"scenario {scenario.name!r} changes {change.parameter!r} of "
+                    f"{change.element!r}, which no element of the model has"
+                )
+            for element, target in matched:
+                key = (element, change.parameter)
+                if key not in self._target:
+                    self._target[key] = target
+                    self._nominal[key] = target.parameter(*key)
+        machine = self._simulation
+        self.parameters = tuple(k for k, t in self._target.items() if t is machine)
+        self.others = tuple(k for k, t in self._target.items() if t is not machine)
+        self.values = np.array([self._target[key].parameter(*key) for key in self.others])
+        self._previous = -np.inf
+        self._next = 0.0 if scenario.changes else np.inf
+
+    def apply(self, now: float) -> None:
+        """Sets the parameters of this time [s]; cheap while nothing changes."""
+        if now < self._next:
+            return
+        scenario = self._scenario
+        for change in scenario.moving(self._previous, now):
+            for (element, parameter), nominal in self._nominal.items():
+                if parameter == change.parameter and change.applies_to(element):
+                    value = scenario.value_at(now, parameter, element, nominal)
+                    self._target[element, parameter].set_parameter(element, parameter, value)
+        self.values = np.array([self._target[key].parameter(*key) for key in self.others])
+        self._previous = now
+        ramping = any(c.start <= now < c.end for c in scenario.changes)
+        later = [c.start for c in scenario.changes if c.start > now]
+        self._next = now if ramping else min(later, default=np.inf)

@@ -1,0 +1,214 @@
+"""One valve-controlled cylinder outside MuJoCo: continuous model, plugin scheme, steady states."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from leglab._native import hydraulics as _native
+from leglab.base.errors import LeglabError
+from leglab.machine.parameters import parameter_vector
+
+# Order of the continuous state; the energies are integrals since the start [J].
+CONTINUOUS_STATES = (
+    "position",
+    "velocity",
+    "spool_position",
+    "spool_velocity",
+    "pressure_a",
+    "pressure_b",
+    "bristle",
+    "energy_supply",
+    "energy_valve",
+    "energy_leakage",
+    "energy_friction",
+    "energy_stored",
+    "energy_load",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SteadyState:
+    """Valve and pressures at a steady piston speed.
+
+    Attributes:
+        spool: Relative spool position, in [-1, 1].
+        pressure_a: Cap side [Pa].
+        pressure_b: Rod side [Pa].
+    """
+
+    spool: float
+    pressure_a: float
+    pressure_b: float
+
+
+class Cylinder:
+    """The plugin's cylinder by its parameters: `leglab.cylinder` attributes, SI units.
+
+    Args:
+        parameters: Attribute values over the nominal ones; `bore`, `rod`, `stroke` are required,
+            `mid_length` is not used here.
+
+    Raises:
+        LeglabError: If a name is unknown, a value is out of bounds or contradicts another, or a
+            required one is missing.
+    """
+
+    def __init__(self, parameters: Mapping[str, float]) -> None:
+        values = {"mid_length": 0.0, **parameters}
+        self.vector = parameter_vector("leglab.cylinder", values)
+        try:
+            self.native = _native.CylinderModel(self.vector)
+        except ValueError as error:
+            raise LeglabError(f"leglab.cylinder: {error}") from None
+        self.supply_pressure = values.get("supply_pressure", 16e6)
+        self.area_a, self.area_b = self.native.areas()
+
+    def derivative(
+        self,
+        state: np.ndarray,
+        *,
+        command: float,
+        mass: float = 1.0,
+        load: float = 0.0,
+        ideal_valve: bool = False,
+        blocked: bool = False,
+    ) -> np.ndarray:
+        """Time derivative of the continuous state, shape (13,), order `CONTINUOUS_STATES`.
+
+        Args:
+            state: Continuous state, shape (13,).
+            command: Valve command in [-1, 1].
+            mass: Moving mass [kg].
+            load: Force against extension [N].
+            ideal_valve: The spool follows the command at once.
+            blocked: The piston is held.
+        """
+        out = np.empty(len(CONTINUOUS_STATES))
+        self.native.derivative(
+            np.ascontiguousarray(state, dtype=float),
+            command,
+            self.supply_pressure,
+            mass,
+            load,
+            ideal_valve,
+            blocked,
+            out,
+        )
+        return out
+
+    def initial_state(self, **values: float) -> np.ndarray:
+        """Continuous state, shape (13,), zero but for the named entries."""
+        state = np.zeros(len(CONTINUOUS_STATES))
+        for name, value in values.items():
+            state[CONTINUOUS_STATES.index(name)] = value
+        return state
+
+    def solve(
+        self, state: np.ndarray, duration: float, *, rtol: float = 1e-10, **inputs: Any
+    ) -> Any:
+        """Integrates the continuous model with scipy's stiff Radau solver.
+
+        Args:
+            state: Initial continuous state, shape (13,).
+            duration: Seconds.
+            rtol: Relative tolerance.
+            **inputs: As for `derivative`, constant over the duration.
+
+        Returns:
+            scipy's solution with dense output.
+        """
+        from scipy.integrate import solve_ivp  # slow to import, and seldom needed
+
+        scale = np.array([1e-3, 1e-2, 1e-3, 1e-1, 1e4, 1e4, 1e-6] + [1e-3] * 6)
+        return solve_ivp(
+            lambda _, y: self.derivative(y, **inputs),
+            (0.0, duration),
+            state,
+            method="Radau",
+            rtol=rtol,
+            atol=rtol * scale,
+            dense_output=True,
+        )
+
+    def simulate(
+        self,
+        commands: np.ndarray,
+        timestep: float,
+        *,
+        mass: float,
+        load: float = 0.0,
+        position: float,
+        velocity: float = 0.0,
+        pressure_a: float,
+        pressure_b: float,
+    ) -> np.ndarray:
+        """Runs the plugin's fixed-step scheme on a free mass.
+
+        Args:
+            commands: Valve commands held over each step, shape (n,).
+            timestep: Seconds.
+            mass: Moving mass [kg].
+            load: Force against extension [N].
+            position: Initial piston position [m].
+            velocity: Initial velocity [m/s].
+            pressure_a: Initial cap-side pressure [Pa].
+            pressure_b: Initial rod-side pressure [Pa].
+
+        Returns:
+            Position, velocity, pressure A, pressure B, spool, bristle after each step, (n, 6).
+        """
+        commands = np.ascontiguousarray(commands, dtype=float)
+        out = np.empty((len(commands), 6))
+        self.native.simulate(
+            commands,
+            timestep,
+            self.supply_pressure,
+            mass,
+            load,
+            position,
+            velocity,
+            pressure_a,
+            pressure_b,
+            out,
+        )
+        return out
+
+    def steady_state(self, velocity: float, force: float) -> SteadyState:
+        """Spool and pressures that move the piston at a constant speed against a load.
+
+        Solves Q_A = A_A v, Q_B = -A_B v and p_A A_A - p_B A_B = force + friction(v).
+
+        Args:
+            velocity: Piston speed, extension positive [m/s].
+            force: Force of the piston on the mechanism [N].
+
+        Raises:
+            LeglabError: If no valve opening reaches it; the message names speed and force.
+        """
+        from scipy.optimize import brentq, root  # slow to import, and seldom needed
+
+        ps, native = self.supply_pressure, self.native
+
+        def balance(spool: float, start: np.ndarray) -> tuple[np.ndarray, float]:
+            def residual(p: np.ndarray) -> list[float]:
+                a, b, _ = native.flows(spool, ps, p[0] * ps, p[1] * ps)
+                return [1e4 * (a - self.area_a * velocity), 1e4 * (b + self.area_b * velocity)]
+
+            result = root(residual, start, tol=1e-13)
+            pa, pb = result.x * ps
+            wanted = force + native.steady_friction(velocity, pa, pb)
+            return result.x, (pa * self.area_a - pb * self.area_b - wanted) / (ps * self.area_a)
+
+        guess = np.array([0.4, 0.6])
+        low, high = -1.0, 1.0
+        # Without flow enough, pressures run away: then the force is off by far, with the same sign.
+        if balance(low, guess)[1] > 0 or balance(high, guess)[1] < 0:
+            raise LeglabError(
+                f"no steady state at {velocity:g} m/s and {force:g} N: the valve is too small "
+                f"or the supply pressure {ps / 1e5:.0f} bar too low"
+            )
+        spool = brentq(lambda s: balance(s, guess)[1], low, high, xtol=1e-9)
+        pressures = balance(spool, guess)[0] * ps
+        return SteadyState(spool=spool, pressure_a=pressures[0], pressure_b=pressures[1])

@@ -1,0 +1,183 @@
+"""Physical parameters and states of the plugins, by name.
+
+The tables live in the C++ core (`leglab/csrc`), which documents unit, bounds and source of every
+entry; this module mirrors them, so that a name is spelled in one place.
+"""
+
+import functools
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from leglab._native import hydraulics as _native
+from leglab.base.errors import LeglabError, unknown_name
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """One physical parameter of a plugin instance.
+
+    Attributes:
+        name: Attribute name in MJCF and in `Simulation.set_parameter`.
+        unit: SI unit (temperatures in degC).
+        nominal: Default, NaN where MJCF must give it.
+        minimum: Smallest value; excluded itself if `minimum_allowed` is false.
+        maximum: Largest value.
+        minimum_allowed: Whether `minimum` itself is allowed.
+        description: What it is, with its source.
+        offset: Place in the plugin state of the instance.
+    """
+
+    name: str
+    unit: str
+    nominal: float
+    minimum: float
+    maximum: float
+    minimum_allowed: bool
+    description: str
+    offset: int
+
+    @property
+    def allowed(self) -> str:
+        """The bounds as text."""
+        bracket = "[" if self.minimum_allowed else "("
+        return f"{bracket}{self.minimum:g}, {self.maximum:g}] {self.unit}"
+
+    def check(self, value: float, where: str) -> float:
+        """Returns the value as float.
+
+        Raises:
+            LeglabError: If it is not finite or out of bounds; `where` names the element.
+        """
+        number = float(value)
+        above = number >= self.minimum if self.minimum_allowed else number > self.minimum
+        if not (math.isfinite(number) and above and number <= self.maximum):
+            raise LeglabError(f"{where}: {self.name} = {number:g}; allowed {self.allowed}")
+        return number
+
+
+@dataclass(frozen=True, kw_only=True)
+class State:
+    """One dynamic state of a plugin instance: `name`, `unit`, `description`, `offset`."""
+
+    name: str
+    unit: str
+    description: str
+    offset: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class PluginTable:
+    """All parameters and states of a plugin, by name, in the order of its plugin state."""
+
+    plugin: str
+    parameters: Mapping[str, Parameter]
+    states: Mapping[str, State]
+
+    def entry(self, name: str) -> Parameter | State:
+        """Looks a parameter or state up by name.
+
+        Raises:
+            LeglabError: If the plugin has no such entry; lists those that exist.
+        """
+        if name in self.parameters:
+            return self.parameters[name]
+        if name in self.states:
+            return self.states[name]
+        raise unknown_name(f"{self.plugin} parameter", name, [*self.parameters, *self.states])
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns the table as JSON can hold it; a default or bound that there is not is None."""
+        return {
+            "parameters": {
+                row.name: {
+                    "unit": row.unit,
+                    "default": _finite(row.nominal),
+                    "minimum": _finite(row.minimum),
+                    "minimum_allowed": row.minimum_allowed,
+                    "maximum": _finite(row.maximum),
+                    "meaning": row.description,
+                }
+                for row in self.parameters.values()
+            },
+            "states": {
+                state.name: {"unit": state.unit, "meaning": state.description}
+                for state in self.states.values()
+            },
+        }
+
+
+@functools.cache
+def plugin_tables() -> Mapping[str, PluginTable]:
+    """Tables of all plugins that carry parameters, by plugin name."""
+    tables = {}
+    for plugin, (parameters, states) in _native.parameter_tables().items():
+        rows = [
+            Parameter(
+                name=name,
+                unit=unit,
+                nominal=nominal,
+                minimum=low,
+                maximum=high,
+                minimum_allowed=closed,
+                description=text,
+                offset=offset,
+            )
+            for offset, (name, unit, nominal, low, high, closed, text) in enumerate(parameters)
+        ]
+        dynamic = [
+            State(name=name, unit=unit, description=text, offset=len(rows) + offset)
+            for offset, (name, unit, text) in enumerate(states)
+        ]
+        tables[plugin] = PluginTable(
+            plugin=plugin,
+            parameters=MappingProxyType({row.name: row for row in rows}),
+            states=MappingProxyType({row.name: row for row in dynamic}),
+        )
+    return MappingProxyType(tables)
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def parameter_vector(plugin: str, values: Mapping[str, float]) -> np.ndarray:
+    """Parameters of one instance in table order, shape (n,): `values` over the nominal ones.
+
+    Raises:
+        LeglabError: If a name is unknown, a value is out of bounds, or a required one is missing.
+    """
+    table = plugin_tables()[plugin]
+    for name in values:
+        if name not in table.parameters:
+            raise unknown_name(f"{plugin} parameter", name, table.parameters)
+    vector = np.empty(len(table.parameters))
+    for name, parameter in table.parameters.items():
+        if name not in values and math.isnan(parameter.nominal):
+            raise LeglabError(f"{plugin}: {name} is missing; allowed {parameter.allowed}")
+        vector[parameter.offset] = parameter.check(values.get(name, parameter.nominal), plugin)
+    return vector
+
+
+def markdown_tables(tables: Iterable[PluginTable]) -> str:
+    """Parameters and states as Markdown, the content of docs/parameters.md."""
+    lines = [
+        "# Parameters and states of the plugins",
+        "",
+        "Made by `leglab parameters --markdown > docs/parameters.md`. SI units, °C for oil.",
+    ]
+    for table in tables:
+        lines += ["", f"## {table.plugin}", ""]
+        lines += ["| parameter | default | allowed | meaning |", "|---|---|---|---|"]
+        for row in table.parameters.values():
+            default = "required" if math.isnan(row.nominal) else f"{row.nominal:g}"
+            lines.append(f"| `{row.name}` | {default} | {row.allowed} | {row.description} |")
+        if table.states:
+            lines += ["", "| state | unit | meaning |", "|---|---|---|"]
+            for state in table.states.values():
+                lines.append(f"| `{state.name}` | {state.unit} | {state.description} |")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,304 @@
+"""What encoders report, and what can be wrong with them.
+
+Faults come with a scenario or with the model. MJCF has no element for a shifted or miscounting
+encoder, so a model says it by custom numerics: `<joint>_encoder_offset` [rad or m] and
+`<joint>_encoder_scale`, measured = scale x true + offset.
+A late encoder is a `jointpos` sensor `<joint>_delayed_position` with MuJoCo's own `delay`.
+`leglab diagnose` writes them into improved.xml; closed loops and replays read them.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from pydantic import Field
+
+from leglab._native.loop import Readings
+from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.settings import Configuration
+from leglab.machine.parameters import Parameter
+
+
+class SensorConfiguration(Configuration):
+    """Sensors and timing of the control loop.
+
+    Defaults are those of the knee bench's recordings (encoder of 17 bits).
+
+    Attributes:
+        control_period: Time from one command to the next [s].
+        latency: Age of a measurement when its command takes effect [s], at most one period.
+        encoder_counts: Encoder counts a turn; 0 for infinite resolution.
+        position_noise: RMS noise of a position [rad].
+        pressure_noise: RMS noise of a pressure [Pa].
+        velocity_cutoff: Of the first-order filter behind the position difference [Hz].
+    """
+
+    control_period: float = Field(default=2e-3, gt=0, le=0.1)
+    latency: float = Field(default=1e-3, ge=0)
+    encoder_counts: int = Field(default=131072, ge=0)
+    position_noise: float = Field(default=2e-5, ge=0)
+    pressure_noise: float = Field(default=1.5e4, ge=0)
+    velocity_cutoff: float = Field(default=60.0, gt=0)
+
+
+class LoopTiming(NamedTuple):
+    """Whole time steps in a control period: from command to sample, and from sample to command."""
+
+    to_sample: int
+    to_command: int
+
+    @property
+    def steps(self) -> int:
+        """Time steps in a control period."""
+        return self.to_sample + self.to_command
+
+
+def loop_timing(config: SensorConfiguration, timestep: float) -> LoopTiming:
+    """Splits a control period into whole time steps.
+
+    Raises:
+        LeglabError: If period or latency is no multiple of the time step, or the latency is longer.
+    """
+    steps = round(config.control_period / timestep)
+    late = round(config.latency / timestep)
+    for name, count in (("control_period", steps), ("latency", late)):
+        value = getattr(config, name)
+        if abs(value - count * timestep) > 1e-9 or (name == "control_period" and count < 1):
+            raise LeglabError(
+                f"{name} = {value:g} s; allowed: a multiple of the model's timestep {timestep:g} s"
+            )
+    if late > steps:
+        raise LeglabError(
+            f"latency = {config.latency:g} s; allowed: at most control_period = "
+            f"{config.control_period:g} s"
+        )
+    return LoopTiming(to_sample=steps - late, to_command=late)
+
+
+def velocity_filter_coefficient(period: float, cutoff_hz: float) -> float:
+    """Coefficient a of v[k] += a ((q[k] - q[k-1])/T - v[k-1]), first order with the cutoff."""
+    return 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * period)
+
+
+def velocity_delay(period: float, cutoff_hz: float) -> float:
+    """Age of a velocity estimate [s]: half a period of the difference, and the filter's lag.
+
+    The lag of v[k] += a (x[k] - v[k-1]) on a ramp is T (1 - a)/a.
+    """
+    a = velocity_filter_coefficient(period, cutoff_hz)
+    return period / 2 + period * (1 - a) / a
+
+
+def position_uncertainty(config: SensorConfiguration) -> float:
+    """RMS error of a measured position [rad]: noise, and rounding to counts by 1/sqrt(12)."""
+    if config.encoder_counts == 0:
+        return config.position_noise
+    step = 2.0 * math.pi / config.encoder_counts
+    return math.hypot(config.position_noise, step / math.sqrt(12.0))
+
+
+def quantise(position: np.ndarray, counts: int) -> np.ndarray:
+    """Rounds positions [rad] to encoder counts; 0 counts a turn stand for infinite resolution."""
+    if counts == 0:
+        return position
+    rounded = np.rint(position * (counts / (2.0 * math.pi)))
+    rounded *= 2.0 * math.pi / counts
+    return rounded
+
+
+def held(reading: np.ndarray, lost: np.ndarray) -> np.ndarray:
+    """Repeats the last reading wherever one was lost; both (n,), the first is never lost."""
+    index = np.where(lost, 0, np.arange(len(reading)))
+    return reading[np.maximum.accumulate(index)]
+
+
+ENCODER_OFFSET = "{joint}_encoder_offset"
+ENCODER_SCALE = "{joint}_encoder_scale"
+
+
+def delayed_sensor(joint: str) -> str:
+    """Name of the sensor that shows a joint's position late."""
+    return f"{joint}_delayed_position"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EncoderFaults:
+    """Faults of the encoders of some joints; arrays of shape (joints,).
+
+    Attributes:
+        offset: Added to every reading [rad or m].
+        scale: Factor on the true position.
+        delay: Age of what is shown [s].
+    """
+
+    offset: np.ndarray
+    scale: np.ndarray
+    delay: np.ndarray
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, joints: Sequence[str]) -> "EncoderFaults":
+        """What a compiled model carries."""
+
+        def number(name: str, otherwise: float) -> float:
+            i = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
+            return otherwise if i < 0 else float(model.numeric_data[model.numeric_adr[i]])
+
+        def delay(joint: str) -> float:
+            i = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, delayed_sensor(joint))
+            return 0.0 if i < 0 else float(model.sensor_delay[i])
+
+        return cls(
+            offset=np.array([number(ENCODER_OFFSET.format(joint=j), 0.0) for j in joints]),
+            scale=np.array([number(ENCODER_SCALE.format(joint=j), 1.0) for j in joints]),
+            delay=np.array([delay(j) for j in joints]),
+        )
+
+    def __bool__(self) -> bool:
+        return bool(self.offset.any() or (self.scale != 1.0).any() or self.delay.any())
+
+    def seen(self, positions: np.ndarray, period: float) -> np.ndarray:
+        """What encoders show of the latest of positions sampled so far, (joints,).
+
+        Args:
+            positions: Shape (n, joints), the latest last.
+            period: Sampling period [s]; a delay between samples is interpolated.
+        """
+        last = len(positions) - 1
+        at = np.clip(last - self.delay / period, 0.0, None)
+        before = np.floor(at).astype(int)
+        joints = np.arange(self.delay.size)
+        early, later = positions[before, joints], positions[np.minimum(before + 1, last), joints]
+        return self.scale * (early + (at - before) * (later - early)) + self.offset
+
+
+_FAULTS = {
+    row.name: row
+    for row in (
+        Parameter(
+            name="encoder_offset",
+            unit="rad",
+            nominal=0.0,
+            minimum=-math.pi,
+            maximum=math.pi,
+            minimum_allowed=True,
+            description="added to every reading, as after a slip of the encoder on its shaft",
+            offset=0,
+        ),
+        Parameter(
+            name="encoder_dropout",
+            unit="1",
+            nominal=0.0,
+            minimum=0.0,
+            maximum=1.0,
+            minimum_allowed=True,
+            description="share of readings that are lost; the last one is repeated",
+            offset=1,
+        ),
+    )
+}
+
+
+class Encoders:
+    """What the encoders of the driven joints report, and the faults that they can have.
+
+    Args:
+        joints: Names of the joints, the elements of a change.
+        sensors: Resolution and timing.
+        positions: Array with the true positions [rad], which somebody else moves.
+        index: Where in it the joints are, (joints,).
+        noise: Added to the readings [rad], (count, joints).
+        seed: Of the losses.
+        built_in: Faults that the model carries from the start; None for none.
+
+    Attributes:
+        elements: Names of the joints.
+        position: The last reading [rad], (joints,).
+        velocity: The difference of readings, filtered [rad/s], (joints,).
+        sample: Function that takes the positions of this instant for the next reading.
+        shift: What faults added to every reading so far [rad], (count, joints).
+        lost: Which readings so far were lost, (count, joints).
+    """
+
+    def __init__(
+        self,
+        joints: tuple[str, ...],
+        sensors: SensorConfiguration,
+        *,
+        positions: np.ndarray,
+        index: np.ndarray,
+        noise: np.ndarray,
+        seed: int,
+        built_in: EncoderFaults | None = None,
+    ) -> None:
+        self.elements = joints
+        self._built_in = built_in or None
+        self._period = period = sensors.control_period
+        self._shown = np.zeros(noise.shape if self._built_in else (0, len(joints)))
+        self._noisy = np.zeros(len(joints))
+        self.position, self.velocity = np.zeros(len(joints)), np.zeros(len(joints))
+        self.shift = np.zeros(noise.shape)
+        self.lost = np.zeros(noise.shape, dtype=bool)
+        self._values = np.zeros((len(_FAULTS), len(joints)))
+        self._chance = np.random.default_rng([seed, 2]).random(noise.shape)
+        gain = velocity_filter_coefficient(period, sensors.velocity_cutoff) / period
+        self._readings = Readings(
+            positions=positions,
+            joints=np.asarray(index, dtype=np.int64),
+            noise=noise,
+            shift=self.shift,
+            lost=self.lost,
+            counts=sensors.encoder_counts,
+            gain=gain,
+            keep=1.0 - gain * period,
+            position=self.position,
+            velocity=self.velocity,
+        )
+        self.sample = self._readings.sample
+        self.sample()
+        self._faulty = self._built_in is not None
+        if self._faulty:
+            self._disturb(0)
+        self._readings.start()
+
+    def has(self, element: str, name: str) -> bool:
+        """Says whether a joint has a fault of this name."""
+        return element in self.elements and name in _FAULTS
+
+    def parameter(self, element: str, name: str) -> float:
+        """Present size of a fault, in its own unit."""
+        return float(self._values[self._index(element, name)])
+
+    def set_parameter(self, element: str, name: str, value: float) -> None:
+        """Sets a fault of an encoder from now on.
+
+        Raises:
+            LeglabError: If joint or name do not exist or the value is out of bounds.
+        """
+        index = self._index(element, name)
+        self._values[index] = _FAULTS[name].check(value, f"encoder of joint {element!r}")
+        self._faulty = True
+
+    def read(self, k: int) -> None:
+        """Turns the last sample into reading number `k` of position and velocity."""
+        if self._faulty:
+            self._disturb(k)
+        self._readings.read(k)
+
+    def _disturb(self, k: int) -> None:
+        """Writes what faults do to reading `k`."""
+        self.shift[k] = self._values[0]
+        if self._built_in:
+            self._readings.noisy(k, self._noisy)
+            self._shown[k] = self._noisy
+            self.shift[k] += self._built_in.seen(self._shown[: k + 1], self._period) - self._noisy
+        self.lost[k] = self._chance[k] < self._values[1]
+
+    def _index(self, element: str, name: str) -> tuple[int, int]:
+        if name not in _FAULTS:
+            raise unknown_name("encoder fault", name, _FAULTS)
+        if element not in self.elements:
+            raise unknown_name("joint", element, self.elements)
+        return _FAULTS[name].offset, self.elements.index(element)

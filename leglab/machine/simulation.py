@@ -1,0 +1,298 @@
+"""A model with its data: loading, hydraulic states by name, stepping."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+import leglab.machine.plugin
+import leglab.models
+from leglab.base.errors import LeglabError, unknown_name
+from leglab.machine.cylinder import Cylinder
+from leglab.machine.parameters import Parameter
+
+CYLINDER = "leglab.cylinder"
+# Parameters of a cylinder that say how much oil a chamber holds at a pressure.
+_COMPRESSIBILITY = ("bulk_modulus", "entrained_air", "polytropic_index")
+# Beyond this joint speed [rad/s or m/s] a leg simulation has blown up.
+SPEED_LIMIT = 1e3
+
+
+class SimulationError(LeglabError):
+    """The simulation blew up: the message says when and which state."""
+
+
+def model_names() -> tuple[str, ...]:
+    """Names of the models that ship with leglab."""
+    return tuple(sorted(path.stem for path in _model_folder().glob("*.xml")))
+
+
+def model_summary(name: str) -> str:
+    """First sentence of the comment at the head of a shipped model."""
+    text = (_model_folder() / f"{name}.xml").read_text()
+    comment = " ".join(text.partition("<!--")[2].partition("-->")[0].split())
+    return comment.partition(". ")[0].rstrip(".")
+
+
+def load_model(
+    model: str | Path,
+    *,
+    timestep: float | None = None,
+    visual: bool = True,
+    edit: Callable[[mujoco.MjSpec], None] | None = None,
+) -> mujoco.MjModel:
+    """Loads a model with the plugins registered.
+
+    Args:
+        model: A name from `model_names()` or the path of an MJCF file.
+        timestep: Overrides the file's time step [s].
+        visual: Whether to keep shapes that are there to be seen only; without them a model moves
+            in just the same way, faster.
+        edit: Changes the specification before it is compiled.
+
+    Raises:
+        LeglabError: If there is no such model or MuJoCo refuses it; one line.
+    """
+    leglab.machine.plugin.load()
+    path = _model_folder() / f"{model}.xml"
+    if not path.exists():
+        path = Path(model)
+        if not path.is_file():
+            if path.suffix == ".xml":
+                raise LeglabError(f"model file {str(model)!r} does not exist")
+            raise unknown_name("model", str(model), model_names())
+    spec = None
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        if timestep is not None:
+            spec.option.timestep = timestep
+        spec.compiler.discardvisual = not visual
+        # A simulation that blows up stays as it is, to be seen, instead of starting anew.
+        spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        if edit:
+            edit(spec)
+        compiled = spec.compile()
+        mujoco.MjData(compiled)  # the plugins check the compiled model once more
+    except (ValueError, mujoco.FatalError) as error:
+        raise leglab.machine.plugin.load_error(error, path.name, spec) from error
+    return compiled
+
+
+class Simulation:
+    """A model whose joints are driven by cylinders, with its states by name.
+
+    Args:
+        model: The model; every actuator must be a `leglab.cylinder` that moves one joint.
+        keyframe: Name of the keyframe to start from; None for the model's zero position.
+
+    Attributes:
+        model: The MuJoCo model.
+        data: The MuJoCo data.
+        actuators: Names of the actuators, in MuJoCo's order.
+        joints: Name of the joint that each actuator drives.
+
+    Raises:
+        LeglabError: If an actuator is of another kind or moves no joint.
+    """
+
+    def __init__(self, model: mujoco.MjModel, *, keyframe: str | None = "home") -> None:
+        self.model = model
+        self.data = mujoco.MjData(model)
+        self.actuators = tuple(model.actuator(i).name for i in range(model.nu))
+        if not self.actuators:
+            raise LeglabError("the model has no actuator; allowed: one leglab.cylinder a joint")
+        self._elements = leglab.machine.plugin.elements(model)
+        for name in self.actuators:
+            if name not in self._elements or self._elements[name][1].plugin != CYLINDER:
+                raise LeglabError(f"actuator {name!r} is no {CYLINDER}; allowed: only those")
+        mujoco.mj_forward(model, self.data)
+        self._joint_ids = np.array([self._driven_joint(i) for i in range(model.nu)])
+        self.joints = tuple(model.joint(i).name for i in self._joint_ids)
+        self.qpos_index = model.jnt_qposadr[self._joint_ids]
+        self.dof_index = model.jnt_dofadr[self._joint_ids]
+        self.reset(keyframe)
+
+    def reset(self, keyframe: str | None = "home") -> None:
+        """Resets everything, parameters included, to a keyframe of the model.
+
+        Raises:
+            LeglabError: If the model has keyframes, but none of this name.
+        """
+        if keyframe is None or self.model.nkey == 0:
+            mujoco.mj_resetData(self.model, self.data)
+        else:
+            names = [self.model.key(i).name for i in range(self.model.nkey)]
+            if keyframe not in names:
+                raise unknown_name("keyframe", keyframe, names)
+            mujoco.mj_resetDataKeyframe(self.model, self.data, names.index(keyframe))
+        mujoco.mj_forward(self.model, self.data)
+
+    @property
+    def elements(self) -> dict[str, str]:
+        """Names of all elements with parameters and the plugin each belongs to."""
+        return {name: table.plugin for name, (_, table) in self._elements.items()}
+
+    def slot(self, element: str, name: str) -> int:
+        """Index in `data.plugin_state` of a parameter or state of an element.
+
+        Raises:
+            LeglabError: If the element or the parameter does not exist.
+        """
+        if element not in self._elements:
+            raise unknown_name("element", element, self._elements)
+        address, table = self._elements[element]
+        return address + table.entry(name).offset
+
+    def has(self, element: str, name: str) -> bool:
+        """Says whether an element has a parameter or state of this name that takes effect.
+
+        A cylinder on a shared supply sees that one's pressure, not its own `supply_pressure`.
+        """
+        _, table = self._elements[element]
+        if name == "supply_pressure" and table.plugin == CYLINDER and self._supply_of(element):
+            return False
+        return name in table.parameters or name in table.states
+
+    @property
+    def supply_slot(self) -> int:
+        """Index in `data.plugin_state` of the supply pressure [Pa] that the cylinders see."""
+        supply = self._supply_of(self.actuators[0])
+        return self.slot(
+            *((supply, "pressure") if supply else (self.actuators[0], "supply_pressure"))
+        )
+
+    def slots(self, name: str) -> np.ndarray:
+        """Indices in `data.plugin_state` of a parameter or state of all cylinders, (actuators,)."""
+        return np.array([self.slot(element, name) for element in self.actuators])
+
+    def parameter(self, element: str, name: str) -> float:
+        """Current value of a parameter or state, in its SI unit."""
+        return float(self.data.plugin_state[self.slot(element, name)])
+
+    def set_parameter(self, element: str, name: str, value: float) -> None:
+        """Sets a physical parameter of an element from now on.
+
+        Where the compressibility of the oil changes, chambers keep their pressures, not the
+        amounts of oil in them.
+
+        Raises:
+            LeglabError: If element or name do not exist or the value is out of bounds.
+        """
+        slot = self.slot(element, name)
+        table = self._elements[element][1]
+        entry = table.entry(name)
+        if isinstance(entry, Parameter):
+            value = entry.check(value, f"element {element!r}")
+        if table.plugin != CYLINDER or name not in _COMPRESSIBILITY:
+            self.data.plugin_state[slot] = value
+            return
+        before = Cylinder(self.cylinder_parameters(element)).native
+        self.data.plugin_state[slot] = value
+        after = Cylinder(self.cylinder_parameters(element)).native
+        for chamber in "ab":
+            # An amount N fills the volume N w(p); the volume stays.
+            pressure = self.parameter(element, f"pressure_{chamber}")
+            ratio = before.relative_volume(pressure) / after.relative_volume(pressure)
+            self.data.plugin_state[self.slot(element, f"amount_{chamber}")] *= ratio
+
+    def set_pressures(self, pressure_a: np.ndarray, pressure_b: np.ndarray) -> None:
+        """Prescribes all chamber pressures [Pa], each (actuators,), at the present position.
+
+        Needed whenever joint positions were moved by hand: the oil in the chambers is kept
+        otherwise, and is compressed or stretched by the move.
+        """
+        state = self.data.plugin_state
+        state[self.slots("pressure_a")] = pressure_a
+        state[self.slots("pressure_b")] = pressure_b
+        state[self.slots("amount_a")] = 0.0
+        state[self.slots("amount_b")] = 0.0
+
+    def cylinder_parameters(self, actuator: str) -> dict[str, float]:
+        """All parameters of a cylinder as they are now, with its supply's present pressure."""
+        address, table = self._elements[actuator]
+        values = {
+            name: float(self.data.plugin_state[address + parameter.offset])
+            for name, parameter in table.parameters.items()
+        }
+        supply = self._supply_of(actuator)
+        if supply:
+            values["supply_pressure"] = self.parameter(supply, "pressure")
+        return values
+
+    def position(self) -> np.ndarray:
+        """True joint positions [rad], (joints,)."""
+        return self.data.qpos[self.qpos_index]
+
+    def velocity(self) -> np.ndarray:
+        """True joint velocities [rad/s], (joints,)."""
+        return self.data.qvel[self.dof_index]
+
+    @property
+    def passive_joints(self) -> dict[str, int]:
+        """Index in qpos of the hinge and slide joints that no cylinder drives, by name."""
+        model = self.model
+        simple = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+        return {
+            model.joint(i).name: int(model.jnt_qposadr[i])
+            for i in range(model.njnt)
+            if i not in self._joint_ids and model.jnt_type[i] in simple
+        }
+
+    def joint_range(self) -> np.ndarray:
+        """Lower and upper joint positions [rad], (joints, 2)."""
+        return self.model.jnt_range[self._joint_ids]
+
+    def levers(self) -> np.ndarray:
+        """Lever arm of each cylinder on its joint [m/rad], (joints,), positive if q extends it."""
+        moment = np.zeros((self.model.nu, self.model.nv))
+        mujoco.mju_sparse2dense(
+            moment,
+            self.data.actuator_moment,
+            self.data.moment_rownnz,
+            self.data.moment_rowadr,
+            self.data.moment_colind,
+        )
+        return moment[np.arange(self.model.nu), self.dof_index]
+
+    def step(self, count: int = 1) -> None:
+        """Advances by a number of time steps with the present `data.ctrl`."""
+        mujoco.mj_step(self.model, self.data, count)
+
+    def check(self, time: float | None = None, velocity: np.ndarray | None = None) -> None:
+        """Raises if the simulation has blown up.
+
+        Args:
+            time: Of the velocities [s]; None for now.
+            velocity: Velocities of all degrees of freedom, (nv,); None for the present ones.
+
+        Raises:
+            SimulationError: Names the time, the joint and its value.
+        """
+        velocity = self.data.qvel if velocity is None else velocity
+        speed = np.abs(velocity)
+        if np.all(speed < SPEED_LIMIT):  # false for NaN as well
+            return
+        dof = int(np.argmax(np.where(np.isfinite(speed), speed, np.inf)))
+        joint = self.model.joint(self.model.dof_jntid[dof]).name
+        raise SimulationError(
+            f"the simulation blew up at {self.data.time if time is None else time:.6g} s: velocity "
+            f"of joint {joint!r} is {velocity[dof]:g}, allowed below {SPEED_LIMIT:g}"
+        )
+
+    def _supply_of(self, actuator: str) -> str:
+        """Name of the supply that a cylinder draws from; empty where its pressure is its own."""
+        instance = self.model.actuator_plugin[self.model.actuator(actuator).id]
+        return leglab.machine.plugin.text_attribute(self.model, instance)  # its first attribute
+
+    def _driven_joint(self, actuator: int) -> int:
+        address, count = self.data.moment_rowadr[actuator], self.data.moment_rownnz[actuator]
+        row = np.abs(self.data.actuator_moment[address : address + count])
+        if not row.any():
+            raise LeglabError(f"actuator {self.actuators[actuator]!r} moves no joint")
+        dof = self.data.moment_colind[address + int(np.argmax(row))]
+        return int(self.model.dof_jntid[dof])
+
+
+def _model_folder() -> Path:
+    return Path(leglab.models.__path__[0])

@@ -1,0 +1,1 @@
+"""From settings to results: one closed loop, its metrics and files, and many of them."""

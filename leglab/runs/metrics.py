@@ -1,0 +1,345 @@
+"""How well a run tracked its reference. Pure functions of arrays; errors in rad, times in s."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from leglab.base.errors import LeglabError
+from leglab.base.scenario import Phase, Scenario
+from leglab.runs.loop import History
+
+# Re-adapted means: no worse than this many times the error before the change.
+READAPTATION_RATIO = 1.25
+
+# Share of a sampling period by which time stamps may be off through rounding.
+_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Readaptation:
+    """How soon a run was good again after a change.
+
+    Attributes:
+        time: Time from the change until the windowed error stays below the threshold [s]; None
+            where it never does, or nothing can be said.
+        threshold: The windowed error that may not be exceeded [rad]; None where nothing can be
+            said.
+        reason: Why nothing can be said; empty otherwise.
+    """
+
+    time: float | None
+    threshold: float | None
+    reason: str = ""
+
+
+def rms(error: np.ndarray) -> np.ndarray:
+    """Returns the root mean square over the samples.
+
+    Args:
+        error: Tracking error. Shape (n, joints).
+
+    Returns:
+        Shape (joints,), in the error's unit.
+    """
+    return np.sqrt(np.mean(np.square(_samples(error)), axis=0))
+
+
+def peak(error: np.ndarray) -> np.ndarray:
+    """Returns the largest magnitude over the samples. Shapes as in `rms`."""
+    return np.max(np.abs(_samples(error)), axis=0)
+
+
+def percentile(error: np.ndarray, percent: float) -> np.ndarray:
+    """Returns the magnitude that this percentage of samples does not exceed, as in `rms`.
+
+    Raises:
+        LeglabError: The percentage is outside [0, 100].
+    """
+    if not 0 <= percent <= 100:
+        raise LeglabError(f"percentile {percent!r} is outside [0, 100]")
+    return np.percentile(np.abs(_samples(error)), percent, axis=0)
+
+
+_FIGURES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "rms_rad": rms,
+    "peak_rad": peak,
+    "p95_rad": partial(percentile, percent=95),
+}
+
+
+def phase_table(
+    time: np.ndarray, error: np.ndarray, joints: Sequence[str], phases: Iterable[Phase]
+) -> list[dict[str, Any]]:
+    """Summarises the tracking error in each phase.
+
+    Args:
+        time: Sample times [s], increasing. Shape (n,).
+        error: Tracking error [rad]. Shape (n, joints).
+        joints: Names of the columns.
+        phases: Parts of the run; the last one includes its end.
+
+    Returns:
+        One dict a phase with `name`, `start`, `end` [s], and `rms_rad`, `peak_rad` and `p95_rad`
+        (95 % of the samples are no larger), each by joint and under "all", which pools the samples
+        of all joints. A phase that the run did not reach is left out.
+
+    Raises:
+        LeglabError: Shapes do not fit, or a joint is called "all".
+    """
+    error = _samples(error)
+    if error.shape != (len(time), len(joints)):
+        raise LeglabError(
+            f"error has shape {error.shape}, {len(time)} samples of {len(joints)} joints need "
+            f"({len(time)}, {len(joints)})"
+        )
+    if "all" in joints:
+        raise LeglabError("a joint named 'all' cannot be told from all joints: rename it")
+    table = []
+    for phase, part in _parts(time, phases):
+        row: dict[str, Any] = {"name": phase.name, "start": phase.start, "end": phase.end}
+        for key, figure in _FIGURES.items():
+            values = figure(error[part])
+            row[key] = dict(zip(joints, values.tolist(), strict=True))
+            row[key]["all"] = float(figure(error[part].reshape(-1, 1))[0])
+        table.append(row)
+    return table
+
+
+def usage_table(
+    time: np.ndarray,
+    command: np.ndarray,
+    energy: np.ndarray,
+    joints: Sequence[str],
+    phases: Iterable[Phase],
+) -> list[dict[str, Any]]:
+    """Summarises in each phase what tracking cost.
+
+    Args:
+        time: Sample times [s], increasing. Shape (n,).
+        command: Valve commands in [-1, 1]. Shape (n, joints).
+        energy: Hydraulic energy drawn since some time before [J]. Shape (n, joints).
+        joints: Names of the columns.
+        phases: Parts of the run; the last one includes its end.
+
+    Returns:
+        One dict a phase with `effort` (RMS command), `valve_activity_per_s` (RMS rate of the
+        command between samples [1/s]) and `energy_j` (drawn from the supply less given to the tank
+        [J]), each by joint and under "all": the RMS over all joints, and the sum of the energies.
+        Phases as in `phase_table`. A difference belongs to the phase of its later sample.
+    """
+    rate = np.diff(command, axis=0) / np.diff(time)[:, None]
+    table = []
+    for _, part in _parts(time, phases):
+        start = max(part.start, 1)
+        # A phase that is no longer than the first sample has no rate.
+        rates = rate[start - 1 : part.stop - 1] if part.stop > start else np.zeros_like(command[:1])
+        drawn = energy[part.stop - 1] - energy[start - 1]
+        row = {
+            "effort": dict(zip(joints, rms(command[part]).tolist(), strict=True)),
+            "valve_activity_per_s": dict(zip(joints, rms(rates).tolist(), strict=True)),
+            "energy_j": dict(zip(joints, drawn.tolist(), strict=True)),
+        }
+        row["effort"]["all"] = float(rms(command[part].reshape(-1, 1))[0])
+        row["valve_activity_per_s"]["all"] = float(rms(rates.reshape(-1, 1))[0])
+        row["energy_j"]["all"] = float(drawn.sum())
+        table.append(row)
+    return table
+
+
+def _parts(time: np.ndarray, phases: Iterable[Phase]) -> Iterator[tuple[Phase, slice]]:
+    """Yields each phase that has samples, and which they are; the last one includes its end."""
+    phases = tuple(phases)
+    for phase in phases:
+        first = int(np.searchsorted(time, phase.start))
+        end = int(np.searchsorted(time, phase.end, "right" if phase is phases[-1] else "left"))
+        if first < end:
+            yield phase, slice(first, end)
+
+
+def sliding_rms(time: np.ndarray, error: np.ndarray, window: float) -> np.ndarray:
+    """Returns the RMS error, all joints pooled, over the window that ends at each sample.
+
+    Takes a running sum, so the cost does not grow with the window.
+
+    Args:
+        time: Sample times [s], increasing. Shape (n,).
+        error: Tracking error [rad]. Shape (n, joints).
+        window: Length of the window [s]: samples in (t - window, t] count.
+
+    Returns:
+        Windowed RMS error [rad], NaN where the window starts before the run. Shape (n,).
+
+    Raises:
+        LeglabError: The window is not positive.
+    """
+    if not window > 0:
+        raise LeglabError(f"window {window!r} s must be positive")
+    error = _samples(error)
+    # Extended precision: the sum over the whole run must not swamp a window of small errors.
+    total = np.zeros(len(time) + 1, dtype=np.longdouble)
+    np.cumsum(np.mean(np.square(error), axis=1), dtype=np.longdouble, out=total[1:])
+    first = np.searchsorted(time, time - window + _ROUNDING * _first_period(time), side="right")
+    last = np.arange(1, len(time) + 1)
+    mean = np.maximum(total[last] - total[first], 0) / (last - first)
+    result = np.sqrt(mean).astype(np.float64)
+    result[time - time[0] < _span(time, window)] = np.nan
+    return result
+
+
+def readaptation(
+    time: np.ndarray,
+    error: np.ndarray,
+    change: float,
+    window: float,
+    ratio: float = READAPTATION_RATIO,
+) -> Readaptation:
+    """Measures how soon the error is back near its value before a change.
+
+    The error is the RMS over a sliding window (`sliding_rms`); its value before the change is that
+    of the last window without a sample from the change on. Re-adapted from a time on means: no
+    window that begins then or later exceeds the threshold.
+
+    Args:
+        time: Sample times [s], increasing. Shape (n,).
+        error: Tracking error [rad]. Shape (n, joints).
+        change: When the machine starts to change [s].
+        window: One stride [s], so that every window holds the same motion.
+        ratio: Threshold as a multiple of the error before the change.
+
+    Returns:
+        The re-adaptation time, 0 where the error never exceeds the threshold, and the threshold.
+    """
+    windowed = sliding_rms(time, error, window)
+    first = int(np.searchsorted(time, change))
+    if first == 0 or np.isnan(windowed[first - 1]):
+        reason = f"the change at {change:g} s leaves no full window of {window:g} s before it"
+        return Readaptation(time=None, threshold=None, reason=reason)
+    threshold = float(ratio * windowed[first - 1])
+    if first == len(time) or time[-1] - change < _span(time, window):
+        reason = f"the run ends less than a window of {window:g} s after the change"
+        return Readaptation(time=None, threshold=threshold, reason=reason)
+    found = settling_time(time, windowed, change, window, threshold)
+    return Readaptation(time=found, threshold=threshold)
+
+
+def settling_time(
+    time: np.ndarray, windowed: np.ndarray, change: float, window: float, threshold: float
+) -> float | None:
+    """Time from a change on from which no window that begins later exceeds a threshold.
+
+    Args:
+        time: Times at which windows end [s], increasing. Shape (n,).
+        windowed: Windowed error; NaN where there is none. Shape (n,).
+        change: [s].
+        window: Length of the windows [s].
+        threshold: In the unit of the error.
+
+    Returns:
+        [s], 0 where none exceeds it, None where the last window still does.
+    """
+    exceeding = np.flatnonzero((time >= change) & (windowed > threshold))
+    if exceeding.size == 0:
+        return 0.0
+    last = int(exceeding[-1])
+    if last + 1 == len(time):
+        return None
+    return max(0.0, float(time[last + 1] - window - change))
+
+
+def excess_error_area(
+    time: np.ndarray, error: np.ndarray, change: float, window: float
+) -> float | None:
+    """Integrates what the windowed error exceeds its value before a change by.
+
+    How much a change costs in all: high and short as low and long. Times at which the error is
+    below its value before do not make up for others.
+
+    Args:
+        time: Sample times [s], increasing. Shape (n,).
+        error: Tracking error [rad]. Shape (n, joints).
+        change: When the machine starts to change [s].
+        window: One stride [s].
+
+    Returns:
+        Area from the change to the end of the run [rad s], trapezoidal; None where there is no full
+        window before the change, or no sample from it on.
+    """
+    windowed = sliding_rms(time, error, window)
+    first = int(np.searchsorted(time, change))
+    if first in (0, len(time)) or np.isnan(windowed[first - 1]):
+        return None
+    excess = np.maximum(windowed[first:] - windowed[first - 1], 0.0)
+    return float(np.trapezoid(excess, time[first:]))
+
+
+def _first_period(time: np.ndarray) -> float:
+    return float(time[1] - time[0]) if len(time) > 1 else 0.0
+
+
+def _span(time: np.ndarray, window: float) -> float:
+    """Returns the least time from the first to the last sample of a full window [s]."""
+    return window - (1 + _ROUNDING) * _first_period(time)
+
+
+def _samples(error: np.ndarray) -> np.ndarray:
+    """Returns the error as a float array of shape (n, joints), n >= 1, without NaN or infinity."""
+    error = np.asarray(error, dtype=np.float64)
+    if error.ndim != 2 or error.size == 0:
+        raise LeglabError(f"error has shape {error.shape}, allowed is (n, joints) with n >= 1")
+    finite = np.isfinite(error)
+    if not finite.all():
+        row, column = np.argwhere(~finite)[0]
+        raise LeglabError(f"error, row {row}, joint {column}: {error[row, column]} is not finite")
+    return error
+
+
+def summary(
+    scenario: Scenario, window: float, history: History, joints: tuple[str, ...]
+) -> dict[str, Any]:
+    """Summarises a run, as far as it came.
+
+    Args:
+        scenario: What happened to the machine, and when.
+        window: One stride [s], over which the moving error is taken.
+        history: What the loop left behind.
+        joints: Names of the driven joints.
+
+    Returns:
+        Real-time factor, completion, tracking error and its costs by phase (`phase_table`,
+        `usage_table`), RMS error of the controller's model where it has one, by joint and
+        in its own unit, re-adaptation and the area of the excess error; plain Python types.
+    """
+    finite = np.isfinite(history.error).all(axis=1)
+    error, time = history.error[finite], history.time[finite]
+    energy = np.column_stack([history.states[f"{joint}_energy_supply"] for joint in joints])
+    errors = phase_table(time, error, joints, scenario.phases)
+    usage = usage_table(time, history.command[finite], energy[finite], joints, scenario.phases)
+    for row, costs in zip(errors, usage, strict=True):
+        row.update(costs)
+        if "model_error" in history.diagnostics:
+            part = (history.time >= row["start"]) & (history.time <= row["end"])
+            values = rms(history.diagnostics["model_error"][part & finite])
+            row["model_error"] = dict(zip(joints, values.tolist(), strict=True))
+    result: dict[str, Any] = {
+        "duration": float(history.time[-1]),
+        "severity": scenario.severity,
+        "real_time_factor": float(history.time[-1] / max(history.wall_time, 1e-9)),
+        "completed": not history.failure,
+        "failure": history.failure or None,
+        "phases": errors,
+        "readaptation": {"time_s": None, "threshold": None, "reason": "nothing changes"},
+        "excess_error_area_rad_s": None,
+    }
+    if scenario.changes:
+        change = scenario.changes[0].start
+        found = readaptation(time, error, change, window)
+        result["readaptation"] = {
+            "time_s": found.time,
+            "threshold": found.threshold,
+            "reason": found.reason or None,
+        }
+        result["excess_error_area_rad_s"] = excess_error_area(time, error, change, window)
+    return result

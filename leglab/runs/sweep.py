@@ -1,0 +1,338 @@
+"""Many runs: scenarios by controllers by seeds, in parallel, picked up where they were left."""
+
+import functools
+import hashlib
+import json
+import math
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from joblib import Parallel, delayed
+from joblib.externals.loky import get_reusable_executor
+from scipy import stats
+
+import leglab._native
+import leglab.controllers
+import leglab.models
+import leglab.scenarios
+from leglab import __version__
+from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.scenario import get_scenario
+from leglab.control import controller_names
+from leglab.data import write_atomically
+from leglab.machine.changes import check_tolerance
+from leglab.runs.metrics import rms, sliding_rms
+from leglab.runs.run import Run, RunSettings, run_scenario
+
+# Distance of the stored samples of the windowed error [s].
+_TRACE_PERIOD = 0.02
+
+# Window of the error that adaptation must not make worse, when a run counts as settled, and the
+# part of a run that counts as its end [s].
+_SAFETY_WINDOW, _SETTLED, _END = 2.0, 5.0, 5.0
+
+# Told after each run: how many are done, how many there are, what was run.
+SweepProgress = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """What is to be compared: every scenario with every controller and every seed.
+
+    Attributes:
+        scenarios: Names of scenarios.
+        controllers: Names of controllers; ratios refer to the first.
+        seeds: Number of seeds, from 0 on.
+        model: Name of a model or path of an MJCF file.
+        duration: [s]; None for each scenario's own.
+        severity: Of the changes; None for each scenario's own.
+        ramp_duration: How long the changes take [s].
+        reference: Name of the reference; None for each scenario's own.
+        tolerance: Of the machines about the one that controllers know [1]; a specimen a seed.
+    """
+
+    scenarios: tuple[str, ...]
+    controllers: tuple[str, ...]
+    seeds: int = 1
+    model: str = "leg"
+    duration: float | None = None
+    severity: float | None = None
+    ramp_duration: float = 0.0
+    reference: str | None = None
+    tolerance: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.seeds < 1:
+            raise LeglabError(f"seeds is {self.seeds}; allowed: 1 or more")
+        check_tolerance(self.tolerance)
+        for kind in ("scenarios", "controllers"):
+            names = getattr(self, kind)
+            if not names:
+                raise LeglabError(f"no {kind} to compare; give one or more")
+            twice = sorted({name for name in names if names.count(name) > 1})
+            if twice:
+                raise LeglabError(f"{kind}: {twice[0]!r} is given twice")
+        for name in self.controllers:
+            if name not in controller_names():
+                raise unknown_name("controller", name, controller_names())
+        for name in self.scenarios:
+            get_scenario(
+                name,
+                duration=self.duration,
+                severity=self.severity,
+                ramp_duration=self.ramp_duration,
+            )
+
+    def runs(self) -> list[RunSettings]:
+        """Settings of all runs; the seeds of a controller follow each other."""
+        return [
+            RunSettings(
+                scenario=scenario,
+                controller=controller,
+                model=self.model,
+                duration=self.duration,
+                seed=seed,
+                severity=self.severity,
+                ramp_duration=self.ramp_duration,
+                reference=self.reference,
+                tolerance=self.tolerance,
+            )
+            for scenario in self.scenarios
+            for controller in self.controllers
+            for seed in range(self.seeds)
+        ]
+
+
+def run_all(
+    runs: Sequence[RunSettings],
+    folder: Path,
+    *,
+    jobs: int = -1,
+    overwrite: bool = False,
+    progress: SweepProgress | None = None,
+) -> list[dict[str, Any]]:
+    """Makes all runs that the folder does not hold yet.
+
+    Each run is one file, which is there as a whole or not at all: after an interruption the same
+    call goes on where it was. A run counts only with the same settings and the same code; what a
+    model file of the user's own includes is not looked at.
+
+    Args:
+        runs: What to run.
+        folder: Where results are kept.
+        jobs: Processes at a time; -1 is one a core.
+        overwrite: Whether to repeat runs that are there.
+        progress: Called after each run.
+
+    Returns:
+        The results in the order of the runs: `settings`, `metrics`, `changes` [s], `window` [s],
+        `time` [s] with `windowed_error_rad` over one stride and `safety_error_rad` over 2 s, None
+        until a first window is full; `settled_rms_rad` and `end_rms_rad`, by joint, from 5 s to
+        the first change and over the last 5 s; `travel_rad` of the reference, by joint.
+
+    Raises:
+        LeglabError: A run cannot be set up, or the folder cannot be written to.
+        KeyboardInterrupt: The user interrupts; finished runs are kept.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise LeglabError(f"{folder}: cannot be written: {error.strerror}") from error
+    code = fingerprint()
+    todo = [run for run in runs if overwrite or _stored(run, folder, code) is None]
+    done = len(runs) - len(todo)
+    if progress:
+        progress(done, len(runs), "")
+    if todo:
+        worker = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
+        try:
+            with interrupts_ignored():
+                labels = worker(delayed(_run_and_store)(run, folder, code) for run in todo)
+            for label in labels:
+                done += 1
+                if progress:
+                    progress(done, len(runs), label)
+        except KeyboardInterrupt:
+            get_reusable_executor().shutdown(wait=False, kill_workers=True)
+            raise
+    results = [_stored(run, folder, code) for run in runs]
+    return [result for result in results if result is not None]
+
+
+@functools.cache
+def fingerprint() -> str:
+    """Digest of all code and data of leglab that a result may depend on."""
+    packages = (leglab, leglab.controllers, leglab.scenarios, leglab.models, leglab._native)
+    folders = {Path(folder) for package in packages for folder in package.__path__}
+    files = {
+        file.resolve()
+        for folder in folders
+        for file in folder.rglob("*")
+        if file.suffix in (".py", ".xml", ".toml", ".so")
+    }
+    digest = hashlib.sha256()
+    for file in sorted(files):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def _path(settings: RunSettings, folder: Path) -> Path:
+    model = Path(settings.model).stem
+    return folder / f"{settings.scenario}-{settings.controller}-{model}-{settings.seed}.json"
+
+
+def _stored(settings: RunSettings, folder: Path, code: str) -> dict[str, Any] | None:
+    """Result of a run as it was stored; None if there is none with just these settings and code."""
+    try:
+        result = json.loads(_path(settings, folder).read_text())
+    except (OSError, ValueError):
+        return None
+    same = result.get("settings") == asdict(settings) and result.get("code") == code
+    return result if same else None
+
+
+@contextmanager
+def interrupts_ignored() -> Iterator[None]:
+    """Processes that start inside ignore Ctrl-C, which reaches them as well: we stop them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
+
+
+def _run_and_store(settings: RunSettings, folder: Path, code: str) -> str:
+    """Makes a run, in a process of its own unless there is one job only, and says what it was."""
+    run = run_scenario(settings)
+    if run.history.failure.startswith("interrupted"):
+        raise KeyboardInterrupt
+    text = json.dumps({**_result(run), "code": code}, allow_nan=False)
+    write_atomically(_path(settings, folder), lambda file: file.write(text.encode()))
+    return f"{settings.scenario} · {settings.controller} · seed {settings.seed}"
+
+
+def _result(run: Run) -> dict[str, Any]:
+    history = run.history
+    finite = np.isfinite(history.error).all(axis=1)
+    time, error = history.time[finite], history.error[finite]
+    # Steps of whole samples: the control period divides the trace's period, or is its step itself.
+    step = max(round(_TRACE_PERIOD / (time[1] - time[0])), 1) if len(time) > 1 else 1
+
+    def trace(window: float) -> list[float | None]:
+        windowed = sliding_rms(time, error, window)[::step].tolist()
+        return [None if math.isnan(value) else value for value in windowed]
+
+    def by_joint(values: np.ndarray) -> dict[str, float]:
+        return dict(zip(run.joints, values.tolist(), strict=True))
+
+    def rms_between(start: float, end: float) -> dict[str, float] | None:
+        part = error[(time >= start) & (time < end)]
+        return by_joint(rms(part)) if len(part) else None
+
+    changes = run.scenario.breakpoints
+    return {
+        "settings": asdict(run.settings),
+        "metrics": run.metrics,
+        "changes": list(changes),
+        "window": run.window,
+        "time": time[::step].tolist(),
+        "windowed_error_rad": trace(run.window),
+        "safety_error_rad": trace(_SAFETY_WINDOW),
+        "settled_rms_rad": rms_between(_SETTLED, min(changes, default=math.inf)),
+        "end_rms_rad": rms_between(run.scenario.duration - _END, math.inf),
+        "travel_rad": by_joint(np.ptp(history.reference.position, axis=0)),
+    }
+
+
+_CONFIDENCE = 0.95
+
+
+def compare(comparison: Comparison, results: Iterable[dict[str, Any]]) -> dict[str, Any]:
+    """Summarises results over seeds: the content of `compare.json`.
+
+    Args:
+        comparison: What was compared.
+        results: From `run_all`.
+
+    Returns:
+        By scenario and controller: `rms_before_rad`, `rms_after_rad`, `readaptation_s` (of the runs
+        that did re-adapt), `excess_error_area_rad_s` and `ratio` of the error after the change to
+        the first controller's with the same seed, each an estimate (`estimate`); `not_readapted`,
+        the number of runs that never did; `failures`, the reasons of runs that ended early, which
+        are left out of all estimates.
+    """
+    cells: dict[tuple[str, str], dict[int, dict[str, Any]]] = {}
+    for result in results:
+        metrics = result["metrics"]
+        cell = cells.setdefault((metrics["scenario"], metrics["controller"]), {})
+        cell[metrics["seed"]] = metrics
+    first = comparison.controllers[0]
+    return {
+        **asdict(comparison),
+        "version": __version__,
+        "results": {
+            scenario: {
+                controller: _summary(
+                    cells.get((scenario, controller), {}), cells.get((scenario, first), {})
+                )
+                for controller in comparison.controllers
+            }
+            for scenario in comparison.scenarios
+        },
+    }
+
+
+def estimate(values: Iterable[float | None]) -> dict[str, Any]:
+    """Mean of independent runs with its confidence interval by Student's t.
+
+    Args:
+        values: One a run; None where a run has none.
+
+    Returns:
+        `values`; their `mean`, None without any; and `half_width` of the 95 % interval, t s/sqrt(n)
+        with n - 1 degrees of freedom, None with less than two.
+    """
+    numbers = [value for value in values if value is not None]
+    mean = float(np.mean(numbers)) if numbers else None
+    half_width = None
+    if len(numbers) > 1:
+        quantile = float(stats.t.ppf((1 + _CONFIDENCE) / 2, len(numbers) - 1))
+        half_width = quantile * float(np.std(numbers, ddof=1)) / math.sqrt(len(numbers))
+    return {"mean": mean, "half_width": half_width, "values": numbers}
+
+
+def _summary(cell: dict[int, dict], first: dict[int, dict]) -> dict[str, Any]:
+    whole = {seed: metrics for seed, metrics in cell.items() if metrics["completed"]}
+    after = {seed: _rms(metrics, "after", "whole") for seed, metrics in whole.items()}
+    found = [m["readaptation"] for m in whole.values()]
+    ratios = []
+    for seed, value in after.items():
+        base = _rms(first[seed], "after", "whole") if seed in first else None
+        if value is not None and base and first[seed]["completed"]:
+            ratios.append(value / base)
+    return {
+        "rms_before_rad": estimate(_rms(m, "before") for m in whole.values()),
+        "rms_after_rad": estimate(after.values()),
+        "ratio": estimate(ratios),
+        "readaptation_s": estimate(entry["time_s"] for entry in found),
+        "not_readapted": sum(e["time_s"] is None and e["reason"] is None for e in found),
+        "excess_error_area_rad_s": estimate(m["excess_error_area_rad_s"] for m in whole.values()),
+        "runs": len(cell),
+        "failures": [m["failure"] for m in cell.values() if not m["completed"]],
+    }
+
+
+def _rms(metrics: dict[str, Any], *phases: str) -> float | None:
+    for phase in metrics["phases"]:
+        if phase["name"] in phases:
+            return phase["rms_rad"]["all"]
+    return None

@@ -1,0 +1,260 @@
+"""The self-test: many blind cases, scored, on two processes, resumed where it was interrupted."""
+
+import json
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from time import perf_counter
+
+import joblib
+import numpy as np
+from rich.table import Table
+
+from leglab.base.errors import LeglabError
+from leglab.diagnosis.hypothesis import Library
+from leglab.diagnosis.model import Machine
+from leglab.diagnosis.recordings import held_out_choice
+from leglab.diagnosis.result import Diagnosis
+from leglab.diagnosis.verdict import diagnose
+from leglab.diagnosis.workflow import Settings
+from leglab.studies.blind.faults import FAULTS
+from leglab.studies.blind.trial import Case, cases, make
+
+MODEL = "knee_bench"
+# Of every hundred single-effect cases.
+_SHARES = {"single": 1.0, "null": 0.3, "pair": 0.2, "removed": 0.1, "onset": 0.05}
+SCORE_HEAD = ("question", "reached", "cases", "asked")
+_SET = 3  # largest confusion set that counts as an answer
+_SURE = 0.9  # a name that is wrong must not be given with more confidence
+_DOUBT = 0.5  # at most this is low confidence
+_ONSET = 0.3  # s
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """One case, told and judged.
+
+    Attributes:
+        kind: Of the case.
+        number: Of the case.
+        hidden: Effects that were there.
+        severities: "parameter=value" of each.
+        verdict: Of the diagnosis.
+        named: Effects that it names, first the one that contributes most.
+        alternatives: What each is not told apart from.
+        confidence: Of each.
+        covered: For each parameter whose true value is known: whether its interval holds it.
+        onsets: Estimated onsets [s]; empty where none was found.
+        before: Gap on the held-out recording.
+        after: The same with the named effects.
+        seconds: Processor time of the diagnosis.
+    """
+
+    kind: str
+    number: int
+    hidden: tuple[str, ...]
+    severities: tuple[str, ...]
+    verdict: str
+    named: tuple[str, ...]
+    alternatives: tuple[tuple[str, ...], ...]
+    confidence: tuple[float, ...]
+    covered: tuple[bool, ...]
+    onsets: tuple[float, ...]
+    before: float
+    after: float
+    seconds: float
+
+    @property
+    def first(self) -> bool:
+        """Whether the hidden effect is named first, or nothing where nothing was hidden."""
+        return (self.named[:1] == self.hidden[:1]) if self.hidden else not self.named
+
+    @property
+    def found(self) -> bool:
+        """Whether every hidden effect is named or in a small enough confusion set."""
+        sets = [
+            {name, *others}
+            for name, others in zip(self.named, self.alternatives, strict=True)
+            if len(others) < _SET
+        ]
+        return all(any(effect in s for s in sets) for effect in self.hidden)
+
+    @property
+    def honest(self) -> bool:
+        """Whether doubt is expressed: unexplained, partial, nothing named, or low confidence."""
+        return (
+            self.verdict in ("unexplained", "partial")
+            or not self.named
+            or max(self.confidence) <= _DOUBT
+        )
+
+    @property
+    def onset_right(self) -> bool:
+        """Whether an onset was found within the tolerance in every recording that has one."""
+        return bool(self.onsets) and all(abs(t - 6.0) <= _ONSET for t in self.onsets)
+
+
+def self_test(
+    folder: Path,
+    count: int = 100,
+    *,
+    seed: int = 0,
+    processes: int = 2,
+    kinds: Iterable[str] = tuple(_SHARES),
+    progress: Callable[[str, int, int], None] = lambda *_: None,
+) -> list[Outcome]:
+    """Runs the cases that FOLDER/outcomes.jsonl does not hold yet, and returns all.
+
+    Args:
+        folder: Where outcomes are kept: an interrupted test goes on from there.
+        count: Number of single-effect cases; the other kinds in proportion.
+        seed: With it every random choice is fixed.
+        processes: Cases at a time.
+        kinds: Of cases to run.
+        progress: Called with the last case, the number done and the total.
+
+    Raises:
+        LeglabError: A kind does not exist.
+    """
+    unknown = set(kinds) - set(_SHARES)
+    if unknown:
+        raise LeglabError(f"unknown kind of case {sorted(unknown)}; allowed: {', '.join(_SHARES)}")
+    counts = {k: max(1, round(_SHARES[k] * count)) for k in _SHARES if k in set(kinds)}
+    names = set(Library(Machine(MODEL)).names)
+    todo = cases(counts, seed, sorted(set(FAULTS) & names))
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"outcomes-{seed}.jsonl"
+    done = {(o.kind, o.number): o for o in _read(path)}
+    done = {k: o for k, o in done.items() if any((c.kind, c.number) == k for c in todo)}
+    rest = [c for c in todo if (c.kind, c.number) not in done]
+    # All kinds side by side, so that an interrupted test says something about each.
+    rest.sort(key=lambda c: (c.number + 0.5) / counts[c.kind])
+    progress("", len(done), len(todo))
+    parallel = joblib.Parallel(n_jobs=processes, return_as="generator_unordered")
+    with path.open("a") as stream:
+        for outcome in parallel(joblib.delayed(run_case)(case, seed) for case in rest):
+            stream.write(json.dumps(asdict(outcome)) + "\n")
+            stream.flush()
+            done[outcome.kind, outcome.number] = outcome
+            progress(f"{outcome.kind} {outcome.number}", len(done), len(todo))
+    return [done[c.kind, c.number] for c in todo]
+
+
+def run_case(case: Case, seed: int) -> Outcome:
+    """Makes a case and diagnoses it on one thread."""
+    recordings, severities = make(case, seed)
+    excluded = case.effects if case.kind == "removed" else ()
+    settings = Settings(excluded=excluded, threads=1, seed=seed)
+    began = perf_counter()
+    result, _ = diagnose(
+        MODEL,
+        recordings,
+        held_out=held_out_choice(recordings, Machine(MODEL)),
+        settings=settings,
+    )
+    covered = []
+    for name, severity in zip(case.effects, severities, strict=True):
+        covered += _coverage(result, name, severity.parameter, severity.value)
+    return Outcome(
+        kind=case.kind,
+        number=case.number,
+        hidden=case.effects,
+        severities=tuple(f"{s.parameter}={s.value:.4g}" for s in severities),
+        verdict=result.verdict,
+        named=tuple(e.name for e in result.effects),
+        alternatives=tuple(e.indistinguishable_from for e in result.effects),
+        confidence=tuple(e.confidence for e in result.effects),
+        covered=tuple(covered),
+        onsets=tuple(t for e in result.effects for _, t in e.onset),
+        before=result.gap.before,
+        after=result.gap.after,
+        seconds=perf_counter() - began,
+    )
+
+
+def _coverage(result: Diagnosis, effect: str, parameter: str, value: float) -> list[bool]:
+    return [
+        p.interval[0] <= value <= p.interval[1]
+        for e in result.effects
+        if e.name == effect
+        for p in e.parameters
+        if p.name == parameter
+    ]
+
+
+def _read(path: Path) -> Iterator[Outcome]:
+    if not path.exists():
+        return
+    for line in path.read_text().splitlines():
+        try:
+            row = json.loads(line)
+        except json.JSONDecodeError:  # the line that an interruption cut off
+            continue
+        lists = {k: tuple(v) for k, v in row.items() if isinstance(v, list)}
+        lists["alternatives"] = tuple(tuple(a) for a in row["alternatives"])
+        yield Outcome(**{**row, **lists})
+
+
+def scores(outcomes: list[Outcome]) -> list[tuple[str, str, str, str]]:
+    """Rows of `SCORE_HEAD`: what was asked and what was reached."""
+    rows: list[tuple[str, str, str, str]] = []
+
+    def of(kind: str) -> list[Outcome]:
+        return [o for o in outcomes if o.kind == kind]
+
+    def add(question: str, good: int, total: int, asked: str) -> None:
+        if total:
+            rows.append((question, f"{good} ({good / total:.0%})", str(total), asked))
+
+    single, pairs = of("single"), of("pair")
+    add("single effect named first", sum(o.first for o in single), len(single), "85 %")
+    add("single effect named or in a set of 3", sum(o.found for o in single), len(single), "95 %")
+    null = of("null")
+    add("false alarms where nothing is hidden", sum(bool(o.named) for o in null), len(null), "3 %")
+    add("pairs: both named", sum(o.found for o in pairs), len(pairs), "80 %")
+    removed = of("removed")
+    add(
+        "effect unknown to the library: doubt", sum(o.honest for o in removed), len(removed), "80 %"
+    )
+    sure = [o for o in removed if not o.honest and max(o.confidence) > _SURE]
+    add("... and a wrong name given for sure", len(sure), len(removed), "0 %")
+    covered = [c for o in outcomes for c in o.covered]
+    add("95 % intervals hold the truth", sum(covered), len(covered), "85 %")
+    onset = of("onset")
+    good = sum(o.found and o.onset_right for o in onset)
+    add("onset at 6 s named and within 0.3 s", good, len(onset), "all")
+    seconds = [o.seconds for o in outcomes]
+    if seconds:
+        rows.append(
+            (
+                "seconds a diagnosis on one thread, median / longest",
+                f"{np.median(seconds):.1f} / {max(seconds):.1f}",
+                str(len(seconds)),
+                "",
+            )
+        )
+    return rows
+
+
+def score_table(outcomes: list[Outcome]) -> Table:
+    """The scores, for the terminal."""
+    table = Table(*SCORE_HEAD, title="self-test", title_justify="left")
+    for row in scores(outcomes):
+        table.add_row(*row)
+    return table
+
+
+def confusion_table(outcomes: list[Outcome]) -> Table:
+    """Wrong or missing first names of single-effect cases: hidden against named."""
+    table = Table(title="single effects not named first", title_justify="left")
+    for name in ("hidden", "named instead", "verdict", "times"):
+        table.add_column(name)
+    wrong = Counter(
+        (o.hidden[0], ", ".join(o.named) or "nothing", o.verdict)
+        for o in outcomes
+        if o.kind == "single" and not o.first
+    )
+    for (hidden, named, verdict), times in sorted(wrong.items()):
+        table.add_row(hidden, named, verdict, str(times))
+    return table

@@ -1,0 +1,160 @@
+"""The paper's three online models, many instances at once: BSNN, ARX and BSNN-ARX.
+
+Instances differ in their initial parameters alone (Sec. 3.1). They run as the joints of one
+identifier, so a hundred cost one call.
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leglab.identification import BsnnArx, BsnnArxSettings, Rls
+from leglab.studies.replication import paper
+from leglab.studies.replication.scores import Scores, score
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Unpublished constants of the online models; the defaults are those of paper mode.
+
+    Attributes:
+        initial_gain: F(0) of both ARX models is this times the identity.
+        learning_constant: Of the weights and the bias (Eq. 12); the paper prints 0.004.
+        middle_piece: "corrected" or "printed" Eq. 9.
+        spread: All parameters start uniformly in +- this (Sec. 3.1 has it for the network).
+    """
+
+    initial_gain: float = 5.6
+    learning_constant: float = 0.14
+    middle_piece: Literal["corrected", "printed"] = "corrected"
+    spread: float = 0.25
+
+    def bsnn_arx(self) -> BsnnArxSettings:
+        """Settings of the BSNN-ARX model: 8 splines, na = nb = 3."""
+        base = BsnnArxSettings.paper_mode()
+        basis = replace(base.network.basis[0], middle_piece=self.middle_piece)
+        network = replace(base.network, basis=(basis,), learning_constant=(self.learning_constant,))
+        return replace(base, network=network, rls=Rls(initial_gain=self.initial_gain))
+
+
+BETTER_FIT = (13382, Settings(initial_gain=3.3, learning_constant=0.215))
+"""Noise seed and settings nearer to Table 1 than paper mode.
+
+Found by a random search over 21 000 noise seeds, half of them with other plants, kept where y
+has the spread that Table 1 implies (5 %), with twelve draws each of F(0) in [1.5, 12] and of the
+learning constant in [0.04, 0.3]; the criterion was the RMS of the log ratios of the online
+models' means to the table. Of the thirty best, the one whose networks fit best too.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnlineRun:
+    """Predictions of M instances of one model.
+
+    Attributes:
+        training: A-priori predictions while adapting, shape (n_training, M).
+        validation: One-step predictions, parameters frozen, shape (n_validation, M).
+        free_run: Simulation of the validation set from what the training ended with, same shape.
+    """
+
+    training: Array
+    validation: Array
+    free_run: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnlineRuns:
+    """The three models on one realisation, in the order BSNN, ARX, BSNN-ARX."""
+
+    runs: dict[str, OnlineRun] = field(default_factory=dict)
+
+    def scores(self, y: Array) -> Scores:
+        """Scores as the paper judges them: while adapting, then one step ahead."""
+        n = paper.N_TRAINING
+        return {
+            "training": {m: score(y[:n], r.training) for m, r in self.runs.items()},
+            "validation": {m: score(y[n:], r.validation) for m, r in self.runs.items()},
+        }
+
+    def free_run_scores(self, y: Array) -> dict[str, float]:
+        """Mean RMS of the free run on the validation set; infinite where one diverges."""
+        n = paper.N_TRAINING
+        return {m: float(np.mean(score(y[n:], r.free_run).rms)) for m, r in self.runs.items()}
+
+
+def run_online(
+    u: Array, y: Array, instances: int, seed: int, settings: Settings | None = None
+) -> OnlineRuns:
+    """Adapts all three models on the training part and predicts the rest.
+
+    Args:
+        u: Input of one realisation, shape (n,).
+        y: Output, shape (n,).
+        instances: Instances M of each model.
+        seed: Of the initial parameters.
+        settings: Unpublished constants.
+    """
+    settings = settings or Settings()
+    rng = np.random.default_rng(seed)
+    combined = BsnnArx(settings.bsnn_arx(), joints=instances)
+    combined.randomise(rng, settings.spread)
+    bsnn, arx = static_alone(combined.settings, combined), linear_alone(instances, rng, settings)
+    models = {"BSNN": bsnn, "ARX": arx, "BSNN-ARX": combined}
+    return OnlineRuns(runs={name: _run(model, u, y) for name, model in models.items()})
+
+
+def static_alone(settings: BsnnArxSettings, start: BsnnArx | None = None) -> BsnnArx:
+    """The BSNN by itself: a BSNN-ARX model whose linear part is the number one and stays so.
+
+    Args:
+        settings: Of the combined model.
+        start: Its network's parameters are taken over, one instance a joint; zeros if None.
+    """
+    rls = Rls(initial_gain=1e-300)
+    joints = start.joints if start else 1
+    model = BsnnArx(replace(settings, na=0, nb=1, nk=0, rls=rls), joints=joints)
+    parameters = model.parameters
+    parameters[..., 0] = 1.0
+    if start:
+        parameters[..., 1:] = start.parameters[..., settings.na + settings.nb :]
+    model.parameters = parameters
+    return model
+
+
+def linear_alone(instances: int, rng: np.random.Generator, settings: Settings) -> BsnnArx:
+    """The ARX model by itself: a BSNN-ARX model whose static part is the identity."""
+    base = settings.bsnn_arx()
+    identity = replace(
+        base.network.basis[0], kind="full", outside="linear", middle_piece="corrected"
+    )
+    network = replace(
+        base.network, basis=(identity,), learning_constant=(0.0,), bias=False, saturation=False
+    )
+    model = BsnnArx(replace(base, network=network), joints=instances)
+    model.randomise(rng, settings.spread)
+    parameters = model.parameters
+    parameters[..., base.na + base.nb :] = identity.identity_weights()
+    model.parameters = parameters
+    return model
+
+
+def _run(model: BsnnArx, u: Array, y: Array) -> OnlineRun:
+    n = paper.N_TRAINING
+    columns = (len(u), model.joints)
+    inputs, outputs = (np.broadcast_to(signal[:, None], columns) for signal in (u, y))
+    if model.joints == 1:
+        inputs, outputs = u, y
+    training = model.run(inputs[:n], outputs[:n])
+    model.freeze()
+    with np.errstate(over="ignore", invalid="ignore"):
+        parts = (
+            training,
+            model.one_step(inputs[n:], outputs[n:], resume=True),
+            model.free_run(inputs[n:]),
+        )
+    training, validation, free = (part.reshape(-1, model.joints) for part in parts)
+    return OnlineRun(training=training, validation=validation, free_run=free)

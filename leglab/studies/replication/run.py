@@ -1,0 +1,153 @@
+"""`replicate`: all parts of the replication, in order, onto one page."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from leglab.base.errors import LeglabError
+from leglab.studies.replication import cost, deployed, page, paper, sensitivity
+from leglab.studies.replication.comparison import Comparison, compare
+from leglab.studies.replication.convergence import converge
+from leglab.studies.replication.online import BETTER_FIT
+from leglab.studies.replication.plant import simulate
+from leglab.studies.replication.scores import table_1, worst_deviation
+
+REALISATIONS = 30
+"""Noise realisations of the spread and of the deployed identifier's free run."""
+CHANGE_SEEDS = 20
+LONG_RUN = 6000
+"""Samples after which theta is compared with theta at 1500."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Replication:
+    """What `replicate` found.
+
+    Attributes:
+        comparison: Scores of all five models under paper mode.
+        recoveries: Re-adaptation by forgetting mode and changed constant.
+        free_runs: Rows of the deployed identifier's comparison with the floor.
+        floor: RMS of the exact plant on the sampled input [units of y].
+        spread: Mean, standard deviation, least and largest RMS of each model over realisations.
+        online_seconds: For the three online models of Table 1, 100 instances, on one core.
+        page: The page written.
+        figures: Figures written.
+    """
+
+    comparison: Comparison
+    recoveries: dict[str, dict[str, deployed.Recovery]]
+    free_runs: list[tuple[str, int, float, float, float, float]]
+    floor: float
+    spread: list[sensitivity.Row]
+    online_seconds: float
+    page: Path
+    figures: tuple[Path, ...]
+
+    @property
+    def table(self) -> str:
+        """Table 1 with the paper's values, as Markdown."""
+        return table_1(self.comparison.scores)
+
+    @property
+    def worst_deviation(self) -> float:
+        """Largest relative deviation of a validation mean from Table 1."""
+        return worst_deviation(self.comparison.scores)
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns the scores by set and model and where the page is, as JSON can hold it."""
+        return {
+            "scores": {
+                part: {
+                    model: {
+                        "rms_mean": float(score.rms.mean()),
+                        "rms_std": float(score.rms.std()),
+                        "r2_mean": float(score.r2.mean()),
+                        "instances": len(score.rms),
+                    }
+                    for model, score in models.items()
+                }
+                for part, models in self.comparison.scores.items()
+            },
+            "worst_deviation": self.worst_deviation,
+            "spread": {
+                model: {"rms_mean": mean, "rms_std": std} for model, mean, std, *_ in self.spread
+            },
+            "online_seconds": self.online_seconds,
+            "page": str(self.page),
+            "figures": [str(figure) for figure in self.figures],
+        }
+
+
+def replicate(
+    instances: int = paper.INSTANCES,
+    out: str | Path = "out/replication",
+    seed: int = paper.SEED,
+    progress: Callable[[str], None] | None = None,
+) -> Replication:
+    """Replicates the paper and writes `replication.md` with its figures.
+
+    Args:
+        instances: Instances of each model, M of the paper.
+        out: Folder for the page and the figures; made if missing.
+        seed: Of the noise realisation and of the initial parameters.
+        progress: Called with one line before each part.
+
+    Raises:
+        LeglabError: `instances` is no positive integer or `seed` is negative.
+    """
+    if isinstance(instances, bool) or not isinstance(instances, int) or instances < 1:
+        raise LeglabError(f"instances is {instances!r}: must be an integer of at least 1")
+    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+        raise LeglabError(f"seed is {seed!r}: must be an integer of at least 0")
+    say = progress or (lambda line: None)
+    sheet = page.Page(Path(out), "The paper's experiment replicated")
+
+    say("the plant of Eq. 23")
+    long_u, long_y = (signal[0] for signal in simulate([seed], LONG_RUN))
+    u, y = long_u[: paper.N_SAMPLES], long_y[: paper.N_SAMPLES]
+    comparison = compare(u, y, instances, seed, progress=say)
+    page.comparison(sheet, comparison, y[paper.N_TRAINING :], instances, seed)
+
+    say("convergence")
+    page.convergence(sheet, y, converge(long_u, long_y, instances, seed))
+
+    say("sensitivity")
+    all_u, all_y = simulate(range(REALISATIONS), paper.N_SAMPLES)
+    page.sensitivities(
+        sheet,
+        sensitivity.readings(u, y, instances, seed),
+        sensitivity.input_variance(instances, seed),
+        sensitivity.initial_gain(all_u, all_y, 10, seed),
+        sensitivity.learning_constant(u, y, instances, seed),
+        comparison.online.free_run_scores(y),
+    )
+    spread = sensitivity.spread(all_u, all_y, 5, seed)
+    page.spread(sheet, spread, REALISATIONS)
+    page.better_fit(sheet, _better_fit(instances, say))
+
+    say("cost")
+    seconds = cost.table_time(u, y, seed)
+    page.costs(sheet, cost.measure(), seconds)
+
+    say("the deployed identifier")
+    floor, rows = deployed.free_runs(range(REALISATIONS))
+    page.deployed(sheet, floor, rows, REALISATIONS)
+    recoveries = deployed.readaptation(range(CHANGE_SEEDS))
+    page.readaptation(sheet, recoveries)
+    return Replication(
+        comparison=comparison,
+        recoveries=recoveries,
+        free_runs=rows,
+        floor=floor,
+        spread=spread,
+        online_seconds=seconds,
+        page=sheet.write(),
+        figures=tuple(sheet.figures),
+    )
+
+
+def _better_fit(instances: int, say: Callable[[str], None]) -> Comparison:
+    seed, settings = BETTER_FIT
+    u, y = (signal[0] for signal in simulate([seed], paper.N_SAMPLES))
+    return compare(u, y, instances, seed, settings=settings, progress=say)

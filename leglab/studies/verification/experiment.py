@@ -1,0 +1,254 @@
+"""One cylinder moving a mass, run by the continuous model or by the plugin inside MuJoCo."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import mujoco
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from leglab.machine import plugin
+from leglab.machine.cylinder import CONTINUOUS_STATES, Cylinder
+from leglab.machine.parameters import plugin_tables
+
+CYLINDER = {"bore": 0.016, "rod": 0.010, "stroke": 0.080}  # m, physics.md "Values"
+SUPPLY_PRESSURE = 16e6  # Pa
+MASS = 20.0  # kg
+MID_POSITION = 0.040  # m
+HELD = 1e12  # kg: a piston that nothing moves
+# Ideal valve, oil without air, no leakage, no friction: the rows of physics.md unless they say so.
+IDEAL: Mapping[str, float] = {
+    **CYLINDER,
+    "lap": 0.0,
+    "edge_rounding": 0.0,
+    "entrained_air": 0.0,
+    "internal_leakage": 0.0,
+    "sigma_0": 0.0,
+    "sigma_1": 0.0,
+    "viscous": 0.0,
+    "coulomb": 0.0,
+    "static": 0.0,
+    "stop_stiffness": 0.0,
+    "stop_damping": 0.0,
+}
+_ENERGIES = CONTINUOUS_STATES[7:]
+
+
+def constant(value: float) -> Callable[[float], float]:
+    """A command or load that does not change."""
+    return lambda _: value
+
+
+NOTHING = constant(0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Experiment:
+    """A cylinder, its load and what is done to it.
+
+    Attributes:
+        parameters: `leglab.cylinder` attributes beside `mid_length`, SI units.
+        mass: Moving mass [kg].
+        position: Initial piston position [m].
+        velocity: Initial velocity [m/s].
+        pressure_a: Initial cap-side pressure [Pa].
+        pressure_b: Initial rod-side pressure [Pa].
+        command: Valve command over time [s].
+        ideal_spool: The spool starts, and so stays, at a constant command.
+        load: Force against extension [N] over time [s].
+        duration: Seconds.
+    """
+
+    parameters: Mapping[str, float] = field(default_factory=lambda: dict(IDEAL))
+    mass: float = MASS
+    position: float = MID_POSITION
+    velocity: float = 0.0
+    pressure_a: float = 5e6
+    pressure_b: float = 5e6
+    command: Callable[[float], float] = NOTHING
+    ideal_spool: bool = True
+    load: Callable[[float], float] = NOTHING
+    duration: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trace:
+    """What happened; every array has shape (n,), SI units.
+
+    Attributes:
+        time: At which positions, pressures, spool and energies hold.
+        velocity_time: At which `velocity` and `force` hold: MuJoCo's velocity lags half a step.
+        position: Of the piston.
+        velocity: Of the piston.
+        pressure_a: Cap side, gauge.
+        pressure_b: Rod side, gauge.
+        spool: Relative position.
+        force: Of the piston on the mass.
+        energies: Integrals since the start by name [J], plus "kinetic".
+    """
+
+    time: np.ndarray
+    velocity_time: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    pressure_a: np.ndarray
+    pressure_b: np.ndarray
+    spool: np.ndarray
+    force: np.ndarray
+    energies: Mapping[str, np.ndarray]
+
+
+class Solver(Protocol):
+    """Runs experiments."""
+
+    name: str
+
+    def run(self, experiment: Experiment) -> Trace:
+        """Runs one experiment."""
+
+
+class Continuous:
+    """The continuous model under scipy's stiff Radau solver."""
+
+    name = "continuous"
+
+    def run(self, experiment: Experiment) -> Trace:
+        """Integrates piecewise, so that no step runs over a jump of command or load."""
+        e = experiment
+        cylinder = Cylinder({"supply_pressure": SUPPLY_PRESSURE, **e.parameters})
+        blocked = e.mass >= HELD and e.velocity == 0
+        state = cylinder.initial_state(
+            position=e.position,
+            velocity=e.velocity,
+            pressure_a=e.pressure_a,
+            pressure_b=e.pressure_b,
+            spool_position=e.command(0.0) if e.ideal_spool else 0.0,
+        )
+        scale = np.array([1e-3, 1e-2, 1e-3, 1e-1, 1e4, 1e4, 1e-6] + [1e-3] * 6)
+        time = np.linspace(0.0, e.duration, 2001)
+
+        def rate(t: float, y: np.ndarray) -> np.ndarray:
+            return cylinder.derivative(
+                y, command=e.command(t), mass=e.mass, load=e.load(t), blocked=blocked
+            )
+
+        solution = solve_ivp(
+            rate,
+            (0.0, e.duration),
+            state,
+            method="Radau",
+            rtol=1e-9,
+            atol=1e-9 * scale,
+            t_eval=time,
+            max_step=e.duration / 50,
+        )
+        y = dict(zip(CONTINUOUS_STATES, solution.y, strict=True))
+        if blocked:
+            force = cylinder.area_a * y["pressure_a"] - cylinder.area_b * y["pressure_b"]
+        else:
+            force = np.array(
+                [
+                    e.mass * rate(t, row)[1] + e.load(t)
+                    for t, row in zip(time, solution.y.T, strict=True)
+                ]
+            )
+        return Trace(
+            time=time,
+            velocity_time=time,
+            position=y["position"],
+            velocity=y["velocity"],
+            pressure_a=y["pressure_a"],
+            pressure_b=y["pressure_b"],
+            spool=y["spool_position"],
+            force=force,
+            energies={
+                **{name: y[name] for name in _ENERGIES},
+                "kinetic": 0.5 * e.mass * (y["velocity"] ** 2 - e.velocity**2),
+            },
+        )
+
+
+def slide_model(parameters: Mapping[str, float], mass: float, timestep: float) -> mujoco.MjModel:
+    """A mass on a slide joint, moved by one `leglab.cylinder`; qpos is the piston position.
+
+    Args:
+        parameters: Attributes of the cylinder.
+        mass: Moving mass [kg].
+        timestep: Seconds.
+    """
+    plugin.load()
+    values = {
+        "supply_pressure": SUPPLY_PRESSURE,
+        **parameters,
+        "mid_length": 0.5 * parameters["stroke"],
+    }
+    config = "".join(f'<config key="{k}" value="{v!r}"/>' for k, v in values.items())
+    return mujoco.MjModel.from_xml_string(f"""
+      <mujoco>
+        <option timestep="{timestep!r}" gravity="0 0 0" integrator="implicitfast"/>
+        <extension><plugin plugin="leglab.cylinder"/></extension>
+        <worldbody>
+          <body>
+            <joint name="rod" type="slide" axis="1 0 0" ref="{MID_POSITION}"/>
+            <inertial pos="0 0 0" mass="{mass!r}" diaginertia="1 1 1"/>
+          </body>
+        </worldbody>
+        <actuator>
+          <plugin name="valve" plugin="leglab.cylinder" joint="rod">{config}</plugin>
+        </actuator>
+      </mujoco>""")
+
+
+class Engine:
+    """The plugin inside MuJoCo.
+
+    Args:
+        timestep: Seconds.
+    """
+
+    def __init__(self, timestep: float) -> None:
+        self.timestep = timestep
+        self.name = f"MuJoCo {timestep * 1e3:g} ms"
+
+    def run(self, experiment: Experiment) -> Trace:
+        """Steps to the end of the experiment."""
+        e, h = experiment, self.timestep
+        model = slide_model(e.parameters, e.mass, h)
+        data = mujoco.MjData(model)
+        table = plugin_tables()["leglab.cylinder"]
+        state = data.plugin_state
+        at = {name: row.offset for name, row in table.states.items()}
+        data.qpos[0], data.qvel[0] = e.position, e.velocity
+        state[at["pressure_a"]], state[at["pressure_b"]] = e.pressure_a, e.pressure_b
+        if e.ideal_spool:
+            state[at["spool_position"]] = state[at["play_output"]] = e.command(0.0)
+        columns = [at[name] for name in ("pressure_a", "pressure_b", "spool_position", *_ENERGIES)]
+        count = round(e.duration / h)
+        rows = np.empty((count, 3 + len(columns)))
+        for i in range(count):
+            data.ctrl[0] = e.command(i * h)
+            data.qfrc_applied[0] = -e.load(i * h)
+            mujoco.mj_step(model, data)
+            rows[i, :3] = data.qpos[0], data.qvel[0], data.actuator_force[0]
+            rows[i, 3:] = state[columns]
+        time = h * np.arange(1, count + 1)
+        velocity = rows[:, 1]
+        return Trace(
+            time=time,
+            velocity_time=time - 0.5 * h,
+            position=rows[:, 0],
+            velocity=velocity,
+            pressure_a=rows[:, 3],
+            pressure_b=rows[:, 4],
+            spool=rows[:, 5],
+            force=rows[:, 2],
+            energies={
+                **{name: rows[:, 6 + k] for k, name in enumerate(_ENERGIES)},
+                "kinetic": 0.5 * e.mass * (velocity**2 - e.velocity**2),
+            },
+        )
+
+
+SOLVERS: tuple[Solver, ...] = (Continuous(), Engine(1e-3), Engine(0.5e-3))
+ENGINES = (Engine(1e-3), Engine(0.5e-3))
