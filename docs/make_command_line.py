@@ -4,7 +4,7 @@ from pathlib import Path
 
 import typer
 
-from leglab.cli import app
+from leglab.cli.app import app
 from leglab.cli.conventions import EXAMPLES, EXIT_STATUS
 
 PAGE = Path(__file__).with_name("command_line.md")

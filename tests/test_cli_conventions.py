@@ -12,8 +12,8 @@ import pytest
 import typer
 
 from leglab import data
-from leglab.cli import app, main
 from leglab.cli import names as cli_names
+from leglab.cli.app import app, main
 from leglab.cli.conventions import EXAMPLES, explain
 from tests.test_cli import leglab as call
 from tests.test_interop import example
@@ -74,7 +74,7 @@ def test_json_stands_alone_on_standard_output(name, tmp_path, monkeypatch, capsy
 
 
 def test_json_of_tune(monkeypatch, capsys):
-    from leglab.commissioning.setup import pd_gains as gains
+    from leglab.commissioning import pd_gains as gains
 
     monkeypatch.setattr(gains, "tuned_gains", lambda model, sensors: [(1.0, 2.0)] * 6)
     status, printed, _ = call("tune", "--model", "knee_bench", "--json", capsys=capsys)

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 from pydantic import Field
 
-from leglab import control
 from leglab.base.errors import LeglabError
 from leglab.base.registry import Registry
 from leglab.base.settings import Configuration
@@ -11,6 +10,7 @@ from leglab.control import (
     Measurement,
     ReferencePoint,
     check_command,
+    contract,
     controller_names,
     controller_summary,
     make_controller,
@@ -41,7 +41,7 @@ class Proportional:
 
 @pytest.fixture(autouse=True)
 def _own_registry(monkeypatch):
-    monkeypatch.setattr(control, "CONTROLLERS", Registry("controller"))
+    monkeypatch.setattr(contract, "CONTROLLERS", Registry("controller"))
     register_controller("proportional", summary="a gain", configuration=Gains)(Proportional)
 
 

@@ -8,7 +8,7 @@ import sys
 import pytest
 import typer
 
-from leglab.cli import app
+from leglab.cli.app import app
 from tests.pages import ROOT, agrees, blocks, steps
 from tests.tables import pages
 

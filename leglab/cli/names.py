@@ -7,7 +7,7 @@ listed. A test compares all of them with the registries.
 from collections.abc import Callable
 from pathlib import Path
 
-_PACKAGE = Path(__file__).parent
+_PACKAGE = Path(__file__).parent.parent
 
 EFFECTS = (
     "actuator_gain", "armature", "asymmetric_friction", "backlash", "base_tilt",

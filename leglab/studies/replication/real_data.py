@@ -64,7 +64,7 @@ def data_folder() -> Path:
         LeglabError: There is none.
     """
     named = os.environ.get("LEGLAB_DATA")
-    default = Path(__file__).resolve().parents[2].parent / "shared" / "data"
+    default = Path(__file__).resolve().parents[4] / "shared" / "data"
     folder = Path(named) if named else default
     if not folder.is_dir():
         raise LeglabError(f"no recordings in {folder}: set LEGLAB_DATA to the folder that has them")
