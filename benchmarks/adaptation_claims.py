@@ -17,9 +17,9 @@ from adaptation_tables import claims
 from rich.console import Console
 from rich.progress import Progress
 
+from leglab import RunSettings
 from leglab.base.errors import LeglabError
 from leglab.base.scenario import get_scenario, scenario_names
-from leglab.runs.run import RunSettings
 from leglab.runs.sweep import run_all
 
 ALL = (

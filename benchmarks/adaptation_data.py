@@ -9,9 +9,9 @@ import numpy as np
 from results import DATA as FOLDER
 from results import rounded
 
+from leglab import RunSettings
 from leglab.data import write_atomically
 from leglab.runs.metrics import READAPTATION_RATIO, settling_time
-from leglab.runs.run import RunSettings
 
 # Results by scenario, severity (None for the default) and controller, one a seed.
 Cells = dict[tuple[str, float | None, str], list[dict[str, Any]]]

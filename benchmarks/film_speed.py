@@ -19,12 +19,12 @@ os.environ.setdefault("LP_NUM_THREADS", "0")
 
 import mujoco
 
+from leglab import RunSettings, run_scenario
 from leglab.machine.simulation import Simulation, load_model
 from leglab.report.film import FRAME_RATE, SIZE, render_film
 from leglab.report.film.picture import Picture
 from leglab.report.film.workers import worker_count
 from leglab.runs.folder import write_run
-from leglab.runs.run import RunSettings, run_scenario
 
 CONTROLLERS = ("pd", "static_feedforward", "bsnn_arx")
 FILM, LIMIT = 20.0, 60.0  # s

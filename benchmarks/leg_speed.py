@@ -15,8 +15,8 @@ import mujoco
 import numpy as np
 import results
 
+from leglab import RunSettings, run_scenario
 from leglab.machine.simulation import load_model
-from leglab.runs.run import RunSettings, run_scenario
 
 STEPS = 100
 MODELS = ("leg", "leg_motor")

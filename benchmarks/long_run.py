@@ -9,8 +9,8 @@ import argparse
 import numpy as np
 import results
 
+from leglab import RunSettings, run_scenario
 from leglab.runs.metrics import sliding_rms
-from leglab.runs.run import RunSettings, run_scenario
 
 START, WINDOW = 5.0, 2.0  # s
 CONTROLLERS = ("static_feedforward", "bsnn_arx")

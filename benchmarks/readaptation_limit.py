@@ -10,7 +10,7 @@ import argparse
 import numpy as np
 import results
 
-from leglab.runs.run import RunSettings, run_scenario
+from leglab import RunSettings, run_scenario
 
 SEEN = (0.3, 0.6, 1.2, 2.4, 4.8, None)  # s of the changed machine
 CASES = ("seal_wear", "cold_oil", "hot_oil", "valve_wear")

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import results
 
+from leglab import RunSettings, run_scenario
 from leglab.runs.loop import History
-from leglab.runs.run import RunSettings, run_scenario
 
 CHANGE, DURATION = 40.0, 80.0  # s
 WINDOWS = ((2.0, 4.0), (5.0, 10.0), (15.0, 20.0), (35.0, 40.0))  # s after the change

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import results
 
-from leglab.runs.run import RunSettings, run_scenario
+from leglab import RunSettings, run_scenario
 
 CASES = (
     ("leg", None, "seal_wear"),

@@ -7,6 +7,8 @@ itself.
 from functools import partial
 
 from leglab.base.registry import import_modules
-from leglab.control.contract import CONTROLLERS
+from leglab.control.contract import CONTROLLERS, controller_names, make_controller
+
+__all__ = ["controller_names", "make_controller"]
 
 CONTROLLERS.add_loader(partial(import_modules, __name__, __path__))

@@ -70,16 +70,16 @@ class AdaptiveBackstepping:
     uses_pressures = True
 
     def __init__(self, setup: ControllerSetup, config: BacksteppingConfiguration) -> None:
-        data = setup.require("cylinders", _NAME)
-        latency = setup.require("latency", _NAME)
-        self._torque = setup.require("inverse_dynamics", _NAME)
+        data = setup.machine.cylinders
+        latency = setup.machine.latency
+        self._torque = setup.machine.inverse_dynamics
         self._model = model = CylinderModel(data)
         self._period = period = setup.control_period
         self._law = Feedback(
             model,
             _gains(setup, config),
-            position_noise=setup.require("position_noise", _NAME),
-            pressure_noise=setup.require("pressure_noise", _NAME),
+            position_noise=setup.machine.position_noise,
+            pressure_noise=setup.machine.pressure_noise,
             period=period,
             latency=latency,
         )
@@ -241,7 +241,7 @@ def _stacked(measurement: Measurement) -> np.ndarray:
 def _gains(setup: ControllerSetup, config: BacksteppingConfiguration) -> BacksteppingGains:
     given = {name: getattr(config, name) for name in _GAINS}
     if any(values is None for values in given.values()):
-        tuned = setup.require("backstepping_gains", _NAME)
+        tuned = setup.machine.backstepping_gains
         given = {
             name: getattr(tuned, name) if values is None else values
             for name, values in given.items()

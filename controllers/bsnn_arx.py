@@ -101,8 +101,8 @@ class AdaptiveController:
         stop_time: float,
         supervised: bool,
     ) -> AdaptiveFeedforward:
-        maps = setup.require("valve_maps", self.name)
-        latency = setup.require("latency", self.name)
+        maps = setup.machine.valve_maps
+        latency = setup.machine.latency
         ranges = MotionRange(
             lower=np.array([m.position[0] for m in maps]),
             upper=np.array([m.position[-1] for m in maps]),
@@ -116,13 +116,13 @@ class AdaptiveController:
                 position_splines=config.position_splines,
                 least_memory=config.least_memory,
             ),
-            ValveTable.of(maps, np.asarray(setup.require("direction", self.name))),
+            ValveTable.of(maps, np.asarray(setup.machine.direction)),
             self._feedback.position_gain,
             self._feedback.velocity_gain,
             AdaptationSettings(
                 control_period=setup.control_period,
                 latency=latency,
-                velocity_delay=latency + setup.require("velocity_delay", self.name),
+                velocity_delay=latency + setup.machine.velocity_delay,
                 window=config.window,
                 interval=config.interval,
                 stop_time=stop_time,

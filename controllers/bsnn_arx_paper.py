@@ -46,8 +46,8 @@ class BsnnArxPaper:
 
     def __init__(self, setup: ControllerSetup, config: PaperConfiguration) -> None:
         self._pd = Pd(setup, config)
-        maps = setup.require("valve_maps", "bsnn_arx_paper")
-        latency = setup.require("latency", "bsnn_arx_paper")
+        maps = setup.machine.valve_maps
+        latency = setup.machine.latency
         joints, period = len(setup.joints), setup.control_period
         self._joints, self._limit = joints, config.limit
         self._speed = np.array([m.velocity[-1] for m in maps])

@@ -1,7 +1,5 @@
 """The adaptive feed-forward with its adaptation stopped: what adapting on would have gained."""
 
-import math
-
 from leglab.control import ControllerSetup, register_controller
 from leglab.controllers.bsnn_arx import AdaptiveConfiguration, AdaptiveController
 
@@ -19,4 +17,4 @@ class Frozen(AdaptiveController):
     def _stop_time(self, setup: ControllerSetup, config: AdaptiveConfiguration) -> float:
         if config.stop_time is not None:
             return config.stop_time
-        return float(setup.machine.get("first_change", math.inf))
+        return setup.foreknowledge.first_change

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from leglab.base.errors import LeglabError
 from leglab.control import ControllerSetup, Measurement, ReferencePoint, register_controller
 from leglab.control.feedforward.offline import BenchRun
 from leglab.controllers.bsnn_arx import AdaptiveConfiguration, AdaptiveController
@@ -30,9 +31,11 @@ class Oracle(AdaptiveController):
     def __init__(self, setup: ControllerSetup, config: AdaptiveConfiguration) -> None:
         config = config.model_copy(update={"supervised": False})
         super().__init__(setup, config)
-        runs = setup.require("bench_runs", self.name)
+        if setup.foreknowledge.bench_runs is None:
+            raise LeglabError(f"controller {self.name!r} needs recordings of the changed machine")
+        runs = setup.foreknowledge.bench_runs()
         self._maps = [self._identify(setup, config, run) for run in runs]
-        self._change = float(setup.machine.get("last_change", math.inf))
+        self._change = setup.foreknowledge.last_change
 
     def _stop_time(self, setup: ControllerSetup, config: AdaptiveConfiguration) -> float:
         return 0.0

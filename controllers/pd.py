@@ -31,12 +31,12 @@ class Pd:
     """
 
     def __init__(self, setup: ControllerSetup, config: PdConfiguration) -> None:
-        direction = np.asarray(setup.require("direction", "pd"), dtype=float)
+        direction = np.asarray(setup.machine.direction, dtype=float)
         gains = []
         for name in ("position_gain", "velocity_gain"):
             values = getattr(config, name)
             if values is None:
-                values = setup.require(name, "pd")
+                values = getattr(setup.machine, name)
             if len(values) != len(setup.joints):
                 raise setup.wrong_length(name, values, "pd")
             gains.append(direction * np.asarray(values, dtype=float))

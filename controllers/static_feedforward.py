@@ -49,7 +49,7 @@ class StaticFeedforward:
 
     def __init__(self, setup: ControllerSetup, config: PdConfiguration) -> None:
         self._pd = Pd(setup, config)
-        self._map = ValveMapTable(setup.require("valve_maps", "static_feedforward"))
+        self._map = ValveMapTable(setup.machine.valve_maps)
         self._feedforward = np.zeros(len(setup.joints))
 
     def reset(self, measurement: Measurement) -> None:

@@ -13,10 +13,10 @@ from pathlib import Path
 import imageio_ffmpeg
 from PIL import Image
 
+from leglab import RunSettings, run_scenario
 from leglab.report.film import SIZE, render_film
 from leglab.report.film.workers import draw_frames
 from leglab.runs.folder import write_run
-from leglab.runs.run import RunSettings, run_scenario
 
 CONTROLLERS = ("pd", "static_feedforward", "bsnn_arx")
 DURATION = 20.0  # s; the seals wear out half way

@@ -7,6 +7,8 @@ found by itself.
 from functools import partial
 
 from leglab.base.registry import import_modules
-from leglab.base.scenario import SCENARIOS
+from leglab.base.scenario import SCENARIOS, get_scenario, scenario_names
+
+__all__ = ["get_scenario", "scenario_names"]
 
 SCENARIOS.add_loader(partial(import_modules, __name__, __path__))

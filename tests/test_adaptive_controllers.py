@@ -3,11 +3,17 @@
 import numpy as np
 import pytest
 
+from leglab import Run, RunSettings, run_scenario
 from leglab.base.errors import LeglabError
-from leglab.control import ControllerSetup, Measurement, ReferencePoint, make_controller
+from leglab.control import (
+    ControllerSetup,
+    Measurement,
+    NominalMachine,
+    ReferencePoint,
+    make_controller,
+)
 from leglab.control.feedforward.motion import ReferenceMotion, SmoothingWindow, smoothing_kernel
 from leglab.controllers.bsnn_arx import AdaptiveController
-from leglab.runs.run import Run, RunSettings, run_scenario
 
 ADAPTIVE = ("bsnn_arx", "frozen", "arx")
 
@@ -113,14 +119,14 @@ def controller(config=None, joints=2) -> AdaptiveController:
     setup = ControllerSetup(
         joints=names,
         control_period=0.002,
-        machine={
-            "direction": np.ones(joints),
-            "position_gain": [1.0] * joints,
-            "velocity_gain": [0.0] * joints,
-            "valve_maps": [FakeMap] * joints,
-            "latency": 0.001,
-            "velocity_delay": 0.003,
-        },
+        machine=NominalMachine(
+            direction=np.ones(joints),
+            position_gain=[1.0] * joints,
+            velocity_gain=[0.0] * joints,
+            valve_maps=[FakeMap] * joints,
+            latency=0.001,
+            velocity_delay=0.003,
+        ),
     )
     made = make_controller("bsnn_arx", setup, config)
     assert isinstance(made, AdaptiveController)

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from leglab import Run, RunSettings, run_scenario
 from leglab.base.errors import LeglabError
 from leglab.commissioning.backstepping_gains import (
     SENSITIVITY,
@@ -23,7 +24,6 @@ from leglab.control.backstepping.least_squares import BoundedLeastSquares
 from leglab.machine.cylinder import Cylinder
 from leglab.machine.sensors import SensorConfiguration
 from leglab.machine.simulation import Simulation, load_model
-from leglab.runs.run import Run, RunSettings, run_scenario
 
 NAME = "adaptive_backstepping"
 

@@ -6,12 +6,12 @@ import mujoco
 import numpy as np
 import pytest
 
+from leglab import RunSettings, run_scenario
 from leglab.base.errors import LeglabError
 from leglab.base.scenario import ParameterChange, Scenario, get_scenario, scenario_names
 from leglab.machine.changes import Bodies, Schedule
 from leglab.machine.sensors import Encoders, SensorConfiguration, held
 from leglab.machine.simulation import Simulation, load_model
-from leglab.runs.run import RunSettings, run_scenario
 
 # What the last sample of a recording must show: parameter -> value from the nominal one.
 EFFECTS = {

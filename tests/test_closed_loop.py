@@ -3,15 +3,12 @@
 import numpy as np
 import pytest
 
+from leglab import RunSettings, run_scenario
 from leglab.base.errors import LeglabError
-from leglab.base.scenario import ParameterChange, Scenario, get_scenario
-from leglab.commissioning.setup import controller_setup
-from leglab.control import make_controller
+from leglab.base.scenario import ParameterChange, Scenario
 from leglab.machine.sensors import SensorConfiguration, loop_timing, quantise
 from leglab.machine.simulation import Simulation, load_model
-from leglab.references import make_reference
-from leglab.runs.loop import closed_loop
-from leglab.runs.run import RunSettings, reference_joints, run_scenario
+from leglab.runs.loop import Loop
 
 
 def settings(**changes) -> RunSettings:
@@ -105,18 +102,9 @@ class _Broken:
     ],
 )
 def test_a_broken_controller_stops_the_run_and_the_record_is_kept(value, message):
-    simulation = Simulation(load_model("knee_bench"))
-    sensors = SensorConfiguration()
-    history = closed_loop(
-        simulation,
-        _Broken(value),
-        controller_setup(simulation, "knee_bench", sensors),
-        make_reference("walking_stride", reference_joints(simulation)),
-        get_scenario("nominal", duration=2.0),
-        sensors,
-        seed=0,
-        name="broken",
-    )
+    history = Loop(
+        settings(scenario="nominal", controller="broken", duration=2.0), controller=_Broken(value)
+    ).run()
     import re
 
     assert re.search(message, history.failure)
@@ -124,21 +112,10 @@ def test_a_broken_controller_stops_the_run_and_the_record_is_kept(value, message
 
 
 def test_a_change_that_fits_no_element_is_refused():
-    simulation = Simulation(load_model("knee_bench"))
-    sensors = SensorConfiguration()
-    setup = controller_setup(simulation, "knee_bench", sensors)
     change = ParameterChange(parameter="lap", element="hip_*", value=2.0, start=0.1)
+    scenario = Scenario(name="odd", duration=1.0, changes=(change,))
     with pytest.raises(LeglabError, match="'odd' changes 'lap' of 'hip_\\*'"):
-        closed_loop(
-            simulation,
-            make_controller("pd", setup),
-            setup,
-            make_reference("walking_stride", reference_joints(simulation)),
-            Scenario(name="odd", duration=1.0, changes=(change,)),
-            sensors,
-            seed=0,
-            name="pd",
-        )
+        Loop(settings(), scenario=scenario)
 
 
 @pytest.mark.parametrize(

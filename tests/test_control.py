@@ -3,11 +3,12 @@ import pytest
 from pydantic import Field
 
 from leglab.base.errors import LeglabError
-from leglab.base.registry import Registry
+from leglab.base.registry import FactoryRegistry
 from leglab.base.settings import Configuration
 from leglab.control import (
     ControllerSetup,
     Measurement,
+    NominalMachine,
     ReferencePoint,
     check_command,
     contract,
@@ -17,7 +18,9 @@ from leglab.control import (
     register_controller,
 )
 
-SETUP = ControllerSetup(joints=("hip", "knee"), control_period=0.002, machine={"gain": 3.0})
+SETUP = ControllerSetup(
+    joints=("hip", "knee"), control_period=0.002, machine=NominalMachine(position_gain=3.0)
+)
 
 
 class Gains(Configuration):
@@ -27,7 +30,7 @@ class Gains(Configuration):
 class Proportional:
     def __init__(self, setup, config):
         self.gain = config.gain
-        self.machine_gain = setup.require("gain", "proportional")
+        self.machine_gain = setup.machine.position_gain
 
     def reset(self, measurement):
         pass
@@ -41,7 +44,7 @@ class Proportional:
 
 @pytest.fixture(autouse=True)
 def _own_registry(monkeypatch):
-    monkeypatch.setattr(contract, "CONTROLLERS", Registry("controller"))
+    monkeypatch.setattr(contract, "CONTROLLERS", FactoryRegistry("controller"))
     register_controller("proportional", summary="a gain", configuration=Gains)(Proportional)
 
 
@@ -70,8 +73,12 @@ def test_bad_names_and_settings(name, config, message):
 
 
 def test_missing_machine_data():
-    setup = ControllerSetup(joints=("knee",), control_period=0.002, machine={"lever": 1})
-    with pytest.raises(LeglabError, match="needs 'gain' of the machine, which gives lever"):
+    setup = ControllerSetup(
+        joints=("knee",), control_period=0.002, machine=NominalMachine(latency=1)
+    )
+    with pytest.raises(
+        LeglabError, match="needs 'position_gain' of the machine, which gives latency"
+    ):
         make_controller("proportional", setup)
 
 
@@ -81,8 +88,10 @@ def test_setup_is_checked_and_frozen():
     for period in (0, float("nan"), float("inf")):
         with pytest.raises(LeglabError, match="control_period"):
             ControllerSetup(joints=("knee",), control_period=period)
-    with pytest.raises(TypeError):
-        SETUP.machine["gain"] = 1
+    with pytest.raises(AttributeError):
+        SETUP.joints = ("hip",)
+    with pytest.raises(LeglabError, match="unknown property of a nominal machine 'gian'"):
+        NominalMachine(gian=1)
 
 
 def test_good_commands_pass_as_they_are():

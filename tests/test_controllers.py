@@ -6,11 +6,13 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 import leglab.controllers  # noqa: F401
+from leglab import RunSettings, run_scenario
 from leglab.commissioning.calibration import ValveMap
 from leglab.commissioning.pd_gains import SPEEDS, joint_plant, sampled_plant, stored_gains, tune
 from leglab.control import (
     ControllerSetup,
     Measurement,
+    NominalMachine,
     ReferencePoint,
     controller_names,
     make_controller,
@@ -18,7 +20,6 @@ from leglab.control import (
 from leglab.controllers.static_feedforward import ValveMapTable
 from leglab.machine.sensors import SensorConfiguration, velocity_filter_coefficient
 from leglab.machine.simulation import Simulation, load_model
-from leglab.runs.run import RunSettings, run_scenario
 
 
 @pytest.mark.parametrize("name", controller_names())
@@ -33,7 +34,7 @@ def test_every_controller_runs_and_stays_within_range(name):
 
 def test_pd_law():
     setup = ControllerSetup(
-        joints=("a", "b"), control_period=0.002, machine={"direction": [1.0, -1.0]}
+        joints=("a", "b"), control_period=0.002, machine=NominalMachine(direction=[1.0, -1.0])
     )
     pd = make_controller("pd", setup, {"position_gain": [2.0, 3.0], "velocity_gain": [0.1, 0.2]})
     measurement = Measurement(0.0, np.array([0.1, 0.2]), np.array([1.0, 2.0]))

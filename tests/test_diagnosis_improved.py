@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from leglab import data
+from leglab import RunSettings, data, run_scenario
 from leglab.diagnosis.hypothesis import Hypothesis
 from leglab.diagnosis.model import Machine
 from leglab.diagnosis.output import reloaded_error, write_improved
@@ -16,7 +16,6 @@ from leglab.diagnosis.paths import take_out
 from leglab.diagnosis.verdict import diagnose
 from leglab.diagnosis.workflow import Settings, set_up
 from leglab.machine.sensors import EncoderFaults
-from leglab.runs.run import RunSettings, run_scenario
 
 FOLDER = Path(__file__).parent / "data" / "diagnosis"
 NAMES = ("multisine", "slow", "walk")

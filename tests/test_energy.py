@@ -11,7 +11,7 @@ from leglab.energy import EnergyBooks
 from leglab.machine.sensors import SensorConfiguration
 from leglab.machine.simulation import Simulation, load_model
 from leglab.references import make_reference
-from leglab.runs.run import reference_joints
+from leglab.runs.preparation import reference_joints
 
 PERIOD = 2e-3
 

@@ -18,10 +18,10 @@ from gymnasium.utils.env_checker import check_env
 from shimmy import DmControlCompatibilityV0
 
 import leglab.environment
+from leglab import RunSettings, run_scenario
 from leglab.base.errors import LeglabError
 from leglab.base.scenario import scenario_names
 from leglab.environment.registration import environment_id
-from leglab.runs.run import RunSettings, run_scenario
 
 KNEE = {"model": "knee_bench", "duration": 0.2}
 ROOT = Path(__file__).parents[1]

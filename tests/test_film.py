@@ -11,7 +11,7 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 
-from leglab import data
+from leglab import RunSettings, data, run_scenario
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.cli import main
@@ -21,7 +21,6 @@ from leglab.report.film.look import ALARM, GHOST, pressure_color
 from leglab.report.film.track import load_track
 from leglab.report.film.workers import draw_frames
 from leglab.runs.folder import write_run
-from leglab.runs.run import RunSettings, run_scenario
 
 LENGTH, CHANGE = 2.0, 1.0  # s
 BAR = 1e5  # Pa

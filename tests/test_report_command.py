@@ -7,9 +7,9 @@ import resource
 
 import pytest
 
+from leglab import run_scenario
 from leglab.cli import main
 from leglab.runs import folder as run_folders
-from leglab.runs.run import run_scenario
 from tests.report_folders import Elements, write_folder
 
 

@@ -13,12 +13,12 @@ import pytest
 from matplotlib.colors import to_hex
 
 import leglab.controllers
+from leglab import RunSettings, run_scenario
 from leglab.base.errors import LeglabError
 from leglab.cli import main
 from leglab.report.comparison import comparison_figure
 from leglab.report.style import VERMILION
 from leglab.runs import sweep
-from leglab.runs.run import RunSettings, run_scenario
 from leglab.runs.sweep import Comparison, compare, estimate, run_all
 
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from PIL import ImageGrab
 
+from leglab import RunSettings, run_scenario
 from leglab.base.errors import LeglabError
 from leglab.machine.simulation import load_model
-from leglab.runs.run import RunSettings, run_scenario
 from leglab.viewer.display import Display
 from leglab.viewer.session import Session
 
@@ -240,7 +240,7 @@ def test_without_a_display_one_line_names_the_way(display):
 _WINDOW = """
     import sys, time
     import numpy as np
-    from leglab.runs.run import RunSettings
+    from leglab import RunSettings
     from leglab.viewer.session import Session
     from leglab.viewer.window import ENTER, SPACE, Window
 

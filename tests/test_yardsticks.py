@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from leglab import Run, RunSettings, run_scenario
 from leglab.base.errors import LeglabError
 from leglab.base.scenario import get_scenario
 from leglab.machine.changes import vary_bodies, vary_parameters
 from leglab.machine.simulation import Simulation, load_model
-from leglab.runs.run import Run, RunSettings, run_scenario
 
 
 def run(controller: str, **settings) -> Run:

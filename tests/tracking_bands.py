@@ -12,7 +12,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from leglab.runs.run import RunSettings, run_scenario
+from leglab import RunSettings, run_scenario
 
 BANDS = Path(__file__).parent / "data" / "tracking_bands.toml"
 

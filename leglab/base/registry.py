@@ -1,13 +1,15 @@
-"""Things that are found by name: scenarios, controllers, references."""
+"""Registries: scenarios, controllers, references and effects by name."""
 
 import importlib
 import os
 import pkgutil
 import sys
-from collections.abc import Callable, Iterable
-from typing import Generic, TypeVar
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
 
 from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.settings import Configuration, validate_configuration
 
 Entry = TypeVar("Entry")
 
@@ -25,7 +27,7 @@ class Registry(Generic[Entry]):
         Args:
             kind: What an entry is, for error messages, for instance "scenario".
         """
-        self._kind = kind
+        self.kind = kind
         self._entries: dict[str, Entry] = {}
         self._definitions: dict[str, tuple[str, str]] = {}
         self._loaders: list[Callable[[], None]] = []
@@ -46,7 +48,7 @@ class Registry(Generic[Entry]):
         taken = self._definitions.get(name)
         if taken not in (None, definition):
             raise LeglabError(
-                f"{self._kind} {name!r} is defined twice: in {taken[0]} and in {definition[0]}"
+                f"{self.kind} {name!r} is defined twice: in {taken[0]} and in {definition[0]}"
             )
         self._definitions[name] = definition
         self._entries[name] = entry
@@ -63,7 +65,7 @@ class Registry(Generic[Entry]):
         """
         self._load()
         if name not in self._entries:
-            raise unknown_name(self._kind, name, self._entries)
+            raise unknown_name(self.kind, name, self._entries)
         return self._entries[name]
 
     def names(self) -> tuple[str, ...]:
@@ -74,6 +76,63 @@ class Registry(Generic[Entry]):
     def _load(self) -> None:
         while self._loaders:
             self._loaders.pop()()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Configured(Generic[Entry]):
+    """An entry that is made from settings.
+
+    Attributes:
+        factory: Makes it.
+        summary: One line for listings.
+        configuration: The settings that the factory takes.
+    """
+
+    factory: Entry
+    summary: str
+    configuration: type[Configuration]
+
+
+class FactoryRegistry(Registry[Configured[Entry]]):
+    """Factories by name, each with a summary and the model of its settings."""
+
+    def register(
+        self, name: str, *, summary: str, configuration: type[Configuration]
+    ) -> Callable[[Entry], Entry]:
+        """Registers the decorated factory under a name.
+
+        Args:
+            name: Name that users give.
+            summary: One line for listings.
+            configuration: Its settings.
+        """
+
+        def add(factory: Entry) -> Entry:
+            entry = Configured(factory=factory, summary=summary, configuration=configuration)
+            assert callable(factory)
+            self.add(name, entry, factory)
+            return factory
+
+        return add
+
+    def configured(
+        self, name: str, config: Mapping[str, Any] | None, **defaults: Any
+    ) -> tuple[Entry, Any]:
+        """Returns a factory and its validated settings.
+
+        Args:
+            name: Name of the entry.
+            config: Its settings; what is left out has its default.
+            **defaults: Settings that hold unless `config` has them, where the factory knows them.
+
+        Raises:
+            LeglabError: The name or a setting is not known, or a value is not allowed.
+        """
+        entry = self.get(name)
+        known = {k: v for k, v in defaults.items() if k in entry.configuration.model_fields}
+        settings = {**known, **(config or {})}
+        owner = f"{self.kind} {name!r}"
+        return entry.factory, validate_configuration(entry.configuration, settings, owner)
 
 
 def import_modules(package: str, path: Iterable[str]) -> None:

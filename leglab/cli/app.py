@@ -100,7 +100,8 @@ def run(
     """Runs a scenario headless and writes metrics, recording, configuration and plots."""
     from leglab.report.figures import draw_run
     from leglab.runs.folder import check_folder, write_run
-    from leglab.runs.run import RunSettings, run_scenario
+    from leglab.runs.preparation import RunSettings
+    from leglab.runs.run import run_scenario
 
     folder = out or Path("runs") / f"{scenario}-{controller}-{Path(model).stem}-{seed}"
     settings = RunSettings(

@@ -118,7 +118,7 @@ def _run(
     overwrite: bool,
 ) -> list[Path]:
     from leglab.runs.folder import make_runs
-    from leglab.runs.run import RunSettings
+    from leglab.runs.preparation import RunSettings
 
     names = (own["--controllers"] or "pd,static_feedforward").split(",")
     settings = [

@@ -31,7 +31,7 @@ def view(
 
     The scenario's change comes at its time, or when Enter is pressed. The run has no end.
     """
-    from leglab.runs.run import RunSettings
+    from leglab.runs.preparation import RunSettings
     from leglab.viewer.session import Session
     from leglab.viewer.window import HELP, Window, check_display
 

@@ -1,8 +1,8 @@
-"""What a controller may know of the nominal machine, from its data sheets and its calibration."""
+"""The nominal machine as controllers know it: from its data sheets and its calibration."""
 
 import copy
-import functools
 import hashlib
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -11,23 +11,14 @@ from leglab.commissioning.backstepping_gains import backstepping_gains
 from leglab.commissioning.calibration import ValveMap, directions, valve_maps
 from leglab.commissioning.nominal import NominalDynamics, nominal_cylinders
 from leglab.commissioning.pd_gains import stored_gains, tuned_gains
-from leglab.control import ControllerSetup
+from leglab.control import NominalMachine
+from leglab.control.backstepping.data import BacksteppingGains, NominalCylinders
 from leglab.machine.sensors import SensorConfiguration, position_uncertainty, velocity_delay
 from leglab.machine.simulation import Simulation
 
 
-def controller_setup(
-    simulation: Simulation, model: str, sensors: SensorConfiguration
-) -> ControllerSetup:
-    """Measures what a controller may know.
-
-    Items: `direction` (joints,), `position_gain`, `velocity_gain` (joints,), `valve_maps`;
-    `latency` and `velocity_delay` of the sensors [s], their `position_noise` [rad] and
-    `pressure_noise` [Pa]; `cylinders` and `inverse_dynamics`, the nominal hydraulics and rigid
-    bodies, and `backstepping_gains` for them. What takes long is done when somebody asks. A run
-    adds, for controllers that only serve as a yardstick, `first_change` and `last_change`, when the
-    machine is about to change [s], and `bench_runs`, recordings of the machine before and after its
-    changes.
+class CommissionedMachine(NominalMachine):
+    """Everything that a controller may know; calibrated and tuned when somebody asks, once.
 
     Args:
         simulation: The nominal machine in its rest pose.
@@ -35,31 +26,54 @@ def controller_setup(
         sensors: Of the run.
     """
 
-    @functools.cache
-    def gains() -> list[tuple[float, float]]:
-        return stored_gains(model, simulation, sensors) or tuned_gains(model, sensors)
+    def __init__(self, simulation: Simulation, model: str, sensors: SensorConfiguration) -> None:
+        super().__init__(
+            direction=directions(simulation),
+            latency=sensors.latency,
+            velocity_delay=velocity_delay(sensors.control_period, sensors.velocity_cutoff),
+            position_noise=position_uncertainty(sensors),
+            pressure_noise=sensors.pressure_noise,
+        )
+        self._simulation, self._model, self._sensors = simulation, model, sensors
 
-    def machine() -> Simulation:
-        # One of its own: calibration moves it through its whole range.
-        return Simulation(copy.copy(simulation.model))
+    @cached_property
+    def position_gain(self) -> list[float]:
+        """PD gains: valve command per position error [1/rad], (joints,)."""
+        return [gain[0] for gain in self._gains]
 
-    return ControllerSetup(
-        joints=simulation.joints,
-        control_period=sensors.control_period,
-        machine={
-            "direction": directions(simulation),
-            "latency": sensors.latency,
-            "velocity_delay": velocity_delay(sensors.control_period, sensors.velocity_cutoff),
-            "position_gain": lambda: [gain[0] for gain in gains()],
-            "velocity_gain": lambda: [gain[1] for gain in gains()],
-            "valve_maps": lambda: _calibrated(machine()),
-            "cylinders": lambda: nominal_cylinders(machine()),
-            "inverse_dynamics": lambda: NominalDynamics(machine()),
-            "backstepping_gains": lambda: backstepping_gains(model, machine(), sensors),
-            "position_noise": position_uncertainty(sensors),
-            "pressure_noise": sensors.pressure_noise,
-        },
-    )
+    @cached_property
+    def velocity_gain(self) -> list[float]:
+        """PD gains: valve command per velocity error [s/rad], (joints,)."""
+        return [gain[1] for gain in self._gains]
+
+    @cached_property
+    def valve_maps(self) -> tuple[ValveMap, ...]:
+        """Steady valve command over position and velocity, one a joint."""
+        return _calibrated(self._own())
+
+    @cached_property
+    def cylinders(self) -> NominalCylinders:
+        """Data sheets and levers."""
+        return nominal_cylinders(self._own())
+
+    @cached_property
+    def inverse_dynamics(self) -> NominalDynamics:
+        """Function of position, velocity, acceleration to joint torques [N m], (joints,) each."""
+        return NominalDynamics(self._own())
+
+    @cached_property
+    def backstepping_gains(self) -> BacksteppingGains:
+        """Gains of `adaptive_backstepping`."""
+        return backstepping_gains(self._model, self._own(), self._sensors)
+
+    @cached_property
+    def _gains(self) -> list[tuple[float, float]]:
+        stored = stored_gains(self._model, self._simulation, self._sensors)
+        return stored or tuned_gains(self._model, self._sensors)
+
+    def _own(self) -> Simulation:
+        """A machine for calibration, which moves it through its whole range."""
+        return Simulation(copy.copy(self._simulation.model))
 
 
 _calibrations: dict[bytes, tuple[ValveMap, ...]] = {}

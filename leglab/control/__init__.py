@@ -3,7 +3,9 @@
 from leglab.control.contract import (
     Controller,
     ControllerSetup,
+    Foreknowledge,
     Measurement,
+    NominalMachine,
     ReferencePoint,
     check_command,
     controller_names,
@@ -15,7 +17,9 @@ from leglab.control.contract import (
 __all__ = [
     "Controller",
     "ControllerSetup",
+    "Foreknowledge",
     "Measurement",
+    "NominalMachine",
     "ReferencePoint",
     "check_command",
     "controller_names",

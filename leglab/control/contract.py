@@ -9,14 +9,14 @@ of small arrays, and what can be computed once belongs into a controller's const
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from types import MappingProxyType
+from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from leglab.base.errors import LeglabError
-from leglab.base.registry import Registry
-from leglab.base.settings import Configuration, validate_configuration
+from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.registry import FactoryRegistry
+from leglab.base.settings import Configuration
 
 
 class Measurement(NamedTuple):
@@ -84,20 +84,117 @@ class Controller(Protocol):
         """
 
 
+class NominalMachine:
+    """The machine as its maker knows it, whatever happens to the real one in a run.
+
+    A subclass overrides what it can give (`leglab.commissioning.setup.CommissionedMachine` gives
+    everything); the rest raises an error that names it. Values are found when somebody asks, once.
+
+    Args:
+        known: Values by the names of the properties below, for a machine that is known by numbers.
+
+    Raises:
+        LeglabError: A name is none of the properties.
+    """
+
+    def __init__(self, **known: Any) -> None:
+        properties = [name for name in vars(NominalMachine) if not name.startswith("_")]
+        for name, value in known.items():
+            if name not in properties:
+                raise unknown_name("property of a nominal machine", name, properties)
+            self.__dict__[name] = value
+
+    @cached_property
+    def direction(self) -> np.ndarray:
+        """Sign of the joint velocity that a positive command gives, (joints,)."""
+        raise self._missing("direction")
+
+    @cached_property
+    def position_gain(self) -> Sequence[float]:
+        """PD gains: valve command per position error [1/rad], (joints,)."""
+        raise self._missing("position_gain")
+
+    @cached_property
+    def velocity_gain(self) -> Sequence[float]:
+        """PD gains: valve command per velocity error [s/rad], (joints,)."""
+        raise self._missing("velocity_gain")
+
+    @cached_property
+    def valve_maps(self) -> Sequence[Any]:
+        """Steady valve command over position and velocity, a `ValveMap` a joint."""
+        raise self._missing("valve_maps")
+
+    @cached_property
+    def cylinders(self) -> Any:
+        """Data sheets and levers, a `leglab.control.backstepping.data.NominalCylinders`."""
+        raise self._missing("cylinders")
+
+    @cached_property
+    def inverse_dynamics(self) -> Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
+        """Function of position, velocity, acceleration to joint torques [N m], (joints,) each."""
+        raise self._missing("inverse_dynamics")
+
+    @cached_property
+    def backstepping_gains(self) -> Any:
+        """Tuned gains, a `leglab.control.backstepping.data.BacksteppingGains`."""
+        raise self._missing("backstepping_gains")
+
+    @cached_property
+    def latency(self) -> float:
+        """Age of a measurement when its command takes effect [s]."""
+        raise self._missing("latency")
+
+    @cached_property
+    def velocity_delay(self) -> float:
+        """Delay of the measured velocity's filter [s]."""
+        raise self._missing("velocity_delay")
+
+    @cached_property
+    def position_noise(self) -> float:
+        """Standard deviation of a measured position, resolution included [rad]."""
+        raise self._missing("position_noise")
+
+    @cached_property
+    def pressure_noise(self) -> float:
+        """Standard deviation of a measured pressure [Pa]."""
+        raise self._missing("pressure_noise")
+
+    def _missing(self, name: str) -> LeglabError:
+        given = ", ".join(sorted(n for n in self.__dict__ if not n.startswith("_"))) or "nothing"
+        return LeglabError(f"the controller needs {name!r} of the machine, which gives {given}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Foreknowledge:
+    """What no controller can know: for controllers that serve as a yardstick only.
+
+    Attributes:
+        first_change: When the machine begins to change [s]; infinite if it never does.
+        last_change: When its last change begins [s].
+        bench_runs: Makes recordings of the machine before and after its changes; None without a
+            machine that could be recorded.
+    """
+
+    first_change: float = math.inf
+    last_change: float = math.inf
+    bench_runs: Callable[[], Any] | None = None
+
+
 @dataclass(frozen=True, kw_only=True)
 class ControllerSetup:
-    """The machine as its controller knows it: the nominal one, whatever happens to it in a run.
+    """What a controller is made from.
 
     Attributes:
         joints: Names of the joints; all arrays follow this order.
         control_period: Time from one command to the next [s].
-        machine: Nominal data by name: calibrations, limits, piston areas, ... in SI units. A value
-            that takes long to find may be a function without arguments; `require` calls it.
+        machine: The nominal machine.
+        foreknowledge: Of the run's changes, for yardsticks.
     """
 
     joints: tuple[str, ...]
     control_period: float
-    machine: Mapping[str, Any] = field(default_factory=dict)
+    machine: NominalMachine = field(default_factory=NominalMachine)
+    foreknowledge: Foreknowledge = field(default_factory=Foreknowledge)
 
     def __post_init__(self) -> None:
         if not self.joints or len(set(self.joints)) != len(self.joints):
@@ -105,25 +202,6 @@ class ControllerSetup:
         if not (self.control_period > 0 and math.isfinite(self.control_period)):
             raise LeglabError(f"control_period {self.control_period!r} s must be positive")
         object.__setattr__(self, "joints", tuple(self.joints))
-        object.__setattr__(self, "machine", MappingProxyType(dict(self.machine)))
-
-    def require(self, name: str, controller: str) -> Any:
-        """Returns an item of the machine's data.
-
-        Args:
-            name: The item.
-            controller: Who needs it, for the message.
-
-        Raises:
-            LeglabError: The machine's data has no such item.
-        """
-        if name not in self.machine:
-            known = ", ".join(sorted(self.machine)) or "nothing"
-            raise LeglabError(
-                f"controller {controller!r} needs {name!r} of the machine, which gives {known}"
-            )
-        value = self.machine[name]
-        return value() if callable(value) else value
 
     def wrong_length(self, name: str, values: Sequence, controller: str) -> LeglabError:
         """Builds the error for a setting that needs one value a joint and has another number."""
@@ -137,14 +215,7 @@ class ControllerSetup:
 Factory = Callable[[ControllerSetup, Any], Controller]
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Entry:
-    factory: Factory
-    summary: str
-    configuration: type[Configuration]
-
-
-CONTROLLERS: Registry[_Entry] = Registry("controller")
+CONTROLLERS: FactoryRegistry[Factory] = FactoryRegistry("controller")
 
 
 def register_controller(
@@ -157,13 +228,17 @@ def register_controller(
         summary: One line for listings.
         configuration: Its settings, with units in their docs.
     """
+    return CONTROLLERS.register(name, summary=summary, configuration=configuration)
 
-    def register(factory: Factory) -> Factory:
-        entry = _Entry(factory=factory, summary=summary, configuration=configuration)
-        CONTROLLERS.add(name, entry, factory)
-        return factory
 
-    return register
+def controller_names() -> tuple[str, ...]:
+    """Returns the names of all controllers."""
+    return CONTROLLERS.names()
+
+
+def controller_summary(name: str) -> str:
+    """Returns the line that describes a controller."""
+    return CONTROLLERS.get(name).summary
 
 
 def make_controller(
@@ -179,19 +254,8 @@ def make_controller(
     Raises:
         LeglabError: The name or a setting is not known, or a value is not allowed.
     """
-    entry = CONTROLLERS.get(name)
-    settings = validate_configuration(entry.configuration, config, f"controller {name!r}")
-    return entry.factory(setup, settings)
-
-
-def controller_names() -> tuple[str, ...]:
-    """Returns the names of all controllers."""
-    return CONTROLLERS.names()
-
-
-def controller_summary(name: str) -> str:
-    """Returns the line that describes a controller."""
-    return CONTROLLERS.get(name).summary
+    factory, settings = CONTROLLERS.configured(name, config)
+    return factory(setup, settings)
 
 
 def check_command(command: Any, setup: ControllerSetup, controller: str, time: float) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.scenario import Scenario
-from leglab.runs.run import RunSettings, scenario_of
+from leglab.runs.preparation import RunSettings, scenario_of
 
 RANDOM = ("seed", "severity", "onset", "ramp_duration")
 _SEEDS = 2**31 - 1

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from leglab.base.errors import LeglabError
 from leglab.environment.episodes import Draw, Episode, Episodes
 from leglab.environment.rewards import Reward, chosen_reward
-from leglab.runs.run import Preparation, RunSettings
+from leglab.runs.preparation import Preparation, RunSettings
 
 if TYPE_CHECKING:
     import gymnasium

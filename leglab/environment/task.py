@@ -8,14 +8,13 @@ from dm_control.rl.control import FLAT_OBSERVATION_KEY, Task
 from dm_env import specs
 
 from leglab.base.errors import LeglabError
-from leglab.control import Controller, Measurement, ReferencePoint, check_command, make_controller
+from leglab.control import Measurement, ReferencePoint
 from leglab.environment.episodes import Episode, Episodes
 from leglab.environment.physics import LegPhysics
 from leglab.environment.rewards import Reward, Transition
 from leglab.machine.simulation import Simulation, SimulationError
-from leglab.references import Samples
-from leglab.runs.loop import SampledMachine
-from leglab.runs.run import Preparation, reference_joints, run_setup
+from leglab.runs.loop import Loop
+from leglab.runs.preparation import Preparation, reference_joints
 
 
 class TrackingTask(Task):
@@ -56,7 +55,7 @@ class TrackingTask(Task):
         self._preview = np.array([round(ahead / period) for ahead in preview], dtype=np.intp)
         self._joints = reference_joints(preparation.nominal)
         self._zero = np.zeros(len(self._joints))
-        self._machine: SampledMachine | None = None
+        self._loop: Loop | None = None
         self._command = self._previous = self._action = self._zero
         self.episode: Episode | None = None
         self._first: Episode | None = self._episodes.next()
@@ -81,8 +80,7 @@ class TrackingTask(Task):
         # The first episode was begun for its specifications; the reset of the data undid that.
         self._begin(self._first or self._episodes.next())
         self._first = None
-        assert self._machine is not None
-        physics.drive(self._machine.advance)
+        physics.drive(self._running.advance)
 
     def before_step(self, action: np.ndarray, physics: LegPhysics) -> None:
         """Sets the valve commands.
@@ -94,7 +92,7 @@ class TrackingTask(Task):
         wish = self._action if self._scale is None else self._wish + self._scale * self._action
         self._previous = self._command
         self._command = wish.clip(-1.0, 1.0)
-        physics.data.ctrl[:] = self._command
+        self._running.act(self._command)
 
     def after_step(self, physics: LegPhysics) -> None:
         """Measures, unless the simulation blew up: then the last observation stays."""
@@ -119,7 +117,7 @@ class TrackingTask(Task):
         """Discount 0 where the simulation blew up or an error is beyond the limit."""
         if self.diverged:
             return 0.0
-        error = self._simulation.position() - self._point.position
+        error = self._simulation.position() - self._period.reference.position
         return 0.0 if np.abs(error).max() > self._error_limit else None
 
     def transition(self) -> Transition:
@@ -128,7 +126,7 @@ class TrackingTask(Task):
             time=self._simulation.data.time,
             position=self._simulation.position(),
             velocity=self._simulation.velocity(),
-            reference=self._point,
+            reference=self._period.reference,
             command=self._command,
             previous_command=self._previous,
             action=self._action,
@@ -156,62 +154,44 @@ class TrackingTask(Task):
         )
         return _flat_spec(named) if self._flat else named
 
+    @property
+    def _running(self) -> Loop:
+        assert self._loop is not None
+        return self._loop
+
     def _begin(self, episode: Episode) -> None:
-        if self._machine is not None:
-            self._machine.close()
-        if episode != self.episode:
-            self._prepare(episode)
+        if self._loop is not None and episode == self.episode:
+            self._loop.reset()
+        else:
+            if self._loop is not None:
+                self._loop.close()
+            self._loop = Loop(
+                episode.settings,
+                preparation=self._preparation,
+                scenario=episode.scenario(),
+                simulation=self._simulation,
+                controlled=self._scale is not None,
+                pressures=True,
+                ahead=int(self._preview.max(initial=0)),
+            )
             self.episode = episode
-        settings = episode.settings
-        self._preparation.start(self._simulation, settings.seed)
-        self._machine = SampledMachine(
-            self._simulation,
-            self._scenario,
-            self._preparation.sensors,
-            count=self._count,
-            seed=settings.seed,
-            pressures=True,
-        )
         self.diverged = False
         self._action = self._command = self._previous = self._zero
         self._measure()
 
-    def _prepare(self, episode: Episode) -> None:
-        """Makes what only another episode changes: scenario, reference, controller."""
-        settings, preparation = episode.settings, self._preparation
-        self._scenario = scenario = episode.scenario()
-        period = preparation.sensors.control_period
-        self._count = round(scenario.duration / period) + 1
-        ahead = int(self._preview.max(initial=0))
-        times = np.arange(self._count + ahead) * period
-        self._wanted: Samples = preparation.reference(settings, scenario).sample(times)
-        self._controller: Controller | None = None
-        if self._scale is not None:
-            self._setup = run_setup(preparation, settings, scenario)
-            self._controller = make_controller(
-                settings.controller, self._setup, settings.controller_config
-            )
-
     def _measure(self) -> None:
-        assert self._machine is not None
-        measurement = self._machine.measure()
-        row = self._machine.row
-        self._point = point = ReferencePoint(*(part[row] for part in self._wanted))
-        observation = self._observed(measurement, point, row)
-        if self._controller is not None:
-            if row == 0:
-                self._controller.reset(measurement)
-            name = self.episode.settings.controller if self.episode else ""
-            wish = self._controller.command(measurement, point)
-            self._wish = check_command(wish, self._setup, name, measurement.time)
+        self._period = period = self._running.observe()
+        observation = self._observed(period.measurement, period.reference)
+        if period.command is not None:
+            self._wish = self._running.checked(period.command)
             observation["controller_command"] = self._wish.clip(-1.0, 1.0)
-            feedforward = self._controller.diagnostics().get("feedforward")
+            feedforward = self._running.diagnostics().get("feedforward")
             if feedforward is not None:
                 observation["feedforward"] = feedforward.copy()
         self._observation = observation
 
     def _observed(
-        self, measurement: Measurement, point: ReferencePoint, row: int
+        self, measurement: Measurement, point: ReferencePoint
     ) -> collections.OrderedDict[str, np.ndarray]:
         assert measurement.pressure_a is not None
         assert measurement.pressure_b is not None
@@ -224,7 +204,7 @@ class TrackingTask(Task):
             reference_position=point.position.copy(),
             reference_velocity=point.velocity.copy(),
             reference_acceleration=point.acceleration.copy(),
-            reference_preview=self._wanted.position[row + self._preview],
+            reference_preview=self._running.reference_ahead(self._preview),
             previous_command=self._command.copy(),
         )
 

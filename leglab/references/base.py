@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from leglab.base.errors import LeglabError
-from leglab.base.registry import Registry
-from leglab.base.settings import Configuration, validate_configuration
+from leglab.base.registry import FactoryRegistry
+from leglab.base.settings import Configuration
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,14 +121,7 @@ class Reference:
 Builder = Callable[[tuple[Joint, ...], Any], tuple[Motion, float]]
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Entry:
-    build: Builder
-    summary: str
-    configuration: type[Configuration]
-
-
-_references: Registry[_Entry] = Registry("reference")
+_references: FactoryRegistry[Builder] = FactoryRegistry("reference")
 
 
 def register_reference(
@@ -141,13 +134,7 @@ def register_reference(
         summary: One line for listings.
         configuration: Settings that the builder takes, all with a default.
     """
-
-    def register(build: Builder) -> Builder:
-        entry = _Entry(build=build, summary=summary, configuration=configuration)
-        _references.add(name, entry, build)
-        return build
-
-    return register
+    return _references.register(name, summary=summary, configuration=configuration)
 
 
 def make_reference(
@@ -168,14 +155,11 @@ def make_reference(
     Raises:
         LeglabError: The name or a setting is not known or not allowed, or no joint moves.
     """
-    entry = _references.get(name)
-    owner = f"reference {name!r}"
-    if seed is not None and "seed" in entry.configuration.model_fields:
-        config = {"seed": seed, **(config or {})}
-    settings = validate_configuration(entry.configuration, config, owner)
+    seeded = {} if seed is None else {"seed": seed}
+    build, settings = _references.configured(name, config, **seeded)
     if not joints:
-        raise LeglabError(f"{owner} needs at least one joint")
-    motion, period = entry.build(tuple(joints), settings)
+        raise LeglabError(f"reference {name!r} needs at least one joint")
+    motion, period = build(tuple(joints), settings)
     return Reference(name=name, joints=tuple(joints), period=period, motion=motion)
 
 

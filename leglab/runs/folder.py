@@ -16,7 +16,8 @@ from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.recording import Recording
 from leglab.base.scenario import get_scenario
 from leglab.control import controller_names
-from leglab.runs.run import Run, RunSettings, run_scenario
+from leglab.runs.preparation import RunSettings
+from leglab.runs.run import Run, run_scenario
 from leglab.runs.sweep import fingerprint, interrupts_ignored
 
 

@@ -1,9 +1,9 @@
-"""The closed loop: machine, sensors, controller and a scenario's changes, headless."""
+"""The closed loop: machine, sensors, controller and a scenario's changes, one period a step."""
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,16 +12,48 @@ from leglab.base.errors import LeglabError
 from leglab.base.scenario import Scenario
 from leglab.control import (
     Controller,
-    ControllerSetup,
     Measurement,
     ReferencePoint,
     check_command,
+    make_controller,
 )
+from leglab.control.feedforward.offline import BenchRun
 from leglab.machine.changes import Bodies, Schedule
 from leglab.machine.plugin import headless
-from leglab.machine.sensors import EncoderFaults, Encoders, SensorConfiguration, loop_timing
+from leglab.machine.sensors import (
+    EncoderFaults,
+    Encoders,
+    SensorConfiguration,
+    held,
+    loop_timing,
+    quantise,
+)
 from leglab.machine.simulation import Simulation, SimulationError
-from leglab.references import Reference
+from leglab.references import Samples
+from leglab.runs.preparation import Preparation, RunSettings, scenario_of
+
+# Periods between two looks at the clock, the blow-up check and the progress report.
+_CHECK_INTERVAL = 50
+
+# Columns of a recording by plugin state; `_position` is kept for joints.
+_RECORDED = {
+    "pressure_a": "pressure_a",
+    "pressure_b": "pressure_b",
+    "oil_temperature": "oil_temperature",
+    "spool": "spool_position",
+    "energy_supply": "energy_supply",
+    "seal_clearance": "seal_clearance",
+}
+
+# Shown reference beyond the scenario's duration is sampled in pieces [s].
+_PIECE = 1.0
+
+# Recordings for identification offline: seed that no comparison uses, length, and when the motion
+# is near the reference [s].
+BENCH_SEED = 1_000_003
+_BENCH_DURATION, _BENCH_SETTLED = 40.0, 10.0
+
+Progress = Callable[[float], None]
 
 
 class SampledMachine:
@@ -127,20 +159,277 @@ class SampledMachine:
         self.bodies.restore()
 
 
-# Periods between two looks at the clock, the blow-up check and the progress report.
-_CHECK_INTERVAL = 50
+class Period(NamedTuple):
+    """One control period as the controller meets it.
 
-# Columns of a recording by plugin state; `_position` is kept for joints.
-_RECORDED = {
-    "pressure_a": "pressure_a",
-    "pressure_b": "pressure_b",
-    "oil_temperature": "oil_temperature",
-    "spool": "spool_position",
-    "energy_supply": "energy_supply",
-    "seal_clearance": "seal_clearance",
-}
+    Attributes:
+        number: Counted from 0.
+        measurement: What the sensors say.
+        reference: Where the joints should be.
+        command: What the controller wants, not checked or clipped; None without a controller.
+    """
 
-Progress = Callable[[float], None]
+    number: int
+    measurement: Measurement
+    reference: ReferencePoint
+    command: np.ndarray | None
+
+
+class Loop:
+    """A controller on a machine through a scenario; headless runs, viewer and environment step it.
+
+    A period is `observe`, `act` and `advance`; `step` does all three. The same settings give the
+    same bits, whoever steps. After the scenario's duration a loop goes on; its drawn sensor noise
+    repeats then.
+
+    Args:
+        settings: Of the run.
+        preparation: Of the same model, sensors and tolerance, where there is one.
+        scenario: In place of the one that the settings name.
+        simulation: A machine from `preparation.machine`; None for one of its own.
+        controller: In place of the one that the settings name.
+        controlled: Whether there is a controller; without one, every `act` needs an action.
+        pressures: Whether pressures are measured; None if the controller uses them.
+        ahead: Periods by which `reference_ahead` looks beyond the scenario's duration.
+
+    Attributes:
+        settings: Of the run.
+        scenario: What happens to the machine.
+        preparation: Of the run.
+        simulation: The machine.
+        controller: What drives it; None if nothing does.
+        reference: Trajectory of the driven joints.
+        machine: The machine as the controller meets it.
+        period: Control period [s].
+        count: Periods of the scenario's duration.
+        watch: Called with the number of each period, after its command and before it passes.
+
+    Raises:
+        LeglabError: If a name, a setting or the machine does not fit.
+    """
+
+    def __init__(
+        self,
+        settings: RunSettings,
+        *,
+        preparation: Preparation | None = None,
+        scenario: Scenario | None = None,
+        simulation: Simulation | None = None,
+        controller: Controller | None = None,
+        controlled: bool = True,
+        pressures: bool | None = None,
+        ahead: int = 0,
+    ) -> None:
+        self.settings = settings
+        self.scenario = scenario = scenario or scenario_of(settings)
+        self.preparation = preparation = preparation or Preparation(settings)
+        self._setup = preparation.setup(scenario, self._bench_runs)
+        self.controller = controller
+        if controlled and controller is None:
+            self.controller = make_controller(
+                settings.controller, self._setup, settings.controller_config
+            )
+        self.reference = preparation.reference(settings, scenario)
+        self.simulation = simulation or preparation.machine()
+        self.period = preparation.sensors.control_period
+        self.count = round(scenario.duration / self.period) + 1
+        self.watch: Callable[[int], None] | None = None
+        if pressures is None:
+            pressures = bool(getattr(self.controller, "uses_pressures", False))
+        self._pressures, self._ahead = pressures, ahead
+        self.machine: SampledMachine | None = None
+        self.reset()
+
+    def reset(self) -> None:
+        """Starts the run anew: the seed's specimen at rest, the noise drawn, nothing learned."""
+        self.close()
+        self.preparation.start(self.simulation, self.settings.seed)
+        self.machine = machine = SampledMachine(
+            self.simulation,
+            self.scenario,
+            self.preparation.sensors,
+            count=self.count,
+            seed=self.settings.seed,
+            pressures=self._pressures,
+        )
+        # A loop has some tens of microseconds a period: what can be looked up once is.
+        self._measure, self._send, self.advance = machine.measure, machine.send, machine.advance
+        self._next = 0
+        self._sample_reference(0, self.count + self._ahead)
+
+    def observe(self) -> Period:
+        """Begins a period: changes happen, sensors are read, the controller computes."""
+        measurement = self._measure()
+        number = self._next
+        self._next = number + 1
+        row = number - self._first
+        if row == len(self._wanted[0]):
+            self._sample_reference(number, round(_PIECE / self.period))
+            row = 0
+        position, velocity, acceleration = self._wanted
+        point = ReferencePoint(position[row], velocity[row], acceleration[row])
+        wish = None
+        if self.controller is not None:
+            if number == 0:
+                self.controller.reset(measurement)
+            wish = self.controller.command(measurement, point)
+        self.present = Period(number, measurement, point, wish)
+        return self.present
+
+    def act(self, action: np.ndarray | None = None) -> None:
+        """Sends the valve commands of the period, clipped to [-1, 1].
+
+        Args:
+            action: Commands, (joints,); None for the controller's.
+
+        Raises:
+            LeglabError: They are no finite numbers or of another shape.
+        """
+        wish = self.present.command if action is None else action
+        if not self._send(wish):  # wrong, or of another type of number
+            self._send(self.checked(wish).astype(float))
+
+    def step(self, action: np.ndarray | None = None) -> Period:
+        """Runs one control period.
+
+        Args:
+            action: Valve commands, (joints,); None for the controller's.
+
+        Raises:
+            LeglabError: As `act`.
+        """
+        period = self.observe()
+        self.act(action)
+        if self.watch is not None:
+            self.watch(period.number)
+        self.advance()
+        return period
+
+    def checked(self, command: Any) -> np.ndarray:
+        """Returns commands of the present period, if they can be sent; raises as `act`."""
+        time = self.present.measurement.time
+        return check_command(command, self._setup, self.settings.controller, time)
+
+    def diagnostics(self) -> dict[str, np.ndarray]:
+        """Returns what the controller reports of the present period, by name, (joints,) each."""
+        return {} if self.controller is None else self.controller.diagnostics()
+
+    def reference_now(self) -> ReferencePoint:
+        """Where the joints should be in the next period."""
+        row = self._next - self._first
+        return ReferencePoint(*(part[row] for part in self._wanted))
+
+    def reference_ahead(self, periods: np.ndarray) -> np.ndarray:
+        """Reference positions [rad] so many periods after the present one, (periods, joints)."""
+        return self._wanted.position[self.present.number - self._first + periods]
+
+    def run(self, progress: Progress | None = None) -> "History":
+        """Runs the scenario headless, from the present state to its end.
+
+        It ends early, and keeps what was recorded, if the simulation blows up, the controller gives
+        something that is no command, or the user interrupts it.
+
+        Args:
+            progress: Called now and then with the simulated time [s].
+
+        Raises:
+            LeglabError: If not even one period could be recorded.
+        """
+        simulation, records = self.simulation, _Records(self)
+        times = np.arange(self.count) * self.period
+        wanted = self._wanted
+        failure = ""
+        self.watch, step = records.take, self.step
+        start = time.perf_counter()
+        try:
+            with headless(simulation.model):
+                for k in range(self.count):
+                    step()
+                    if k % _CHECK_INTERVAL == 0:
+                        simulation.check()
+                        if progress:
+                            progress(self.present.measurement.time)
+            simulation.check()
+            rows = records.rows
+        except LeglabError as error:
+            rows = records.rows
+            failure, rows = _first_failure(simulation, times[:rows], records.qvel[:rows], error)
+        except KeyboardInterrupt:
+            failure, rows = f"interrupted at {simulation.data.time:.6g} s", records.rows
+        finally:
+            encoders = self.machine.encoders if self.machine else None
+            self.watch = None
+            self.close()
+        wall_time = time.perf_counter() - start
+        if rows == 0 or encoders is None:
+            raise LeglabError(failure)
+        return History(
+            time=times[:rows],
+            **records.first(rows),
+            reference=ReferencePoint(*[part[:rows] for part in wanted]),
+            encoder_shift=encoders.shift[:rows],
+            encoder_lost=encoders.lost[:rows],
+            wall_time=wall_time,
+            failure=failure,
+        )
+
+    def close(self) -> None:
+        """Takes the loads off the model's bodies."""
+        if self.machine is not None:
+            self.machine.close()
+
+    def _sample_reference(self, first: int, count: int) -> None:
+        self._first = first
+        self._wanted: Samples = self.reference.sample((first + np.arange(count)) * self.period)
+
+    def _bench_runs(self) -> tuple[BenchRun, BenchRun]:
+        """Recordings of this machine before and after its changes, for identification offline."""
+        # The specimen is the seed's; the sensor noise could not be told from another.
+        seed = self.settings.seed if self.settings.tolerance else BENCH_SEED
+        settings = replace(self.settings, controller="bsnn_arx", controller_config={}, seed=seed)
+        before = replace(self.scenario, duration=_BENCH_DURATION, changes=())
+        after = replace(self.scenario.changed_from_start(), duration=_BENCH_DURATION)
+        return (
+            _bench_run(settings, before, self.preparation),
+            _bench_run(settings, after, self.preparation),
+        )
+
+
+_bench_cache: dict[str, BenchRun] = {}
+
+
+def _bench_run(settings: RunSettings, scenario: Scenario, preparation: Preparation) -> BenchRun:
+    key = f"{settings!r} {scenario!r}"
+    if key not in _bench_cache:
+        history = Loop(settings, scenario=scenario, preparation=preparation).run()
+        noise = recording_noise(settings.seed)
+        position = recorded_positions(history, preparation.sensors, noise)
+        kept = history.time >= _BENCH_SETTLED
+        _bench_cache[key] = BenchRun(
+            time=history.time[kept],
+            position=position[kept],
+            command=history.command[kept],
+            reference=ReferencePoint(*(part[kept] for part in history.reference)),
+        )
+    return _bench_cache[key]
+
+
+def recording_noise(seed: int) -> np.random.Generator:
+    """Source of the noise of recorded sensors, apart from that of the control loop's."""
+    return np.random.default_rng([seed, 1])
+
+
+def recorded_positions(
+    history: "History", sensors: SensorConfiguration, noise: np.random.Generator
+) -> np.ndarray:
+    """Positions as a logger beside the loop has them, without latency [rad], (n, joints)."""
+    columns = []
+    for i, true in enumerate(history.position.T):
+        noisy = true + noise.normal(0.0, sensors.position_noise, len(true))
+        noisy += history.encoder_shift[:, i]
+        reading = quantise(noisy, sensors.encoder_counts)
+        columns.append(held(reading, history.encoder_lost[:, i]))
+    return np.column_stack(columns)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,103 +470,28 @@ class History:
         return self.position - self.reference.position
 
 
-def closed_loop(
-    simulation: Simulation,
-    controller: Controller,
-    setup: ControllerSetup,
-    reference: Reference,
-    scenario: Scenario,
-    sensors: SensorConfiguration,
-    *,
-    seed: int,
-    name: str,
-    progress: Progress | None = None,
-) -> History:
-    """Runs a controller on a machine from its present state through a scenario.
-
-    The loop ends early, and keeps what was recorded, if the simulation blows up, the controller
-    gives something that is no command, or the user interrupts it.
-
-    Args:
-        simulation: The machine, at the start of the run.
-        controller: Sees measurements and references only.
-        setup: What the controller was made with.
-        reference: Trajectory of the driven joints.
-        scenario: Duration and changes.
-        sensors: Resolution, noise and timing.
-        seed: Of the sensor noise.
-        name: Of the controller, for messages.
-        progress: Called now and then with the simulated time [s].
-
-    Raises:
-        LeglabError: If the timing or the reference does not fit the machine.
-    """
-    period = sensors.control_period
-    count = round(scenario.duration / period) + 1
-    times = np.arange(count) * period
-    machine = SampledMachine(
-        simulation,
-        scenario,
-        sensors,
-        count=count,
-        seed=seed,
-        pressures=bool(getattr(controller, "uses_pressures", False)),
-    )
-    wanted = reference.sample(times)
-    records = _Records(simulation, machine.schedule, count)
-    # The loop runs thousands of times a second: everything that can be looked up once is.
-    measure, send, advance, record = machine.measure, machine.send, machine.advance, records.take
-    command, diagnostics = controller.command, controller.diagnostics
-    failure, rows = "", 0
-    start = time.perf_counter()
-    try:
-        with headless(simulation.model):
-            for k, point in enumerate(map(ReferencePoint, *wanted)):
-                measurement = measure()
-                if k == 0:
-                    controller.reset(measurement)
-                wish = command(measurement, point)
-                if not send(wish):  # wrong, or of another type of number
-                    send(check_command(wish, setup, name, measurement.time).astype(float))
-                record(k, diagnostics())
-                rows = k + 1
-                advance()
-                if k % _CHECK_INTERVAL == 0:
-                    simulation.check()
-                    if progress:
-                        progress(measurement.time)
-        simulation.check()
-    except LeglabError as error:
-        failure, rows = _first_failure(simulation, times[:rows], records.qvel[:rows], error)
-    except KeyboardInterrupt:
-        failure = f"interrupted at {simulation.data.time:.6g} s"
-    finally:
-        machine.close()
-    wall_time = time.perf_counter() - start
-    if rows == 0:
-        raise LeglabError(failure)
-    return History(
-        time=times[:rows],
-        **records.first(rows),
-        reference=ReferencePoint(*[part[:rows] for part in wanted]),
-        encoder_shift=machine.encoders.shift[:rows],
-        encoder_lost=machine.encoders.lost[:rows],
-        wall_time=wall_time,
-        failure=failure,
-    )
-
-
 class _Records:
-    """Rows of everything that a run keeps, one a control period."""
+    """Rows of everything that a run keeps, one a control period.
 
-    def __init__(self, simulation: Simulation, schedule: Schedule, count: int) -> None:
+    Attributes:
+        rows: Number of rows that are kept.
+        qvel: Generalised velocities, (periods, nv).
+    """
+
+    def __init__(self, loop: Loop) -> None:
+        assert loop.machine is not None
+        simulation, schedule, count = loop.simulation, loop.machine.schedule, loop.count
         model, data = simulation.model, simulation.data
         self._simulation, self._schedule = simulation, schedule
+        self._diagnostics = (
+            loop.diagnostics if loop.controller is None else (loop.controller.diagnostics)
+        )
         self._columns, slots = _state_columns(simulation, schedule)
         self._qpos, self.qvel = np.empty((count, model.nq)), np.empty((count, model.nv))
         self._command, self._states = np.empty((count, model.nu)), np.empty((count, len(slots)))
         self._others = np.empty((count, len(schedule.others)))
         self._reports: dict[str, np.ndarray] = {}
+        self.rows = 0
         rows = (
             Rows(data.qpos, np.arange(model.nq), self._qpos),
             Rows(data.qvel, np.arange(model.nv), self.qvel),
@@ -286,17 +500,18 @@ class _Records:
         )
         self._takes = tuple(row.take for row in rows)
 
-    def take(self, k: int, reported: dict[str, np.ndarray]) -> None:
+    def take(self, k: int) -> None:
         """Keeps the machine as it is now and what its controller reports, as row `k`."""
         for take in self._takes:
             take(k)
         if self._schedule.others:
             self._others[k] = self._schedule.values
         reports = self._reports
-        for key, value in reported.items():
+        for key, value in self._diagnostics().items():
             if key not in reports:
                 reports[key] = np.full(self._command.shape, np.nan)
             reports[key][k] = value
+        self.rows = k + 1
 
     def first(self, rows: int) -> dict[str, Any]:
         """The first rows, by attribute of `History`."""

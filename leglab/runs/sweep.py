@@ -28,7 +28,8 @@ from leglab.control import controller_names
 from leglab.data import write_atomically
 from leglab.machine.changes import check_tolerance
 from leglab.runs.metrics import rms, sliding_rms
-from leglab.runs.run import Run, RunSettings, run_scenario
+from leglab.runs.preparation import RunSettings
+from leglab.runs.run import Run, run_scenario
 
 # Distance of the stored samples of the windowed error [s].
 _TRACE_PERIOD = 0.02

@@ -8,18 +8,15 @@ import numpy as np
 
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.scenario import ParameterChange, Scenario
-from leglab.control import ReferencePoint, check_command, make_controller
 from leglab.machine.changes import Bodies
 from leglab.machine.plugin import without_warnings
 from leglab.machine.simulation import SimulationError
-from leglab.runs.loop import SampledMachine
-from leglab.runs.run import Preparation, RunSettings, run_setup, scenario_of
+from leglab.runs.loop import Loop
+from leglab.runs.preparation import RunSettings
 from leglab.viewer.sliders import sliders
 
 # A live run has no end; a scenario needs one [s].
 _NEVER = 1e9
-# Reference is sampled ahead in pieces [s].
-_PIECE = 1.0
 # Shown history [s].
 HISTORY = 10.0
 
@@ -66,21 +63,13 @@ class Session:
     """
 
     def __init__(self, settings: RunSettings) -> None:
-        self._settings = settings
-        self.scenario = scenario_of(settings)
-        self._preparation = preparation = Preparation(settings)
-        setup = run_setup(preparation, settings, self.scenario)
-        self._setup = setup
-        self._controller = make_controller(settings.controller, setup, settings.controller_config)
-        self._reference = preparation.reference(settings, self.scenario)
-        self.simulation = preparation.machine()
+        self._loop = loop = Loop(settings)
+        loop.watch = self._show
+        self.simulation, self.scenario, self.period = loop.simulation, loop.scenario, loop.period
         self.joints = self.simulation.joints
         self.sliders = {s.name: s for s in sliders(self.simulation, Bodies(self.simulation.model))}
-        self.values = {name: slider.initial for name, slider in self.sliders.items()}
-        self.period = preparation.sensors.control_period
         self.moments: deque[Moment] = deque(maxlen=round(HISTORY / self.period))
-        self._machine: SampledMachine | None = None
-        self.restart()
+        self._begin()
 
     @property
     def time(self) -> float:
@@ -90,35 +79,29 @@ class Session:
     @property
     def window(self) -> float:
         """Period of the reference [s]."""
-        return self._reference.period
+        return self._loop.reference.period
 
     def restart(self) -> None:
         """Starts the run anew, sliders as they are at the beginning."""
-        if self._machine is not None:
-            self._machine.close()
-        self._preparation.start(self.simulation, self._settings.seed)
-        self._machine = SampledMachine(
-            self.simulation,
-            self.scenario,
-            self._preparation.sensors,
-            count=round(self.scenario.duration / self.period) + 1,
-            seed=self._settings.seed,
-            pressures=bool(getattr(self._controller, "uses_pressures", False)),
-        )
+        self._loop.reset()
+        self._begin()
+
+    def _begin(self) -> None:
         self._count, self.failure = 0, ""
         self.moments.clear()
-        self._fault = self.scenario.changes
+        self._faults = self.scenario.changes
         self._moved: dict[str, ParameterChange] = {}
         self.values = {name: slider.initial for name, slider in self.sliders.items()}
-        self._sample_reference()
+        self.point = self._loop.reference_now()
 
     def step(self) -> None:
         """Runs one control period, unless the run has failed."""
         if self.failure:
             return
-        assert self._machine is not None
         try:
-            self._step(self._machine)
+            with without_warnings():
+                self._loop.step()
+            self._count += 1
             self.simulation.check()
         except (LeglabError, SimulationError) as error:
             self.failure = str(error)
@@ -142,52 +125,33 @@ class Session:
     @property
     def fault(self) -> bool:
         """Whether a change of the scenario has begun."""
-        return any(change.start <= self.time for change in self._fault)
+        return any(change.start <= self.time for change in self._faults)
 
     def switch_fault(self) -> None:
         """Undoes the scenario's changes, or has them begin now."""
         if self.fault:
-            self._fault = ()
+            self._faults = ()
         elif self.scenario.changes:
             changes = self.scenario.changes
             first = min(change.start for change in changes)
-            self._fault = tuple(replace(c, start=self.time + (c.start - first)) for c in changes)
+            self._faults = tuple(replace(c, start=self.time + (c.start - first)) for c in changes)
         self._follow()
 
     def close(self) -> None:
         """Takes the loads off the model's bodies."""
-        if self._machine is not None:
-            self._machine.close()
+        self._loop.close()
 
-    def _step(self, machine: SampledMachine) -> None:
-        row = self._count - self._first
-        if row == len(self._wanted.position):
-            self._sample_reference()
-            row = 0
-        point = ReferencePoint(*(part[row] for part in self._wanted))
-        measurement = machine.measure()._replace(time=self.time)
-        if self._count == 0:
-            self._controller.reset(measurement)
-        wish = self._controller.command(measurement, point)
-        name = self._settings.controller
-        command = check_command(wish, self._setup, name, self.time).clip(-1.0, 1.0)
-        error = self.simulation.position() - point.position
-        feedforward = self._controller.diagnostics().get("feedforward", np.full_like(error, np.nan))
+    def _show(self, number: int) -> None:
+        """Keeps the present period for the figures."""
+        del number
+        self.point = self._loop.present.reference
+        error = self.simulation.position() - self.point.position
+        feedforward = self._loop.diagnostics().get("feedforward", np.full_like(error, np.nan))
+        command = self.simulation.data.ctrl.copy()
         self.moments.append(Moment(self.time, error, command, feedforward.copy()))
-        self.simulation.data.ctrl[:] = command
-        self.point = point
-        with without_warnings():
-            machine.advance()
-        self._count += 1
-
-    def _sample_reference(self) -> None:
-        self._first = self._count
-        times = (self._first + np.arange(round(_PIECE / self.period))) * self.period
-        self._wanted = self._reference.sample(times)
-        self.point = ReferencePoint(*(part[0] for part in self._wanted))
 
     def _follow(self) -> None:
-        assert self._machine is not None
-        changes = sorted((*self._fault, *self._moved.values()), key=lambda change: change.start)
+        assert self._loop.machine is not None
+        changes = sorted((*self._faults, *self._moved.values()), key=lambda change: change.start)
         live = Scenario(name=self.scenario.name, duration=_NEVER, changes=tuple(changes))
-        self._machine.schedule.follow(live, self.time)
+        self._loop.machine.schedule.follow(live, self.time)

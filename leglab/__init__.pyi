@@ -1,0 +1,39 @@
+# The public names, and where they are defined: `__init__.py` loads from this list.
+from .base.errors import LeglabError as LeglabError
+from .base.recording import Recording as Recording
+from .base.scenario import Options as Options
+from .base.scenario import ParameterChange as ParameterChange
+from .base.scenario import Scenario as Scenario
+from .base.scenario import Severity as Severity
+from .base.scenario import register_scenario as register_scenario
+from .base.settings import Configuration as Configuration
+from .control.contract import Controller as Controller
+from .control.contract import ControllerSetup as ControllerSetup
+from .control.contract import Measurement as Measurement
+from .control.contract import NominalMachine as NominalMachine
+from .control.contract import ReferencePoint as ReferencePoint
+from .control.contract import register_controller as register_controller
+from .controllers import controller_names as controller_names
+from .controllers import make_controller as make_controller
+from .data import read as read
+from .data import read_column_map as read_column_map
+from .data import write as write
+from .diagnosis.output import write_improved as write_improved
+from .diagnosis.result import Diagnosis as Diagnosis
+from .diagnosis.verdict import diagnose as diagnose
+from .machine.simulation import Simulation as Simulation
+from .machine.simulation import load_model as load_model
+from .references import make_reference as make_reference
+from .references import reference_names as reference_names
+from .references import register_reference as register_reference
+from .runs.folder import read_run as read_run
+from .runs.folder import write_run as write_run
+from .runs.loop import Loop as Loop
+from .runs.preparation import RunSettings as RunSettings
+from .runs.run import Run as Run
+from .runs.run import run_scenario as run_scenario
+from .scenarios import get_scenario as get_scenario
+from .scenarios import scenario_names as scenario_names
+
+__version__: str
+__all__: list[str]

@@ -1,0 +1,174 @@
+"""From the settings of a run to its parts: nominal machine, specimen, reference."""
+
+import copy
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import leglab.controllers
+import leglab.scenarios  # noqa: F401  registers the scenarios
+from leglab.base.errors import LeglabError
+from leglab.base.scenario import Scenario, get_scenario
+from leglab.base.settings import validate_configuration
+from leglab.commissioning.calibration import settle, speed_limits
+from leglab.commissioning.setup import CommissionedMachine
+from leglab.control import ControllerSetup, Foreknowledge
+from leglab.machine.changes import check_tolerance, vary_bodies, vary_parameters
+from leglab.machine.sensors import SensorConfiguration
+from leglab.machine.simulation import Simulation, load_model
+from leglab.references import Joint, Reference, make_reference
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSettings:
+    """Everything that decides a run, as `run.json` stores it.
+
+    Attributes:
+        scenario: Name of the scenario.
+        controller: Name of the controller.
+        model: Name of a model or path of an MJCF file.
+        duration: [s]; None for the scenario's own.
+        seed: Of sensor noise and of everything random, a random reference included.
+        severity: Of the scenario's change, in its own unit; None for its own.
+        ramp_duration: How long the change takes [s].
+        reference: Name of the reference; None for the scenario's own.
+        reference_config: Settings of the reference, over those of the scenario.
+        controller_config: Settings of the controller.
+        sensors: Settings of sensors and timing.
+        timestep: Of the simulation [s]; None for the model's own.
+        tolerance: Relative standard deviation of the machine's parameters about those that the
+            controller knows [1]; the seed picks the specimen.
+    """
+
+    scenario: str
+    controller: str = "pd"
+    model: str = "leg"
+    duration: float | None = None
+    seed: int = 0
+    severity: float | None = None
+    ramp_duration: float = 0.0
+    reference: str | None = None
+    reference_config: Mapping[str, Any] = field(default_factory=dict)
+    controller_config: Mapping[str, Any] = field(default_factory=dict)
+    sensors: Mapping[str, Any] = field(default_factory=dict)
+    timestep: float | None = None
+    tolerance: float = 0.0
+
+
+def scenario_of(settings: RunSettings) -> Scenario:
+    """Builds the scenario that settings ask for.
+
+    Raises:
+        LeglabError: If the seed, the name or an option of the scenario is not allowed.
+    """
+    if settings.seed < 0:
+        raise LeglabError(f"seed {settings.seed} is negative; allowed: 0 or more")
+    return get_scenario(
+        settings.scenario,
+        duration=settings.duration,
+        severity=settings.severity,
+        ramp_duration=settings.ramp_duration,
+    )
+
+
+class Preparation:
+    """What runs with the same model, sensors and tolerance share.
+
+    Args:
+        settings: Of a run.
+
+    Attributes:
+        sensors: Sensors and timing.
+        nominal: The nominal machine in its rest pose; a run moves a machine of its own.
+
+    Raises:
+        LeglabError: If the model or a setting does not fit.
+    """
+
+    def __init__(self, settings: RunSettings) -> None:
+        check_tolerance(settings.tolerance)
+        self._model, self._timestep = settings.model, settings.timestep
+        self._tolerance = settings.tolerance
+        self.sensors = validate_configuration(SensorConfiguration, settings.sensors, "sensors")
+        self.nominal = Simulation(self._load(visual=False))
+        self._known = CommissionedMachine(self.nominal, settings.model, self.sensors)
+
+    def setup(self, scenario: Scenario, bench_runs: Callable[[], Any]) -> ControllerSetup:
+        """Returns what the controller of a run is made from.
+
+        Args:
+            scenario: Of the run.
+            bench_runs: Makes recordings of the machine before and after its changes.
+        """
+        return ControllerSetup(
+            joints=self.nominal.joints,
+            control_period=self.sensors.control_period,
+            machine=self._known,
+            foreknowledge=Foreknowledge(
+                first_change=min(scenario.breakpoints, default=math.inf),
+                last_change=max(scenario.breakpoints, default=math.inf),
+                bench_runs=bench_runs,
+            ),
+        )
+
+    def reference(self, settings: RunSettings, scenario: Scenario) -> Reference:
+        """The trajectory of a run, of the nominal machine's joints."""
+        return make_reference(
+            settings.reference or scenario.reference,
+            reference_joints(self.nominal),
+            reference_config(settings, scenario),
+            seed=settings.seed,
+        )
+
+    def machine(self, *, visual: bool = False) -> Simulation:
+        """A machine of its own for runs, which `start` brings to the start of one.
+
+        Args:
+            visual: Whether it can be seen: with the shapes that are there for that only.
+        """
+        return Simulation(self._load(visual=True) if visual else copy.copy(self.nominal.model))
+
+    def start(self, simulation: Simulation, seed: int) -> None:
+        """Puts a machine where a run starts: the seed's specimen, at rest in its rest pose.
+
+        Args:
+            simulation: From `machine`, in any state, its bodies without loads.
+            seed: Picks the specimen, where there is a tolerance.
+
+        Raises:
+            LeglabError: If a cylinder cannot hold its joint there.
+        """
+        if self._tolerance:
+            model = simulation.model
+            model.body_mass[:] = self.nominal.model.body_mass
+            model.body_inertia[:] = self.nominal.model.body_inertia
+            vary_bodies(model, self._tolerance, seed)
+        simulation.reset()
+        if self._tolerance:
+            vary_parameters(simulation, self._tolerance, seed)
+        settle(simulation)
+
+    def _load(self, *, visual: bool) -> Any:
+        return load_model(self._model, timestep=self._timestep, visual=visual)
+
+
+def reference_config(settings: RunSettings, scenario: Scenario) -> dict[str, Any]:
+    """Settings of the reference: the scenario's, for its own reference, below the user's."""
+    own = settings.reference in (None, scenario.reference)
+    return {**(scenario.reference_config if own else {}), **settings.reference_config}
+
+
+def reference_joints(simulation: Simulation) -> tuple[Joint, ...]:
+    """The driven joints with their limits, at rest in the present pose."""
+    rows = zip(
+        simulation.joints,
+        simulation.position(),
+        simulation.joint_range(),
+        speed_limits(simulation),
+        strict=True,
+    )
+    return tuple(
+        Joint(name=name, rest=float(rest), lower=low, upper=high, velocity_limit=float(speed))
+        for name, rest, (low, high), speed in rows
+    )
