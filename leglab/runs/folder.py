@@ -4,24 +4,32 @@ import json
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
-
-from joblib import Parallel, delayed
-from joblib.externals.loky import get_reusable_executor
-from pydantic import BaseModel, Field, FiniteFloat, StringConstraints, ValidationError
+from typing import Any
 
 from leglab import data
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.recording import Recording
 from leglab.base.scenario import get_scenario
 from leglab.control import controller_names
+from leglab.runs import record
+from leglab.runs.parallel import Progress, make_missing
 from leglab.runs.preparation import RunSettings
+from leglab.runs.record import (
+    CONFIGURATION,
+    METRICS,
+    RECORDING,
+    RUN_FILES,
+    PhaseMetrics,
+    RunConfiguration,
+    RunMetrics,
+)
 from leglab.runs.run import Run, run_scenario
-from leglab.runs.sweep import fingerprint, interrupts_ignored
+from leglab.runs.sweep import fingerprint
 
 
-def check_folder(folder: Path, *, overwrite: bool = False, mark: str = "metrics.json") -> None:
+def check_folder(folder: Path, *, overwrite: bool = False, mark: str = METRICS) -> None:
     """Refuses a folder that exists, before any work is done.
 
     Args:
@@ -67,9 +75,9 @@ def write_run(
     try:
         shutil.rmtree(partial, ignore_errors=True)
         partial.mkdir(parents=True)
-        data.write(run.recording, partial / "recording.parquet")
-        _write_json(partial / "metrics.json", run.metrics)
-        _write_json(partial / "run.json", run.configuration)
+        data.write(run.recording, partial / RECORDING)
+        record.write(run.record, partial / METRICS)
+        record.write(run.configuration, partial / CONFIGURATION)
         if draw:
             draw(run, partial)
         if folder.exists():
@@ -80,73 +88,6 @@ def write_run(
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     return folder
-
-
-def _write_json(path: Path, content: dict) -> None:
-    path.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n")
-
-
-Name = Annotated[str, StringConstraints(min_length=1, max_length=500)]
-ByJoint = dict[str, FiniteFloat]
-_Content = TypeVar("_Content", bound=BaseModel)
-
-
-class PhaseMetrics(BaseModel):
-    """One phase of `metrics.json`; see `leglab.runs.metrics.phase_table` and `usage_table`."""
-
-    name: Name
-    start: FiniteFloat
-    end: FiniteFloat
-    rms_rad: ByJoint
-    peak_rad: ByJoint
-    p95_rad: ByJoint = {}
-    effort: ByJoint = {}
-    energy_j: ByJoint = {}
-
-
-class ReadaptationMetrics(BaseModel):
-    """See `leglab.runs.metrics.Readaptation`."""
-
-    time_s: FiniteFloat | None = None
-    threshold: FiniteFloat | None = None
-    reason: str | None = None
-
-
-class Metrics(BaseModel):
-    """What a report needs of `metrics.json`."""
-
-    scenario: Name
-    controller: Name
-    model: Name
-    seed: int
-    duration: FiniteFloat
-    severity: FiniteFloat | None = None
-    completed: bool
-    failure: str | None = None
-    phases: Annotated[list[PhaseMetrics], Field(min_length=1)]
-    readaptation: ReadaptationMetrics
-    excess_error_area_rad_s: FiniteFloat | None = None
-
-
-class Change(BaseModel):
-    """A parameter that changes; see `leglab.base.scenario.ParameterChange`."""
-
-    parameter: Name
-    element: Name
-    kind: Name
-    value: FiniteFloat
-    start: FiniteFloat
-    ramp_duration: FiniteFloat = 0.0
-
-
-class Configuration(BaseModel):
-    """What a report needs of `run.json`."""
-
-    settings: dict[str, Any]
-    window: Annotated[FiniteFloat, Field(gt=0)]
-    changes: list[Change] = []
-    versions: dict[str, str] = {}
-    code: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -163,8 +104,8 @@ class ReportedRun:
 
     folder: Path
     label: str
-    metrics: Metrics
-    configuration: Configuration
+    metrics: RunMetrics
+    configuration: RunConfiguration
     recording: Recording
 
     @property
@@ -232,12 +173,12 @@ def read_run(folder: Path) -> ReportedRun:
     Raises:
         LeglabError: As `read_runs`.
     """
-    for name in ("metrics.json", "run.json", "recording.parquet"):
+    for name in RUN_FILES:
         if not (folder / name).is_file():
             raise LeglabError(f"{str(folder)!r} is not the folder of a run: it has no {name}")
     metrics = read_metrics(folder)
-    configuration = _read(Configuration, folder / "run.json")
-    recording = data.read(folder / "recording.parquet")
+    configuration = record.read(RunConfiguration, folder / CONFIGURATION)
+    recording = data.read(folder / RECORDING)
     joints = [name for name in metrics.phases[0].rms_rad if name != "all"]
     for phase in metrics.phases:
         for key in ("rms_rad", "peak_rad"):
@@ -262,25 +203,13 @@ def read_run(folder: Path) -> ReportedRun:
     )
 
 
-def read_metrics(folder: Path) -> Metrics:
+def read_metrics(folder: Path) -> RunMetrics:
     """Reads `metrics.json` alone.
 
     Raises:
         LeglabError: It cannot be read or does not have the form.
     """
-    return _read(Metrics, folder / "metrics.json")
-
-
-def _read(kind: type[_Content], path: Path) -> _Content:
-    try:
-        return kind.model_validate(json.loads(path.read_bytes()))
-    except ValidationError as error:
-        problem = error.errors(include_url=False)[0]
-        where = ".".join(str(part) for part in problem["loc"]) or "content"
-        message = problem["msg"][:1].lower() + problem["msg"][1:]
-        raise LeglabError(f"{path}: {where}: {message}") from error
-    except (OSError, ValueError, RecursionError) as error:
-        raise LeglabError(f"{path}: cannot be read: {error}") from error
+    return record.read(RunMetrics, folder / METRICS)
 
 
 def _labels(runs: Sequence[ReportedRun]) -> list[str]:
@@ -300,12 +229,6 @@ def _labels(runs: Sequence[ReportedRun]) -> list[str]:
     if len(set(labels)) < len(labels):
         labels = [f"{x} ({i + 1})" for i, x in enumerate(labels)]
     return labels
-
-
-# Told after each run: how many are done, how many there are, what was run.
-Progress = Callable[[int, int, str], None]
-
-_FILES = ("metrics.json", "run.json", "recording.parquet")
 
 
 def check_settings(runs: Sequence[RunSettings]) -> None:
@@ -364,30 +287,15 @@ def make_runs(
     check_settings(runs)
     code = fingerprint()
     folders = [folder / run.controller for run in runs]
-    todo = [
-        (run, place)
-        for run, place in zip(runs, folders, strict=True)
-        if overwrite or not _is_made(run, place, code)
-    ]
-    for _, place in todo:
-        check_folder(place, overwrite=True)
-    done = len(runs) - len(todo)
-    if progress:
-        progress(done, len(runs), "")
-    if todo:
-        worker = Parallel(
-            n_jobs=min(jobs, len(todo)), return_as="generator_unordered", batch_size=1
-        )
-        try:
-            with interrupts_ignored():
-                labels = worker(delayed(_make)(run, place, code) for run, place in todo)
-            for label in labels:
-                done += 1
-                if progress:
-                    progress(done, len(runs), label)
-        except KeyboardInterrupt:
-            get_reusable_executor().shutdown(wait=False, kill_workers=True)
-            raise
+    tasks = list(zip(runs, folders, strict=True))
+
+    def is_made(task: tuple[RunSettings, Path]) -> bool:
+        return not overwrite and _is_made(*task, code)
+
+    for task in tasks:
+        if not is_made(task):
+            check_folder(task[1], overwrite=True)
+    make_missing(tasks, partial(_make, code=code), is_made=is_made, jobs=jobs, progress=progress)
     return folders
 
 
@@ -397,10 +305,10 @@ def _asked(settings: RunSettings) -> dict:
 
 
 def _is_made(settings: RunSettings, folder: Path, code: str) -> bool:
-    if not all((folder / name).is_file() for name in _FILES):
+    if not all((folder / name).is_file() for name in RUN_FILES):
         return False
     try:
-        stored = json.loads((folder / "run.json").read_text())
+        stored = json.loads((folder / CONFIGURATION).read_text())
     except (OSError, ValueError):
         return False
     if not isinstance(stored, dict):
@@ -408,11 +316,13 @@ def _is_made(settings: RunSettings, folder: Path, code: str) -> bool:
     return stored.get("asked") == _asked(settings) and stored.get("code") == code
 
 
-def _make(settings: RunSettings, folder: Path, code: str) -> str:
+def _make(task: tuple[RunSettings, Path], code: str) -> str:
     """Makes a run, in a process of its own unless there is one job only, and says what it was."""
+    settings, folder = task
     run = run_scenario(settings)
     if run.history.failure.startswith("interrupted"):
         raise KeyboardInterrupt
-    run = replace(run, configuration={**run.configuration, "asked": _asked(settings), "code": code})
+    made = {"asked": _asked(settings), "code": code}
+    run = replace(run, configuration=run.configuration.model_copy(update=made))
     write_run(run, folder, overwrite=True)
     return f"{settings.scenario} · {settings.controller}"

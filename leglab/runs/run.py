@@ -11,6 +11,7 @@ from leglab.base.scenario import Scenario
 from leglab.runs.loop import History, Loop, Progress, recorded_positions, recording_noise
 from leglab.runs.metrics import summary
 from leglab.runs.preparation import RunSettings, reference_config
+from leglab.runs.record import ChangeRecord, RunConfiguration, RunMetrics, as_json
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +23,7 @@ class Run:
         scenario: The scenario as it was built.
         recording: What sensors and commands were; format of `leglab.base.recording`.
         history: True states and everything else of the loop.
-        metrics: Content of `metrics.json`.
+        record: Content of `metrics.json`.
         configuration: Content of `run.json`.
         window: Window of the sliding error [s].
         joints: Names of the driven joints.
@@ -32,10 +33,15 @@ class Run:
     scenario: Scenario
     recording: Recording
     history: History
-    metrics: dict[str, Any]
-    configuration: dict[str, Any]
+    record: RunMetrics
+    configuration: RunConfiguration
     window: float
     joints: tuple[str, ...]
+
+    @property
+    def metrics(self) -> dict[str, Any]:
+        """Content of `metrics.json` as plain Python types."""
+        return as_json(self.record)
 
 
 def run_scenario(settings: RunSettings, progress: Progress | None = None) -> Run:
@@ -60,7 +66,9 @@ def run_scenario(settings: RunSettings, progress: Progress | None = None) -> Run
         scenario=scenario,
         recording=_recording(loop, history, metadata),
         history=history,
-        metrics={**metadata, **summary(scenario, window, history, joints)},
+        record=RunMetrics.model_validate(
+            {**metadata, **summary(scenario, window, history, joints)}
+        ),
         configuration=configuration,
         window=window,
         joints=joints,
@@ -96,11 +104,11 @@ def _recording(loop: Loop, history: History, metadata: dict[str, Any]) -> Record
     return Recording(time=history.time, columns=columns, metadata=metadata)
 
 
-def _configuration(loop: Loop) -> dict[str, Any]:
+def _configuration(loop: Loop) -> RunConfiguration:
     settings, scenario, simulation = loop.settings, loop.scenario, loop.simulation
     packages = ("mujoco", "numpy", "scipy", "control", "pyarrow")
-    return {
-        "settings": {
+    return RunConfiguration(
+        settings={
             **{name: getattr(settings, name) for name in settings.__dataclass_fields__},
             "model": str(settings.model),
             "reference": loop.reference.name,
@@ -111,12 +119,12 @@ def _configuration(loop: Loop) -> dict[str, Any]:
             "sensors": loop.preparation.sensors.model_dump(),
             "timestep": simulation.model.opt.timestep,
         },
-        "window": loop.reference.period,
-        "changes": [asdict(change) for change in scenario.changes],
-        "elements": {name: simulation.cylinder_parameters(name) for name in simulation.actuators},
-        "versions": {
+        window=loop.reference.period,
+        changes=[ChangeRecord(**asdict(change)) for change in scenario.changes],
+        elements={name: simulation.cylinder_parameters(name) for name in simulation.actuators},
+        versions={
             "leglab": __version__,
             "python": platform.python_version(),
             **{package: version(package) for package in packages},
         },
-    }
+    )

@@ -1,20 +1,15 @@
 """Many runs: scenarios by controllers by seeds, in parallel, picked up where they were left."""
 
-import functools
 import hashlib
 import json
 import math
-import signal
-import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from joblib import Parallel, delayed
-from joblib.externals.loky import get_reusable_executor
 from scipy import stats
 
 import leglab._native
@@ -28,6 +23,7 @@ from leglab.control import controller_names
 from leglab.data import write_atomically
 from leglab.machine.changes import check_tolerance
 from leglab.runs.metrics import rms, sliding_rms
+from leglab.runs.parallel import Progress, make_missing
 from leglab.runs.preparation import RunSettings
 from leglab.runs.run import Run, run_scenario
 
@@ -37,9 +33,6 @@ _TRACE_PERIOD = 0.02
 # Window of the error that adaptation must not make worse, when a run counts as settled, and the
 # part of a run that counts as its end [s].
 _SAFETY_WINDOW, _SETTLED, _END = 2.0, 5.0, 5.0
-
-# Told after each run: how many are done, how many there are, what was run.
-SweepProgress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +109,7 @@ def run_all(
     *,
     jobs: int = -1,
     overwrite: bool = False,
-    progress: SweepProgress | None = None,
+    progress: Progress | None = None,
 ) -> list[dict[str, Any]]:
     """Makes all runs that the folder does not hold yet.
 
@@ -146,27 +139,18 @@ def run_all(
     except OSError as error:
         raise LeglabError(f"{folder}: cannot be written: {error.strerror}") from error
     code = fingerprint()
-    todo = [run for run in runs if overwrite or _stored(run, folder, code) is None]
-    done = len(runs) - len(todo)
-    if progress:
-        progress(done, len(runs), "")
-    if todo:
-        worker = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
-        try:
-            with interrupts_ignored():
-                labels = worker(delayed(_run_and_store)(run, folder, code) for run in todo)
-            for label in labels:
-                done += 1
-                if progress:
-                    progress(done, len(runs), label)
-        except KeyboardInterrupt:
-            get_reusable_executor().shutdown(wait=False, kill_workers=True)
-            raise
+    make_missing(
+        runs,
+        partial(_run_and_store, folder=folder, code=code),
+        is_made=lambda run: not overwrite and _stored(run, folder, code) is not None,
+        jobs=jobs,
+        progress=progress,
+    )
     results = [_stored(run, folder, code) for run in runs]
     return [result for result in results if result is not None]
 
 
-@functools.cache
+@cache
 def fingerprint() -> str:
     """Digest of all code and data of leglab that a result may depend on."""
     packages = (leglab, leglab.controllers, leglab.scenarios, leglab.models, leglab._native)
@@ -196,19 +180,6 @@ def _stored(settings: RunSettings, folder: Path, code: str) -> dict[str, Any] | 
         return None
     same = result.get("settings") == asdict(settings) and result.get("code") == code
     return result if same else None
-
-
-@contextmanager
-def interrupts_ignored() -> Iterator[None]:
-    """Processes that start inside ignore Ctrl-C, which reaches them as well: we stop them."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, handler)
 
 
 def _run_and_store(settings: RunSettings, folder: Path, code: str) -> str:

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 
 from leglab.report.page.wording import Section, capital, listed, number
 from leglab.report.run.errors import fallback_shares, saturation
-from leglab.runs.folder import Change, ReportedRun
+from leglab.runs.folder import ReportedRun
+from leglab.runs.record import ChangeRecord as Change
 
 # Settings that runs must share for their errors to be compared.
 _DECISIVE = (

@@ -1,0 +1,83 @@
+"""Many results in parallel processes: each is kept as soon as it is there, the missing are made."""
+
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TypeVar
+
+from joblib import Parallel, delayed
+from joblib.externals.loky import get_reusable_executor
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+# Told after each result: how many are there, how many there will be, which one came.
+Progress = Callable[[int, int, str], None]
+
+
+def make_missing(
+    items: Sequence[Item],
+    make: Callable[[Item], str],
+    *,
+    is_made: Callable[[Item], bool],
+    jobs: int = -1,
+    progress: Progress | None = None,
+) -> None:
+    """Makes the results that are not there yet, so that an interrupted call can be repeated.
+
+    Args:
+        items: What results are of.
+        make: Makes one and stores it as a whole or not at all, in a process of its own unless
+            there is one job only; returns what to tell of it.
+        is_made: Whether one is stored already.
+        jobs: Processes at a time; -1 is one a core.
+        progress: Called at the beginning and after each result.
+
+    Raises:
+        KeyboardInterrupt: The user interrupts; what is stored is kept.
+    """
+    todo = [item for item in items if not is_made(item)]
+    done = len(items) - len(todo)
+    if progress:
+        progress(done, len(items), "")
+    for label in in_processes(make, todo, jobs=min(jobs, max(len(todo), 1))):
+        done += 1
+        if progress:
+            progress(done, len(items), label)
+
+
+def in_processes(
+    make: Callable[[Item], Result], items: Iterable[Item], *, jobs: int = -1
+) -> Iterator[Result]:
+    """Yields the results of a function in the order in which they are finished.
+
+    Args:
+        make: Runs in processes that ignore Ctrl-C, in this one where there is one job.
+        items: Its arguments.
+        jobs: Processes at a time; -1 is one a core.
+
+    Raises:
+        KeyboardInterrupt: The user interrupts; the processes are stopped.
+    """
+    worker = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
+    try:
+        with _interrupts_ignored():
+            results = worker(delayed(make)(item) for item in items)
+        yield from results
+    except KeyboardInterrupt:
+        get_reusable_executor().shutdown(wait=False, kill_workers=True)
+        raise
+
+
+@contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    """Has processes that start inside ignore Ctrl-C, which reaches them as well."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)

@@ -1,0 +1,147 @@
+"""`metrics.json` and `run.json`, the JSON files of a run: their content, read and written."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BaseModel, Field, FiniteFloat, StringConstraints, ValidationError
+
+from leglab.base.errors import LeglabError
+
+METRICS, CONFIGURATION, RECORDING = "metrics.json", "run.json", "recording.parquet"
+RUN_FILES = (METRICS, CONFIGURATION, RECORDING)
+
+Name = Annotated[str, StringConstraints(min_length=1, max_length=500)]
+ByJoint = dict[str, FiniteFloat]
+
+
+class PhaseMetrics(BaseModel):
+    """One phase of `metrics.json`: errors and costs, by joint and under "all".
+
+    Attributes:
+        name: "before", "during", "after" or "whole".
+        start: [s].
+        end: [s].
+        rms_rad: RMS tracking error [rad].
+        peak_rad: Largest error [rad].
+        p95_rad: Error that 95 % of the samples do not exceed [rad].
+        effort: RMS valve command.
+        valve_activity_per_s: RMS rate of the command [1/s].
+        energy_j: Energy drawn from the supply [J].
+        model_error: RMS error of the controller's model, in its own unit; without "all".
+    """
+
+    name: Name
+    start: FiniteFloat
+    end: FiniteFloat
+    rms_rad: ByJoint
+    peak_rad: ByJoint
+    p95_rad: ByJoint = {}
+    effort: ByJoint = {}
+    valve_activity_per_s: ByJoint = {}
+    energy_j: ByJoint = {}
+    model_error: ByJoint = {}
+
+
+class ReadaptationMetrics(BaseModel):
+    """Re-adaptation in `metrics.json`; see `leglab.runs.metrics.Readaptation`."""
+
+    time_s: FiniteFloat | None = None
+    threshold: FiniteFloat | None = None
+    reason: str | None = None
+
+
+class RunMetrics(BaseModel):
+    """Content of `metrics.json`.
+
+    Attributes:
+        scenario: Its name.
+        controller: Its name.
+        model: Name or path.
+        seed: Of sensor noise and everything random.
+        duration: How far the run came [s].
+        severity: Of the fault, in the scenario's own unit; None without one.
+        real_time_factor: Simulated time over the loop's wall time.
+        completed: Whether the run came to its end.
+        failure: Why it ended early.
+        phases: Errors and costs by phase.
+        readaptation: How soon it was good again.
+        excess_error_area_rad_s: Area of the moving error above its value before [rad s].
+    """
+
+    scenario: Name
+    controller: Name
+    model: Name
+    seed: int
+    duration: FiniteFloat
+    severity: FiniteFloat | None = None
+    real_time_factor: FiniteFloat | None = None
+    completed: bool
+    failure: str | None = None
+    phases: Annotated[list[PhaseMetrics], Field(min_length=1)]
+    readaptation: ReadaptationMetrics
+    excess_error_area_rad_s: FiniteFloat | None = None
+
+
+class ChangeRecord(BaseModel):
+    """A changed parameter in `run.json`; see `leglab.base.scenario.ParameterChange`."""
+
+    parameter: Name
+    element: Name
+    kind: Name
+    value: FiniteFloat
+    start: FiniteFloat
+    ramp_duration: FiniteFloat = 0.0
+
+
+class RunConfiguration(BaseModel):
+    """Content of `run.json`.
+
+    Attributes:
+        settings: Of the run, defaults filled in.
+        window: Period of the reference, over which the moving error is taken [s].
+        changes: What happened to the machine.
+        elements: Parameters of the cylinders at the start, by actuator.
+        versions: Of leglab, Python and packages.
+        asked: Settings as they were asked for, where a folder is to be found again by them.
+        code: Digest of leglab's code, likewise.
+    """
+
+    settings: dict[str, Any]
+    window: Annotated[FiniteFloat, Field(gt=0)]
+    changes: list[ChangeRecord] = []
+    elements: dict[str, dict[str, Any]] = {}
+    versions: dict[str, str] = {}
+    asked: dict[str, Any] | None = None
+    code: str | None = None
+
+
+_Content = TypeVar("_Content", bound=BaseModel)
+
+
+def as_json(content: BaseModel) -> dict[str, Any]:
+    """Returns what was given of a content, as plain Python types."""
+    return content.model_dump(exclude_unset=True)
+
+
+def write(content: BaseModel, path: Path) -> None:
+    """Writes a content as JSON."""
+    path.write_text(json.dumps(as_json(content), indent=2, allow_nan=False) + "\n")
+
+
+def read(model: type[_Content], path: Path) -> _Content:
+    """Reads a content.
+
+    Raises:
+        LeglabError: The file cannot be read or does not have the form of a run's; the message
+            names the file and the entry.
+    """
+    try:
+        return model.model_validate(json.loads(path.read_bytes()))
+    except ValidationError as error:
+        problem = error.errors(include_url=False)[0]
+        where = ".".join(str(part) for part in problem["loc"]) or "content"
+        message = problem["msg"][:1].lower() + problem["msg"][1:]
+        raise LeglabError(f"{path}: {where}: {message}") from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise LeglabError(f"{path}: cannot be read: {error}") from error
