@@ -259,6 +259,6 @@ def test_a_ramp_reaches_bodies_and_encoders():
 def test_a_user_reference_replaces_the_settings_of_the_scenarios_own():
     base = RunSettings(scenario="supply_droop", duration=1.0)
     run = run_scenario(base)
-    assert run.configuration["settings"]["reference_config"] == {"period": 0.9}
+    assert run.configuration.settings["reference_config"] == {"period": 0.9}
     other = RunSettings(scenario="supply_droop", duration=1.0, reference="squat")
     assert run_scenario(other).configuration["settings"]["reference_config"] == {}
