@@ -261,4 +261,4 @@ def test_a_user_reference_replaces_the_settings_of_the_scenarios_own():
     run = run_scenario(base)
     assert run.configuration.settings["reference_config"] == {"period": 0.9}
     other = RunSettings(scenario="supply_droop", duration=1.0, reference="squat")
-    assert run_scenario(other).configuration["settings"]["reference_config"] == {}
+    assert run_scenario(other).configuration.settings["reference_config"] == {}
