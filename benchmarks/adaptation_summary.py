@@ -1,7 +1,7 @@
-"""The short tables of README.md, from the committed results of `adaptation_claims.py`.
+"""Tables of README.md and the overview, from the committed results of `adaptation_claims.py`.
 
-`python benchmarks/adaptation_summary.py scenarios` or `controllers`. The walking leg; RMS over
-joints of the true tracking error in mrad, means over seeds.
+`python benchmarks/adaptation_summary.py short`, `scenarios` or `controllers`. The walking leg;
+RMS over joints of the true tracking error in mrad, means over seeds.
 """
 
 import sys
@@ -9,12 +9,16 @@ import sys
 import numpy as np
 from adaptation_data import Cells, pooled, read
 
-from leglab.base.scenario import scenario_names, scenario_summary
+from leglab import controller_names, scenario_names
+from leglab.base.scenario import scenario_summary
 from leglab.cli.catalogue import severity_text
-from leglab.control import controller_names, controller_summary
+from leglab.control import controller_summary
 
 RIG = "leg, walking"
 SHOWN = ("static_feedforward", "frozen", "bsnn_arx", "oracle")
+# The table of README.md: what a reader asks first.
+FEW = ("nominal", "seal_wear", "cold_oil", "supply_drop", "friction_rise", "encoder_shift")
+COMPARED = ("static_feedforward", "frozen", "bsnn_arx", "adaptive_backstepping")
 
 
 def end(cells: Cells, scenario: str, controller: str) -> float:
@@ -27,6 +31,20 @@ def text(value: float) -> str:
     if np.isnan(value):
         return ""
     return f"{value:.2f}" if value < 10 else f"{value:.1f}"
+
+
+def short(cells: Cells) -> list[str]:
+    """A row a scenario of `FEW`, the smallest error in bold."""
+    lines = [
+        f"| what happens | {' | '.join(f'`{name}`' for name in COMPARED)} |",
+        "|---|" + "---:|" * len(COMPARED),
+    ]
+    for name in FEW:
+        values = [end(cells, name, controller) for controller in COMPARED]
+        best = np.nanmin(values)
+        shown = [f"**{text(v)}**" if v == best else text(v) for v in values]
+        lines.append(f"| {scenario_summary(name)} | {' | '.join(shown)} |")
+    return lines
 
 
 def scenarios(cells: Cells) -> list[str]:
@@ -58,7 +76,7 @@ def controllers(cells: Cells) -> list[str]:
 
 def main() -> None:
     """Prints a table."""
-    known = {"scenarios": scenarios, "controllers": controllers}
+    known = {"short": short, "scenarios": scenarios, "controllers": controllers}
     if len(sys.argv) != 2 or sys.argv[1] not in known:
         raise SystemExit(f"usage: adaptation_summary.py {'|'.join(known)}")
     _, rigs = read()

@@ -11,7 +11,7 @@ from leglab.base.scenario import Options, ParameterChange, Severity, register_sc
     "air_in_oil",
     summary="ten times the air in the oil from half time on",
     severity=Severity(
-        meaning="volume fraction of entrained air at atmospheric pressure [1]",
+        meaning="volume fraction of entrained air at atmospheric pressure",
         default=0.05,
         lowest=0.0,
         highest=0.3,

@@ -9,9 +9,7 @@ from leglab.base.scenario import Options, ParameterChange, Severity, register_sc
 @register_scenario(
     "seal_wear_supply_drop",
     summary="seals leak ten times as much and the supply falls to 120 bar",
-    severity=Severity(
-        meaning="internal leakage ratio [1]", default=10.0, lowest=1.0, highest=1000.0
-    ),
+    severity=Severity(meaning="internal leakage ratio", default=10.0, lowest=1.0, highest=1000.0),
 )
 def seal_wear_supply_drop(options: Options) -> tuple[ParameterChange, ...]:
     """Multiplies the internal leakage by the severity and sets the supply to 120 bar."""

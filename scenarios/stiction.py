@@ -6,9 +6,7 @@ from leglab.base.scenario import Options, ParameterChange, Severity, register_sc
 @register_scenario(
     "stiction",
     summary="four times the breakaway friction from half time on",
-    severity=Severity(
-        meaning="breakaway friction ratio [1]", default=4.0, lowest=1.0, highest=20.0
-    ),
+    severity=Severity(meaning="breakaway friction ratio", default=4.0, lowest=1.0, highest=20.0),
 )
 def stiction(options: Options) -> tuple[ParameterChange, ...]:
     """Multiplies the breakaway friction alone."""

@@ -12,7 +12,7 @@ from leglab.base.scenario import Options, ParameterChange, Severity, register_sc
     "supply_droop",
     summary="fast strides on a pump that gives too little from half time on",
     severity=Severity(
-        meaning="share of the pump's flow that is left [1]", default=0.5, lowest=0.0, highest=1.0
+        meaning="share of the pump's flow that is left", default=0.5, lowest=0.0, highest=1.0
     ),
     reference_config={"period": 0.9},
 )

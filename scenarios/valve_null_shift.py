@@ -10,7 +10,7 @@ from leglab.base.scenario import Options, ParameterChange, Severity, register_sc
     "valve_null_shift",
     summary="the null of all valves shifts at half time",
     severity=Severity(
-        meaning="null shift, of full command [1]", default=0.03, lowest=-0.3, highest=0.3
+        meaning="null shift, of full command", default=0.03, lowest=-0.3, highest=0.3
     ),
 )
 def valve_null_shift(options: Options) -> tuple[ParameterChange, ...]:

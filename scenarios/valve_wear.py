@@ -10,7 +10,7 @@ from leglab.base.scenario import Options, ParameterChange, Severity, register_sc
     "valve_wear",
     summary="dead band and hysteresis of all valves grow at half time",
     severity=Severity(
-        meaning="lap and hysteresis, of full spool travel [1]",
+        meaning="lap and hysteresis, of full spool travel",
         default=0.06,
         lowest=0.0,
         highest=0.3,

@@ -77,7 +77,7 @@ def test_parameters_of_one_plugin(capsys):
 def test_list_as_markdown(capsys):
     _, printed, _ = leglab("list", "--markdown", capsys=capsys)
     assert "| `seal_wear` |" in printed
-    assert "internal leakage ratio [1]: 10 |" in printed
+    assert "internal leakage ratio: 10 |" in printed
 
 
 @pytest.mark.parametrize(
