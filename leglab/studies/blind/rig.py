@@ -15,10 +15,13 @@ import numpy as np
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.recording import Recording
 from leglab.data import write_atomically
-from leglab.studies.blind.bench import bench
-from leglab.studies.blind.faults import FAULTS, Severity, detuned
-from leglab.studies.blind.plant import Plant
-from leglab.studies.blind.references import references
+from leglab.studies.blind.faulty_bench import (
+    FAULTS,
+    FaultyBench,
+    HiddenValue,
+    detuned,
+    references,
+)
 
 JITTER = 1e-5  # s, standard deviation of the logger's clock
 LOST = 5e-4  # share of rows that never reach the file
@@ -47,7 +50,7 @@ class RigSettings:
     seed: int = 0
 
 
-def record(settings: RigSettings) -> tuple[dict[str, Recording], tuple[Severity, ...]]:
+def record(settings: RigSettings) -> tuple[dict[str, Recording], tuple[HiddenValue, ...]]:
     """Runs the rig.
 
     Returns:
@@ -62,7 +65,7 @@ def record(settings: RigSettings) -> tuple[dict[str, Recording], tuple[Severity,
         if name not in FAULTS:
             raise unknown_name("fault of the rig", name, FAULTS)
     rng = np.random.default_rng([settings.seed, 0])
-    plant = Plant(model=bench())
+    plant = FaultyBench()
     detuned(plant, rng)
     severities = tuple(FAULTS[name](plant, rng) for name in settings.effects)
     motions = references(rng, settings.seconds)

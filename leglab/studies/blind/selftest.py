@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
@@ -12,14 +12,21 @@ import numpy as np
 from rich.table import Table
 
 from leglab.base.errors import LeglabError
+from leglab.base.recording import Recording
 from leglab.diagnosis.hypothesis import Library
 from leglab.diagnosis.model import Machine
 from leglab.diagnosis.recordings import held_out_choice
 from leglab.diagnosis.result import Diagnosis
 from leglab.diagnosis.verdict import diagnose
 from leglab.diagnosis.workflow import Settings
-from leglab.studies.blind.faults import FAULTS
-from leglab.studies.blind.trial import Case, cases, make
+from leglab.studies.blind.faulty_bench import (
+    FAULTS,
+    SUDDEN,
+    FaultyBench,
+    HiddenValue,
+    detuned,
+    references,
+)
 
 MODEL = "knee_bench"
 # Of every hundred single-effect cases.
@@ -28,7 +35,63 @@ SCORE_HEAD = ("question", "reached", "cases", "asked")
 _SET = 3  # largest confusion set that counts as an answer
 _SURE = 0.9  # a name that is wrong must not be given with more confidence
 _DOUBT = 0.5  # at most this is low confidence
-_ONSET = 0.3  # s
+_ONSET, _ONSET_TOLERANCE = 6.0, 0.3  # s
+_KINDS = {"single": 1, "null": 2, "pair": 3, "removed": 4, "onset": 5}  # in the seeds
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """What is hidden.
+
+    Attributes:
+        kind: "single", "null", "pair", "removed" or "onset".
+        number: Of the case among its kind; with the seed it fixes every random choice.
+        effects: Hidden effects.
+        onset: s; 0 where they are there throughout.
+    """
+
+    kind: str
+    number: int
+    effects: tuple[str, ...]
+    onset: float = 0.0
+
+
+def cases(counts: Mapping[str, int], seed: int, names: Sequence[str]) -> list[Case]:
+    """The cases of a self-test: single ones cycle through all effects.
+
+    Args:
+        counts: Number of cases by kind.
+        seed: Of the pairs and the removed effects.
+        names: Effects that may be hidden.
+    """
+    found = []
+    for kind, count in counts.items():
+        for number in range(count):
+            rng = np.random.default_rng([seed, _KINDS[kind], number])
+            if kind == "null":
+                effects: tuple[str, ...] = ()
+            elif kind == "single":
+                effects = (names[number % len(names)],)
+            elif kind == "pair":
+                effects = tuple(rng.choice(names, 2, replace=False).tolist())
+            else:
+                choice = [n for n in names if n in SUDDEN] if kind == "onset" else list(names)
+                effects = (choice[int(rng.integers(len(choice)))],)
+            onset = _ONSET if kind == "onset" else 0.0
+            found.append(Case(kind=kind, number=number, effects=effects, onset=onset))
+    return found
+
+
+def make(case: Case, seed: int) -> tuple[dict[str, Recording], tuple[HiddenValue, ...]]:
+    """Recordings of a case, and the severities that were drawn."""
+    rng = np.random.default_rng([seed, _KINDS[case.kind], case.number, 1])
+    plant = FaultyBench(onset=case.onset)
+    detuned(plant, rng)
+    severities = tuple(FAULTS[name](plant, rng) for name in case.effects)
+    return (
+        {name: plant.record(values, rng) for name, values in references(rng).items()},
+        severities,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +155,7 @@ class Outcome:
     @property
     def onset_right(self) -> bool:
         """Whether an onset was found within the tolerance in every recording that has one."""
-        return bool(self.onsets) and all(abs(t - 6.0) <= _ONSET for t in self.onsets)
+        return bool(self.onsets) and all(abs(t - _ONSET) <= _ONSET_TOLERANCE for t in self.onsets)
 
 
 def self_test(
