@@ -10,7 +10,7 @@ from rich.console import Console
 
 from leglab.base.errors import LeglabError
 from leglab.cli import main
-from leglab.studies.verification import Row, report
+from leglab.studies.verification import Check, report
 from leglab.studies.verification.cases import (
     CASES,
     LEAKAGE,
@@ -38,10 +38,12 @@ def test_every_row_passes(name):
 
 
 def test_a_wrong_value_fails():
-    row = Row(case="a", quantity="q", solver="s", unit="m", expected=1.0, got=1.002, tolerance=1e-3)
+    row = Check(
+        case="a", quantity="q", solver="s", unit="m", expected=1.0, got=1.002, tolerance=1e-3
+    )
     assert not row.passed
-    assert not Row(**{**vars(row), "got": math.nan}).passed
-    assert Row(**{**vars(row), "got": 1.0009}).passed
+    assert not Check(**{**vars(row), "got": math.nan}).passed
+    assert Check(**{**vars(row), "got": 1.0009}).passed
 
 
 # The closed forms themselves against the stored numbers, which three stiff solvers agreed on.
@@ -131,8 +133,10 @@ def test_rows_hold_the_stored_numbers():
 
 
 def test_verify_prints_tables_and_reports_a_failure(monkeypatch, tmp_path):
-    good = Row(case="a", quantity="q", solver="s", unit="m", expected=1.0, got=1.0, tolerance=1e-3)
-    bad = Row(**{**vars(good), "got": 2.0, "quantity": "wrong one"})
+    good = Check(
+        case="a", quantity="q", solver="s", unit="m", expected=1.0, got=1.0, tolerance=1e-3
+    )
+    bad = Check(**{**vars(good), "got": 2.0, "quantity": "wrong one"})
     monkeypatch.setattr(report, "shared_data", lambda part: tmp_path)
     monkeypatch.setattr(report, "replay_all", lambda folder: [])
     for rows, outcome in (([good], True), ([good, bad], False)):
@@ -144,8 +148,10 @@ def test_verify_prints_tables_and_reports_a_failure(monkeypatch, tmp_path):
 
 
 def test_checks_as_json(monkeypatch, tmp_path, capsys):
-    good = Row(case="a", quantity="q", solver="s", unit="m", expected=1.0, got=1.0, tolerance=1e-3)
-    bad = Row(**{**vars(good), "got": float("nan")})
+    good = Check(
+        case="a", quantity="q", solver="s", unit="m", expected=1.0, got=1.0, tolerance=1e-3
+    )
+    bad = Check(**{**vars(good), "got": float("nan")})
     monkeypatch.setattr(report, "replay_all", lambda folder: [])
 
     def missing(part):

@@ -41,7 +41,7 @@ _KINDS = {"single": 1, "null": 2, "pair": 3, "removed": 4, "onset": 5}  # in the
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """What is hidden.
+    """Effects hidden in one set of recordings.
 
     Attributes:
         kind: "single", "null", "pair", "removed" or "onset".
@@ -96,7 +96,7 @@ def make(case: Case, seed: int) -> tuple[dict[str, Recording], tuple[HiddenValue
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """One case, told and judged.
+    """A case and its diagnosis.
 
     Attributes:
         kind: Of the case.
@@ -105,13 +105,13 @@ class Outcome:
         severities: "parameter=value" of each.
         verdict: Of the diagnosis.
         named: Effects that it names, first the one that contributes most.
-        alternatives: What each is not told apart from.
+        alternatives: Effects that each is not told apart from.
         confidence: Of each.
         covered: For each parameter whose true value is known: whether its interval holds it.
         onsets: Estimated onsets [s]; empty where none was found.
         before: Gap on the held-out recording.
         after: The same with the named effects.
-        seconds: Processor time of the diagnosis.
+        seconds: Time of the diagnosis on one thread.
     """
 
     kind: str
@@ -260,33 +260,29 @@ def _read(path: Path) -> Iterator[Outcome]:
 
 
 def scores(outcomes: list[Outcome]) -> list[tuple[str, str, str, str]]:
-    """Rows of `SCORE_HEAD`: what was asked and what was reached."""
+    """Rows of `SCORE_HEAD`: shares reached beside those asked."""
     rows: list[tuple[str, str, str, str]] = []
 
-    def of(kind: str) -> list[Outcome]:
-        return [o for o in outcomes if o.kind == kind]
+    def add(question: str, good: list[bool], asked: str) -> None:
+        if good:
+            share = f"{sum(good)} ({sum(good) / len(good):.0%})"
+            rows.append((question, share, str(len(good)), asked))
 
-    def add(question: str, good: int, total: int, asked: str) -> None:
-        if total:
-            rows.append((question, f"{good} ({good / total:.0%})", str(total), asked))
+    def of(kind: str, good: Callable[[Outcome], bool]) -> list[bool]:
+        return [good(o) for o in outcomes if o.kind == kind]
 
-    single, pairs = of("single"), of("pair")
-    add("single effect named first", sum(o.first for o in single), len(single), "85 %")
-    add("single effect named or in a set of 3", sum(o.found for o in single), len(single), "95 %")
-    null = of("null")
-    add("false alarms where nothing is hidden", sum(bool(o.named) for o in null), len(null), "3 %")
-    add("pairs: both named", sum(o.found for o in pairs), len(pairs), "80 %")
-    removed = of("removed")
-    add(
-        "effect unknown to the library: doubt", sum(o.honest for o in removed), len(removed), "80 %"
-    )
-    sure = [o for o in removed if not o.honest and max(o.confidence) > _SURE]
-    add("... and a wrong name given for sure", len(sure), len(removed), "0 %")
-    covered = [c for o in outcomes for c in o.covered]
-    add("95 % intervals hold the truth", sum(covered), len(covered), "85 %")
-    onset = of("onset")
-    good = sum(o.found and o.onset_right for o in onset)
-    add("onset at 6 s named and within 0.3 s", good, len(onset), "all")
+    def wrong_for_sure(outcome: Outcome) -> bool:
+        return not outcome.honest and max(outcome.confidence) > _SURE
+
+    add("single effect named first", of("single", lambda o: o.first), "85 %")
+    add("single effect named or in a set of 3", of("single", lambda o: o.found), "95 %")
+    add("false alarms where nothing is hidden", of("null", lambda o: bool(o.named)), "3 %")
+    add("pairs: both named", of("pair", lambda o: o.found), "80 %")
+    add("effect unknown to the library: doubt", of("removed", lambda o: o.honest), "80 %")
+    add("... and a wrong name given for sure", of("removed", wrong_for_sure), "0 %")
+    add("95 % intervals hold the truth", [c for o in outcomes for c in o.covered], "85 %")
+    onset = of("onset", lambda o: o.found and o.onset_right)
+    add("onset at 6 s named and within 0.3 s", onset, "all")
     seconds = [o.seconds for o in outcomes]
     if seconds:
         rows.append(

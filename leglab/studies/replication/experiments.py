@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Comparison:
+class ModelComparison:
     """Scores of all models and an exemplary validation prediction of each.
 
     Attributes:
@@ -47,7 +47,7 @@ def compare(
     *,
     settings: OnlineSettings | None = None,
     progress: Callable[[str], None] | None = None,
-) -> Comparison:
+) -> ModelComparison:
     """Runs `instances` instances of each model, which differ in their initial parameters.
 
     Args:
@@ -74,7 +74,7 @@ def compare(
             runs = np.column_stack([net.free_run(u[part], y[part][:LAGS]) for net in networks])
             scores[name][model] = score(y[part], runs)
         examples[model] = runs[:, 0]
-    return Comparison(scores=scores, online=online, examples=examples)
+    return ModelComparison(scores=scores, online=online, examples=examples)
 
 
 WEIGHTS_SETTLED = 300

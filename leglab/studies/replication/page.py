@@ -13,9 +13,9 @@ from leglab.studies.replication.experiments import (
     INITIAL_GAINS,
     LEARNING_CONSTANTS,
     ONLINE,
-    Comparison,
     Convergence,
     Errors,
+    ModelComparison,
     spline_shapes,
 )
 from leglab.studies.replication.online import BETTER_FIT
@@ -62,7 +62,7 @@ class Page:
         return path
 
 
-def comparison(page: Page, result: Comparison, y: Array, instances: int, seed: int) -> None:
+def comparison(page: Page, result: ModelComparison, y: Array, instances: int, seed: int) -> None:
     """Table 1 and Figs. 8, 9, 11 to 14, 16, 17."""
     worst = worst_deviation(result.scores)
     page.text(f"## Table 1, {instances} instances, noise seed {seed}")
@@ -146,7 +146,7 @@ def spread(page: Page, rows: list[Errors], count: int) -> None:
     page.text(markdown(("model", "mean", "standard deviation", "least", "largest"), rows))
 
 
-def better_fit(page: Page, result: Comparison) -> None:
+def better_fit(page: Page, result: ModelComparison) -> None:
     """Table 1 once more, with constants nearer to it for the online models."""
     seed, settings = BETTER_FIT
     page.text("## A better-fitting set of unpublished constants")

@@ -32,7 +32,7 @@ class Replication:
         figures: Figures written.
     """
 
-    comparison: experiments.Comparison
+    comparison: experiments.ModelComparison
     recoveries: dict[str, dict[str, deployed.Recovery]]
     free_runs: list[tuple[str, int, float, float, float, float]]
     floor: float

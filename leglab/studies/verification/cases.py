@@ -42,7 +42,7 @@ _LPM = 60e3  # l/min per m^3/s
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
+class Check:
     """A quantity, its value in closed form and what a solver computed.
 
     Attributes:
@@ -77,7 +77,7 @@ class Row:
 
 
 class Found(NamedTuple):
-    """Fields of a `Row` that differ within a case; its tolerance where none is given."""
+    """Fields of a `Check` that differ within a case; its tolerance where none is given."""
 
     quantity: str
     unit: str
@@ -87,28 +87,28 @@ class Found(NamedTuple):
     scale: float = 0.0
 
 
-CASES: dict[str, Callable[[], Iterator[Row]]] = {}
+CASES: dict[str, Callable[[], Iterator[Check]]] = {}
 """By name, in the order of physics.md's table."""
-Check = Callable[[Any], Iterator[Found]]
+Comparer = Callable[[Any], Iterator[Found]]
 
 
 def _case(
     name: str, tolerance: float, *, solvers: Sequence[Any] = SOLVERS, label: str = ""
-) -> Callable[[Check], Check]:
-    """Registers what compares one solver with closed forms, to be run for each of `solvers`.
+) -> Callable[[Comparer], Comparer]:
+    """Registers a comparison of one solver with closed forms, to be run for each of `solvers`.
 
     Args:
         name: Key in `CASES`.
         tolerance: Largest allowed deviation.
-        solvers: What is compared.
-        label: `Row.case`; the first word of the name if empty.
+        solvers: Those to compare.
+        label: `Check.case`; the first word of the name if empty.
     """
 
-    def add(check: Check) -> Check:
-        def rows() -> Iterator[Row]:
+    def add(compare: Comparer) -> Comparer:
+        def rows() -> Iterator[Check]:
             for solver in solvers:
-                for found in check(solver):
-                    yield Row(
+                for found in compare(solver):
+                    yield Check(
                         case=label or name.split()[0],
                         quantity=found.quantity,
                         solver=solver.name,
@@ -120,7 +120,7 @@ def _case(
                     )
 
         CASES[name] = rows
-        return check
+        return compare
 
     return add
 

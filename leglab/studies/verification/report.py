@@ -12,7 +12,7 @@ from rich.table import Table
 
 from leglab.base.errors import LeglabError
 from leglab.studies.shared_data import shared_data
-from leglab.studies.verification.cases import CASES, Row
+from leglab.studies.verification.cases import CASES, Check
 from leglab.studies.verification.replay import LIMITS, ReplayErrors, replay_all
 
 _ROUNDING = 1e-11
@@ -35,12 +35,12 @@ def _table(title: str, head: str, rows: Iterable[tuple[bool, Iterable[str]]], ri
     return grid
 
 
-def _closest(rows: Iterable[Row]) -> Row:
+def _closest(rows: Iterable[Check]) -> Check:
     return max(rows, key=lambda row: row.deviation / row.tolerance)
 
 
-def _row_table(rows: Iterable[Row]) -> Table:
-    def cells(row: Row) -> Iterable[str]:
+def _row_table(rows: Iterable[Check]) -> Table:
+    def cells(row: Check) -> Iterable[str]:
         values = f"{row.expected:.6g}", f"{row.got:.6g}", row.unit
         deviation = f"{row.deviation:.1e}", f"{row.tolerance:.0e}"
         return row.case, row.quantity, row.solver, *values, *deviation
@@ -50,9 +50,9 @@ def _row_table(rows: Iterable[Row]) -> Table:
     return _table("Cases of physics.md", head, lines, "expected, got, deviation, allowed")
 
 
-def _summary(rows: Iterable[Row]) -> Table:
+def _summary(rows: Iterable[Check]) -> Table:
     """One line a case and solver: how many rows pass, and the one closest to its limit."""
-    groups: dict[tuple[str, str], list[Row]] = defaultdict(list)
+    groups: dict[tuple[str, str], list[Check]] = defaultdict(list)
     for row in rows:
         groups[row.case, row.solver].append(row)
     lines = []
@@ -92,7 +92,7 @@ def markdown() -> str:
     return "\n".join(lines) + "\n"
 
 
-def _run() -> tuple[list[Row], list[ReplayErrors], str | None]:
+def _run() -> tuple[list[Check], list[ReplayErrors], str | None]:
     """Rows of all cases, errors of all replays, and why there are no replays."""
     rows = list(chain.from_iterable(case() for case in CASES.values()))
     try:
@@ -102,7 +102,7 @@ def _run() -> tuple[list[Row], list[ReplayErrors], str | None]:
     return rows, list(replay_all(folder)), None
 
 
-def _passed(rows: list[Row], replays: list[ReplayErrors]) -> bool:
+def _passed(rows: list[Check], replays: list[ReplayErrors]) -> bool:
     return all(row.passed for row in rows) and all(result.passed for result in replays)
 
 
@@ -144,7 +144,7 @@ def checks_as_json() -> dict[str, Any]:
     }
 
 
-def _as_json(result: Row | ReplayErrors, **more: Any) -> dict[str, Any]:
+def _as_json(result: Check | ReplayErrors, **more: Any) -> dict[str, Any]:
     return {
         name: None if isinstance(value, float) and not math.isfinite(value) else value
         for name, value in {**asdict(result), **more, "passed": result.passed}.items()
