@@ -1,4 +1,4 @@
-"""What a reference trajectory is, how one is made by name, and the checks all of them share."""
+"""Reference trajectories: joints, samples and checks, and their makers by name."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence

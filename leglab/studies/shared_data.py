@@ -1,4 +1,4 @@
-"""Where recordings lie that are not part of this project."""
+"""Finds recordings that are not part of this project."""
 
 import os
 from pathlib import Path

@@ -12,7 +12,6 @@ import numpy as np
 import leglab.models
 from leglab.base.recording import Recording
 from leglab.machine import plugin
-from leglab.machine.plugin import elements
 
 SAMPLING_PERIOD = 1e-3  # s
 # Neither the replay's step nor half of it, which corrects the replay.
@@ -29,7 +28,7 @@ Torque = Callable[[float, float], float]
 
 
 def bench(pump: Mapping[str, float] | None = None) -> mujoco.MjModel:
-    """The nominal bench with the fine step; where given, on a pump unit of these parameters."""
+    """The nominal bench with the fine step; `pump` are parameters of a pump unit that feeds it."""
     plugin.load()
     spec = mujoco.MjSpec.from_file(f"{leglab.models.__path__[0]}/knee_bench.xml")
     spec.option.timestep = TIMESTEP
@@ -73,7 +72,7 @@ class FaultyBench:
     def record(self, reference: np.ndarray, rng: np.random.Generator) -> Recording:
         """Follows a reference, shape (n,) at the sampling period, and records it."""
         model, data = self.model, mujoco.MjData(self.model)
-        places = elements(model)
+        places = plugin.elements(model)
 
         def put(values: dict[tuple[str, str], float]) -> None:
             for (element, name), value in values.items():

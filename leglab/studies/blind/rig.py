@@ -1,8 +1,9 @@
-"""A rig that is not there, recorded as its logger would: `python -m leglab.studies.blind.rig`.
+"""Simulates a rig and writes its logger's files: `python -m leglab.studies.blind.rig`.
 
-The bench of the blind tests with hidden faults, written down the way somebody else's data logger
-would: CSV, columns and units of its own, an encoder that counts the other way, a clock with jitter
-and lost rows, one row written twice. For the tutorial and for tries before a real rig is there.
+The rig is the bench of the blind tests with hidden faults; its files are those of somebody else's
+data logger: CSV, columns and units of its own, an encoder that counts the other way, a clock with
+jitter and lost rows, one row written twice. It serves the tutorial and tries before a real rig is
+there.
 """
 
 import argparse
@@ -33,7 +34,7 @@ _PRESSURES = {"cap_bar": "%.3f", "rod_bar": "%.3f"}
 
 @dataclass(frozen=True, kw_only=True)
 class RigSettings:
-    """What the rig is like and what it does.
+    """Hidden faults, motions and sensors of the rig.
 
     Attributes:
         effects: Names of the hidden faults; severities are drawn by the seed.

@@ -83,7 +83,7 @@ WEIGHTS_SETTLED = 300
 
 @dataclass(frozen=True, kw_only=True)
 class Convergence:
-    """How far parameters have come when the paper calls them stable.
+    """Parameters while they adapt, and their distances from where they end.
 
     Attributes:
         weights: Weights of the first BSNN instance over the training part, (n, neurons).

@@ -19,7 +19,7 @@ LONG_RUN = 6000
 
 @dataclass(frozen=True, kw_only=True)
 class Replication:
-    """What `replicate` found.
+    """Results of `replicate`.
 
     Attributes:
         comparison: Scores of all five models under paper mode.

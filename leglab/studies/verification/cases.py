@@ -48,12 +48,12 @@ class Check:
     Attributes:
         case: Letter of the case in the table of physics.md, or a word for the others.
         quantity: Name of what is compared.
-        solver: What computed it: "core", "continuous", or "MuJoCo" with its time step.
+        solver: Name of the solver: "core", "continuous", or "MuJoCo" with its time step.
         unit: Unit of `expected` and `got`.
         expected: Value of the closed form.
         got: Computed value.
         tolerance: Largest allowed `deviation`.
-        scale: What deviations are relative to; 0 stands for |expected|.
+        scale: Size that deviations are relative to; 0 stands for |expected|.
     """
 
     case: str

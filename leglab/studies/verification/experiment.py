@@ -44,7 +44,7 @@ NOTHING = constant(0.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment:
-    """A cylinder, its load and what is done to it.
+    """A cylinder with its start, command and load.
 
     Attributes:
         parameters: `leglab.cylinder` attributes beside `mid_length`, SI units.
@@ -73,7 +73,7 @@ class Experiment:
 
 @dataclass(frozen=True, kw_only=True)
 class Trace:
-    """What happened; every array has shape (n,), SI units.
+    """Motion, pressures and energies of an experiment; arrays of shape (n,), SI units.
 
     Attributes:
         time: At which positions, pressures, spool and energies hold.
@@ -114,7 +114,7 @@ class Continuous:
     name = "continuous"
 
     def run(self, experiment: Experiment) -> Trace:
-        """Integrates piecewise, so that no step runs over a jump of command or load."""
+        """Integrates in steps of at most a fiftieth of the duration."""
         e = experiment
         cylinder = Cylinder({"supply_pressure": SUPPLY_PRESSURE, **e.parameters})
         blocked = e.mass >= HELD and e.velocity == 0
