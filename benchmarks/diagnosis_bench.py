@@ -15,7 +15,7 @@ import results
 from leglab.diagnosis.recordings import read_recordings, split_held_out
 from leglab.diagnosis.result import Diagnosis
 from leglab.diagnosis.verdict import diagnose
-from leglab.studies.verification.bench import nominal_folder
+from leglab.studies.shared_data import shared_data
 
 CASES = ("nominal", *(f"d{i}" for i in range(1, 8)))
 HEAD = (
@@ -44,7 +44,7 @@ def named(result: Diagnosis) -> str:
 
 def run(case: str, *, pressures: bool) -> dict[str, Any]:
     """One row."""
-    folder = nominal_folder().parent / case
+    folder = shared_data(f"knee_bench/{case}")
     truth = tomllib.loads((folder / "truth.toml").read_text())
     recordings = read_recordings(sorted(folder.glob("*.parquet")))
     if not pressures:

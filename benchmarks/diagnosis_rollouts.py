@@ -23,7 +23,7 @@ from leglab.diagnosis.recordings import read_recordings, split_held_out
 from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.starts import measure, start_states
 from leglab.diagnosis.workflow import Settings, set_up
-from leglab.studies.verification.bench import nominal_folder
+from leglab.studies.shared_data import shared_data
 
 KEY = ("valve_gain", "knee_valve")
 NAME = "rated_flow"
@@ -114,7 +114,7 @@ def replays(options: argparse.Namespace) -> dict[str, Any]:
     from absl import logging
 
     logging.set_verbosity(logging.ERROR)  # it warns that not all sensors of the model are used
-    recordings = read_recordings(sorted(nominal_folder().glob("*.parquet")))
+    recordings = read_recordings(sorted(shared_data("knee_bench/nominal").glob("*.parquet")))
     recordings, held = split_held_out("knee_bench", recordings, [])
     problem = set_up("knee_bench", recordings, held, Settings(threads=options.threads))
     runs = {

@@ -21,10 +21,9 @@ import scipy.signal
 
 from leglab.identification import BsnnArx, SplineNarx
 from leglab.studies.replication import deployed, paper, real_data
-from leglab.studies.replication.online import Settings
+from leglab.studies.replication.online import OnlineSettings
 from leglab.studies.replication.plant import simulate
-from leglab.studies.replication.real_data import Dataset
-from leglab.studies.replication.structures import SILVERBOX
+from leglab.studies.replication.real_data import SILVERBOX, Dataset
 
 LAGS = 3
 INITIAL_GAIN = 1e4
@@ -189,7 +188,7 @@ def ours(problem: Problem, make: Callable[[], object], *, single: bool = False) 
 
 
 def paper_model() -> BsnnArx:
-    model = BsnnArx(Settings().bsnn_arx())
+    model = BsnnArx(OnlineSettings().bsnn_arx())
     model.randomise(np.random.default_rng(0))
     return model
 

@@ -22,12 +22,11 @@ from leglab.identification import (
     Lags,
     SplineNarx,
 )
-from leglab.studies.replication import real_data, selection
+from leglab.studies.replication import real_data
 from leglab.studies.replication.networks import LAGS
 from leglab.studies.replication.networks import train as train_network
-from leglab.studies.replication.online import Settings
-from leglab.studies.replication.real_data import Dataset
-from leglab.studies.replication.structures import ACTUATOR, SILVERBOX
+from leglab.studies.replication.online import OnlineSettings
+from leglab.studies.replication.real_data import ACTUATOR, SILVERBOX, Dataset
 
 DIVERGED = 1e3  # in the unit of the table
 
@@ -36,7 +35,7 @@ class Scaled:
     """The paper's model has no scaling of its own: its weights saturate at 1."""
 
     def __init__(self, data: Dataset, initial_gain: float) -> None:
-        base = Settings(initial_gain=initial_gain).bsnn_arx()
+        base = OnlineSettings(initial_gain=initial_gain).bsnn_arx()
         basis = Basis.uniform(-1.0, 1.0, 8)
         self.model = BsnnArx(replace(base, network=replace(base.network, basis=(basis,))))
         self.model.randomise(np.random.default_rng(0))
@@ -128,7 +127,7 @@ def figures(data: Dataset, deployed: dict, folder: Path) -> None:
 
 
 def show_selection(data: Dataset, grid: list, splits: tuple) -> None:
-    ranked = selection.select(data, grid, splits)
+    ranked = real_data.select(data, grid, splits)
     print(f"{data.name}: {len(grid)} candidates, mean error on held-out training data; best ten:")
     for candidate in ranked[:10]:
         settings = real_data.spline_narx(data, **candidate.structure)
@@ -140,8 +139,8 @@ def show_selection(data: Dataset, grid: list, splits: tuple) -> None:
 def measure(options: argparse.Namespace) -> dict[str, Any] | None:
     """Tables by data set; None where figures or a selection were wanted."""
     cases = (
-        (real_data.silverbox(), SILVERBOX, selection.silverbox_grid, selection.SILVERBOX_SPLITS),
-        (real_data.actuator(), ACTUATOR, selection.actuator_grid, selection.ACTUATOR_SPLITS),
+        (real_data.silverbox(), SILVERBOX, real_data.silverbox_grid, real_data.SILVERBOX_SPLITS),
+        (real_data.actuator(), ACTUATOR, real_data.actuator_grid, real_data.ACTUATOR_SPLITS),
     )
     found = {}
     for data, deployed, grid, splits in cases:

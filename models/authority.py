@@ -1,4 +1,4 @@
-"""What squat and stride ask of the cylinders, and what 160 bar offers.
+"""Forces and speeds that squat and stride need of the cylinders, and those that 160 bar gives.
 
 `python -m leglab.models.authority` prints the tables of docs/leg_design.md. The weight of leg and
 trunk share stands on the foot as a vertical force without friction; a stride is the sagittal motion

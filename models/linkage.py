@@ -22,8 +22,8 @@ USUAL = np.array([(-0.3, 0.3), (-0.15, 0.3), (-0.3, 1.2), (0.05, 1.6), (-0.35, 0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cylinder:
-    """What the geometry of one cylinder decides.
+class CylinderSize:
+    """Geometry, valve and friction of one cylinder.
 
     Attributes:
         bore: Piston diameter, m.
@@ -76,13 +76,13 @@ class Cylinder:
         return float(gain * np.sqrt(drop / (piston**3 + annulus**3)))
 
 
-def cylinders() -> dict[str, Cylinder]:
+def cylinders() -> dict[str, CylinderSize]:
     """Reads parts/cylinders.xml; the keys are the joints."""
     found = {}
     for plugin in ElementTree.parse(FOLDER / "parts" / "cylinders.xml").iterfind("actuator/plugin"):
         value = {str(c.get("key")): str(c.get("value")) for c in plugin.iterfind("config")}
-        fields = {name: float(value[name]) for name in Cylinder.__dataclass_fields__}
-        found[str(plugin.get("name")).removesuffix("_valve")] = Cylinder(**fields)
+        fields = {name: float(value[name]) for name in CylinderSize.__dataclass_fields__}
+        found[str(plugin.get("name")).removesuffix("_valve")] = CylinderSize(**fields)
     return found
 
 

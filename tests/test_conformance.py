@@ -10,17 +10,18 @@ from rich.console import Console
 
 from leglab.base.errors import LeglabError
 from leglab.cli import main
-from leglab.studies.verification import Row, report
-from leglab.studies.verification.conformance import CASES
-from leglab.studies.verification.drift import null_creep
-from leglab.studies.verification.geometry import (
+from leglab.studies.verification import Check, report
+from leglab.studies.verification.cases import (
+    CASES,
     LEAKAGE,
+    bulk_modulus,
     dynamic_viscosity_ratio,
+    null_creep,
+    stall_pressure,
+    steady_speed,
     stiffness,
     walther,
 )
-from leglab.studies.verification.oil import bulk_modulus
-from leglab.studies.verification.steady import stall_pressure, steady_speed
 
 REFERENCE = json.loads((Path(__file__).parent / "data" / "hydraulics_conformance.json").read_text())
 STEADY = ("a no-load speed", "b load", "k worn stall", "null leak")
@@ -37,10 +38,12 @@ def test_every_row_passes(name):
 
 
 def test_a_wrong_value_fails():
-    row = Row(case="a", quantity="q", solver="s", unit="m", expected=1.0, got=1.002, tolerance=1e-3)
+    row = Check(
+        case="a", quantity="q", solver="s", unit="m", expected=1.0, got=1.002, tolerance=1e-3
+    )
     assert not row.passed
-    assert not Row(**{**vars(row), "got": math.nan}).passed
-    assert Row(**{**vars(row), "got": 1.0009}).passed
+    assert not Check(**{**vars(row), "got": math.nan}).passed
+    assert Check(**{**vars(row), "got": 1.0009}).passed
 
 
 # The closed forms themselves against the stored numbers, which three stiff solvers agreed on.
@@ -130,10 +133,12 @@ def test_rows_hold_the_stored_numbers():
 
 
 def test_verify_prints_tables_and_reports_a_failure(monkeypatch, tmp_path):
-    good = Row(case="a", quantity="q", solver="s", unit="m", expected=1.0, got=1.0, tolerance=1e-3)
-    bad = Row(**{**vars(good), "got": 2.0, "quantity": "wrong one"})
-    monkeypatch.setattr(report, "nominal_folder", lambda: tmp_path)
-    monkeypatch.setattr(report.replay, "replay_all", lambda folder: [])
+    good = Check(
+        case="a", quantity="q", solver="s", unit="m", expected=1.0, got=1.0, tolerance=1e-3
+    )
+    bad = Check(**{**vars(good), "got": 2.0, "quantity": "wrong one"})
+    monkeypatch.setattr(report, "shared_data", lambda part: tmp_path)
+    monkeypatch.setattr(report, "replay_all", lambda folder: [])
     for rows, outcome in (([good], True), ([good, bad], False)):
         monkeypatch.setattr(report, "CASES", {"a": lambda rows=rows: iter(rows)})
         console = Console(record=True, width=160)
@@ -143,16 +148,18 @@ def test_verify_prints_tables_and_reports_a_failure(monkeypatch, tmp_path):
 
 
 def test_checks_as_json(monkeypatch, tmp_path, capsys):
-    good = Row(case="a", quantity="q", solver="s", unit="m", expected=1.0, got=1.0, tolerance=1e-3)
-    bad = Row(**{**vars(good), "got": float("nan")})
-    monkeypatch.setattr(report.replay, "replay_all", lambda folder: [])
+    good = Check(
+        case="a", quantity="q", solver="s", unit="m", expected=1.0, got=1.0, tolerance=1e-3
+    )
+    bad = Check(**{**vars(good), "got": float("nan")})
+    monkeypatch.setattr(report, "replay_all", lambda folder: [])
 
-    def missing():
+    def missing(part):
         raise LeglabError("no recordings here")
 
-    for rows, folder, status in (([good], missing, 0), ([good, bad], lambda: tmp_path, 1)):
+    for rows, folder, status in (([good], missing, 0), ([good, bad], lambda part: tmp_path, 1)):
         monkeypatch.setattr(report, "CASES", {"a": lambda rows=rows: iter(rows)})
-        monkeypatch.setattr(report, "nominal_folder", folder)
+        monkeypatch.setattr(report, "shared_data", folder)
         if status:
             with pytest.raises(SystemExit) as exit_:
                 main(["verify", "--json"])

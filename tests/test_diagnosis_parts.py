@@ -14,12 +14,8 @@ from leglab.diagnosis.screening import Candidate
 from leglab.diagnosis.search import chance_gain
 from leglab.diagnosis.starts import bristle, spool
 from leglab.diagnosis.windows import noise_level
-from leglab.studies.blind.bench import bench
-from leglab.studies.blind.faults import FAULTS, detuned
-from leglab.studies.blind.plant import Plant
-from leglab.studies.blind.references import references
-from leglab.studies.blind.selftest import Outcome, score_table
-from leglab.studies.blind.trial import Case, cases, make
+from leglab.studies.blind.faulty_bench import FAULTS, FaultyBench, detuned, references
+from leglab.studies.blind.selftest import Case, Outcome, cases, make, score_table
 
 
 def test_noise_level_of_a_noisy_sine():
@@ -160,8 +156,8 @@ def test_an_effect_without_physics_is_refused():
 @pytest.mark.parametrize("name", sorted(FAULTS))
 def test_every_fault_shows_in_the_recording(name):
     reference = references(np.random.default_rng(6), duration=0.8)["walk"]
-    healthy = Plant(model=bench()).record(reference, np.random.default_rng(7))
-    plant = Plant(model=bench())
+    healthy = FaultyBench().record(reference, np.random.default_rng(7))
+    plant = FaultyBench()
     FAULTS[name](plant, np.random.default_rng(8))
     ill = plant.record(reference, np.random.default_rng(7))
     columns = ("knee_position", "knee_valve_command", "knee_pressure_a")
@@ -169,7 +165,7 @@ def test_every_fault_shows_in_the_recording(name):
 
 
 def test_a_case_is_fixed_by_its_number_and_the_seed():
-    plant, again = Plant(model=bench()), Plant(model=bench())
+    plant, again = FaultyBench(), FaultyBench()
     detuned(plant, np.random.default_rng(9))
     detuned(again, np.random.default_rng(9))
     assert plant.tuning == again.tuning
@@ -180,9 +176,9 @@ def test_a_case_is_fixed_by_its_number_and_the_seed():
 
 
 def test_made_case_has_four_recordings_and_its_severity(monkeypatch):
-    import leglab.studies.blind.trial as trial
+    import leglab.studies.blind.selftest as selftest
 
-    monkeypatch.setattr(trial, "references", lambda rng: {"walk": references(rng, 0.3)["walk"]})
+    monkeypatch.setattr(selftest, "references", lambda rng: {"walk": references(rng, 0.3)["walk"]})
     found, (severity,) = make(Case(kind="single", number=0, effects=("stiction",)), 1)
     assert found["walk"].duration == pytest.approx(0.299)
     assert severity.parameter == "static"

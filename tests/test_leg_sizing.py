@@ -8,7 +8,7 @@ from leglab.models.authority import squat, stride, walk
 from leglab.models.linkage import (
     JOINTS,
     USUAL,
-    Cylinder,
+    CylinderSize,
     cylinders,
     inverse_mass,
     lever_rows,
@@ -25,7 +25,7 @@ def leg() -> mujoco.MjModel:
 
 def test_formulas_agree_with_the_conformance_cylinder():
     """Cases a, b and c of shared/physics.md: 16/10 x 80 mm, 7.5 l/min, x = 40 mm."""
-    cylinder = Cylinder(
+    cylinder = CylinderSize(
         bore=0.016,
         rod=0.010,
         stroke=0.080,

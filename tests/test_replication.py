@@ -8,12 +8,11 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import approx_fprime
 
 from leglab.base.errors import LeglabError
-from leglab.studies.replication import deployed, networks, paper, replicate, run, sensitivity
-from leglab.studies.replication.comparison import compare
-from leglab.studies.replication.cost import multiplications
-from leglab.studies.replication.online import Settings, run_online
+from leglab.studies.replication import deployed, experiments, networks, paper, replicate, run
+from leglab.studies.replication.experiments import compare, multiplications
+from leglab.studies.replication.online import OnlineSettings, run_online
+from leglab.studies.replication.paper import score, table_1, worst_deviation
 from leglab.studies.replication.plant import Excitation, Plant, exact_free_run, simulate
-from leglab.studies.replication.scores import score, table_1, worst_deviation
 
 
 @pytest.fixture(scope="module")
@@ -115,19 +114,19 @@ def test_table_shows_every_model_and_the_printed_values(comparison):
 
 
 def test_paper_s_advantage_reverses_with_the_initial_gain(signals):
-    scores = run_online(*signals, 20, 0, Settings(initial_gain=1e4)).scores(signals[1])
+    scores = run_online(*signals, 20, 0, OnlineSettings(initial_gain=1e4)).scores(signals[1])
     rms = {m: np.mean(s.rms) for m, s in scores["validation"].items()}
     assert rms["ARX"] < rms["BSNN-ARX"]
 
 
 def test_same_seed_same_bits(signals):
     first, second = (run_online(*signals, 5, 11) for _ in range(2))
-    for model in sensitivity.ONLINE:
+    for model in experiments.ONLINE:
         np.testing.assert_array_equal(first.runs[model].validation, second.runs[model].validation)
 
 
 def test_printed_eq_9_jumps_and_the_corrected_one_does_not():
-    u, shapes = sensitivity.spline_shapes()
+    u, shapes = experiments.spline_shapes()
     steps = {name: np.max(np.abs(np.diff(shape))) for name, shape in shapes.items()}
     slope = 1.0 / 0.08  # steepest slope of the corrected spline
     assert steps["corrected"] <= 1.01 * slope * (u[1] - u[0])

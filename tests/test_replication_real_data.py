@@ -4,8 +4,8 @@ import pytest
 
 from leglab.base.errors import LeglabError
 from leglab.identification import SplineNarx
-from leglab.studies.replication import real_data, selection
-from leglab.studies.replication.structures import ACTUATOR, SILVERBOX
+from leglab.studies.replication import real_data
+from leglab.studies.replication.real_data import ACTUATOR, SILVERBOX
 
 
 def recording(load):
@@ -43,16 +43,16 @@ def test_actuator_after_one_online_pass():
 def test_selection_looks_at_the_training_part_alone():
     data = recording(real_data.actuator)
     grid = [{"na": na, "nb": 4, "nk": 1, "splines": 5, "input_lags": (1,)} for na in (2, 3, 4)]
-    ranked = selection.select(data, grid, selection.ACTUATOR_SPLITS)
+    ranked = real_data.select(data, grid, real_data.ACTUATOR_SPLITS)
     data.y[512:] = data.u[512:] = 0.0
-    assert selection.select(data, grid, selection.ACTUATOR_SPLITS) == ranked
+    assert real_data.select(data, grid, real_data.ACTUATOR_SPLITS) == ranked
     assert [c.error for c in ranked] == sorted(c.error for c in ranked)
 
 
 def test_structures_are_in_their_grids():
     for structure, grid in (
-        (SILVERBOX, selection.silverbox_grid()),
-        (ACTUATOR, selection.actuator_grid()),
+        (SILVERBOX, real_data.silverbox_grid()),
+        (ACTUATOR, real_data.actuator_grid()),
     ):
         assert any(structure.items() <= candidate.items() for candidate in grid)
 

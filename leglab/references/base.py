@@ -1,4 +1,4 @@
-"""What a reference trajectory is, how one is made by name, and the checks all of them share."""
+"""Reference trajectories: joints, samples and checks, and their makers by name."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.registry import FactoryRegistry
 from leglab.base.settings import Configuration
 
@@ -173,6 +173,11 @@ def reference_summary(name: str) -> str:
     return _references.get(name).summary
 
 
+# Share of the knee's flexion that hip and ankle take. Thigh and shank are about equally long, so
+# the hip stays above the ankle, and the foot flat, when each flexes half as much as the knee.
+BEND_SHARE = {"hip_pitch": 0.5, "knee": 1.0, "ankle_pitch": 0.5}
+
+
 def rest_pose(joints: Sequence[Joint]) -> np.ndarray:
     """Returns the rest positions [rad]. Shape (joints,)."""
     return np.array([joint.rest for joint in joints])
@@ -191,3 +196,26 @@ def moving_joints(joints: Sequence[Joint], known: Sequence[str], name: str) -> l
             f"{', '.join(joint.name for joint in joints)}"
         )
     return indices
+
+
+def selected(joints: Sequence[Joint], names: Sequence[str] | None, reference: str) -> np.ndarray:
+    """Returns 1 for joints that an excitation moves and 0 for the others.
+
+    Args:
+        joints: All joints.
+        names: Those that move; None stands for all.
+        reference: The trajectory's name, for the message.
+
+    Returns:
+        Shape (joints,).
+
+    Raises:
+        LeglabError: A name is not among the joints.
+    """
+    known = [joint.name for joint in joints]
+    if names is None:
+        return np.ones(len(known))
+    for name in names:
+        if name not in known:
+            raise unknown_name(f"joint of reference {reference!r}", name, known)
+    return np.array([float(name in names) for name in known])

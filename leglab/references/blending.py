@@ -1,8 +1,10 @@
 """Smooth transitions, with exact derivatives."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from leglab.references.base import Motion, Samples
+from leglab.references.base import Joint, Motion, Samples, rest_pose
 
 
 def smooth_step(times: np.ndarray, start: float, duration: float) -> Samples:
@@ -42,17 +44,18 @@ def product(weight: Samples, motion: Samples) -> Samples:
     )
 
 
-def fade_in(motion: Motion, rest: np.ndarray, duration: float) -> Motion:
+def fade_in(motion: Motion, joints: Sequence[Joint], duration: float) -> Motion:
     """Starts a motion from rest.
 
     Args:
         motion: The motion, as a displacement from the rest pose.
-        rest: Rest pose [rad]. Shape (joints,).
+        joints: Give the rest pose.
         duration: Time from 0 until the motion is complete [s].
 
     Returns:
         The rest pose plus the displacement, which grows in from time 0.
     """
+    rest = rest_pose(joints)
 
     def faded(times: np.ndarray) -> Samples:
         displacement = product(smooth_step(times, 0.0, duration), motion(times))

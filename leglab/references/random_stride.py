@@ -4,7 +4,7 @@ import numpy as np
 from pydantic import Field
 
 from leglab.base.settings import Configuration
-from leglab.references.base import Joint, Motion, Samples, register_reference, rest_pose
+from leglab.references.base import Joint, Motion, Samples, register_reference
 from leglab.references.blending import fade_in, product
 from leglab.references.walking_stride import gait_series
 
@@ -91,4 +91,4 @@ def random_stride(joints: tuple[Joint, ...], config: RandomStride) -> tuple[Moti
         motion = product(scale, deviation)
         return motion._replace(position=mean + motion.position)
 
-    return fade_in(stride, rest_pose(joints), config.fade_in), config.period
+    return fade_in(stride, joints, config.fade_in), config.period

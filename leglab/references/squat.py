@@ -5,18 +5,14 @@ from pydantic import Field
 
 from leglab.base.settings import Configuration
 from leglab.references.base import (
+    BEND_SHARE,
     Joint,
     Motion,
     Samples,
     moving_joints,
     register_reference,
-    rest_pose,
 )
 from leglab.references.blending import fade_in
-
-# Thigh and shank are about equally long, so the hip stays above the ankle, and the foot flat, when
-# hip and ankle each flex half as much as the knee.
-_SHARE = {"hip_pitch": 0.5, "knee": 1.0, "ankle_pitch": 0.5}
 
 
 class Squat(Configuration):
@@ -36,8 +32,8 @@ class Squat(Configuration):
 @register_reference("squat", summary="down and up, the foot flat", configuration=Squat)
 def squat(joints: tuple[Joint, ...], config: Squat) -> tuple[Motion, float]:
     """Makes the motion depth (1 - cos(2 pi t/period))/2; other joints stay at rest."""
-    moving_joints(joints, tuple(_SHARE), "squat")
-    half = config.depth / 2 * np.array([_SHARE.get(joint.name, 0.0) for joint in joints])
+    moving_joints(joints, tuple(BEND_SHARE), "squat")
+    half = config.depth / 2 * np.array([BEND_SHARE.get(joint.name, 0.0) for joint in joints])
     rate = 2 * np.pi / config.period
 
     def bend(times: np.ndarray) -> Samples:
@@ -45,4 +41,4 @@ def squat(joints: tuple[Joint, ...], config: Squat) -> tuple[Motion, float]:
         cos, sin = np.cos(angle), np.sin(angle)
         return Samples(half * (1 - cos), half * rate * sin, half * rate**2 * cos)
 
-    return fade_in(bend, rest_pose(joints), config.fade_in), config.period
+    return fade_in(bend, joints, config.fade_in), config.period

@@ -5,18 +5,15 @@ from pydantic import Field
 
 from leglab.base.settings import Configuration
 from leglab.references.base import (
+    BEND_SHARE,
     Joint,
     Motion,
     Samples,
     moving_joints,
     register_reference,
-    rest_pose,
 )
 from leglab.references.blending import fade_in
 from leglab.references.gait import GAIT
-
-# Share of the knee's extra flexion that hip and ankle take, so that the foot keeps its attitude.
-_BEND_SHARE = {"hip_pitch": 0.5, "knee": 1.0, "ankle_pitch": 0.5}
 
 
 class WalkingStride(Configuration):
@@ -61,7 +58,7 @@ def gait_series(
     cosine, sine = np.zeros((2, harmonics, len(joints)))
     for i in moving_joints(joints, tuple(GAIT), name):
         series = GAIT[joints[i].name]
-        mean[i] = np.radians(series.mean) + knee_bend * _BEND_SHARE.get(joints[i].name, 0.0)
+        mean[i] = np.radians(series.mean) + knee_bend * BEND_SHARE.get(joints[i].name, 0.0)
         mean[i] -= joints[i].rest
         scale = np.radians(amplitude)
         cosine[: len(series.cosine), i] = scale * np.array(series.cosine)
@@ -87,4 +84,4 @@ def walking_stride(joints: tuple[Joint, ...], config: WalkingStride) -> tuple[Mo
             -(cos * rate**2) @ cosine - (sin * rate**2) @ sine,
         )
 
-    return fade_in(stride, rest_pose(joints), config.fade_in), config.period
+    return fade_in(stride, joints, config.fade_in), config.period

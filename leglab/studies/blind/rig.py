@@ -1,8 +1,9 @@
-"""A rig that is not there, recorded as its logger would: `python -m leglab.studies.blind.rig`.
+"""Simulates a rig and writes its logger's files: `python -m leglab.studies.blind.rig`.
 
-The bench of the blind tests with hidden faults, written down the way somebody else's data logger
-would: CSV, columns and units of its own, an encoder that counts the other way, a clock with jitter
-and lost rows, one row written twice. For the tutorial and for tries before a real rig is there.
+The rig is the bench of the blind tests with hidden faults; its files are those of somebody else's
+data logger: CSV, columns and units of its own, an encoder that counts the other way, a clock with
+jitter and lost rows, one row written twice. It serves the tutorial and tries before a real rig is
+there.
 """
 
 import argparse
@@ -15,10 +16,13 @@ import numpy as np
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.recording import Recording
 from leglab.data import write_atomically
-from leglab.studies.blind.bench import bench
-from leglab.studies.blind.faults import FAULTS, Severity, detuned
-from leglab.studies.blind.plant import Plant
-from leglab.studies.blind.references import references
+from leglab.studies.blind.faulty_bench import (
+    FAULTS,
+    FaultyBench,
+    HiddenValue,
+    detuned,
+    references,
+)
 
 JITTER = 1e-5  # s, standard deviation of the logger's clock
 LOST = 5e-4  # share of rows that never reach the file
@@ -30,7 +34,7 @@ _PRESSURES = {"cap_bar": "%.3f", "rod_bar": "%.3f"}
 
 @dataclass(frozen=True, kw_only=True)
 class RigSettings:
-    """What the rig is like and what it does.
+    """Hidden faults, motions and sensors of the rig.
 
     Attributes:
         effects: Names of the hidden faults; severities are drawn by the seed.
@@ -47,7 +51,7 @@ class RigSettings:
     seed: int = 0
 
 
-def record(settings: RigSettings) -> tuple[dict[str, Recording], tuple[Severity, ...]]:
+def record(settings: RigSettings) -> tuple[dict[str, Recording], tuple[HiddenValue, ...]]:
     """Runs the rig.
 
     Returns:
@@ -62,7 +66,7 @@ def record(settings: RigSettings) -> tuple[dict[str, Recording], tuple[Severity,
         if name not in FAULTS:
             raise unknown_name("fault of the rig", name, FAULTS)
     rng = np.random.default_rng([settings.seed, 0])
-    plant = Plant(model=bench())
+    plant = FaultyBench()
     detuned(plant, rng)
     severities = tuple(FAULTS[name](plant, rng) for name in settings.effects)
     motions = references(rng, settings.seconds)

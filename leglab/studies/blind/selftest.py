@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
@@ -12,14 +12,21 @@ import numpy as np
 from rich.table import Table
 
 from leglab.base.errors import LeglabError
+from leglab.base.recording import Recording
 from leglab.diagnosis.hypothesis import Library
 from leglab.diagnosis.model import Machine
 from leglab.diagnosis.recordings import held_out_choice
 from leglab.diagnosis.result import Diagnosis
 from leglab.diagnosis.verdict import diagnose
 from leglab.diagnosis.workflow import Settings
-from leglab.studies.blind.faults import FAULTS
-from leglab.studies.blind.trial import Case, cases, make
+from leglab.studies.blind.faulty_bench import (
+    FAULTS,
+    SUDDEN,
+    FaultyBench,
+    HiddenValue,
+    detuned,
+    references,
+)
 
 MODEL = "knee_bench"
 # Of every hundred single-effect cases.
@@ -28,12 +35,68 @@ SCORE_HEAD = ("question", "reached", "cases", "asked")
 _SET = 3  # largest confusion set that counts as an answer
 _SURE = 0.9  # a name that is wrong must not be given with more confidence
 _DOUBT = 0.5  # at most this is low confidence
-_ONSET = 0.3  # s
+_ONSET, _ONSET_TOLERANCE = 6.0, 0.3  # s
+_KINDS = {"single": 1, "null": 2, "pair": 3, "removed": 4, "onset": 5}  # in the seeds
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """Effects hidden in one set of recordings.
+
+    Attributes:
+        kind: "single", "null", "pair", "removed" or "onset".
+        number: Of the case among its kind; with the seed it fixes every random choice.
+        effects: Hidden effects.
+        onset: s; 0 where they are there throughout.
+    """
+
+    kind: str
+    number: int
+    effects: tuple[str, ...]
+    onset: float = 0.0
+
+
+def cases(counts: Mapping[str, int], seed: int, names: Sequence[str]) -> list[Case]:
+    """The cases of a self-test: single ones cycle through all effects.
+
+    Args:
+        counts: Number of cases by kind.
+        seed: Of the pairs and the removed effects.
+        names: Effects that may be hidden.
+    """
+    found = []
+    for kind, count in counts.items():
+        for number in range(count):
+            rng = np.random.default_rng([seed, _KINDS[kind], number])
+            if kind == "null":
+                effects: tuple[str, ...] = ()
+            elif kind == "single":
+                effects = (names[number % len(names)],)
+            elif kind == "pair":
+                effects = tuple(rng.choice(names, 2, replace=False).tolist())
+            else:
+                choice = [n for n in names if n in SUDDEN] if kind == "onset" else list(names)
+                effects = (choice[int(rng.integers(len(choice)))],)
+            onset = _ONSET if kind == "onset" else 0.0
+            found.append(Case(kind=kind, number=number, effects=effects, onset=onset))
+    return found
+
+
+def make(case: Case, seed: int) -> tuple[dict[str, Recording], tuple[HiddenValue, ...]]:
+    """Recordings of a case, and the severities that were drawn."""
+    rng = np.random.default_rng([seed, _KINDS[case.kind], case.number, 1])
+    plant = FaultyBench(onset=case.onset)
+    detuned(plant, rng)
+    severities = tuple(FAULTS[name](plant, rng) for name in case.effects)
+    return (
+        {name: plant.record(values, rng) for name, values in references(rng).items()},
+        severities,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """One case, told and judged.
+    """A case and its diagnosis.
 
     Attributes:
         kind: Of the case.
@@ -42,13 +105,13 @@ class Outcome:
         severities: "parameter=value" of each.
         verdict: Of the diagnosis.
         named: Effects that it names, first the one that contributes most.
-        alternatives: What each is not told apart from.
+        alternatives: Effects that each is not told apart from.
         confidence: Of each.
         covered: For each parameter whose true value is known: whether its interval holds it.
         onsets: Estimated onsets [s]; empty where none was found.
         before: Gap on the held-out recording.
         after: The same with the named effects.
-        seconds: Processor time of the diagnosis.
+        seconds: Time of the diagnosis on one thread.
     """
 
     kind: str
@@ -92,7 +155,7 @@ class Outcome:
     @property
     def onset_right(self) -> bool:
         """Whether an onset was found within the tolerance in every recording that has one."""
-        return bool(self.onsets) and all(abs(t - 6.0) <= _ONSET for t in self.onsets)
+        return bool(self.onsets) and all(abs(t - _ONSET) <= _ONSET_TOLERANCE for t in self.onsets)
 
 
 def self_test(
@@ -197,33 +260,29 @@ def _read(path: Path) -> Iterator[Outcome]:
 
 
 def scores(outcomes: list[Outcome]) -> list[tuple[str, str, str, str]]:
-    """Rows of `SCORE_HEAD`: what was asked and what was reached."""
+    """Rows of `SCORE_HEAD`: shares reached beside those asked."""
     rows: list[tuple[str, str, str, str]] = []
 
-    def of(kind: str) -> list[Outcome]:
-        return [o for o in outcomes if o.kind == kind]
+    def add(question: str, good: list[bool], asked: str) -> None:
+        if good:
+            share = f"{sum(good)} ({sum(good) / len(good):.0%})"
+            rows.append((question, share, str(len(good)), asked))
 
-    def add(question: str, good: int, total: int, asked: str) -> None:
-        if total:
-            rows.append((question, f"{good} ({good / total:.0%})", str(total), asked))
+    def of(kind: str, good: Callable[[Outcome], bool]) -> list[bool]:
+        return [good(o) for o in outcomes if o.kind == kind]
 
-    single, pairs = of("single"), of("pair")
-    add("single effect named first", sum(o.first for o in single), len(single), "85 %")
-    add("single effect named or in a set of 3", sum(o.found for o in single), len(single), "95 %")
-    null = of("null")
-    add("false alarms where nothing is hidden", sum(bool(o.named) for o in null), len(null), "3 %")
-    add("pairs: both named", sum(o.found for o in pairs), len(pairs), "80 %")
-    removed = of("removed")
-    add(
-        "effect unknown to the library: doubt", sum(o.honest for o in removed), len(removed), "80 %"
-    )
-    sure = [o for o in removed if not o.honest and max(o.confidence) > _SURE]
-    add("... and a wrong name given for sure", len(sure), len(removed), "0 %")
-    covered = [c for o in outcomes for c in o.covered]
-    add("95 % intervals hold the truth", sum(covered), len(covered), "85 %")
-    onset = of("onset")
-    good = sum(o.found and o.onset_right for o in onset)
-    add("onset at 6 s named and within 0.3 s", good, len(onset), "all")
+    def wrong_for_sure(outcome: Outcome) -> bool:
+        return not outcome.honest and max(outcome.confidence) > _SURE
+
+    add("single effect named first", of("single", lambda o: o.first), "85 %")
+    add("single effect named or in a set of 3", of("single", lambda o: o.found), "95 %")
+    add("false alarms where nothing is hidden", of("null", lambda o: bool(o.named)), "3 %")
+    add("pairs: both named", of("pair", lambda o: o.found), "80 %")
+    add("effect unknown to the library: doubt", of("removed", lambda o: o.honest), "80 %")
+    add("... and a wrong name given for sure", of("removed", wrong_for_sure), "0 %")
+    add("95 % intervals hold the truth", [c for o in outcomes for c in o.covered], "85 %")
+    onset = of("onset", lambda o: o.found and o.onset_right)
+    add("onset at 6 s named and within 0.3 s", onset, "all")
     seconds = [o.seconds for o in outcomes]
     if seconds:
         rows.append(

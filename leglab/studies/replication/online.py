@@ -11,14 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leglab.identification import BsnnArx, BsnnArxSettings, Rls
-from leglab.studies.replication import paper
-from leglab.studies.replication.scores import Scores, score
+from leglab.studies.replication.paper import N_TRAINING, Scores, score
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class OnlineSettings:
     """Unpublished constants of the online models; the defaults are those of paper mode.
 
     Attributes:
@@ -34,14 +33,14 @@ class Settings:
     spread: float = 0.25
 
     def bsnn_arx(self) -> BsnnArxSettings:
-        """Settings of the BSNN-ARX model: 8 splines, na = nb = 3."""
+        """OnlineSettings of the BSNN-ARX model: 8 splines, na = nb = 3."""
         base = BsnnArxSettings.paper_mode()
         basis = replace(base.network.basis[0], middle_piece=self.middle_piece)
         network = replace(base.network, basis=(basis,), learning_constant=(self.learning_constant,))
         return replace(base, network=network, rls=Rls(initial_gain=self.initial_gain))
 
 
-BETTER_FIT = (13382, Settings(initial_gain=3.3, learning_constant=0.215))
+BETTER_FIT = (13382, OnlineSettings(initial_gain=3.3, learning_constant=0.215))
 """Noise seed and settings nearer to Table 1 than paper mode.
 
 Found by a random search over 21 000 noise seeds, half of them with other plants, kept where y
@@ -74,7 +73,7 @@ class OnlineRuns:
 
     def scores(self, y: Array) -> Scores:
         """Scores as the paper judges them: while adapting, then one step ahead."""
-        n = paper.N_TRAINING
+        n = N_TRAINING
         return {
             "training": {m: score(y[:n], r.training) for m, r in self.runs.items()},
             "validation": {m: score(y[n:], r.validation) for m, r in self.runs.items()},
@@ -82,12 +81,12 @@ class OnlineRuns:
 
     def free_run_scores(self, y: Array) -> dict[str, float]:
         """Mean RMS of the free run on the validation set; infinite where one diverges."""
-        n = paper.N_TRAINING
+        n = N_TRAINING
         return {m: float(np.mean(score(y[n:], r.free_run).rms)) for m, r in self.runs.items()}
 
 
 def run_online(
-    u: Array, y: Array, instances: int, seed: int, settings: Settings | None = None
+    u: Array, y: Array, instances: int, seed: int, settings: OnlineSettings | None = None
 ) -> OnlineRuns:
     """Adapts all three models on the training part and predicts the rest.
 
@@ -98,13 +97,24 @@ def run_online(
         seed: Of the initial parameters.
         settings: Unpublished constants.
     """
-    settings = settings or Settings()
+    models = online_models(instances, seed, settings or OnlineSettings())
+    return OnlineRuns(runs={name: _run(model, u, y) for name, model in models.items()})
+
+
+def online_models(instances: int, seed: int, settings: OnlineSettings) -> dict[str, BsnnArx]:
+    """BSNN, ARX and BSNN-ARX from random parameters; the BSNN starts as that of the BSNN-ARX."""
     rng = np.random.default_rng(seed)
     combined = BsnnArx(settings.bsnn_arx(), joints=instances)
     combined.randomise(rng, settings.spread)
-    bsnn, arx = static_alone(combined.settings, combined), linear_alone(instances, rng, settings)
-    models = {"BSNN": bsnn, "ARX": arx, "BSNN-ARX": combined}
-    return OnlineRuns(runs={name: _run(model, u, y) for name, model in models.items()})
+    bsnn = static_alone(combined.settings, combined)
+    return {"BSNN": bsnn, "ARX": _linear_alone(instances, rng, settings), "BSNN-ARX": combined}
+
+
+def for_joints(model: BsnnArx, *signals: Array) -> tuple[Array, ...]:
+    """The same signals, each (n,), for every instance of a model: (n, joints), (n,) for one."""
+    if model.joints == 1:
+        return signals
+    return tuple(np.broadcast_to(s[:, None], (len(s), model.joints)) for s in signals)
 
 
 def static_alone(settings: BsnnArxSettings, start: BsnnArx | None = None) -> BsnnArx:
@@ -125,7 +135,7 @@ def static_alone(settings: BsnnArxSettings, start: BsnnArx | None = None) -> Bsn
     return model
 
 
-def linear_alone(instances: int, rng: np.random.Generator, settings: Settings) -> BsnnArx:
+def _linear_alone(instances: int, rng: np.random.Generator, settings: OnlineSettings) -> BsnnArx:
     """The ARX model by itself: a BSNN-ARX model whose static part is the identity."""
     base = settings.bsnn_arx()
     identity = replace(
@@ -143,11 +153,8 @@ def linear_alone(instances: int, rng: np.random.Generator, settings: Settings) -
 
 
 def _run(model: BsnnArx, u: Array, y: Array) -> OnlineRun:
-    n = paper.N_TRAINING
-    columns = (len(u), model.joints)
-    inputs, outputs = (np.broadcast_to(signal[:, None], columns) for signal in (u, y))
-    if model.joints == 1:
-        inputs, outputs = u, y
+    n = N_TRAINING
+    inputs, outputs = for_joints(model, u, y)
     training = model.run(inputs[:n], outputs[:n])
     model.freeze()
     with np.errstate(over="ignore", invalid="ignore"):

@@ -1,20 +1,29 @@
 """The page that `replicate` writes: tables and figures in the order of the paper."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike, NDArray
 
-from leglab.studies.replication import figures, sensitivity
-from leglab.studies.replication.comparison import Comparison
-from leglab.studies.replication.convergence import Convergence
 from leglab.studies.replication.deployed import CHANGES, DEPLOYED_MODE, WINDOW, Recovery
+from leglab.studies.replication.experiments import (
+    INITIAL_GAINS,
+    LEARNING_CONSTANTS,
+    ONLINE,
+    Convergence,
+    Errors,
+    ModelComparison,
+    spline_shapes,
+)
 from leglab.studies.replication.online import BETTER_FIT
-from leglab.studies.replication.scores import markdown, table_1, worst_deviation
+from leglab.studies.replication.paper import Score, markdown, table_1, worst_deviation
 
 Array = NDArray[np.float64]
 
+SAMPLING_TIME = 0.005  # s
 SHOWN_MODES = (
     "plain",
     "directional 0.99",
@@ -39,10 +48,12 @@ class Page:
         """Adds a paragraph, a heading or a table."""
         self._parts.append(text.rstrip() + "\n")
 
-    def figure(self, path: Path) -> None:
-        """Adds a figure that lies in the folder."""
+    def figure(self, name: str, figure: Figure) -> None:
+        """Saves a figure in the folder and adds it."""
+        path = self.folder / f"{name}.png"
+        figure.savefig(path, dpi=110)
         self.figures.append(path)
-        self._parts.append(f"![{path.stem}]({path.name})\n")
+        self._parts.append(f"![{name}]({path.name})\n")
 
     def write(self) -> Path:
         """Writes the page and returns its path."""
@@ -51,7 +62,7 @@ class Page:
         return path
 
 
-def comparison(page: Page, result: Comparison, y: Array, instances: int, seed: int) -> None:
+def comparison(page: Page, result: ModelComparison, y: Array, instances: int, seed: int) -> None:
     """Table 1 and Figs. 8, 9, 11 to 14, 16, 17."""
     worst = worst_deviation(result.scores)
     page.text(f"## Table 1, {instances} instances, noise seed {seed}")
@@ -61,25 +72,23 @@ def comparison(page: Page, result: Comparison, y: Array, instances: int, seed: i
         "the constants were picked to be near the table: see the spread below."
     )
     page.text(table_1(result.scores))
-    titles = {
+    names = {
         "BSNN": "fig_08_bsnn",
         "ARX": "fig_09_arx",
         "BSNN-ARX": "fig_11_bsnn_arx",
         "NNOE": "fig_16_nnoe",
         "NNARX": "fig_17_nnarx",
     }
-    for model, stem in titles.items():
+    for model, name in names.items():
         how = "free run" if model.startswith("NN") else "one step"
-        title = f"Fig. {int(stem[4:6])}: {model} on the validation set ({how})"
-        curves = {model: result.examples[model]}
-        page.figure(figures.validation(page.folder / f"{stem}.png", title, y, curves))
+        title = f"Fig. {int(name[4:6])}: {model} on the validation set ({how})"
+        page.figure(name, _validation(title, y, model, result.examples[model]))
     scores = result.scores["validation"]
-    rms = scores["BSNN-ARX"].rms
-    page.figure(figures.instances(page.folder / "fig_12_instances.png", rms))
+    page.figure("fig_12_instances", _instances(scores["BSNN-ARX"].rms))
     shown = {m: scores[m] for m in ("BSNN-ARX", "NNARX", "NNOE")}
-    for stem, quantity in (("fig_13_rms", "rms"), ("fig_14_r2", "r2")):
-        title = f"Fig. {stem[4:6]}: {instances} instances on the validation set"
-        page.figure(figures.boxes(page.folder / f"{stem}.png", title, shown, quantity))
+    for name, quantity in (("fig_13_rms", "rms"), ("fig_14_r2", "r2")):
+        title = f"Fig. {name[4:6]}: {instances} instances on the validation set"
+        page.figure(name, _boxes(title, shown, quantity))
 
 
 def convergence(page: Page, y: Array, result: Convergence) -> None:
@@ -92,68 +101,52 @@ def convergence(page: Page, y: Array, result: Convergence) -> None:
         "the instances:"
     )
     page.text(markdown(("quantity", "value"), list(result.distances.items())))
-    path = page.folder / "fig_07_weights.png"
-    page.figure(
-        figures.adaptation_of_weights(path, result.weights, y[: len(result.bsnn)], result.bsnn)
-    )
-    path = page.folder / "fig_10_theta.png"
-    page.figure(figures.adaptation_of_theta(path, result.theta_alone, result.theta))
+    page.figure("fig_07_weights", _adaptation_of_weights(result, y[: len(result.bsnn)]))
+    page.figure("fig_10_theta", _adaptation_of_theta(result))
 
 
 def sensitivities(
     page: Page,
-    rows: list[sensitivity.Row],
-    variances: list[sensitivity.Row],
+    rows: list[Errors],
+    variances: list[Errors],
     gains: Mapping[str, list[float]],
     constants: Mapping[str, list[float]],
     free: Mapping[str, float],
 ) -> None:
     """Readings, F(0), learning constant, one step against free run."""
     page.text("## What the table hangs on")
-    head = ("reading", "std of y", *sensitivity.ONLINE)
+    head = ("reading", "std of y", *ONLINE)
     page.text("Validation RMS, one step ahead:\n")
     page.text(markdown(head, rows))
     page.text("By variance of the noise (0.0049 is a standard deviation of 0.07):\n")
     page.text(markdown(("variance", *head[1:]), variances))
-    u, shapes = sensitivity.spline_shapes()
+    u, shapes = spline_shapes()
     title = "Third spline of Eq. 9: the printed middle piece jumps at its knots"
-    path = page.folder / "eq_9.png"
-    page.figure(figures.traces(path, title, ("u", u), "N_3(u)", shapes, log_y=False))
+    page.figure("eq_9", _traces(title, ("u", u), "N_3(u)", shapes, scale="linear"))
     free_text = ", ".join(f"{model} {value:.4f}" for model, value in free.items())
     page.text(
         f"In free run instead of one step, paper mode: {free_text}; a constant would have the "
         f"standard deviation of y, {rows[0][1]:.4f}."
     )
     curves = {label: values for label, values in gains.items() if "share" not in label}
-    page.figure(
-        figures.lines(
-            page.folder / "sensitivity_gain.png",
-            "Validation RMS against F(0)",
-            ("F(0) / I", sensitivity.INITIAL_GAINS),
-            "RMS",
-            curves,
-            log_y=True,
-        )
-    )
-    table = [
-        (gain, *(values[i] for values in gains.values()))
-        for i, gain in enumerate(sensitivity.INITIAL_GAINS)
-    ]
+    title = "Validation RMS against F(0)"
+    figure = _lines(title, ("F(0) / I", INITIAL_GAINS), curves, y_scale="log")
+    page.figure("sensitivity_gain", figure)
+    table = [(gain, *(v[i] for v in gains.values())) for i, gain in enumerate(INITIAL_GAINS)]
     page.text(markdown(("F(0)", *gains), table))
-    path = page.folder / "sensitivity_learning.png"
-    axis = ("learning constant", sensitivity.LEARNING_CONSTANTS)
     title = "Validation RMS (one step) against the learning constant"
-    page.figure(figures.lines(path, title, axis, "RMS", constants))
+    figure = _lines(title, ("learning constant", LEARNING_CONSTANTS), constants)
+    page.figure("sensitivity_learning", figure)
 
 
-def spread(page: Page, rows: list[sensitivity.Row], count: int) -> None:
+def spread(page: Page, rows: list[Errors], count: int) -> None:
     """Spread over noise realisations."""
     page.text(f"## Spread over {count} noise realisations")
     page.text("Validation RMS one step ahead, mean over the instances of each realisation:\n")
     page.text(markdown(("model", "mean", "standard deviation", "least", "largest"), rows))
 
 
-def better_fit(page: Page, result: Comparison) -> None:
+def better_fit(page: Page, result: ModelComparison) -> None:
     """Table 1 once more, with constants nearer to it for the online models."""
     seed, settings = BETTER_FIT
     page.text("## A better-fitting set of unpublished constants")
@@ -176,17 +169,10 @@ def costs(page: Page, rows: list[tuple[int, int, int, float]], seconds: float) -
     )
     head = ("ARX parameters", "neurons", "multiplications", "ns a sample", "ns a multiplication")
     page.text(markdown(head, [(*row, row[3] / row[2]) for row in rows]))
-    linear = [row for row in rows if row[0] == 6]
-    linear.sort(key=lambda row: row[1])
-    square = [row for row in rows if row[1] == 8]
-    for stem, part, label in (
-        ("cost_rls", square, "ARX parameters (8 neurons)"),
-        ("cost_bsnn", linear, "neurons (6 ARX parameters)"),
-    ):
-        column = 0 if stem == "cost_rls" else 1
-        title = f"Time of an update against {label.split(' (')[0]}"
-        sizes, times = [row[column] for row in part], [row[3] for row in part]
-        page.figure(figures.cost(page.folder / f"{stem}.png", title, (label, sizes), times))
+    square = [(row[0], row[3]) for row in rows if row[1] == 8]
+    linear = sorted((row[1], row[3]) for row in rows if row[0] == 6)
+    page.figure("cost_rls", _cost("ARX parameters", "8 neurons", square))
+    page.figure("cost_bsnn", _cost("neurons", "6 ARX parameters", linear))
 
 
 def deployed(
@@ -221,11 +207,10 @@ def readaptation(page: Page, recoveries: Mapping[str, Mapping[str, Recovery]]) -
     for name in CHANGES:
         curves = {mode: recoveries[mode][name].error for mode in SHOWN_MODES}
         first = next(iter(curves.values()))
-        time = (np.arange(len(first)) - 1000) * figures.SAMPLING_TIME
-        path = page.folder / f"readaptation_{name}.png"
+        time = (np.arange(len(first)) - 1000) * SAMPLING_TIME
         title = f"One-step error around a doubling of {name} at 0 s"
-        label = f"RMS over the next {WINDOW * figures.SAMPLING_TIME} s"
-        page.figure(figures.traces(path, title, ("time [s]", time), label, curves))
+        label = f"RMS over the next {WINDOW * SAMPLING_TIME} s"
+        page.figure(f"readaptation_{name}", _traces(title, ("time [s]", time), label, curves))
 
 
 def recovery_table(recoveries: Mapping[str, Mapping[str, Recovery]]) -> str:
@@ -241,3 +226,135 @@ def recovery_table(recoveries: Mapping[str, Mapping[str, Recovery]]) -> str:
         rows.append((mode, *cells, steady, steady / plain))
     head = ("mode", *(f"{name} x 2" for name in CHANGES), "steady state", "/ plain")
     return markdown(head, rows)
+
+
+def _figure(rows: int = 1, height: float = 2.4) -> tuple[Figure, list[Axes]]:
+    figure = Figure(figsize=(7.0, height * rows + 0.6), layout="constrained")
+    axes = figure.subplots(rows, 1, squeeze=False, sharex=True)
+    return figure, list(axes[:, 0])
+
+
+def _adaptation_of_weights(result: Convergence, y: Array) -> Figure:
+    """Fig. 7: weights of the BSNN, and its prediction while it adapts."""
+    figure, (top, bottom) = _figure(2)
+    time = np.arange(len(y)) * SAMPLING_TIME
+    top.plot(time, result.weights)
+    top.axvline(300 * SAMPLING_TIME, color="0.5", linestyle=":")
+    top.set(ylabel="weight", title="Fig. 7: adaptation of the BSNN (dotted: 300 samples)")
+    bottom.plot(time, y, "k", label="process")
+    bottom.plot(time, result.bsnn, "r--", label="BSNN", linewidth=1.0)
+    bottom.set(xlabel="time [s]", ylabel="y")
+    bottom.legend(loc="lower right", ncols=2)
+    return figure
+
+
+def _adaptation_of_theta(result: Convergence) -> Figure:
+    """Fig. 10: parameters of the ARX model alone (above) and behind the BSNN."""
+    figure, axes = _figure(2)
+    labels = [*(f"a_{i}" for i in (1, 2, 3)), *(f"b_{i}" for i in (1, 2, 3))]
+    thetas = {"ARX": result.theta_alone, "BSNN-ARX": result.theta}
+    for axis, (name, theta) in zip(axes, thetas.items(), strict=True):
+        axis.plot(np.arange(len(theta)) * SAMPLING_TIME, theta, label=labels)
+        axis.axvline(1500 * SAMPLING_TIME, color="0.5", linestyle=":")
+        axis.set_ylabel(f"theta, {name}")
+    axes[0].set_title("Fig. 10: adaptation of the ARX parameters (dotted: 1500 samples)")
+    axes[0].legend(ncols=6, fontsize="small")
+    axes[1].set_xlabel("time [s]")
+    return figure
+
+
+def _validation(title: str, y: Array, model: str, prediction: Array) -> Figure:
+    """Figs. 8, 9, 11, 16, 17: prediction and residual on the validation set."""
+    figure, (top, bottom) = _figure(2)
+    time = np.arange(len(y)) * SAMPLING_TIME
+    top.plot(time, y, "k", label="process")
+    top.plot(time, prediction, "r--", label=model)
+    bottom.plot(time, y - prediction, "r", linewidth=1.0)
+    top.set(ylabel="y", title=title)
+    top.legend(loc="best", ncols=3)
+    bottom.set(xlabel="time [s]", ylabel="residual")
+    return figure
+
+
+def _instances(rms: Array) -> Figure:
+    """Fig. 12: validation RMS of each BSNN-ARX instance and their mean."""
+    figure, (axis,) = _figure()
+    axis.plot(np.arange(1, len(rms) + 1), rms, "k.")
+    axis.axhline(float(np.mean(rms)), color="b")
+    axis.set(xlabel="instance", ylabel="RMS", title="Fig. 12: BSNN-ARX, validation RMS")
+    return figure
+
+
+def _boxes(title: str, scores: Mapping[str, Score], quantity: str) -> Figure:
+    """Figs. 13, 14: median, quartiles, adjacent values and outliers over the instances.
+
+    Outliers of the networks that would flatten the boxes are drawn at the edge.
+    """
+    figure, (axis,) = _figure(height=3.2)
+    values = [getattr(s, quantity) for s in scores.values()]
+    low, high = _view(values)
+    clipped = [np.clip(v, low, high) for v in values]
+    axis.boxplot(clipped, tick_labels=list(scores), flierprops={"marker": "+"})
+    beyond = sum(int(np.sum((v < low) | (v > high))) for v in values)
+    axis.set(ylabel=quantity.upper().replace("R2", "R^2"), title=title)
+    if beyond:
+        axis.set_xlabel(f"{beyond} outliers lie beyond the edge")
+    return figure
+
+
+def _view(values: Sequence[Array]) -> tuple[float, float]:
+    """Range of all boxes and whiskers, a little widened."""
+    ends = []
+    for value in values:
+        first, third = np.percentile(value, (25, 75))
+        reach = 3.0 * (third - first)
+        ends += [max(np.min(value), first - reach), min(np.max(value), third + reach)]
+    margin = 0.06 * (max(ends) - min(ends))
+    return float(min(ends) - margin), float(max(ends) + margin)
+
+
+def _lines(
+    title: str,
+    x: tuple[str, Sequence[float]],
+    curves: Mapping[str, Sequence[float]],
+    *,
+    y_scale: str = "linear",
+) -> Figure:
+    """RMS as a line for each named curve over common points x = (label, values)."""
+    figure, (axis,) = _figure(height=3.2)
+    for label, values in curves.items():
+        axis.plot(x[1], values, "o-", label=label, markersize=4)
+    axis.set(xlabel=x[0], ylabel="RMS", title=title, xscale="log", yscale=y_scale)
+    axis.grid(alpha=0.3)
+    axis.legend()
+    return figure
+
+
+def _traces(
+    title: str,
+    x: tuple[str, ArrayLike],
+    y_label: str,
+    curves: Mapping[str, Array],
+    *,
+    scale: str = "log",
+) -> Figure:
+    """Dense curves over x = (label, values)."""
+    figure, (axis,) = _figure(height=3.2)
+    for label, values in curves.items():
+        axis.plot(x[1], values, label=label, linewidth=1.0)
+    axis.set(xlabel=x[0], ylabel=y_label, title=title, yscale=scale)
+    axis.grid(alpha=0.3)
+    figure.legend(loc="outside lower center", ncols=3, fontsize="small")
+    return figure
+
+
+def _cost(size: str, rest: str, measured: Sequence[tuple[int, float]]) -> Figure:
+    """Time of an update against a size, both from zero."""
+    figure, (axis,) = _figure(height=2.8)
+    axis.plot(*zip(*measured, strict=True), "o-", markersize=4)
+    title = f"Time of an update against {size}"
+    axis.set(xlabel=f"{size} ({rest})", ylabel="ns a sample", title=title)
+    axis.set_xlim(left=0)
+    axis.set_ylim(0, 1.1 * max(time for _, time in measured))  # flat data leave no room above
+    axis.grid(alpha=0.3)
+    return figure

@@ -1,6 +1,13 @@
-"""What the paper prints: Table 1 and the settings of Sec. 3."""
+"""Table 1 as the paper prints it, the settings of Sec. 3, and scores to hold against them."""
 
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 
 MODELS = ("BSNN", "ARX", "BSNN-ARX", "NNARX", "NNOE")
 SETS = ("training", "validation")
@@ -15,7 +22,7 @@ SEED = 63
 """Noise realisation of paper mode: picked, because its Table 1 is near the printed one."""
 
 
-class Row(NamedTuple):
+class Printed(NamedTuple):
     """Mean and variance over the instances; None where the table has NS (non significant)."""
 
     rms_mean: float
@@ -26,19 +33,90 @@ class Row(NamedTuple):
 
 # Table 1. Its last row was lost in the stored copy of the paper. The RMS of NNOE is given in
 # Sec. 4 again; its R^2 mean, .936, is the value that the project's notes on the paper carry.
-TABLE_1: dict[str, dict[str, Row]] = {
+TABLE_1: dict[str, dict[str, Printed]] = {
     "training": {
-        "BSNN": Row(0.1150, 2.40e-6, None, None),
-        "ARX": Row(0.0232, 6.69e-6, 0.8539, 1.02e-3),
-        "BSNN-ARX": Row(0.0233, 7.49e-6, 0.8526, 1.09e-3),
-        "NNARX": Row(0.0137, 1.50e-7, 0.9501, 8.29e-6),
-        "NNOE": Row(0.0133, 9.07e-8, 0.9528, 4.68e-6),
+        "BSNN": Printed(0.1150, 2.40e-6, None, None),
+        "ARX": Printed(0.0232, 6.69e-6, 0.8539, 1.02e-3),
+        "BSNN-ARX": Printed(0.0233, 7.49e-6, 0.8526, 1.09e-3),
+        "NNARX": Printed(0.0137, 1.50e-7, 0.9501, 8.29e-6),
+        "NNOE": Printed(0.0133, 9.07e-8, 0.9528, 4.68e-6),
     },
     "validation": {
-        "BSNN": Row(0.0479, 8.26e-8, 0.1768, 9.78e-5),
-        "ARX": Row(0.0174, 1.91e-7, 0.8910, 3.01e-5),
-        "BSNN-ARX": Row(0.0116, 2.17e-6, 0.9513, 1.48e-4),
-        "NNARX": Row(0.0137, 1.06e-7, 0.9326, 1.05e-5),
-        "NNOE": Row(0.0133, 6.02e-8, 0.936, None),
+        "BSNN": Printed(0.0479, 8.26e-8, 0.1768, 9.78e-5),
+        "ARX": Printed(0.0174, 1.91e-7, 0.8910, 3.01e-5),
+        "BSNN-ARX": Printed(0.0116, 2.17e-6, 0.9513, 1.48e-4),
+        "NNARX": Printed(0.0137, 1.06e-7, 0.9326, 1.05e-5),
+        "NNOE": Printed(0.0133, 6.02e-8, 0.936, None),
     },
 }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """Errors of one model on one set.
+
+    Attributes:
+        rms: RMS of the residual for each instance, in units of y, shape (M,).
+        r2: 1 - mean squared residual / variance of y, shape (M,).
+    """
+
+    rms: Array
+    r2: Array
+
+
+def score(y: Array, predictions: Array) -> Score:
+    """Scores predictions of shape (n,) or (n, M) of the output y, shape (n,)."""
+    residuals = y[:, None] - predictions.reshape(len(y), -1)
+    mean_square = np.mean(residuals**2, axis=0)
+    return Score(rms=np.sqrt(mean_square), r2=1.0 - mean_square / np.var(y))
+
+
+Scores = dict[str, dict[str, Score]]
+"""By set ("training", "validation"), then by model."""
+
+
+def table_1(scores: Scores) -> str:
+    """Table 1 as Markdown: each measured value with the printed one in brackets behind it."""
+    rows = []
+    for name in SETS:
+        for model in MODELS:
+            if model not in scores[name]:
+                continue
+            got, printed = scores[name][model], TABLE_1[name][model]
+            off = f"{100.0 * (float(np.mean(got.rms)) / printed.rms_mean - 1.0):+.0f} %"
+            cells = (
+                (np.mean(got.rms), printed.rms_mean, ".4f"),
+                (np.var(got.rms), printed.rms_var, ".1e"),
+                (np.mean(got.r2), printed.r2_mean, ".3f"),
+                (np.var(got.r2), printed.r2_var, ".1e"),
+            )
+            texts = [f"{value:{form}} ({_printed(ref, form)})" for value, ref, form in cells]
+            rows.append((name, model, texts[0], off, *texts[1:]))
+    head = ("set", "model", "RMS mean (paper)", "off by", "RMS var (paper)")
+    return markdown((*head, "R^2 mean (paper)", "R^2 var (paper)"), rows)
+
+
+def worst_deviation(scores: Scores) -> float:
+    """Largest relative deviation of a validation mean of RMS or R^2 from the printed one."""
+    worst = 0.0
+    for model, got in scores["validation"].items():
+        printed = TABLE_1["validation"][model]
+        worst = max(worst, abs(float(np.mean(got.rms)) / printed.rms_mean - 1.0))
+        if printed.r2_mean is not None:
+            worst = max(worst, abs(float(np.mean(got.r2)) / printed.r2_mean - 1.0))
+    return worst
+
+
+def markdown(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A Markdown table; floats are shown with four significant digits."""
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    lines += ["| " + " | ".join(_cell(cell) for cell in row) + " |" for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def _cell(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _printed(value: float | None, form: str) -> str:
+    return "NS" if value is None else f"{value:{form}}"

@@ -1,21 +1,20 @@
 """Two measured benchmarks: the Silverbox circuit and a hydraulic actuator.
 
-Every model learns in one online pass over the training part and then runs free. The recordings
-are other people's and are not part of this project: they are looked for in $LEGLAB_DATA or in
-../shared/data.
+Every model learns in one online pass over the training part and then runs free. The structure of
+the deployed identifier is the first of its grid, ranked on the training part alone
+(`python benchmarks/real_data.py --select` shows the ranking). The recordings are other people's and
+are not part of this project: `shared_data` says where they are looked for.
 """
 
-import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Literal
+from itertools import product
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.io import loadmat
 
-from leglab.base.errors import LeglabError
 from leglab.identification import (
     Basis,
     Constant,
@@ -24,8 +23,10 @@ from leglab.identification import (
     Rls,
     Signal,
     Spline,
+    SplineNarx,
     SplineNarxSettings,
 )
+from leglab.studies.shared_data import shared_data
 
 Array = NDArray[np.float64]
 
@@ -57,27 +58,13 @@ class Dataset:
     published: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
 
-def data_folder() -> Path:
-    """Folder of the recordings.
-
-    Raises:
-        LeglabError: There is none.
-    """
-    named = os.environ.get("LEGLAB_DATA")
-    default = Path(__file__).resolve().parents[4] / "shared" / "data"
-    folder = Path(named) if named else default
-    if not folder.is_dir():
-        raise LeglabError(f"no recordings in {folder}: set LEGLAB_DATA to the folder that has them")
-    return folder
-
-
 def silverbox() -> Dataset:
     """The Silverbox (Wigren and Schoukens 2013) with the splits of nonlinear_benchmarks 1.0.1.
 
     Published rows: Champneys et al. 2024, arXiv 2405.10779.
     """
     table = np.loadtxt(
-        _existing("silverbox/SNLS80mV.csv"), delimiter=",", skiprows=1, usecols=(0, 1)
+        shared_data("silverbox/SNLS80mV.csv"), delimiter=",", skiprows=1, usecols=(0, 1)
     )
     return Dataset(
         name="Silverbox",
@@ -107,7 +94,7 @@ def actuator() -> Dataset:
 
     Published rows: Sjoberg et al. 1995, as the project's notes on the data remember them.
     """
-    table = loadmat(_existing("hydraulic_actuator/actuator.mat"))
+    table = loadmat(shared_data("hydraulic_actuator/actuator.mat"))
     return Dataset(
         name="hydraulic actuator",
         u=table["u"].ravel().astype(float),
@@ -194,8 +181,106 @@ def free_run_error(model: Identifier, u: Array, y: Array, given: int) -> float:
     return float(np.sqrt(mean_square)) if np.isfinite(mean_square) else float("inf")
 
 
-def _existing(name: str) -> Path:
-    path = data_folder() / name
-    if not path.is_file():
-        raise LeglabError(f"recording {path} is missing: the data are not part of this project")
-    return path
+SILVERBOX: dict[str, Any] = {
+    "na": 4,
+    "nb": 5,
+    "nk": 0,
+    "splines": 10,
+    "output_lags": (1, 2),
+    "reach": 0.85,
+    "outside": "quadratic",
+    "output_error_after": 2000,
+}
+
+ACTUATOR: dict[str, Any] = {
+    "na": 6,
+    "nb": 6,
+    "nk": 1,
+    "splines": 12,
+    "input_lags": (1, 2, 3),
+    "initial_gain": 30.0,
+}
+
+
+class Ranked(NamedTuple):
+    """A structure as `spline_narx` takes it, and its error in the unit of the table."""
+
+    error: float
+    structure: dict[str, Any]
+
+
+def select(
+    data: Dataset, grid: Sequence[dict[str, Any]], splits: Sequence[tuple[slice, slice]]
+) -> list[Ranked]:
+    """Ranks structures by their mean free-run error over splits of the training part.
+
+    Args:
+        data: Only its training part is looked at.
+        grid: Arguments of `spline_narx`, one candidate each.
+        splits: (learn online, run free) as parts of the training part.
+
+    Returns:
+        Rankeds, best first.
+    """
+    u, y = data.u[data.train], data.y[data.train]
+    ranked = []
+    for structure in grid:
+        settings, errors = spline_narx(data, **structure), []
+        for learned, held_out in splits:
+            model = SplineNarx(settings)
+            model.run(u[learned], y[learned])
+            errors.append(free_run_error(model, u[held_out], y[held_out], data.given))
+        ranked.append(Ranked(float(np.mean(errors)) * data.unit[1], structure))
+    return sorted(ranked, key=lambda candidate: candidate.error)
+
+
+def _product(**choices: Sequence[Any]) -> Iterator[dict[str, Any]]:
+    for values in product(*choices.values()):
+        yield dict(zip(choices, values, strict=True))
+
+
+def actuator_grid() -> list[dict[str, Any]]:
+    """Orders, blocks of u and of y, their number of splines, and F(0) as regularisation."""
+    inputs = ((), (1,), (1, 2), (1, 2, 3), (0, 1), (0, 1, 2))
+    return [
+        {**orders, **rest}
+        for orders, rest in product(
+            ({"nb": nb, "nk": nk} for nb, nk in ((2, 1), (3, 1), (4, 1), (6, 1), (4, 0))),
+            _product(
+                na=(2, 3, 4, 5, 6, 8),
+                splines=(5, 8, 12, 16),
+                input_lags=inputs,
+                output_lags=((), (1,)),
+                initial_gain=(10.0, 30.0, 100.0, 1e4),
+            ),
+        )
+    ]
+
+
+ACTUATOR_SPLITS = (
+    (slice(0, 340), slice(340, 512)),
+    (slice(172, 512), slice(0, 172)),
+    (slice(0, 256), slice(256, 512)),
+    (slice(256, 512), slice(0, 256)),
+)
+"""A third or half of the first 512 samples held out, at either end."""
+
+
+def silverbox_grid() -> list[dict[str, Any]]:
+    """Orders, splines of y over the range of the training output (+-2 %), start of stage 2."""
+    return [
+        {**rest, "nb": rest["na"] + 1}
+        for rest in _product(
+            na=(2, 3, 4, 5, 6),
+            nk=(0,),
+            splines=(5, 6, 7, 8, 9, 10, 12, 14),
+            output_lags=((1,), (1, 2)),
+            reach=(0.85,),
+            outside=("quadratic",),
+            output_error_after=(1000, 2000, 5000),
+        )
+    ]
+
+
+SILVERBOX_SPLITS = ((slice(0, 52050), slice(52050, 65062)),)
+"""The last fifth of the training part held out."""

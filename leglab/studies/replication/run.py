@@ -6,12 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from leglab.base.errors import LeglabError
-from leglab.studies.replication import cost, deployed, page, paper, sensitivity
-from leglab.studies.replication.comparison import Comparison, compare
-from leglab.studies.replication.convergence import converge
+from leglab.studies.replication import deployed, experiments, page, paper
 from leglab.studies.replication.online import BETTER_FIT
 from leglab.studies.replication.plant import simulate
-from leglab.studies.replication.scores import table_1, worst_deviation
 
 REALISATIONS = 30
 """Noise realisations of the spread and of the deployed identifier's free run."""
@@ -22,7 +19,7 @@ LONG_RUN = 6000
 
 @dataclass(frozen=True, kw_only=True)
 class Replication:
-    """What `replicate` found.
+    """Results of `replicate`.
 
     Attributes:
         comparison: Scores of all five models under paper mode.
@@ -35,11 +32,11 @@ class Replication:
         figures: Figures written.
     """
 
-    comparison: Comparison
+    comparison: experiments.ModelComparison
     recoveries: dict[str, dict[str, deployed.Recovery]]
     free_runs: list[tuple[str, int, float, float, float, float]]
     floor: float
-    spread: list[sensitivity.Row]
+    spread: list[experiments.Errors]
     online_seconds: float
     page: Path
     figures: tuple[Path, ...]
@@ -47,12 +44,12 @@ class Replication:
     @property
     def table(self) -> str:
         """Table 1 with the paper's values, as Markdown."""
-        return table_1(self.comparison.scores)
+        return paper.table_1(self.comparison.scores)
 
     @property
     def worst_deviation(self) -> float:
         """Largest relative deviation of a validation mean from Table 1."""
-        return worst_deviation(self.comparison.scores)
+        return paper.worst_deviation(self.comparison.scores)
 
     def to_json(self) -> dict[str, Any]:
         """Returns the scores by set and model and where the page is, as JSON can hold it."""
@@ -106,29 +103,32 @@ def replicate(
     say("the plant of Eq. 23")
     long_u, long_y = (signal[0] for signal in simulate([seed], LONG_RUN))
     u, y = long_u[: paper.N_SAMPLES], long_y[: paper.N_SAMPLES]
-    comparison = compare(u, y, instances, seed, progress=say)
+    comparison = experiments.compare(u, y, instances, seed, progress=say)
     page.comparison(sheet, comparison, y[paper.N_TRAINING :], instances, seed)
 
     say("convergence")
-    page.convergence(sheet, y, converge(long_u, long_y, instances, seed))
+    page.convergence(sheet, y, experiments.converge(long_u, long_y, instances, seed))
 
     say("sensitivity")
     all_u, all_y = simulate(range(REALISATIONS), paper.N_SAMPLES)
     page.sensitivities(
         sheet,
-        sensitivity.readings(u, y, instances, seed),
-        sensitivity.input_variance(instances, seed),
-        sensitivity.initial_gain(all_u, all_y, 10, seed),
-        sensitivity.learning_constant(u, y, instances, seed),
+        experiments.readings(u, y, instances, seed),
+        experiments.input_variance(instances, seed),
+        experiments.initial_gain(all_u, all_y, 10, seed),
+        experiments.learning_constant(u, y, instances, seed),
         comparison.online.free_run_scores(y),
     )
-    spread = sensitivity.spread(all_u, all_y, 5, seed)
+    spread = experiments.spread(all_u, all_y, 5, seed)
     page.spread(sheet, spread, REALISATIONS)
-    page.better_fit(sheet, _better_fit(instances, say))
+    near, settings = BETTER_FIT
+    u_near, y_near = (signal[0] for signal in simulate([near], paper.N_SAMPLES))
+    better = experiments.compare(u_near, y_near, instances, near, settings=settings, progress=say)
+    page.better_fit(sheet, better)
 
     say("cost")
-    seconds = cost.table_time(u, y, seed)
-    page.costs(sheet, cost.measure(), seconds)
+    seconds = experiments.table_time(u, y, seed)
+    page.costs(sheet, experiments.update_times(), seconds)
 
     say("the deployed identifier")
     floor, rows = deployed.free_runs(range(REALISATIONS))
@@ -145,9 +145,3 @@ def replicate(
         page=sheet.write(),
         figures=tuple(sheet.figures),
     )
-
-
-def _better_fit(instances: int, say: Callable[[str], None]) -> Comparison:
-    seed, settings = BETTER_FIT
-    u, y = (signal[0] for signal in simulate([seed], paper.N_SAMPLES))
-    return compare(u, y, instances, seed, settings=settings, progress=say)

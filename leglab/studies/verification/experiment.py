@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -10,7 +10,6 @@ from scipy.integrate import solve_ivp
 
 from leglab.machine import plugin
 from leglab.machine.cylinder import CONTINUOUS_STATES, Cylinder
-from leglab.machine.parameters import plugin_tables
 
 CYLINDER = {"bore": 0.016, "rod": 0.010, "stroke": 0.080}  # m, physics.md "Values"
 SUPPLY_PRESSURE = 16e6  # Pa
@@ -45,7 +44,7 @@ NOTHING = constant(0.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment:
-    """A cylinder, its load and what is done to it.
+    """A cylinder with its start, command and load.
 
     Attributes:
         parameters: `leglab.cylinder` attributes beside `mid_length`, SI units.
@@ -74,7 +73,7 @@ class Experiment:
 
 @dataclass(frozen=True, kw_only=True)
 class Trace:
-    """What happened; every array has shape (n,), SI units.
+    """Motion, pressures and energies of an experiment; arrays of shape (n,), SI units.
 
     Attributes:
         time: At which positions, pressures, spool and energies hold.
@@ -99,13 +98,14 @@ class Trace:
     energies: Mapping[str, np.ndarray]
 
 
-class Solver(Protocol):
-    """Runs experiments."""
+class Core:
+    """Functions of the C++ core, called by themselves."""
 
-    name: str
+    name = "core"
 
-    def run(self, experiment: Experiment) -> Trace:
-        """Runs one experiment."""
+    def native(self, **parameters: float) -> Any:
+        """The core's cylinder; `parameters` beside its size are nominal where not given."""
+        return Cylinder({**CYLINDER, **parameters}).native
 
 
 class Continuous:
@@ -114,7 +114,7 @@ class Continuous:
     name = "continuous"
 
     def run(self, experiment: Experiment) -> Trace:
-        """Integrates piecewise, so that no step runs over a jump of command or load."""
+        """Integrates in steps of at most a fiftieth of the duration."""
         e = experiment
         cylinder = Cylinder({"supply_pressure": SUPPLY_PRESSURE, **e.parameters})
         blocked = e.mass >= HELD and e.velocity == 0
@@ -169,25 +169,37 @@ class Continuous:
         )
 
 
-def slide_model(parameters: Mapping[str, float], mass: float, timestep: float) -> mujoco.MjModel:
+def slide_model(
+    parameters: Mapping[str, float],
+    mass: float,
+    timestep: float,
+    *,
+    unit: Mapping[str, float] | None = None,
+) -> mujoco.MjModel:
     """A mass on a slide joint, moved by one `leglab.cylinder`; qpos is the piston position.
 
     Args:
-        parameters: Attributes of the cylinder.
+        parameters: Attributes of the cylinder "valve".
         mass: Moving mass [kg].
         timestep: Seconds.
+        unit: Attributes of the `leglab.supply` "unit" that feeds it; constant pressure if None.
     """
     plugin.load()
-    values = {
-        "supply_pressure": SUPPLY_PRESSURE,
-        **parameters,
-        "mid_length": 0.5 * parameters["stroke"],
-    }
-    config = "".join(f'<config key="{k}" value="{v!r}"/>' for k, v in values.items())
+
+    def config(values: Mapping[str, object]) -> str:
+        return "".join(f'<config key="{k}" value="{v}"/>' for k, v in values.items())
+
+    supply: dict[str, object] = {"supply_pressure": SUPPLY_PRESSURE}
+    extension = ""
+    if unit is not None:
+        supply = {"supply": "unit"}
+        instance = f'<instance name="unit">{config(unit)}</instance>'
+        extension = f'<plugin plugin="leglab.supply">{instance}</plugin>'
+    valve = config({**supply, **parameters, "mid_length": 0.5 * parameters["stroke"]})
     return mujoco.MjModel.from_xml_string(f"""
       <mujoco>
         <option timestep="{timestep!r}" gravity="0 0 0" integrator="implicitfast"/>
-        <extension><plugin plugin="leglab.cylinder"/></extension>
+        <extension><plugin plugin="leglab.cylinder"/>{extension}</extension>
         <worldbody>
           <body>
             <joint name="rod" type="slide" axis="1 0 0" ref="{MID_POSITION}"/>
@@ -195,9 +207,15 @@ def slide_model(parameters: Mapping[str, float], mass: float, timestep: float) -
           </body>
         </worldbody>
         <actuator>
-          <plugin name="valve" plugin="leglab.cylinder" joint="rod">{config}</plugin>
+          <plugin name="valve" plugin="leglab.cylinder" joint="rod">{valve}</plugin>
         </actuator>
       </mujoco>""")
+
+
+def places(model: mujoco.MjModel, element: str = "valve") -> dict[str, int]:
+    """Indices in `plugin_state` of the parameters and states of a plugin instance."""
+    start, table = plugin.elements(model)[element]
+    return {n: start + table.entry(n).offset for n in (*table.parameters, *table.states)}
 
 
 class Engine:
@@ -216,9 +234,7 @@ class Engine:
         e, h = experiment, self.timestep
         model = slide_model(e.parameters, e.mass, h)
         data = mujoco.MjData(model)
-        table = plugin_tables()["leglab.cylinder"]
-        state = data.plugin_state
-        at = {name: row.offset for name, row in table.states.items()}
+        state, at = data.plugin_state, places(model)
         data.qpos[0], data.qvel[0] = e.position, e.velocity
         state[at["pressure_a"]], state[at["pressure_b"]] = e.pressure_a, e.pressure_b
         if e.ideal_spool:
@@ -250,5 +266,6 @@ class Engine:
         )
 
 
-SOLVERS: tuple[Solver, ...] = (Continuous(), Engine(1e-3), Engine(0.5e-3))
+Solver = Continuous | Engine
 ENGINES = (Engine(1e-3), Engine(0.5e-3))
+SOLVERS: tuple[Solver, ...] = (Continuous(), *ENGINES)

@@ -11,79 +11,99 @@ from rich.console import Console
 from rich.table import Table
 
 from leglab.base.errors import LeglabError
-from leglab.studies.verification import replay
-from leglab.studies.verification.bench import nominal_folder
-from leglab.studies.verification.conformance import CASES
-from leglab.studies.verification.rows import Row
+from leglab.studies.shared_data import shared_data
+from leglab.studies.verification.cases import CASES, Check
+from leglab.studies.verification.replay import LIMITS, ReplayErrors, replay_all
 
 _ROUNDING = 1e-11
 
 
-def table(title: str, rows: Iterable[Row]) -> Table:
-    """A table of rows, failures in red."""
+def _table(title: str, head: str, rows: Iterable[tuple[bool, Iterable[str]]], right: str) -> Table:
+    """A table of (passed, cells), failures in red.
+
+    Args:
+        title: Above the table.
+        head: Headings with commas between.
+        rows: Whether the row passed, and its cells.
+        right: Headings of the columns that are aligned right.
+    """
     grid = Table(title=title, title_justify="left")
-    for heading in (
-        "case",
-        "quantity",
-        "solver",
-        "expected",
-        "got",
-        "unit",
-        "deviation",
-        "allowed",
-    ):
-        right = heading in {"expected", "got", "deviation", "allowed"}
-        grid.add_column(heading, justify="right" if right else "left")
-    for row in rows:
-        grid.add_row(
-            row.case,
-            row.quantity,
-            row.solver,
-            f"{row.expected:.6g}",
-            f"{row.got:.6g}",
-            row.unit,
-            f"{row.deviation:.1e}",
-            f"{row.tolerance:.0e}",
-            style=None if row.passed else "bold red",
-        )
+    for heading in head.split(", "):
+        grid.add_column(heading, justify="right" if heading in right.split(", ") else "left")
+    for passed, cells in rows:
+        grid.add_row(*cells, style=None if passed else "bold red")
     return grid
 
 
-def summary(rows: Iterable[Row]) -> Table:
+def _closest(rows: Iterable[Check]) -> Check:
+    return max(rows, key=lambda row: row.deviation / row.tolerance)
+
+
+def _row_table(rows: Iterable[Check]) -> Table:
+    def cells(row: Check) -> Iterable[str]:
+        values = f"{row.expected:.6g}", f"{row.got:.6g}", row.unit
+        deviation = f"{row.deviation:.1e}", f"{row.tolerance:.0e}"
+        return row.case, row.quantity, row.solver, *values, *deviation
+
+    head = "case, quantity, solver, expected, got, unit, deviation, allowed"
+    lines = ((row.passed, cells(row)) for row in rows)
+    return _table("Cases of physics.md", head, lines, "expected, got, deviation, allowed")
+
+
+def _summary(rows: Iterable[Check]) -> Table:
     """One line a case and solver: how many rows pass, and the one closest to its limit."""
-    groups: dict[tuple[str, str], list[Row]] = defaultdict(list)
+    groups: dict[tuple[str, str], list[Check]] = defaultdict(list)
     for row in rows:
         groups[row.case, row.solver].append(row)
-    grid = Table(title="Cases of physics.md: the row closest to its limit", title_justify="left")
-    for heading in ("case", "solver", "passed", "closest row", "deviation", "allowed"):
-        grid.add_column(heading)
-    for (case, solver), group in groups.items():
-        worst = max(group, key=lambda row: row.deviation / row.tolerance)
-        passed = sum(row.passed for row in group)
-        grid.add_row(
-            case,
-            solver,
-            f"{passed} of {len(group)}",
-            worst.quantity,
-            f"{worst.deviation:.1e}",
-            f"{worst.tolerance:.0e}",
-            style=None if passed == len(group) else "bold red",
+    lines = []
+    for key, group in groups.items():
+        worst, passed = _closest(group), sum(row.passed for row in group)
+        deviation = f"{worst.deviation:.1e}", f"{worst.tolerance:.0e}"
+        cells = *key, f"{passed} of {len(group)}", worst.quantity, *deviation
+        lines.append((passed == len(group), cells))
+    head = "case, solver, passed, closest row, deviation, allowed"
+    return _table("Cases of physics.md: the row closest to its limit", head, lines, "")
+
+
+def _replay_table(results: Iterable[ReplayErrors]) -> Table:
+    """RMS errors at window ends beside what is asked."""
+    lines = []
+    for r in results:
+        knee, pressure = LIMITS[r.recording]
+        errors = f"{r.position * 1e3:.3f}", f"{r.pressure_a / 1e5:.2f}", f"{r.pressure_b / 1e5:.2f}"
+        asked = f"{knee * 1e3:g} / {pressure / 1e5:g}"
+        lines.append(
+            (r.passed, (r.recording, str(r.count), f"{r.timestep * 1e3:g}", *errors, asked))
         )
-    return grid
+    head = "recording, windows, step ms, knee mrad, pA bar, pB bar, asked"
+    return _table("Replay of knee_bench/nominal over 0.3 s windows", head, lines, "")
 
 
 def markdown() -> str:
     """The row closest to its limit of each case as Markdown, in MuJoCo at 1 ms or the core."""
     lines = ["| case | closest row | deviation | allowed |", "|---|---|---|---|"]
     for name, case in CASES.items():
-        rows = [row for row in case() if row.solver in ("core", "MuJoCo 1 ms")]
-        worst = max(rows, key=lambda row: row.deviation / row.tolerance)
+        worst = _closest(row for row in case() if row.solver in ("core", "MuJoCo 1 ms"))
         # What is left of rounding differs between processors.
         exact = worst.deviation < _ROUNDING
         deviation = "rounding" if exact else f"{worst.deviation:.1e}"
         quantity = "all" if exact else worst.quantity
         lines.append(f"| {name} | {quantity} | {deviation} | {worst.tolerance:.0e} |")
     return "\n".join(lines) + "\n"
+
+
+def _run() -> tuple[list[Check], list[ReplayErrors], str | None]:
+    """Rows of all cases, errors of all replays, and why there are no replays."""
+    rows = list(chain.from_iterable(case() for case in CASES.values()))
+    try:
+        folder = shared_data("knee_bench/nominal")
+    except LeglabError as error:
+        return rows, [], str(error)
+    return rows, list(replay_all(folder)), None
+
+
+def _passed(rows: list[Check], replays: list[ReplayErrors]) -> bool:
+    return all(row.passed for row in rows) and all(result.passed for result in replays)
 
 
 def verify(*, full: bool = True, console: Console | None = None) -> bool:
@@ -99,19 +119,12 @@ def verify(*, full: bool = True, console: Console | None = None) -> bool:
     out = console or Console()
     if not out.is_terminal and console is None:
         out = Console(width=160)  # a file or a pipe: keep rows on one line
-    rows = list(chain.from_iterable(case() for case in CASES.values()))
+    rows, replays, left_out = _run()
     if full:
-        out.print(table("Cases of physics.md", rows))
-    out.print(summary(rows))
-    passed = all(row.passed for row in rows)
-    try:
-        folder = nominal_folder()
-    except LeglabError as error:
-        out.print(f"Replay of recordings left out: {error}")
-        return passed
-    results = list(replay.replay_all(folder))
-    out.print(replay.table(results))
-    return passed and all(result.passed for result in results)
+        out.print(_row_table(rows))
+    out.print(_summary(rows))
+    out.print(f"Replay of recordings left out: {left_out}" if left_out else _replay_table(replays))
+    return _passed(rows, replays)
 
 
 def checks_as_json() -> dict[str, Any]:
@@ -122,25 +135,17 @@ def checks_as_json() -> dict[str, Any]:
         a recording and time step), "left_out" (why there are no replays, or None). What is not
         finite is None.
     """
-    rows = list(chain.from_iterable(case() for case in CASES.values()))
-    found: dict[str, Any] = {
-        "passed": all(row.passed for row in rows),
-        "checks": [_as_json(row, deviation=row.deviation, passed=row.passed) for row in rows],
-        "replays": [],
-        "left_out": None,
+    rows, replays, left_out = _run()
+    return {
+        "passed": _passed(rows, replays),
+        "checks": [_as_json(row, deviation=row.deviation) for row in rows],
+        "replays": [_as_json(result) for result in replays],
+        "left_out": left_out,
     }
-    try:
-        folder = nominal_folder()
-    except LeglabError as error:
-        return {**found, "left_out": str(error)}
-    results = list(replay.replay_all(folder))
-    found["replays"] = [_as_json(result, passed=result.passed) for result in results]
-    found["passed"] = found["passed"] and all(result.passed for result in results)
-    return found
 
 
-def _as_json(row: Row | replay.Replay, **more: Any) -> dict[str, Any]:
+def _as_json(result: Check | ReplayErrors, **more: Any) -> dict[str, Any]:
     return {
         name: None if isinstance(value, float) and not math.isfinite(value) else value
-        for name, value in {**asdict(row), **more}.items()
+        for name, value in {**asdict(result), **more, "passed": result.passed}.items()
     }

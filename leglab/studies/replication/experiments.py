@@ -1,0 +1,350 @@
+"""Experiments with the paper's models: Table 1, convergence, sensitivity, cost of an update."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leglab.identification import Basis, BsnnArx
+from leglab.studies.replication.networks import LAGS, train
+from leglab.studies.replication.online import (
+    OnlineRuns,
+    OnlineSettings,
+    for_joints,
+    online_models,
+    run_online,
+    static_alone,
+)
+from leglab.studies.replication.paper import INSTANCES, MODELS, N_TRAINING, Scores, score
+from leglab.studies.replication.plant import Excitation, simulate
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelComparison:
+    """Scores of all models and an exemplary validation prediction of each.
+
+    Attributes:
+        scores: By set, then by model.
+        online: Predictions of the online models.
+        examples: First instance of each model on the validation set, shape (n_validation,): one
+            step ahead for BSNN, ARX and BSNN-ARX, free run for NNARX and NNOE.
+    """
+
+    scores: Scores
+    online: OnlineRuns
+    examples: dict[str, Array]
+
+
+def compare(
+    u: Array,
+    y: Array,
+    instances: int,
+    seed: int,
+    *,
+    settings: OnlineSettings | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> ModelComparison:
+    """Runs `instances` instances of each model, which differ in their initial parameters.
+
+    Args:
+        u: Input of one realisation, shape (2000,).
+        y: Output.
+        instances: M of the paper.
+        seed: Of the initial parameters.
+        settings: Unpublished constants of the online models.
+        progress: Called with a line before each part.
+    """
+    say = progress or (lambda line: None)
+    say(f"BSNN, ARX, BSNN-ARX: {instances} instances")
+    online = run_online(u, y, instances, seed, settings)
+    scores = online.scores(y)
+    examples = {model: run.validation[:, 0] for model, run in online.runs.items()}
+    n = N_TRAINING
+    for model, output_error in (("NNARX", False), ("NNOE", True)):
+        say(f"{model}: {instances} instances by Levenberg-Marquardt")
+        rng = np.random.default_rng([seed, int(output_error)])
+        networks = [
+            train(u[:n], y[:n], output_error=output_error, rng=rng) for _ in range(instances)
+        ]
+        for name, part in (("training", slice(0, n)), ("validation", slice(n, None))):
+            runs = np.column_stack([net.free_run(u[part], y[part][:LAGS]) for net in networks])
+            scores[name][model] = score(y[part], runs)
+        examples[model] = runs[:, 0]
+    return ModelComparison(scores=scores, online=online, examples=examples)
+
+
+WEIGHTS_SETTLED = 300
+"""Samples after which the paper calls the weights stable."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Convergence:
+    """Parameters while they adapt, and their distances from where they end.
+
+    Attributes:
+        weights: Weights of the first BSNN instance over the training part, (n, neurons).
+        bsnn: Its a-priori predictions, (n,).
+        theta: ARX parameters of the first BSNN-ARX instance, (n, 6).
+        theta_alone: Those of the first ARX instance, (n, 6).
+        distances: Named measures, means over the instances.
+    """
+
+    weights: Array
+    bsnn: Array
+    theta: Array
+    theta_alone: Array
+    distances: dict[str, float]
+
+
+def converge(u: Array, y: Array, instances: int, seed: int) -> Convergence:
+    """Adapts on the experiment and carries the pass on to its end.
+
+    Args:
+        u: Input, longer than the training part, shape (n,).
+        y: Output.
+        instances: Instances of each model.
+        seed: Of the initial parameters.
+    """
+    n = N_TRAINING
+    bsnn, alone, model = online_models(instances, seed, OnlineSettings()).values()
+    start = np.atleast_2d(model.weights).copy()
+    order, neurons = model.settings.na + model.settings.nb, start.shape[-1]
+    _, trajectory = _record(model, u, y)
+    _, alone_trajectory = _record(alone, u, y)
+    prediction, _ = _record(bsnn, u[:n], y[:n])
+    theta, weights = trajectory[..., :order], trajectory[..., order : order + neurons]
+    theta_alone = alone_trajectory[..., :order]
+
+    basis = model.settings.network.basis[0]
+    inside = np.clip(u[:n], basis.knots[0], basis.knots[-1])
+    activation = np.array([np.mean(basis.spline(row)(inside)) for row in np.eye(neurons)])
+    settled = weights[n - 1]
+    to_go = np.sqrt(np.sum(activation * (weights[WEIGHTS_SETTLED - 1] - settled) ** 2, axis=-1))
+    way = np.sqrt(np.sum(activation * (start - settled) ** 2, axis=-1))
+    outside = np.mean((u[:n] < basis.knots[0]) | (u[:n] > basis.knots[-1]))
+    distances = {
+        "weights: part of the way from 0 to 1500 samples left at 300": float(np.mean(to_go / way)),
+        f"theta of BSNN-ARX: distance at 1500 to its value at {len(u)}, relative": _away(theta, n),
+        f"theta of ARX: distance at 1500 to its value at {len(u)}, relative": _away(theta_alone, n),
+        "share of inputs outside [0, 0.8], clamped": float(outside),
+    }
+    return Convergence(
+        weights=weights[:n, 0],
+        bsnn=prediction[:, 0],
+        theta=theta[:n, 0],
+        theta_alone=theta_alone[:n, 0],
+        distances=distances,
+    )
+
+
+def _record(model: BsnnArx, u: Array, y: Array) -> tuple[Array, Array]:
+    """Predictions (n, J) and parameters (n, J, P) of all instances on the same signals."""
+    u, y = for_joints(model, u, y)
+    prediction, trajectory = model.run_recorded(u, y)
+    return prediction.reshape(len(u), -1), trajectory.reshape(len(u), model.joints, -1)
+
+
+def _away(theta: Array, at: int) -> float:
+    gone = np.linalg.norm(theta[at - 1] - theta[-1], axis=-1)
+    return float(np.mean(gone / np.linalg.norm(theta[-1], axis=-1)))
+
+
+Errors = tuple[str, float, float, float, float]
+
+ONLINE = ("BSNN", "ARX", "BSNN-ARX")
+INITIAL_GAINS = (1.0, 2.0, 5.6, 10.0, 20.0, 50.0, 100.0, 1e3, 1e4)
+LEARNING_CONSTANTS = (0.004, 0.01, 0.02, 0.05, 0.1, 0.14, 0.2)
+VARIANCES = (0.07**2, 0.02, 0.035, 0.07, 0.14)
+"""Of the noise before the filter; the first reads the paper's 0.07 as a standard deviation."""
+DIVERGED = 1.0
+"""RMS of a free run [units of y] above which it counts as diverged; y itself is about 0.5."""
+
+
+def readings(u: Array, y: Array, instances: int, seed: int) -> list[Errors]:
+    """Validation RMS (one step) of the online models under other readings of the paper.
+
+    Args:
+        u: Input of the paper-mode realisation, shape (n,).
+        y: Its output.
+        instances: Instances a model.
+        seed: Of the initial parameters.
+
+    Returns:
+        Rows (reading, standard deviation of y on the validation set, BSNN, ARX, BSNN-ARX).
+    """
+    cases = (
+        ("paper mode", OnlineSettings()),
+        ("Eq. 9 as printed", OnlineSettings(middle_piece="printed")),
+        ("learning constant .004 as printed", OnlineSettings(learning_constant=0.004)),
+        ("F(0) = 1e4 I", OnlineSettings(initial_gain=1e4)),
+    )
+    return [_row(name, u, y, instances, seed, settings) for name, settings in cases]
+
+
+def input_variance(instances: int, seed: int) -> list[Errors]:
+    """The same for `VARIANCES` of the noise, the realisation otherwise that of paper mode."""
+    rows = []
+    for variance in VARIANCES:
+        u, y = (s[0] for s in simulate([seed], excitation=Excitation(variance=variance)))
+        rows.append(_row(f"{variance:.2g}", u, y, instances, seed, OnlineSettings()))
+    return rows
+
+
+def _row(
+    name: str, u: Array, y: Array, instances: int, seed: int, settings: OnlineSettings
+) -> Errors:
+    scores = run_online(u, y, instances, seed, settings).scores(y)["validation"]
+    bsnn, arx, both = (float(np.mean(scores[m].rms)) for m in ONLINE)
+    return name, float(np.std(y[N_TRAINING:])), bsnn, arx, both
+
+
+def initial_gain(u: Array, y: Array, instances: int, seed: int) -> dict[str, list[float]]:
+    """RMS against `INITIAL_GAINS`: one step and free run of ARX and BSNN-ARX.
+
+    Args:
+        u: Inputs of several realisations, shape (R, n).
+        y: Outputs, shape (R, n).
+        instances: Instances a model on each.
+        seed: Of the initial parameters.
+
+    Returns:
+        Curves by label; free runs are medians, for some of them diverge.
+    """
+    curves: dict[str, list[float]] = {}
+    for gain in INITIAL_GAINS:
+        runs = [
+            run_online(a, b, instances, seed, OnlineSettings(initial_gain=gain))
+            for a, b in zip(u, y, strict=True)
+        ]
+        for model in ONLINE[1:]:
+            one, free = _errors(runs, y, model)
+            curves.setdefault(f"{model}, one step", []).append(float(np.mean(one)))
+            curves.setdefault(f"{model}, free run (median)", []).append(float(np.median(free)))
+            share = float(np.mean(~(free < DIVERGED)))
+            curves.setdefault(f"{model}, share diverged", []).append(share)
+    return curves
+
+
+def learning_constant(u: Array, y: Array, instances: int, seed: int) -> dict[str, list[float]]:
+    """Validation RMS (one step) of BSNN and BSNN-ARX against `LEARNING_CONSTANTS`."""
+    curves: dict[str, list[float]] = {}
+    for eta in LEARNING_CONSTANTS:
+        runs = [run_online(u, y, instances, seed, OnlineSettings(learning_constant=eta))]
+        for model in ("BSNN", "BSNN-ARX"):
+            one, _ = _errors(runs, y[None], model)
+            curves.setdefault(model, []).append(float(np.mean(one)))
+    return curves
+
+
+def spread(u: Array, y: Array, instances: int, seed: int) -> list[Errors]:
+    """Spread over noise realisations: rows (model, mean, standard deviation, least, largest).
+
+    Args:
+        u: Inputs of R realisations, shape (R, n).
+        y: Outputs, shape (R, n).
+        instances: Instances a model on each; a realisation counts with their mean.
+        seed: Of the initial parameters.
+    """
+    scores = [compare(a, b, instances, seed).scores for a, b in zip(u, y, strict=True)]
+    rows = []
+    for model in MODELS:
+        rms = np.array([np.mean(s["validation"][model].rms) for s in scores])
+        mean, deviation, least, most = (float(f(rms)) for f in (np.mean, np.std, np.min, np.max))
+        rows.append((model, mean, deviation, least, most))
+    return rows
+
+
+def spline_shapes() -> tuple[Array, dict[str, Array]]:
+    """Third spline of paper mode over the input: Eq. 9 corrected and as printed.
+
+    Returns:
+        Inputs, shape (n,), and the spline's values by reading, each of shape (n,).
+    """
+    u = np.linspace(0.0, 0.8, 801)
+    shapes = {}
+    for reading in ("corrected", "printed"):
+        model = static_alone(OnlineSettings(middle_piece=reading).bsnn_arx())
+        weights = np.zeros(model.parameters.shape)
+        weights[0] = weights[3] = 1.0  # the gain behind the network, and the third weight
+        model.parameters = weights
+        model.freeze()
+        shapes[reading] = model.run(u, np.zeros_like(u))
+    return u, shapes
+
+
+def _errors(runs: list[OnlineRuns], y: Array, model: str) -> tuple[Array, Array]:
+    """Mean one-step RMS of each realisation, and the free-run RMS of each instance of each."""
+    n = N_TRAINING
+    one, free = [], []
+    for run, output in zip(runs, y, strict=True):
+        result, target = run.runs[model], output[n:, None]
+        one.append(np.mean(np.sqrt(np.mean((result.validation - target) ** 2, axis=0))))
+        with np.errstate(over="ignore", invalid="ignore"):
+            free.append(np.sqrt(np.mean((result.free_run - target) ** 2, axis=0)))
+    return np.array(one), np.concatenate(free)
+
+
+ORDERS = (1, 2, 3, 5, 8, 12, 20, 32)
+"""na = nb of the ARX part; its parameters are twice that."""
+ROUNDS = 9
+SPLINES = (4, 8, 16, 32, 64, 128)
+
+
+def rls_multiplications(parameters: int) -> int:
+    """5 N^2 + 3 N for one RLS step with N parameters (Sec. 3.2)."""
+    return 5 * parameters**2 + 3 * parameters
+
+
+def bsnn_multiplications(neurons: int) -> int:
+    """5 N for one adaptation step of a single-input BSNN with N neurons (Sec. 3.2)."""
+    return 5 * neurons
+
+
+def multiplications(arx_parameters: int, neurons: int) -> int:
+    """Of one step of the combined model: 238 for 6 ARX parameters and 8 neurons."""
+    return rls_multiplications(arx_parameters) + bsnn_multiplications(neurons)
+
+
+def update_times(samples: int = 20_000) -> list[tuple[int, int, int, float]]:
+    """Times batch updates of models of growing size.
+
+    Args:
+        samples: Samples of a timed call; the best of `ROUNDS` calls counts.
+
+    Returns:
+        Rows (ARX parameters, neurons, multiplications as counted, nanoseconds a sample).
+    """
+    rng = np.random.default_rng(0)
+    u = rng.uniform(0.0, 0.8, samples)
+    y = 0.5 * np.concatenate([[0.0], u[:-1]]) + 0.01 * rng.standard_normal(samples)
+    sizes = [(order, 8) for order in ORDERS] + [(3, n) for n in SPLINES if n != 8]
+    models = []
+    for order, neurons in sizes:
+        base = OnlineSettings().bsnn_arx()
+        basis = Basis.uniform(0.0, 0.8, neurons, kind="paper")
+        settings = replace(base, na=order, nb=order, network=replace(base.network, basis=(basis,)))
+        models.append(settings)
+    # Sizes take turns, so that a slow spell of the machine does not fall on one of them.
+    rounds = [[_time(BsnnArx(settings), u, y) for settings in models] for _ in range(ROUNDS)]
+    rows = []
+    for (order, neurons), best in zip(sizes, np.min(rounds, axis=0).tolist(), strict=True):
+        count = multiplications(2 * order, neurons)
+        rows.append((2 * order, neurons, count, best / samples * 1e9))
+    return rows
+
+
+def table_time(u: Array, y: Array, seed: int) -> float:
+    """Seconds for the online models of Table 1: 100 instances of each, training and validation."""
+    start = time.perf_counter()
+    run_online(u, y, INSTANCES, seed)
+    return time.perf_counter() - start
+
+
+def _time(model: BsnnArx, u: Array, y: Array) -> float:
+    start = time.perf_counter()
+    model.run(u, y)
+    return time.perf_counter() - start
