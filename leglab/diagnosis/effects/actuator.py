@@ -26,9 +26,10 @@ class ActuatorGain(Effect):
         model = machine.base.model
         return tuple(
             name
-            for name in machine.native_actuators()
-            if model.actuator_gaintype[model.actuator(name).id] in _LINEAR_GAINS
-            and model.actuator_biastype[model.actuator(name).id] in _LINEAR_BIASES
+            for i, name in enumerate(machine.actuators)
+            if model.actuator_plugin[i] < 0
+            and model.actuator_gaintype[i] in _LINEAR_GAINS
+            and model.actuator_biastype[i] in _LINEAR_BIASES
         )
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:

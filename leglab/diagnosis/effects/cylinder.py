@@ -32,11 +32,26 @@ class CylinderRow:
     relative: bool = True
     follows: tuple[str, ...] = ()
 
+    def parameter(self, machine: Machine, cylinder: str) -> EffectParameter:
+        """The effect's parameter on a cylinder, within the bounds of the plugin's own."""
+        nominal = machine.parameter(cylinder, self.name)
+        table = machine.base.elements[cylinder][1].parameters[self.name]
+        unit = nominal if self.relative else 1.0
+        return EffectParameter(
+            name=self.name,
+            unit=table.unit,
+            nominal=nominal,
+            lower=max(self.lower * unit, table.minimum),
+            upper=min(self.upper * unit, table.maximum),
+            trials=tuple(t * nominal if self.relative else nominal + t for t in self.trials),
+            tolerance=self.tolerance * unit,
+        )
+
 
 class CylinderEffect(Effect):
     """Base of effects that set plugin parameters of a cylinder; rows give which and how far."""
 
-    rows: ClassVar[tuple[CylinderRow, ...]]
+    rows: ClassVar[tuple[CylinderRow, ...]] = ()
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """All cylinders."""
@@ -44,7 +59,7 @@ class CylinderEffect(Effect):
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """The rows about the element's nominal values."""
-        return tuple(_parameter(row, machine, element) for row in self.rows)
+        return tuple(row.parameter(machine, element) for row in self.rows)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Shifts the plugin parameters by the difference from nominal."""
@@ -53,21 +68,6 @@ class CylinderEffect(Effect):
             difference = values[row.name] - nominal
             for name in (row.name, *row.follows):
                 change.add_parameter(element, name, difference)
-
-
-def _parameter(row: CylinderRow, machine: Machine, element: str) -> EffectParameter:
-    nominal = machine.parameter(element, row.name)
-    table = machine.base.elements[element][1].parameters[row.name]
-    unit = nominal if row.relative else 1.0
-    return EffectParameter(
-        name=row.name,
-        unit=table.unit,
-        nominal=nominal,
-        lower=max(row.lower * unit, table.minimum),
-        upper=min(row.upper * unit, table.maximum),
-        trials=tuple(t * nominal if row.relative else nominal + t for t in row.trials),
-        tolerance=row.tolerance * unit,
-    )
 
 
 def define(
@@ -129,7 +129,7 @@ define(
 
 
 @register_effect
-class OilViscosity(Effect):
+class OilViscosity(CylinderEffect):
     """Cold or hot oil: leakage and viscous friction move together."""
 
     name = "oil_viscosity"
@@ -137,10 +137,6 @@ class OilViscosity(Effect):
     physics = "Leakage goes with 1/mu(T), viscous friction with mu(T); mu(T) by ASTM D341."
     source = "ISO VG 46: 46 cSt at 40 C, 6.8 at 100 C (ISO 3448)"
     excitation = "fast sliding for the friction, pressure at low flow for the leakage"
-
-    def elements(self, machine: Machine) -> tuple[str, ...]:
-        """All cylinders."""
-        return machine.instances(CYLINDER)
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """The temperature of the oil."""
