@@ -62,11 +62,11 @@ class Effect(ABC):
     """A physical cause that a simulation may lack.
 
     Subclasses set the class attributes, say on which elements of a machine they can sit, with
-    which parameters, and apply values to a `Change`. They keep no state of their own. The bases
-    `CylinderEffect`, `JointEffect`, `CommandEffect` and `EncoderEffect` leave less to say.
+    which parameters, and apply values to a `Change`. They keep no state of their own. Effects
+    on cylinders, joints and commands have bases: `CylinderEffect`, `JointEffect`, `CommandEffect`.
 
     Attributes:
-        name: Of design.md; several variants (on a cylinder, on a plain joint) may share it, as long
+        name: As reports print it; variants (on a cylinder, on a plain joint) may share it, as long
             as no element of a machine is served by two of them.
         group: Heading under which it is listed.
         physics: One sentence: what happens, with the equation.

@@ -1,4 +1,4 @@
-"""A supply that gives way under flow."""
+"""Supply whose pressure falls with the flow drawn from it."""
 
 import mujoco
 import numpy as np
