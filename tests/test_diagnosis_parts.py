@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from leglab.base.errors import LeglabError
-from leglab.diagnosis.effects.base import Effect, EffectParameter, register
+from leglab.diagnosis.effects.base import Effect, EffectParameter, register_effect
 from leglab.diagnosis.fitting import Sums, solve_step
 from leglab.diagnosis.judging import preferences, t_value
 from leglab.diagnosis.onset import _change
@@ -150,7 +150,7 @@ def test_an_effect_without_physics_is_refused():
             pass
 
     with pytest.raises(LeglabError, match="has no 'physics'"):
-        register(Nameless)
+        register_effect(Nameless)
 
 
 @pytest.mark.parametrize("name", sorted(FAULTS))

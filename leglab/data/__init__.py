@@ -41,7 +41,7 @@ _MODULES = {
     "sysid": sysid,
     "plotjuggler": plotjuggler,
 }
-# What a suffix stands for where no format is named.
+# Formats by suffix, where no format is named.
 _SUFFIXES = {
     ".parquet": "parquet",
     ".csv": "csv",
@@ -112,7 +112,7 @@ def write(recording: Recording, path: str | Path, form: str | None = None) -> Pa
     """Writes a recording; an existing file is replaced as a whole or left as it was.
 
     Args:
-        recording: What to write. `losses` says what the format cannot hold.
+        recording: To write. `losses` says what the format cannot hold.
         path: The file.
         form: One of `FORMATS`; None: what the suffix says.
 
@@ -132,7 +132,7 @@ def losses(recording: Recording, path: str | Path, form: str | None = None) -> t
     """Returns what would not survive writing, one phrase each; nothing for most formats.
 
     Args:
-        recording: What would be written.
+        recording: To write.
         path: The file.
         form: See `write`.
 

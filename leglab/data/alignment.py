@@ -13,7 +13,7 @@ _GAP = 3.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Series:
+class TopicSeries:
     """The numbers of one topic.
 
     Attributes:
@@ -37,7 +37,7 @@ class Series:
         return f"[{first:.3f}, {last:.3f}] s by {self.stamped_by} stamps"
 
 
-def overlaps(series: Series, clock: np.ndarray, *, hold: bool) -> bool:
+def overlaps(series: TopicSeries, clock: np.ndarray, *, hold: bool) -> bool:
     """Returns whether any row of the clock gets a value.
 
     Args:
@@ -51,7 +51,7 @@ def overlaps(series: Series, clock: np.ndarray, *, hold: bool) -> bool:
     return begins_in_time and (hold or bool(series.stamps.max() >= clock.min()))
 
 
-def aligned(series: Series, name: str, clock: np.ndarray, *, hold: bool) -> np.ndarray:
+def aligned(series: TopicSeries, name: str, clock: np.ndarray, *, hold: bool) -> np.ndarray:
     """Brings one column onto a clock.
 
     Args:

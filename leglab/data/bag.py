@@ -1,6 +1,5 @@
-"""MCAP files: which messages are in them, and what they say."""
+"""Messages of MCAP files and the numbers in them."""
 
-import json
 import mmap
 import struct
 from dataclasses import dataclass, field
@@ -13,7 +12,9 @@ from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 
 from leglab.base.errors import LeglabError
-from leglab.data.alignment import Series
+from leglab.data.alignment import TopicSeries
+from leglab.data.files import first_line
+from leglab.data.metadata import check_notes, from_json
 from leglab.data.ros_messages import SUPPORTED, header_stamp, numbers
 
 # Our metadata record, with JSON under the key "metadata".
@@ -22,7 +23,7 @@ METADATA_NAME = "leglab"
 
 @dataclass
 class Bag:
-    """What a file holds.
+    """The content of a file.
 
     Attributes:
         schemas: Message definitions by id.
@@ -73,23 +74,24 @@ def scan(path: Path) -> Bag:
                 elif isinstance(record, Message) and record.channel_id in wanted:
                     bag.messages.append(record)
                 elif isinstance(record, Metadata) and record.name == METADATA_NAME:
-                    bag.metadata = _metadata(record.metadata["metadata"])
+                    bag.metadata = from_json(record.metadata["metadata"])
+                    check_notes(bag.metadata)
     # Whatever the decompressors and parsers trip over, the cause is the file.
     except Exception as error:
         at = f"after {len(bag.messages)} readable messages"
         if isinstance(error, EndOfFile | struct.error):
             reason = f"it ends {at}; is the file truncated?"
         else:
-            reason = f"{at}: {_first_line(error)}"
+            reason = f"{at}: {first_line(error)}"
         raise LeglabError(f"{path}: not a complete MCAP file: {reason}") from error
     return bag
 
 
-def decode(bag: Bag, clock_topic: str, wanted_stamps: str, path: Path) -> dict[str, Series]:
+def decode(bag: Bag, clock_topic: str, wanted_stamps: str, path: Path) -> dict[str, TopicSeries]:
     """Decodes all messages; those of a topic in the order of their log times.
 
     Args:
-        bag: What was read.
+        bag: Of the file.
         clock_topic: The JointState topic that gives the time axis; it may have no message.
         wanted_stamps: "header", where there are any, or "log".
         path: Of the file, for messages.
@@ -120,12 +122,12 @@ def decode(bag: Bag, clock_topic: str, wanted_stamps: str, path: Path) -> dict[s
             found = numbers(schema.name, content, channel.topic, is_clock=is_clock)
         # Definitions come from the file too, so that anything can go wrong in decoding.
         except Exception as error:
-            raise LeglabError(f"{where}: {_first_line(error)}") from error
+            raise LeglabError(f"{where}: {first_line(error)}") from error
         of_topic.append((message.log_time, stamp, found))
     return {topic: _series(topic, found, wanted_stamps, path) for topic, found in rows.items()}
 
 
-def _series(topic: str, rows: list, wanted_stamps: str, path: Path) -> Series:
+def _series(topic: str, rows: list, wanted_stamps: str, path: Path) -> TopicSeries:
     log = [row[0] for row in rows]
     header = [row[1] for row in rows]
     # A header that nobody filled in has zeros.
@@ -137,17 +139,4 @@ def _series(topic: str, rows: list, wanted_stamps: str, path: Path) -> Series:
     names = dict.fromkeys(name for row in rows for name in row[2])
     columns = {n: np.array([row[2].get(n, np.nan) for row in rows]) for n in names}
     stamped_by = "header" if by_header else "log"
-    return Series(topic=topic, stamps=stamps, columns=columns, stamped_by=stamped_by)
-
-
-def _metadata(text: str) -> dict:
-    metadata = json.loads(text)
-    json.dumps(metadata, allow_nan=False)  # Reading takes NaN, which is not JSON.
-    for key in ("alignment", "repairs"):
-        if not isinstance(metadata.get(key, []), list):
-            raise ValueError(f"metadata {key!r} is {metadata[key]!r}, allowed is a list")
-    return metadata
-
-
-def _first_line(error: Exception) -> str:
-    return next(iter(str(error).splitlines()), "") or type(error).__name__
+    return TopicSeries(topic=topic, stamps=stamps, columns=columns, stamped_by=stamped_by)

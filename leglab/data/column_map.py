@@ -15,7 +15,7 @@ from leglab.base.settings import Configuration, validate_configuration
 
 
 class ColumnRule(Configuration):
-    """What becomes of one measured column: ours = factor * theirs + offset."""
+    """Name and conversion of one measured column: ours = factor * theirs + offset."""
 
     name: str = Field(min_length=1, description="The column's name here, for instance 'time'.")
     factor: float = Field(1.0, description="Unit and sign: ours per theirs; not 0.")
@@ -40,7 +40,7 @@ class ColumnMap:
     """Names and units of a foreign recording.
 
     Attributes:
-        rules: What becomes of a column, by its name in the recording; other columns stay.
+        rules: Name and conversion of columns by name in the recording; other columns stay.
         source: Where the map came from, for messages.
         clock: MCAP alone: the JointState topic whose stamps become the time axis. None: the only
             one, or `/joint_states`.

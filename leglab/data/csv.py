@@ -9,9 +9,9 @@ import pyarrow.csv as pc
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.data.columns import to_arrays, to_table
-from leglab.data.files import write_atomically
+from leglab.data.files import read_bytes, write_atomically
 
-# What stands for a missing sample; all other text is refused.
+# Cells that stand for a missing sample; all other text is refused.
 _MISSING = ["", "nan", "NaN", "NAN", "null", "NULL", "NA", "n/a"]
 
 
@@ -69,11 +69,9 @@ def losses(recording: Recording) -> tuple[str, ...]:
 
 def _text_of(path: Path) -> bytes:
     """Returns a file's bytes if they are UTF-8; pyarrow trips over names and broken rows if not."""
+    content = read_bytes(path)
     try:
-        content = path.read_bytes()
         content.decode()
-    except OSError as error:
-        raise LeglabError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
         raise LeglabError(

@@ -1,4 +1,4 @@
-"""Files that are written as a whole or not at all."""
+"""Files: read with a clear error, written as a whole or not at all."""
 
 import os
 import tempfile
@@ -37,3 +37,20 @@ def write_atomically(path: str | Path, write: Callable[[BinaryIO], object]) -> N
         if isinstance(error, OSError) and error.strerror:
             raise LeglabError(f"{path}: cannot be written: {error.strerror}") from error
         raise
+
+
+def read_bytes(path: Path) -> bytes:
+    """Returns the content of a file.
+
+    Raises:
+        LeglabError: It cannot be read.
+    """
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise LeglabError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def first_line(error: Exception) -> str:
+    """Returns the first line of an error's message, or its type where there is no message."""
+    return next(iter(str(error).splitlines()), "") or type(error).__name__

@@ -18,8 +18,9 @@ import numpy as np
 
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
-from leglab.data.files import write_atomically
+from leglab.data.files import first_line, read_bytes, write_atomically
 from leglab.data.matlab_check import checked
+from leglab.data.metadata import check_notes, from_json, to_json
 from leglab.data.units import own_units, unit_of, usual_unit
 
 _VARIABLE = "recording"
@@ -69,17 +70,12 @@ def write(recording: Recording, path: Path) -> None:
         "signals": {field: recording[name] for name, field in fields.items()},
         "units": {field: unit_of(name, metadata) for name, field in fields.items()},
         "name_map": json.dumps({field: name for name, field in fields.items()}),
-        "metadata": json.dumps(metadata, allow_nan=False, sort_keys=True),
+        "metadata": to_json(metadata),
     }
     stream = io.BytesIO()
     try:
-        savemat(
-            stream,
-            {_VARIABLE: content},
-            long_field_names=True,
-            do_compression=True,
-            oned_as="column",
-        )
+        options = {"long_field_names": True, "do_compression": True, "oned_as": "column"}
+        savemat(stream, {_VARIABLE: content}, **options)
     except ValueError as error:  # scipy's MatWriteError among them.
         raise LeglabError(f"{path}: does not fit into a MATLAB file: {error}") from error
     written = _HEADER + stream.getvalue()[len(_HEADER) :]
@@ -114,10 +110,7 @@ def _allowed(name: str) -> str:
 
 
 def _load(path: Path) -> dict[str, Any]:
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise LeglabError(f"{path}: cannot be read: {error.strerror}") from error
+    content = read_bytes(path)
     if content.startswith((b"MATLAB 7.3", _HDF5)) or content[512:520] == _HDF5:
         raise LeglabError(
             f"{path}: a MATLAB file of version 7.3 (HDF5), allowed is version 5; in MATLAB: "
@@ -131,8 +124,7 @@ def _load(path: Path) -> dict[str, Any]:
             found = loadmat(io.BytesIO(checked(content)), simplify_cells=True)
     # Whatever the parser trips over, the cause is the file.
     except Exception as error:
-        reason = next(iter(str(error).splitlines()), "") or type(error).__name__
-        raise LeglabError(f"{path}: not a complete MATLAB file: {reason}") from error
+        raise LeglabError(f"{path}: not a complete MATLAB file: {first_line(error)}") from error
     return {name: value for name, value in found.items() if not name.startswith("__")}
 
 
@@ -216,15 +208,13 @@ def _describe(value: Any) -> str:
 
 def _json(content: Mapping[str, Any], field: str) -> dict[str, Any]:
     try:
-        found = json.loads(content[field])
-        json.dumps(found, allow_nan=False)  # Reading takes NaN, which is not JSON.
+        found = from_json(content[field])
     except (TypeError, ValueError, RecursionError) as error:
         raise LeglabError(f"field {field!r} of 'recording' is not JSON: {error}") from error
     if not isinstance(found, dict):
         raise LeglabError(f"field {field!r} of 'recording' is not a JSON object")
-    for key in ("alignment", "repairs"):
-        if field == "metadata" and not isinstance(found.get(key, []), list):
-            raise LeglabError(f"metadata {key!r} is {found[key]!r}, allowed is a list")
+    if field == "metadata":
+        check_notes(found)
     return found
 
 

@@ -10,7 +10,6 @@ What is written opens in Foxglove as well: messages in chunks with an index, the
 message in the file, pressures as FluidPressure, temperatures as Temperature.
 """
 
-import json
 from pathlib import Path
 from typing import BinaryIO
 
@@ -19,10 +18,11 @@ from mcap_ros2.writer import Writer
 
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.recording import Recording
-from leglab.data.alignment import Series, aligned, overlaps
+from leglab.data.alignment import TopicSeries, aligned, overlaps
 from leglab.data.bag import METADATA_NAME, Bag, decode, scan
 from leglab.data.column_map import ColumnMap
 from leglab.data.files import write_atomically
+from leglab.data.metadata import to_json
 from leglab.data.ros_messages import (
     DEFINITIONS,
     JOINT_STATE,
@@ -135,8 +135,7 @@ def _write(recording: Recording, stamps: list[int], stream: BinaryIO) -> None:
     in_joints = {f"{joint}_{name}" for joint in joints for name in fields}
     rest = {n: s.tolist() for n, s in recording.columns.items() if n not in in_joints}
     with Writer(stream) as writer:
-        metadata = json.dumps(dict(recording.metadata), allow_nan=False, sort_keys=True)
-        writer.add_metadata(METADATA_NAME, {"metadata": metadata})
+        writer.add_metadata(METADATA_NAME, {"metadata": to_json(recording.metadata)})
         joint_state = writer.register_msgdef(JOINT_STATE, JOINT_STATE_DEFINITION)
         kinds = {name: scalar_kind(name) for name in rest}
         schemas = {
@@ -186,7 +185,7 @@ def _clock_topic(bag: Bag, columns: ColumnMap, path: Path) -> str:
 
 
 def _aligned_columns(
-    series: Series, clock: Series, columns: ColumnMap, notes: list[str]
+    series: TopicSeries, clock: TopicSeries, columns: ColumnMap, notes: list[str]
 ) -> dict[str, np.ndarray]:
     found = {}
     for name in series.columns:

@@ -11,6 +11,7 @@ from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.data.columns import to_arrays, to_table
 from leglab.data.files import write_atomically
+from leglab.data.metadata import to_json
 
 _METADATA_KEY = b"leglab"
 
@@ -41,8 +42,7 @@ def write(recording: Recording, path: Path) -> None:
         LeglabError: The folder does not exist or cannot be written to.
     """
     table = to_table(recording.time, dict(recording.columns))
-    metadata = json.dumps(dict(recording.metadata), allow_nan=False, sort_keys=True)
-    table = table.replace_schema_metadata({_METADATA_KEY: metadata})
+    table = table.replace_schema_metadata({_METADATA_KEY: to_json(recording.metadata)})
     write_atomically(path, lambda stream: pq.write_table(table, stream, compression="zstd"))
 
 

@@ -40,8 +40,9 @@ def write(recording: Recording, path: Path) -> None:
 def losses(recording: Recording) -> tuple[str, ...]:
     """Returns what the format cannot hold."""
     found = ["metadata"] if recording.metadata else []
-    found += [f"column {old!r} is called {new!r}" for old, new in _names(recording).items()
-              if old != new]  # fmt: skip
+    for old, new in _names(recording).items():
+        if old != new:
+            found.append(f"column {old!r} is called {new!r}")
     for name, samples in recording.columns.items():
         count = int(np.isinf(samples).sum())
         if count:

@@ -1,13 +1,12 @@
-"""What is in a recording file, at a glance."""
+"""Summaries of recording files: time axis, columns, findings."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from leglab.data.checks import Finding
-from leglab.data.checks import inspect as find
+from leglab.data.checks import Finding, inspect
 from leglab.data.units import unit_of
 
 
@@ -41,7 +40,7 @@ class Summary:
         period: Median interval [s]; None where time does not go forward.
         rate: Its inverse [Hz].
         columns: The columns without the time.
-        findings: What is wrong with the data, see `leglab.data.inspect`.
+        findings: Errors in the data, see `leglab.data.inspect`.
         metadata: Of the file.
     """
 
@@ -78,17 +77,7 @@ class Summary:
                 }
                 for c in self.columns
             ],
-            "findings": [
-                {
-                    "kind": f.kind,
-                    "column": f.column,
-                    "row": f.row,
-                    "count": f.count,
-                    "message": f.message,
-                    "fatal": f.fatal,
-                }
-                for f in self.findings
-            ],
+            "findings": [{**asdict(f), "fatal": f.fatal} for f in self.findings],
             "metadata": dict(self.metadata),
         }
 
@@ -125,6 +114,6 @@ def summarise(table: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> S
         period=period,
         rate=1.0 / period if period else None,
         columns=tuple(columns),
-        findings=find(table),
+        findings=inspect(table),
         metadata=metadata,
     )

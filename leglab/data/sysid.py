@@ -15,7 +15,7 @@ import numpy as np
 
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
-from leglab.data.files import write_atomically
+from leglab.data.files import first_line, write_atomically
 
 if TYPE_CHECKING:
     from mujoco.sysid import TimeSeries
@@ -85,7 +85,7 @@ def read_table(path: Path) -> tuple[dict[str, np.ndarray], dict]:
         found = series.load_from_disk(path)
     # A foreign archive can fail anywhere in the loader; the cause is the file.
     except Exception as error:
-        reason = next(iter(str(error).splitlines()), "") or type(error).__name__
+        reason = first_line(error)
         raise LeglabError(f"{path}: not a time series of mujoco.sysid: {reason}") from error
     try:
         return _table_of(found), {}

@@ -140,7 +140,7 @@ class Library:
         return tuple(sorted({name for name, _ in self.sites}))
 
     def change(self, hypothesis: Mapping[Key, np.ndarray], machine: Machine) -> Change:
-        """What a hypothesis changes, effects applied by their order, then by name."""
+        """The change that a hypothesis makes; effects apply by their order, then by name."""
         change = Change(machine)
         for key in sorted(hypothesis, key=lambda k: (self.sites[k].effect.order, k)):
             site = self.sites[key]

@@ -1,8 +1,8 @@
 """Effects that a simulation may lack, one family a file; importing the package registers all."""
 
 from leglab.base.registry import import_modules
-from leglab.diagnosis.effects.base import Effect, EffectParameter, all_effects, register
+from leglab.diagnosis.effects.base import Effect, EffectParameter, all_effects, register_effect
 
-__all__ = ["Effect", "EffectParameter", "all_effects", "register"]
+__all__ = ["Effect", "EffectParameter", "all_effects", "register_effect"]
 
 import_modules(__name__, __path__)

@@ -1,11 +1,9 @@
 """Force of actuators: a gain of native ones, a constant force on any joint."""
 
-from collections.abc import Mapping
-
 import mujoco
 
-from leglab.diagnosis.effects import joints
-from leglab.diagnosis.effects.base import Effect, EffectParameter, register
+from leglab.diagnosis.effects.base import Effect, EffectParameter, Values, register_effect
+from leglab.diagnosis.effects.joints import JointEffect, JointRow
 from leglab.diagnosis.effects.spring import insert_spring
 from leglab.diagnosis.model import Change, Machine
 
@@ -13,7 +11,7 @@ _LINEAR_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFF
 _LINEAR_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
 
 
-@register
+@register_effect
 class ActuatorGain(Effect):
     """An actuator that is stronger or weaker than the model says."""
 
@@ -28,9 +26,10 @@ class ActuatorGain(Effect):
         model = machine.base.model
         return tuple(
             name
-            for name in machine.native_actuators()
-            if model.actuator_gaintype[model.actuator(name).id] in _LINEAR_GAINS
-            and model.actuator_biastype[model.actuator(name).id] in _LINEAR_BIASES
+            for i, name in enumerate(machine.actuators)
+            if model.actuator_plugin[i] < 0
+            and model.actuator_gaintype[i] in _LINEAR_GAINS
+            and model.actuator_biastype[i] in _LINEAR_BIASES
         )
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
@@ -48,7 +47,7 @@ class ActuatorGain(Effect):
             ),
         )
 
-    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
+    def apply(self, change: Change, element: str, values: Values) -> None:
         """Scales gain and bias of the actuator."""
         gain = values["gain"]
 
@@ -61,8 +60,8 @@ class ActuatorGain(Effect):
             change.edit(("actuator_gain", element, gain), edit)
 
 
-@register
-class ForceOffset(Effect):
+@register_effect
+class ForceOffset(JointEffect):
     """A constant force on a joint: a cable, a counterweight, a current offset."""
 
     name = "force_offset"
@@ -70,28 +69,13 @@ class ForceOffset(Effect):
     physics = "constant generalised force"
     source = "offset of a torque loop, pull of a cable or hose"
     excitation = "any motion; rest under little friction"
+    rows = (
+        JointRow(
+            name="force", unit="{force}", trials=(-0.1, -0.02, 0.02, 0.1), lower=-2.0, upper=2.0
+        ),
+    )
 
-    def elements(self, machine: Machine) -> tuple[str, ...]:
-        """All joints."""
-        return machine.joints
-
-    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """The force."""
-        size = joints.force_scale(machine, element)
-        return (
-            EffectParameter(
-                name="force",
-                unit=joints.force_unit(machine, element),
-                nominal=0.0,
-                lower=-2.0 * size,
-                upper=2.0 * size,
-                trials=tuple(share * size for share in (-0.1, -0.02, 0.02, 0.1)),
-            ),
-        )
-
-    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
+    def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts a spring-damper that has nothing but the constant force."""
         if values["force"]:
-            change.set_parameter(
-                insert_spring(change, element, "force"), "force_offset", values["force"]
-            )
+            insert_spring(change, element, "force", "force_offset", values["force"])

@@ -1,13 +1,19 @@
 """Play between the drive and a joint."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import mujoco
 import numpy as np
 
 from leglab.diagnosis.effects import joints
-from leglab.diagnosis.effects.base import Effect, EffectParameter, register
+from leglab.diagnosis.effects.base import (
+    Effect,
+    EffectParameter,
+    Values,
+    latest_only,
+    register_effect,
+)
 from leglab.diagnosis.model import Change, Machine, Measured, Variant
 
 BACKLASH = "leglab.backlash"
@@ -21,7 +27,7 @@ _MOTOR_SHARE = 0.1
 _HISTORY = 0.4  # s
 
 
-@register
+@register_effect
 class Backlash(Effect):
     """Gear play: within it motor and joint move apart."""
 
@@ -34,35 +40,28 @@ class Backlash(Effect):
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """Joints with native motor, position or velocity actuators."""
         model = machine.base.model
-        found = []
-        for joint in machine.joints:
-            drives = [
-                i
-                for i in range(model.nu)
-                if model.actuator_trntype[i] in _JOINT
-                and model.actuator_trnid[i, 0] == model.joint(joint).id
-            ]
-            if drives and all(_followed(model, i) for i in drives):
-                found.append(joint)
-        return tuple(found)
+        drives = {joint: _drives(model, joint) for joint in machine.joints}
+        return tuple(
+            joint
+            for joint, found in drives.items()
+            if found and all(_followed(model, i) for i in found)
+        )
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """Width of the play and inertia of the motor."""
         small = 1.0 if joints.unit(machine, element) == "rad" else 0.1
-        own = float(machine.base.model.dof_armature[joints.dof(machine, element)])
+        own = joints.native(machine, element, "armature")
         motor = own or _MOTOR_SHARE * joints.inertia(machine, element)
         return (
             EffectParameter(
                 name="width",
                 unit=joints.unit(machine, element),
-                nominal=0.0,
-                lower=0.0,
                 upper=0.5 * small,
                 trials=(0.004 * small, 0.02 * small, 0.08 * small),
             ),
             EffectParameter(
                 name="motor_inertia",
-                unit="kg m^2" if joints.unit(machine, element) == "rad" else "kg",
+                unit=joints.unit_of(machine, element, "{inertia}"),
                 nominal=motor,
                 lower=0.1 * motor,
                 upper=own or 10.0 * motor,
@@ -70,28 +69,29 @@ class Backlash(Effect):
             ),
         )
 
-    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
+    def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts a play, and follows its motor through the measured motion to window starts."""
-        if values["width"] == 0.0:
+        width, motor = values["width"], values["motor_inertia"]
+        if width == 0.0:
             return
         name = f"{element}_backlash"
-        motor = values["motor_inertia"]
         rate = 2.0 * math.pi * _FLANK_HZ
         joints.insert_on_joint(change, BACKLASH, name, element, {"motor_inertia": 1.0})
-        change.set_parameter(name, "width", values["width"])
+        change.set_parameter(name, "width", width)
         change.set_parameter(name, "motor_inertia", motor)
         change.set_parameter(name, "stiffness", motor * rate**2)
-        width = values["width"]
 
-        latest: list[tuple[Measured, tuple[np.ndarray, np.ndarray]]] = []
+        @latest_only  # both states of a recording follow from one pass
+        def states(measured: Measured, variant: Variant) -> tuple[np.ndarray, np.ndarray]:
+            return motor_states(measured, variant.model, element, width, motor)
 
-        def follow(measured: Measured, variant: Variant) -> tuple[np.ndarray, np.ndarray]:
-            if not latest or latest[0][0] is not measured:
-                states = motor_states(measured, variant.model, element, width, motor)
-                latest[:] = [(measured, states)]
-            return latest[0][1]
-
-        _start(change, name, width, follow)
+        change.start(name, "offset", lambda measured, variant, _: states(measured, variant)[0])
+        change.start(
+            name, "motor_velocity", lambda measured, variant, _: states(measured, variant)[1]
+        )
+        change.start(
+            name, "seated_width", lambda measured, *_: np.full(measured.samples.size, width)
+        )
 
 
 def motor_states(
@@ -113,7 +113,7 @@ def motor_states(
     acceleration = np.gradient(velocity, h)
     index = measured.samples[:, None] + np.arange(-round(_HISTORY / h), 1)
     index = index.clip(0)
-    drives = _drives(model, joint)
+    drives = [(model.actuator(i).name, _force(model, i)) for i in _drives(model, joint)]
 
     def torque(k: np.ndarray, offset: np.ndarray, slip: np.ndarray) -> np.ndarray:
         theta = measured.position[joint][k] + offset
@@ -146,54 +146,33 @@ def motor_states(
 Drive = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
-def _drives(model: mujoco.MjModel, joint: str) -> list[tuple[str, Drive]]:
-    """Actuators of a joint by name; those with activation as if it had settled."""
+def _force(model: mujoco.MjModel, i: int) -> Drive:
+    """Force of an actuator; that of one with activation as if it had settled."""
+    gear, gain = float(model.actuator_gear[i, 0]), float(model.actuator_gainprm[i, 0])
+    bias = model.actuator_biasprm[i, :3].copy()
+    low, high = (
+        model.actuator_forcerange[i] if model.actuator_forcelimited[i] else (-np.inf, np.inf)
+    )
 
-    def drive_of(i: int) -> Drive:
-        gear, gain = float(model.actuator_gear[i, 0]), float(model.actuator_gainprm[i, 0])
-        bias = model.actuator_biasprm[i, :3].copy()
-        low, high = (
-            model.actuator_forcerange[i] if model.actuator_forcelimited[i] else (-np.inf, np.inf)
-        )
+    def drive(command: np.ndarray, theta: np.ndarray, omega: np.ndarray) -> np.ndarray:
+        force = gain * command + bias[0] + gear * (bias[1] * theta + bias[2] * omega)
+        return gear * np.clip(force, low, high)
 
-        def drive(command: np.ndarray, theta: np.ndarray, omega: np.ndarray) -> np.ndarray:
-            force = gain * command + bias[0] + gear * (bias[1] * theta + bias[2] * omega)
-            return gear * np.clip(force, low, high)
+    return drive
 
-        return drive
 
+def _drives(model: mujoco.MjModel, joint: str) -> list[int]:
+    """Actuators of a joint."""
     return [
-        (model.actuator(i).name, drive_of(i))
+        i
         for i in range(model.nu)
         if model.actuator_trntype[i] in _JOINT
         and model.actuator_trnid[i, 0] == model.joint(joint).id
     ]
 
 
-def _start(
-    change: Change,
-    name: str,
-    width: float,
-    follow: Callable[[Measured, Variant], tuple[np.ndarray, np.ndarray]],
-) -> None:
-    def offset(measured: Measured, variant: Variant, state: np.ndarray) -> np.ndarray:
-        del state
-        return follow(measured, variant)[0]
-
-    def velocity(measured: Measured, variant: Variant, state: np.ndarray) -> np.ndarray:
-        del state
-        return follow(measured, variant)[1]
-
-    def seated(measured: Measured, variant: Variant, state: np.ndarray) -> np.ndarray:
-        del variant, state
-        return np.full(measured.samples.size, width)
-
-    change.start(name, "offset", offset)
-    change.start(name, "motor_velocity", velocity)
-    change.start(name, "seated_width", seated)
-
-
 def _followed(model: mujoco.MjModel, i: int) -> bool:
+    """Whether `_force` gives the force of an actuator."""
     return (
         model.actuator_plugin[i] < 0
         and model.actuator_gaintype[i] == int(mujoco.mjtGain.mjGAIN_FIXED)

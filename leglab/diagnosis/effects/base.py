@@ -1,16 +1,19 @@
-"""What an effect is: a physical cause with parameters, and how it changes a simulation."""
+"""Effects: physical causes with parameters that change a simulation, and their registry."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, TypeVar
 
 import mujoco
 
 from leglab.base.errors import LeglabError
-from leglab.diagnosis.model import Change, Machine
+from leglab.diagnosis.model import Change, Machine, Measured, Variant
 
 Group = Literal["oil and seals", "valve and command", "friction", "mechanics", "sensing"]
+# Values of an effect's parameters by name.
+Values = Mapping[str, float]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,11 +21,11 @@ class EffectParameter:
     """One physical parameter of an effect on one element.
 
     Attributes:
-        name: What the report prints.
+        name: As the report prints it.
         unit: SI unit.
         nominal: Value at which the effect changes nothing, or, of a shape, where fits start.
-        lower: Smallest value that makes sense.
-        upper: Largest value that makes sense.
+        lower: Smallest value that makes sense, same unit.
+        upper: Largest value that makes sense, same unit.
         trials: Values that screening tries; a few, from barely noticeable to severe, on each side
             that is possible. Empty for a shape whose nominal value is enough.
         tolerance: Standard deviation that is normal between two good machines, same unit. Above
@@ -34,8 +37,8 @@ class EffectParameter:
 
     name: str
     unit: str
-    nominal: float
-    lower: float
+    nominal: float = 0.0
+    lower: float = 0.0
     upper: float
     trials: tuple[float, ...] = ()
     tolerance: float = 0.0
@@ -59,15 +62,16 @@ class Effect(ABC):
     """A physical cause that a simulation may lack.
 
     Subclasses set the class attributes, say on which elements of a machine they can sit, with
-    which parameters, and apply values to a `Change`. They keep no state of their own.
+    which parameters, and apply values to a `Change`. They keep no state of their own. Effects
+    on cylinders, joints and commands have bases: `CylinderEffect`, `JointEffect`, `CommandEffect`.
 
     Attributes:
-        name: Of design.md; several variants (on a cylinder, on a plain joint) may share it, as long
+        name: As reports print it; variants (on a cylinder, on a plain joint) may share it, as long
             as no element of a machine is served by two of them.
         group: Heading under which it is listed.
         physics: One sentence: what happens, with the equation.
         source: Where equation and bounds come from.
-        excitation: What a recording must contain to show it.
+        excitation: Motion that a recording must contain to show it.
         order: Effects are applied by rising order, then by name: one that builds on parameters
             which others change comes later.
     """
@@ -88,12 +92,10 @@ class Effect(ABC):
         """Its parameters on an element, strengths first."""
 
     @abstractmethod
-    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
+    def apply(self, change: Change, element: str, values: Values) -> None:
         """Records in `change` what these values do; nominal values must change nothing."""
 
-    def write(
-        self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Mapping[str, float]
-    ) -> None:
+    def write(self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Values) -> None:
         """Writes what `apply` does beside spec edits and plugin parameters into a patched model.
 
         Those two are written for every effect. Only an effect on the command or sensor path needs
@@ -102,11 +104,23 @@ class Effect(ABC):
         del spec, machine, element, values
 
 
+def latest_only(function: Callable[[Measured, Variant], T]) -> Callable[[Measured, Variant], T]:
+    """Keeps the latest result of a function as long as the recording stays the same."""
+    latest: list[tuple[Measured, T]] = []
+
+    def kept(measured: Measured, variant: Variant) -> T:
+        if not latest or latest[0][0] is not measured:
+            latest[:] = [(measured, function(measured, variant))]
+        return latest[0][1]
+
+    return kept
+
+
 _REGISTRY: dict[tuple[str, str], Effect] = {}
 
 
-def register(effect: type[Effect]) -> type[Effect]:
-    """Makes an effect known; a class decorator.
+def register_effect(effect: type[Effect]) -> type[Effect]:
+    """Adds an effect to those that the diagnosis can name; a class decorator.
 
     Raises:
         LeglabError: A class attribute is missing.

@@ -1,10 +1,9 @@
-"""Effects that are a changed parameter of a hydraulic cylinder or its valve: a table."""
+"""Effects on hydraulic cylinders, their oil and valves: a table of changed parameters."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from leglab.diagnosis.effects.base import Effect, EffectParameter, Group, register
+from leglab.diagnosis.effects.base import Effect, EffectParameter, Group, Values, register_effect
 from leglab.diagnosis.model import CYLINDER, Change, Machine
 
 HYQ = "HyQ leg parameters (Ledezma 2016)"
@@ -12,7 +11,7 @@ VALVE = "tolerances of small servovalves (type 30 data sheets)"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
+class CylinderRow:
     """One parameter of `leglab.cylinder` as an effect's parameter.
 
     Attributes:
@@ -28,16 +27,31 @@ class Row:
     name: str
     trials: tuple[float, ...]
     tolerance: float = 0.0
-    lower: float
+    lower: float = 0.0
     upper: float
     relative: bool = True
     follows: tuple[str, ...] = ()
+
+    def parameter(self, machine: Machine, cylinder: str) -> EffectParameter:
+        """The effect's parameter on a cylinder, within the bounds of the plugin's own."""
+        nominal = machine.parameter(cylinder, self.name)
+        table = machine.base.elements[cylinder][1].parameters[self.name]
+        unit = nominal if self.relative else 1.0
+        return EffectParameter(
+            name=self.name,
+            unit=table.unit,
+            nominal=nominal,
+            lower=max(self.lower * unit, table.minimum),
+            upper=min(self.upper * unit, table.maximum),
+            trials=tuple(t * nominal if self.relative else nominal + t for t in self.trials),
+            tolerance=self.tolerance * unit,
+        )
 
 
 class CylinderEffect(Effect):
     """Base of effects that set plugin parameters of a cylinder; rows give which and how far."""
 
-    rows: ClassVar[tuple[Row, ...]]
+    rows: ClassVar[tuple[CylinderRow, ...]] = ()
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """All cylinders."""
@@ -45,9 +59,9 @@ class CylinderEffect(Effect):
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """The rows about the element's nominal values."""
-        return tuple(_parameter(row, machine, element) for row in self.rows)
+        return tuple(row.parameter(machine, element) for row in self.rows)
 
-    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
+    def apply(self, change: Change, element: str, values: Values) -> None:
         """Shifts the plugin parameters by the difference from nominal."""
         for row in self.rows:
             nominal = change.machine.parameter(element, row.name)
@@ -56,24 +70,9 @@ class CylinderEffect(Effect):
                 change.add_parameter(element, name, difference)
 
 
-def _parameter(row: Row, machine: Machine, element: str) -> EffectParameter:
-    nominal = machine.parameter(element, row.name)
-    table = machine.base.elements[element][1].parameters[row.name]
-    unit = nominal if row.relative else 1.0
-    return EffectParameter(
-        name=row.name,
-        unit=table.unit,
-        nominal=nominal,
-        lower=max(row.lower * unit, table.minimum),
-        upper=min(row.upper * unit, table.maximum),
-        trials=tuple(t * nominal if row.relative else nominal + t for t in row.trials),
-        tolerance=row.tolerance * unit,
-    )
-
-
 def define(
-    name: str, group: Group, physics: str, source: str, excitation: str, *rows: Row
-) -> type[Effect]:
+    name: str, group: Group, physics: str, source: str, excitation: str, *rows: CylinderRow
+) -> None:
     """Registers an effect that changes parameters of cylinders; arguments as in `Effect`."""
     body = {
         "name": name,
@@ -86,7 +85,7 @@ def define(
         "__module__": __name__,
     }
     title = "".join(part.title() for part in name.split("_"))
-    return register(type(title, (CylinderEffect,), body))
+    register_effect(type(title, (CylinderEffect,), body))
 
 
 define(
@@ -95,7 +94,7 @@ define(
     "Flow past the piston seal, C_i (p_A - p_B); grows with the cube of the clearance.",
     f"{HYQ}; seal wear up to x50",
     "a pressure difference across the piston while the valve opens little",
-    Row(name="internal_leakage", trials=(3.0, 10.0, 35.0), tolerance=0.15, lower=0.0, upper=300.0),
+    CylinderRow(name="internal_leakage", trials=(3.0, 10.0, 35.0), tolerance=0.15, upper=300.0),
 )
 
 define(
@@ -104,20 +103,8 @@ define(
     "Flow from the chambers to the outside, C_e p: rod seal, fittings, hoses.",
     "ASME FPMC 2014: detectable at 0.07 to 0.25 l/min",
     "chamber pressures well above the tank's",
-    Row(
-        name="external_leakage_a",
-        trials=(2e-13, 1.5e-12),
-        lower=0.0,
-        upper=3e-11,
-        relative=False,
-    ),
-    Row(
-        name="external_leakage_b",
-        trials=(2e-13, 1.5e-12),
-        lower=0.0,
-        upper=3e-11,
-        relative=False,
-    ),
+    CylinderRow(name="external_leakage_a", trials=(2e-13, 1.5e-12), upper=3e-11, relative=False),
+    CylinderRow(name="external_leakage_b", trials=(2e-13, 1.5e-12), upper=3e-11, relative=False),
 )
 
 define(
@@ -126,7 +113,7 @@ define(
     "Air in the oil makes it soft at low pressure: beta = (g + l)/(g/(n p) + l/beta_l).",
     "docs/physics.md; 0.5 % is normal, foaming oil holds several per cent",
     "pressures that change quickly",
-    Row(name="entrained_air", trials=(0.3, 3.0, 10.0), tolerance=0.2, lower=0.0, upper=40.0),
+    CylinderRow(name="entrained_air", trials=(0.3, 3.0, 10.0), tolerance=0.2, upper=40.0),
 )
 
 define(
@@ -135,12 +122,14 @@ define(
     "The supply holds another pressure than the model says.",
     "HyQ class machines run at 160 bar; relief valves drift by some per cent",
     "valve openings in both directions",
-    Row(name="supply_pressure", trials=(0.8, 0.94, 1.1), tolerance=0.01, lower=0.2, upper=1.6),
+    CylinderRow(
+        name="supply_pressure", trials=(0.8, 0.94, 1.1), tolerance=0.01, lower=0.2, upper=1.6
+    ),
 )
 
 
-@register
-class OilViscosity(Effect):
+@register_effect
+class OilViscosity(CylinderEffect):
     """Cold or hot oil: leakage and viscous friction move together."""
 
     name = "oil_viscosity"
@@ -148,10 +137,6 @@ class OilViscosity(Effect):
     physics = "Leakage goes with 1/mu(T), viscous friction with mu(T); mu(T) by ASTM D341."
     source = "ISO VG 46: 46 cSt at 40 C, 6.8 at 100 C (ISO 3448)"
     excitation = "fast sliding for the friction, pressure at low flow for the leakage"
-
-    def elements(self, machine: Machine) -> tuple[str, ...]:
-        """All cylinders."""
-        return machine.instances(CYLINDER)
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """The temperature of the oil."""
@@ -167,81 +152,68 @@ class OilViscosity(Effect):
             ),
         )
 
-    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
+    def apply(self, change: Change, element: str, values: Values) -> None:
         """Sets the temperature."""
         change.set_parameter(element, "oil_temperature", values["oil_temperature"])
 
 
-_SEALS: Group = "friction"
-
 define(
     "viscous_friction",
-    _SEALS,
+    "friction",
     "b v, of the oil film under the seals.",
     HYQ,
     "fast sliding",
-    Row(name="viscous", trials=(0.3, 2.0, 5.0), tolerance=0.06, lower=0.0, upper=30.0),
+    CylinderRow(name="viscous", trials=(0.3, 2.0, 5.0), tolerance=0.06, upper=30.0),
 )
 
 define(
     "coulomb_friction",
-    _SEALS,
+    "friction",
     "F_c sgn(v); breakaway friction moves along with it.",
     HYQ,
     "sliding in both directions",
-    Row(
-        name="coulomb",
-        trials=(0.3, 2.0, 4.0),
-        tolerance=0.06,
-        lower=0.0,
-        upper=30.0,
-        follows=("static",),
+    CylinderRow(
+        name="coulomb", trials=(0.3, 2.0, 4.0), tolerance=0.06, upper=30.0, follows=("static",)
     ),
 )
 
 define(
     "stiction",
-    _SEALS,
+    "friction",
     "(F_s - F_c) exp(-(v/v_s)^2): breakaway above Coulomb friction.",
     f"{HYQ}; docs/physics.md",
     "slow motion and standstill",
-    Row(name="static", trials=(1.6, 3.0, 5.0), lower=0.67, upper=30.0),
+    CylinderRow(name="static", trials=(1.6, 3.0, 5.0), lower=0.67, upper=30.0),
 )
 
 define(
     "pressure_dependent_friction",
-    _SEALS,
+    "friction",
     "k_p (p_A + p_B): seals that are pressed on by the oil.",
     "lip and step seals",
     "sliding at different pressures",
-    Row(
-        name="pressure_coefficient",
-        trials=(2e-6, 1e-5, 3e-5),
-        lower=0.0,
-        upper=1e-3,
-        relative=False,
-    ),
+    CylinderRow(name="pressure_coefficient", trials=(2e-6, 1e-5, 3e-5), upper=1e-3, relative=False),
 )
 
 
-_VALVE: Group = "valve and command"
-
 define(
     "valve_deadband",
-    _VALVE,
+    "valve and command",
     "Overlap of the metering edges: no flow while |x_s| < lap.",
     f"{VALVE}; overlapped spools up to 10 %",
     "commands through zero",
-    Row(name="lap", trials=(-0.03, 0.012, 0.04, 0.09), lower=-0.2, upper=0.4, relative=False),
+    CylinderRow(
+        name="lap", trials=(-0.03, 0.012, 0.04, 0.09), lower=-0.2, upper=0.4, relative=False
+    ),
 )
 
 define(
     "valve_bias",
-    _VALVE,
+    "valve and command",
     "Null shift: the spool stands at u + bias.",
     f"{VALVE}: null shift within 2 %",
     "any motion; small openings show it best",
-    Row(
+    CylinderRow(
         name="null_bias",
         trials=(-0.04, -0.012, 0.012, 0.04),
         tolerance=0.002,
@@ -253,20 +225,22 @@ define(
 
 define(
     "valve_gain",
-    _VALVE,
+    "valve and command",
     "Another flow at the same opening, in both directions: Q_n of the orifice equation.",
     f"{VALVE}: flow within 10 %",
     "large openings",
-    Row(name="rated_flow", trials=(0.6, 0.85, 1.15, 1.5), tolerance=0.02, lower=0.2, upper=3.0),
+    CylinderRow(
+        name="rated_flow", trials=(0.6, 0.85, 1.15, 1.5), tolerance=0.02, lower=0.2, upper=3.0
+    ),
 )
 
 define(
     "valve_gain_asymmetry",
-    _VALVE,
+    "valve and command",
     "Flow gain 1 + a for positive and 1 - a for negative spool position.",
     f"{VALVE}: symmetry of flow within 10 %",
     "large openings in both directions",
-    Row(
+    CylinderRow(
         name="flow_asymmetry",
         trials=(-0.25, -0.06, 0.06, 0.25),
         lower=-0.8,
@@ -277,18 +251,18 @@ define(
 
 define(
     "valve_hysteresis",
-    _VALVE,
+    "valve and command",
     "Play of full width h between command and spool: friction of the spool, magnet of the motor.",
     f"{VALVE}: hysteresis below 3 %",
     "commands that reverse",
-    Row(name="hysteresis", trials=(0.008, 0.03, 0.08), lower=0.0, upper=0.5, relative=False),
+    CylinderRow(name="hysteresis", trials=(0.008, 0.03, 0.08), upper=0.5, relative=False),
 )
 
 define(
     "valve_bandwidth",
-    _VALVE,
+    "valve and command",
     "A slow spool: x_s'' = w^2 (u - x_s) - 2 zeta w x_s'.",
     "servovalves of the E024 class: 250 Hz; clogged first stages fall to a tenth",
     "commands that change within some hundredths of a second",
-    Row(name="bandwidth_hz", trials=(0.05, 0.12, 0.35), lower=0.015, upper=2.0),
+    CylinderRow(name="bandwidth_hz", trials=(0.05, 0.12, 0.35), lower=0.015, upper=2.0),
 )

@@ -1,28 +1,26 @@
 """Faults of a joint's position sensor."""
 
-from collections.abc import Mapping
-
 import mujoco
 import numpy as np
 
 from leglab.diagnosis.effects import joints
-from leglab.diagnosis.effects.base import Effect, EffectParameter, register
+from leglab.diagnosis.effects.base import Values, register_effect
+from leglab.diagnosis.effects.joints import JointEffect, JointRow
 from leglab.diagnosis.model import Change, Machine
 from leglab.diagnosis.paths import number_of, undo_delay, undo_offset, undo_scale
 from leglab.machine.sensors import ENCODER_OFFSET, ENCODER_SCALE, delayed_sensor
 
 
-class EncoderEffect(Effect):
-    """Base: sits on all joints, and is written beside the model, see `leglab.machine.sensors`."""
+class EncoderEffect(JointEffect):
+    """Base of faults of a joint's encoder; `write` puts them beside the model.
+
+    See `leglab.machine.sensors`.
+    """
 
     group = "sensing"
 
-    def elements(self, machine: Machine) -> tuple[str, ...]:
-        """All joints."""
-        return machine.joints
 
-
-@register
+@register_effect
 class EncoderOffset(EncoderEffect):
     """The encoder's zero has shifted."""
 
@@ -30,29 +28,23 @@ class EncoderOffset(EncoderEffect):
     physics = "measured = true + offset"
     source = "mounting error of an encoder"
     excitation = "positions over a range in which gravity, lever or springs change"
+    rows = (
+        JointRow(
+            name="offset",
+            unit="{length}",
+            trials=(-0.06, -0.01, 0.01, 0.06),
+            lower=-0.5,
+            upper=0.5,
+            size=joints.travel,
+        ),
+    )
 
-    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """The offset."""
-        travel = 1.0 if joints.unit(machine, element) == "rad" else 0.2
-        return (
-            EffectParameter(
-                name="offset",
-                unit=joints.unit(machine, element),
-                nominal=0.0,
-                lower=-0.5 * travel,
-                upper=0.5 * travel,
-                trials=tuple(share * travel for share in (-0.06, -0.01, 0.01, 0.06)),
-            ),
-        )
-
-    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
+    def apply(self, change: Change, element: str, values: Values) -> None:
         """Subtracts the offset from what was measured."""
         if values["offset"]:
             change.correct(f"{element}_position", undo_offset(values["offset"]))
 
-    def write(
-        self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Mapping[str, float]
-    ) -> None:
+    def write(self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Values) -> None:
         """Adds the numeric, to one that is there: measured = scale x (true + offset) + old."""
         del machine
         name = ENCODER_OFFSET.format(joint=element)
@@ -60,7 +52,7 @@ class EncoderOffset(EncoderEffect):
         _set_numeric(spec, name, number_of(spec, name, 0.0) + scale * values["offset"])
 
 
-@register
+@register_effect
 class EncoderScale(EncoderEffect):
     """The encoder counts too much or too little."""
 
@@ -68,37 +60,36 @@ class EncoderScale(EncoderEffect):
     physics = "measured = scale x true, from the joint's zero"
     source = "gear ratio, magnet or potentiometer nonlinearity: some per cent"
     excitation = "large and fast motion"
+    rows = (
+        JointRow(
+            name="scale",
+            unit="1",
+            trials=(-0.1, -0.02, 0.02, 0.1),
+            lower=0.5,
+            upper=1.0,
+            size=joints.one,
+        ),
+    )
 
-    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """The factor."""
-        del machine, element
-        return (
-            EffectParameter(
-                name="scale",
-                unit="1",
-                nominal=1.0,
-                lower=0.5,
-                upper=2.0,
-                trials=(0.9, 0.98, 1.02, 1.1),
-            ),
-        )
+    def own(self, machine: Machine, joint: str, row: JointRow) -> float:
+        """A factor of 1."""
+        del machine, joint, row
+        return 1.0
 
-    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
+    def apply(self, change: Change, element: str, values: Values) -> None:
         """Divides what was measured by the factor."""
         scale = values["scale"]
         if scale != 1.0:
             change.correct(f"{element}_position", undo_scale(scale), noise_gain=1.0 / scale)
 
-    def write(
-        self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Mapping[str, float]
-    ) -> None:
+    def write(self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Values) -> None:
         """Adds the numeric, times one that is there."""
         del machine
         name = ENCODER_SCALE.format(joint=element)
         _set_numeric(spec, name, number_of(spec, name, 1.0) * values["scale"])
 
 
-@register
+@register_effect
 class SensorDelay(EncoderEffect):
     """Positions are shown late."""
 
@@ -106,29 +97,16 @@ class SensorDelay(EncoderEffect):
     physics = "measured(t) = true(t - delay); commands and pressures are on time"
     source = "fieldbus cycles and filters of encoders: 1 to 20 ms"
     excitation = "fast motion"
+    rows = (
+        JointRow(name="delay", unit="s", trials=(0.001, 0.004, 0.016), upper=0.06, size=joints.one),
+    )
 
-    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """The delay."""
-        del machine, element
-        return (
-            EffectParameter(
-                name="delay",
-                unit="s",
-                nominal=0.0,
-                lower=0.0,
-                upper=0.06,
-                trials=(0.001, 0.004, 0.016),
-            ),
-        )
-
-    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
+    def apply(self, change: Change, element: str, values: Values) -> None:
         """Brings the measured positions forward, interpolating between samples."""
         if values["delay"]:
             change.correct(f"{element}_position", undo_delay(values["delay"]))
 
-    def write(
-        self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Mapping[str, float]
-    ) -> None:
+    def write(self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Values) -> None:
         """Adds a `jointpos` sensor with MuJoCo's own delay, or to that of one that is there."""
         del machine
         delay = values["delay"]

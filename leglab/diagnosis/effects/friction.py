@@ -1,156 +1,113 @@
 """Friction of joints: viscous, Coulomb and stiction, with the load, by direction."""
 
-from collections.abc import Mapping
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 
 from leglab.diagnosis.effects import joints
-from leglab.diagnosis.effects.base import Effect, EffectParameter, register
-from leglab.diagnosis.model import FRICTION, Change, Machine, Measured, Variant
+from leglab.diagnosis.effects.base import EffectParameter, Values, latest_only, register_effect
+from leglab.diagnosis.effects.joints import JointEffect, JointRow
+from leglab.diagnosis.model import CYLINDER, FRICTION, Change, Machine, Measured, Variant
 from leglab.diagnosis.starts import bristle
 
 
-@register
-class JointViscousFriction(Effect):
-    """Another damping of a joint."""
+class FrictionEffect(JointEffect):
+    """Base of effects on joints whose friction is not that of a cylinder."""
+
+    group = "friction"
+
+    def elements(self, machine: Machine) -> tuple[str, ...]:
+        """Joints without a cylinder."""
+        return joints.plain_joints(machine)
+
+
+@register_effect
+class JointViscousFriction(FrictionEffect):
+    """Another damping of a joint: MuJoCo's own."""
 
     name = "viscous_friction"
-    group = "friction"
     physics = "b v: lubricated bearings, grease, eddy currents."
     source = "Armstrong-Helouvry et al. 1994; 10 % between good machines"
     excitation = "fast motion"
-
-    def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Joints without a cylinder."""
-        return joints.plain_joints(machine)
-
-    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """The joint's damping."""
-        own = float(machine.base.model.dof_damping[joints.dof(machine, element)])
-        size = joints.force_scale(machine, element)
-        trials = tuple(own + share * size for share in (0.02, 0.15))
-        return (
-            EffectParameter(
-                name="damping",
-                unit=f"{joints.force_unit(machine, element)} s/{joints.unit(machine, element)}",
-                nominal=own,
-                lower=0.0,
-                upper=own + 10.0 * size,
-                trials=(0.5 * own, *trials) if own > 0 else trials,
-                tolerance=0.1 * own,
-            ),
-        )
-
-    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
-        """Sets MuJoCo's own damping."""
-        damping = values["damping"]
-        own = change.machine.base.model.dof_damping[joints.dof(change.machine, element)]
-
-        def edit(spec: mujoco.MjSpec) -> None:
-            spec.joint(element).damping[0] = damping
-
-        if damping != own:
-            change.edit(("damping", element, damping), edit)
+    rows = (
+        JointRow(
+            name="damping",
+            unit="{force} s/{length}",
+            trials=(0.02, 0.15),
+            upper=10.0,
+            field="damping",
+            half_above=0.0,
+            tolerance=0.1,
+        ),
+    )
 
 
-@register
-class JointCoulombFriction(Effect):
-    """Another dry friction of a joint."""
+@register_effect
+class JointCoulombFriction(FrictionEffect):
+    """Another dry friction of a joint: MuJoCo's own friction loss."""
 
     name = "coulomb_friction"
-    group = "friction"
     physics = "F_c sgn(v); at rest it holds up to F_c."
     source = "Armstrong-Helouvry et al. 1994"
     excitation = "slow motion in both directions, and rest"
-
-    def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Joints without a cylinder."""
-        return joints.plain_joints(machine)
-
-    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """The joint's friction loss."""
-        own = float(machine.base.model.dof_frictionloss[joints.dof(machine, element)])
-        size = joints.force_scale(machine, element)
-        trials = tuple(own + share * size for share in (0.01, 0.08))
-        return (
-            EffectParameter(
-                name="coulomb",
-                unit=joints.force_unit(machine, element),
-                nominal=own,
-                lower=0.0,
-                upper=own + size,
-                trials=(0.5 * own, *trials) if own > 0 else trials,
-                tolerance=0.1 * own,
-            ),
-        )
-
-    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
-        """Sets MuJoCo's own friction loss."""
-        coulomb = values["coulomb"]
-        own = change.machine.base.model.dof_frictionloss[joints.dof(change.machine, element)]
-
-        def edit(spec: mujoco.MjSpec) -> None:
-            spec.joint(element).frictionloss = coulomb
-
-        if coulomb != own:
-            change.edit(("frictionloss", element, coulomb), edit)
+    rows = (
+        JointRow(
+            name="coulomb",
+            unit="{force}",
+            trials=(0.01, 0.08),
+            upper=1.0,
+            field="frictionloss",
+            half_above=0.0,
+            tolerance=0.1,
+        ),
+    )
 
 
-@register
-class JointStiction(Effect):
+def insert_friction(change: Change, joint: str, effect: str) -> str:
+    """Inserts a neutral `leglab.joint_friction` for one effect and returns its name."""
+    name = f"{joint}_{effect}"
+    joints.insert_on_joint(change, FRICTION, name, joint, joints.bristle(change.machine, joint))
+    return name
+
+
+@register_effect
+class JointStiction(FrictionEffect):
     """Breakaway friction above the Coulomb friction of a joint."""
 
     name = "stiction"
-    group = "friction"
     physics = "(F_s - F_c) exp(-(v/v_s)^2) sgn(v), LuGre bristle before sliding."
     source = "Canudas de Wit et al. 1995"
     excitation = "slow motion, reversals and rest"
-
-    def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Joints without a cylinder."""
-        return joints.plain_joints(machine)
+    rows = (JointRow(name="breakaway", unit="{force}", trials=(0.02, 0.1), upper=1.0),)
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """Breakaway above Coulomb friction, and the Stribeck velocity."""
-        size = joints.force_scale(machine, element)
-        length = joints.unit(machine, element)
-        return (
-            EffectParameter(
-                name="breakaway",
-                unit=joints.force_unit(machine, element),
-                nominal=0.0,
-                lower=0.0,
-                upper=size,
-                trials=(0.02 * size, 0.1 * size),
-            ),
-            EffectParameter(
-                name="stribeck_velocity",
-                unit=f"{length}/s",
-                nominal=0.05 if length == "rad" else 0.01,
-                lower=0.005 if length == "rad" else 0.001,
-                upper=1.0 if length == "rad" else 0.2,
-                role="shape",
-            ),
+        hinge = joints.unit(machine, element) == "rad"
+        stribeck = EffectParameter(
+            name="stribeck_velocity",
+            unit=joints.unit_of(machine, element, "{length}/s"),
+            nominal=0.05 if hinge else 0.01,
+            lower=0.005 if hinge else 0.001,
+            upper=1.0 if hinge else 0.2,
+            role="shape",
         )
+        return (*super().parameters(machine, element), stribeck)
 
-    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
+    def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts joint friction that has a breakaway level only."""
-        if values["breakaway"] == 0.0:
-            return
-        name = f"{element}_stiction"
-        bristle = joints.bristle(change.machine, element)
-        joints.insert_on_joint(change, FRICTION, name, element, bristle)
-        change.set_parameter(name, "static", values["breakaway"])
-        change.set_parameter(name, "stribeck_velocity", values["stribeck_velocity"])
+        if values["breakaway"]:
+            name = insert_friction(change, element, self.name)
+            change.set_parameter(name, "static", values["breakaway"])
+            change.set_parameter(name, "stribeck_velocity", values["stribeck_velocity"])
 
 
 # Load is followed at this spacing and interpolated.
 _LOAD_EVERY = 20  # samples
 
 
-@register
-class LoadDependentFriction(Effect):
+@register_effect
+class LoadDependentFriction(JointEffect):
     """Friction that grows with the load that the joint carries."""
 
     name = "load_dependent_friction"
@@ -166,26 +123,22 @@ class LoadDependentFriction(Effect):
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """Shares of the actuator's force and of gravity, Coriolis and centrifugal force."""
         return tuple(
-            EffectParameter(
-                name=name, unit="1", nominal=0.0, lower=0.0, upper=1.0, trials=(0.03, 0.15)
-            )
+            EffectParameter(name=name, unit="1", upper=1.0, trials=(0.03, 0.15))
             for name in _loads(machine, element)
         )
 
-    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
+    def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts joint friction that has a load coefficient only."""
         if not any(values.values()):
             return
-        name = f"{element}_load_dependent_friction"
-        bristle = joints.bristle(change.machine, element)
-        joints.insert_on_joint(change, FRICTION, name, element, bristle)
+        name = insert_friction(change, element, self.name)
         for load, share in values.items():
             change.set_parameter(name, f"{load}_load_coefficient", share)
         start_from_motion(change, name, element)
 
 
 def _loads(machine: Machine, joint: str) -> tuple[str, ...]:
-    """What can load a joint: its actuators, gravity."""
+    """Loads of a joint, "actuator" and "bias" (gravity), as far as it has them."""
     driven = any(joint in moved for moved in machine.driven.values())
     heavy = joints.gravity(machine, joint) > 0.01 * joints.inertia(machine, joint)
     return ("actuator",) * driven + ("bias",) * heavy
@@ -193,16 +146,10 @@ def _loads(machine: Machine, joint: str) -> tuple[str, ...]:
 
 def start_from_motion(change: Change, instance: str, joint: str) -> None:
     """Reconstructs load and bristle at window starts from the measured motion."""
-    latest: list[tuple[Measured, np.ndarray]] = []  # both states of a recording need its load
 
+    @latest_only  # both states of a recording need its load
     def series(measured: Measured, variant: Variant) -> np.ndarray:
-        if not latest or latest[0][0] is not measured:
-            latest[:] = [(measured, carried_load(change, measured, variant, instance, joint))]
-        return latest[0][1]
-
-    def load(measured: Measured, variant: Variant, state: np.ndarray) -> np.ndarray:
-        del state
-        return series(measured, variant)[measured.samples]
+        return carried_load(change, measured, variant, instance, joint)
 
     def deflection(measured: Measured, variant: Variant, state: np.ndarray) -> np.ndarray:
         def get(name: str) -> float:
@@ -213,7 +160,9 @@ def start_from_motion(change: Change, instance: str, joint: str) -> None:
         level = np.maximum(level + series(measured, variant), 1e-9)
         return bristle(velocity, level, get("sigma_0"), measured.period, measured.samples)
 
-    change.start(instance, "load", load)
+    change.start(
+        instance, "load", lambda measured, variant, _: series(measured, variant)[measured.samples]
+    )
     change.start(instance, "bristle", deflection)
 
 
@@ -252,7 +201,7 @@ def _chambers(
 ) -> list[tuple[int, np.ndarray]]:
     """Slots of the chamber pressures in `plugin_state` with what was measured."""
     found = []
-    for cylinder in machine.instances("leglab.cylinder"):
+    for cylinder in machine.instances(CYLINDER):
         for chamber in ("pressure_a", "pressure_b"):
             column = f"{machine.driven[cylinder][0]}_{chamber}"
             if column in measured.pressure:
@@ -260,8 +209,8 @@ def _chambers(
     return found
 
 
-@register
-class AsymmetricFriction(Effect):
+@register_effect
+class AsymmetricFriction(JointEffect):
     """Friction that differs by direction."""
 
     name = "asymmetric_friction"
@@ -270,46 +219,28 @@ class AsymmetricFriction(Effect):
     source = "Armstrong-Helouvry et al. 1994: one-sided seals and preloaded gears"
     excitation = "motion in both directions at several speeds; reversals"
 
-    def elements(self, machine: Machine) -> tuple[str, ...]:
-        """All joints."""
-        return machine.joints
+    rows = tuple(
+        JointRow(name=f"{kind}_{side}", unit=unit, trials=(trial,), upper=upper)
+        for kind, unit, trial, upper in (
+            ("viscous", "{force} s/{length}", 0.1, 10.0),
+            ("coulomb", "{force}", 0.05, 1.0),
+        )
+        for side in ("forward", "backward")
+    )
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """Added friction of each direction."""
-        size = joints.force_scale(machine, element)
-        force, length = joints.force_unit(machine, element), joints.unit(machine, element)
+        """Added friction of each direction; the viscous one may take off most of the drive's."""
         least = -0.8 * joints.drive_damping(machine, element)
-        viscous = [
-            EffectParameter(
-                name=f"viscous_{side}",
-                unit=f"{force} s/{length}",
-                nominal=0.0,
-                lower=least,
-                upper=10.0 * size,
-                trials=(0.1 * size,),
-            )
-            for side in ("forward", "backward")
-        ]
-        coulomb = [
-            EffectParameter(
-                name=f"coulomb_{side}",
-                unit=force,
-                nominal=0.0,
-                lower=0.0,
-                upper=size,
-                trials=(0.05 * size,),
-            )
-            for side in ("forward", "backward")
-        ]
-        return (*viscous, *coulomb)
+        return tuple(
+            replace(parameter, lower=least) if parameter.name.startswith("viscous") else parameter
+            for parameter in super().parameters(machine, element)
+        )
 
-    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
+    def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts joint friction with a mean and a difference."""
         if not any(values.values()):
             return
-        name = f"{element}_asymmetric_friction"
-        bristle = joints.bristle(change.machine, element)
-        joints.insert_on_joint(change, FRICTION, name, element, bristle)
+        name = insert_friction(change, element, self.name)
         for kind in ("viscous", "coulomb"):
             forward, backward = values[f"{kind}_forward"], values[f"{kind}_backward"]
             change.set_parameter(name, kind, 0.5 * (forward + backward))

@@ -1,15 +1,17 @@
-"""What effects on joints share: sizes to try, and plugin instances to insert."""
+"""Effects on joints: their base, sizes by which to try values, and plugin instances to insert."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import lru_cache
+from typing import ClassVar
 
 import mujoco
 import numpy as np
 
+from leglab.diagnosis.effects.base import Effect, EffectParameter, Values
 from leglab.diagnosis.model import CYLINDER, Change, Machine
 
-SPRING = "leglab.spring_damper"
 _POSES = 12
 _BRISTLE_HZ = 100.0
 
@@ -20,9 +22,11 @@ def unit(machine: Machine, joint: str) -> str:
     return "rad" if hinge else "m"
 
 
-def force_unit(machine: Machine, joint: str) -> str:
-    """Unit of a joint's generalised force."""
-    return "N m" if unit(machine, joint) == "rad" else "N"
+def unit_of(machine: Machine, joint: str, pattern: str) -> str:
+    """Unit with "{force}", "{inertia}" and "{length}" replaced by those of a hinge or slide."""
+    if unit(machine, joint) == "rad":
+        return pattern.format(force="N m", inertia="kg m^2", length="rad")
+    return pattern.format(force="N", inertia="kg", length="m")
 
 
 def dof(machine: Machine, joint: str) -> int:
@@ -62,7 +66,7 @@ def drive_damping(machine: Machine, joint: str) -> float:
     """Viscous friction that acts on a joint [N m s/rad or N s/m]: its own and its cylinders'."""
     model = machine.base.model
     index = dof(machine, joint)
-    total = float(model.dof_damping[index])
+    total = native(machine, joint, "damping")
     data = mujoco.MjData(model)
     data.qpos[:] = model.qpos0 + 0.1
     mujoco.mj_forward(model, data)
@@ -74,6 +78,35 @@ def drive_damping(machine: Machine, joint: str) -> float:
         lever = float(moment[model.actuator(cylinder).id, index])
         total += machine.parameter(cylinder, "viscous") * lever**2
     return total
+
+
+def travel(machine: Machine, joint: str) -> float:
+    """Displacement that matters at a joint: 1 rad, or 0.2 m of a slide."""
+    return 1.0 if unit(machine, joint) == "rad" else 0.2
+
+
+def one(machine: Machine, joint: str) -> float:
+    """1 at every joint: the size of trials that count as they are."""
+    del machine, joint
+    return 1.0
+
+
+def native(machine: Machine, joint: str, field: str) -> float:
+    """MuJoCo's own "damping", "frictionloss", "armature" or "stiffness" of a joint."""
+    return float(getattr(machine.base.model.joint(joint), field)[0])
+
+
+def set_native(change: Change, joint: str, field: str, value: float) -> None:
+    """Lets a change set a field of `native`, unless it has the value already."""
+
+    def edit(spec: mujoco.MjSpec) -> None:
+        if field in ("damping", "stiffness"):  # coefficients of a polynomial
+            getattr(spec.joint(joint), field)[0] = value
+        else:
+            setattr(spec.joint(joint), field, value)
+
+    if value != native(change.machine, joint, field):
+        change.edit((field, joint, value), edit)
 
 
 def plain_joints(machine: Machine) -> tuple[str, ...]:
@@ -93,10 +126,10 @@ def insert(
 
 
 def insert_on_joint(
-    change: Change, plugin: str, name: str, joint: str, config: Mapping[str, float] | None = None
+    change: Change, plugin: str, name: str, joint: str, config: Mapping[str, float]
 ) -> None:
     """Lets a change insert a neutral plugin instance on a joint, compiled once for all values."""
-    full: dict[str, float | str] = {"joint": joint, **(config or {})}
+    full: dict[str, float | str] = {"joint": joint, **config}
     key = ("insert", plugin, name, *sorted(full.items(), key=str))
 
     def edit(spec: mujoco.MjSpec) -> None:
@@ -110,6 +143,79 @@ def bristle(machine: Machine, joint: str) -> dict[str, float]:
     mass = inertia(machine, joint)
     frequency = 2.0 * math.pi * _BRISTLE_HZ
     return {"sigma_0": mass * frequency**2, "sigma_1": mass * frequency}
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointRow:
+    """One parameter of an effect on joints; the joint's size decides how far it goes.
+
+    Attributes:
+        name: Of the parameter.
+        unit: SI unit, as a pattern of `unit_of`.
+        trials: To screen; shares of the size, added to the joint's own value.
+        lower: Smallest value in sizes, absolute.
+        upper: Largest value in sizes, added to the joint's own value.
+        size: Of a joint; `force_scale`, `inertia`, `travel` or `one`.
+        slide: Factor on the size for slide joints, which move decimetres instead of radians.
+        field: MuJoCo's own field that holds the value, see `native`; empty where there is none.
+        half_above: Half of the joint's own value is tried too if that is above this many sizes.
+        tolerance: Standard deviation between good machines; a share of the joint's own value.
+    """
+
+    name: str
+    unit: str
+    trials: tuple[float, ...]
+    lower: float = 0.0
+    upper: float
+    size: Callable[[Machine, str], float] = force_scale
+    slide: float = 1.0
+    field: str = ""
+    half_above: float = math.inf
+    tolerance: float = 0.0
+
+    def parameter(self, machine: Machine, joint: str, own: float) -> EffectParameter:
+        """The parameter on a joint that has a value of its own, 0 where it has none."""
+        size = self.size(machine, joint)
+        if unit(machine, joint) == "m":
+            size *= self.slide
+        trials = tuple(own + share * size for share in self.trials)
+        return EffectParameter(
+            name=self.name,
+            unit=unit_of(machine, joint, self.unit),
+            nominal=own,
+            lower=self.lower * size,
+            upper=own + self.upper * size,
+            trials=(0.5 * own, *trials) if own > self.half_above * size else trials,
+            tolerance=self.tolerance * own,
+        )
+
+
+class JointEffect(Effect):
+    """Base of effects on joints; rows give parameters and how far they go.
+
+    Rows with a `field` set it; effects with other rows override `apply`.
+    """
+
+    rows: ClassVar[tuple[JointRow, ...]] = ()
+
+    def elements(self, machine: Machine) -> tuple[str, ...]:
+        """All joints."""
+        return machine.joints
+
+    def own(self, machine: Machine, joint: str, row: JointRow) -> float:
+        """Value of a row's parameter that the joint has in the unmodified model."""
+        return native(machine, joint, row.field) if row.field else 0.0
+
+    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
+        """The rows about the joint's own values."""
+        return tuple(
+            row.parameter(machine, element, self.own(machine, element, row)) for row in self.rows
+        )
+
+    def apply(self, change: Change, element: str, values: Values) -> None:
+        """Sets MuJoCo's own fields."""
+        for row in self.rows:
+            set_native(change, element, row.field, values[row.name])
 
 
 def _text(value: float | str) -> str:

@@ -1,13 +1,13 @@
 """Inertia of drives and the attitude of the base."""
 
 import math
-from collections.abc import Mapping
 
 import mujoco
 import numpy as np
 
 from leglab.diagnosis.effects import joints
-from leglab.diagnosis.effects.base import Effect, EffectParameter, register
+from leglab.diagnosis.effects.base import Effect, EffectParameter, Values, register_effect
+from leglab.diagnosis.effects.joints import JointEffect, JointRow
 from leglab.diagnosis.model import Change, Machine
 
 _AXES = {"roll": (1.0, 0.0, 0.0), "pitch": (0.0, 1.0, 0.0), "yaw": (0.0, 0.0, 1.0)}
@@ -16,8 +16,8 @@ _PROBE = 0.02  # rad
 _SEEN = 1e-3
 
 
-@register
-class Armature(Effect):
+@register_effect
+class Armature(JointEffect):
     """Inertia that turns with a joint but not with its links."""
 
     name = "armature"
@@ -25,41 +25,21 @@ class Armature(Effect):
     physics = "J q'': rotor and gears, times the ratio squared."
     source = "mechanics; rotor inertias of data sheets are good to 10 %"
     excitation = "accelerations of different size"
-
-    def elements(self, machine: Machine) -> tuple[str, ...]:
-        """All joints."""
-        return machine.joints
-
-    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """The inertia."""
-        own = float(machine.base.model.dof_armature[joints.dof(machine, element)])
-        all_of_it = joints.inertia(machine, element)
-        trials = tuple(own + share * all_of_it for share in (0.05, 0.4))
-        return (
-            EffectParameter(
-                name="inertia",
-                unit="kg m^2" if joints.unit(machine, element) == "rad" else "kg",
-                nominal=own,
-                lower=0.0,
-                upper=own + 10.0 * all_of_it,
-                trials=(0.5 * own, *trials) if own > 0.02 * all_of_it else trials,
-                tolerance=0.1 * own,
-            ),
-        )
-
-    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
-        """Sets the joint's armature."""
-        value = values["inertia"]
-        own = change.machine.base.model.dof_armature[joints.dof(change.machine, element)]
-
-        def edit(spec: mujoco.MjSpec) -> None:
-            spec.joint(element).armature = value
-
-        if value != own:
-            change.edit(("armature", element, value), edit)
+    rows = (
+        JointRow(
+            name="inertia",
+            unit="{inertia}",
+            trials=(0.05, 0.4),
+            upper=10.0,
+            size=joints.inertia,
+            field="armature",
+            half_above=0.02,
+            tolerance=0.1,
+        ),
+    )
 
 
-@register
+@register_effect
 class BaseTilt(Effect):
     """The whole machine stands at an angle to gravity."""
 
@@ -78,17 +58,12 @@ class BaseTilt(Effect):
         del element
         return tuple(
             EffectParameter(
-                name=axis,
-                unit="rad",
-                nominal=0.0,
-                lower=-0.6,
-                upper=0.6,
-                trials=(-0.15, -0.03, 0.03, 0.15),
+                name=axis, unit="rad", lower=-0.6, upper=0.6, trials=(-0.15, -0.03, 0.03, 0.15)
             )
             for axis in self._axes(machine)
         )
 
-    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
+    def apply(self, change: Change, element: str, values: Values) -> None:
         """Turns the gravity vector."""
         del element
         if not any(values.values()):

@@ -1,14 +1,12 @@
-"""A mass that nobody told the model about."""
-
-from collections.abc import Mapping
+"""Payload: an additional mass on a moving body."""
 
 import mujoco
 
-from leglab.diagnosis.effects.base import Effect, EffectParameter, register
+from leglab.diagnosis.effects.base import Effect, EffectParameter, Values, register_effect
 from leglab.diagnosis.model import Change, Machine
 
 
-@register
+@register_effect
 class Payload(Effect):
     """A point mass fixed to a moving body."""
 
@@ -19,7 +17,7 @@ class Payload(Effect):
     excitation = "positions away from the balance point; speed changes separate m r from m r^2"
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Bodies that a joint moves, have mass and a centre of mass off the joint."""
+        """Bodies with a name and mass that a joint moves."""
         model = machine.base.model
         return tuple(
             model.body(i).name
@@ -32,12 +30,7 @@ class Payload(Effect):
         body = machine.base.model.body(element)
         own, reach = float(body.mass[0]), float((body.ipos**2).sum() ** 0.5)
         mass = EffectParameter(
-            name="mass",
-            unit="kg",
-            nominal=0.0,
-            lower=0.0,
-            upper=5.0 * own,
-            trials=(0.05 * own, 0.4 * own),
+            name="mass", unit="kg", upper=5.0 * own, trials=(0.05 * own, 0.4 * own)
         )
         if reach == 0.0:  # nowhere along the line: at the centre itself
             return (mass,)
@@ -53,7 +46,7 @@ class Payload(Effect):
             ),
         )
 
-    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
+    def apply(self, change: Change, element: str, values: Values) -> None:
         """Adds a body with the mass; the model is compiled anew for every value."""
         mass, distance = values["mass"], values.get("distance", 0.0)
         if mass == 0.0:

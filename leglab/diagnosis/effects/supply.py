@@ -1,13 +1,16 @@
-"""A supply that gives way under flow."""
-
-from collections.abc import Mapping
+"""Supply whose pressure falls with the flow drawn from it."""
 
 import mujoco
 import numpy as np
 from scipy.signal import lfilter
 
 from leglab.diagnosis.effects import joints
-from leglab.diagnosis.effects.base import Effect, EffectParameter, register
+from leglab.diagnosis.effects.base import (
+    Effect,
+    EffectParameter,
+    Values,
+    register_effect,
+)
 from leglab.diagnosis.model import CYLINDER, Change, Machine, Measured, Variant
 from leglab.machine.parameters import plugin_tables
 
@@ -16,7 +19,7 @@ _NAME = "supply"
 _ATMOSPHERE = 101325.0  # Pa
 
 
-@register
+@register_effect
 class SupplyDroop(Effect):
     """Supply pressure falls with the flow that the valves draw."""
 
@@ -38,14 +41,7 @@ class SupplyDroop(Effect):
         """Droop, and gas volume of the accumulator at its precharge."""
         del machine, element
         return (
-            EffectParameter(
-                name="droop",
-                unit="Pa s/m^3",
-                nominal=0.0,
-                lower=0.0,
-                upper=3e12,
-                trials=(1e10, 1e11, 5e11),
-            ),
+            EffectParameter(name="droop", unit="Pa s/m^3", upper=3e12, trials=(1e10, 1e11, 5e11)),
             EffectParameter(
                 name="accumulator_volume",
                 unit="m^3",
@@ -56,7 +52,7 @@ class SupplyDroop(Effect):
             ),
         )
 
-    def apply(self, change: Change, element: str, values: Mapping[str, float]) -> None:
+    def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts a supply unit that all cylinders draw from."""
         droop, volume = values["droop"], values["accumulator_volume"]
         if droop <= 0.0:

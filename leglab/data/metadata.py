@@ -1,0 +1,38 @@
+"""Metadata of recordings as JSON text, as files hold it."""
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from leglab.base.errors import LeglabError
+
+
+def to_json(metadata: Mapping[str, Any]) -> str:
+    """Returns metadata as JSON with sorted keys.
+
+    Raises:
+        ValueError: A number is not finite, which JSON cannot hold.
+    """
+    return json.dumps(dict(metadata), allow_nan=False, sort_keys=True)
+
+
+def from_json(text: str) -> Any:
+    """Returns the value of a JSON text.
+
+    Raises:
+        ValueError: It is not JSON, or holds NaN, which Python's reader would take.
+    """
+    found = json.loads(text)
+    json.dumps(found, allow_nan=False)
+    return found
+
+
+def check_notes(metadata: Mapping[str, Any]) -> None:
+    """Checks that the notes to which reading appends are lists.
+
+    Raises:
+        LeglabError: "alignment" or "repairs" is something else.
+    """
+    for key in ("alignment", "repairs"):
+        if not isinstance(metadata.get(key, []), list):
+            raise LeglabError(f"metadata {key!r} is {metadata[key]!r}, allowed is a list")
