@@ -115,7 +115,9 @@ class PluginTable:
 def plugin_tables() -> Mapping[str, PluginTable]:
     """Tables of all plugins that carry parameters, by plugin name."""
     tables = {}
-    for plugin, (parameters, states) in _native.parameter_tables().items():
+    for plugin, (parameters, states, _) in _native.parameter_tables().items():
+        if not parameters:
+            continue
         rows = [
             Parameter(
                 name=name,

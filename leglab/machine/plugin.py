@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 import mujoco
 
 import leglab._native
+from leglab._native.hydraulics import parameter_tables
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.machine.parameters import PluginTable, plugin_tables
 
@@ -90,15 +91,6 @@ def headless(model: mujoco.MjModel) -> Iterator[None]:
             model.opt.disableflags = flags
 
 
-# Attributes of the plugins that are names, not numbers.
-_TEXT_ATTRIBUTES = {
-    "leglab.cylinder": ("supply",),
-    "leglab.spring_damper": ("joint", "strut"),
-    "leglab.joint_friction": ("joint",),
-    "leglab.backlash": ("joint",),
-    "leglab.command_path": ("actuator", "max_delay"),
-    "leglab.sensor": ("actuator", "quantity"),
-}
 _UNKNOWN_ATTRIBUTE = re.compile(
     r"unrecognized attribute 'plugin:(?P<attribute>[^']*)' for plugin (?P<plugin>[\w.]+)"
 )
@@ -163,8 +155,8 @@ def elements(model: mujoco.MjModel) -> dict[str, tuple[int, PluginTable]]:
 
 def attribute_names(plugin: str) -> tuple[str, ...]:
     """MJCF attributes of one of leglab's plugins, empty for a plugin of somebody else."""
-    table = plugin_tables().get(plugin)
-    return (*_TEXT_ATTRIBUTES.get(plugin, ()), *(table.parameters if table else ()))
+    parameters, _, texts = parameter_tables().get(plugin, ([], [], []))
+    return (*texts, *(row[0] for row in parameters))
 
 
 def to_xml(spec: mujoco.MjSpec) -> str:
