@@ -16,7 +16,8 @@ class Frozen(AdaptiveController):
 
     name = "frozen"
 
-    def _stop_time(self, setup: ControllerSetup, config: AdaptiveConfiguration) -> float:
-        if config.stop_time is not None:
-            return config.stop_time
-        return float(setup.machine.get("first_change", math.inf))
+    def __init__(self, setup: ControllerSetup, config: AdaptiveConfiguration) -> None:
+        if config.stop_time is None:
+            first = float(setup.machine.get("first_change", math.inf))
+            config = config.model_copy(update={"stop_time": first})
+        super().__init__(setup, config)

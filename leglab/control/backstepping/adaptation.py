@@ -4,9 +4,8 @@ import math
 
 import numpy as np
 
-from leglab.control.backstepping.cylinder import CylinderModel
+from leglab.control.backstepping.cylinder import Bristles, CylinderModel
 from leglab.control.backstepping.data import InverseDynamics
-from leglab.control.backstepping.friction import Bristles
 from leglab.control.backstepping.least_squares import BoundedLeastSquares
 from leglab.control.feedforward.motion import smoothing_kernel
 

@@ -67,10 +67,6 @@ class SmoothingWindow:
         smooth = np.dot(self._kernel, self._rows[self._next : self._next + self._window])
         return smooth[:, : self._joints], smooth[0, self._joints :]
 
-    def largest_command(self) -> np.ndarray:
-        """Largest magnitude of the commands in the window, (joints,)."""
-        return np.abs(self._rows[: self._window, self._joints :]).max(axis=0)
-
 
 class ReferenceMotion:
     """A reference a little later and as the sensors would show it, by Taylor's series.

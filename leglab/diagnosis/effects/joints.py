@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from leglab.diagnosis.model import CYLINDER, Change, Machine
+from leglab.machine.simulation import actuator_moments
 
 SPRING = "leglab.spring_damper"
 _POSES = 12
@@ -66,10 +67,7 @@ def drive_damping(machine: Machine, joint: str) -> float:
     data = mujoco.MjData(model)
     data.qpos[:] = model.qpos0 + 0.1
     mujoco.mj_forward(model, data)
-    moment = np.zeros((model.nu, model.nv))
-    mujoco.mju_sparse2dense(
-        moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
-    )
+    moment = actuator_moments(model, data)
     for cylinder in machine.instances(CYLINDER):
         lever = float(moment[model.actuator(cylinder).id, index])
         total += machine.parameter(cylinder, "viscous") * lever**2
