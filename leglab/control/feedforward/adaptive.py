@@ -12,7 +12,7 @@ from leglab.control import Measurement, ReferencePoint
 from leglab.control.feedforward.inverse_map import ACCELERATION, JERK, InverseMap
 from leglab.control.feedforward.motion import smoothing_kernel
 from leglab.control.feedforward.valve_table import ValveTable
-from leglab.identification import ChangeDetection, Rls, SplineNarx
+from leglab.identification import ChangeDetection, Rls
 
 # What a period reports, in the order of the core's rows behind the command.
 _REPORTED = ("feedforward", "feedback", "model_error", "fallback")
@@ -130,7 +130,8 @@ class AdaptiveFeedforward:
         velocity_delay: Age of a velocity estimate then [s].
 
     Attributes:
-        report: What the last period gave, by name, each (joints,): `feedforward` and `feedback`
+        learner: The learned map.
+        report: Values of the last period, by name, each (joints,): `feedforward` and `feedback`
             [valve command], `model_error` of the last sample [share of full speed], and `fallback`,
             1 where the calibrated map stands in. The arrays change with the next period.
     """
@@ -189,14 +190,9 @@ class AdaptiveFeedforward:
 
     def reset(self) -> None:
         """Forgets everything learned: the feed-forward is the calibration's."""
-        self._learner = self._map.learner()
-        self._core.reset(self._learner.bank)
+        self.learner = self._map.learner()
+        self._core.reset(self.learner.bank)
         self._out[:] = 0.0
-
-    @property
-    def learner(self) -> SplineNarx:
-        """What has been learned."""
-        return self._learner
 
     def step(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
         """Learns from a measurement and gives the valve commands; call it once a period.

@@ -10,12 +10,14 @@ namespace ff = feedforward;
 
 using SplineNarxBank64 = Bank<id::SplineNarx<double>, id::SplineNarxSettings<double>, double>;
 
+using Numbers = std::vector<double>;
+
 // Valve tables of all joints, with the values that they point to.
 class ValveTables {
  public:
   explicit ValveTables(const nb::dict& parts)
-      : commands_(values(parts, "command")), shares_(values(parts, "share")) {
-    const std::vector<double> start = values(parts, "start"), spacing = values(parts, "spacing");
+      : commands_(get<Numbers>(parts, "command")), shares_(get<Numbers>(parts, "share")) {
+    const Numbers start = get<Numbers>(parts, "start"), spacing = get<Numbers>(parts, "spacing");
     tables_.resize(start.size());
     for (std::size_t j = 0; j < tables_.size(); ++j) {
       ff::ValveTable& table = tables_[j];
@@ -35,14 +37,14 @@ class ValveTables {
   int joints() const { return int(tables_.size()); }
 
  private:
-  std::vector<double> commands_, shares_;
+  Numbers commands_, shares_;
   std::vector<ff::ValveTable> tables_;
 };
 
 // Commands of calibrated valve maps; beyond their ends those of the ends.
 class ValveMaps {
  public:
-  explicit ValveMaps(const nb::dict& parts) : tables_(parts), full_speed_(values(parts, "full_speed")) {}
+  explicit ValveMaps(const nb::dict& parts) : tables_(parts), full_speed_(get<Numbers>(parts, "full_speed")) {}
 
   void command(Input position, Input velocity, Output out) const {
     const auto& tables = tables_.tables();
@@ -58,7 +60,7 @@ class ValveMaps {
 
  private:
   ValveTables tables_;
-  std::vector<double> full_speed_;
+  Numbers full_speed_;
 };
 
 inline ff::AdaptiveSettings read_adaptive(const nb::dict& settings) {
@@ -67,17 +69,13 @@ inline ff::AdaptiveSettings read_adaptive(const nb::dict& settings) {
   LEGLAB_READ_4(rate_limit, least_speed, saturation, greatest_acceleration)
   LEGLAB_READ_2(forward, supervised)
   LEGLAB_READ_3(trust_time, margin, noise)
-  LEGLAB_READ_VALUES(learn_lower)
-  LEGLAB_READ_VALUES(learn_upper)
-  LEGLAB_READ_VALUES(bandwidth)
+  LEGLAB_READ_3(learn_lower, learn_upper, bandwidth)
   return out;
 }
 
 inline ff::MotionScale read_motion_scale(const nb::dict& settings) {
   ff::MotionScale out;
-  LEGLAB_READ_VALUES(centre)
-  LEGLAB_READ_VALUES(half_range)
-  LEGLAB_READ_VALUES(full_speed)
+  LEGLAB_READ_3(centre, half_range, full_speed)
   LEGLAB_READ_2(acceleration, jerk)
   return out;
 }
@@ -90,11 +88,11 @@ class Feedforward {
       : tables_(parts),
         core_({read_adaptive(parts),
                {read_motion_scale(parts), get<bool>(parts, "products")},
-               {tables_.joints(), values(parts, "kernel")},
+               {tables_.joints(), get<Numbers>(parts, "kernel")},
                {tables_.joints(), get<double>(parts, "control_period"), get<double>(parts, "lead"),
                 get<double>(parts, "position_delay"), get<double>(parts, "velocity_delay")},
                tables_.tables()},
-              {values(parts, "position_gain"), values(parts, "velocity_gain")}) {}
+              {get<Numbers>(parts, "position_gain"), get<Numbers>(parts, "velocity_gain")}) {}
 
   Feedforward(const Feedforward&) = delete;
   Feedforward& operator=(const Feedforward&) = delete;

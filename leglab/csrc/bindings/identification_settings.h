@@ -27,21 +27,21 @@ using Output = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
 inline nb::object look_up(nb::handle settings, const char* name) { return settings.attr(name); }
 inline nb::object look_up(const nb::dict& settings, const char* name) { return settings[name]; }
 
+// A field; in a dictionary numbers stand as arrays, read row by row.
 template <class V, class Settings>
 V get(const Settings& settings, const char* name) {
-  if constexpr (std::is_same_v<V, float>) return float(nb::cast<double>(look_up(settings, name)));
-  else return nb::cast<V>(look_up(settings, name));
-}
-
-// All values of an array, row by row.
-inline std::vector<double> values(const nb::dict& settings, const char* name) {
-  const auto array = get<Input>(settings, name);
-  return {array.data(), array.data() + array.size()};
+  if constexpr (std::is_same_v<V, std::vector<double>> && std::is_same_v<Settings, nb::dict>) {
+    const auto array = nb::cast<Input>(look_up(settings, name));
+    return {array.data(), array.data() + array.size()};
+  } else if constexpr (std::is_same_v<V, float>) {
+    return float(nb::cast<double>(look_up(settings, name)));
+  } else {
+    return nb::cast<V>(look_up(settings, name));
+  }
 }
 
 // Fills fields of `out` from those of the same name in `settings`, an object or a dictionary.
 #define LEGLAB_READ(name) out.name = get<decltype(out.name)>(settings, #name);
-#define LEGLAB_READ_VALUES(name) out.name = values(settings, #name);
 #define LEGLAB_READ_2(a, b) LEGLAB_READ(a) LEGLAB_READ(b)
 #define LEGLAB_READ_3(a, ...) LEGLAB_READ(a) LEGLAB_READ_2(__VA_ARGS__)
 #define LEGLAB_READ_4(a, ...) LEGLAB_READ(a) LEGLAB_READ_3(__VA_ARGS__)
