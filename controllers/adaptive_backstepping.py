@@ -16,10 +16,9 @@ from leglab.base.errors import LeglabError
 from leglab.base.settings import Configuration
 from leglab.control import ControllerSetup, Measurement, ReferencePoint, register_controller
 from leglab.control.backstepping.adaptation import Adaptation
-from leglab.control.backstepping.cylinder import CylinderModel
+from leglab.control.backstepping.cylinder import Bristles, CylinderModel
 from leglab.control.backstepping.data import FORCE_CUTOFF, PRESSURE_CUTOFF, BacksteppingGains
 from leglab.control.backstepping.feedback import Feedback, no_load_speed
-from leglab.control.backstepping.friction import Bristles
 from leglab.control.feedforward.motion import ReferenceMotion
 
 _NAME = "adaptive_backstepping"

@@ -62,7 +62,7 @@ class BsnnArxPaper:
             network=network,
             rls=Rls(initial_gain=config.initial_gain),
         )
-        self._window = SmoothingWindow(joints, config.window, period)
+        self._window = SmoothingWindow(2 * joints, config.window, period)
         self._motion = ReferenceMotion(
             joints, period, lead=period - latency, position_delay=0.0, velocity_delay=0.0
         )
@@ -84,8 +84,8 @@ class BsnnArxPaper:
         """Valve commands, (joints,)."""
         self._window.push(measurement.position, self._sent)
         if self._window.full:
-            motion, command = self._window.middle()
-            self._learner.update(*self._samples(motion[1], command))
+            command, velocity = self._window.middle()[:2]
+            self._learner.update(*self._samples(velocity[: self._joints], command[self._joints :]))
         self._driver.parameters = self._learner.parameters
         later, _ = self._motion.take(reference)
         velocity, _ = self._samples(later[1], self._sent)

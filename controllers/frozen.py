@@ -14,7 +14,8 @@ class Frozen(AdaptiveController):
 
     name = "frozen"
 
-    def _stop_time(self, setup: ControllerSetup, config: AdaptiveConfiguration) -> float:
-        if config.stop_time is not None:
-            return config.stop_time
-        return setup.foreknowledge.first_change
+    def __init__(self, setup: ControllerSetup, config: AdaptiveConfiguration) -> None:
+        if config.stop_time is None:
+            first = setup.foreknowledge.first_change
+            config = config.model_copy(update={"stop_time": first})
+        super().__init__(setup, config)

@@ -1,12 +1,9 @@
 """Feed-forward identified offline on the changed machine: the bound for the learned structure."""
 
-import math
-
 import numpy as np
 
 from leglab.base.errors import LeglabError
 from leglab.control import ControllerSetup, Measurement, ReferencePoint, register_controller
-from leglab.control.feedforward.offline import BenchRun
 from leglab.controllers.bsnn_arx import AdaptiveConfiguration, AdaptiveController
 from leglab.identification import Rls
 
@@ -29,22 +26,16 @@ class Oracle(AdaptiveController):
     name = "oracle"
 
     def __init__(self, setup: ControllerSetup, config: AdaptiveConfiguration) -> None:
-        config = config.model_copy(update={"supervised": False})
+        config = config.model_copy(update={"supervised": False, "stop_time": 0.0})
         super().__init__(setup, config)
         if setup.foreknowledge.bench_runs is None:
             raise LeglabError(f"controller {self.name!r} needs recordings of the changed machine")
-        runs = setup.foreknowledge.bench_runs()
-        self._maps = [self._identify(setup, config, run) for run in runs]
+        learns = config.model_copy(update={"stop_time": None})
+        self._maps = [
+            run.identify(self._adaptation(setup, learns, Rls(initial_gain=_PRIOR)))
+            for run in setup.foreknowledge.bench_runs()
+        ]
         self._change = setup.foreknowledge.last_change
-
-    def _stop_time(self, setup: ControllerSetup, config: AdaptiveConfiguration) -> float:
-        return 0.0
-
-    def _identify(
-        self, setup: ControllerSetup, config: AdaptiveConfiguration, run: BenchRun
-    ) -> np.ndarray:
-        learning = self._adaptation(setup, config, Rls(initial_gain=_PRIOR), math.inf, False)
-        return run.identify(learning)
 
     def reset(self, measurement: Measurement) -> None:
         """Starts a run with the map of the machine before its change."""

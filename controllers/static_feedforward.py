@@ -10,6 +10,7 @@ import numpy as np
 
 from leglab._native.identification import ValveMaps
 from leglab.control import ControllerSetup, Measurement, ReferencePoint, register_controller
+from leglab.control.feedforward.valve_table import ValveTable
 from leglab.controllers.pd import Pd, PdConfiguration
 
 
@@ -22,15 +23,7 @@ class ValveMapTable:
     """
 
     def __init__(self, maps: Sequence) -> None:
-        self._core = ValveMaps(
-            {
-                "start": np.array([m.position[0] for m in maps]),
-                "spacing": np.array([m.position[1] - m.position[0] for m in maps]),
-                "full_speed": np.array([m.velocity[-1] for m in maps]),
-                "shares": np.asarray(maps[0].velocity / maps[0].velocity[-1]),
-                "commands": np.stack([m.command for m in maps]),
-            }
-        )
+        self._core = ValveMaps(vars(ValveTable.of(maps)))
 
     def __call__(self, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """Valve commands (joints,) at joint positions [rad] and velocities [rad/s], (joints,)."""

@@ -68,16 +68,16 @@ def test_window_gives_exact_derivatives_of_a_polynomial():
     times = np.arange(40) * timestep
     coefficients = np.array([0.3, -1.2, 4.0, 30.0, -200.0])
     position = np.polynomial.polynomial.polyval(times, coefficients)
-    smooth = SmoothingWindow(1, window, timestep)
+    smooth = SmoothingWindow(2, window, timestep)
     for value in position:
         assert smooth.full == (smooth._filled >= window)
         smooth.push(np.array([value]), np.array([2 * value]))
-    motion, command = smooth.middle()
+    found = smooth.middle()
     middle = times[-1 - window // 2]
     for order in range(4):
         exact = np.polynomial.Polynomial(coefficients).deriv(order)(middle)
-        assert motion[order, 0] == pytest.approx(exact, rel=1e-7)
-    assert command[0] == pytest.approx(2 * position[-1 - window // 2], rel=1e-12)
+        assert found[order, 0] == pytest.approx(exact, rel=1e-7)
+    assert found[0, 1] == pytest.approx(2 * position[-1 - window // 2], rel=1e-12)
 
 
 def test_smoothing_kernel_is_that_of_savitzky_and_golay():

@@ -17,9 +17,8 @@ from leglab.commissioning.backstepping_gains import (
 from leglab.commissioning.nominal import NominalDynamics, nominal_cylinders
 from leglab.commissioning.setup import controller_setup
 from leglab.control import Measurement, ReferencePoint, make_controller
-from leglab.control.backstepping.cylinder import CylinderModel
+from leglab.control.backstepping.cylinder import Bristles, CylinderModel
 from leglab.control.backstepping.error_observer import ErrorObserver
-from leglab.control.backstepping.friction import Bristles
 from leglab.control.backstepping.least_squares import BoundedLeastSquares
 from leglab.machine.cylinder import Cylinder
 from leglab.machine.sensors import SensorConfiguration

@@ -1,31 +1,17 @@
 """The C++ feed-forward against plain NumPy, and the valve table that both stand on."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
 from leglab.control import Measurement, ReferencePoint
-from leglab.control.feedforward.adaptive import AdaptationSettings, AdaptiveFeedforward
-from leglab.control.feedforward.inverse_map import InverseMap, MotionRange
+from leglab.control.feedforward.adaptive import AdaptiveFeedforward, LearningConfiguration
+from leglab.control.feedforward.inverse_map import InverseMap
 from leglab.control.feedforward.valve_table import ValveTable
 from leglab.identification import ChangeDetection, Rls
 from tests.reference import feedforward_oracle as oracle
 
 PERIOD = 0.002
-SETTINGS = AdaptationSettings(
-    control_period=PERIOD,
-    latency=0.001,
-    velocity_delay=0.004,
-    window=15,
-    interval=2,
-    stop_time=9.0,
-    limit=0.9,
-    rate_limit=40.0,
-    least_speed=1e-3,
-    forward=False,
-    supervised=True,
-)
+SETTINGS = LearningConfiguration(stop_time=9.0, limit=0.9, rate_limit=40.0)
 RLS = Rls(
     initial_gain=3.0,
     forgetting="variable",
@@ -54,7 +40,9 @@ def parts_of(feedforward, table, inverse_map, settings, position_gain, monkeypat
     seen = {}
     real = feedforward.Feedforward
     monkeypatch.setattr(feedforward, "Feedforward", lambda parts: seen.update(parts) or real(parts))
-    made = AdaptiveFeedforward(inverse_map, table, position_gain, 0.1 * position_gain, settings)
+    gains = position_gain, 0.1 * position_gain
+    timing = {"control_period": PERIOD, "latency": 0.001, "velocity_delay": 0.004}
+    made = AdaptiveFeedforward(inverse_map, table, *gains, settings, **timing)
     monkeypatch.undo()
     return made, seen
 
@@ -69,9 +57,9 @@ def test_core_agrees_with_numpy(splines, supervised, forward, monkeypatch):
     signs = np.array([1.0, -1.0])
     maps = [CalibratedMap(sign) for sign in signs]
     table = ValveTable.of(maps, signs)
-    ranges = MotionRange(lower=np.full(2, -1.0), upper=np.full(2, 0.8), speed=np.full(2, 4.0))
-    inverse_map = InverseMap(ranges, RLS, velocity_splines=splines[0], position_splines=splines[1])
-    settings = dataclasses.replace(SETTINGS, supervised=supervised, forward=forward)
+    inverse_map = InverseMap(2, RLS, velocity_splines=splines[0], position_splines=splines[1])
+    route = "forward" if forward else "inverse"
+    settings = SETTINGS.model_copy(update={"supervised": supervised, "route": route})
     made, parts = parts_of(module, table, inverse_map, settings, 2.0 * signs, monkeypatch)
     made.reset()
     other = oracle.Feedforward(parts, table, inverse_map.learner())

@@ -7,6 +7,7 @@ def parameter_tables() -> dict[
     tuple[
         list[tuple[str, str, float, float, float, bool, str]],
         list[tuple[str, str, str]],
+        list[str],
     ],
 ]: ...
 

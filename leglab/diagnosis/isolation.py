@@ -13,6 +13,7 @@ from leglab.diagnosis.starts import spool
 from leglab.diagnosis.windows import Channel, Series, derivative, smoothed
 from leglab.machine.cylinder import Cylinder
 from leglab.machine.parameters import State
+from leglab.machine.simulation import actuator_moments
 
 _STRIDE = 0.01  # s between samples at which balances are taken
 _KNOTS = 7
@@ -85,7 +86,6 @@ def _balances(
         speed = derivative(x, wide, period)
         motion[name] = smoothed(x, wide), speed, np.gradient(speed, period)
     rates = [derivative(smooth[f"{joint}_pressure_{c}"], (21, 2), period) for c in "ab"]
-    moment = np.zeros((mj.nu, mj.nv))
     out = {k: np.empty(at.size) for k in ("mechanical", "hydraulic")}
     for i, k in enumerate(at.tolist()):
         for name, (q, v, a) in motion.items():
@@ -96,14 +96,7 @@ def _balances(
                 a[k],
             )
         mujoco.mj_inverse(mj, data)
-        mujoco.mju_sparse2dense(
-            moment,
-            data.actuator_moment,
-            data.moment_rownnz,
-            data.moment_rowadr,
-            data.moment_colind,
-        )
-        lever = moment[actuator, dof]
+        lever = actuator_moments(mj, data)[actuator, dof]
         speed = lever * motion[joint][1][k]
         pa, pb = smooth[f"{joint}_pressure_a"][k], smooth[f"{joint}_pressure_b"][k]
         friction = model.native.steady_friction(speed, pa, pb)

@@ -13,6 +13,7 @@ import leglab.models
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.diagnosis.paths import CommandPath, Correction, take_out
 from leglab.machine.parameters import PluginTable
+from leglab.machine.simulation import actuator_moments
 
 CYLINDER = "leglab.cylinder"
 FRICTION = "leglab.joint_friction"
@@ -185,17 +186,10 @@ class Machine:
         # A singular qpos0 (a straight linkage) must not hide a moment.
         data.qpos[:] = model.qpos0 + 0.1
         mujoco.mj_forward(model, data)
-        moment = np.zeros((model.nu, model.nv))
-        mujoco.mju_sparse2dense(
-            moment,
-            data.actuator_moment,
-            data.moment_rownnz,
-            data.moment_rowadr,
-            data.moment_colind,
-        )
+        moments = actuator_moments(model, data)
         return {
             name: tuple(self.joints[int(model.dof_jntid[k])] for k in np.flatnonzero(row))
-            for name, row in zip(self.actuators, moment, strict=True)
+            for name, row in zip(self.actuators, moments, strict=True)
         }
 
 

@@ -11,6 +11,7 @@ from scipy.signal import savgol_coeffs, savgol_filter
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.diagnosis.model import CYLINDER, Machine
+from leglab.machine.simulation import actuator_moments
 
 # Further than this many periods from a true sample, a value on the grid is not measured.
 _GAP = 1.5
@@ -264,7 +265,6 @@ def _lever(machine: Machine, series: Series, cylinder: str) -> np.ndarray:
     actuator = model.actuator(cylinder).id
     joint = machine.driven[cylinder][0]
     dof = int(model.joint(joint).dofadr[0])
-    moment = np.zeros((model.nu, model.nv))
     chosen = np.arange(0, series.time.size, 10)
     lever = np.empty(chosen.size)
     addresses = [int(model.joint(name).qposadr[0]) for name in machine.joints]
@@ -272,12 +272,5 @@ def _lever(machine: Machine, series: Series, cylinder: str) -> np.ndarray:
     for i, row in enumerate(positions[chosen]):
         data.qpos[addresses] = row
         mujoco.mj_fwdPosition(model, data)
-        mujoco.mju_sparse2dense(
-            moment,
-            data.actuator_moment,
-            data.moment_rownnz,
-            data.moment_rowadr,
-            data.moment_colind,
-        )
-        lever[i] = moment[actuator, dof]
+        lever[i] = actuator_moments(model, data)[actuator, dof]
     return np.interp(np.arange(series.time.size), chosen, lever)

@@ -59,11 +59,6 @@ class Bsnn:
         """Splines of all inputs."""
         return sum(basis.count for basis in self.basis)
 
-    @property
-    def conservative_bound(self) -> float:
-        """Learning constant below which Eq. 22 promises convergence; the bias counts."""
-        return 2 / (self.neurons + self.bias)
-
 
 @dataclass(frozen=True, kw_only=True)
 class BsnnArxSettings:

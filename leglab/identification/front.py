@@ -1,4 +1,4 @@
-"""What all identifiers share: samples and arrays in, predictions out."""
+"""Front-end of all identifiers: takes samples and arrays, returns predictions."""
 
 import math
 from typing import Any, ClassVar, Self

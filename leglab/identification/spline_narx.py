@@ -64,7 +64,7 @@ class SplineNarxSettings:
 
     def __post_init__(self) -> None:
         checks.whole("number of inputs", len(self.inputs), least=1, most=MAX_INPUTS)
-        names = [self.output.name, *(signal.name for signal in self.inputs)]
+        names = self.names
         if len(set(names)) != len(names):
             raise LeglabError(f"signal names are {', '.join(names)}: must differ")
         if not self.features:
@@ -106,6 +106,16 @@ class SplineNarxSettings:
         rls = Rls.adaptive() if rls is None else rls
         return cls(output=output, inputs=inputs, features=tuple(features), rls=rls)
 
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """The output, then the inputs."""
+        return (self.output, *self.inputs)
+
+    @property
+    def names(self) -> list[str]:
+        """Names of all signals."""
+        return [signal.name for signal in self.signals]
+
     @cached_property
     def blocks(self) -> tuple[Block, ...]:
         """Features as the core reads them."""
@@ -118,10 +128,9 @@ class SplineNarxSettings:
         return max(1, *ends, *(b.factor_lag for b in self.blocks))
 
     def _index(self, name: str) -> int:
-        names = [self.output.name, *(signal.name for signal in self.inputs)]
-        if name not in names:
-            raise unknown_name("signal", name, names)
-        return names.index(name)
+        if name not in self.names:
+            raise unknown_name("signal", name, self.names)
+        return self.names.index(name)
 
     def _block(self, feature: Feature) -> Block:
         if isinstance(feature, Constant):
@@ -129,7 +138,7 @@ class SplineNarxSettings:
         index = self._index(feature.signal)
         if isinstance(feature, Lags):
             return Block("lags", index, feature.first, feature.count)
-        signal = (self.output, *self.inputs)[index]
+        signal = self.signals[index]
         knots = [(k - signal.centre) / signal.half_range for k in feature.basis.knots]
         basis = replace(feature.basis, knots=tuple(knots))
         if isinstance(feature, Hammerstein):
@@ -186,13 +195,11 @@ class SplineNarx(Identifier):
         Raises:
             LeglabError: A signal is missing in `at`, or unknown.
         """
-        signals = (self.settings.output, *self.settings.inputs)
+        signals = self.settings.signals
         point = np.zeros(len(signals))
         if at is not None:
-            names = [signal.name for signal in signals]
             for name in at:
-                if name not in names:
-                    raise unknown_name("signal", name, names)
+                self.settings._index(name)
             for i, signal in enumerate(signals):
                 if signal.name not in at:
                     raise LeglabError(f"operating point lacks signal {signal.name!r}")

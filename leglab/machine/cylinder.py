@@ -86,16 +86,9 @@ class Cylinder:
             blocked: The piston is held.
         """
         out = np.empty(len(CONTINUOUS_STATES))
-        self.native.derivative(
-            np.ascontiguousarray(state, dtype=float),
-            command,
-            self.supply_pressure,
-            mass,
-            load,
-            ideal_valve,
-            blocked,
-            out,
-        )
+        state = np.ascontiguousarray(state, dtype=float)
+        inputs = command, self.supply_pressure, mass, load, ideal_valve, blocked
+        self.native.derivative(state, *inputs, out)
         return out
 
     def initial_state(self, **values: float) -> np.ndarray:
@@ -161,18 +154,8 @@ class Cylinder:
         """
         commands = np.ascontiguousarray(commands, dtype=float)
         out = np.empty((len(commands), 6))
-        self.native.simulate(
-            commands,
-            timestep,
-            self.supply_pressure,
-            mass,
-            load,
-            position,
-            velocity,
-            pressure_a,
-            pressure_b,
-            out,
-        )
+        start = position, velocity, pressure_a, pressure_b
+        self.native.simulate(commands, timestep, self.supply_pressure, mass, load, *start, out)
         return out
 
     def steady_state(self, velocity: float, force: float) -> SteadyState:

@@ -28,7 +28,7 @@ class Parameter:
         minimum: Smallest value; excluded itself if `minimum_allowed` is false.
         maximum: Largest value.
         minimum_allowed: Whether `minimum` itself is allowed.
-        description: What it is, with its source.
+        description: Meaning, with its source.
         offset: Place in the plugin state of the instance.
     """
 
@@ -37,9 +37,9 @@ class Parameter:
     nominal: float
     minimum: float
     maximum: float
-    minimum_allowed: bool
+    minimum_allowed: bool = True
     description: str
-    offset: int
+    offset: int = 0
 
     @property
     def allowed(self) -> str:
@@ -115,7 +115,9 @@ class PluginTable:
 def plugin_tables() -> Mapping[str, PluginTable]:
     """Tables of all plugins that carry parameters, by plugin name."""
     tables = {}
-    for plugin, (parameters, states) in _native.parameter_tables().items():
+    for plugin, (parameters, states, _) in _native.parameter_tables().items():
+        if not parameters:
+            continue
         rows = [
             Parameter(
                 name=name,

@@ -1,4 +1,4 @@
-"""Loads the MuJoCo plugin library, once a process, and explains what MuJoCo refuses."""
+"""The MuJoCo plugin library: loading, instances in a model, errors, and stepping without output."""
 
 import contextlib
 import ctypes
@@ -7,11 +7,13 @@ import re
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import mujoco
 
 import leglab._native
+from leglab._native.hydraulics import parameter_tables
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.machine.parameters import PluginTable, plugin_tables
 
@@ -23,91 +25,12 @@ def library() -> ctypes.CDLL:
     return ctypes.CDLL(str(path))
 
 
-class _Away:
-    """Something of the whole process, gone as long as any thread wants it gone."""
-
-    def __init__(self, take: Callable[[], Callable[[], None]]) -> None:
-        self._take = take
-        self._give = _nothing
-        self._count = 0
-        self._lock = threading.Lock()
-
-    @contextlib.contextmanager
-    def __call__(self) -> Iterator[None]:
-        with self._lock:
-            if self._count == 0:
-                self._give = self._take()
-            self._count += 1
-        try:
-            yield
-        finally:
-            with self._lock:
-                self._count -= 1
-                if self._count == 0:
-                    self._give()
-
-
-def _nothing() -> None:
-    pass
-
-
-def _take_warnings() -> Callable[[], None]:
-    mujoco.set_mju_user_warning(lambda warning: None)
-    return lambda: mujoco.set_mju_user_warning(None)
-
-
-def _take_clock() -> Callable[[], None]:
-    # The bindings set a clock that their `set_mjcb_time` does not take away.
-    clock = ctypes.c_void_p.in_dll(library(), "mjcb_time")
-    taken, clock.value = clock.value, None
-
-    def give() -> None:
-        clock.value = taken
-
-    return give
-
-
-_warnings_away, _clock_away = _Away(_take_warnings), _Away(_take_clock)
-
-
-def without_warnings() -> contextlib.AbstractContextManager[None]:
-    """MuJoCo would write its warnings to a log file: whoever steps checks what they warn of."""
-    return _warnings_away()
-
-
-@contextlib.contextmanager
-def headless(model: mujoco.MjModel) -> Iterator[None]:
-    """Steps a model without warnings, its sensors and the times that MuJoCo takes of itself.
-
-    The motion is the same, to the bit, in about four fifths of the time.
-    """
-    flags = model.opt.disableflags
-    with without_warnings(), _clock_away():
-        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
-        try:
-            yield
-        finally:
-            model.opt.disableflags = flags
-
-
-# Attributes of the plugins that are names, not numbers.
-_TEXT_ATTRIBUTES = {
-    "leglab.cylinder": ("supply",),
-    "leglab.spring_damper": ("joint", "strut"),
-    "leglab.joint_friction": ("joint",),
-    "leglab.backlash": ("joint",),
-    "leglab.command_path": ("actuator", "max_delay"),
-    "leglab.sensor": ("actuator", "quantity"),
-}
-_UNKNOWN_ATTRIBUTE = re.compile(
-    r"unrecognized attribute 'plugin:(?P<attribute>[^']*)' for plugin (?P<plugin>[\w.]+)"
-)
-_MISSING = re.compile(r"(?P<kind>site|transmission target) '(?P<name>[^']*)' not found")
-_ELEMENT = re.compile(r"\nElement name '(?P<element>[^']*)'.*", re.DOTALL)
-
-
 def library_path() -> Path:
-    """Path of the shared library with leglab's MuJoCo plugins."""
+    """Path of the shared library with leglab's MuJoCo plugins.
+
+    Raises:
+        FileNotFoundError: It has not been built; lists the folders searched.
+    """
     # An editable install keeps the sources and the compiled parts in different folders.
     for folder in leglab._native.__path__:
         path = Path(folder) / "libleglab_plugin.so"
@@ -124,7 +47,7 @@ def load() -> None:
 
 
 def slots(names: Iterable[str]) -> dict[int, str]:
-    """Registration slots of plugins, as in `MjModel.plugin`, by number."""
+    """Finds the registration slots of plugins: number, as in `MjModel.plugin`, to name."""
     load()
     # MuJoCo's Python bindings do not expose mjp_getPlugin.
     look_up = library().mjp_getPlugin
@@ -138,13 +61,13 @@ def slots(names: Iterable[str]) -> dict[int, str]:
 
 
 def text_attribute(model: mujoco.MjModel, instance: int, index: int = 0) -> str:
-    """Text of an attribute of a plugin instance by its place among the plugin's attributes."""
+    """Reads an attribute of a plugin instance by its place among the plugin's attributes."""
     start = int(model.plugin_attradr[instance])
     return bytes(model.plugin_attr[start:]).split(b"\0", index + 1)[index].decode()
 
 
 def elements(model: mujoco.MjModel) -> dict[str, tuple[int, PluginTable]]:
-    """Instances with parameters: their place in `plugin_state` and their table, by name.
+    """Lists instances with parameters: their place in `plugin_state` and their table, by name.
 
     A cylinder goes by the name of its actuator, every other instance by its own.
     """
@@ -162,13 +85,13 @@ def elements(model: mujoco.MjModel) -> dict[str, tuple[int, PluginTable]]:
 
 
 def attribute_names(plugin: str) -> tuple[str, ...]:
-    """MJCF attributes of one of leglab's plugins, empty for a plugin of somebody else."""
-    table = plugin_tables().get(plugin)
-    return (*_TEXT_ATTRIBUTES.get(plugin, ()), *(table.parameters if table else ()))
+    """Names of the MJCF attributes of one of leglab's plugins; empty for any other plugin."""
+    parameters, _, texts = parameter_tables().get(plugin, ([], [], []))
+    return (*texts, *(row[0] for row in parameters))
 
 
 def to_xml(spec: mujoco.MjSpec) -> str:
-    """MJCF of a compiled specification, with the plugin instances that were added to it.
+    """Writes a compiled specification as MJCF, with the plugin instances that were added to it.
 
     `MjSpec.to_xml` of MuJoCo 3.17 leaves out instances that were added through `add_plugin`.
     """
@@ -177,10 +100,8 @@ def to_xml(spec: mujoco.MjSpec) -> str:
     if extension is None:
         extension = ElementTree.SubElement(root, "extension")
     for plugin in spec.plugins:
-        if (
-            not plugin.name
-            or root.find(f".//extension//instance[@name='{plugin.name}']") is not None
-        ):
+        known = root.find(f".//extension//instance[@name='{plugin.name}']") is not None
+        if known or not plugin.name:
             continue
         parent = extension.find(f"plugin[@plugin='{plugin.plugin_name}']")
         if parent is None:
@@ -190,6 +111,13 @@ def to_xml(spec: mujoco.MjSpec) -> str:
             ElementTree.SubElement(instance, "config", key=key, value=value)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+_UNKNOWN_ATTRIBUTE = re.compile(
+    r"unrecognized attribute 'plugin:(?P<attribute>[^']*)' for plugin (?P<plugin>[\w.]+)"
+)
+_MISSING = re.compile(r"(?P<kind>site|transmission target) '(?P<name>[^']*)' not found")
+_ELEMENT = re.compile(r"\nElement name '(?P<element>[^']*)'.*", re.DOTALL)
 
 
 def load_error(error: Exception, where: str, spec: mujoco.MjSpec | None = None) -> LeglabError:
@@ -221,3 +149,67 @@ def load_error(error: Exception, where: str, spec: mujoco.MjSpec | None = None) 
         names = [part.name for part in parts if part.name]
         return LeglabError(f"{where}: {unknown_name(missing['kind'], missing['name'], names)}")
     return LeglabError(f"{where}: {' '.join(text.split())}")
+
+
+class _Suspension:
+    """Takes a setting of the whole process away while any thread wants that.
+
+    Args:
+        swap: Sets a value and returns the one before; called with None to take the setting away.
+    """
+
+    def __init__(self, swap: Callable[[Any], Any]) -> None:
+        self._swap = swap
+        self._taken: Any = None
+        self._count = 0
+        self._lock = threading.Lock()
+
+    @contextlib.contextmanager
+    def __call__(self) -> Iterator[None]:
+        with self._lock:
+            if self._count == 0:
+                self._taken = self._swap(None)
+            self._count += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._count -= 1
+                if self._count == 0:
+                    self._swap(self._taken)
+
+
+def _swap_clock(clock: int | None) -> int | None:
+    # The bindings set a clock that their `set_mjcb_time` does not take away.
+    place = ctypes.c_void_p.in_dll(library(), "mjcb_time")
+    before, place.value = place.value, clock
+    return before
+
+
+def _swap_warnings(handler: Any) -> Any:
+    # True stands for MuJoCo's own handler, which the bindings do not give out.
+    mujoco.set_mju_user_warning(None if handler else lambda warning: None)
+    return True
+
+
+_without_warnings, _without_clock = _Suspension(_swap_warnings), _Suspension(_swap_clock)
+
+
+def without_warnings() -> contextlib.AbstractContextManager[None]:
+    """Suppresses MuJoCo's warnings, which go to a log file: the caller checks what they warn of."""
+    return _without_warnings()
+
+
+@contextlib.contextmanager
+def headless(model: mujoco.MjModel) -> Iterator[None]:
+    """Steps a model without warnings, its sensors and the times that MuJoCo takes of itself.
+
+    The motion is the same, to the bit, in about four fifths of the time.
+    """
+    flags = model.opt.disableflags
+    with _without_warnings(), _without_clock():
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+        try:
+            yield
+        finally:
+            model.opt.disableflags = flags

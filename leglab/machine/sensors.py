@@ -1,4 +1,4 @@
-"""What encoders report, and what can be wrong with them.
+"""Sensors of the closed loop: resolution, noise, timing, and the faults of encoders.
 
 Faults come with a scenario or with the model. MJCF has no element for a shifted or miscounting
 encoder, so a model says it by custom numerics: `<joint>_encoder_offset` [rad or m] and
@@ -101,7 +101,7 @@ def position_uncertainty(config: SensorConfiguration) -> float:
 
 
 def quantise(position: np.ndarray, counts: int) -> np.ndarray:
-    """Rounds positions [rad] to encoder counts; 0 counts a turn stand for infinite resolution."""
+    """Rounds positions [rad] to encoder counts a turn; 0 for infinite resolution."""
     if counts == 0:
         return position
     rounded = np.rint(position * (counts / (2.0 * math.pi)))
@@ -126,7 +126,7 @@ def delayed_sensor(joint: str) -> str:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EncoderFaults:
-    """Faults of the encoders of some joints; arrays of shape (joints,).
+    """Faults that a model gives the encoders of some joints; arrays of shape (joints,).
 
     Attributes:
         offset: Added to every reading [rad or m].
@@ -140,7 +140,7 @@ class EncoderFaults:
 
     @classmethod
     def of(cls, model: mujoco.MjModel, joints: Sequence[str]) -> "EncoderFaults":
-        """What a compiled model carries."""
+        """Reads the faults of a compiled model."""
 
         def number(name: str, otherwise: float) -> float:
             i = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
@@ -160,7 +160,7 @@ class EncoderFaults:
         return bool(self.offset.any() or (self.scale != 1.0).any() or self.delay.any())
 
     def seen(self, positions: np.ndarray, period: float) -> np.ndarray:
-        """What encoders show of the latest of positions sampled so far, (joints,).
+        """Returns what encoders show of the latest of positions sampled so far, (joints,).
 
         Args:
             positions: Shape (n, joints), the latest last.
@@ -183,9 +183,7 @@ _FAULTS = {
             nominal=0.0,
             minimum=-math.pi,
             maximum=math.pi,
-            minimum_allowed=True,
             description="added to every reading, as after a slip of the encoder on its shaft",
-            offset=0,
         ),
         Parameter(
             name="encoder_dropout",
@@ -193,7 +191,6 @@ _FAULTS = {
             nominal=0.0,
             minimum=0.0,
             maximum=1.0,
-            minimum_allowed=True,
             description="share of readings that are lost; the last one is repeated",
             offset=1,
         ),
@@ -202,7 +199,7 @@ _FAULTS = {
 
 
 class Encoders:
-    """What the encoders of the driven joints report, and the faults that they can have.
+    """Encoders of the driven joints, with the faults that a scenario or the model gives them.
 
     Args:
         joints: Names of the joints, the elements of a change.
@@ -288,7 +285,7 @@ class Encoders:
         self._readings.read(k)
 
     def _disturb(self, k: int) -> None:
-        """Writes what faults do to reading `k`."""
+        """Writes shift and loss of reading `k` by faults."""
         self.shift[k] = self._values[0]
         if self._built_in:
             self._readings.noisy(k, self._noisy)

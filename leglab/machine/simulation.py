@@ -79,6 +79,15 @@ def load_model(
     return compiled
 
 
+def actuator_moments(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    """Lever arm of every actuator on every degree of freedom [m/rad or 1], (nu, nv)."""
+    moments = np.zeros((model.nu, model.nv))
+    mujoco.mju_sparse2dense(
+        moments, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
+    )
+    return moments
+
+
 class Simulation:
     """A model whose joints are driven by cylinders, with its states by name.
 
@@ -107,7 +116,7 @@ class Simulation:
             if name not in self._elements or self._elements[name][1].plugin != CYLINDER:
                 raise LeglabError(f"actuator {name!r} is no {CYLINDER}; allowed: only those")
         mujoco.mj_forward(model, self.data)
-        self._joint_ids = np.array([self._driven_joint(i) for i in range(model.nu)])
+        self._joint_ids = self._driven_joints()
         self.joints = tuple(model.joint(i).name for i in self._joint_ids)
         self.qpos_index = model.jnt_qposadr[self._joint_ids]
         self.dof_index = model.jnt_dofadr[self._joint_ids]
@@ -245,15 +254,8 @@ class Simulation:
 
     def levers(self) -> np.ndarray:
         """Lever arm of each cylinder on its joint [m/rad], (joints,), positive if q extends it."""
-        moment = np.zeros((self.model.nu, self.model.nv))
-        mujoco.mju_sparse2dense(
-            moment,
-            self.data.actuator_moment,
-            self.data.moment_rownnz,
-            self.data.moment_rowadr,
-            self.data.moment_colind,
-        )
-        return moment[np.arange(self.model.nu), self.dof_index]
+        moments = actuator_moments(self.model, self.data)
+        return moments[np.arange(self.model.nu), self.dof_index]
 
     def step(self, count: int = 1) -> None:
         """Advances by a number of time steps with the present `data.ctrl`."""
@@ -285,13 +287,13 @@ class Simulation:
         instance = self.model.actuator_plugin[self.model.actuator(actuator).id]
         return leglab.machine.plugin.text_attribute(self.model, instance)  # its first attribute
 
-    def _driven_joint(self, actuator: int) -> int:
-        address, count = self.data.moment_rowadr[actuator], self.data.moment_rownnz[actuator]
-        row = np.abs(self.data.actuator_moment[address : address + count])
-        if not row.any():
-            raise LeglabError(f"actuator {self.actuators[actuator]!r} moves no joint")
-        dof = self.data.moment_colind[address + int(np.argmax(row))]
-        return int(self.model.dof_jntid[dof])
+    def _driven_joints(self) -> np.ndarray:
+        """Joint that each actuator moves most, (actuators,)."""
+        moments = np.abs(actuator_moments(self.model, self.data))
+        for name, row in zip(self.actuators, moments, strict=True):
+            if not row.any():
+                raise LeglabError(f"actuator {name!r} moves no joint")
+        return self.model.dof_jntid[moments.argmax(axis=1)]
 
 
 def _model_folder() -> Path:

@@ -45,7 +45,7 @@ T run_spline_narx(T u, T y) {
   settings.structure = {blocks, 4, 1};
   settings.rls.forgetting = id::Forgetting::directional;
   settings.rls.forgetting_factor = T(0.99);
-  settings.rls.on_change = id::OnChange::inflate;
+  settings.rls.change.action = id::OnChange::inflate;
   settings.output_error_after = 300;
   settings.pole_limit = T(0.99);
   id::SplineNarx<T> model;

@@ -4,11 +4,10 @@ import math
 
 import numpy as np
 
-from leglab.control.backstepping.cylinder import CylinderModel
+from leglab.control.backstepping.cylinder import Bristles, CylinderModel
 from leglab.control.backstepping.data import InverseDynamics
-from leglab.control.backstepping.friction import Bristles
 from leglab.control.backstepping.least_squares import BoundedLeastSquares
-from leglab.control.feedforward.motion import smoothing_kernel
+from leglab.control.feedforward.motion import SmoothingWindow
 
 # Samples of the smoothing window and of control periods from one estimate to the next.
 _WINDOW, _INTERVAL = 21, 5
@@ -71,9 +70,8 @@ class Adaptation:
         self._step = _INTERVAL * period
         low, high = data.position[:, 0], data.position[:, -1]
         self._middle, self._half = (low + high) / 2, (high - low) / 2
-        self._kernel = smoothing_kernel(_WINDOW, 4, period)[:3]
-        # Every row is written twice, a window apart, so that a slice is always in order.
-        self._rows = np.zeros((2 * _WINDOW, 4 * joints + 1))
+        # Positions, both pressures, commands, supply pressure.
+        self._window = SmoothingWindow(4 * joints + 1, _WINDOW, period, derivatives=2)
         # The command before a measurement held, on average, half a period before it was followed.
         self._shift = period / 2 - latency - valve_delay
         self._least_speed = _LEAST_SPEED * speed
@@ -121,6 +119,7 @@ class Adaptation:
         self.flow.reset()
         self.force.reset()
         self._bristles.reset()
+        self._window.clear()
         self._count = 0
 
     def take(
@@ -138,23 +137,15 @@ class Adaptation:
             supply_pressure: Measured [Pa].
             command: As sent to the valves before, in [-1, 1], (joints,).
         """
-        row = self._rows[self._count % _WINDOW]
-        joints = self._joints
-        row[:joints] = position
-        row[joints : 3 * joints] = pressure.ravel()
-        row[3 * joints : 4 * joints] = command
-        row[4 * joints] = supply_pressure
-        self._rows[self._count % _WINDOW + _WINDOW] = row
+        self._window.push(position, pressure.ravel(), command, (supply_pressure,))
         self._count += 1
-        if self._count >= _WINDOW and self._count % _INTERVAL == 0:
+        if self._window.full and self._count % _INTERVAL == 0:
             self._learn()
 
     def _learn(self) -> None:
         joints, model = self._joints, self._model
         area = model.data.area
-        start = self._count % _WINDOW
-        rows = self._rows[start : start + _WINDOW]
-        smooth = np.dot(self._kernel, rows)
+        smooth = self._window.middle()
         motion = smooth[:, :joints]
         pressure, change = smooth[:2, joints : 3 * joints].reshape(2, 2, joints)
         supply = float(smooth[0, 4 * joints])
@@ -162,7 +153,8 @@ class Adaptation:
         spool = command + self._shift * command_rate
         lever, piston = model.geometry(motion[0])
         speed = lever * motion[1]
-        usable = np.abs(rows[:, 3 * joints : 4 * joints]).max(axis=0) < _SATURATED
+        commands = self._window.samples[:, 3 * joints : 4 * joints]
+        usable = np.abs(commands).max(axis=0) < _SATURATED
         usable &= np.abs(speed) > self._least_speed
 
         before = self.flow.values

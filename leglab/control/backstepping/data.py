@@ -1,4 +1,4 @@
-"""What a model-based controller knows of the nominal cylinders."""
+"""Data sheets of the nominal cylinders, and the gains that the feedback is designed from."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields

@@ -1,15 +1,18 @@
 """Learns the inverse map while the machine moves, and gives the feed-forward from it, safely."""
 
-from dataclasses import dataclass
+import math
+from typing import Literal
 
 import numpy as np
+from pydantic import Field, field_validator
 
 from leglab._native.identification import Feedforward
+from leglab.base.settings import Configuration
 from leglab.control import Measurement, ReferencePoint
 from leglab.control.feedforward.inverse_map import ACCELERATION, JERK, InverseMap
 from leglab.control.feedforward.motion import smoothing_kernel
 from leglab.control.feedforward.valve_table import ValveTable
-from leglab.identification import SplineNarx
+from leglab.identification import ChangeDetection, Rls
 
 # What a period reports, in the order of the core's rows behind the command.
 _REPORTED = ("feedforward", "feedback", "model_error", "fallback")
@@ -21,41 +24,89 @@ _NOISE = 0.2e-3
 _GREATEST_ACCELERATION = 1000.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class AdaptationSettings:
-    """How the map is learned and its use kept safe.
+# Time constant of the errors by which the learned and the calibrated map are judged [s]; the
+# calibrated one takes over where the learned one's RMS error is so many times its own.
+_TRUST_TIME, _MARGIN = 0.5, 1.05
+
+
+class LearningConfiguration(Configuration):
+    """How the map is learned and its use kept safe; the core reads these names.
 
     Attributes:
-        control_period: [s].
-        latency: Age of a measurement when its command takes effect [s].
-        velocity_delay: Age of a velocity estimate then [s].
-        window: Samples over which measured motion is smoothed, odd.
+        stop_time: Adaptation stops then [s]; None for never.
+        window: Samples over which measured motion is smoothed; odd.
         interval: Control periods from one learned sample to the next.
-        stop_time: Adaptation stops then [s].
+        initial_gain: F(0), in squared units of scaled parameters against scaled error.
+        change_gain: Gain to which F is opened on a detected change.
+        change_ratio: Of quick and slow mean squared error at which a change is declared.
+        change_windows: Learned samples in the quick and in the slow mean.
+        hold_off: Learned samples without another alarm after one.
+        memory: N_0 of variable forgetting [learned samples].
+        noise: Error of the model [share of full speed] that is no reason to forget; 0 takes the
+            change detector's slow mean.
+        least_memory: Lambda never falls so far that less than so many learned samples a parameter
+            are remembered.
+        restore_interval: Learned samples from one parameter to the next that is drawn back to the
+            calibration by as much as was forgotten since its last turn; 0 for never.
+        restore_gain: Variance of the parameters about the calibration by which they are drawn.
+        route: "inverse" learns what flow a motion takes; "forward" learns what speed a flow gives
+            and solves for the flow.
+        velocity_splines: Splines of velocity; 0 for a linear map.
+        position_splines: Splines of position; 0 for a linear term.
         limit: Largest feed-forward [valve command].
         rate_limit: Fastest change of the feed-forward [1/s].
         least_speed: Nothing is learned while all joints are slower, as a share of their full speed.
-        forward: Whether the learner says what speed a flow gives, which is then solved for the
-            flow, instead of what flow a speed takes.
-        supervised: Whether the calibrated map takes over where it would track better.
-        trust_time: Time constant of the errors by which both maps are judged [s].
-        margin: The calibrated map takes over where the learned one's RMS error is so many times
-            its own.
+        supervised: Whether the calibrated map takes over where it predicts better.
     """
 
-    control_period: float
-    latency: float
-    velocity_delay: float
-    window: int
-    interval: int
-    stop_time: float
-    limit: float
-    rate_limit: float
-    least_speed: float
-    forward: bool
-    supervised: bool
-    trust_time: float = 0.5
-    margin: float = 1.05
+    stop_time: float | None = Field(default=None, ge=0)
+    window: int = Field(default=15, ge=7, le=201)
+    interval: int = Field(default=2, ge=1, le=100)
+    initial_gain: float = Field(default=3.0, gt=0)
+    change_gain: float = Field(default=3.0, gt=0)
+    change_ratio: float = Field(default=6.0, gt=1)
+    change_windows: tuple[int, int] = Field(default=(40, 1500))
+    hold_off: int = Field(default=1000, ge=0)
+    memory: float = Field(default=2000.0, ge=1)
+    noise: float = Field(default=0.0005, ge=0)
+    least_memory: float = Field(default=10.0, ge=2)
+    restore_interval: int = Field(default=1, ge=0)
+    restore_gain: float = Field(default=100.0, gt=0)
+    route: Literal["inverse", "forward"] = Field(default="inverse")
+    velocity_splines: int = Field(default=12, ge=0, le=100)
+    position_splines: int = Field(default=5, ge=0, le=100)
+    limit: float = Field(default=0.95, gt=0, le=1)
+    rate_limit: float = Field(default=50.0, gt=0)
+    least_speed: float = Field(default=1e-3, ge=0)
+    supervised: bool = Field(default=True)
+
+    @field_validator("window")
+    @classmethod
+    def _odd(cls, value: int) -> int:
+        if value % 2 == 0:
+            raise ValueError("allowed are odd numbers")
+        return value
+
+    @property
+    def rls(self) -> Rls:
+        """How the parameters of the map are learned."""
+        gain = max(self.initial_gain, self.change_gain)
+        return Rls(
+            initial_gain=self.initial_gain,
+            forgetting="variable",
+            memory=self.memory,
+            noise_variance=self.noise**2,
+            gain_bound=10 * gain,
+            restore_interval=self.restore_interval,
+            restore_gain=self.restore_gain,
+            change=ChangeDetection(
+                ratio=self.change_ratio,
+                gain=self.change_gain,
+                fast_window=self.change_windows[0],
+                slow_window=self.change_windows[1],
+                hold_off=self.hold_off,
+            ),
+        )
 
 
 class AdaptiveFeedforward:
@@ -73,10 +124,14 @@ class AdaptiveFeedforward:
         table: Calibrated valve maps: where learning starts.
         position_gain: Of the feedback [1/rad], (joints,); how fast it forgets an error.
         velocity_gain: Of the feedback [s/rad], (joints,).
-        settings: See `AdaptationSettings`.
+        config: How it is learned.
+        control_period: [s].
+        latency: Age of a measurement when its command takes effect [s].
+        velocity_delay: Age of a velocity estimate then [s].
 
     Attributes:
-        report: What the last period gave, by name, each (joints,): `feedforward` and `feedback`
+        learner: The learned map.
+        report: Values of the last period, by name, each (joints,): `feedforward` and `feedback`
             [valve command], `model_error` of the last sample [share of full speed], and `fallback`,
             1 where the calibrated map stands in. The arrays change with the next period.
     """
@@ -87,47 +142,42 @@ class AdaptiveFeedforward:
         table: ValveTable,
         position_gain: np.ndarray,
         velocity_gain: np.ndarray,
-        settings: AdaptationSettings,
+        config: LearningConfiguration,
+        *,
+        control_period: float,
+        latency: float,
+        velocity_delay: float,
     ) -> None:
         self._map = inverse_map
-        ranges, period = inverse_map.ranges, settings.control_period
-        width = ranges.upper - ranges.lower
+        width = table.end - table.start
         # Speed per command of the calibrated valve at half of its range.
         low, high = np.searchsorted(table.share, [-0.5, 0.5])
         middle = table.command[:, table.command.shape[1] // 2]
         rise = np.abs(middle[:, high] - middle[:, low]) / (table.share[high] - table.share[low])
         self._core = Feedforward(
             {
-                "control_period": period,
-                "interval": settings.interval,
-                "stop_time": settings.stop_time,
-                "limit": settings.limit,
-                "rate_limit": settings.rate_limit,
-                "least_speed": settings.least_speed,
-                "saturation": settings.limit,
+                **config.model_dump(),
+                **vars(table),
+                "control_period": control_period,
+                "stop_time": math.inf if config.stop_time is None else config.stop_time,
+                "saturation": config.limit,
                 "greatest_acceleration": _GREATEST_ACCELERATION,
-                "forward": settings.forward,
-                "supervised": settings.supervised,
-                "trust_time": settings.trust_time,
-                "margin": settings.margin,
+                "forward": config.route == "forward",
+                "trust_time": _TRUST_TIME,
+                "margin": _MARGIN,
                 "noise": _NOISE,
-                "centre": (ranges.lower + ranges.upper) / 2,
+                "centre": (table.start + table.end) / 2,
                 "half_range": width / 2,
-                "full_speed": ranges.speed,
                 "acceleration": ACCELERATION,
                 "jerk": JERK,
                 "products": inverse_map.products,
-                "kernel": smoothing_kernel(settings.window, 4, period),
-                "lead": period - settings.latency,
-                "position_delay": settings.latency,
-                "velocity_delay": settings.velocity_delay,
-                "start": table.start,
-                "spacing": table.spacing,
-                "shares": table.share,
-                "commands": np.ascontiguousarray(table.command),
+                "kernel": smoothing_kernel(config.window, 4, control_period),
+                "lead": control_period - latency,
+                "position_delay": latency,
+                "velocity_delay": velocity_delay,
                 # Calibrated positions end a little before the stops.
-                "learn_lower": ranges.lower - 0.02 * width,
-                "learn_upper": ranges.upper + 0.02 * width,
+                "learn_lower": table.start - 0.02 * width,
+                "learn_upper": table.end + 0.02 * width,
                 "bandwidth": np.abs(position_gain) * table.full_speed / rise,
                 "position_gain": position_gain,
                 "velocity_gain": velocity_gain,
@@ -140,14 +190,9 @@ class AdaptiveFeedforward:
 
     def reset(self) -> None:
         """Forgets everything learned: the feed-forward is the calibration's."""
-        self._learner = self._map.learner()
-        self._core.reset(self._learner.bank)
+        self.learner = self._map.learner()
+        self._core.reset(self.learner.bank)
         self._out[:] = 0.0
-
-    @property
-    def learner(self) -> SplineNarx:
-        """What has been learned."""
-        return self._learner
 
     def step(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
         """Learns from a measurement and gives the valve commands; call it once a period.

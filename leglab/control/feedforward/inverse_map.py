@@ -1,8 +1,6 @@
 """Structure of the learned map from motion to flow of every joint, linear in what it learns."""
 
-from dataclasses import dataclass, replace
-
-import numpy as np
+from dataclasses import replace
 
 from leglab.identification import (
     Basis,
@@ -31,21 +29,6 @@ _PRIOR = {"a": 1.0, "q": 0.3, "v": 1.0, "j": 1.0, "product": 5.0}
 _DENSE = 0.05
 
 
-@dataclass(frozen=True, kw_only=True)
-class MotionRange:
-    """Declared ranges from which signals are scaled, one value a joint.
-
-    Attributes:
-        lower: Smallest positions [rad], (joints,).
-        upper: Largest positions [rad], (joints,).
-        speed: Speeds of full scale [rad/s], (joints,).
-    """
-
-    lower: np.ndarray
-    upper: np.ndarray
-    speed: np.ndarray
-
-
 class InverseMap:
     """Structure of the map: flow into every joint, beyond its own speed, from the motion of all.
 
@@ -58,7 +41,7 @@ class InverseMap:
     (compression flow), the products the pressure drop that load leaves at the valve.
 
     Args:
-        ranges: Declared ranges.
+        joints: How many.
         rls: How it is learned.
         velocity_splines: Splines in s; 0 for a linear map: v_i and a constant, no products.
         position_splines: Splines in p; 0 for a term linear in q_i.
@@ -68,17 +51,16 @@ class InverseMap:
 
     def __init__(
         self,
-        ranges: MotionRange,
+        joints: int,
         rls: Rls,
         *,
         velocity_splines: int,
         position_splines: int,
         least_memory: float | None = None,
     ) -> None:
-        self.joints = len(ranges.speed)
-        self.ranges = ranges
+        self.joints = joints
         self.products = velocity_splines > 0
-        self.settings = _structure(self.joints, rls, velocity_splines, position_splines)
+        self.settings = _structure(joints, rls, velocity_splines, position_splines)
         if least_memory is not None:
             parameters = self.learner().parameters.shape[-1]
             factor = 1.0 - 1.0 / (least_memory * parameters)

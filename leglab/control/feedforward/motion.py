@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from leglab.control import ReferencePoint
 
@@ -29,19 +30,20 @@ def smoothing_kernel(window: int, order: int, timestep: float) -> np.ndarray:
 
 
 class SmoothingWindow:
-    """Recent positions and commands of all joints and what both were in the window's middle.
+    """Recent samples of several signals, and their smoothed values in the window's middle.
 
     Args:
-        joints: How many.
+        signals: How many.
         window: Samples, odd.
         timestep: Between samples [s].
+        derivatives: Of every signal, at most 3.
     """
 
-    def __init__(self, joints: int, window: int, timestep: float) -> None:
-        self._window, self._joints = window, joints
-        self._kernel = smoothing_kernel(window, 4, timestep)
-        # Every row is written twice, a window apart, so that a slice is always in order.
-        self._rows = np.zeros((2 * window, 2 * joints))
+    def __init__(self, signals: int, window: int, timestep: float, *, derivatives: int = 3) -> None:
+        self._window = window
+        self._kernel = smoothing_kernel(window, 4, timestep)[: derivatives + 1]
+        # Every sample is written twice, a window apart, so that a slice is always in order.
+        self._rows = np.zeros((2 * window, signals))
         self.clear()
 
     def clear(self) -> None:
@@ -53,23 +55,22 @@ class SmoothingWindow:
         """Whether there are samples for a whole window."""
         return self._filled >= self._window
 
-    def push(self, position: np.ndarray, command: np.ndarray) -> None:
-        """Takes one sample of both [rad and in [-1, 1]], (joints,) each."""
-        at, joints = self._next, self._joints
-        self._rows[at, :joints] = position
-        self._rows[at, joints:] = command
-        self._rows[at + self._window] = self._rows[at]
-        self._next = (at + 1) % self._window
+    def push(self, *parts: ArrayLike) -> None:
+        """Takes one sample of all signals, in one array or several."""
+        row = self._rows[self._next]
+        np.concatenate(parts, out=row)
+        self._rows[self._next + self._window] = row
+        self._next = (self._next + 1) % self._window
         self._filled += 1
 
-    def middle(self) -> tuple[np.ndarray, np.ndarray]:
-        """Motion (4, joints) and smoothed command (joints,) in the middle of the window."""
-        smooth = np.dot(self._kernel, self._rows[self._next : self._next + self._window])
-        return smooth[:, : self._joints], smooth[0, self._joints :]
+    @property
+    def samples(self) -> np.ndarray:
+        """The samples, oldest first, (window, signals)."""
+        return self._rows[self._next : self._next + self._window]
 
-    def largest_command(self) -> np.ndarray:
-        """Largest magnitude of the commands in the window, (joints,)."""
-        return np.abs(self._rows[: self._window, self._joints :]).max(axis=0)
+    def middle(self) -> np.ndarray:
+        """Smoothed values in the middle and their derivatives, (1 + derivatives, signals)."""
+        return np.dot(self._kernel, self.samples)
 
 
 class ReferenceMotion:

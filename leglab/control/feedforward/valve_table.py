@@ -18,6 +18,7 @@ class ValveTable:
 
     Attributes:
         start: First positions [rad], (joints,).
+        end: Last positions [rad], (joints,).
         spacing: Distances of the positions [rad], (joints,).
         full_speed: Speeds of share 1 [rad/s], (joints,).
         share: Shares of full speed of the columns, increasing, (columns,).
@@ -26,27 +27,29 @@ class ValveTable:
     """
 
     start: np.ndarray
+    end: np.ndarray
     spacing: np.ndarray
     full_speed: np.ndarray
     share: np.ndarray
     command: np.ndarray
 
     @classmethod
-    def of(cls, maps: Sequence, directions: np.ndarray) -> "ValveTable":
+    def of(cls, maps: Sequence, directions: np.ndarray | None = None) -> "ValveTable":
         """Makes the table.
 
         Args:
             maps: One a joint, with `position` (p,) [rad], `velocity` (v,) [rad/s] and `command`
                 (p, v); positions equally spaced, velocities alike but for their scale.
-            directions: Sign of the velocity that a positive command gives, (joints,).
+            directions: Sign of the velocity that a positive command gives, (joints,). None leaves
+                the commands as calibrated: their rows need not be monotone then.
         """
         share = maps[0].velocity / maps[0].velocity[-1]
-        rows = [
-            _repaired(np.asarray(m.command, dtype=float), share, sign)
-            for m, sign in zip(maps, directions, strict=True)
-        ]
+        rows = [np.asarray(m.command, dtype=float) for m in maps]
+        if directions is not None:
+            rows = [_repaired(row, share, sign) for row, sign in zip(rows, directions, strict=True)]
         return cls(
             start=np.array([m.position[0] for m in maps]),
+            end=np.array([m.position[-1] for m in maps]),
             spacing=np.array([m.position[1] - m.position[0] for m in maps]),
             full_speed=np.array([m.velocity[-1] for m in maps]),
             share=share,

@@ -10,17 +10,14 @@ namespace ff = feedforward;
 
 using SplineNarxBank64 = Bank<id::SplineNarx<double>, id::SplineNarxSettings<double>, double>;
 
-inline std::vector<double> values(nb::dict parts, const char* name) {
-  const auto array = nb::cast<Input>(parts[name]);
-  return {array.data(), array.data() + array.size()};
-}
+using Numbers = std::vector<double>;
 
 // Valve tables of all joints, with the values that they point to.
 class ValveTables {
  public:
-  explicit ValveTables(nb::dict parts)
-      : commands_(values(parts, "commands")), shares_(values(parts, "shares")) {
-    const std::vector<double> start = values(parts, "start"), spacing = values(parts, "spacing");
+  explicit ValveTables(const nb::dict& parts)
+      : commands_(get<Numbers>(parts, "command")), shares_(get<Numbers>(parts, "share")) {
+    const Numbers start = get<Numbers>(parts, "start"), spacing = get<Numbers>(parts, "spacing");
     tables_.resize(start.size());
     for (std::size_t j = 0; j < tables_.size(); ++j) {
       ff::ValveTable& table = tables_[j];
@@ -37,16 +34,17 @@ class ValveTables {
   ValveTables& operator=(const ValveTables&) = delete;
 
   const std::vector<ff::ValveTable>& tables() const { return tables_; }
+  int joints() const { return int(tables_.size()); }
 
  private:
-  std::vector<double> commands_, shares_;
+  Numbers commands_, shares_;
   std::vector<ff::ValveTable> tables_;
 };
 
 // Commands of calibrated valve maps; beyond their ends those of the ends.
 class ValveMaps {
  public:
-  explicit ValveMaps(nb::dict parts) : tables_(parts), full_speed_(values(parts, "full_speed")) {}
+  explicit ValveMaps(const nb::dict& parts) : tables_(parts), full_speed_(get<Numbers>(parts, "full_speed")) {}
 
   void command(Input position, Input velocity, Output out) const {
     const auto& tables = tables_.tables();
@@ -62,19 +60,39 @@ class ValveMaps {
 
  private:
   ValveTables tables_;
-  std::vector<double> full_speed_;
+  Numbers full_speed_;
 };
 
-// `parts` are the attributes of leglab.control.feedforward.adaptive's `AdaptiveFeedforward` as arrays and
-// numbers; the front-end has checked them.
+inline ff::AdaptiveSettings read_adaptive(const nb::dict& settings) {
+  ff::AdaptiveSettings out;
+  LEGLAB_READ_4(control_period, interval, stop_time, limit)
+  LEGLAB_READ_4(rate_limit, least_speed, saturation, greatest_acceleration)
+  LEGLAB_READ_2(forward, supervised)
+  LEGLAB_READ_3(trust_time, margin, noise)
+  LEGLAB_READ_3(learn_lower, learn_upper, bandwidth)
+  return out;
+}
+
+inline ff::MotionScale read_motion_scale(const nb::dict& settings) {
+  ff::MotionScale out;
+  LEGLAB_READ_3(centre, half_range, full_speed)
+  LEGLAB_READ_2(acceleration, jerk)
+  return out;
+}
+
+// `parts` are the settings of leglab.control.feedforward.adaptive's `AdaptiveFeedforward`, its valve
+// tables and what follows from both, as arrays and numbers by name; the front-end has checked them.
 class Feedforward {
  public:
-  explicit Feedforward(nb::dict parts)
+  explicit Feedforward(const nb::dict& parts)
       : tables_(parts),
-        core_({settings(parts), map(parts), window(parts), reference(parts), tables_.tables(),
-               values(parts, "learn_lower"), values(parts, "learn_upper"),
-               values(parts, "bandwidth")},
-              {values(parts, "position_gain"), values(parts, "velocity_gain")}) {}
+        core_({read_adaptive(parts),
+               {read_motion_scale(parts), get<bool>(parts, "products")},
+               {tables_.joints(), get<Numbers>(parts, "kernel")},
+               {tables_.joints(), get<double>(parts, "control_period"), get<double>(parts, "lead"),
+                get<double>(parts, "position_delay"), get<double>(parts, "velocity_delay")},
+               tables_.tables()},
+              {get<Numbers>(parts, "position_gain"), get<Numbers>(parts, "velocity_gain")}) {}
 
   Feedforward(const Feedforward&) = delete;
   Feedforward& operator=(const Feedforward&) = delete;
@@ -106,47 +124,6 @@ class Feedforward {
   }
 
  private:
-  static double number(nb::dict parts, const char* name) { return nb::cast<double>(parts[name]); }
-
-  static ff::AdaptiveSettings settings(nb::dict parts) {
-    ff::AdaptiveSettings out;
-    out.period = number(parts, "control_period");
-    out.interval = nb::cast<int>(parts["interval"]);
-    out.stop_time = number(parts, "stop_time");
-    out.limit = number(parts, "limit");
-    out.rate_limit = number(parts, "rate_limit");
-    out.least_speed = number(parts, "least_speed");
-    out.saturation = number(parts, "saturation");
-    out.acceleration = number(parts, "greatest_acceleration");
-    out.forward = nb::cast<bool>(parts["forward"]);
-    out.supervised = nb::cast<bool>(parts["supervised"]);
-    out.trust_time = number(parts, "trust_time");
-    out.margin = number(parts, "margin");
-    out.noise = number(parts, "noise");
-    return out;
-  }
-
-  static int joints(nb::dict parts) { return int(values(parts, "full_speed").size()); }
-
-  static ff::InverseMap map(nb::dict parts) {
-    ff::MotionScale scale;
-    scale.centre = values(parts, "centre");
-    scale.half_range = values(parts, "half_range");
-    scale.speed = values(parts, "full_speed");
-    scale.acceleration = number(parts, "acceleration");
-    scale.jerk = number(parts, "jerk");
-    return {std::move(scale), nb::cast<bool>(parts["products"])};
-  }
-
-  static ff::SmoothingWindow window(nb::dict parts) {
-    return {joints(parts), values(parts, "kernel")};
-  }
-
-  static ff::ReferenceMotion reference(nb::dict parts) {
-    return {joints(parts), number(parts, "control_period"), number(parts, "lead"),
-            number(parts, "position_delay"), number(parts, "velocity_delay")};
-  }
-
   ValveTables tables_;  // the core's point into them
   ff::Controller core_;
 };

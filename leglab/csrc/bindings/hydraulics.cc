@@ -19,6 +19,7 @@ using namespace leglab::hydraulics;
 
 using Vector = nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using ConstVector = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Matrix = nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using SpecRow = std::tuple<std::string, std::string, double, double, double, bool, std::string>;
 
 namespace {
@@ -48,7 +49,7 @@ void require(std::size_t got, std::size_t wanted, const char* what) {
 class CylinderModel {
  public:
   explicit CylinderModel(ConstVector parameters) {
-    require(parameters.shape(0), kCylinderParameterCount, "parameters");
+    require(parameters.shape(0), CylinderTable::parameter_count, "parameters");
     std::memcpy(&p_, parameters.data(), sizeof p_);
     const std::string wrong = contradiction(p_);
     if (!wrong.empty()) throw nb::value_error(wrong.c_str());
@@ -74,8 +75,7 @@ class CylinderModel {
   // The plugin's scheme on a free mass: commands held over each step, positions and pressures out.
   // `out` has shape (n, 6): x, v, pA, pB, spool, bristle after each step.
   void simulate(ConstVector commands, double timestep, double supply_pressure, double mass, double load,
-                double x0, double v0, double pa0, double pb0,
-                nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu> out) const {
+                double x0, double v0, double pa0, double pb0, Matrix out) const {
     require(out.shape(0), commands.shape(0), "out rows");
     require(out.shape(1), 6, "out columns");
     CylinderParameters p = p_;
@@ -135,7 +135,8 @@ NB_MODULE(hydraulics, m) {
   m.def("parameter_tables", [] {
     nb::dict tables;
     for (const auto& t : leglab::plugin::kTables) {
-      tables[t.plugin] = nb::make_tuple(rows(t.parameters), rows(t.states));
+      tables[t.plugin] = nb::make_tuple(rows(t.parameters), rows(t.states),
+                                        std::vector<std::string>(t.texts.begin(), t.texts.end()));
     }
     return tables;
   });

@@ -18,7 +18,6 @@ void bind_bank(nb::module_& module, const char* name) {
       .def("freeze", &B::freeze)
       .def_prop_ro("frozen", &B::frozen)
       .def("state", &B::state)
-      .def_prop_ro("state_size", &B::state_size)
       .def("set_state", &B::set_state)
       .def_prop_ro("parameter_count", &B::parameter_count)
       .def("parameters", &B::parameters)

@@ -1,8 +1,6 @@
 // A bank of identifiers of one structure, one for each joint, behind one Python object.
 #pragma once
 
-#include <nanobind/ndarray.h>
-
 #include <cstring>
 #include <memory>
 #include <new>
@@ -10,10 +8,6 @@
 #include "bindings/identification_models.h"
 
 namespace leglab::bindings {
-
-// Row-major arrays in double; the front-end has checked their shapes.
-using Input = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
-using Output = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
 
 template <class Model, class Settings, class T>
 class Bank {

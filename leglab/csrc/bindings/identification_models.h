@@ -1,4 +1,4 @@
-// What the bank needs to know about each model: its parameters in order, and its diagnostics.
+// Parameters of each model in order, and its diagnostics, for the bank.
 #pragma once
 
 #include <cmath>

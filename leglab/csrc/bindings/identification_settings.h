@@ -2,9 +2,11 @@
 #pragma once
 
 #include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <deque>
 #include <stdexcept>
 #include <string>
@@ -18,20 +20,39 @@ namespace leglab::bindings {
 namespace nb = nanobind;
 namespace id = leglab::identification;
 
-template <class V>
-V get(nb::handle settings, const char* name) {
-  return nb::cast<V>(settings.attr(name));
+// Row-major arrays in double; the front-end has checked their shapes.
+using Input = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
+using Output = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
+
+inline nb::object look_up(nb::handle settings, const char* name) { return settings.attr(name); }
+inline nb::object look_up(const nb::dict& settings, const char* name) { return settings[name]; }
+
+// A field; in a dictionary numbers stand as arrays, read row by row.
+template <class V, class Settings>
+V get(const Settings& settings, const char* name) {
+  if constexpr (std::is_same_v<V, std::vector<double>> && std::is_same_v<Settings, nb::dict>) {
+    const auto array = nb::cast<Input>(look_up(settings, name));
+    return {array.data(), array.data() + array.size()};
+  } else if constexpr (std::is_same_v<V, float>) {
+    return float(nb::cast<double>(look_up(settings, name)));
+  } else {
+    return nb::cast<V>(look_up(settings, name));
+  }
 }
 
-// Position of a string field among its choices, in the order of the core's enumeration.
-inline int choice(nb::handle settings, const char* name, std::initializer_list<const char*> all) {
+// Fills fields of `out` from those of the same name in `settings`, an object or a dictionary.
+#define LEGLAB_READ(name) out.name = get<decltype(out.name)>(settings, #name);
+#define LEGLAB_READ_2(a, b) LEGLAB_READ(a) LEGLAB_READ(b)
+#define LEGLAB_READ_3(a, ...) LEGLAB_READ(a) LEGLAB_READ_2(__VA_ARGS__)
+#define LEGLAB_READ_4(a, ...) LEGLAB_READ(a) LEGLAB_READ_3(__VA_ARGS__)
+
+// A string field by its place among its choices, in the order of the core's enumeration.
+template <class Enum>
+Enum choice(nb::handle settings, const char* name, std::initializer_list<const char*> all) {
   const auto value = get<std::string>(settings, name);
-  int i = 0;
-  for (const char* candidate : all) {
-    if (value == candidate) return i;
-    ++i;
-  }
-  throw std::invalid_argument(std::string(name) + ": unknown choice " + value);
+  const auto found = std::find(all.begin(), all.end(), value);
+  if (found == all.end()) throw std::invalid_argument(std::string(name) + ": unknown choice " + value);
+  return static_cast<Enum>(found - all.begin());
 }
 
 // Memory that the core's settings point into; a deque never moves what it holds.
@@ -46,42 +67,39 @@ id::QuadraticBasis<T> read_basis(nb::handle settings, Store<T>& store) {
   std::vector<T> knots;
   for (double k : get<std::vector<double>>(settings, "knots")) knots.push_back(T(k));
   auto& extended = store.knots.emplace_back(knots.size() + 4);
-  const bool full = choice(settings, "kind", {"paper", "full"}) == 1;
+  const bool full = choice<int>(settings, "kind", {"paper", "full"}) == 1;
   auto basis = id::make_basis<T>(knots.data(), int(knots.size()), extended.data(), full);
-  basis.outside =
-      static_cast<id::Outside>(choice(settings, "outside", {"clamp", "linear", "quadratic"}));
-  basis.printed = choice(settings, "middle_piece", {"corrected", "printed"}) == 1;
+  basis.outside = choice<id::Outside>(settings, "outside", {"clamp", "linear", "quadratic"});
+  basis.printed = choice<int>(settings, "middle_piece", {"corrected", "printed"}) == 1;
   return basis;
+}
+
+template <class T>
+id::ChangeSettings<T> read_change(nb::handle settings) {
+  id::ChangeSettings<T> out;
+  out.enabled = !settings.is_none();
+  if (!out.enabled) return out;
+  LEGLAB_READ_3(fast_window, slow_window, ratio)
+  LEGLAB_READ_2(hold_off, gain)
+  out.action = choice<id::OnChange>(settings, "action", {"reset", "inflate"});
+  return out;
 }
 
 template <class T>
 id::RlsSettings<T> read_rls(nb::handle settings) {
   id::RlsSettings<T> out;
-  out.initial_gain = T(get<double>(settings, "initial_gain"));
-  out.forgetting = static_cast<id::Forgetting>(
-      choice(settings, "forgetting", {"none", "exponential", "directional", "variable"}));
-  out.forgetting_factor = T(get<double>(settings, "forgetting_factor"));
-  out.memory = T(get<double>(settings, "memory"));
-  out.noise_variance = T(get<double>(settings, "noise_variance"));
-  out.gain_bound = T(get<double>(settings, "gain_bound"));
-  out.restore_gain = T(get<double>(settings, "restore_gain"));
-  out.restore_interval = get<int>(settings, "restore_interval");
-  const nb::object change = settings.attr("change");
-  if (change.is_none()) return out;
-  out.change.enabled = true;
-  out.change.fast_window = get<int>(change, "fast_window");
-  out.change.slow_window = get<int>(change, "slow_window");
-  out.change.ratio = T(get<double>(change, "ratio"));
-  out.change.hold_off = get<int>(change, "hold_off");
-  out.on_change = static_cast<id::OnChange>(choice(change, "action", {"reset", "inflate"}));
-  out.change_gain = T(get<double>(change, "gain"));
+  LEGLAB_READ_3(initial_gain, forgetting_factor, memory)
+  LEGLAB_READ_4(noise_variance, gain_bound, restore_gain, restore_interval)
+  out.forgetting = choice<id::Forgetting>(settings, "forgetting",
+                                          {"none", "exponential", "directional", "variable"});
+  out.change = read_change<T>(settings.attr("change"));
   return out;
 }
 
 template <class T>
 id::GuardSettings<T> read_guard(nb::handle settings) {
   id::GuardSettings<T> out;
-  out.stuck_samples = get<int>(settings, "stuck_samples");
+  LEGLAB_READ(stuck_samples)
   const auto limits = get<std::vector<std::vector<double>>>(settings, "input_limits");
   out.saturates = !limits.empty();
   for (std::size_t j = 0; j < limits.size() && j < std::size(out.lower); ++j) {
@@ -101,10 +119,7 @@ id::BsnnSettings<T> read_network(nb::handle settings, Store<T>& store) {
     out.basis[j] = read_basis<T>(bases[j], store);
     out.learning_constant[j] = T(constants.at(j));
   }
-  out.two_layers = get<bool>(settings, "two_layers");
-  out.output_learning_constant = T(get<double>(settings, "output_learning_constant"));
-  out.bias = get<bool>(settings, "bias");
-  out.saturation = get<bool>(settings, "saturation");
+  LEGLAB_READ_4(two_layers, output_learning_constant, bias, saturation)
   return out;
 }
 
@@ -112,37 +127,32 @@ template <class T>
 id::BsnnArxSettings<T> read_settings(nb::handle settings, Store<T>& store,
                                      const id::BsnnArx<T>*) {
   id::BsnnArxSettings<T> out;
-  out.na = get<int>(settings, "na");
-  out.nb = get<int>(settings, "nb");
-  out.nk = get<int>(settings, "nk");
+  LEGLAB_READ_3(na, nb, nk)
+  LEGLAB_READ_2(opening, fading)
   out.network = read_network<T>(settings.attr("network"), store);
   out.rls = read_rls<T>(settings.attr("rls"));
   out.guard = read_guard<T>(settings.attr("guard"));
-  out.guard.output_limit = T(get<double>(settings, "output_limit"));
-  out.opening = T(get<double>(settings, "opening"));
-  out.fading = T(get<double>(settings, "fading"));
+  out.guard.output_limit = get<T>(settings, "output_limit");
   return out;
 }
 
 template <class T>
 id::Block<T> read_block(nb::handle settings, Store<T>& store) {
   id::Block<T> out;
-  out.feature = static_cast<id::Feature>(
-      choice(settings, "feature", {"lags", "constant", "spline", "hammerstein"}));
-  out.signal = get<int>(settings, "signal");
-  out.lag = get<int>(settings, "lag");
-  out.lags = get<int>(settings, "lags");
-  out.factor_signal = get<int>(settings, "factor_signal");
-  out.factor_lag = get<int>(settings, "factor_lag");
-  out.learning_constant = T(get<double>(settings, "learning_constant"));
+  out.feature =
+      choice<id::Feature>(settings, "feature", {"lags", "constant", "spline", "hammerstein"});
+  LEGLAB_READ_3(signal, lag, lags)
+  LEGLAB_READ_3(factor_signal, factor_lag, learning_constant)
   const nb::object basis = settings.attr("basis");
   if (!basis.is_none()) out.basis = read_basis<T>(basis, store);
   return out;
 }
 
 template <class T>
-id::Scale<T> read_scale(nb::handle signal) {
-  return {T(get<double>(signal, "centre")), T(get<double>(signal, "half_range"))};
+id::Scale<T> read_scale(nb::handle settings) {
+  id::Scale<T> out;
+  LEGLAB_READ_2(centre, half_range)
+  return out;
 }
 
 template <class T>
@@ -158,17 +168,15 @@ id::SplineNarxSettings<T> read_settings(nb::handle settings, Store<T>& store,
   for (int j = 0; j < out.structure.inputs; ++j) out.input[j] = read_scale<T>(inputs[j]);
   out.rls = read_rls<T>(settings.attr("rls"));
   out.guard = read_guard<T>(settings.attr("guard"));
-  out.output_error_after = get<int>(settings, "output_error_after");
-  const T plausible = T(get<double>(settings, "plausible_range"));
+  LEGLAB_READ_3(output_error_after, resynchronise_above, pole_limit)
+  out.resynchronise_above /= out.output.half_range;
+  const T plausible = get<T>(settings, "plausible_range");
   out.guard.output_centre = out.output.centre;
   out.guard.output_limit = plausible * out.output.half_range;
   for (int j = 0; j < out.structure.inputs; ++j) {
     out.guard.input_centre[j] = out.input[j].centre;
     out.guard.input_limit[j] = plausible * out.input[j].half_range;
   }
-  out.resynchronise_above =
-      T(get<double>(settings, "resynchronise_above")) / out.output.half_range;
-  out.pole_limit = T(get<double>(settings, "pole_limit"));
   return out;
 }
 

@@ -1,5 +1,5 @@
-// Python module leglab._native.loop: what a closed loop does with arrays in every control period.
-// Its objects keep the arrays that they are made with and read or write them in place.
+// Python module leglab._native.loop: work of a closed loop on arrays in every control period. Its
+// objects keep the arrays that they are made with and read or write them in place.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/vector.h>

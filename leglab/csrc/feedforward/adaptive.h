@@ -13,19 +13,21 @@
 namespace leglab::feedforward {
 
 struct AdaptiveSettings {
-  double period = 0.0;          // control period [s]
+  double control_period = 0.0;  // [s]
   int interval = 1;             // periods from one learned sample to the next
   double stop_time = 0.0;       // adaptation stops then [s]
   double limit = 1.0;           // largest feed-forward [valve command]
   double rate_limit = 0.0;      // its fastest change [1/s]
   double least_speed = 0.0;     // share of full speed below which nothing is learned
   double saturation = 1.0;      // a window with a larger command teaches nothing
-  double acceleration = 0.0;    // greatest that a joint can have [rad/s^2]
+  double greatest_acceleration = 0.0;  // that a joint can have [rad/s^2]
   bool forward = false;         // learns the speed that a flow gives, and solves for the flow
   bool supervised = true;
   double trust_time = 0.0;      // time constant of the errors that are compared [s]
   double margin = 1.0;          // learned over calibrated RMS at which the calibration takes over
   double noise = 0.0;           // tracking errors below this are no reason to distrust [rad]
+  std::vector<double> learn_lower, learn_upper;  // positions between which it learns [rad]
+  std::vector<double> bandwidth;                 // crossover of the feedback loops [rad/s]
 };
 
 struct Reference {
@@ -41,12 +43,9 @@ class AdaptiveFeedforward {
   using Learner = identification::SplineNarx<double>;
 
   AdaptiveFeedforward(AdaptiveSettings settings, InverseMap map, SmoothingWindow window,
-                      ReferenceMotion reference, std::vector<ValveTable> tables,
-                      std::vector<double> lower, std::vector<double> upper,
-                      std::vector<double> bandwidth)
-      : settings_(settings), map_(std::move(map)), window_(std::move(window)),
-        reference_(std::move(reference)), tables_(std::move(tables)), lower_(std::move(lower)),
-        upper_(std::move(upper)), bandwidth_(std::move(bandwidth)) {
+                      ReferenceMotion reference, std::vector<ValveTable> tables)
+      : settings_(std::move(settings)), map_(std::move(map)), window_(std::move(window)),
+        reference_(std::move(reference)), tables_(std::move(tables)) {
     const std::size_t n = tables_.size();
     motion_.resize(4 * n);
     feedforward_ = error_ = sent_ = flow_ = learned_ = calibrated_ = std::vector<double>(n);
@@ -75,7 +74,7 @@ class AdaptiveFeedforward {
     reference_.take(reference.position, reference.velocity, reference.acceleration,
                     motion_.data(), seen_position, seen_velocity);
     map_.take(motion_.data());
-    const double most = settings_.rate_limit * settings_.period;
+    const double most = settings_.rate_limit * settings_.control_period;
     for (int i = 0; i < map_.joints(); ++i) {
       const std::size_t j = std::size_t(i);
       const double share = map_.share(i);
@@ -130,7 +129,7 @@ class AdaptiveFeedforward {
   // Whether a reading cannot follow from the two before: a lost, shifted or failed encoder. What the
   // window would make of it is a motion that never was.
   bool jumps(const double* position) {
-    const double most = settings_.acceleration * settings_.period * settings_.period;
+    const double h = settings_.control_period, most = settings_.greatest_acceleration * h * h;
     bool found = false;
     for (std::size_t j = 0; j < tables_.size(); ++j) {
       const double bend = position[j] - 2.0 * last_[j] + before_last_[j];
@@ -146,7 +145,8 @@ class AdaptiveFeedforward {
     map_.inputs(i, settings_.forward ? flow_[j] : map_.share(i), inputs_);
     const double excess = flow_[j] - map_.share(i);
     const bool usable = window_.largest_command(i) < settings_.saturation &&
-                        motion_[j] > lower_[j] && motion_[j] < upper_[j];
+                        motion_[j] > settings_.learn_lower[j] &&
+                        motion_[j] < settings_.learn_upper[j];
     const double predicted = learners_[j]->update(inputs_, excess, usable);
     error_[j] = usable ? excess - predicted : 0.0;
   }
@@ -156,8 +156,9 @@ class AdaptiveFeedforward {
   // the learned excess, and what without any, follows from the one that is measured.
   void supervise(std::size_t j, double tracking, double excess) {
     if (!(std::abs(tracking) < 1e3)) return;  // no measurement
-    const double h = settings_.period, decay = std::exp(-bandwidth_[j] * h);
-    const double gain = (1.0 - decay) / bandwidth_[j] * map_.speed()[j];
+    const double h = settings_.control_period, bandwidth = settings_.bandwidth[j];
+    const double decay = std::exp(-bandwidth * h);
+    const double gain = (1.0 - decay) / bandwidth * map_.speed()[j];
     const double used = fallback_[j] > 0.0 ? 0.0 : excess;
     const double with = tracking + withheld_[j], without = tracking - applied_[j];
     applied_[j] = decay * applied_[j] + gain * used;
@@ -176,8 +177,6 @@ class AdaptiveFeedforward {
   SmoothingWindow window_;
   ReferenceMotion reference_;
   std::vector<ValveTable> tables_;
-  std::vector<double> lower_, upper_;  // positions between which something is learned [rad]
-  std::vector<double> bandwidth_;      // crossover of the feedback loops [rad/s]
   std::vector<Learner*> learners_;
   std::vector<double> motion_, feedforward_, error_, sent_, flow_, learned_, calibrated_;
   // What the excess in use adds to the tracking error, and what the one not in use would [rad].

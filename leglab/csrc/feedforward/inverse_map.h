@@ -9,7 +9,7 @@ namespace leglab::feedforward {
 // Ranges by which motion is scaled to about one.
 struct MotionScale {
   std::vector<double> centre, half_range;  // of positions [rad]
-  std::vector<double> speed;               // full speed [rad/s]
+  std::vector<double> full_speed;          // [rad/s]
   double acceleration = 1.0, jerk = 1.0;   // of full scale [rad/s^2], [rad/s^3]
 };
 
@@ -18,19 +18,19 @@ struct MotionScale {
 class InverseMap {
  public:
   InverseMap(MotionScale scale, bool products)
-      : scale_(std::move(scale)), joints_(int(scale_.speed.size())), products_(products),
-        q_(scale_.speed.size()), v_(q_), a_(q_), j_(q_) {}
+      : scale_(std::move(scale)), joints_(int(scale_.full_speed.size())), products_(products),
+        q_(scale_.full_speed.size()), v_(q_), a_(q_), j_(q_) {}
 
   int joints() const { return joints_; }
   int inputs() const { return products_ ? 2 + 5 * joints_ : 1 + 3 * joints_; }
-  const std::vector<double>& speed() const { return scale_.speed; }
+  const std::vector<double>& speed() const { return scale_.full_speed; }
 
   // Takes a motion (4, joints); `inputs` then gives those of one joint.
   void take(const double* motion) {
     for (int k = 0; k < joints_; ++k) {
       const std::size_t i = std::size_t(k);
       q_[i] = (motion[k] - scale_.centre[i]) / scale_.half_range[i];
-      v_[i] = motion[joints_ + k] / scale_.speed[i];
+      v_[i] = motion[joints_ + k] / scale_.full_speed[i];
       a_[i] = motion[2 * joints_ + k] / scale_.acceleration;
       j_[i] = motion[3 * joints_ + k] / scale_.jerk;
     }

@@ -79,23 +79,15 @@ struct Chambers {
 inline Chambers chambers_at(const CylinderParameters& p, const CylinderCoefficients& c,
                             const CylinderState& s, double x) {
   const Volumes volume = Volumes::at(p, c, x);
-  const double guess_a = s.pressure_a_ + kAtmosphere, guess_b = s.pressure_b_ + kAtmosphere;
   Chambers k;
-  // An amount of zero: the pressure was prescribed and holds wherever the piston is.
-  if (s.amount_a_ > 0.0) {
-    k.a = c.oil.solve(volume.a / s.amount_a_, guess_a);
-    k.amount_a = s.amount_a_;
-  } else {
-    k.a = c.oil.expand(std::max(guess_a, kPressureFloor));
-    k.amount_a = volume.a / k.a.w;
-  }
-  if (s.amount_b_ > 0.0) {
-    k.b = c.oil.solve(volume.b / s.amount_b_, guess_b);
-    k.amount_b = s.amount_b_;
-  } else {
-    k.b = c.oil.expand(std::max(guess_b, kPressureFloor));
-    k.amount_b = volume.b / k.b.w;
-  }
+  const auto fill = [&](double size, double pressure, double held, Oil::Expansion& oil, double& amount) {
+    const double guess = pressure + kAtmosphere;
+    // An amount of zero: the pressure was prescribed and holds wherever the piston is.
+    oil = held > 0.0 ? c.oil.solve(size / held, guess) : c.oil.expand(std::max(guess, kPressureFloor));
+    amount = held > 0.0 ? held : size / oil.w;
+  };
+  fill(volume.a, s.pressure_a_, s.amount_a_, k.a, k.amount_a);
+  fill(volume.b, s.pressure_b_, s.amount_b_, k.b, k.amount_b);
   return k;
 }
 

@@ -1,7 +1,9 @@
 // Physical parameters as plain tables: one row gives name, unit, default, bounds and source.
 #pragma once
 
+#include <array>
 #include <cstddef>
+#include <initializer_list>
 
 namespace leglab::hydraulics {
 
@@ -15,8 +17,43 @@ struct ParameterSpec {
   const char* description;
 };
 
+struct StateSpec {
+  const char* name;
+  const char* unit;
+  const char* description;
+};
+
 inline constexpr double kRequired = __builtin_nan("");
-inline constexpr double kInfinity = __builtin_inf();
+
+#define LEGLAB_FIELD(name, ...) double name##_;
+#define LEGLAB_ONE(...) +1
+#define LEGLAB_PARAMETER_ROW(name, unit, nominal, lo, hi, closed, text) \
+  {#name, unit, nominal, lo, hi, closed, text},
+#define LEGLAB_STATE_ROW(name, unit, text) {#name, unit, text},
+#define LEGLAB_NONE(X)
+
+// From the lists PARAMETERS(X) and STATES(X) of one plugin: the structs NameParameters and NameState,
+// which follow each other at the head of its plugin state, and NameTable, which describes them. The
+// arguments behind the lists are the plugin's text attributes.
+#define LEGLAB_TABLE(Name, plugin_name, PARAMETERS, STATES, ...)                               \
+  struct Name##Parameters {                                                                    \
+    PARAMETERS(LEGLAB_FIELD)                                                                   \
+  };                                                                                           \
+  struct Name##State {                                                                         \
+    STATES(LEGLAB_FIELD)                                                                       \
+  };                                                                                           \
+  struct Name##Table {                                                                         \
+    using Parameters = Name##Parameters;                                                       \
+    using State = Name##State;                                                                 \
+    static constexpr const char* plugin = plugin_name;                                         \
+    static constexpr std::size_t parameter_count = 0 PARAMETERS(LEGLAB_ONE);                   \
+    static constexpr std::size_t state_count = 0 STATES(LEGLAB_ONE);                           \
+    static constexpr std::array<hydraulics::ParameterSpec, parameter_count> parameters{        \
+        {PARAMETERS(LEGLAB_PARAMETER_ROW)}};                                                   \
+    static constexpr std::array<hydraulics::StateSpec, state_count> states{                    \
+        {STATES(LEGLAB_STATE_ROW)}};                                                           \
+    static constexpr std::initializer_list<const char*> texts = {__VA_ARGS__};                 \
+  };
 
 // X(name, unit, nominal, minimum, maximum, minimum_allowed, description)
 // Sources: [HyQ] Ledezma et al. 2016, HyQ leg parameter scripts; [V] vendor data of an E024-class
@@ -93,30 +130,6 @@ inline constexpr double kInfinity = __builtin_inf();
   X(energy_stored, "J", "integral of p V / beta dp")                                 \
   X(energy_load, "J", "work done on the mechanism")
 
-#define LEGLAB_FIELD(name, ...) double name##_;
-struct CylinderParameters {
-  LEGLAB_CYLINDER_PARAMETERS(LEGLAB_FIELD)
-};
-struct CylinderState {
-  LEGLAB_CYLINDER_STATES(LEGLAB_FIELD)
-};
-#undef LEGLAB_FIELD
-
-#define LEGLAB_SPEC(name, unit, nominal, lo, hi, closed, text) \
-  {#name, unit, nominal, lo, hi, closed, text},
-inline constexpr ParameterSpec kCylinderParameters[] = {LEGLAB_CYLINDER_PARAMETERS(LEGLAB_SPEC)};
-#undef LEGLAB_SPEC
-
-struct StateSpec {
-  const char* name;
-  const char* unit;
-  const char* description;
-};
-#define LEGLAB_STATE_SPEC(name, unit, text) {#name, unit, text},
-inline constexpr StateSpec kCylinderStates[] = {LEGLAB_CYLINDER_STATES(LEGLAB_STATE_SPEC)};
-#undef LEGLAB_STATE_SPEC
-
-inline constexpr std::size_t kCylinderParameterCount = sizeof(CylinderParameters) / sizeof(double);
-inline constexpr std::size_t kCylinderStateCount = sizeof(CylinderState) / sizeof(double);
+LEGLAB_TABLE(Cylinder, "leglab.cylinder", LEGLAB_CYLINDER_PARAMETERS, LEGLAB_CYLINDER_STATES, "supply")
 
 }  // namespace leglab::hydraulics

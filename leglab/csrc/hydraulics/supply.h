@@ -22,21 +22,7 @@ namespace leglab::hydraulics {
   X(delivered, "m^3", "drawn by the cylinders since the reset")              \
   X(started, "1", "1 after the first step")
 
-#define LEGLAB_FIELD(name, ...) double name##_;
-struct SupplyParameters {
-  LEGLAB_SUPPLY_PARAMETERS(LEGLAB_FIELD)
-};
-struct SupplyState {
-  LEGLAB_SUPPLY_STATES(LEGLAB_FIELD)
-};
-#undef LEGLAB_FIELD
-#define LEGLAB_SPEC(name, unit, nominal, lo, hi, closed, text) \
-  {#name, unit, nominal, lo, hi, closed, text},
-inline constexpr ParameterSpec kSupplyParameters[] = {LEGLAB_SUPPLY_PARAMETERS(LEGLAB_SPEC)};
-#undef LEGLAB_SPEC
-#define LEGLAB_STATE_SPEC(name, unit, text) {#name, unit, text},
-inline constexpr StateSpec kSupplyStates[] = {LEGLAB_SUPPLY_STATES(LEGLAB_STATE_SPEC)};
-#undef LEGLAB_STATE_SPEC
+LEGLAB_TABLE(Supply, "leglab.supply", LEGLAB_SUPPLY_PARAMETERS, LEGLAB_SUPPLY_STATES)
 
 inline double supply_pressure_now(const SupplyParameters& p, const SupplyState& s) {
   return s.started_ != 0.0 && p.accumulator_volume_ > 0.0 ? s.pressure_ : p.supply_pressure_;

@@ -8,6 +8,8 @@
 
 namespace leglab::identification {
 
+enum class OnChange : int { reset, inflate };
+
 template <class T>
 struct ChangeSettings {
   bool enabled = false;
@@ -15,6 +17,8 @@ struct ChangeSettings {
   int slow_window = 500;  // samples of the slow mean
   T ratio = T(3);         // quick above ratio times slow: a change
   int hold_off = 200;     // samples without a second alarm, also after the start
+  OnChange action = OnChange::reset;
+  T gain = T(1e4);        // least squares takes F := gain * I, or F += gain * I, on a change
 };
 
 // Quick and slow exponential means of the squared error. Until a window is full its mean is the

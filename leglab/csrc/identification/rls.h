@@ -15,8 +15,6 @@ enum class Forgetting : int {
   variable,     // factor from the error (Fortescue, Kershenbaum and Ydstie 1981)
 };
 
-enum class OnChange : int { reset, inflate };
-
 template <class T>
 struct RlsSettings {
   int parameters = 0;
@@ -29,8 +27,6 @@ struct RlsSettings {
   T restore_gain = T(1e4);           // prior variance of theta that is given back
   int restore_interval = 0;          // updates from one restored parameter to the next; 0: never
   ChangeSettings<T> change;
-  OnChange on_change = OnChange::reset;
-  T change_gain = T(1e4);            // F := change_gain * I, or F += change_gain * I
 };
 
 template <class T>
@@ -95,8 +91,9 @@ class Rls {
     }
     if (watch_ && detector_.observe(squared)) {
       changed = true;
-      if (settings_.on_change == OnChange::reset) factor_.reset(settings_.change_gain);
-      else factor_.inflate(settings_.change_gain, settings_.gain_bound);
+      const ChangeSettings<T>& change = settings_.change;
+      if (change.action == OnChange::reset) factor_.reset(change.gain);
+      else factor_.inflate(change.gain, settings_.gain_bound);
       power = factor_.project(phi, support);
     }
     const T denominator = forget(power, squared);

@@ -1,4 +1,4 @@
-// What a controller is told of joint positions, once a control period.
+// Positions and velocities that a controller is told, once a control period.
 #pragma once
 
 #include <cmath>

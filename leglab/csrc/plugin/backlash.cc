@@ -1,14 +1,15 @@
-#include "plugin/backlash.h"
-
+// Plugin `leglab.backlash`: play between the motor side and a joint with native actuators.
+//
+// The motor side is an inertia of its own, driven by the joint's actuators; a flank in contact is a
+// damped spring, solved implicitly together with both inertias, so that any stiffness is stable:
+//   J w' = tau - T,  phi = theta - q,  T = k (phi -+ width/2) + c phi' beyond the play, never pulling.
+// The part of J that MuJoCo holds as the joint's armature is taken off the joint while there is play.
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 #include <string>
+#include <vector>
 
 #include "plugin/command_path.h"
-#include "plugin/config.h"
-#include "plugin/lifecycle.h"
-#include "plugin/native_actuator.h"
 
 namespace leglab::plugin {
 namespace {
@@ -24,12 +25,30 @@ bool passive_forces_disabled(const mjModel* m) {
   return (m->opt.disableflags & both) == both;
 }
 
-}  // namespace
+class Backlash : public Instance<BacklashTable> {
+ public:
+  Backlash(const mjModel* m, int instance);
+  void compute(const mjModel* m, mjData* d, int capability);
+  void advance(const mjModel* m, mjData* d);
+
+ private:
+  // Lets the servos see the motor side; returns -dtau/dw of the joint's actuators.
+  double close_servo_loops(const mjModel* m, mjData* d, double offset, double velocity) const;
+  // Generalised actuator forces within their limits, (nv,), into `actuation_`.
+  void collect_actuation(const mjModel* m, const mjData* d);
+
+  int joint_, dof_;
+  std::vector<int> actuators_;    // on this joint
+  std::vector<int> later_paths_;  // leglab.command_path of those, computed after this instance
+
+  // Outputs of the latest `compute`.
+  double added_ = 0;  // to qfrc_passive since it was cleared
+  double offset_ = 0, velocity_ = 0, transmitted_ = 0, drive_ = 0, inertia_ = 1;
+  std::vector<double> actuation_, column_, unit_, force_;  // scratch, (nv,)
+};
 
 Backlash::Backlash(const mjModel* m, int instance)
-    : instance_(instance), joint_(joint_attribute(m, instance)), dof_(m->jnt_dofadr[joint_]) {
-  require_single_stage_integrator(m, instance);
-  read_parameters(m, instance, kBacklashParameters, reinterpret_cast<double*>(&initial_));
+    : Instance(m, instance), joint_(joint_attribute(m, instance)), dof_(m->jnt_dofadr[joint_]) {
   const std::string name = mj_id2name(m, mjOBJ_JOINT, joint_);
   for (int i = 0; i < m->nactuator; ++i) {
     if (!on_joint(m, i, joint_)) continue;
@@ -50,22 +69,12 @@ Backlash::Backlash(const mjModel* m, int instance)
   }
   // MuJoCo goes by the order of instances, and this one needs the forces behind the command paths.
   for (int i = instance + 1; i < m->nplugin; ++i) {
-    if (std::strcmp(mjp_getPluginAtSlot(m->plugin[i])->name, kCommandPathName) != 0) continue;
+    if (!is_instance<CommandPath>(m, i)) continue;
     const int actuator = mj_name2id(m, mjOBJ_ACTUATOR, text_attribute(m, i, "actuator").c_str());
     if (actuator >= 0 && on_joint(m, actuator, joint_)) later_paths_.push_back(i);
   }
   for (auto* scratch : {&actuation_, &column_, &unit_, &force_}) scratch->assign(m->nv, 0.0);
   unit_[dof_] = 1.0;
-}
-
-void Backlash::reset(mjtNum* plugin_state) const {
-  std::memcpy(plugin_state, &initial_, sizeof initial_);
-  const BacklashState s{};
-  std::memcpy(plugin_state + kParameterCount, &s, sizeof s);
-}
-
-double Backlash::motor_inertia(const mjModel* m, const BacklashParameters& p) const {
-  return p.motor_inertia_ > 0 ? p.motor_inertia_ : m->dof_armature[dof_];
 }
 
 double Backlash::close_servo_loops(const mjModel* m, mjData* d, double offset,
@@ -114,15 +123,13 @@ void Backlash::compute(const mjModel* m, mjData* d, int capability) {
     added_ = 0;
     return;
   }
-  const mjtNum* head = state_of(m, d, instance_);
-  const auto& p = *reinterpret_cast<const BacklashParameters*>(head);
-  const auto& s = *reinterpret_cast<const BacklashState*>(head + kParameterCount);
+  const auto [p, s] = slots(m, d);
   d->qfrc_passive[dof_] -= added_;
   added_ = 0;
   if (p.width_ == 0.0 || passive_forces_disabled(m)) return;
 
   const double h = m->opt.timestep, v = d->qvel[dof_], half = 0.5 * p.width_;
-  const double inertia = motor_inertia(m, p);
+  const double inertia = p.motor_inertia_ > 0 ? p.motor_inertia_ : m->dof_armature[dof_];
   if (!(inertia > 0)) refuse(m, instance_, "motor_inertia = 0 on a joint without armature; allowed: above 0");
   const double armature = std::min(inertia, m->dof_armature[dof_]);
   const bool seated = s.seated_width_ == p.width_;
@@ -184,9 +191,7 @@ void Backlash::compute(const mjModel* m, mjData* d, int capability) {
 }
 
 void Backlash::advance(const mjModel* m, mjData* d) {
-  mjtNum* head = state_of(m, d, instance_);
-  const auto& p = *reinterpret_cast<const BacklashParameters*>(head);
-  auto& s = *reinterpret_cast<BacklashState*>(head + kParameterCount);
+  const auto [p, s] = slots(m, d);
   if (p.width_ == 0.0 || passive_forces_disabled(m)) {
     s = {};
     return;
@@ -199,9 +204,8 @@ void Backlash::advance(const mjModel* m, mjData* d) {
   s.seated_width_ = p.width_;
 }
 
-void register_backlash() {
-  static const std::vector<const char*> names = attribute_names(kBacklashParameters, {"joint"});
-  register_plugin<Backlash>("leglab.backlash", mjPLUGIN_ACTUATOR | mjPLUGIN_PASSIVE, names);
-}
+}  // namespace
+
+void register_backlash() { register_plugin<Backlash>(mjPLUGIN_ACTUATOR | mjPLUGIN_PASSIVE); }
 
 }  // namespace leglab::plugin

@@ -3,10 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
-#include <string>
-
-#include "plugin/config.h"
-#include "plugin/lifecycle.h"
 
 namespace leglab::plugin {
 namespace {
@@ -33,29 +29,23 @@ double dead_band(double input, double half_width) {
 
 }  // namespace
 
-const char kCommandPathName[] = "leglab.command_path";
-
 int CommandPath::state_count(const mjModel* m, int instance) {
-  return kNamedCount + history_length(m, instance);
+  return kStateCount + history_length(m, instance);
 }
 
 CommandPath::CommandPath(const mjModel* m, int instance)
-    : instance_(instance),
-      history_(m->plugin_statenum[instance] - kNamedCount),
-      actuator_(actuator_attribute(m, instance)) {
-  require_single_stage_integrator(m, instance);
-  read_parameters(m, instance, kCommandParameters, reinterpret_cast<double*>(&initial_));
-}
+    : Instance(m, instance),
+      history_(m->plugin_statenum[instance] - kStateCount),
+      actuator_(actuator_attribute(m, instance)) {}
 
 void CommandPath::reset(mjtNum* plugin_state) const {
-  std::memcpy(plugin_state, &initial_, sizeof initial_);
-  std::fill(plugin_state + kParameterCount, plugin_state + kNamedCount + history_, 0.0);
+  Instance::reset(plugin_state);
+  std::fill_n(plugin_state + kStateCount, history_, 0.0);
 }
 
-CommandPath::Signal CommandPath::pass(const mjModel* m, const mjtNum* head, double command) const {
-  const auto& p = *reinterpret_cast<const CommandParameters*>(head);
-  const auto& s = *reinterpret_cast<const CommandState*>(head + kParameterCount);
-  const mjtNum* past = head + kNamedCount;
+CommandPath::Signal CommandPath::pass(const mjModel* m, const mjData* d, double command) const {
+  const auto [p, s] = slots(m, d);
+  const mjtNum* past = this->past(m, d);
   const double h = m->opt.timestep;
   const bool started = s.started_ != 0.0;  // before, the first command has always been there
 
@@ -94,11 +84,10 @@ void CommandPath::apply_ahead(const mjModel* m, mjData* d) {
 
 void CommandPath::apply(const mjModel* m, mjData* d) const {
   if (actuator_.disabled(m)) return;
-  const mjtNum* head = d->plugin_state + m->plugin_stateadr[instance_];
-  const auto& p = *reinterpret_cast<const CommandParameters*>(head);
+  const Parameters& p = slots(m, d).parameters;
   const int id = actuator_.id;
   const double command = actuator_.command(m, d);
-  const double change = pass(m, head, command).output - command;
+  const double change = pass(m, d, command).output - command;
   mjtNum& force = d->actuator_force[actuator_.output];
   if (change != 0.0) {
     if (m->actuator_dyntype[id] == mjDYN_NONE) {
@@ -114,12 +103,10 @@ void CommandPath::apply(const mjModel* m, mjData* d) const {
 }
 
 void CommandPath::advance(const mjModel* m, mjData* d) {
-  mjtNum* head = state_of(m, d, instance_);
-  const auto& p = *reinterpret_cast<const CommandParameters*>(head);
-  auto& s = *reinterpret_cast<CommandState*>(head + kParameterCount);
-  mjtNum* past = head + kNamedCount;
+  const auto [p, s] = slots(m, d);
+  mjtNum* past = this->past(m, d);
   const double command = actuator_.command(m, d);
-  const Signal signal = pass(m, head, command);
+  const Signal signal = pass(m, d, command);
   const double before = s.started_ != 0.0 ? s.lag_output_ : signal.lag_input;
   const double decay = p.time_constant_ == 0.0 ? 0.0 : std::exp(-m->opt.timestep / p.time_constant_);
   if (s.started_ == 0.0) std::fill(past, past + history_, command);
@@ -131,9 +118,7 @@ void CommandPath::advance(const mjModel* m, mjData* d) {
 }
 
 void register_command_path() {
-  static const std::vector<const char*> names =
-      attribute_names(kCommandParameters, {"actuator", "max_delay"});
-  register_plugin<CommandPath>(kCommandPathName, mjPLUGIN_ACTUATOR, names, [](mjpPlugin& plugin) {
+  register_plugin<CommandPath>(mjPLUGIN_ACTUATOR, [](mjpPlugin& plugin) {
     plugin.nstate = +[](const mjModel* m, int instance) {
       return CommandPath::state_count(m, instance);
     };

@@ -56,32 +56,30 @@ std::string text_attribute(const mjModel* m, int instance, const char* key) {
 
 void read_parameters(const mjModel* m, int instance, std::span<const ParameterSpec> specs,
                      double* values) {
-  for (std::size_t i = 0; i < specs.size(); ++i) {
-    const ParameterSpec& spec = specs[i];
+  for (const ParameterSpec& spec : specs) {
+    const auto wrong = [&](const std::string& what) {
+      refuse(m, instance, std::string("attribute '") + spec.name + "' " + what + "; allowed " + range(spec));
+    };
     const std::string text = text_attribute(m, instance, spec.name);
     double value = spec.nominal;
     if (text.empty()) {
-      if (std::isnan(value)) {
-        refuse(m, instance, std::string("attribute '") + spec.name + "' is missing; allowed " + range(spec));
-      }
+      if (std::isnan(value)) wrong("is missing");
     } else if (!parse(text, value)) {
-      refuse(m, instance, std::string("attribute '") + spec.name + "' = '" + text +
-                              "' is not a number; allowed " + range(spec));
+      wrong("= '" + text + "' is not a number");
     }
     const bool above = spec.minimum_allowed ? value >= spec.minimum : value > spec.minimum;
-    if (!above || value > spec.maximum) {
-      refuse(m, instance, std::string("attribute '") + spec.name + "' = " + number(value) +
-                              " is out of range; allowed " + range(spec));
-    }
-    values[i] = value;
+    if (!above || value > spec.maximum) wrong("= " + number(value) + " is out of range");
+    *values++ = value;
   }
 }
 
-std::vector<const char*> attribute_names(std::span<const ParameterSpec> specs,
-                                         std::initializer_list<const char*> texts) {
-  std::vector<const char*> names(texts);
-  for (const ParameterSpec& spec : specs) names.push_back(spec.name);
-  return names;
+std::string known_names(const mjModel* m, mjtObj kind, int count) {
+  std::string known;
+  for (int i = 0; i < count; ++i) {
+    const char* name = mj_id2name(m, kind, i);
+    if (name && *name) known += (known.empty() ? "" : ", ") + std::string(name);
+  }
+  return known;
 }
 
 int joint_attribute(const mjModel* m, int instance) {
@@ -89,12 +87,8 @@ int joint_attribute(const mjModel* m, int instance) {
   if (name.empty()) refuse(m, instance, "attribute 'joint' is missing; allowed: a hinge or slide joint");
   const int joint = mj_name2id(m, mjOBJ_JOINT, name.c_str());
   if (joint < 0) {
-    std::string known;
-    for (int i = 0; i < m->njnt; ++i) {
-      const char* other = mj_id2name(m, mjOBJ_JOINT, i);
-      if (other && *other) known += (known.empty() ? "" : ", ") + std::string(other);
-    }
-    refuse(m, instance, "attribute 'joint' = '" + name + "' names no joint; allowed: " + known);
+    refuse(m, instance, "attribute 'joint' = '" + name + "' names no joint; allowed: " +
+                            known_names(m, mjOBJ_JOINT, m->njnt));
   }
   if (m->jnt_type[joint] != mjJNT_HINGE && m->jnt_type[joint] != mjJNT_SLIDE) {
     refuse(m, instance, "attribute 'joint' = '" + name + "' must be a hinge or slide joint");

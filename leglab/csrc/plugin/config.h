@@ -5,7 +5,6 @@
 #include <cstddef>
 #include <span>
 #include <string>
-#include <vector>
 
 #include <mujoco/mujoco.h>
 
@@ -29,17 +28,16 @@ std::string text_attribute(const mjModel* m, int instance, const char* key);
 void read_parameters(const mjModel* m, int instance, std::span<const ParameterSpec> specs,
                      double* values);
 
-// Attribute names of a table and further text attributes, as mjpPlugin wants them.
-std::vector<const char*> attribute_names(std::span<const ParameterSpec> specs,
-                                         std::initializer_list<const char*> texts);
+// Names of all elements of a kind, for messages.
+std::string known_names(const mjModel* m, mjtObj kind, int count);
 
-// Degree of freedom and joint that the attribute `joint` names; hinge or slide.
+// Joint that the attribute `joint` names; hinge or slide.
 int joint_attribute(const mjModel* m, int instance);
 
 // Plugin instances need a time integrator that calls `advance` once per evaluation of the forces.
 void require_single_stage_integrator(const mjModel* m, int instance);
 
-inline mjtNum* state_of(const mjModel* m, mjData* d, int instance) {
+inline mjtNum* state_of(const mjModel* m, const mjData* d, int instance) {
   return d->plugin_state + m->plugin_stateadr[instance];
 }
 

@@ -4,19 +4,15 @@
 #include <cstring>
 
 #include "hydraulics/checks.h"
-#include "plugin/config.h"
 #include "plugin/drawing.h"
-#include "plugin/lifecycle.h"
 #include "plugin/supply.h"
 
 namespace leglab::plugin {
 
 using namespace hydraulics;
 
-const char kCylinderName[] = "leglab.cylinder";
-
-Cylinder::Cylinder(const mjModel* m, int instance) : instance_(instance), half_solved_(m->nv, 0.0) {
-  require_single_stage_integrator(m, instance);
+Cylinder::Cylinder(const mjModel* m, int instance)
+    : Instance(m, instance), half_solved_(m->nv, 0.0) {
   for (int i = 0; i < m->nu; ++i) {
     if (m->actuator_plugin[i] != instance) continue;
     if (actuator_ >= 0) refuse(m, instance, "drives two actuators; allowed: one actuator an instance");
@@ -24,15 +20,14 @@ Cylinder::Cylinder(const mjModel* m, int instance) : instance_(instance), half_s
   }
   if (actuator_ < 0) refuse(m, instance, "drives no actuator; allowed: one actuator an instance");
 
-  read_parameters(m, instance, kCylinderParameters, reinterpret_cast<double*>(&initial_));
   const std::string wrong = contradiction(initial_);
   if (!wrong.empty()) refuse(m, instance, wrong);
-  supply_name_ = text_attribute(m, instance, "supply");
-  if (!supply_name_.empty()) {
-    supply_ = mj_name2id(m, mjOBJ_PLUGIN, supply_name_.c_str());
-    if (supply_ < 0 || std::strcmp(mjp_getPluginAtSlot(m->plugin[supply_])->name, kSupplyName) != 0) {
-      refuse(m, instance, "attribute 'supply' = '" + supply_name_ + "'; allowed: the name of a " +
-                              kSupplyName + " instance");
+  const std::string supply = text_attribute(m, instance, "supply");
+  if (!supply.empty()) {
+    supply_ = mj_name2id(m, mjOBJ_PLUGIN, supply.c_str());
+    if (supply_ < 0 || !is_instance<Supply>(m, supply_)) {
+      refuse(m, instance, "attribute 'supply' = '" + supply + "'; allowed: the name of a " +
+                              Supply::Table::plugin + " instance");
     }
   }
   refresh(m, initial_);
@@ -68,17 +63,10 @@ void Cylinder::check_timestep(const mjModel* m) const {
 }
 
 void Cylinder::reset(mjtNum* plugin_state) const {
-  std::memcpy(plugin_state, &initial_, sizeof initial_);
-  CylinderState s{};
+  Instance::reset(plugin_state);
+  auto& s = *reinterpret_cast<CylinderState*>(plugin_state + kParameterCount);
   s.pressure_a_ = initial_.initial_pressure_a_;
   s.pressure_b_ = initial_.initial_pressure_b_;
-  std::memcpy(plugin_state + kCylinderParameterCount, &s, sizeof s);
-}
-
-Cylinder::Slots Cylinder::slots(const mjModel* m, mjData* d) const {
-  mjtNum* head = state_of(m, d, instance_);
-  return {*reinterpret_cast<CylinderParameters*>(head),
-          *reinterpret_cast<CylinderState*>(head + kCylinderParameterCount)};
 }
 
 void Cylinder::refresh(const mjModel* m, const CylinderParameters& p) {
@@ -183,9 +171,6 @@ void Cylinder::visualize(const mjModel* m, mjData* d, mjvScene* scene) {
   draw_cylinder(scene, base, end, p.bore_, p.rod_, p.stroke_ + 0.02, level);
 }
 
-void register_cylinder() {
-  static const std::vector<const char*> names = attribute_names(kCylinderParameters, {"supply"});
-  register_plugin<Cylinder>(kCylinderName, mjPLUGIN_ACTUATOR, names);
-}
+void register_cylinder() { register_plugin<Cylinder>(mjPLUGIN_ACTUATOR); }
 
 }  // namespace leglab::plugin

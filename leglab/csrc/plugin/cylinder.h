@@ -1,20 +1,19 @@
 // Actuator plugin `leglab.cylinder`: servovalve, cylinder, seals and oil of one joint.
 #pragma once
 
-#include <string>
 #include <vector>
 
-#include <mujoco/mujoco.h>
-
 #include "hydraulics/step.h"
+#include "plugin/lifecycle.h"
 
 namespace leglab::plugin {
 
-// What an instance keeps beside its state: ids, coefficients that follow from the parameters
-// (refreshed whenever these differ from `seen`), and the outputs of the latest `compute`.
-class Cylinder {
+// Keeps, beside its state, ids, coefficients that follow from the parameters (refreshed whenever these
+// differ from `seen`), and the outputs of the latest `compute`.
+class Cylinder : public Instance<hydraulics::CylinderTable> {
  public:
-  // Reads and checks the configuration; refuses what is wrong.
+  using Instance::slots;
+
   Cylinder(const mjModel* m, int instance);
 
   void reset(mjtNum* plugin_state) const;
@@ -26,27 +25,15 @@ class Cylinder {
   const hydraulics::Chambers& observe(const mjModel* m, mjData* d);
   // Piston position [m] at the latest `observe`.
   double piston_position() const { return x_; }
-  const std::string& supply_name() const { return supply_name_; }
-
-  static constexpr int kStateCount =
-      hydraulics::kCylinderParameterCount + hydraulics::kCylinderStateCount;
 
  private:
-  struct Slots {
-    hydraulics::CylinderParameters& parameters;
-    hydraulics::CylinderState& state;
-  };
-  Slots slots(const mjModel* m, mjData* d) const;
   void refresh(const mjModel* m, const hydraulics::CylinderParameters& p);
   double supply_pressure(const mjModel* m, mjData* d, const hydraulics::CylinderParameters& p) const;
   double effective_mass(const mjModel* m, mjData* d);
   void check_timestep(const mjModel* m) const;
 
-  int instance_;
   int actuator_ = -1;
-  int supply_ = -1;
-  std::string supply_name_;
-  hydraulics::CylinderParameters initial_;
+  int supply_ = -1;  // instance of leglab.supply
 
   hydraulics::CylinderParameters seen_{};
   double seen_timestep_ = 0;
@@ -64,8 +51,5 @@ class Cylinder {
   double x_ = 0, v_ = 0, mass_ = 0, command_ = 0;
   std::vector<double> half_solved_;  // scratch, shape (nv,), zero between uses
 };
-
-void register_cylinder();
-extern const char kCylinderName[];
 
 }  // namespace leglab::plugin

@@ -1,12 +1,9 @@
-#include "plugin/joint_friction.h"
-
+// Passive plugin `leglab.joint_friction`: LuGre friction of a joint that grows with wear.
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 #include <numbers>
 
 #include "hydraulics/friction.h"
-#include "plugin/config.h"
 #include "plugin/lifecycle.h"
 
 namespace leglab::plugin {
@@ -33,58 +30,49 @@ Level level(const FrictionParameters& p, const FrictionState& s, double time, do
           scale * (p.viscous_ + 0.5 * side * p.viscous_difference_)};
 }
 
+class JointFriction : public Instance<FrictionTable> {
+ public:
+  JointFriction(const mjModel* m, int instance)
+      : Instance(m, instance), dof_(m->jnt_dofadr[joint_attribute(m, instance)]) {
+    if (initial_.static_ < initial_.coulomb_) {
+      refuse(m, instance, "attribute 'static' = " + number(initial_.static_) +
+                              " N; allowed: at least coulomb = " + number(initial_.coulomb_));
+    }
+  }
+
+  void compute(const mjModel* m, mjData* d) {
+    const auto [p, s] = slots(m, d);
+    const double v = d->qvel[dof_];
+    const Level now = level(p, s, d->time, v);
+    double force = now.viscous * v;
+    if (now.sliding > 0) {
+      // Mean of z' over the step: at speed a bristle relaxes within microseconds, and z' at one
+      // moment would stand for the whole step.
+      const double h = m->opt.timestep;
+      const double next = hydraulics::advance_bristle(s.bristle_, v, now.sliding, p.sigma_0_, h);
+      force += p.sigma_0_ * s.bristle_ + p.sigma_1_ * (next - s.bristle_) / h;
+    }
+    d->qfrc_passive[dof_] -= force;
+  }
+
+  void advance(const mjModel* m, mjData* d) {
+    const auto [p, s] = slots(m, d);
+    const double v = d->qvel[dof_], h = m->opt.timestep;
+    // MuJoCo computes passive forces before the actuators': the load is that of the step before.
+    s.load_ = std::abs(p.actuator_load_coefficient_ * d->qfrc_actuator[dof_] +
+                       p.bias_load_coefficient_ * d->qfrc_bias[dof_]);
+    const double g = level(p, s, d->time, v).sliding;
+    s.bristle_ = g > 0 ? hydraulics::advance_bristle(s.bristle_, v, g, p.sigma_0_, h) : 0.0;
+    s.sliding_distance_ += std::abs(v) * h;
+    p.wear_ += p.wear_rate_ * std::abs(v) * h;
+  }
+
+ private:
+  int dof_;
+};
+
 }  // namespace
 
-JointFriction::JointFriction(const mjModel* m, int instance) : instance_(instance) {
-  require_single_stage_integrator(m, instance);
-  dof_ = m->jnt_dofadr[joint_attribute(m, instance)];
-  read_parameters(m, instance, kFrictionParameters, reinterpret_cast<double*>(&initial_));
-  if (initial_.static_ < initial_.coulomb_) {
-    refuse(m, instance, "attribute 'static' = " + number(initial_.static_) +
-                            " N; allowed: at least coulomb = " + number(initial_.coulomb_));
-  }
-}
-
-void JointFriction::reset(mjtNum* plugin_state) const {
-  std::memcpy(plugin_state, &initial_, sizeof initial_);
-  const FrictionState s{};
-  std::memcpy(plugin_state + kParameterCount, &s, sizeof s);
-}
-
-void JointFriction::compute(const mjModel* m, mjData* d) {
-  const mjtNum* head = state_of(m, d, instance_);
-  const auto& p = *reinterpret_cast<const FrictionParameters*>(head);
-  const auto& s = *reinterpret_cast<const FrictionState*>(head + kParameterCount);
-  const double v = d->qvel[dof_];
-  const Level now = level(p, s, d->time, v);
-  double force = now.viscous * v;
-  if (now.sliding > 0) {
-    // Mean of z' over the step: at speed a bristle relaxes within microseconds, and z' at one moment
-    // would stand for the whole step.
-    const double h = m->opt.timestep;
-    const double next = hydraulics::advance_bristle(s.bristle_, v, now.sliding, p.sigma_0_, h);
-    force += p.sigma_0_ * s.bristle_ + p.sigma_1_ * (next - s.bristle_) / h;
-  }
-  d->qfrc_passive[dof_] -= force;
-}
-
-void JointFriction::advance(const mjModel* m, mjData* d) {
-  mjtNum* head = state_of(m, d, instance_);
-  auto& p = *reinterpret_cast<FrictionParameters*>(head);
-  auto& s = *reinterpret_cast<FrictionState*>(head + kParameterCount);
-  const double v = d->qvel[dof_], h = m->opt.timestep;
-  // MuJoCo computes passive forces before the actuators': the load is that of the step before.
-  s.load_ = std::abs(p.actuator_load_coefficient_ * d->qfrc_actuator[dof_] +
-                     p.bias_load_coefficient_ * d->qfrc_bias[dof_]);
-  const double g = level(p, s, d->time, v).sliding;
-  s.bristle_ = g > 0 ? hydraulics::advance_bristle(s.bristle_, v, g, p.sigma_0_, h) : 0.0;
-  s.sliding_distance_ += std::abs(v) * h;
-  p.wear_ += p.wear_rate_ * std::abs(v) * h;
-}
-
-void register_joint_friction() {
-  static const std::vector<const char*> names = attribute_names(kFrictionParameters, {"joint"});
-  register_plugin<JointFriction>("leglab.joint_friction", mjPLUGIN_PASSIVE, names);
-}
+void register_joint_friction() { register_plugin<JointFriction>(mjPLUGIN_PASSIVE); }
 
 }  // namespace leglab::plugin

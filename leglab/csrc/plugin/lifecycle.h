@@ -1,28 +1,75 @@
-// The callbacks that every plugin class of this library shares.
+// The state and the callbacks that every plugin class of this library shares.
 #pragma once
 
-#include <span>
+#include <algorithm>
+#include <cstring>
 #include <vector>
 
 #include <mujoco/mujoco.h>
 
 #include "plugin/config.h"
+#include "plugin/tables.h"
 
 namespace leglab::plugin {
+
+// A plugin instance by its table. Its plugin state begins with the parameters, the dynamic states
+// behind them.
+template <class Table_>
+class Instance {
+ public:
+  using Table = Table_;
+  using Parameters = typename Table::Parameters;
+  using State = typename Table::State;
+  static constexpr int kParameterCount = Table::parameter_count;
+  static constexpr int kStateCount = Table::parameter_count + Table::state_count;
+
+  // Writes the parameters of MJCF; states are zero.
+  void reset(mjtNum* plugin_state) const {
+    std::copy_n(reinterpret_cast<const double*>(&initial_), kParameterCount, plugin_state);
+    std::fill_n(plugin_state + kParameterCount, Table::state_count, 0.0);
+  }
+
+ protected:
+  // Reads and checks the parameters of MJCF; refuses what is wrong.
+  Instance(const mjModel* m, int instance) : instance_(instance) {
+    if (Table::state_count > 0) require_single_stage_integrator(m, instance);
+    read_parameters(m, instance, Table::parameters, reinterpret_cast<double*>(&initial_));
+  }
+
+  struct Slots {
+    Parameters& parameters;
+    State& state;
+  };
+  static Slots slots(const mjModel* m, const mjData* d, int instance) {
+    mjtNum* head = state_of(m, d, instance);
+    return {*reinterpret_cast<Parameters*>(head), *reinterpret_cast<State*>(head + kParameterCount)};
+  }
+  Slots slots(const mjModel* m, const mjData* d) const { return slots(m, d, instance_); }
+
+  int instance_;
+  Parameters initial_;
+};
 
 template <class T>
 T* instance_of(const mjData* d, int instance) {
   return reinterpret_cast<T*>(d->plugin_data[instance]);
 }
 
-// Registers class T: constructor (m, instance), kStateCount, reset, compute, and, where they
-// exist, advance and visualize. `names` must outlive the program.
+// Whether a plugin instance of the model is one of T.
 template <class T>
-void register_plugin(const char* name, int capability, const std::vector<const char*>& names,
-                     void (*customise)(mjpPlugin&) = nullptr) {
+bool is_instance(const mjModel* m, int instance) {
+  return std::strcmp(mjp_getPluginAtSlot(m->plugin[instance])->name, T::Table::plugin) == 0;
+}
+
+// Registers an `Instance` T: constructor (m, instance), compute, and, where they exist, advance and
+// visualize.
+template <class T>
+void register_plugin(int capability, void (*customise)(mjpPlugin&) = nullptr) {
+  static std::vector<const char*> names(T::Table::texts);
+  for (const ParameterSpec& spec : T::Table::parameters) names.push_back(spec.name);
   mjpPlugin plugin;
   mjp_defaultPlugin(&plugin);
-  plugin.name = name;
+  plugin.name = T::Table::plugin;
   plugin.nattribute = static_cast<int>(names.size());
   plugin.attributes = names.data();
   plugin.capabilityflags = capability;
@@ -63,5 +110,13 @@ void register_plugin(const char* name, int capability, const std::vector<const c
   if (customise) customise(plugin);
   mjp_registerPlugin(&plugin);
 }
+
+void register_backlash();
+void register_command_path();
+void register_cylinder();
+void register_joint_friction();
+void register_sensor();
+void register_spring_damper();
+void register_supply();
 
 }  // namespace leglab::plugin

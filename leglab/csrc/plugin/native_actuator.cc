@@ -54,12 +54,8 @@ NativeActuator actuator_attribute(const mjModel* m, int instance) {
   const std::string name = text_attribute(m, instance, "actuator");
   const int id = name.empty() ? -1 : mj_name2id(m, mjOBJ_ACTUATOR, name.c_str());
   if (id < 0) {
-    std::string known;
-    for (int i = 0; i < m->nactuator; ++i) {
-      const char* other = mj_id2name(m, mjOBJ_ACTUATOR, i);
-      if (other && *other) known += (known.empty() ? "" : ", ") + std::string(other);
-    }
-    refuse(m, instance, "attribute 'actuator' = '" + name + "' names no actuator; allowed: " + known);
+    refuse(m, instance, "attribute 'actuator' = '" + name + "' names no actuator; allowed: " +
+                            known_names(m, mjOBJ_ACTUATOR, m->nactuator));
   }
   require_native(m, instance, id);
   return NativeActuator::at(m, id);

@@ -1,13 +1,5 @@
 // Registers every plugin of the library when it is loaded.
-#include <mujoco/mujoco.h>
-
-#include "plugin/backlash.h"
-#include "plugin/command_path.h"
-#include "plugin/cylinder.h"
-#include "plugin/joint_friction.h"
-#include "plugin/sensor.h"
-#include "plugin/spring_damper.h"
-#include "plugin/supply.h"
+#include "plugin/lifecycle.h"
 
 mjPLUGIN_LIB_INIT(leglab) {
   leglab::plugin::register_backlash();

@@ -1,20 +1,16 @@
-#include "plugin/sensor.h"
-
+// Sensor plugin `leglab.sensor`: what a hydraulic test stand measures at one actuator.
 #include <algorithm>
 #include <cstddef>
 #include <cstring>
 #include <sstream>
 
-#include "plugin/config.h"
 #include "plugin/cylinder.h"
-#include "plugin/lifecycle.h"
 
 namespace leglab::plugin {
 namespace {
 
 using hydraulics::CylinderParameters;
 using hydraulics::CylinderState;
-using hydraulics::kCylinderParameterCount;
 
 struct Quantity {
   const char* name;
@@ -22,7 +18,7 @@ struct Quantity {
 };
 
 constexpr int state_offset(std::size_t bytes) {
-  return static_cast<int>(kCylinderParameterCount + bytes / sizeof(double));
+  return static_cast<int>(Cylinder::kParameterCount + bytes / sizeof(double));
 }
 
 constexpr int kPressureA = -1, kPressureB = -2, kPistonPosition = -3;
@@ -58,48 +54,52 @@ std::vector<int> listed_quantities(const mjModel* m, int instance) {
   return offsets;
 }
 
-}  // namespace
-
-int Sensor::dimension(const mjModel* m, int instance) {
-  return static_cast<int>(listed_quantities(m, instance).size());
-}
-
-Sensor::Sensor(const mjModel* m, int instance) : quantities_(listed_quantities(m, instance)) {
-  for (int i = 0; i < m->nsensor; ++i) {
-    if (m->sensor_type[i] == mjSENS_PLUGIN && m->sensor_plugin[i] == instance) sensor_ = i;
-  }
-  if (sensor_ < 0) refuse(m, instance, "serves no sensor; allowed: one sensor an instance");
-  const std::string name = text_attribute(m, instance, "actuator");
-  const int actuator = mj_name2id(m, mjOBJ_ACTUATOR, name.c_str());
-  if (actuator >= 0) cylinder_ = m->actuator_plugin[actuator];
-  if (cylinder_ < 0 || std::strcmp(mjp_getPluginAtSlot(m->plugin[cylinder_])->name, kCylinderName) != 0) {
-    refuse(m, instance, "attribute 'actuator' = '" + name + "'; allowed: the name of a " + kCylinderName +
-                            " actuator");
-  }
-}
-
-void Sensor::compute(const mjModel* m, mjData* d) {
-  mjtNum* out = d->sensordata + m->sensor_adr[sensor_];
-  auto* cylinder = instance_of<Cylinder>(d, cylinder_);
-  const hydraulics::Chambers& chambers = cylinder->observe(m, d);
-  const mjtNum* state = state_of(m, d, cylinder_);
-  for (int offset : quantities_) {
-    switch (offset) {
-      case kPressureA: *out++ = chambers.gauge_a(); break;
-      case kPressureB: *out++ = chambers.gauge_b(); break;
-      case kPistonPosition: *out++ = cylinder->piston_position(); break;
-      default: *out++ = state[offset];
+class Sensor : public Instance<SensorTable> {
+ public:
+  Sensor(const mjModel* m, int instance)
+      : Instance(m, instance), quantities_(listed_quantities(m, instance)) {
+    for (int i = 0; i < m->nsensor; ++i) {
+      if (m->sensor_type[i] == mjSENS_PLUGIN && m->sensor_plugin[i] == instance) sensor_ = i;
+    }
+    if (sensor_ < 0) refuse(m, instance, "serves no sensor; allowed: one sensor an instance");
+    const std::string name = text_attribute(m, instance, "actuator");
+    const int actuator = mj_name2id(m, mjOBJ_ACTUATOR, name.c_str());
+    if (actuator >= 0) cylinder_ = m->actuator_plugin[actuator];
+    if (cylinder_ < 0 || !is_instance<Cylinder>(m, cylinder_)) {
+      refuse(m, instance, "attribute 'actuator' = '" + name + "'; allowed: the name of a " +
+                              Cylinder::Table::plugin + " actuator");
     }
   }
-}
+
+  void compute(const mjModel* m, mjData* d) {
+    mjtNum* out = d->sensordata + m->sensor_adr[sensor_];
+    auto* cylinder = instance_of<Cylinder>(d, cylinder_);
+    const hydraulics::Chambers& chambers = cylinder->observe(m, d);
+    const mjtNum* state = state_of(m, d, cylinder_);
+    for (int offset : quantities_) {
+      switch (offset) {
+        case kPressureA: *out++ = chambers.gauge_a(); break;
+        case kPressureB: *out++ = chambers.gauge_b(); break;
+        case kPistonPosition: *out++ = cylinder->piston_position(); break;
+        default: *out++ = state[offset];
+      }
+    }
+  }
+
+ private:
+  int sensor_ = -1;
+  int cylinder_ = -1;  // instance of leglab.cylinder
+  std::vector<int> quantities_;
+};
+
+}  // namespace
 
 void register_sensor() {
-  static const std::vector<const char*> names{"actuator", "quantity"};
-  register_plugin<Sensor>("leglab.sensor", mjPLUGIN_SENSOR, names, [](mjpPlugin& plugin) {
+  register_plugin<Sensor>(mjPLUGIN_SENSOR, [](mjpPlugin& plugin) {
     // Lengths are known by then; a later stage would make MuJoCo compute accelerations of bodies.
     plugin.needstage = mjSTAGE_VEL;
     plugin.nsensordata = +[](const mjModel* m, int instance, int) {
-      return Sensor::dimension(m, instance);
+      return static_cast<int>(listed_quantities(m, instance).size());
     };
   });
 }

@@ -3,15 +3,11 @@
 
 #include <vector>
 
-#include <mujoco/mujoco.h>
-
-#include "hydraulics/supply.h"
+#include "plugin/lifecycle.h"
 
 namespace leglab::plugin {
 
-extern const char kSupplyName[];
-
-class Supply {
+class Supply : public Instance<hydraulics::SupplyTable> {
  public:
   Supply(const mjModel* m, int instance);
   void reset(mjtNum* plugin_state) const;
@@ -21,16 +17,8 @@ class Supply {
   // Gauge pressure [Pa] of an instance of this plugin.
   static double pressure(const mjModel* m, const mjData* d, int instance);
 
-  static constexpr int kParameterCount = sizeof(hydraulics::SupplyParameters) / sizeof(double);
-  static constexpr int kStateCount =
-      kParameterCount + sizeof(hydraulics::SupplyState) / sizeof(double);
-
  private:
-  int instance_;
   std::vector<int> consumers_;  // instances of leglab.cylinder
-  hydraulics::SupplyParameters initial_;
 };
-
-void register_supply();
 
 }  // namespace leglab::plugin

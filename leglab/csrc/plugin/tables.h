@@ -1,30 +1,105 @@
-// Parameters and states of every plugin with a state, for tools that read them by name.
+// Parameters and states of every plugin with a state, for the plugins themselves and for tools that
+// read them by name.
 #pragma once
 
 #include <span>
 
 #include "hydraulics/parameters.h"
 #include "hydraulics/supply.h"
-#include "plugin/backlash_parameters.h"
-#include "plugin/command_path_parameters.h"
-#include "plugin/joint_friction_parameters.h"
-#include "plugin/spring_damper_parameters.h"
 
 namespace leglab::plugin {
+
+// X(name, unit, nominal, minimum, maximum, minimum_allowed, description) of parameters and
+// X(name, unit, description) of states; N is N m at a hinge.
+
+#define LEGLAB_SPRING_PARAMETERS(X)                                                                \
+  X(k1, "N/rad", 0.0, -1e6, 1e6, true, "linear stiffness (Eq. 23); negative weakens a native spring") \
+  X(k2, "N/rad^3", 0.0, -1e6, 1e6, true, "hardening y^3 sin^2 y (Eq. 23)")                         \
+  X(k3, "N/rad^3", 0.0, -1e9, 1e9, true, "hardening y^3 (Duffing 1918)")                           \
+  X(d1, "N s/rad", 0.0, -1e5, 1e5, true, "linear damping (Eq. 23); negative weakens native damping") \
+  X(quadratic_damping, "N s^2/rad^2", 0.0, 0.0, 1e5, true, "damping with the speed squared")       \
+  X(rest_position, "rad", 0.0, -100.0, 100.0, true, "joint position without spring force")         \
+  X(force_offset, "N", 0.0, -1e6, 1e6, true, "constant force")                                     \
+  X(stop_lower, "rad", -1e3, -1e3, 1e3, true, "below it the soft stop acts")                       \
+  X(stop_upper, "rad", 1e3, -1e3, 1e3, true, "above it the soft stop acts")                        \
+  X(stop_stiffness, "N/rad", 0.0, 0.0, 1e9, true, "of the soft stops")                             \
+  X(stop_damping, "N s/rad", 0.0, 0.0, 1e6, true, "of the soft stops")
+LEGLAB_TABLE(Spring, "leglab.spring_damper", LEGLAB_SPRING_PARAMETERS, LEGLAB_NONE, "joint", "strut")
+
+#define LEGLAB_FRICTION_PARAMETERS(X)                                                              \
+  X(sigma_0, "N/rad", 1e3, 0.0, 1e9, true, "bristle stiffness")                                    \
+  X(sigma_1, "N s/rad", 1.0, 0.0, 1e6, true, "bristle damping")                                    \
+  X(viscous, "N s/rad", 0.0, -1e6, 1e6, true, "viscous friction; negative weakens native damping")     \
+  X(coulomb, "N", 0.0, 0.0, 1e6, true, "Coulomb friction")                                         \
+  X(static, "N", 0.0, 0.0, 1e6, true, "breakaway friction, at least coulomb")                      \
+  X(stribeck_velocity, "rad/s", 0.1, 0.0, 1e3, false, "Stribeck velocity")                         \
+  X(direction_asymmetry, "1", 0.0, -1.0, 1.0, true, "friction x (1 + a) for v > 0, (1 - a) for v < 0") \
+  X(viscous_difference, "N s/rad", 0.0, -1e6, 1e6, true, "viscous friction for v > 0 less that for v < 0")\
+  X(coulomb_difference, "N", 0.0, -1e6, 1e6, true, "Coulomb and breakaway friction for v > 0 less v < 0")\
+  X(actuator_load_coefficient, "1", 0.0, -10.0, 10.0, true, "friction per actuator force, see load")  \
+  X(bias_load_coefficient, "1", 0.0, -10.0, 10.0, true, "friction per gravity and Coriolis force")  \
+  X(wear_rate, "1/rad", 0.0, 0.0, 1e3, true, "relative growth per path travelled (Archard 1953)")  \
+  X(drift_amplitude, "1", 0.0, 0.0, 1.0, true, "relative slow sinusoidal change")                  \
+  X(drift_period, "s", 60.0, 0.0, 1e6, false, "period of the slow change")                         \
+  X(wear, "1", 1.0, 0.0, 1e3, true, "relative friction level; the machine itself changes it")
+
+#define LEGLAB_FRICTION_STATES(X)  \
+  X(bristle, "rad", "LuGre bristle deflection z") \
+  X(sliding_distance, "rad", "path since the reset") \
+  X(load, "N", "|actuator_load_coefficient qfrc_actuator + bias_load_coefficient qfrc_bias| of the last step")
+LEGLAB_TABLE(Friction, "leglab.joint_friction", LEGLAB_FRICTION_PARAMETERS, LEGLAB_FRICTION_STATES, "joint")
+
+#define LEGLAB_BACKLASH_PARAMETERS(X)                                                              \
+  X(width, "rad", 0.0, 0.0, 10.0, true, "total play; 0 = rigid, no effect")                        \
+  X(motor_inertia, "kg m^2", 0.0, 0.0, 1e6, true, "motor side, reflected; 0 = the joint's armature")\
+  X(stiffness, "N/rad", 1e5, 0.0, 1e12, false, "of a flank in contact")                            \
+  X(damping_ratio, "1", 0.5, 0.0, 100.0, true, "of a flank in contact, with the reduced mass")
+
+#define LEGLAB_BACKLASH_STATES(X)                                        \
+  X(offset, "rad", "motor side less joint")                              \
+  X(motor_velocity, "rad/s", "of the motor side")                        \
+  X(transmitted, "N", "from motor to joint over the last step")          \
+  X(constraint, "N", "of friction loss, limits and contacts on the joint over the last step") \
+  X(seated_width, "rad", "play of the last step; a new one seats anew on the loaded flank")
+LEGLAB_TABLE(Backlash, "leglab.backlash", LEGLAB_BACKLASH_PARAMETERS, LEGLAB_BACKLASH_STATES, "joint")
+
+// In the order in which the command passes them. Commands count in the unit of the actuator's ctrl.
+#define LEGLAB_COMMAND_PARAMETERS(X)                                                               \
+  X(delay, "s", 0.0, 0.0, 1.0, true, "dead time, at most the attribute max_delay")                 \
+  X(gain, "1", 1.0, -100.0, 100.0, true, "factor on the command")                               \
+  X(bias, "ctrl", 0.0, -1e6, 1e6, true, "added to the command")                                    \
+  X(hysteresis, "ctrl", 0.0, 0.0, 1e6, true, "full width of a play")                               \
+  X(dead_band, "ctrl", 0.0, 0.0, 1e6, true, "half width: below it nothing, above it u - dead_band")\
+  X(time_constant, "s", 0.0, 0.0, 10.0, true, "first-order lag: bandwidth 1/(2 pi time_constant)") \
+  X(actuator_gain, "1", 1.0, -100.0, 100.0, true, "factor on the force of the actuator")
+
+// The commands of the last steps follow these in the plugin state, newest first.
+#define LEGLAB_COMMAND_STATES(X)                \
+  X(started, "1", "1 after the first step")     \
+  X(play_output, "ctrl", "behind the hysteresis") \
+  X(lag_output, "ctrl", "behind the lag")
+LEGLAB_TABLE(Command, "leglab.command_path", LEGLAB_COMMAND_PARAMETERS, LEGLAB_COMMAND_STATES, "actuator",
+             "max_delay")
+
+LEGLAB_TABLE(Sensor, "leglab.sensor", LEGLAB_NONE, LEGLAB_NONE, "actuator", "quantity")
 
 struct PluginTable {
   const char* plugin;
   std::span<const hydraulics::ParameterSpec> parameters;
   std::span<const hydraulics::StateSpec> states;
+  std::span<const char* const> texts;
+
+  template <class Table>
+  static constexpr PluginTable of() {
+    return {Table::plugin, Table::parameters, Table::states, Table::texts};
+  }
 };
 
 inline constexpr PluginTable kTables[] = {
-    {"leglab.cylinder", hydraulics::kCylinderParameters, hydraulics::kCylinderStates},
-    {"leglab.supply", hydraulics::kSupplyParameters, hydraulics::kSupplyStates},
-    {"leglab.spring_damper", kSpringParameters, {}},
-    {"leglab.joint_friction", kFrictionParameters, kFrictionStates},
-    {"leglab.backlash", kBacklashParameters, kBacklashStates},
-    {"leglab.command_path", kCommandParameters, kCommandStates},
+    PluginTable::of<hydraulics::CylinderTable>(), PluginTable::of<hydraulics::SupplyTable>(),
+    PluginTable::of<SpringTable>(),               PluginTable::of<FrictionTable>(),
+    PluginTable::of<BacklashTable>(),             PluginTable::of<CommandTable>(),
+    PluginTable::of<SensorTable>(),
 };
 
 }  // namespace leglab::plugin

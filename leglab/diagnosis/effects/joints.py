@@ -11,6 +11,7 @@ import numpy as np
 
 from leglab.diagnosis.effects.base import Effect, EffectParameter, Values
 from leglab.diagnosis.model import CYLINDER, Change, Machine
+from leglab.machine.simulation import actuator_moments
 
 _POSES = 12
 _BRISTLE_HZ = 100.0
@@ -70,10 +71,7 @@ def drive_damping(machine: Machine, joint: str) -> float:
     data = mujoco.MjData(model)
     data.qpos[:] = model.qpos0 + 0.1
     mujoco.mj_forward(model, data)
-    moment = np.zeros((model.nu, model.nv))
-    mujoco.mju_sparse2dense(
-        moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
-    )
+    moment = actuator_moments(model, data)
     for cylinder in machine.instances(CYLINDER):
         lever = float(moment[model.actuator(cylinder).id, index])
         total += machine.parameter(cylinder, "viscous") * lever**2
