@@ -46,6 +46,7 @@ def trajectories(problem, windows):
             variant.plugin_state,
             measured,
             replay.channels,
+            replay.thresholds.rest_time,
         )
         time_axis = cut.series.time
         for first, start in zip(cut.firsts, starts, strict=True):

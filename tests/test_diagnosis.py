@@ -14,17 +14,17 @@ from leglab.cli import main
 from leglab.diagnosis.experiment import catalogue, propose
 from leglab.diagnosis.hypothesis import Hypothesis, Library
 from leglab.diagnosis.model import Change, Machine
-from leglab.diagnosis.output import reloaded_error, write_diagnosis, write_improved
+from leglab.diagnosis.output import write_diagnosis, write_improved
 from leglab.diagnosis.recordings import (
     check_recordings,
     held_out_choice,
     read_recordings,
     split_held_out,
 )
-from leglab.diagnosis.search import window_cost
 from leglab.diagnosis.verdict import diagnose, exact_twins
 from leglab.diagnosis.windows import Channel
 from leglab.diagnosis.workflow import Settings, set_up
+from tests.patched_models import reloaded_error
 
 FOLDER = Path(__file__).parent / "data" / "diagnosis"
 NAMES = ("multisine", "slow", "walk")
@@ -127,7 +127,7 @@ def test_an_effect_that_the_library_lacks_is_not_called_for_sure():
 
 
 def test_errors_of_a_good_model_are_white(problem):
-    cost = window_cost(problem, Hypothesis())
+    cost = problem.window_cost(Hypothesis())
     assert 0.7 < cost.mean() < 1.3
 
 
@@ -210,7 +210,7 @@ def test_gaps_leave_out_windows_only(problem):
     other = set_up("knee_bench", broken, ("walk",), Settings(effects=EFFECTS, threads=1))
     lost = problem.replay.windows - other.replay.windows
     assert 1 <= lost <= 3
-    assert window_cost(other, Hypothesis()).mean() < 1.3
+    assert other.window_cost(Hypothesis()).mean() < 1.3
 
 
 def test_effects_compose_on_one_parameter():

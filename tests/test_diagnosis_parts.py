@@ -5,9 +5,9 @@ import pytest
 
 from leglab.base.errors import LeglabError
 from leglab.diagnosis.effects.base import Effect, EffectParameter, register
-from leglab.diagnosis.fitting import Sums, solve_step
+from leglab.diagnosis.fitting import Sums, Unknowns
 from leglab.diagnosis.judging import preferences, t_value
-from leglab.diagnosis.onset import _change
+from leglab.diagnosis.onset import change_point
 from leglab.diagnosis.paths import delayed, play
 from leglab.diagnosis.residual import robust_cost
 from leglab.diagnosis.screening import Candidate
@@ -64,6 +64,11 @@ def test_play_keeps_half_its_width():
 def test_delay_between_samples_mixes_neighbours():
     late = delayed(np.arange(6.0), 2.25e-3, 1e-3)
     np.testing.assert_allclose(late, [0.0, 0.0, 0.0, 0.75, 1.75, 2.75])
+
+
+def solve_step(residual, jacobian, now, prior, lower, upper):
+    unknowns = Unknowns(now=now, prior=prior, lower=lower, upper=upper)
+    return Sums.of(residual, jacobian).step(unknowns)
 
 
 def test_step_is_least_squares_while_errors_are_small():
@@ -129,9 +134,9 @@ def test_preferences_are_shares_of_resamples():
 def test_change_point_of_a_step():
     rng = np.random.default_rng(5)
     values = 0.1 * rng.standard_normal(40)
-    assert _change(values) is None
+    assert change_point(values) is None
     values[23:] += 3.0
-    assert _change(values) == 23
+    assert change_point(values) == 23
 
 
 def test_a_parameter_outside_its_bounds_is_refused():
@@ -232,5 +237,6 @@ def test_sums_over_windows_say_what_a_step_of_some_unknowns_costs():
     part = Sums.of(residual, jacobian).only(some)
     assert part.cost(x) == pytest.approx(20 * robust_cost(np.mean(left**2, axis=1)).sum())
     free = np.zeros(2), np.zeros(2), np.full(2, -np.inf), np.full(2, np.inf)
-    np.testing.assert_allclose(part.step(*free), solve_step(residual, jacobian[:, :, some], *free))
-    assert part.cost(part.step(*free)) < part.cost(x)
+    step = part.step(Unknowns(now=free[0], prior=free[1], lower=free[2], upper=free[3]))
+    np.testing.assert_allclose(step, solve_step(residual, jacobian[:, :, some], *free))
+    assert part.cost(step) < part.cost(x)

@@ -7,20 +7,20 @@ import mujoco
 import numpy as np
 from scipy.interpolate import BSpline
 
-from leglab.diagnosis.model import CYLINDER, Machine
+from leglab.diagnosis.model import CYLINDER, Machine, moment
 from leglab.diagnosis.result import Where
 from leglab.diagnosis.starts import spool
+from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 from leglab.diagnosis.windows import Channel, Series, derivative, smoothed
 from leglab.machine.cylinder import Cylinder
 from leglab.machine.parameters import State
 
-_STRIDE = 0.01  # s between samples at which balances are taken
-_KNOTS = 7
-_RIDGE = 1e-3
-
 
 def isolate(
-    machine: Machine, series: list[Series], channels: tuple[Channel, ...]
+    machine: Machine,
+    series: list[Series],
+    channels: tuple[Channel, ...],
+    thresholds: Thresholds = DEFAULT,
 ) -> tuple[tuple[Where, ...], float | None]:
     """Balances of torque and of oil along the measured motion, each with measured inputs only.
 
@@ -39,23 +39,29 @@ def isolate(
         joint = machine.driven[cylinder][0]
         if not {f"{joint}_pressure_a", f"{joint}_pressure_b"} <= names:
             continue
-        tables = [_balances(machine, one, channels, cylinder, joint) for one in series]
+        stride = thresholds.balance_stride
+        tables = [_balances(machine, one, channels, cylinder, joint, stride) for one in series]
         table = {key: np.concatenate([t[key] for t in tables]) for key in tables[0]}
         regressors = {k: table[k] for k in ("position", "velocity", "pressure", "command")}
         for kind, element in (("mechanical", joint), ("hydraulic", cylinder)):
-            noise = float(np.median(np.concatenate([np.full(1, _noise(t[kind])) for t in tables])))
+            noise = float(np.median([_noise(t[kind]) for t in tables]))
             residual = table[kind]
             level = 1.4826 * float(np.median(np.abs(residual))) / noise if noise > 0 else 0.0
             where = Where(
                 residual=kind, element=element, level=level, region=_region(residual, regressors)
             )
-            found.append((where, _static_share(residual, regressors, noise)))
+            found.append((where, _static_share(residual, regressors, noise, thresholds)))
     found.sort(key=lambda entry: -entry[0].level)
     return tuple(w for w, _ in found), (found[0][1] if found else None)
 
 
 def _balances(
-    machine: Machine, series: Series, channels: tuple[Channel, ...], cylinder: str, joint: str
+    machine: Machine,
+    series: Series,
+    channels: tuple[Channel, ...],
+    cylinder: str,
+    joint: str,
+    stride: float,
 ) -> dict[str, np.ndarray]:
     """Torque and pressure-rate residuals and what they may depend on, each (samples,)."""
     period = series.period
@@ -64,8 +70,7 @@ def _balances(
     smooth = {name: smoothed(x, filters[name]) for name, x in raw.items()}
     q_name = f"{joint}_position"
     wide = (2 * filters[q_name][0] + 1, 4)
-    stride = max(1, round(_STRIDE / period))
-    at = np.arange(wide[0], series.time.size - wide[0], stride)
+    at = np.arange(wide[0], series.time.size - wide[0], max(1, round(stride / period)))
     values = _parameters(machine, cylinder)
     model = Cylinder(values)
     command = np.clip(series.columns[f"{cylinder}_command"], -1.0, 1.0)
@@ -85,25 +90,14 @@ def _balances(
         speed = derivative(x, wide, period)
         motion[name] = smoothed(x, wide), speed, np.gradient(speed, period)
     rates = [derivative(smooth[f"{joint}_pressure_{c}"], (21, 2), period) for c in "ab"]
-    moment = np.zeros((mj.nu, mj.nv))
     out = {k: np.empty(at.size) for k in ("mechanical", "hydraulic")}
     for i, k in enumerate(at.tolist()):
         for name, (q, v, a) in motion.items():
             j = mj.joint(name)
-            data.qpos[j.qposadr[0]], data.qvel[j.dofadr[0]], data.qacc[j.dofadr[0]] = (
-                q[k],
-                v[k],
-                a[k],
-            )
+            data.qpos[j.qposadr[0]] = q[k]
+            data.qvel[j.dofadr[0]], data.qacc[j.dofadr[0]] = v[k], a[k]
         mujoco.mj_inverse(mj, data)
-        mujoco.mju_sparse2dense(
-            moment,
-            data.actuator_moment,
-            data.moment_rownnz,
-            data.moment_rowadr,
-            data.moment_colind,
-        )
-        lever = moment[actuator, dof]
+        lever = moment(mj, data)[actuator, dof]
         speed = lever * motion[joint][1][k]
         pa, pb = smooth[f"{joint}_pressure_a"][k], smooth[f"{joint}_pressure_b"][k]
         friction = model.native.steady_friction(speed, pa, pb)
@@ -163,19 +157,22 @@ def _region(residual: np.ndarray, regressors: Mapping[str, np.ndarray]) -> str:
 
 
 def _static_share(
-    residual: np.ndarray, regressors: Mapping[str, np.ndarray], noise: float
+    residual: np.ndarray,
+    regressors: Mapping[str, np.ndarray],
+    noise: float,
+    thresholds: Thresholds,
 ) -> float:
     """Share of the excess variance that additive cubic B-splines of the regressors explain."""
     columns = [np.ones((residual.size, 1))]
     for values in regressors.values():
         low, high = np.quantile(values, [0.01, 0.99])
-        inner = np.linspace(low, high, _KNOTS)
+        inner = np.linspace(low, high, thresholds.balance_knots)
         knots = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
         columns.append(BSpline.design_matrix(np.clip(values, low, high), knots, 3).toarray()[:, 1:])
     design = np.concatenate(columns, axis=1)
     even = np.arange(residual.size) // 20 % 2 == 0  # blocks, so that neighbours do not help
     inner_product = design[even].T @ design[even]
-    inner_product[np.diag_indices_from(inner_product)] *= 1.0 + _RIDGE
+    inner_product[np.diag_indices_from(inner_product)] *= 1.0 + thresholds.balance_ridge
     inner_product[np.diag_indices_from(inner_product)] += 1e-9
     weights = np.linalg.solve(inner_product, design[even].T @ residual[even])
     rest = residual[~even] - design[~even] @ weights

@@ -17,6 +17,7 @@ from leglab.machine.parameters import PluginTable
 CYLINDER = "leglab.cylinder"
 FRICTION = "leglab.joint_friction"
 SPRING = "leglab.spring_damper"
+CHAMBERS = ("pressure_a", "pressure_b")
 
 Edit = tuple[Hashable, Callable[[mujoco.MjSpec], None]]
 _SIMPLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
@@ -185,18 +186,19 @@ class Machine:
         # A singular qpos0 (a straight linkage) must not hide a moment.
         data.qpos[:] = model.qpos0 + 0.1
         mujoco.mj_forward(model, data)
-        moment = np.zeros((model.nu, model.nv))
-        mujoco.mju_sparse2dense(
-            moment,
-            data.actuator_moment,
-            data.moment_rownnz,
-            data.moment_rowadr,
-            data.moment_colind,
-        )
         return {
             name: tuple(self.joints[int(model.dof_jntid[k])] for k in np.flatnonzero(row))
-            for name, row in zip(self.actuators, moment, strict=True)
+            for name, row in zip(self.actuators, moment(model, data), strict=True)
         }
+
+
+def moment(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    """Moments of the actuators at the present positions, dense, shape (nu, nv)."""
+    dense = np.zeros((model.nu, model.nv))
+    mujoco.mju_sparse2dense(
+        dense, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
+    )
+    return dense
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,10 +262,6 @@ class Change:
         The element may be one that an `edit` inserts.
         """
         self.parameters[element, name] = float(value)
-
-    def scale_parameter(self, element: str, name: str, factor: float) -> None:
-        """Multiplies a plugin parameter, so that effects on the same one compose."""
-        self.set_parameter(element, name, factor * self.parameter(element, name))
 
     def add_parameter(self, element: str, name: str, difference: float) -> None:
         """Adds to a plugin parameter, so that effects on the same one compose."""
