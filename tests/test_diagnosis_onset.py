@@ -28,9 +28,7 @@ def test_an_onset_stands_in_the_middle_of_what_is_possible(shows, seen, expected
     present = np.where(visible & ~after, 50.0, BLIND)
     absent = np.where(visible & (START + 0.3 > 6.0), 50.0, BLIND)
     costs = {False: absent, True: present}
-    replay = SimpleNamespace(
-        start=START, layout=SimpleNamespace(window=0.3), recording=np.zeros(len(START), int)
-    )
+    replay = SimpleNamespace(start=START, recording=np.zeros(len(START), int))
     problem = SimpleNamespace(
         replay=replay,
         size=60,

@@ -7,21 +7,17 @@ import mujoco
 import numpy as np
 from scipy.interpolate import BSpline
 
-from leglab.diagnosis.model import CYLINDER, Machine, moment
+from leglab.diagnosis.model import CYLINDER, moment
+from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.result import Where
 from leglab.diagnosis.starts import spool
-from leglab.diagnosis.thresholds import DEFAULT, Thresholds
-from leglab.diagnosis.windows import Channel, Series, derivative, smoothed
+from leglab.diagnosis.thresholds import Thresholds
+from leglab.diagnosis.windows import UniformSeries, derivative, smoothed
 from leglab.machine.cylinder import Cylinder
 from leglab.machine.parameters import State
 
 
-def isolate(
-    machine: Machine,
-    series: list[Series],
-    channels: tuple[Channel, ...],
-    thresholds: Thresholds = DEFAULT,
-) -> tuple[tuple[Where, ...], float | None]:
+def isolate(problem: Problem) -> tuple[tuple[Where, ...], float | None]:
     """Balances of torque and of oil along the measured motion, each with measured inputs only.
 
     Torque: M a + bias - passive against pressures times areas times lever less seal friction. Oil:
@@ -33,14 +29,14 @@ def isolate(
         residual's excess variance that static functions of position, velocity, pressure
         difference and command could explain. Both empty where no pressures were measured.
     """
-    names = {c.column for c in channels}
+    machine = problem.machine
+    names = {c.column for c in problem.channels}
     found: list[tuple[Where, float]] = []
     for cylinder in machine.instances(CYLINDER):
         joint = machine.driven[cylinder][0]
         if not {f"{joint}_pressure_a", f"{joint}_pressure_b"} <= names:
             continue
-        stride = thresholds.balance_stride
-        tables = [_balances(machine, one, channels, cylinder, joint, stride) for one in series]
+        tables = [_balances(problem, one, cylinder, joint) for one in problem.series]
         table = {key: np.concatenate([t[key] for t in tables]) for key in tables[0]}
         regressors = {k: table[k] for k in ("position", "velocity", "pressure", "command")}
         for kind, element in (("mechanical", joint), ("hydraulic", cylinder)):
@@ -50,28 +46,28 @@ def isolate(
             where = Where(
                 residual=kind, element=element, level=level, region=_region(residual, regressors)
             )
-            found.append((where, _static_share(residual, regressors, noise, thresholds)))
+            found.append((where, _static_share(residual, regressors, noise, problem.thresholds)))
     found.sort(key=lambda entry: -entry[0].level)
     return tuple(w for w, _ in found), (found[0][1] if found else None)
 
 
 def _balances(
-    machine: Machine,
-    series: Series,
-    channels: tuple[Channel, ...],
-    cylinder: str,
-    joint: str,
-    stride: float,
+    problem: Problem, series: UniformSeries, cylinder: str, joint: str
 ) -> dict[str, np.ndarray]:
     """Torque and pressure-rate residuals and what they may depend on, each (samples,)."""
-    period = series.period
-    filters = {c.column: c.filter for c in channels}
+    machine, period = problem.machine, series.period
+    filters = {c.column: c.filter for c in problem.channels}
     raw = {name: series.columns[name] for name in filters}
     smooth = {name: smoothed(x, filters[name]) for name, x in raw.items()}
     q_name = f"{joint}_position"
     wide = (2 * filters[q_name][0] + 1, 4)
-    at = np.arange(wide[0], series.time.size - wide[0], max(1, round(stride / period)))
-    values = _parameters(machine, cylinder)
+    stride = max(1, round(problem.thresholds.balance_stride / period))
+    at = np.arange(wide[0], series.time.size - wide[0], stride)
+    values = {
+        name: machine.parameter(cylinder, name)
+        for name, entry in machine.base.elements[cylinder][1].parameters.items()
+        if not isinstance(entry, State)
+    }
     model = Cylinder(values)
     command = np.clip(series.columns[f"{cylinder}_command"], -1.0, 1.0)
     moved = spool(
@@ -122,16 +118,6 @@ def _balances(
         "velocity": v[at],
         "pressure": difference[at],
         "command": command[at],
-    }
-
-
-def _parameters(machine: Machine, cylinder: str) -> dict[str, float]:
-    start, table = machine.base.elements[cylinder]
-    state = machine.base.plugin_state
-    return {
-        name: float(state[start + entry.offset])
-        for name, entry in table.parameters.items()
-        if not isinstance(entry, State)
     }
 
 

@@ -231,7 +231,7 @@ Start = Callable[[Measured, Variant, np.ndarray], np.ndarray]
 
 
 class Change:
-    """What effects do to a machine: a builder that they write to, in order.
+    """Changes that effects make to a machine: a builder that they write to, in order.
 
     Args:
         machine: The unmodified machine.

@@ -1,4 +1,4 @@
-"""What a diagnosis leaves behind: diagnosis.json, improved.xml, and a table for the terminal."""
+"""Output of a diagnosis: diagnosis.json, improved.xml, and tables for the terminal."""
 
 import json
 import os
@@ -106,7 +106,7 @@ def summary_tables(result: Diagnosis) -> list[Table]:
 
 
 def summary_lines(result: Diagnosis) -> list[str]:
-    """What the tables do not hold, a line each."""
+    """Lines for the terminal beside the tables: onsets, rivals, balances, notes."""
     lines = []
     for effect in result.effects:
         for recording, time in effect.onset:

@@ -19,26 +19,13 @@ from leglab.diagnosis.starts import (
     start_states,
 )
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
-from leglab.diagnosis.windows import Channel, Cut, Series, cut_series
+from leglab.diagnosis.windows import Channel, Cut, UniformSeries, cut_series
 from leglab.machine.plugin import headless
 
 _CACHED_VARIANTS = 8
 
 # Windows of one recording, its measured series, and its corrected columns.
 Part = tuple[Cut, Measured, dict[str, np.ndarray]]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Layout:
-    """How recordings are cut.
-
-    Attributes:
-        window: Length of a window [s].
-        bin: Predictions and data are averaged over this time [s].
-    """
-
-    window: float = 0.3
-    bin: float = 0.01
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,7 +53,6 @@ class Replay:
         machine: Its time step must divide the sampling period.
         series: Recordings of one sampling period.
         channels: What is predicted.
-        layout: How recordings are cut.
         thresholds: Of windows and their start states.
         threads: Of the rollouts.
 
@@ -85,19 +71,17 @@ class Replay:
     def __init__(
         self,
         machine: Machine,
-        series: list[Series],
+        series: list[UniformSeries],
         channels: tuple[Channel, ...],
-        layout: Layout,
         thresholds: Thresholds = DEFAULT,
         *,
         threads: int = 2,
     ) -> None:
-        self.machine, self.channels, self.layout = machine, channels, layout
-        self.thresholds = thresholds
+        self.machine, self.channels, self.thresholds = machine, channels, thresholds
         self._period = period = series[0].period
         self.substeps = max(1, round(period / machine.timestep))
-        per_bin = max(1, round(layout.bin / period))
-        self.bins = max(1, round(layout.window / period) // per_bin)
+        per_bin = max(1, round(thresholds.bin / period))
+        self.bins = max(1, round(thresholds.window / period) // per_bin)
         self.samples = self.bins * per_bin
         chambers = sum(1 for c in channels if c.chamber)
         self.blind = chambers < 2 * len(machine.instances(CYLINDER))
@@ -112,8 +96,8 @@ class Replay:
         if not self.start.size:
             longest = max(float(s.time[-1] - s.time[0]) for s in series)
             raise LeglabError(
-                f"no window of {layout.window:g} s fits: the longest recording lasts {longest:.3g} "
-                "s; allowed: recordings without gaps, some seconds long"
+                f"no window of {thresholds.window:g} s fits: the longest recording lasts "
+                f"{longest:.3g} s; allowed: recordings without gaps, some seconds long"
             )
         self._threads = max(1, threads)
         self._pool = rollout.Rollout(nthread=threads if threads > 1 else 0)

@@ -9,20 +9,20 @@ from scipy.signal import savgol_coeffs
 
 from leglab.diagnosis.hypothesis import Hypothesis, Key, Library
 from leglab.diagnosis.model import CHAMBERS, CYLINDER, Change, Machine
-from leglab.diagnosis.replay import Layout, Replay
+from leglab.diagnosis.replay import Replay
 from leglab.diagnosis.starts import Nudge
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
-from leglab.diagnosis.windows import Channel, Series, filter_difference, noise_level
+from leglab.diagnosis.windows import Channel, UniformSeries, filter_difference, noise_level
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NoiseModel:
-    """How replay errors scatter about one hypothesis where the model is right.
+    """Scatter of the replay errors of a right model, about one hypothesis.
 
     Attributes:
         defect: Error of the replays' time step, shape (windows, channels, bins).
-        whitening: What turns errors of a window into numbers of unit variance: the inverse
-            Cholesky factor of their covariance, shape (windows, size, size).
+        whitening: Inverse Cholesky factors of the windows' covariances, which turn errors into
+            numbers of unit variance, shape (windows, size, size).
     """
 
     defect: np.ndarray
@@ -105,7 +105,6 @@ class Problem:
         library: Its effects.
         series: The recordings.
         channels: What is predicted.
-        layout: How recordings are cut.
         fit: Indices of the recordings that are fitted; the others are held out.
         threads: Of the rollouts.
         thresholds: Of all steps.
@@ -124,9 +123,8 @@ class Problem:
         self,
         machine: Machine,
         library: Library,
-        series: list[Series],
+        series: list[UniformSeries],
         channels: tuple[Channel, ...],
-        layout: Layout,
         fit: Sequence[int],
         *,
         threads: int = 2,
@@ -134,7 +132,7 @@ class Problem:
     ) -> None:
         self.machine, self.library, self.thresholds = machine, library, thresholds
         self.series, self.channels = series, channels
-        self.replay = Replay(machine, series, channels, layout, thresholds, threads=threads)
+        self.replay = Replay(machine, series, channels, thresholds, threads=threads)
         self._fine = self.replay.on(machine.at_timestep(0.5 * machine.timestep))
         self.size = len(channels) * self.replay.bins
         self.fitted = np.isin(self.replay.recording, list(fit))
@@ -261,7 +259,7 @@ class Problem:
         keys = sorted(hypothesis.onsets)
         begins = np.stack([hypothesis.onsets[k][replay.recording] for k in keys])
         active = begins <= replay.start
-        begun = (begins > replay.start) & (begins < replay.start + replay.layout.window)
+        begun = (begins > replay.start) & (begins < replay.start + self.thresholds.window)
         certain = np.asarray(~begun.any(axis=0))
         codes = (active * (1 << np.arange(len(keys)))[:, None]).sum(axis=0)
         out = np.zeros((replay.windows, len(self.channels), replay.bins))
@@ -337,7 +335,7 @@ class Problem:
         )
 
 
-def _resolution(series: Sequence[Series], column: str) -> float:
+def _resolution(series: Sequence[UniformSeries], column: str) -> float:
     """Rounding error of a quantised column: its smallest step over sqrt(12)."""
     steps = [np.abs(np.diff(s.columns[column])) for s in series]
     steps = [s[s > 0].min() for s in steps if (s > 0).any()]

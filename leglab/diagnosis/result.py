@@ -1,4 +1,4 @@
-"""What a diagnosis says: everything that a report or a page needs, immutable."""
+"""The verdict of a diagnosis, with all that a report or a page shows; immutable."""
 
 import math
 from dataclasses import asdict, dataclass, replace
@@ -214,7 +214,7 @@ class Proposal:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Diagnosis:
-    """The verdict and what led to it.
+    """The verdict and its evidence.
 
     Attributes:
         verdict: named, confusion_set, partial, unexplained or nothing_missing.

@@ -30,6 +30,9 @@ class Thresholds:
     pressure_filter: tuple[float, int, int] = (0.005, 5, 2)
 
     # Windows and their start states.
+    # Length of a window, and of the bins over which predictions and data are averaged [s].
+    window: float = 0.3
+    bin: float = 0.01
     # Samples that smoothing filters reach to both sides of a window's start.
     margin_samples: int = 12
     # Windows start at the calmest sample within this share of their length from a regular grid.

@@ -99,7 +99,7 @@ def assemble(found: Search, settings: Settings, *, seconds: float) -> Diagnosis:
     # Share of the robust misfit of the baseline that the final fit takes away.
     share = (start - end) / max(start - 1.0, 1e-3)
     effects = _effects(found, end, share, rng)
-    where, ceiling = isolate(problem.machine, problem.series, problem.channels, limits)
+    where, ceiling = isolate(problem)
     windows = [problem.replay.recording == i for i in range(len(problem.series))]
     held = problem.held if problem.held.any() else np.ones_like(problem.held)
     names = [s.name for s in problem.series]

@@ -34,7 +34,7 @@ class Channel:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Series:
+class UniformSeries:
     """One recording, ready for replay.
 
     Attributes:
@@ -58,7 +58,7 @@ class Series:
         name: str,
         needed: tuple[str, ...],
         thresholds: Thresholds = DEFAULT,
-    ) -> "Series":
+    ) -> "UniformSeries":
         """Puts the needed columns of a recording on a uniform grid.
 
         Raises:
@@ -205,7 +205,7 @@ class Cut:
         smooth: Smoothed samples and their derivative by column, each (n,).
     """
 
-    series: Series
+    series: UniformSeries
     firsts: np.ndarray
     levers: dict[str, np.ndarray] = field(default_factory=dict)
     smooth: dict[str, tuple[np.ndarray, ...]] = field(default_factory=dict)
@@ -213,7 +213,7 @@ class Cut:
 
 def cut_series(
     machine: Machine,
-    series: Series,
+    series: UniformSeries,
     channels: tuple[Channel, ...],
     samples: int,
     lead: int,
@@ -238,11 +238,11 @@ def cut_series(
 
 
 def _unrest(
-    machine: Machine, series: Series, channels: tuple[Channel, ...], margin: int
+    machine: Machine, series: UniformSeries, channels: tuple[Channel, ...], margin: int
 ) -> np.ndarray:
-    """How badly smoothing serves around each sample, (n,): windows start where it is calm.
+    """Unrest around each sample, (n,): windows start where it is least.
 
-    Two filters' disagreement, in noise levels, and jumps of the commands.
+    Disagreement of two smoothing filters, in noise levels, and jumps of the commands.
     """
     total = np.zeros(series.time.size)
     for channel in channels:
@@ -257,7 +257,7 @@ def _unrest(
     return maximum_filter1d(total, 2 * margin + 1)
 
 
-def _lever(machine: Machine, series: Series, cylinder: str) -> np.ndarray:
+def _lever(machine: Machine, series: UniformSeries, cylinder: str) -> np.ndarray:
     """d(actuator length)/d(joint position) over a series, shape (n,), every tenth exact."""
     model = machine.base.model
     data = mujoco.MjData(model)

@@ -1,7 +1,7 @@
 """The search for missing effects, from recordings to the final fit."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,6 @@ from leglab.diagnosis.judging import accepted, t_value
 from leglab.diagnosis.model import Machine
 from leglab.diagnosis.onset import checked_onsets, suspected_onset
 from leglab.diagnosis.recordings import check_recordings
-from leglab.diagnosis.replay import Layout
 from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.search import (
     Progress,
@@ -25,15 +24,14 @@ from leglab.diagnosis.search import (
     thinned,
 )
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
-from leglab.diagnosis.windows import Series, channels, sampling_period
+from leglab.diagnosis.windows import UniformSeries, channels, sampling_period
 
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """How a diagnosis is done.
+    """Settings of a diagnosis.
 
     Attributes:
-        layout: How recordings are cut.
         effects: Names of the effects to consider; None for all.
         excluded: Names of effects to leave out.
         threads: Of the rollouts.
@@ -42,7 +40,6 @@ class Settings:
         thresholds: Of all steps.
     """
 
-    layout: Layout = field(default_factory=Layout)
     effects: tuple[str, ...] | None = None
     excluded: tuple[str, ...] = ()
     threads: int = 2
@@ -98,9 +95,8 @@ def set_up(
     return Problem(
         machine,
         Library(machine, names=settings.effects, excluded=settings.excluded),
-        [Series.from_recording(r, name, needed, limits) for name, r in recordings.items()],
+        [UniformSeries.from_recording(r, name, needed, limits) for name, r in recordings.items()],
         found,
-        settings.layout,
         [i for i, name in enumerate(recordings) if name not in held],
         threads=settings.threads,
         thresholds=limits,
