@@ -250,6 +250,11 @@ class Change:
         }
         self.starts: dict[tuple[str, str], Start] = {}
 
+    @property
+    def variant(self) -> Variant:
+        """The model after the edits."""
+        return self.machine.variant(tuple(self.edits))
+
     def parameter(self, element: str, name: str) -> float:
         """Present value of a plugin parameter: as set before, else as in the unmodified model."""
         if (element, name) in self.parameters:

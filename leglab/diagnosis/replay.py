@@ -129,14 +129,14 @@ class Replay:
             nudge: Departure from the start states.
         """
         parts = list(self._parts(change, chosen))
-        variant, starts = self._starts(change, parts, nudge)
+        starts = self._starts(change, parts, nudge)
         controls, targets = [], []
         for cut, measured, corrected in parts:
             index = cut.firsts[:, None] + np.arange(self.samples)
             controls.append(self._controls(measured, index))
             targets.append(np.stack([corrected[c.column][index + 1] for c in self.channels], 1))
-        states = self._roll(variant, starts, np.concatenate(controls))
-        errors = np.concatenate(targets) - self._predicted(variant, states)
+        states = self._roll(change.variant, starts, np.concatenate(controls))
+        errors = np.concatenate(targets) - self._predicted(change.variant, states)
         binned = errors.reshape((*errors.shape[:2], self.bins, -1)).mean(axis=3)
         gains = [
             np.prod([gain for _, gain in change.corrections.get(c.column, ())])
@@ -159,14 +159,14 @@ class Replay:
             Shape (series, channels, samples).
         """
         parts = list(self._parts(change, np.arange(self.windows) == window))
-        variant, start = self._starts(change, parts)
+        start = self._starts(change, parts)
         faulty = commands.copy()
         for i, actuator in enumerate(self.machine.actuators):
             for path in change.commands.get(actuator, ()):
                 faulty[:, :, i] = [path(row, self._period) for row in faulty[:, :, i]]
         controls = np.repeat(faulty, self.substeps, axis=1)
-        states = self._roll(variant, np.repeat(start, len(commands), axis=0), controls)
-        return self._predicted(variant, states)
+        states = self._roll(change.variant, np.repeat(start, len(commands), axis=0), controls)
+        return self._predicted(change.variant, states)
 
     def measured(self) -> np.ndarray:
         """Samples of all windows as measured, shape (windows, channels, samples + 1)."""
@@ -186,51 +186,39 @@ class Replay:
             if chosen is not None:
                 cut = replace(cut, firsts=cut.firsts[chosen[self.recording == number]])
             if cut.firsts.size:
-                yield cut, *measure(self.machine, cut, self.channels, change)
+                yield cut, *measure(cut, self.channels, change)
 
-    def _starts(
-        self, change: Change, parts: list[Part], nudge: Nudge | None = None
-    ) -> tuple[Variant, np.ndarray]:
-        """The model under a change, and full physics states at window starts."""
-        machine = self.machine
-        variant = machine.variant(tuple(change.edits))
-        parameters = variant.plugin_state.copy()
-        for (element, name), value in change.parameters.items():
-            parameters[variant.slot(element, name)] = value
+    def _starts(self, change: Change, parts: list[Part], nudge: Nudge | None = None) -> np.ndarray:
+        """Full physics states at window starts, (windows, nstate)."""
 
         def states(
             earlier: int, nudge: Nudge | None, pressures: Sequence[np.ndarray | None]
         ) -> np.ndarray:
-            return np.concatenate(
-                [
+            rows = []
+            for (cut, measured, _), known in zip(parts, pressures, strict=True):
+                then = replace(measured, samples=measured.samples - earlier)
+                rest = self.thresholds.rest_time
+                rows.append(
                     start_states(
-                        machine,
-                        cut,
-                        change,
-                        variant,
-                        parameters,
-                        replace(measured, samples=measured.samples - earlier),
-                        self.channels,
-                        self.thresholds.rest_time,
-                        pressures=known,
-                        nudge=nudge,
+                        cut, change, then, self.channels, rest, pressures=known, nudge=nudge
                     )
-                    for (cut, measured, _), known in zip(parts, pressures, strict=True)
-                ]
-            )
+                )
+            return np.concatenate(rows)
 
         unknown = [None] * len(parts)
         if not self.blind:
-            return variant, states(0, nudge, unknown)
+            return states(0, nudge, unknown)
         # Chamber pressures at window starts come from a replay before them.
         controls = [
             self._controls(m, cut.firsts[:, None] - self._lead + np.arange(self._lead))
             for cut, m, _ in parts
         ]
-        warm = self._roll(variant, states(self._lead, None, unknown), np.concatenate(controls))
-        slots = offset(variant.model, PLUGIN) + pressure_slots(machine, variant)
+        warm = self._roll(
+            change.variant, states(self._lead, None, unknown), np.concatenate(controls)
+        )
+        slots = offset(change.variant.model, PLUGIN) + pressure_slots(change)
         counts = np.cumsum([cut.firsts.size for cut, _, _ in parts])[:-1]
-        return variant, states(0, nudge, np.split(warm[:, -1][:, slots], counts))
+        return states(0, nudge, np.split(warm[:, -1][:, slots], counts))
 
     def _controls(self, measured: Measured, index: np.ndarray) -> np.ndarray:
         """Controls at the steps of windows, (windows, steps, actuators); `index` their samples."""

@@ -298,10 +298,10 @@ class Bristle:
 
 
 def measure(
-    machine: Machine, cut: Cut, channels: tuple[Channel, ...], change: Change
+    cut: Cut, channels: tuple[Channel, ...], change: Change
 ) -> tuple[Measured, dict[str, np.ndarray]]:
     """Smoothed series under the sensor and command faults of a change, and corrected columns."""
-    series, period = cut.series, cut.series.period
+    machine, series, period = change.machine, cut.series, cut.series.period
     corrected = {}
     for channel in channels:
         samples = series.columns[channel.column]
@@ -343,11 +343,8 @@ def measure(
 
 
 def start_states(
-    machine: Machine,
     cut: Cut,
     change: Change,
-    variant: Variant,
-    parameters: np.ndarray,
     measured: Measured,
     channels: tuple[Channel, ...],
     rest_time: float,
@@ -358,19 +355,19 @@ def start_states(
     """Full physics states at window starts, shape (windows, nstate).
 
     Args:
-        machine: The unmodified machine.
         cut: Windows.
-        change: What the hypothesis changes.
-        variant: Compiled model.
-        parameters: Plugin state with parameters set, (npluginstate,).
+        change: Changes under the hypothesis.
         measured: Smoothed series; its samples say where windows start.
-        channels: What is measured.
+        channels: Measured outputs.
         rest_time: A bristle that slid less than twice its deflection in this time [s] rests.
         pressures: Of the chambers where none are measured, (windows, 2 cylinders).
         nudge: Departure from these states.
     """
+    machine, variant = change.machine, change.variant
     model, firsts = variant.model, measured.samples
-    plugin = np.tile(parameters, (firsts.size, 1))
+    plugin = np.tile(variant.plugin_state, (firsts.size, 1))
+    for (element, name), value in change.parameters.items():
+        plugin[:, variant.slot(element, name)] = value
     qpos = np.tile(variant.qpos, (firsts.size, 1))
     qvel = np.zeros((firsts.size, model.nv))
     lag = 0.5 * machine.timestep
@@ -385,7 +382,7 @@ def start_states(
             slot = variant.slot(channel.cylinder, channel.chamber)
             plugin[:, slot] = measured.pressure[channel.column][firsts]
     if pressures is not None:
-        plugin[:, pressure_slots(machine, variant)] = pressures
+        plugin[:, pressure_slots(change)] = pressures
     instances = Instances(machine=machine, measured=measured, variant=variant, state=plugin)
     instances.reconstruct()
     for (element, name), function in change.starts.items():
@@ -407,12 +404,12 @@ def start_states(
     return states
 
 
-def pressure_slots(machine: Machine, variant: Variant) -> np.ndarray:
+def pressure_slots(change: Change) -> np.ndarray:
     """Places of all chamber pressures in the plugin state: A and B of each cylinder in turn."""
     return np.array(
         [
-            variant.slot(cylinder, chamber)
-            for cylinder in machine.instances(CYLINDER)
+            change.variant.slot(cylinder, chamber)
+            for cylinder in change.machine.instances(CYLINDER)
             for chamber in CHAMBERS
         ],
         dtype=int,
