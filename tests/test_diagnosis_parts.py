@@ -95,6 +95,21 @@ def test_step_respects_bounds_and_priors():
     assert prior[0] == pytest.approx(0.5)
 
 
+def test_a_bounded_step_is_optimal_under_its_bounds():
+    """Also where the free solution leaves bounds that the best one does not touch."""
+    rng = np.random.default_rng(7)
+    for _ in range(50):
+        jacobian = rng.standard_normal((4, 10, 6)) @ rng.standard_normal((6, 6))
+        residual = 0.3 * rng.standard_normal((4, 10))
+        lower, upper = np.full(6, -0.02), np.full(6, 0.03)
+        step = solve_step(residual, jacobian, np.zeros(6), np.zeros(6), lower, upper)
+        assert ((lower <= step) & (step <= upper)).all()
+        slope = np.einsum("wni,wn->i", jacobian, residual + jacobian @ step)
+        scale = 1e-9 * np.abs(jacobian).sum()
+        assert (slope[step > lower + 1e-12] < scale).all()  # no unknown gains by a smaller value
+        assert (slope[step < upper - 1e-12] > -scale).all()  # nor by a larger one
+
+
 def test_one_wild_window_does_not_outvote_the_others():
     jacobian = np.ones((20, 40, 1))
     residual = np.full((20, 40), -0.5)

@@ -4,6 +4,8 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.optimize import lsq_linear
 
 from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.residual import (
@@ -119,21 +121,14 @@ class Sums:
 def _bounded(
     matrix: np.ndarray, right: np.ndarray, lower: np.ndarray, upper: np.ndarray
 ) -> np.ndarray:
-    """Minimises x'Mx/2 - right'x with bounds: whoever leaves them is fixed at the bound."""
-    x = np.zeros(right.size)
-    fixed = np.zeros(right.size, dtype=bool)
-    for _ in range(right.size + 1):
-        free = ~fixed
-        if not free.any():
-            break
-        rest = right[free] - matrix[np.ix_(free, fixed)] @ x[fixed]
-        x[free] = np.linalg.solve(matrix[np.ix_(free, free)], rest)
-        outside = free & ((x < lower) | (x > upper))
-        if not outside.any():
-            break
-        x[outside] = np.clip(x[outside], lower[outside], upper[outside])
-        fixed |= outside
-    return np.clip(x, lower, upper)
+    """Minimises x'Mx/2 - right'x within bounds (Stark and Parker 1995)."""
+    x = np.linalg.solve(matrix, right)
+    if ((lower <= x) & (x <= upper)).all():
+        return x
+    root = np.linalg.cholesky(matrix)
+    target = solve_triangular(root, right, lower=True)
+    # Unknowns at a bound may come back beyond it by rounding.
+    return np.clip(lsq_linear(root.T, target, (lower, upper), method="bvls").x, lower, upper)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
