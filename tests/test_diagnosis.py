@@ -1,6 +1,7 @@
 """The diagnosis as a whole: three seconds of recordings of the bench, and its parts."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -21,6 +22,7 @@ from leglab.diagnosis.recordings import (
     read_recordings,
     split_held_out,
 )
+from leglab.diagnosis.thresholds import Thresholds
 from leglab.diagnosis.verdict import diagnose, exact_twins
 from leglab.diagnosis.windows import Channel
 from leglab.diagnosis.workflow import Settings, set_up
@@ -149,6 +151,15 @@ def test_every_effect_at_its_nominal_values_changes_nothing():
         for path in change.commands.get("knee_valve", ()):
             samples = np.sin(np.arange(50.0))
             np.testing.assert_allclose(path(samples, 1e-3), samples, atol=1e-12)
+
+
+def test_thresholds_can_be_varied(problem):
+    shorter = replace(Thresholds(), window=0.2, robust_limit=1e9)
+    settings = Settings(effects=EFFECTS, threads=1, thresholds=shorter)
+    other = set_up("knee_bench", recordings("nominal"), ("walk",), settings)
+    assert (problem.replay.samples, other.replay.samples) == (300, 200)
+    squares = np.mean(other.residual(Hypothesis()) ** 2, axis=1)
+    np.testing.assert_array_equal(other.window_cost(Hypothesis()), squares)
 
 
 def test_windows_before_an_onset_replay_without_the_effect(problem):
