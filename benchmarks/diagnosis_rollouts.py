@@ -33,20 +33,12 @@ def trajectories(problem, windows):
     """Controls, positions and start states for mujoco.sysid: of windows, or of whole recordings."""
     from mujoco import sysid
 
-    replay, machine = problem.replay, problem.machine
-    change, variant = Change(machine), machine.base
+    replay, change = problem.replay, Change(problem.machine)
     states, controls, sensors = [], [], []
     for cut in replay._cuts:
-        measured, _ = measure(machine, cut, replay.channels, change)
-        starts = start_states(
-            machine,
-            cut,
-            change,
-            variant,
-            variant.plugin_state,
-            measured,
-            replay.channels,
-        )
+        measured, _ = measure(cut, replay.channels, change)
+        rest = replay.thresholds.rest_time
+        starts = start_states(cut, change, measured, replay.channels, rest)
         time_axis = cut.series.time
         for first, start in zip(cut.firsts, starts, strict=True):
             end = first + replay.samples if windows else time_axis.size

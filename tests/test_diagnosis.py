@@ -1,6 +1,7 @@
 """The diagnosis as a whole: three seconds of recordings of the bench, and its parts."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -14,17 +15,18 @@ from leglab.cli import main
 from leglab.diagnosis.experiment import catalogue, propose
 from leglab.diagnosis.hypothesis import Hypothesis, Library
 from leglab.diagnosis.model import Change, Machine
-from leglab.diagnosis.output import reloaded_error, write_diagnosis, write_improved
+from leglab.diagnosis.output import write_diagnosis, write_improved
 from leglab.diagnosis.recordings import (
     check_recordings,
     held_out_choice,
     read_recordings,
     split_held_out,
 )
-from leglab.diagnosis.search import window_cost
+from leglab.diagnosis.thresholds import Thresholds
 from leglab.diagnosis.verdict import diagnose, exact_twins
 from leglab.diagnosis.windows import Channel
 from leglab.diagnosis.workflow import Settings, set_up
+from tests.patched_models import reloaded_error
 
 FOLDER = Path(__file__).parent / "data" / "diagnosis"
 NAMES = ("multisine", "slow", "walk")
@@ -127,7 +129,7 @@ def test_an_effect_that_the_library_lacks_is_not_called_for_sure():
 
 
 def test_errors_of_a_good_model_are_white(problem):
-    cost = window_cost(problem, Hypothesis())
+    cost = problem.window_cost(Hypothesis())
     assert 0.7 < cost.mean() < 1.3
 
 
@@ -149,6 +151,15 @@ def test_every_effect_at_its_nominal_values_changes_nothing():
         for path in change.commands.get("knee_valve", ()):
             samples = np.sin(np.arange(50.0))
             np.testing.assert_allclose(path(samples, 1e-3), samples, atol=1e-12)
+
+
+def test_thresholds_can_be_varied(problem):
+    shorter = replace(Thresholds(), window=0.2, robust_limit=1e9)
+    settings = Settings(effects=EFFECTS, threads=1, thresholds=shorter)
+    other = set_up("knee_bench", recordings("nominal"), ("walk",), settings)
+    assert (problem.replay.samples, other.replay.samples) == (300, 200)
+    squares = np.mean(other.residual(Hypothesis()) ** 2, axis=1)
+    np.testing.assert_array_equal(other.window_cost(Hypothesis()), squares)
 
 
 def test_windows_before_an_onset_replay_without_the_effect(problem):
@@ -210,7 +221,7 @@ def test_gaps_leave_out_windows_only(problem):
     other = set_up("knee_bench", broken, ("walk",), Settings(effects=EFFECTS, threads=1))
     lost = problem.replay.windows - other.replay.windows
     assert 1 <= lost <= 3
-    assert window_cost(other, Hypothesis()).mean() < 1.3
+    assert other.window_cost(Hypothesis()).mean() < 1.3
 
 
 def test_effects_compose_on_one_parameter():

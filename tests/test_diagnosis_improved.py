@@ -11,11 +11,12 @@ import pytest
 from leglab import RunSettings, data, run_scenario
 from leglab.diagnosis.hypothesis import Hypothesis
 from leglab.diagnosis.model import Machine
-from leglab.diagnosis.output import reloaded_error, write_improved
+from leglab.diagnosis.output import write_improved
 from leglab.diagnosis.paths import take_out
 from leglab.diagnosis.verdict import diagnose
 from leglab.diagnosis.workflow import Settings, set_up
 from leglab.machine.sensors import EncoderFaults
+from tests.patched_models import reloaded_error
 
 FOLDER = Path(__file__).parent / "data" / "diagnosis"
 NAMES = ("multisine", "slow", "walk")

@@ -8,6 +8,8 @@ import pytest
 from leglab.diagnosis import onset
 from leglab.diagnosis.fitting import Fit
 from leglab.diagnosis.hypothesis import Hypothesis
+from leglab.diagnosis.residual import Linearisation
+from leglab.diagnosis.thresholds import Thresholds
 
 KEY = ("quadratic_damping", "knee")
 START = np.arange(4.0, 8.0, 0.3)
@@ -21,18 +23,21 @@ BLIND = 1.0  # robust mean square of a replay that noise alone explains
         (lambda t: (t < 5.0) | (t > 6.5), 6.7, 0.5 * (6.7 + 5.2)),  # slow motion in between
     ],
 )
-def test_an_onset_stands_in_the_middle_of_what_is_possible(monkeypatch, shows, seen, expected):
+def test_an_onset_stands_in_the_middle_of_what_is_possible(shows, seen, expected):
     visible, after = shows(START), START >= 6.0
     present = np.where(visible & ~after, 50.0, BLIND)
     absent = np.where(visible & (START + 0.3 > 6.0), 50.0, BLIND)
     costs = {False: absent, True: present}
-    monkeypatch.setattr(onset, "window_cost", lambda _, hypothesis: costs[KEY in hypothesis])
-    replay = SimpleNamespace(
-        start=START, layout=SimpleNamespace(window=0.3), recording=np.zeros(len(START), int)
+    replay = SimpleNamespace(start=START, recording=np.zeros(len(START), int))
+    problem = SimpleNamespace(
+        replay=replay,
+        size=60,
+        thresholds=Thresholds(),
+        window_cost=lambda hypothesis: costs[KEY in hypothesis],
     )
-    problem = SimpleNamespace(replay=replay, size=60)
     hypothesis = Hypothesis({KEY: np.array([2.0])}, {KEY: np.array([seen])})
     none = np.zeros(0)
-    fit = Fit(hypothesis=hypothesis, free=frozenset(), cost=none, residual=none, tangents=none)
+    at = Linearisation(base=hypothesis, residual=none, tangents=none, nuisances=(), chosen=none)
+    fit = Fit(free=frozenset(), cost=0.0, at=at)
     found = onset._bracketed(problem, fit, [KEY]).hypothesis.onsets[KEY]
     assert found[0] == pytest.approx(expected, abs=0.05)

@@ -5,9 +5,9 @@ import pytest
 
 from leglab.base.errors import LeglabError
 from leglab.diagnosis.effects.base import Effect, EffectParameter, register_effect
-from leglab.diagnosis.fitting import Sums, solve_step
+from leglab.diagnosis.fitting import Sums, Unknowns
 from leglab.diagnosis.judging import preferences, t_value
-from leglab.diagnosis.onset import _change
+from leglab.diagnosis.onset import change_point
 from leglab.diagnosis.paths import delayed, play
 from leglab.diagnosis.residual import robust_cost
 from leglab.diagnosis.screening import Candidate
@@ -62,6 +62,11 @@ def test_delay_between_samples_mixes_neighbours():
     np.testing.assert_allclose(late, [0.0, 0.0, 0.0, 0.75, 1.75, 2.75])
 
 
+def solve_step(residual, jacobian, now, prior, lower, upper):
+    unknowns = Unknowns(now=now, prior=prior, lower=lower, upper=upper)
+    return Sums.of(residual, jacobian).step(unknowns)
+
+
 def test_step_is_least_squares_while_errors_are_small():
     rng = np.random.default_rng(2)
     jacobian = rng.standard_normal((8, 30, 3))
@@ -84,6 +89,21 @@ def test_step_respects_bounds_and_priors():
         residual, jacobian, np.array([0.0]), np.array([100.0]), np.array([-9.0]), np.array([9.0])
     )
     assert prior[0] == pytest.approx(0.5)
+
+
+def test_a_bounded_step_is_optimal_under_its_bounds():
+    """Also where the free solution leaves bounds that the best one does not touch."""
+    rng = np.random.default_rng(7)
+    for _ in range(50):
+        jacobian = rng.standard_normal((4, 10, 6)) @ rng.standard_normal((6, 6))
+        residual = 0.3 * rng.standard_normal((4, 10))
+        lower, upper = np.full(6, -0.02), np.full(6, 0.03)
+        step = solve_step(residual, jacobian, np.zeros(6), np.zeros(6), lower, upper)
+        assert ((lower <= step) & (step <= upper)).all()
+        slope = np.einsum("wni,wn->i", jacobian, residual + jacobian @ step)
+        scale = 1e-9 * np.abs(jacobian).sum()
+        assert (slope[step > lower + 1e-12] < scale).all()  # no unknown gains by a smaller value
+        assert (slope[step < upper - 1e-12] > -scale).all()  # nor by a larger one
 
 
 def test_one_wild_window_does_not_outvote_the_others():
@@ -125,9 +145,9 @@ def test_preferences_are_shares_of_resamples():
 def test_change_point_of_a_step():
     rng = np.random.default_rng(5)
     values = 0.1 * rng.standard_normal(40)
-    assert _change(values) is None
+    assert change_point(values) is None
     values[23:] += 3.0
-    assert _change(values) == 23
+    assert change_point(values) == 23
 
 
 def test_a_parameter_outside_its_bounds_is_refused():
@@ -228,5 +248,6 @@ def test_sums_over_windows_say_what_a_step_of_some_unknowns_costs():
     part = Sums.of(residual, jacobian).only(some)
     assert part.cost(x) == pytest.approx(20 * robust_cost(np.mean(left**2, axis=1)).sum())
     free = np.zeros(2), np.zeros(2), np.full(2, -np.inf), np.full(2, np.inf)
-    np.testing.assert_allclose(part.step(*free), solve_step(residual, jacobian[:, :, some], *free))
-    assert part.cost(part.step(*free)) < part.cost(x)
+    step = part.step(Unknowns(now=free[0], prior=free[1], lower=free[2], upper=free[3]))
+    np.testing.assert_allclose(step, solve_step(residual, jacobian[:, :, some], *free))
+    assert part.cost(step) < part.cost(x)

@@ -1,25 +1,23 @@
-"""The next experiment: which excitation would tell two rivals apart best."""
+"""The next experiment: the excitation that would tell two rivals apart best."""
 
 import numpy as np
 
 from leglab.diagnosis.hypothesis import Hypothesis
 from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.result import Proposal
-
-_DURATION = 1.0  # s
-# Of the range of the commands in the present recordings.
-_AMPLITUDES = (0.3, 1.0)
-_TONES = (0.7, 1.9, 4.3, 8.9)  # Hz
+from leglab.diagnosis.thresholds import DEFAULT
 
 
-def catalogue(samples: int, period: float) -> dict[str, np.ndarray]:
+def catalogue(
+    samples: int, period: float, tones: tuple[float, ...] = DEFAULT.experiment_tones
+) -> dict[str, np.ndarray]:
     """Excitations of unit amplitude by name, each (samples,)."""
     time = period * np.arange(samples)
-    tones = sum(np.sin(2.0 * np.pi * f * time + i) for i, f in enumerate(_TONES))
+    multisine = sum(np.sin(2.0 * np.pi * f * time + i) for i, f in enumerate(tones))
     return {
         "slow sine, 1 Hz": np.sin(2.0 * np.pi * time),
         "fast sine, 8 Hz": np.sin(2.0 * np.pi * 8.0 * time),
-        "multisine, 0.7 to 9 Hz": np.asarray(tones) / len(_TONES),
+        "multisine, 0.7 to 9 Hz": np.asarray(multisine) / len(tones),
         "steps every 0.2 s": np.where(np.floor(time / 0.2).astype(int) % 2 == 0, 1.0, -1.0),
         "ramps through zero": 2.0 * np.abs(2.0 * ((time / 0.5) % 1.0) - 1.0) - 1.0,
     }
@@ -40,9 +38,9 @@ def propose(problem: Problem, rivals: dict[str, Hypothesis]) -> Proposal | None:
         The proposal; None where no excitation separates them.
     """
     (one, first), (other, second) = list(rivals.items())[:2]
-    replay = problem.replay
+    replay, limits = problem.replay, problem.thresholds
     period = problem.series[0].period
-    samples = round(_DURATION / period)
+    samples = round(limits.experiment_duration / period)
     commands = np.stack(
         [
             np.concatenate([s.columns[f"{a}_command"] for s in problem.series])
@@ -53,11 +51,11 @@ def propose(problem: Problem, rivals: dict[str, Hypothesis]) -> Proposal | None:
     middle = np.median(commands, axis=0)
     reach = np.ptp(np.quantile(commands, [0.02, 0.98], axis=0), axis=0) / 2.0
     names, series = [], []
-    for name, wave in catalogue(samples, period).items():
-        for amplitude in _AMPLITUDES:
+    for name, wave in catalogue(samples, period, limits.experiment_tones).items():
+        for amplitude in limits.experiment_amplitudes:
             names.append((name, amplitude))
             series.append(middle + amplitude * reach * wave[:, None])
-    noise = np.median(problem.noise, axis=0)[None, :, None]
+    noise = np.median(problem.sensor_noise, axis=0)[None, :, None]
     answers = [
         replay.respond(problem.library.change(h, problem.machine), _calm(problem), np.stack(series))
         for h in (first, second)

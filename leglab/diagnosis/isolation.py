@@ -7,22 +7,18 @@ import mujoco
 import numpy as np
 from scipy.interpolate import BSpline
 
-from leglab.diagnosis.model import CYLINDER, Machine
+from leglab.diagnosis.model import CYLINDER
+from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.result import Where
 from leglab.diagnosis.starts import spool
-from leglab.diagnosis.windows import Channel, Series, derivative, smoothed
+from leglab.diagnosis.thresholds import Thresholds
+from leglab.diagnosis.windows import UniformSeries, derivative, smoothed
 from leglab.machine.cylinder import Cylinder
 from leglab.machine.parameters import State
 from leglab.machine.simulation import actuator_moments
 
-_STRIDE = 0.01  # s between samples at which balances are taken
-_KNOTS = 7
-_RIDGE = 1e-3
 
-
-def isolate(
-    machine: Machine, series: list[Series], channels: tuple[Channel, ...]
-) -> tuple[tuple[Where, ...], float | None]:
+def isolate(problem: Problem) -> tuple[tuple[Where, ...], float | None]:
     """Balances of torque and of oil along the measured motion, each with measured inputs only.
 
     Torque: M a + bias - passive against pressures times areas times lever less seal friction. Oil:
@@ -34,40 +30,45 @@ def isolate(
         residual's excess variance that static functions of position, velocity, pressure
         difference and command could explain. Both empty where no pressures were measured.
     """
-    names = {c.column for c in channels}
+    machine = problem.machine
+    names = {c.column for c in problem.channels}
     found: list[tuple[Where, float]] = []
     for cylinder in machine.instances(CYLINDER):
         joint = machine.driven[cylinder][0]
         if not {f"{joint}_pressure_a", f"{joint}_pressure_b"} <= names:
             continue
-        tables = [_balances(machine, one, channels, cylinder, joint) for one in series]
+        tables = [_balances(problem, one, cylinder, joint) for one in problem.series]
         table = {key: np.concatenate([t[key] for t in tables]) for key in tables[0]}
         regressors = {k: table[k] for k in ("position", "velocity", "pressure", "command")}
         for kind, element in (("mechanical", joint), ("hydraulic", cylinder)):
-            noise = float(np.median(np.concatenate([np.full(1, _noise(t[kind])) for t in tables])))
+            noise = float(np.median([_noise(t[kind]) for t in tables]))
             residual = table[kind]
             level = 1.4826 * float(np.median(np.abs(residual))) / noise if noise > 0 else 0.0
             where = Where(
                 residual=kind, element=element, level=level, region=_region(residual, regressors)
             )
-            found.append((where, _static_share(residual, regressors, noise)))
+            found.append((where, _static_share(residual, regressors, noise, problem.thresholds)))
     found.sort(key=lambda entry: -entry[0].level)
     return tuple(w for w, _ in found), (found[0][1] if found else None)
 
 
 def _balances(
-    machine: Machine, series: Series, channels: tuple[Channel, ...], cylinder: str, joint: str
+    problem: Problem, series: UniformSeries, cylinder: str, joint: str
 ) -> dict[str, np.ndarray]:
     """Torque and pressure-rate residuals and what they may depend on, each (samples,)."""
-    period = series.period
-    filters = {c.column: c.filter for c in channels}
+    machine, period = problem.machine, series.period
+    filters = {c.column: c.filter for c in problem.channels}
     raw = {name: series.columns[name] for name in filters}
     smooth = {name: smoothed(x, filters[name]) for name, x in raw.items()}
     q_name = f"{joint}_position"
     wide = (2 * filters[q_name][0] + 1, 4)
-    stride = max(1, round(_STRIDE / period))
+    stride = max(1, round(problem.thresholds.balance_stride / period))
     at = np.arange(wide[0], series.time.size - wide[0], stride)
-    values = _parameters(machine, cylinder)
+    values = {
+        name: machine.parameter(cylinder, name)
+        for name, entry in machine.base.elements[cylinder][1].parameters.items()
+        if not isinstance(entry, State)
+    }
     model = Cylinder(values)
     command = np.clip(series.columns[f"{cylinder}_command"], -1.0, 1.0)
     moved = spool(
@@ -90,11 +91,8 @@ def _balances(
     for i, k in enumerate(at.tolist()):
         for name, (q, v, a) in motion.items():
             j = mj.joint(name)
-            data.qpos[j.qposadr[0]], data.qvel[j.dofadr[0]], data.qacc[j.dofadr[0]] = (
-                q[k],
-                v[k],
-                a[k],
-            )
+            data.qpos[j.qposadr[0]] = q[k]
+            data.qvel[j.dofadr[0]], data.qacc[j.dofadr[0]] = v[k], a[k]
         mujoco.mj_inverse(mj, data)
         lever = actuator_moments(mj, data)[actuator, dof]
         speed = lever * motion[joint][1][k]
@@ -124,16 +122,6 @@ def _balances(
     }
 
 
-def _parameters(machine: Machine, cylinder: str) -> dict[str, float]:
-    start, table = machine.base.elements[cylinder]
-    state = machine.base.plugin_state
-    return {
-        name: float(state[start + entry.offset])
-        for name, entry in table.parameters.items()
-        if not isinstance(entry, State)
-    }
-
-
 def _noise(residual: np.ndarray) -> float:
     """Level of white noise from second differences, whose variance is six times the noise's."""
     if residual.size < 5:
@@ -156,19 +144,22 @@ def _region(residual: np.ndarray, regressors: Mapping[str, np.ndarray]) -> str:
 
 
 def _static_share(
-    residual: np.ndarray, regressors: Mapping[str, np.ndarray], noise: float
+    residual: np.ndarray,
+    regressors: Mapping[str, np.ndarray],
+    noise: float,
+    thresholds: Thresholds,
 ) -> float:
     """Share of the excess variance that additive cubic B-splines of the regressors explain."""
     columns = [np.ones((residual.size, 1))]
     for values in regressors.values():
         low, high = np.quantile(values, [0.01, 0.99])
-        inner = np.linspace(low, high, _KNOTS)
+        inner = np.linspace(low, high, thresholds.balance_knots)
         knots = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
         columns.append(BSpline.design_matrix(np.clip(values, low, high), knots, 3).toarray()[:, 1:])
     design = np.concatenate(columns, axis=1)
     even = np.arange(residual.size) // 20 % 2 == 0  # blocks, so that neighbours do not help
     inner_product = design[even].T @ design[even]
-    inner_product[np.diag_indices_from(inner_product)] *= 1.0 + _RIDGE
+    inner_product[np.diag_indices_from(inner_product)] *= 1.0 + thresholds.balance_ridge
     inner_product[np.diag_indices_from(inner_product)] += 1e-9
     weights = np.linalg.solve(inner_product, design[even].T @ residual[even])
     rest = residual[~even] - design[~even] @ weights

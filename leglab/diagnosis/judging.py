@@ -1,19 +1,37 @@
-"""Judgement: paired comparisons of hypotheses over windows, and intervals of parameters."""
+"""Judgement: whether an effect is named, and how sure its name and its parameters are."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.stats import t as student
 
-from leglab.diagnosis.fitting import Fit, free_tangents
+from leglab.diagnosis.fitting import Fit, Sums, free_tangents
+from leglab.diagnosis.hypothesis import Key
 from leglab.diagnosis.residual import Problem, robust_weight
+from leglab.diagnosis.search import Contender, Round
+from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
-_DRAWS = 1000
-# A window has changed if its cost did by more than this noise variance ...
-_CHANGED = 1.0
-# ... and so many must have, of which this share for the better.
-_FEW = 2
-_NEARLY_ALL = 0.9
+
+def accepted(problem: Problem, tried: Round, contender: Contender) -> bool:
+    """Whether an effect is named: its gain is beyond chance, holds where held out, and matters."""
+    limits = problem.thresholds
+    saved = tried.base - contender.cost
+    held = saved[problem.held] if problem.held.sum() > 3 else saved
+    return bool(
+        problem.size * saved[contender.fit.at.chosen].sum() >= tried.threshold
+        and (t_value(held) >= limits.significant or rarely_but_surely(held, limits))
+        and saved.mean() >= limits.worthwhile * max(1.0, tried.base.mean() - 1.0)
+        and noticeable(problem, contender.key, contender.fit.hypothesis)
+    )
+
+
+def noticeable(problem: Problem, key: Key, hypothesis: Mapping[Key, np.ndarray]) -> bool:
+    """Whether a strength departs from nominal by a share of its smallest trial that matters."""
+    return any(
+        abs(value - p.nominal) > problem.thresholds.noticeable * p.scale
+        for value, p in zip(hypothesis[key], problem.library.sites[key].parameters, strict=True)
+        if p.role == "strength"
+    )
 
 
 def t_value(difference: np.ndarray) -> float:
@@ -24,7 +42,7 @@ def t_value(difference: np.ndarray) -> float:
     return float(difference.mean()) / spread if spread > 0 else 0.0
 
 
-def rarely_but_surely(saved: np.ndarray) -> bool:
+def rarely_but_surely(saved: np.ndarray, thresholds: Thresholds = DEFAULT) -> bool:
     """Whether a few windows gain much and hardly any loses: an effect that shows at times only.
 
     A play shows when the torque changes its sign; in a slow recording these are two windows of
@@ -32,69 +50,71 @@ def rarely_but_surely(saved: np.ndarray) -> bool:
 
     Args:
         saved: Robust cost saved in held-out windows, in noise variances, shape (windows,).
+        thresholds: Of the windows that count.
     """
-    changed = saved[np.abs(saved) > _CHANGED]
-    return changed.size >= _FEW and bool(np.mean(changed > 0) >= _NEARLY_ALL)
+    changed = saved[np.abs(saved) > thresholds.changed_cost]
+    if changed.size < thresholds.changed_windows:
+        return False
+    return bool(np.mean(changed > 0) >= thresholds.changed_for_better)
 
 
-def preferences(costs: Sequence[np.ndarray], rng: np.random.Generator) -> np.ndarray:
+def preferences(
+    costs: Sequence[np.ndarray], rng: np.random.Generator, draws: int = DEFAULT.resamples
+) -> np.ndarray:
     """Share of resampled sets of windows in which i costs less than j, shape (k, k).
 
     Args:
         costs: Of each hypothesis, shape (windows,) each.
         rng: Draws windows with replacement (Efron's bootstrap of paired blocks).
+        draws: Number of sets.
     """
     table = np.stack(costs)
     count = table.shape[1]
-    weights = rng.multinomial(count, np.full(count, 1.0 / count), size=_DRAWS)
+    weights = rng.multinomial(count, np.full(count, 1.0 / count), size=draws)
     totals = weights @ table.T
     wins = (totals[:, :, None] < totals[:, None, :]).mean(axis=0)
     ties = (totals[:, :, None] == totals[:, None, :]).mean(axis=0)
     return wins + 0.5 * ties
 
 
-def intervals(problem: Problem, fit: Fit, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Standard errors of the free parameters in their units, and the factor of 95 %.
+def intervals(problem: Problem, fit: Fit) -> dict[Key, np.ndarray]:
+    """Half the width of the 95 % intervals of each free effect's parameters, in their units.
 
     The larger of two: the sandwich with windows as clusters (Liang and Zeger 1986), and a
     jackknife over recordings, which sees what all windows of a recording share. Both to first
     order about the fit.
-
-    Returns:
-        Standard errors, shape (parameters,), in the order of sorted effects; and half the width
-        of the 95 % interval, same shape.
     """
-    own = free_tangents(problem, fit.hypothesis, fit.free, fit.residual, chosen, 0.1)
+    at = fit.at
+    own = free_tangents(problem, at, fit.free, problem.thresholds.fine_differences)
     count = own.columns.shape[2]
-    jacobian = np.concatenate([own.columns, fit.tangents], axis=2)
-    weight = robust_weight(np.mean(fit.residual**2, axis=1))
-    matrices = np.einsum("w,wni,wnj->wij", weight, jacobian, jacobian)
-    gradients = np.einsum("w,wni,wn->wi", weight, jacobian, fit.residual)
+    jacobian = np.concatenate([own.columns, at.tangents], axis=2)
+    limit = problem.thresholds.robust_limit
+    weight = robust_weight(np.mean(at.residual**2, axis=1), limit)[:, None]
+    sums = Sums.of(at.residual, jacobian)
+    matrices, gradients = weight[:, :, None] * sums.matrices, weight * sums.gradients
     prior = np.diag(np.concatenate([np.zeros(count), np.ones(jacobian.shape[2] - count)]))
     total = matrices.sum(axis=0) + prior
     total[np.diag_indices_from(total)] *= 1.0 + 1e-9
     inverse = np.linalg.pinv(total, hermitian=True)
-    centred = gradients - gradients.mean(axis=0)
+    mean = gradients.mean(axis=0)
+    centred = gradients - mean
     bread = inverse @ (centred.T @ centred) @ inverse
     noise = np.maximum(np.diag(bread), np.diag(inverse))[:count]
-    recording = problem.replay.recording[chosen]
-    present = np.unique(recording)
     half = student.ppf(0.975, max(gradients.shape[0] - count, 1)) * np.sqrt(noise)
+    recording = problem.replay.recording[at.chosen]
+    present = np.unique(recording)
     if present.size > 1:
         shifts = []
-        mean = gradients.mean(axis=0)
         for number in present:
             keep = recording != number
-            part = matrices[keep].sum(axis=0) + prior
-            step = -np.linalg.pinv(part, hermitian=True) @ (
-                gradients[keep].sum(axis=0) - keep.sum() * mean
-            )
-            shifts.append(step[:count])
+            part = np.linalg.pinv(matrices[keep].sum(axis=0) + prior, hermitian=True)
+            shifts.append((part @ (keep.sum() * mean - gradients[keep].sum(axis=0)))[:count])
         spread = np.stack(shifts)
         share = (present.size - 1) / present.size
         jack = np.sqrt(share * ((spread - spread.mean(axis=0)) ** 2).sum(axis=0))
         half = np.maximum(half, student.ppf(0.975, present.size - 1) * jack)
-    scale = np.concatenate(
-        [[p.scale for p in problem.library.sites[k].parameters] for k in sorted(fit.free)]
-    )
-    return np.sqrt(noise) * scale, half * scale
+    found = {}
+    for key in sorted(fit.free):
+        scales = np.array([p.scale for p in problem.library.sites[key].parameters])
+        found[key], half = half[: scales.size] * scales, half[scales.size :]
+    return found

@@ -18,6 +18,7 @@ from leglab.machine.simulation import actuator_moments
 CYLINDER = "leglab.cylinder"
 FRICTION = "leglab.joint_friction"
 SPRING = "leglab.spring_damper"
+CHAMBERS = ("pressure_a", "pressure_b")
 
 Edit = tuple[Hashable, Callable[[mujoco.MjSpec], None]]
 _SIMPLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
@@ -186,10 +187,9 @@ class Machine:
         # A singular qpos0 (a straight linkage) must not hide a moment.
         data.qpos[:] = model.qpos0 + 0.1
         mujoco.mj_forward(model, data)
-        moments = actuator_moments(model, data)
         return {
             name: tuple(self.joints[int(model.dof_jntid[k])] for k in np.flatnonzero(row))
-            for name, row in zip(self.actuators, moments, strict=True)
+            for name, row in zip(self.actuators, actuator_moments(model, data), strict=True)
         }
 
 
@@ -223,7 +223,7 @@ Start = Callable[[Measured, Variant, np.ndarray], np.ndarray]
 
 
 class Change:
-    """What effects do to a machine: a builder that they write to, in order.
+    """Changes that effects make to a machine: a builder that they write to, in order.
 
     Args:
         machine: The unmodified machine.
@@ -242,6 +242,11 @@ class Change:
         }
         self.starts: dict[tuple[str, str], Start] = {}
 
+    @property
+    def variant(self) -> Variant:
+        """The model after the edits."""
+        return self.machine.variant(tuple(self.edits))
+
     def parameter(self, element: str, name: str) -> float:
         """Present value of a plugin parameter: as set before, else as in the unmodified model."""
         if (element, name) in self.parameters:
@@ -254,10 +259,6 @@ class Change:
         The element may be one that an `edit` inserts.
         """
         self.parameters[element, name] = float(value)
-
-    def scale_parameter(self, element: str, name: str, factor: float) -> None:
-        """Multiplies a plugin parameter, so that effects on the same one compose."""
-        self.set_parameter(element, name, factor * self.parameter(element, name))
 
     def add_parameter(self, element: str, name: str, difference: float) -> None:
         """Adds to a plugin parameter, so that effects on the same one compose."""

@@ -1,4 +1,4 @@
-"""What a diagnosis leaves behind: diagnosis.json, improved.xml, and a table for the terminal."""
+"""Output of a diagnosis: diagnosis.json, improved.xml, and tables for the terminal."""
 
 import json
 import os
@@ -10,8 +10,6 @@ from rich.table import Table
 import leglab.machine.plugin
 from leglab.base.errors import LeglabError
 from leglab.data import write_atomically
-from leglab.diagnosis.hypothesis import Hypothesis
-from leglab.diagnosis.model import Machine
 from leglab.diagnosis.result import Diagnosis
 from leglab.diagnosis.workflow import Search
 
@@ -52,20 +50,6 @@ def write_improved(found: Search, folder: Path) -> Path:
         raise leglab.machine.plugin.load_error(error, path.name, spec) from error
     write_atomically(path, lambda stream: stream.write(text.encode()))
     return path
-
-
-def reloaded_error(found: Search, path: Path) -> float:
-    """Largest difference of replays by the patched file and by the fit, in noise levels.
-
-    The patched file speaks for itself: nothing of the fit is added to it.
-    """
-    problem = found.problem
-    machine = Machine(path, timestep=problem.machine.timestep)
-    own = problem.library.change(found.fit.hypothesis, problem.machine)
-    bare = problem.library.change(Hypothesis(), machine)
-    replay = problem.replay.on(machine)
-    noise = problem.noise.min(axis=0)[:, None]
-    return float((abs(replay.error(bare) - problem.replay.error(own)) / noise).max())
 
 
 def _configure(spec: mujoco.MjSpec, element: str, name: str, value: float) -> None:
@@ -122,7 +106,7 @@ def summary_tables(result: Diagnosis) -> list[Table]:
 
 
 def summary_lines(result: Diagnosis) -> list[str]:
-    """What the tables do not hold, a line each."""
+    """Lines for the terminal beside the tables: onsets, rivals, balances, notes."""
     lines = []
     for effect in result.effects:
         for recording, time in effect.onset:

@@ -75,7 +75,7 @@ def number_of(spec: mujoco.MjSpec, name: str, otherwise: float) -> float:
 
 
 def _functions(config: dict[str, str]) -> list[CommandPath]:
-    """What a `leglab.command_path` does to held commands, in its order."""
+    """Functions that a `leglab.command_path` applies to held commands, in its order."""
 
     def get(name: str, neutral: float = 0.0) -> float:
         return float(config.get(name, neutral))

@@ -10,20 +10,16 @@ from leglab import data
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.recording import Recording
 from leglab.data import inspect
-from leglab.diagnosis.model import CYLINDER, Machine
+from leglab.diagnosis.model import CHAMBERS, CYLINDER, Machine
+from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
 _DEGREES = 180.0 / np.pi
-# A position may pass the joint's range by this share before its unit is doubted.
-_BEYOND = 0.5
-# No hydraulic machine runs its whole recording below this pressure [Pa]: 10 kPa are 0.1 bar.
-_NO_PRESSURE = 1e4
-_STUCK = 20  # equal samples at a limit in a row
-# Share of a single recording that is held out, at its end.
-_TAIL = 0.3
 
 
-def check_recordings(machine: Machine, recordings: Mapping[str, Recording]) -> tuple[str, ...]:
-    """Refuses what cannot be meant, and notes what a reader should know.
+def check_recordings(
+    machine: Machine, recordings: Mapping[str, Recording], thresholds: Thresholds = DEFAULT
+) -> tuple[str, ...]:
+    """Refuses recordings in wrong units, and notes repairs and doubts.
 
     Returns:
         Notes: gaps, constant columns, saturated sensors, commands beyond their range.
@@ -34,13 +30,13 @@ def check_recordings(machine: Machine, recordings: Mapping[str, Recording]) -> t
     """
     notes = []
     for name, recording in recordings.items():
-        _check_positions(machine, name, recording)
-        _check_pressures(machine, name, recording)
-        notes += [f"{name}: {text}" for text in _notes(machine, recording)]
+        _check_positions(machine, name, recording, thresholds.beyond_range)
+        _check_pressures(machine, name, recording, thresholds.no_pressure)
+        notes += [f"{name}: {text}" for text in _notes(machine, recording, thresholds)]
     return tuple(notes)
 
 
-def _check_positions(machine: Machine, name: str, recording: Recording) -> None:
+def _check_positions(machine: Machine, name: str, recording: Recording, beyond: float) -> None:
     model = machine.base.model
     for joint in machine.joints:
         values = recording[f"{joint}_position"]
@@ -50,7 +46,7 @@ def _check_positions(machine: Machine, name: str, recording: Recording) -> None:
         lower, upper = (float(x) for x in entry.range)
         if lower == upper == 0.0:
             lower, upper = (-4.0 * np.pi, 4.0 * np.pi) if hinge else (-np.inf, np.inf)
-        room = _BEYOND * (upper - lower)
+        room = beyond * (upper - lower)
         if low < lower - room or high > upper + room:
             inside = hinge and low / _DEGREES > lower - room and high / _DEGREES < upper + room
             hint = "; is it in degrees?" if inside else ""
@@ -60,13 +56,13 @@ def _check_positions(machine: Machine, name: str, recording: Recording) -> None:
             )
 
 
-def _check_pressures(machine: Machine, name: str, recording: Recording) -> None:
+def _check_pressures(machine: Machine, name: str, recording: Recording, least: float) -> None:
     for cylinder in machine.instances(CYLINDER):
         joint = machine.driven[cylinder][0]
         supply = machine.parameter(cylinder, "supply_pressure")
-        for chamber in ("pressure_a", "pressure_b"):
+        for chamber in CHAMBERS:
             column = f"{joint}_{chamber}"
-            if column in recording and np.nanmax(np.abs(recording[column])) < _NO_PRESSURE:
+            if column in recording and np.nanmax(np.abs(recording[column])) < least:
                 raise LeglabError(
                     f"{name}: column {column!r} stays below "
                     f"{np.nanmax(np.abs(recording[column])):.4g}, the supply of {cylinder!r} "
@@ -74,7 +70,7 @@ def _check_pressures(machine: Machine, name: str, recording: Recording) -> None:
                 )
 
 
-def _notes(machine: Machine, recording: Recording) -> Iterator[str]:
+def _notes(machine: Machine, recording: Recording, thresholds: Thresholds) -> Iterator[str]:
     for finding in inspect(recording):
         yield finding.message
     model = machine.base.model
@@ -95,7 +91,7 @@ def _notes(machine: Machine, recording: Recording) -> Iterator[str]:
             continue
         for limit, word in ((np.nanmin(values), "smallest"), (np.nanmax(values), "largest")):
             run = _longest_run(values == limit)
-            if _STUCK <= run < 0.9 * values.size:
+            if thresholds.saturated_samples <= run < 0.9 * values.size:
                 yield (
                     f"column {column!r} holds its {word} value {limit:.6g} for {run} samples in a "
                     "row: is the sensor saturated?"
@@ -127,7 +123,10 @@ def read_recordings(paths: Sequence[Path], columns: Path | None = None) -> dict[
 
 
 def split_held_out(
-    model: str | Path, recordings: Mapping[str, Recording], wanted: Sequence[str]
+    model: str | Path,
+    recordings: Mapping[str, Recording],
+    wanted: Sequence[str],
+    thresholds: Thresholds = DEFAULT,
 ) -> tuple[dict[str, Recording], tuple[str, ...]]:
     """Says which recordings are held out; cuts the end off a single one.
 
@@ -135,6 +134,7 @@ def split_held_out(
         model: MJCF file, or the name of a model that ships with leglab.
         recordings: By name.
         wanted: Names, with or without suffix; empty for the tool's choice.
+        thresholds: Say how much of a single recording is held out.
 
     Raises:
         LeglabError: A name does not exist, or nothing is left to fit.
@@ -153,7 +153,7 @@ def split_held_out(
         return recordings, tuple(held)
     if len(recordings) == 1:
         ((name, whole),) = recordings.items()
-        cut = whole.time[0] + (1.0 - _TAIL) * whole.duration
+        cut = whole.time[0] + (1.0 - thresholds.held_out_share) * whole.duration
         tail = f"{name} (end)"
         parts = {
             name: whole.between(whole.time[0], cut),

@@ -1,136 +1,38 @@
-"""The fit problem: whitened replay errors of hypotheses, nuisance parameters under priors."""
+"""Recordings and machine as a least-squares problem: whitened errors, noise model and priors."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal import savgol_coeffs
 
 from leglab.diagnosis.hypothesis import Hypothesis, Key, Library
-from leglab.diagnosis.model import CYLINDER, Change, Machine
-from leglab.diagnosis.replay import Layout, Replay
+from leglab.diagnosis.model import CHAMBERS, CYLINDER, Change, Machine
+from leglab.diagnosis.replay import Replay
 from leglab.diagnosis.starts import Nudge
-from leglab.diagnosis.windows import Channel, Series, filter_difference, noise_level
-
-# Start states are free within this many standard deviations of what smoothing leaves: a start
-# that is a little off must not speak for or against an effect.
-_LOOSE = 3.0
-# Timing of sampling, hold and integrator: this share of a channel's change over a bin is not
-# held against a model; of positions and of pressures.
-_TIMING = (3e-4, 3e-3)
-# Pressures that a replay before the window had to find are that uncertain.
-_UNSEEN = 3e5  # Pa
-# Bristles start within this share of their full deflection.
-_BRISTLE = 0.3
-# A chamber below this pressure holds vapour; from then on a window says nothing.
-_VAPOUR = 2e4  # Pa gauge
+from leglab.diagnosis.thresholds import DEFAULT, Thresholds
+from leglab.diagnosis.windows import Channel, UniformSeries, filter_difference, noise_level
 
 
-class Whitening:
-    """Turns replay errors into numbers of unit variance.
-
-    The covariance of a window's errors is N + S P S': sensor noise of the bins, and start-state
-    errors of covariance P carried on by the sensitivity S of the predictions, from replays with
-    nudged starts.
-
-    Args:
-        replay: Gives windows and sensitivities.
-        series: The recordings.
-        change: About which sensitivities are taken.
-        reference: Errors under `change`, shape (windows, channels, bins).
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NoiseModel:
+    """Scatter of the replay errors of a right model, about one hypothesis.
 
     Attributes:
-        noise: Standard deviation of each channel's samples, by recording and channel.
+        defect: Error of the replays' time step, shape (windows, channels, bins).
+        whitening: Inverse Cholesky factors of the windows' covariances, which turn errors into
+            numbers of unit variance, shape (windows, size, size).
     """
 
-    def __init__(
-        self, replay: Replay, series: Sequence[Series], change: Change, reference: np.ndarray
-    ) -> None:
-        channels, period = replay.channels, series[0].period
-        self.noise = np.array(
-            [[noise_level(s.columns[c.column], c.filter) for c in channels] for s in series]
-        )
-        floor = np.array([_resolution(series, c.column) for c in channels])
-        self.noise = np.maximum(self.noise, floor)
-        per_bin = replay.samples // replay.bins
-        sigma = self.noise[replay.recording]  # (windows, channels)
-        measured = replay.measured()
-        binned = measured[:, :, 1:].reshape(*measured.shape[:2], replay.bins, per_bin).mean(axis=3)
-        change_over_bin = np.abs(np.gradient(binned, axis=2)) if replay.bins > 1 else 0.0 * binned
-        timing = np.array([_TIMING[bool(c.chamber)] for c in channels])[:, None]
-        variance = (sigma**2 / per_bin)[:, :, None] + (timing * change_over_bin) ** 2
-        for chamber in [k for k, c in enumerate(channels) if c.chamber]:
-            vapour = np.minimum.accumulate(binned[:, chamber], axis=1) < _VAPOUR
-            variance[np.broadcast_to(vapour[:, None], variance.shape)] *= 1e8
-        size = len(channels) * replay.bins
-        covariance = np.zeros((replay.windows, size, size))
-        diagonal = np.arange(size)
-        covariance[:, diagonal, diagonal] = variance.reshape(replay.windows, size)
-        for nudge, spread in _nudges(replay, series, self.noise, period):
-            moved = replay.error(change, nudge=nudge) - reference
-            direction = moved.reshape(replay.windows, size) * (spread / nudge.size)[:, None]
-            covariance += direction[:, :, None] * direction[:, None, :]
+    defect: np.ndarray
+    whitening: np.ndarray
+
+    def whitened(self, errors: np.ndarray, chosen: np.ndarray | None = None) -> np.ndarray:
+        """Whitened errors of the chosen windows, shape (chosen windows, size)."""
+        whitening = self.whitening if chosen is None else self.whitening[chosen]
         # Applied hundreds of times: a product of all windows at once beats triangular solves.
-        self._whiten = np.linalg.inv(np.linalg.cholesky(covariance))
-        self.shape = (len(channels), replay.bins)
-
-    def __call__(self, errors: np.ndarray, chosen: np.ndarray | None = None) -> np.ndarray:
-        """Whitened errors, shape (chosen windows, channels x bins)."""
-        whiten = self._whiten if chosen is None else self._whiten[chosen]
-        return (whiten @ errors.reshape(len(errors), -1, 1))[:, :, 0]
-
-
-def _resolution(series: Sequence[Series], column: str) -> float:
-    """Rounding error of a quantised column: its smallest step over sqrt(12)."""
-    steps = [np.abs(np.diff(s.columns[column])) for s in series]
-    steps = [s[s > 0].min() for s in steps if (s > 0).any()]
-    return float(min(steps)) / np.sqrt(12.0) if steps else 0.0
-
-
-def _nudges(
-    replay: Replay, series: Sequence[Series], noise: np.ndarray, period: float
-) -> list[tuple[Nudge, np.ndarray]]:
-    """Nudges and the spread of each start state, shape (windows,)."""
-    found = []
-    machine = replay.machine
-    for k, channel in enumerate(replay.channels):
-        sigma = noise[replay.recording, k]
-        length, order = channel.filter
-        kernel = float(np.sqrt((savgol_coeffs(length, order) ** 2).sum()))
-        # What another filter makes of the same samples tells where smoothing is biased.
-        rough = replay.at_starts(
-            [filter_difference(s.columns[channel.column], channel.filter) for s in series]
-        )
-        spread = _LOOSE * np.hypot(kernel * sigma, rough)
-        if channel.chamber and channel.cylinder:
-            nudge = Nudge(cylinder=channel.cylinder, quantity=channel.chamber, size=2e4)
-            found.append((nudge, spread))
-            continue
-        size = float(np.median(spread))
-        found.append((Nudge(joint=channel.joint, quantity="position", size=size), spread))
-        rate = savgol_coeffs(*channel.filter, deriv=1, delta=period)
-        rough = replay.at_starts(
-            [filter_difference(s.columns[channel.column], channel.filter, period) for s in series]
-        )
-        spread = _LOOSE * np.hypot(float(np.sqrt((rate**2).sum())) * sigma, rough)
-        size = float(np.median(spread))
-        found.append((Nudge(joint=channel.joint, quantity="velocity", size=size), spread))
-    for cylinder in machine.instances(CYLINDER):
-        for chamber in ("pressure_a", "pressure_b") if replay.blind else ():
-            nudge = Nudge(cylinder=cylinder, quantity=chamber, size=1e5)
-            found.append((nudge, np.full(replay.windows, _UNSEEN)))
-        stiffness = machine.parameter(cylinder, "sigma_0")
-        if stiffness > 0.0:
-            size = _BRISTLE * machine.parameter(cylinder, "static") / stiffness
-            spread = np.full(replay.windows, size)
-            found.append((Nudge(cylinder=cylinder, quantity="bristle", size=size), spread))
-    return found
-
-
-# A window whose mean square exceeds this counts by its logarithm only: one window that starts in
-# a bad moment must not outvote a hundred others.
-_ROBUST = 3.0
-_CLIP = 1e5
+        return (whitening @ errors.reshape(len(errors), -1, 1))[:, :, 0]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,29 +51,63 @@ class Nuisance:
     nominal: float
     tolerance: float
 
-
-def robust_cost(mean_square: np.ndarray) -> np.ndarray:
-    """Cost of windows by their mean square c: c, beyond a limit its logarithm, shape as given."""
-    beyond = _ROBUST * (1.0 + np.log(np.maximum(mean_square, _ROBUST) / _ROBUST))
-    return np.where(mean_square <= _ROBUST, mean_square, beyond)
+    def value(self, hypothesis: Mapping[Key, np.ndarray]) -> float:
+        """Its value under a hypothesis."""
+        return hypothesis[self.key][self.index] if self.key in hypothesis else self.nominal
 
 
-def robust_weight(mean_square: np.ndarray) -> np.ndarray:
+def departures(hypothesis: Mapping[Key, np.ndarray], nuisances: Sequence[Nuisance]) -> np.ndarray:
+    """Departures of nuisances from their expected values, in tolerances, (nuisances,)."""
+    return np.array([(n.value(hypothesis) - n.nominal) / n.tolerance for n in nuisances])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Linearisation:
+    """Whitened errors about a hypothesis, to first order in the nuisances.
+
+    Attributes:
+        base: The hypothesis.
+        residual: Its whitened errors, shape (chosen windows, size).
+        tangents: d(residual)/d(nuisance in tolerances), (chosen windows, size, nuisances).
+        nuisances: Those of the tangents' columns.
+        chosen: Mask of the windows, shape (windows,).
+    """
+
+    base: Hypothesis
+    residual: np.ndarray
+    tangents: np.ndarray
+    nuisances: tuple[Nuisance, ...]
+    chosen: np.ndarray
+
+    def without(self, keys: Collection[Key]) -> "Linearisation":
+        """The same without the nuisances of some effects."""
+        keep = [i for i, n in enumerate(self.nuisances) if n.key not in keys]
+        nuisances = tuple(self.nuisances[i] for i in keep)
+        return replace(self, nuisances=nuisances, tangents=self.tangents[:, :, keep])
+
+
+def robust_cost(mean_square: np.ndarray, limit: float = DEFAULT.robust_limit) -> np.ndarray:
+    """Cost of windows by their mean square: beyond a limit by its logarithm, shape as given."""
+    beyond = limit * (1.0 + np.log(np.maximum(mean_square, limit) / limit))
+    return np.where(mean_square <= limit, mean_square, beyond)
+
+
+def robust_weight(mean_square: np.ndarray, limit: float = DEFAULT.robust_limit) -> np.ndarray:
     """Derivative of `robust_cost`: weights of windows in a least-squares step."""
-    return _ROBUST / np.maximum(mean_square, _ROBUST)
+    return limit / np.maximum(mean_square, limit)
 
 
 class Problem:
-    """Recordings and machine as a least-squares problem.
+    """Recordings and machine as a least-squares problem; immutable.
 
     Args:
         machine: The unmodified machine at the replay's time step.
         library: Its effects.
         series: The recordings.
         channels: What is predicted.
-        layout: How recordings are cut.
         fit: Indices of the recordings that are fitted; the others are held out.
         threads: Of the rollouts.
+        thresholds: Of all steps.
 
     Attributes:
         replay: The windows.
@@ -179,32 +115,26 @@ class Problem:
         fitted: Mask of windows that are fitted, shape (windows,).
         held: Mask of windows that are held out.
         size: Numbers in a whitened window.
+        sensor_noise: Standard deviation of each channel's samples, (recordings, channels).
+        noise: Noise model, at first about the unmodified machine; see `about`.
     """
 
     def __init__(
         self,
         machine: Machine,
         library: Library,
-        series: list[Series],
+        series: list[UniformSeries],
         channels: tuple[Channel, ...],
-        layout: Layout,
         fit: Sequence[int],
         *,
         threads: int = 2,
+        thresholds: Thresholds = DEFAULT,
     ) -> None:
-        self.machine, self.library = machine, library
+        self.machine, self.library, self.thresholds = machine, library, thresholds
         self.series, self.channels = series, channels
-        self.replay = Replay(machine, series, channels, layout, threads=threads)
-        fine = Replay(
-            machine.at_timestep(0.5 * machine.timestep), series, channels, layout, threads=threads
-        )
-        nominal = self.replay.error(Change(machine))
-        # Errors of the time step, of second order, are taken off: with half the step a third
-        # of the difference is left (Richardson).
-        self._defect = (fine.error(Change(fine.machine)) - nominal) * (4.0 / 3.0)
-        self._fine = fine
-        self._whiten = Whitening(self.replay, series, Change(machine), nominal)
-        self.size = self._whiten.shape[0] * self._whiten.shape[1]
+        self.replay = Replay(machine, series, channels, thresholds, threads=threads)
+        self._fine = self.replay.on(machine.at_timestep(0.5 * machine.timestep))
+        self.size = len(channels) * self.replay.bins
         self.fitted = np.isin(self.replay.recording, list(fit))
         self.held = ~self.fitted
         self.nuisances = tuple(
@@ -213,13 +143,109 @@ class Problem:
             for i, p in enumerate(site.parameters)
             if p.tolerance > 0.0
         )
+        level = [[noise_level(s.columns[c.column], c.filter) for c in channels] for s in series]
+        floor = np.array([_resolution(series, c.column) for c in channels])
+        self.sensor_noise = np.maximum(np.array(level), floor)
+        change = Change(machine)
+        errors = self.replay.error(change).values
+        fine = self._fine.error(Change(self._fine.machine)).values
+        self.noise = self._noise_model(change, errors, fine - errors)
+
+    def about(self, hypothesis: Hypothesis) -> "Problem":
+        """The same problem with its noise model taken about a hypothesis."""
+        errors, _ = self._errors(self.replay, hypothesis, None)
+        fine, _ = self._errors(self._fine, hypothesis, None)
+        change = self.library.change(hypothesis, self.machine)
+        other = copy(self)
+        other.noise = self._noise_model(change, self.replay.error(change).values, fine - errors)
+        return other
+
+    def _noise_model(self, change: Change, reference: np.ndarray, finer: np.ndarray) -> NoiseModel:
+        """Noise model about a change.
+
+        The covariance of a window's errors is N + S P S': sensor noise of the bins, and start-state
+        errors of covariance P carried on by the sensitivity S of the predictions, from replays with
+        nudged starts.
+
+        Args:
+            change: What the hypothesis changes.
+            reference: Errors under it, shape (windows, channels, bins).
+            finer: What half the time step changes in them.
+        """
+        replay, limits = self.replay, self.thresholds
+        per_bin = replay.samples // replay.bins
+        sigma = self.sensor_noise[replay.recording]  # (windows, channels)
+        measured = replay.measured()
+        binned = measured[:, :, 1:].reshape(*measured.shape[:2], replay.bins, per_bin).mean(axis=3)
+        change_over_bin = np.abs(np.gradient(binned, axis=2)) if replay.bins > 1 else 0.0 * binned
+        timing = np.array([limits.timing_share[bool(c.chamber)] for c in self.channels])[:, None]
+        variance = (sigma**2 / per_bin)[:, :, None] + (timing * change_over_bin) ** 2
+        for chamber in [k for k, c in enumerate(self.channels) if c.chamber]:
+            lowest = np.minimum.accumulate(binned[:, chamber], axis=1)
+            vapour = lowest < limits.vapour_pressure
+            variance[np.broadcast_to(vapour[:, None], variance.shape)] *= 1e8
+        covariance = np.zeros((replay.windows, self.size, self.size))
+        diagonal = np.arange(self.size)
+        covariance[:, diagonal, diagonal] = variance.reshape(replay.windows, self.size)
+        for nudge, spread in self._nudges():
+            moved = replay.error(change, nudge=nudge).values - reference
+            direction = moved.reshape(replay.windows, self.size) * (spread / nudge.size)[:, None]
+            covariance += direction[:, :, None] * direction[:, None, :]
+        # Errors of the time step, of second order, are taken off: with half the step a third of
+        # the difference is left (Richardson).
+        return NoiseModel(
+            defect=finer * (4.0 / 3.0), whitening=np.linalg.inv(np.linalg.cholesky(covariance))
+        )
+
+    def _nudges(self) -> list[tuple[Nudge, np.ndarray]]:
+        """Nudges and the spread of each start state, shape (windows,)."""
+        found: list[tuple[Nudge, np.ndarray]] = []
+        replay, machine, limits = self.replay, self.machine, self.thresholds
+        period = self.series[0].period
+
+        def spread(k: int, channel: Channel, derivative: float | None) -> np.ndarray:
+            rule = {} if derivative is None else {"deriv": 1, "delta": derivative}
+            kernel = float(np.sqrt((savgol_coeffs(*channel.filter, **rule) ** 2).sum()))
+            # What another filter makes of the same samples tells where smoothing is biased.
+            rough = replay.at_starts(
+                [
+                    filter_difference(s.columns[channel.column], channel.filter, derivative)
+                    for s in self.series
+                ]
+            )
+            sigma = self.sensor_noise[replay.recording, k]
+            return limits.start_spread * np.hypot(kernel * sigma, rough)
+
+        for k, channel in enumerate(self.channels):
+            if channel.chamber and channel.cylinder:
+                nudge = Nudge(cylinder=channel.cylinder, quantity=channel.chamber, size=2e4)
+                found.append((nudge, spread(k, channel, None)))
+                continue
+            for quantity, derivative in (("position", None), ("velocity", period)):
+                free = spread(k, channel, derivative)
+                size = float(np.median(free))
+                found.append((Nudge(joint=channel.joint, quantity=quantity, size=size), free))
+        for cylinder in machine.instances(CYLINDER):
+            for chamber in CHAMBERS if replay.blind else ():
+                nudge = Nudge(cylinder=cylinder, quantity=chamber, size=1e5)
+                found.append((nudge, np.full(replay.windows, limits.unseen_pressure)))
+            stiffness = machine.parameter(cylinder, "sigma_0")
+            if stiffness > 0.0:
+                size = limits.bristle_share * machine.parameter(cylinder, "static") / stiffness
+                nudge = Nudge(cylinder=cylinder, quantity="bristle", size=size)
+                found.append((nudge, np.full(replay.windows, size)))
+        return found
 
     def residual(self, hypothesis: Hypothesis, chosen: np.ndarray | None = None) -> np.ndarray:
         """Whitened errors, shape (chosen windows, size); 0 in windows where an effect begins."""
         errors, certain = self._errors(self.replay, hypothesis, chosen)
-        defect = self._defect if chosen is None else self._defect[chosen]
-        white = self._whiten((errors + defect) * certain[:, None, None], chosen)
-        return np.clip(white, -_CLIP, _CLIP)
+        defect = self.noise.defect if chosen is None else self.noise.defect[chosen]
+        white = self.noise.whitened((errors + defect) * certain[:, None, None], chosen)
+        return np.clip(white, -self.thresholds.clip, self.thresholds.clip)
+
+    def raw_errors(self, hypothesis: Hypothesis) -> np.ndarray:
+        """Measured less predicted in SI units, shape (windows, channels, bins)."""
+        return self._errors(self.replay, hypothesis, None)[0] + self.noise.defect
 
     def _errors(
         self, replay: Replay, hypothesis: Hypothesis, chosen: np.ndarray | None
@@ -227,14 +253,13 @@ class Problem:
         """Errors of the chosen windows; and 0 for windows in which an effect begins, else 1."""
         if not hypothesis.onsets:
             change = self.library.change(hypothesis, replay.machine)
-            errors = replay.error(change, chosen=chosen) / replay.noise_gain[:, None]
+            errors = replay.error(change, chosen=chosen).normalised
             return errors, np.ones(len(errors))
         chosen = np.ones(replay.windows, dtype=bool) if chosen is None else chosen
-        length = self.replay.layout.window
         keys = sorted(hypothesis.onsets)
         begins = np.stack([hypothesis.onsets[k][replay.recording] for k in keys])
         active = begins <= replay.start
-        begun = (begins > replay.start) & (begins < replay.start + length)
+        begun = (begins > replay.start) & (begins < replay.start + self.thresholds.window)
         certain = np.asarray(~begun.any(axis=0))
         codes = (active * (1 << np.arange(len(keys)))[:, None]).sum(axis=0)
         out = np.zeros((replay.windows, len(self.channels), replay.bins))
@@ -242,85 +267,76 @@ class Problem:
             group = chosen & (codes == code)
             absent = [k for i, k in enumerate(keys) if not code >> i & 1]
             change = self.library.change(hypothesis.without(*absent), replay.machine)
-            out[group] = replay.error(change, chosen=group) / replay.noise_gain[:, None]
+            out[group] = replay.error(change, chosen=group).normalised
         return out[chosen], certain[chosen].astype(float)
-
-    def raw_errors(self, hypothesis: Hypothesis) -> np.ndarray:
-        """Measured less predicted in SI units, shape (windows, channels, bins)."""
-        return self._errors(self.replay, hypothesis, None)[0] + self._defect
-
-    def rewhiten(self, hypothesis: Hypothesis) -> None:
-        """Takes sensitivities to start states and time step anew, about a hypothesis."""
-        errors, _ = self._errors(self.replay, hypothesis, None)
-        fine, _ = self._errors(self._fine, hypothesis, None)
-        self._defect = (fine - errors) * (4.0 / 3.0)
-        change = self.library.change(hypothesis, self.machine)
-        reference = self.replay.error(change)
-        self._whiten = Whitening(self.replay, self.series, change, reference)
-
-    @property
-    def noise(self) -> np.ndarray:
-        """Standard deviation of the sensors' noise, (recordings, channels)."""
-        return self._whiten.noise
-
-    def active_nuisances(self, free: set[Key]) -> tuple[Nuisance, ...]:
-        """Nuisances but those of effects that are fitted freely."""
-        return tuple(n for n in self.nuisances if n.key not in free)
-
-    def prior_cost(self, hypothesis: Mapping[Key, np.ndarray], free: set[Key]) -> float:
-        """Sum of squared departures of the nuisances in tolerances."""
-        total = 0.0
-        for n in self.active_nuisances(free):
-            if n.key in hypothesis:
-                total += ((hypothesis[n.key][n.index] - n.nominal) / n.tolerance) ** 2
-        return total
 
     def cost(self, residual: np.ndarray, prior: float = 0.0) -> float:
         """Robust chi-square of whitened errors plus the prior's."""
-        return float(self.size * robust_cost(np.mean(residual**2, axis=1)).sum()) + prior
+        robust = robust_cost(np.mean(residual**2, axis=1), self.thresholds.robust_limit)
+        return float(self.size * robust.sum()) + prior
+
+    def window_cost(self, hypothesis: Hypothesis) -> np.ndarray:
+        """Robust mean square of all windows, fitted and held out, shape (windows,)."""
+        squares = np.mean(self.residual(hypothesis) ** 2, axis=1)
+        return robust_cost(squares, self.thresholds.robust_limit)
+
+    def active_nuisances(self, free: Collection[Key]) -> tuple[Nuisance, ...]:
+        """Nuisances but those of effects that are fitted freely."""
+        return tuple(n for n in self.nuisances if n.key not in free)
+
+    def prior_cost(self, hypothesis: Mapping[Key, np.ndarray], free: Collection[Key]) -> float:
+        """Sum of squared departures of the nuisances in tolerances."""
+        return float((departures(hypothesis, self.active_nuisances(free)) ** 2).sum())
 
     def moved(
-        self, hypothesis: Hypothesis, nuisances: Sequence[Nuisance], values: np.ndarray
+        self, hypothesis: Hypothesis, nuisances: Sequence[Nuisance], eta: np.ndarray
     ) -> Hypothesis:
-        """The hypothesis with nuisances at values, clipped to the bounds of their parameters."""
-        for n, value in zip(nuisances, values, strict=True):
+        """The hypothesis with nuisances at departures in tolerances, clipped to their bounds."""
+        for n, departure in zip(nuisances, eta, strict=True):
             site = self.library.sites[n.key]
             now = hypothesis.get(n.key, site.nominal).copy()
+            value = n.nominal + departure * n.tolerance
             now[n.index] = np.clip(value, site.lower[n.index], site.upper[n.index])
             hypothesis = hypothesis.with_values(n.key, now)
         return hypothesis
 
-    def nuisance_values(
-        self, hypothesis: Mapping[Key, np.ndarray], nuisances: Sequence[Nuisance]
-    ) -> np.ndarray:
-        """Present values of nuisances, shape (nuisances,)."""
-        return np.array(
-            [hypothesis[n.key][n.index] if n.key in hypothesis else n.nominal for n in nuisances]
-        )
-
-    def tangents(
+    def linearise(
         self,
-        hypothesis: Hypothesis,
-        residual: np.ndarray,
+        base: Hypothesis,
         chosen: np.ndarray,
-        nuisances: Sequence[Nuisance],
+        free: Collection[Key] = (),
+        *,
         share: float = 0.5,
-    ) -> np.ndarray:
-        """d(residual)/d(nuisance in tolerances), shape (chosen windows, size, nuisances).
+    ) -> Linearisation:
+        """Tangents of all nuisances but those of free effects, by differences.
 
-        By differences over a share of the tolerance.
+        Args:
+            base: About which hypothesis.
+            chosen: Mask of windows.
+            free: Effects that are fitted freely.
+            share: Size of the differences in tolerances.
         """
-        columns = []
-        values = self.nuisance_values(hypothesis, nuisances)
+        nuisances = self.active_nuisances(free)
+        residual = self.residual(base, chosen)
+        tangents = np.zeros((*residual.shape, len(nuisances)))
         for i, n in enumerate(nuisances):
             site = self.library.sites[n.key]
             step = share * n.tolerance
-            if values[i] + step > site.upper[n.index]:
+            if n.value(base) + step > site.upper[n.index]:
                 step = -step
-            trial = values.copy()
-            trial[i] += step
-            moved = self.residual(self.moved(hypothesis, nuisances, trial), chosen)
-            columns.append((moved - residual) * (n.tolerance / step))
-        if not columns:
-            return np.zeros((*residual.shape, 0))
-        return np.stack(columns, axis=2)
+            moved = base.get(n.key, site.nominal).copy()
+            moved[n.index] = np.clip(
+                moved[n.index] + step, site.lower[n.index], site.upper[n.index]
+            )
+            other = self.residual(base.with_values(n.key, moved), chosen)
+            tangents[:, :, i] = (other - residual) * (n.tolerance / step)
+        return Linearisation(
+            base=base, residual=residual, tangents=tangents, nuisances=nuisances, chosen=chosen
+        )
+
+
+def _resolution(series: Sequence[UniformSeries], column: str) -> float:
+    """Rounding error of a quantised column: its smallest step over sqrt(12)."""
+    steps = [np.abs(np.diff(s.columns[column])) for s in series]
+    steps = [s[s > 0].min() for s in steps if (s > 0).any()]
+    return float(min(steps)) / np.sqrt(12.0) if steps else 0.0

@@ -1,7 +1,7 @@
-"""What a diagnosis says: everything that a report or a page needs, immutable."""
+"""The verdict of a diagnosis, with all that a report or a page shows; immutable."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -214,7 +214,7 @@ class Proposal:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Diagnosis:
-    """The verdict and what led to it.
+    """The verdict and its evidence.
 
     Attributes:
         verdict: named, confusion_set, partial, unexplained or nothing_missing.
@@ -258,81 +258,68 @@ class Diagnosis:
         return replace(self, model=name)
 
     def to_json(self) -> dict[str, Any]:
-        """The content of diagnosis.json."""
-        return content(self)
+        """The content of diagnosis.json; keys are fixed, readers rely on them."""
+        gap = self.gap
+        content = {
+            "verdict": self.verdict,
+            "effects": [
+                {
+                    "name": e.name,
+                    "element": e.element,
+                    "onset": dict(e.onset) or None,
+                    "confidence": e.confidence,
+                    "contribution": e.contribution,
+                    "parameters": {
+                        p.name: {
+                            "value": p.value,
+                            "unit": p.unit,
+                            "interval": p.interval,
+                            "nominal": p.nominal,
+                        }
+                        for p in e.parameters
+                    },
+                    "indistinguishable_from": e.indistinguishable_from,
+                }
+                for e in self.effects
+            ],
+            "where": [asdict(where) for where in self.where],
+            "not_testable": sorted({n.name for n in self.not_testable}),
+            "gap": {
+                "metric": gap.metric,
+                "noise_floor": gap.noise_floor,
+                "before": gap.before,
+                "recalibrated": gap.baseline,
+                "after": gap.after,
+                "closed_fraction": gap.closed_fraction,
+                "held_out": gap.held_out,
+            },
+            "recordings": [
+                {
+                    "name": r.name,
+                    "held_out": r.held_out,
+                    "before": r.before,
+                    "recalibrated": r.baseline,
+                    "after": r.after,
+                }
+                for r in self.recordings
+            ],
+            "ceiling": self.ceiling,
+            "next_experiment": self.next_experiment and asdict(self.next_experiment),
+            "notes": self.notes,
+            "model": self.model or None,
+        }
+        return {key: _plain(value) for key, value in content.items()}
 
 
-def content(result: Diagnosis) -> dict[str, Any]:
-    """What diagnosis.json holds; keys are fixed, readers rely on them."""
-    gap = result.gap
-    return {
-        "verdict": result.verdict,
-        "effects": [
-            {
-                "name": e.name,
-                "element": e.element,
-                "onset": {name: _digits(time) for name, time in e.onset} or None,
-                "confidence": _digits(e.confidence),
-                "contribution": _digits(e.contribution),
-                "parameters": {
-                    p.name: {
-                        "value": _digits(p.value),
-                        "unit": p.unit,
-                        "interval": [_digits(x) for x in p.interval],
-                        "nominal": _digits(p.nominal),
-                    }
-                    for p in e.parameters
-                },
-                "indistinguishable_from": list(e.indistinguishable_from),
-            }
-            for e in result.effects
-        ],
-        "where": [
-            {
-                "residual": w.residual,
-                "element": w.element,
-                "level": _digits(w.level),
-                "region": w.region,
-            }
-            for w in result.where
-        ],
-        "not_testable": sorted({n.name for n in result.not_testable}),
-        "gap": {
-            "metric": gap.metric,
-            "noise_floor": gap.noise_floor,
-            "before": _digits(gap.before),
-            "recalibrated": _digits(gap.baseline),
-            "after": _digits(gap.after),
-            "closed_fraction": _digits(gap.closed_fraction),
-            "held_out": list(gap.held_out),
-        },
-        "recordings": [
-            {
-                "name": r.name,
-                "held_out": r.held_out,
-                "before": _digits(r.before),
-                "recalibrated": _digits(r.baseline),
-                "after": _digits(r.after),
-            }
-            for r in result.recordings
-        ],
-        "ceiling": _digits(result.ceiling),
-        "next_experiment": None
-        if result.next_experiment is None
-        else {
-            "name": result.next_experiment.name,
-            "description": result.next_experiment.description,
-            "rivals": list(result.next_experiment.rivals),
-            "separation": _digits(result.next_experiment.separation),
-            "separation_now": _digits(result.next_experiment.separation_now),
-        },
-        "notes": list(result.notes),
-        "model": result.model or None,
-    }
+def _plain(value: Any) -> Any:
+    """The same for JSON, with five significant digits: more would pretend a precision.
 
-
-def _digits(value: float | None) -> float | None:
-    """Five significant digits: more would pretend; None for what JSON cannot hold."""
-    if value is None or not math.isfinite(value):
-        return None
-    return float(f"{value:.5g}")
+    Numbers that JSON cannot hold become None.
+    """
+    if isinstance(value, dict):
+        return {key: _plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    if isinstance(value, float):
+        return float(f"{value:.5g}") if math.isfinite(value) else None
+    return value

@@ -1,11 +1,10 @@
-"""Bristles of joints at rest: what friction holds there follows from the balance of forces.
+"""Start states of windows: measured motion, and hidden states that follow from it.
 
-A bristle that slid further than it bends is known from the motion (`bristle`). At rest the
-measured motion is all noise, and the balance says what dry friction carries; where several
-bristles rest on one joint (a cylinder's seals, a bearing) they share it by their limits.
+Valve spools and sliding bristles follow from the measured series. At rest the measured motion is
+all noise, and the balance of forces says what dry friction carries; where several bristles rest on
+one joint (a cylinder's seals, a bearing) they share it by their limits.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import mujoco
@@ -13,41 +12,39 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
-from leglab.diagnosis.model import CYLINDER, FRICTION, Change, Machine, Measured, Variant
+from leglab.diagnosis.model import (
+    CHAMBERS,
+    CYLINDER,
+    FRICTION,
+    Change,
+    Machine,
+    Measured,
+    Variant,
+)
 from leglab.diagnosis.paths import play
 from leglab.diagnosis.windows import Channel, Cut, derivative, smoothed
-from leglab.machine.parameters import PluginTable
 
+STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+PLUGIN = mujoco.mjtState.mjSTATE_PLUGIN
 # A bristle forgets over some tenths of a millimetre; this much history is enough.
 _BRISTLE_HISTORY = 0.5  # s
 
-# Fills hidden states into `state`, shape (windows, npluginstate), for one instance.
-Rule = Callable[[Machine, Measured, Variant, str, np.ndarray], None]
-_RULES: dict[str, Rule] = {}
 
+@dataclass(frozen=True, kw_only=True)
+class Nudge:
+    """Departure from the reconstructed start states, to see how predictions depend on them.
 
-def reconstructs(plugin: str) -> Callable[[Rule], Rule]:
-    """Registers how the hidden states of a plugin's instances follow from measured series."""
-
-    def add(rule: Rule) -> Rule:
-        _RULES[plugin] = rule
-        return rule
-
-    return add
-
-
-def reconstruct(machine: Machine, measured: Measured, variant: Variant, state: np.ndarray) -> None:
-    """Fills the hidden states of all plugin instances in place.
-
-    Args:
-        machine: The unmodified machine.
-        measured: Series of one recording.
-        variant: Compiled model.
-        state: Parameters and states at window starts, shape (windows, npluginstate).
+    Attributes:
+        joint: Whose position or velocity moves.
+        cylinder: Whose pressure or bristle moves.
+        quantity: "position", "velocity", "pressure_a", "pressure_b" or "bristle".
+        size: rad, rad/s, Pa or m.
     """
-    for element, (_, table) in variant.elements.items():
-        if table.plugin in _RULES:
-            _RULES[table.plugin](machine, measured, variant, element, state)
+
+    joint: str = ""
+    cylinder: str = ""
+    quantity: str
+    size: float
 
 
 def bristle(
@@ -102,61 +99,176 @@ def spool(command: np.ndarray, frequency: float, damping: float, period: float) 
     return np.stack([out[0] + first, out[1]], axis=1)
 
 
-@reconstructs(CYLINDER)
-def _cylinder(
-    machine: Machine, measured: Measured, variant: Variant, element: str, state: np.ndarray
-) -> None:
-    start, table = variant.elements[element]
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Instances:
+    """Plugin instances of a variant at window starts; what is reconstructed is written to `state`.
 
-    def get(name: str) -> float:
-        return float(state[0, start + table.entry(name).offset])
+    Attributes:
+        machine: The unmodified machine.
+        measured: Series of one recording.
+        variant: Compiled model.
+        state: Parameters and states at window starts, shape (windows, npluginstate).
+    """
 
-    def put(name: str, values: np.ndarray) -> None:
-        state[:, start + table.entry(name).offset] = values
+    machine: Machine
+    measured: Measured
+    variant: Variant
+    state: np.ndarray
 
-    samples = measured.samples
-    command = np.clip(measured.command[element], -1.0, 1.0)
-    behind = play(command, get("hysteresis"))
-    target = np.clip(behind + get("null_bias"), -1.0, 1.0)
-    moved = spool(target, 2.0 * np.pi * get("bandwidth_hz"), get("damping_ratio"), measured.period)
-    put("play_output", behind[np.maximum(samples - 1, 0)])
-    put("spool_position", np.clip(moved[samples, 0], -1.0, 1.0))
-    put("spool_velocity", moved[samples, 1])
+    def get(self, element: str, name: str) -> np.ndarray:
+        """A parameter or state at window starts, shape (windows,); a view."""
+        return self.state[:, self.variant.slot(element, name)]
 
-    velocity = measured.piston_velocity[element]
-    joint = machine.driven[element][0]
-    pressures = sum(measured.pressure.get(f"{joint}_pressure_{c}", 0.0) for c in "ab")
-    seal = get("pressure_coefficient") * np.maximum(pressures, 0.0)
-    share = np.exp(-((velocity / get("stribeck_velocity")) ** 2))
-    level = get("coulomb") + seal + (get("static") - get("coulomb")) * share
-    level = np.maximum(level, 1e-9)
-    sigma = get("sigma_0")
-    if sigma <= 0.0:
-        return
-    put("bristle", bristle(velocity, level, sigma, measured.period, samples))
+    def value(self, element: str, name: str) -> float:
+        """A parameter that is one for all windows."""
+        return float(self.get(element, name)[0])
 
+    def put(self, element: str, name: str, values: np.ndarray) -> None:
+        """Sets a state at window starts, shape (windows,)."""
+        self.state[:, self.variant.slot(element, name)] = values
 
-@reconstructs(FRICTION)
-def _joint_friction(
-    machine: Machine, measured: Measured, variant: Variant, element: str, state: np.ndarray
-) -> None:
-    start, table = variant.elements[element]
+    def pressures(self, joint: str) -> list[np.ndarray]:
+        """Measured chamber pressures of a joint, each (n,)."""
+        columns = (f"{joint}_{chamber}" for chamber in CHAMBERS)
+        return [self.measured.pressure[c] for c in columns if c in self.measured.pressure]
 
-    def get(name: str) -> float:
-        return float(state[0, start + table.entry(name).offset])
+    def reconstruct(self) -> None:
+        """Sets the hidden states of cylinders and of joint friction that follow from the motion."""
+        for element, (_, table) in self.variant.elements.items():
+            if table.plugin == CYLINDER:
+                self._cylinder(element)
+            elif table.plugin == FRICTION:
+                self._joint_friction(element)
 
-    joint = variant.joint_of[element]
-    velocity = measured.velocity[joint]
-    share = np.exp(-((velocity / get("stribeck_velocity")) ** 2))
-    level = get("coulomb") + (get("static") - get("coulomb")) * share
-    side = 1.0 + np.sign(velocity) * get("direction_asymmetry")
-    level = np.maximum(level * get("wear") * side, 1e-9)
-    values = bristle(velocity, level, get("sigma_0"), measured.period, measured.samples)
-    state[:, start + table.entry("bristle").offset] = values
+    def _cylinder(self, element: str) -> None:
+        measured, samples = self.measured, self.measured.samples
+        command = np.clip(measured.command[element], -1.0, 1.0)
+        behind = play(command, self.value(element, "hysteresis"))
+        moved = spool(
+            np.clip(behind + self.value(element, "null_bias"), -1.0, 1.0),
+            2.0 * np.pi * self.value(element, "bandwidth_hz"),
+            self.value(element, "damping_ratio"),
+            measured.period,
+        )
+        self.put(element, "play_output", behind[np.maximum(samples - 1, 0)])
+        self.put(element, "spool_position", np.clip(moved[samples, 0], -1.0, 1.0))
+        self.put(element, "spool_velocity", moved[samples, 1])
+        velocity = measured.piston_velocity[element]
+        pressures = sum(self.pressures(self.machine.driven[element][0]), np.zeros(1))
+        seal = self.value(element, "pressure_coefficient") * np.maximum(pressures, 0.0)
+        self._slide(element, velocity, self._stribeck(element, velocity, seal))
 
+    def _joint_friction(self, element: str) -> None:
+        velocity = self.measured.velocity[self.variant.joint_of[element]]
+        side = 1.0 + np.sign(velocity) * self.value(element, "direction_asymmetry")
+        level = self._stribeck(element, velocity) * self.value(element, "wear") * side
+        self._slide(element, velocity, level)
 
-# A bristle that slid less than twice its deflection in this time rests.
-_REST = 0.03  # s
+    def _stribeck(
+        self, element: str, velocity: np.ndarray, seal: np.ndarray | float = 0.0
+    ) -> np.ndarray:
+        """Steady friction of sliding, shape (n,), with what pressed seals add to it."""
+        coulomb = self.value(element, "coulomb")
+        share = np.exp(-((velocity / self.value(element, "stribeck_velocity")) ** 2))
+        return coulomb + seal + (self.value(element, "static") - coulomb) * share
+
+    def _slide(self, element: str, velocity: np.ndarray, level: np.ndarray) -> None:
+        """Sets a sliding bristle's deflection under a steady friction of shape (n,)."""
+        period, samples = self.measured.period, self.measured.samples
+        sigma = self.value(element, "sigma_0")
+        if sigma > 0.0:
+            level = np.maximum(level, 1e-9)
+            self.put(element, "bristle", bristle(velocity, level, sigma, period, samples))
+
+    def balance(self, rest_time: float) -> None:
+        """Sets the deflection of bristles that slid less than twice theirs in a time [s].
+
+        Joints of cylinders without measured pressures are left as they are.
+        """
+        measured = self.measured
+        for joint in self.machine.joints:
+            acting = self._bristles(joint)
+            driven = any(joint in self.machine.driven[c] for c in self.machine.instances(CYLINDER))
+            if not acting or (driven and len(self.pressures(joint)) < len(CHAMBERS)):
+                continue
+            position = measured.position[joint]
+            back = np.maximum(measured.samples - round(rest_time / measured.period), 0)
+            travel = np.abs(position[measured.samples] - position[back])
+            resting = np.stack([travel < 2.0 * one.travel for one in acting])
+            rows = np.flatnonzero(resting.any(axis=0))
+            if not rows.size:
+                continue
+            for one, rests in zip(acting, resting, strict=True):
+                self.state[rests, one.slot] = 0.0
+            held = self._unbalanced(rows, joint)
+            limit = np.stack(
+                [np.where(held > 0, b.forward[rows], b.backward[rows]) for b in acting]
+            )
+            limit *= resting[:, rows]
+            share = held / np.maximum(limit.sum(axis=0), np.abs(held) + 1e-300)
+            for one, rests, part in zip(acting, resting[:, rows], limit * share, strict=True):
+                deflection = part / (one.lever[rows] * one.stiffness)
+                self.state[rows[rests], one.slot] = deflection[rests]
+
+    def _bristles(self, joint: str) -> "list[Bristle]":
+        """Bristles that act on a joint."""
+        found = []
+        for element, (_, table) in self.variant.elements.items():
+            seal = table.plugin == CYLINDER and joint in self.machine.driven[element]
+            if not seal and (table.plugin != FRICTION or self.variant.joint_of[element] != joint):
+                continue
+            stiffness = self.value(element, "sigma_0")
+            if stiffness <= 0.0:
+                continue
+            breakaway = np.maximum(self.get(element, "coulomb"), self.get(element, "static"))
+            if seal:
+                lever = self.measured.lever[element][self.measured.samples]
+                total = sum((p[self.measured.samples] for p in self.pressures(joint)), 0.0)
+                seals = self.get(element, "pressure_coefficient") * np.maximum(total, 0.0)
+                forward = backward = np.abs(lever) * (breakaway + seals)
+            else:
+                lever = np.ones(len(self.state))
+                half = 0.5 * self.get(element, "coulomb_difference")
+                load = self.get(element, "load")
+                forward, backward = (
+                    self.get(element, "wear")
+                    * (1.0 + side * self.get(element, "direction_asymmetry"))
+                    * np.maximum(breakaway + side * half + load, 0.0)
+                    for side in (1.0, -1.0)
+                )
+            found.append(
+                Bristle(
+                    slot=self.variant.slot(element, "bristle"),
+                    stiffness=stiffness,
+                    lever=lever,
+                    forward=forward,
+                    backward=backward,
+                )
+            )
+        return found
+
+    def _unbalanced(self, rows: np.ndarray, joint: str) -> np.ndarray:
+        """Force on a joint that the measured motion leaves over at some windows, (rows,)."""
+        model, measured = self.variant.model, self.measured
+        data = mujoco.MjData(model)
+        dof = int(model.joint(joint).dofadr[0])
+        out = np.empty(rows.size)
+        for i, row in enumerate(rows.tolist()):
+            k = int(measured.samples[row])
+            data.plugin_state[:] = self.state[row]
+            for name in self.machine.joints:
+                data.qpos[model.joint(name).qposadr[0]] = measured.position[name][k]
+                data.qvel[model.joint(name).dofadr[0]] = measured.velocity[name][k]
+            for number, name in enumerate(self.machine.actuators):
+                data.ctrl[number] = measured.command[name][k]
+            mujoco.mj_forward(model, data)
+            for name in self.machine.joints:
+                v = measured.velocity[name]
+                slope = (v[k + 1] - v[k - 1]) / (2.0 * measured.period)
+                data.qacc[model.joint(name).dofadr[0]] = slope
+            mujoco.mj_inverseSkip(model, data, mujoco.mjtStage.mjSTAGE_VEL, 1)
+            out[i] = data.qfrc_actuator[dof] - data.qfrc_inverse[dof]
+        return out
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -185,144 +297,11 @@ class Bristle:
         return most / (self.lever**2 * self.stiffness + 1e-300)
 
 
-def bristles(
-    machine: Machine, measured: Measured, variant: Variant, state: np.ndarray, joint: str
-) -> list[Bristle]:
-    """Bristles that act on a joint.
-
-    Args:
-        machine: The unmodified machine.
-        measured: Series of one recording.
-        variant: Compiled model.
-        state: Parameters and states at window starts, shape (windows, npluginstate).
-        joint: Name.
-    """
-    found = []
-    for element, (start, table) in variant.elements.items():
-        seal = table.plugin == CYLINDER and joint in machine.driven[element]
-        if not seal and (table.plugin != FRICTION or variant.joint_of[element] != joint):
-            continue
-
-        def get(name: str, start: int = start, table: PluginTable = table) -> np.ndarray:
-            return state[:, start + table.entry(name).offset]
-
-        stiffness = float(get("sigma_0")[0])
-        if stiffness <= 0.0:
-            continue
-        slot = start + table.entry("bristle").offset
-        breakaway = np.maximum(get("coulomb"), get("static"))
-        if seal:
-            lever = measured.lever[element][measured.samples]
-            pressures = [measured.pressure.get(f"{joint}_pressure_{c}") for c in "ab"]
-            total = sum(p[measured.samples] for p in pressures if p is not None)
-            seals = get("pressure_coefficient") * np.maximum(total, 0.0)
-            forward = backward = np.abs(lever) * (breakaway + seals)
-        else:
-            lever = np.ones(len(state))
-            half = 0.5 * get("coulomb_difference")
-            forward, backward = (
-                get("wear")
-                * (1.0 + side * get("direction_asymmetry"))
-                * np.maximum(breakaway + side * half + get("load"), 0.0)
-                for side in (1.0, -1.0)
-            )
-        found.append(
-            Bristle(slot=slot, stiffness=stiffness, lever=lever, forward=forward, backward=backward)
-        )
-    return found
-
-
-def balance(machine: Machine, measured: Measured, variant: Variant, state: np.ndarray) -> None:
-    """Sets the deflection of resting bristles in place.
-
-    Joints of cylinders without measured pressures are left as they are.
-
-    Args:
-        machine: The unmodified machine.
-        measured: Series of one recording.
-        variant: Compiled model.
-        state: Parameters and states at window starts, shape (windows, npluginstate).
-    """
-    for joint in machine.joints:
-        acting = bristles(machine, measured, variant, state, joint)
-        cylinders = [c for c in machine.instances(CYLINDER) if joint in machine.driven[c]]
-        chambers = [f"{joint}_pressure_{c}" for c in "ab"]
-        if not acting or (cylinders and not all(c in measured.pressure for c in chambers)):
-            continue
-        position = measured.position[joint]
-        back = np.maximum(measured.samples - round(_REST / measured.period), 0)
-        travel = np.abs(position[measured.samples] - position[back])
-        resting = np.stack([travel < 2.0 * bristle.travel for bristle in acting])
-        rows = np.flatnonzero(resting.any(axis=0))
-        if not rows.size:
-            continue
-        for bristle, rests in zip(acting, resting, strict=True):
-            state[rests, bristle.slot] = 0.0
-        held = _unbalanced(machine, measured, variant, state, rows, joint)
-        limit = np.stack([np.where(held > 0, b.forward[rows], b.backward[rows]) for b in acting])
-        limit *= resting[:, rows]
-        share = held / np.maximum(limit.sum(axis=0), np.abs(held) + 1e-300)
-        for bristle, rests, part in zip(acting, resting[:, rows], limit * share, strict=True):
-            deflection = part / (bristle.lever[rows] * bristle.stiffness)
-            state[rows[rests], bristle.slot] = deflection[rests]
-
-
-def _unbalanced(
-    machine: Machine,
-    measured: Measured,
-    variant: Variant,
-    state: np.ndarray,
-    rows: np.ndarray,
-    joint: str,
-) -> np.ndarray:
-    """Force on a joint that the measured motion leaves over at some windows, (rows,)."""
-    model = variant.model
-    data = mujoco.MjData(model)
-    dof = int(model.joint(joint).dofadr[0])
-    out = np.empty(rows.size)
-    for i, (row, k) in enumerate(zip(rows.tolist(), measured.samples[rows].tolist(), strict=True)):
-        data.plugin_state[:] = state[row]
-        for name in machine.joints:
-            data.qpos[model.joint(name).qposadr[0]] = measured.position[name][k]
-            data.qvel[model.joint(name).dofadr[0]] = measured.velocity[name][k]
-        for number, name in enumerate(machine.actuators):
-            data.ctrl[number] = measured.command[name][k]
-        mujoco.mj_forward(model, data)
-        for name in machine.joints:
-            v = measured.velocity[name]
-            slope = (v[k + 1] - v[k - 1]) / (2.0 * measured.period)
-            data.qacc[model.joint(name).dofadr[0]] = slope
-        mujoco.mj_inverseSkip(model, data, mujoco.mjtStage.mjSTAGE_VEL, 1)
-        out[i] = data.qfrc_actuator[dof] - data.qfrc_inverse[dof]
-    return out
-
-
-STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
-PLUGIN = mujoco.mjtState.mjSTATE_PLUGIN
-
-
-@dataclass(frozen=True, kw_only=True)
-class Nudge:
-    """Departure from the reconstructed start states, to see how predictions depend on them.
-
-    Attributes:
-        joint: Whose position or velocity moves.
-        cylinder: Whose pressure or bristle moves.
-        quantity: "position", "velocity", "pressure_a", "pressure_b" or "bristle".
-        size: rad, rad/s, Pa or m.
-    """
-
-    joint: str = ""
-    cylinder: str = ""
-    quantity: str
-    size: float
-
-
 def measure(
-    machine: Machine, cut: Cut, channels: tuple[Channel, ...], change: Change
+    cut: Cut, channels: tuple[Channel, ...], change: Change
 ) -> tuple[Measured, dict[str, np.ndarray]]:
     """Smoothed series under the sensor and command faults of a change, and corrected columns."""
-    series, period = cut.series, cut.series.period
+    machine, series, period = change.machine, cut.series, cut.series.period
     corrected = {}
     for channel in channels:
         samples = series.columns[channel.column]
@@ -364,13 +343,11 @@ def measure(
 
 
 def start_states(
-    machine: Machine,
     cut: Cut,
     change: Change,
-    variant: Variant,
-    parameters: np.ndarray,
     measured: Measured,
     channels: tuple[Channel, ...],
+    rest_time: float,
     *,
     pressures: np.ndarray | None = None,
     nudge: Nudge | None = None,
@@ -378,18 +355,19 @@ def start_states(
     """Full physics states at window starts, shape (windows, nstate).
 
     Args:
-        machine: The unmodified machine.
         cut: Windows.
-        change: What the hypothesis changes.
-        variant: Compiled model.
-        parameters: Plugin state with parameters set, (npluginstate,).
+        change: Changes under the hypothesis.
         measured: Smoothed series; its samples say where windows start.
-        channels: What is measured.
+        channels: Measured outputs.
+        rest_time: A bristle that slid less than twice its deflection in this time [s] rests.
         pressures: Of the chambers where none are measured, (windows, 2 cylinders).
         nudge: Departure from these states.
     """
+    machine, variant = change.machine, change.variant
     model, firsts = variant.model, measured.samples
-    plugin = np.tile(parameters, (firsts.size, 1))
+    plugin = np.tile(variant.plugin_state, (firsts.size, 1))
+    for (element, name), value in change.parameters.items():
+        plugin[:, variant.slot(element, name)] = value
     qpos = np.tile(variant.qpos, (firsts.size, 1))
     qvel = np.zeros((firsts.size, model.nv))
     lag = 0.5 * machine.timestep
@@ -404,12 +382,12 @@ def start_states(
             slot = variant.slot(channel.cylinder, channel.chamber)
             plugin[:, slot] = measured.pressure[channel.column][firsts]
     if pressures is not None:
-        slots = pressure_slots(machine, variant)
-        plugin[:, slots] = pressures
-    reconstruct(machine, measured, variant, plugin)
+        plugin[:, pressure_slots(change)] = pressures
+    instances = Instances(machine=machine, measured=measured, variant=variant, state=plugin)
+    instances.reconstruct()
     for (element, name), function in change.starts.items():
         plugin[:, variant.slot(element, name)] = function(measured, variant, plugin)
-    balance(machine, measured, variant, plugin)
+    instances.balance(rest_time)
     if nudge is not None:
         if nudge.quantity == "position":
             qpos[:, model.joint(nudge.joint).qposadr[0]] += nudge.size
@@ -417,16 +395,22 @@ def start_states(
             qvel[:, model.joint(nudge.joint).dofadr[0]] += nudge.size
         else:
             plugin[:, variant.slot(nudge.cylinder, nudge.quantity)] += nudge.size
-    return _assemble(model, cut.series.time[firsts], qpos, qvel, plugin)
+    states = np.zeros((firsts.size, mujoco.mj_stateSize(model, STATE)))
+    start = offset(model, PLUGIN)
+    states[:, 0] = cut.series.time[firsts]
+    states[:, 1 : 1 + model.nq] = qpos
+    states[:, 1 + model.nq : 1 + model.nq + model.nv] = qvel
+    states[:, start : start + model.npluginstate] = plugin
+    return states
 
 
-def pressure_slots(machine: Machine, variant: Variant) -> np.ndarray:
+def pressure_slots(change: Change) -> np.ndarray:
     """Places of all chamber pressures in the plugin state: A and B of each cylinder in turn."""
     return np.array(
         [
-            variant.slot(cylinder, chamber)
-            for cylinder in machine.instances(CYLINDER)
-            for chamber in ("pressure_a", "pressure_b")
+            change.variant.slot(cylinder, chamber)
+            for cylinder in change.machine.instances(CYLINDER)
+            for chamber in CHAMBERS
         ],
         dtype=int,
     )
@@ -436,19 +420,3 @@ def offset(model: mujoco.MjModel, part: mujoco.mjtState) -> int:
     """Place of a part in the full physics state: parts follow in the order of their bits."""
     below = int(STATE) & (int(part) - 1)
     return mujoco.mj_stateSize(model, below) if below else 0
-
-
-def _assemble(
-    model: mujoco.MjModel,
-    time: np.ndarray,
-    qpos: np.ndarray,
-    qvel: np.ndarray,
-    plugin: np.ndarray,
-) -> np.ndarray:
-    states = np.zeros((time.size, mujoco.mj_stateSize(model, STATE)))
-    states[:, 0] = time
-    states[:, 1 : 1 + model.nq] = qpos
-    states[:, 1 + model.nq : 1 + model.nq + model.nv] = qvel
-    start = offset(model, PLUGIN)
-    states[:, start : start + model.npluginstate] = plugin
-    return states

@@ -1,4 +1,4 @@
-"""From the search to the verdict: names, confusion sets, confidence, gaps."""
+"""From recordings to the verdict: names, confusion sets, confidence, gaps."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -8,12 +8,14 @@ from time import perf_counter
 import numpy as np
 
 from leglab.base.recording import Recording
+from leglab.diagnosis.effects.base import EffectParameter
 from leglab.diagnosis.effects.joints import unit
 from leglab.diagnosis.experiment import propose
 from leglab.diagnosis.fitting import Fit
 from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.isolation import isolate
 from leglab.diagnosis.judging import intervals, preferences
+from leglab.diagnosis.model import CYLINDER
 from leglab.diagnosis.recordings import check_recordings
 from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.result import (
@@ -29,93 +31,10 @@ from leglab.diagnosis.result import (
     Rivals,
     Verdict,
 )
-from leglab.diagnosis.search import Stage, window_cost
 from leglab.diagnosis.windows import Channel
-from leglab.diagnosis.workflow import EXPLAINED, Search, Settings, search, set_up
+from leglab.diagnosis.workflow import Search, Settings, search, set_up
 
-
-def nuisance_estimates(problem: Problem, fit: Fit) -> tuple[Estimate, ...]:
-    """Refitted nuisance parameters, with the range of their tolerance."""
-    rows = []
-    for n in problem.active_nuisances(set(fit.free)):
-        parameter = problem.library.sites[n.key].parameters[n.index]
-        value = fit.hypothesis[n.key][n.index] if n.key in fit.hypothesis else n.nominal
-        rows.append(
-            Estimate(
-                name=parameter.name,
-                unit=parameter.unit,
-                value=float(value),
-                nominal=n.nominal,
-                interval=(n.nominal - 1.96 * n.tolerance, n.nominal + 1.96 * n.tolerance),
-            )
-        )
-    return tuple(rows)
-
-
-def notes(problem: Problem) -> tuple[str, ...]:
-    """What the reader should know about the recordings."""
-    found = []
-    if problem.machine.instances("leglab.cylinder") and not any(
-        c.chamber for c in problem.channels
-    ):
-        found.append(
-            "no chamber pressures: they were replayed from the commands; faults of mechanism and "
-            "hydraulics are told apart by the motion alone, with wider intervals"
-        )
-    for series in problem.series:
-        lost = int((~series.valid).sum())
-        if lost:
-            found.append(
-                f"{series.name}: {lost} samples are missing; windows over them are skipped"
-            )
-    return tuple(found)
-
-
-def traces(problem: Problem, final: Hypothesis) -> tuple[ResidualTrace, ...]:
-    """Replay errors before and after, of every recording and channel."""
-    replay = problem.replay
-    before = problem.raw_errors(Hypothesis())
-    after = problem.raw_errors(final)
-    per_bin = replay.samples // replay.bins
-    period = problem.series[0].period
-    rows = []
-    for i, series in enumerate(problem.series):
-        mask = replay.recording == i
-        middle = (np.arange(replay.bins) + 0.5) * per_bin
-        first = np.round((replay.start[mask] - series.time[0]) / period)
-        index = np.minimum((first[:, None] + middle).astype(int), series.time.size - 1).ravel()
-        for k, channel in enumerate(problem.channels):
-            q = series.columns[f"{channel.joint}_position"]
-            first_chamber = series.columns.get(f"{channel.joint}_pressure_a")
-            second_chamber = series.columns.get(f"{channel.joint}_pressure_b")
-            difference = None
-            if first_chamber is not None and second_chamber is not None:
-                difference = (first_chamber - second_chamber)[index]
-            rows.append(
-                ResidualTrace(
-                    recording=series.name,
-                    channel=channel.column,
-                    unit="Pa" if channel.chamber else unit(problem.machine, channel.joint),
-                    time=series.time[index],
-                    position=q[index],
-                    velocity=np.gradient(q, period)[index],
-                    pressure=difference,
-                    before=before[mask, k].ravel(),
-                    after=after[mask, k].ravel(),
-                )
-            )
-    return tuple(rows)
-
-
-# A rival is told apart if resampling prefers the named effect at least this often ...
-_PREFERENCE = 0.975
-# ... and the difference is more than this share of a noise variance.
-_DISTANCE = 0.01
-# Explaining less than this share of the misfit is no explanation.
-_HALF = 0.5
 _DELAYS = frozenset({"command_delay", "sensor_delay"})
-# An effect whose largest trial moves whitened errors less than this was not excited.
-_DETECTABLE = 8.0
 
 
 def diagnose(
@@ -136,7 +55,7 @@ def diagnose(
         progress: Called with a line on what is being done.
 
     Returns:
-        The verdict, and what it rests on.
+        The verdict, and the search that it rests on.
 
     Raises:
         LeglabError: Model or recordings cannot be used.
@@ -145,7 +64,7 @@ def diagnose(
     settings = settings or Settings()
     progress("reading the machine")
     problem = set_up(model, recordings, held_out, settings)
-    remarks = check_recordings(problem.machine, recordings)
+    remarks = check_recordings(problem.machine, recordings, settings.thresholds)
     found = search(problem, settings, progress)
     progress("verdict")
     result = assemble(found, settings, seconds=perf_counter() - began)
@@ -154,51 +73,62 @@ def diagnose(
 
 def assemble(found: Search, settings: Settings, *, seconds: float) -> Diagnosis:
     """Builds the verdict of a finished search."""
-    problem = found.problem
+    problem, limits = found.problem, found.problem.thresholds
     rng = np.random.default_rng(settings.seed + 1)
-    final = found.fit.hypothesis
+    baseline, final = found.baseline.hypothesis, found.fit.hypothesis
     squares = {
-        "before": np.mean(problem.residual(Hypothesis()) ** 2, axis=1),
-        "baseline": np.mean(problem.residual(found.baseline.hypothesis) ** 2, axis=1),
-        "after": np.mean(problem.residual(final) ** 2, axis=1),
+        name: np.mean(problem.residual(hypothesis) ** 2, axis=1)
+        for name, hypothesis in (
+            ("before", Hypothesis()),
+            ("baseline", baseline),
+            ("after", final),
+        )
     }
-    start = window_cost(problem, found.baseline.hypothesis)
-    end = window_cost(problem, final)
+    start = float(problem.window_cost(baseline).mean())
+    end = float(problem.window_cost(final).mean())
     rivals = tuple(
-        _rivals(i + 1, stage, rng) for i, stage in enumerate(found.stages) if stage.contenders
+        Rivals(
+            round=i,
+            names=tuple(c.key[0] for c in one.contenders),
+            cost=tuple(float(c.cost.mean()) for c in one.contenders),
+            preference=preferences([c.cost for c in one.contenders], rng, limits.resamples),
+        )
+        for i, one in enumerate(found.rounds, 1)
+        if one.contenders
     )
-    share = _explained(start, end)
-    effects = _effects(found, start, end, share, rng)
-    verdict = _verdict(effects, start, end, share)
-    where, ceiling = isolate(problem.machine, problem.series, problem.channels)
+    # Share of the robust misfit of the baseline that the final fit takes away.
+    share = (start - end) / max(start - 1.0, 1e-3)
+    effects = _effects(found, end, share, rng)
+    where, ceiling = isolate(problem)
+    windows = [problem.replay.recording == i for i in range(len(problem.series))]
+    held = problem.held if problem.held.any() else np.ones_like(problem.held)
+    names = [s.name for s in problem.series]
+    judged = [bool(problem.held[own].any()) for own in windows]
     return Diagnosis(
-        verdict=verdict,
+        verdict=_verdict(found, effects, start, end, share),
         effects=effects,
         where=where,
         not_testable=_not_testable(found),
-        gap=_gap(problem, squares),
+        gap=Gap(
+            held_out=tuple(name for name, held_out in zip(names, judged, strict=True) if held_out),
+            before=_rms(squares["before"][held]),
+            baseline=_rms(squares["baseline"][held]),
+            after=_rms(squares["after"][held]),
+        ),
         recordings=tuple(
             RecordingGap(
-                name=series.name,
-                held_out=bool(problem.held[problem.replay.recording == i].any()),
-                **{k: _rms(v[problem.replay.recording == i]) for k, v in squares.items()},
+                name=name, held_out=held_out, **{k: _rms(v[own]) for k, v in squares.items()}
             )
-            for i, series in enumerate(problem.series)
+            for name, held_out, own in zip(names, judged, windows, strict=True)
         ),
         ceiling=ceiling,
         ranking=tuple(
-            Rank(
-                name=c.key[0],
-                element=c.key[1],
-                round=i + 1,
-                gain=c.gain,
-                threshold=stage.threshold,
-            )
-            for i, stage in enumerate(found.stages)
-            for c in stage.candidates
+            Rank(name=c.key[0], element=c.key[1], round=i, gain=c.gain, threshold=one.threshold)
+            for i, one in enumerate(found.rounds, 1)
+            for c in one.candidates
         ),
         rivals=rivals,
-        traces=traces(problem, found.fit.hypothesis),
+        traces=traces(problem, final),
         nuisances=nuisance_estimates(problem, found.fit),
         next_experiment=_next_experiment(found, effects),
         notes=notes(problem),
@@ -207,58 +137,34 @@ def assemble(found: Search, settings: Settings, *, seconds: float) -> Diagnosis:
     )
 
 
-def _rms(squares: np.ndarray) -> float:
-    return float(np.sqrt(squares.mean())) if squares.size else float("nan")
-
-
-def _explained(start: np.ndarray, end: np.ndarray) -> float:
-    """Share of the robust misfit of the baseline that the final fit takes away."""
-    return float((start.mean() - end.mean()) / max(start.mean() - 1.0, 1e-3))
-
-
 def _verdict(
-    effects: tuple[NamedEffect, ...], start: np.ndarray, end: np.ndarray, share: float
+    found: Search, effects: Sequence[NamedEffect], start: float, end: float, share: float
 ) -> Verdict:
+    """The word, from costs of baseline and final fit and the share that the fit explains."""
+    limits = found.problem.thresholds
     if not effects:
-        return "nothing_missing" if start.mean() <= EXPLAINED else "unexplained"
-    if end.mean() > EXPLAINED:
-        return "partial" if share >= _HALF else "unexplained"
+        return "nothing_missing" if start <= limits.explained else "unexplained"
+    if end > limits.explained:
+        return "partial" if share >= limits.explanation_share else "unexplained"
     return "confusion_set" if any(e.indistinguishable_from for e in effects) else "named"
 
 
-def _rivals(number: int, stage: Stage, rng: np.random.Generator) -> Rivals:
-    costs = [c.cost for c in stage.contenders]
-    return Rivals(
-        round=number,
-        names=tuple(c.key[0] for c in stage.contenders),
-        cost=tuple(float(c.mean()) for c in costs),
-        preference=preferences(costs, rng),
-    )
-
-
 def _effects(
-    found: Search, start: np.ndarray, end: np.ndarray, share: float, rng: np.random.Generator
+    found: Search, end: float, share: float, rng: np.random.Generator
 ) -> tuple[NamedEffect, ...]:
+    """Named effects, the largest contribution first, with their confidence."""
     problem, final = found.problem, found.fit.hypothesis
-    if not found.named:
-        return ()
-    _, half = intervals(problem, found.fit, found.chosen)
-    place = {}
-    at = 0
-    for key in sorted(found.fit.free):
-        count = len(problem.library.sites[key].parameters)
-        place[key] = slice(at, at + count)
-        at += count
-    quality = min(1.0, EXPLAINED / float(end.mean())) * float(np.clip(share, 0.0, 1.0))
-    if end.mean() <= EXPLAINED:
-        quality = 1.0
+    explained = problem.thresholds.explained
+    half = intervals(problem, found.fit) if found.named else {}
+    quality = 1.0
+    if end > explained:
+        quality = explained / end * float(np.clip(share, 0.0, 1.0))
     effects = []
     for key in found.named:
         site = problem.library.sites[key]
         tied, certainty = _ties(found, key, rng)
-        lost = window_cost(problem, final.without(key))
-        values = final[key]
-        margin = half[place[key]]
+        lost = float(problem.window_cost(final.without(key)).mean())
+        onsets = zip(problem.series, final.onsets.get(key, ()), strict=False)
         effects.append(
             NamedEffect(
                 name=key[0],
@@ -267,56 +173,42 @@ def _effects(
                 physics=site.effect.physics,
                 onset=tuple(
                     (series.name, float(time - series.time[0]))
-                    for series, time in zip(problem.series, final.onsets.get(key, ()), strict=False)
+                    for series, time in onsets
                     if np.isfinite(time)
                 ),
                 confidence=certainty * quality,
-                contribution=float(
-                    np.clip((lost.mean() - end.mean()) / max(lost.mean() - 1.0, 1e-3), 0.0, 1.0)
-                ),
+                contribution=float(np.clip((lost - end) / max(lost - 1.0, 1e-3), 0.0, 1.0)),
                 parameters=tuple(
-                    Estimate(
-                        name=p.name,
-                        unit=p.unit,
-                        value=float(v),
-                        nominal=p.nominal,
-                        interval=(
-                            max(p.lower, float(v - m)),
-                            min(p.upper, float(v + m)),
-                        ),
-                    )
-                    for p, v, m in zip(site.parameters, values, margin, strict=True)
+                    _estimate(p, float(v), max(p.lower, float(v - h)), min(p.upper, float(v + h)))
+                    for p, v, h in zip(site.parameters, final[key], half[key], strict=True)
                 ),
                 indistinguishable_from=tied,
             )
         )
-    weight = {e.name: e.contribution for e in effects}
-    return tuple(sorted(effects, key=lambda e: -weight[e.name]))
+    return tuple(sorted(effects, key=lambda e: -e.contribution))
 
 
 def _ties(found: Search, key: Key, rng: np.random.Generator) -> tuple[tuple[str, ...], float]:
-    """Rivals that explain the recordings as well, and how sure the name is against all."""
+    """Rivals that explain the recordings as well, and the name's confidence against all."""
+    limits = found.problem.thresholds
     twins = exact_twins(found.problem.channels, key[0])
     twins = tuple(t for t in twins if t in found.problem.library.names)
     if twins:
         return twins, 1.0 / (1 + len(twins))
-    fitted = [
-        (c.cost.mean(), i) for i, s in enumerate(found.stages) for c in s.contenders if c.key == key
-    ]
-    if not fitted:
+    fits = [(c, one) for one in found.rounds for c in one.contenders if c.key == key]
+    if not fits:
         return (), 1.0
-    stage = found.stages[min(fitted)[1]]
-    own = next(c for c in stage.contenders if c.key == key)
-    tied, sure = [], 1.0
-    for rival in stage.contenders:
+    own, tried = min(fits, key=lambda entry: entry[0].cost.mean())
+    tied, confidence = [], 1.0
+    for rival in tried.contenders:
         if rival.key == key or rival.key in found.named:
             continue
-        preferred = preferences([own.cost, rival.cost], rng)[0, 1]
-        near = rival.cost.mean() - own.cost.mean() < _DISTANCE
-        if preferred < _PREFERENCE or near:
+        preferred = preferences([own.cost, rival.cost], rng, limits.resamples)[0, 1]
+        near = rival.cost.mean() - own.cost.mean() < limits.distance
+        if preferred < limits.preference or near:
             tied.append(rival.key[0])
-        sure = min(sure, preferred if not near else min(preferred, 0.5))
-    return tuple(tied), float(sure)
+        confidence = min(confidence, min(preferred, 0.5) if near else preferred)
+    return tuple(tied), float(confidence)
 
 
 def exact_twins(channels: Sequence[Channel], name: str) -> tuple[str, ...]:
@@ -330,13 +222,13 @@ def exact_twins(channels: Sequence[Channel], name: str) -> tuple[str, ...]:
     return ()
 
 
-def _next_experiment(found: Search, effects: tuple[NamedEffect, ...]) -> Proposal | None:
-    """What would tell the first effect that is tied from its rival."""
+def _next_experiment(found: Search, effects: Sequence[NamedEffect]) -> Proposal | None:
+    """Experiment that would tell the first effect that is tied from its rival."""
     for effect in effects:
         if exact_twins(found.problem.channels, effect.name):
             continue  # No excitation tells them apart, only a further sensor.
-        for stage in found.stages:
-            fits = {c.key[0]: c.fit.hypothesis for c in stage.contenders}
+        for one in found.rounds:
+            fits = {c.key[0]: c.fit.hypothesis for c in one.contenders}
             tied = [name for name in effect.indistinguishable_from if name in fits]
             if effect.name in fits and tied:
                 rivals = {effect.name: fits[effect.name], tied[0]: fits[tied[0]]}
@@ -344,29 +236,92 @@ def _next_experiment(found: Search, effects: tuple[NamedEffect, ...]) -> Proposa
     return None
 
 
-def _gap(problem: Problem, squares: Mapping[str, np.ndarray]) -> Gap:
-    mask = problem.held if problem.held.any() else np.ones_like(problem.held)
-    names = tuple(
-        s.name
-        for i, s in enumerate(problem.series)
-        if problem.held[problem.replay.recording == i].any()
-    )
-    rms = {k: _rms(v[mask]) for k, v in squares.items()}
-    return Gap(held_out=names, before=rms["before"], baseline=rms["baseline"], after=rms["after"])
-
-
 def _not_testable(found: Search) -> tuple[NotTestable, ...]:
-    if not found.stages:
-        return ()
-    entries = []
-    for candidate in found.stages[0].candidates:
-        if candidate.detectable < _DETECTABLE and candidate.key not in found.named:
-            effect = found.problem.library.sites[candidate.key].effect
-            entries.append(
-                NotTestable(
-                    name=candidate.key[0],
-                    element=candidate.key[1],
-                    reason=f"needs {effect.excitation}",
+    """Effects that the recordings did not excite."""
+    problem = found.problem
+    return tuple(
+        NotTestable(
+            name=c.key[0],
+            element=c.key[1],
+            reason=f"needs {problem.library.sites[c.key].effect.excitation}",
+        )
+        for one in found.rounds[:1]
+        for c in one.candidates
+        if c.detectable < problem.thresholds.detectable and c.key not in found.named
+    )
+
+
+def nuisance_estimates(problem: Problem, fit: Fit) -> tuple[Estimate, ...]:
+    """Refitted nuisance parameters, with the range of their tolerance."""
+    return tuple(
+        _estimate(
+            problem.library.sites[n.key].parameters[n.index],
+            float(n.value(fit.hypothesis)),
+            n.nominal - 1.96 * n.tolerance,
+            n.nominal + 1.96 * n.tolerance,
+        )
+        for n in problem.active_nuisances(fit.free)
+    )
+
+
+def _estimate(parameter: EffectParameter, value: float, low: float, high: float) -> Estimate:
+    return Estimate(
+        name=parameter.name,
+        unit=parameter.unit,
+        value=value,
+        nominal=parameter.nominal,
+        interval=(low, high),
+    )
+
+
+def notes(problem: Problem) -> tuple[str, ...]:
+    """Remarks on missing pressures and samples."""
+    found = []
+    hydraulic = problem.machine.instances(CYLINDER)
+    if hydraulic and not any(c.chamber for c in problem.channels):
+        found.append(
+            "no chamber pressures: they were replayed from the commands; faults of mechanism and "
+            "hydraulics are told apart by the motion alone, with wider intervals"
+        )
+    for series in problem.series:
+        lost = int((~series.valid).sum())
+        if lost:
+            found.append(
+                f"{series.name}: {lost} samples are missing; windows over them are skipped"
+            )
+    return tuple(found)
+
+
+def traces(problem: Problem, final: Hypothesis) -> tuple[ResidualTrace, ...]:
+    """Replay errors before and after, of every recording and channel."""
+    replay = problem.replay
+    before = problem.raw_errors(Hypothesis())
+    after = problem.raw_errors(final)
+    middle = (np.arange(replay.bins) + 0.5) * (replay.samples // replay.bins)
+    rows = []
+    for i, series in enumerate(problem.series):
+        own, period = replay.recording == i, series.period
+        first = np.round((replay.start[own] - series.time[0]) / period)
+        index = np.minimum((first[:, None] + middle).astype(int), series.time.size - 1).ravel()
+        for k, channel in enumerate(problem.channels):
+            q = series.columns[f"{channel.joint}_position"]
+            chambers = [series.columns.get(f"{channel.joint}_pressure_{c}") for c in "ab"]
+            a, b = chambers
+            rows.append(
+                ResidualTrace(
+                    recording=series.name,
+                    channel=channel.column,
+                    unit="Pa" if channel.chamber else unit(problem.machine, channel.joint),
+                    time=series.time[index],
+                    position=q[index],
+                    velocity=np.gradient(q, period)[index],
+                    pressure=None if a is None or b is None else (a - b)[index],
+                    before=before[own, k].ravel(),
+                    after=after[own, k].ravel(),
                 )
             )
-    return tuple(entries)
+    return tuple(rows)
+
+
+def _rms(squares: np.ndarray) -> float:
+    return float(np.sqrt(squares.mean())) if squares.size else float("nan")

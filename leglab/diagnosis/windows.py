@@ -1,4 +1,4 @@
-"""Measured series of one recording on a uniform grid, and the machine's channels in it."""
+"""Recordings on a uniform grid, their channels, smoothing, and the windows cut from them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -10,16 +10,9 @@ from scipy.signal import savgol_coeffs, savgol_filter
 
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
-from leglab.diagnosis.model import CYLINDER, Machine
+from leglab.diagnosis.model import CHAMBERS, CYLINDER, Machine
+from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 from leglab.machine.simulation import actuator_moments
-
-# Further than this many periods from a true sample, a value on the grid is not measured.
-_GAP = 1.5
-_CHAMBERS = ("pressure_a", "pressure_b")
-# Quartic over 21 ms for positions, quadratic over 5 ms for pressures: they pass the motion of a leg
-# and, at 1 kHz, take noise to a third.
-_POSITION_FILTER = (0.021, 7, 4)  # s, least samples, order
-_PRESSURE_FILTER = (0.005, 5, 2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +35,7 @@ class Channel:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Series:
+class UniformSeries:
     """One recording, ready for replay.
 
     Attributes:
@@ -60,16 +53,20 @@ class Series:
     valid: np.ndarray
 
     @classmethod
-    def from_recording(cls, recording: Recording, name: str, needed: tuple[str, ...]) -> "Series":
+    def from_recording(
+        cls,
+        recording: Recording,
+        name: str,
+        needed: tuple[str, ...],
+        thresholds: Thresholds = DEFAULT,
+    ) -> "UniformSeries":
         """Puts the needed columns of a recording on a uniform grid.
 
         Raises:
             LeglabError: The recording is too short to have a period.
         """
-        if len(recording) < 3:
-            raise LeglabError(f"{name}: {len(recording)} samples are too few to replay")
+        period = _median_period(recording, name)
         intervals = np.diff(recording.time)
-        period = float(np.median(intervals))
         # A clock that counts in whole samples of a rounded period: use the mean of usual intervals.
         usual = intervals[np.abs(intervals - period) < 0.5 * period]
         period = float(usual.mean())
@@ -86,8 +83,14 @@ class Series:
             after = np.searchsorted(times, grid).clip(1, times.size - 1)
             distance = np.minimum(np.abs(grid - times[after - 1]), np.abs(times[after] - grid))
             near = np.maximum(times[after] - times[after - 1], 0.0)
-            valid &= (near <= _GAP * period) | (distance < 1e-3 * period)
+            valid &= (near <= thresholds.gap_periods * period) | (distance < 1e-3 * period)
         return cls(name=name, period=period, time=grid, columns=columns, valid=valid)
+
+
+def _median_period(recording: Recording, name: str) -> float:
+    if len(recording) < 3:
+        raise LeglabError(f"{name}: {len(recording)} samples are too few to replay")
+    return float(np.median(np.diff(recording.time)))
 
 
 def sampling_period(recordings: Mapping[str, Recording]) -> float:
@@ -96,11 +99,7 @@ def sampling_period(recordings: Mapping[str, Recording]) -> float:
     Raises:
         LeglabError: A recording is too short, or periods differ; names the recordings.
     """
-    periods = {}
-    for name, recording in recordings.items():
-        if len(recording) < 3:
-            raise LeglabError(f"{name}: {len(recording)} samples are too few to replay")
-        periods[name] = float(np.median(np.diff(recording.time)))
+    periods = {name: _median_period(recording, name) for name, recording in recordings.items()}
     first = next(iter(periods))
     for name, period in periods.items():
         if abs(period - periods[first]) > 1e-2 * periods[first]:
@@ -111,7 +110,9 @@ def sampling_period(recordings: Mapping[str, Recording]) -> float:
     return float(np.median(list(periods.values())))
 
 
-def channels(machine: Machine, recordings: Mapping[str, Recording]) -> tuple[Channel, ...]:
+def channels(
+    machine: Machine, recordings: Mapping[str, Recording], thresholds: Thresholds = DEFAULT
+) -> tuple[Channel, ...]:
     """Measured outputs that all recordings share: positions, then chamber pressures.
 
     Raises:
@@ -126,7 +127,8 @@ def channels(machine: Machine, recordings: Mapping[str, Recording]) -> tuple[Cha
             "Measured under other names? Give a column map"
         )
     period = sampling_period(recordings)
-    position, pressure = _filter(_POSITION_FILTER, period), _filter(_PRESSURE_FILTER, period)
+    position = _filter(thresholds.position_filter, period)
+    pressure = _filter(thresholds.pressure_filter, period)
     found = [
         Channel(column=f"{joint}_position", joint=joint, filter=position)
         for joint in machine.joints
@@ -141,7 +143,7 @@ def channels(machine: Machine, recordings: Mapping[str, Recording]) -> tuple[Cha
                 chamber=chamber,
                 filter=pressure,
             )
-            for chamber in _CHAMBERS
+            for chamber in CHAMBERS
             if f"{joint}_{chamber}" in shared
         ]
     return tuple(found)
@@ -193,14 +195,6 @@ def filter_difference(
     return derivative(samples, window, period) - derivative(samples, other, period)
 
 
-# Smoothing filters reach this far to both sides of a window's start.
-MARGIN = 12  # samples
-# Windows start at the calmest sample within this share of their length from the regular grid.
-_ROOM = 0.35
-# A chamber this low may hold vapour, whose amount no pressure sensor tells: no window starts there.
-VAPOUR = 2e4  # Pa gauge
-
-
 @dataclass(kw_only=True)
 class Cut:
     """Windows of one series.
@@ -212,20 +206,26 @@ class Cut:
         smooth: Smoothed samples and their derivative by column, each (n,).
     """
 
-    series: Series
+    series: UniformSeries
     firsts: np.ndarray
     levers: dict[str, np.ndarray] = field(default_factory=dict)
     smooth: dict[str, tuple[np.ndarray, ...]] = field(default_factory=dict)
 
 
 def cut_series(
-    machine: Machine, series: Series, channels: tuple[Channel, ...], samples: int, lead: int
+    machine: Machine,
+    series: UniformSeries,
+    channels: tuple[Channel, ...],
+    samples: int,
+    lead: int,
+    thresholds: Thresholds,
 ) -> Cut:
     """Cuts a series into windows of `samples`, none before `lead` samples have passed."""
-    last = series.time.size - samples - MARGIN - 1
-    unrest = _unrest(machine, series, channels)
-    room = round(_ROOM * samples)
-    grid = np.arange(max(MARGIN, lead), last + 1, samples)
+    margin = thresholds.margin_samples
+    last = series.time.size - samples - margin - 1
+    unrest = _unrest(machine, series, channels, margin)
+    room = round(thresholds.start_room * samples)
+    grid = np.arange(max(margin, lead), last + 1, samples)
     calm = [g + int(np.argmin(unrest[g : min(g + room, last) + 1])) for g in grid.tolist()]
     firsts = np.array(calm, dtype=np.int64)
     missing = np.concatenate([[0], np.cumsum(~series.valid)])
@@ -233,38 +233,37 @@ def cut_series(
     for channel in channels:
         if channel.chamber:
             level = smoothed(series.columns[channel.column], channel.filter)
-            keep &= level[firsts] > VAPOUR
-    cut = Cut(series=series, firsts=firsts[keep])
-    for cylinder in machine.instances(CYLINDER):
-        cut.levers[cylinder] = _lever(machine, series, cylinder)
-    return cut
+            keep &= level[firsts] > thresholds.vapour_pressure
+    levers = {c: _lever(machine, series, c) for c in machine.instances(CYLINDER)}
+    return Cut(series=series, firsts=firsts[keep], levers=levers)
 
 
-def _unrest(machine: Machine, series: Series, channels: tuple[Channel, ...]) -> np.ndarray:
-    """How badly smoothing serves around each sample, (n,): windows start where it is calm.
+def _unrest(
+    machine: Machine, series: UniformSeries, channels: tuple[Channel, ...], margin: int
+) -> np.ndarray:
+    """Unrest around each sample, (n,): windows start where it is least.
 
-    What two filters disagree about, in noise levels, and jumps of the commands.
+    Disagreement of two smoothing filters, in noise levels, and jumps of the commands.
     """
     total = np.zeros(series.time.size)
     for channel in channels:
         samples = series.columns[channel.column]
         level = noise_level(samples, channel.filter) or 1.0
-        length = max(2 * MARGIN - 3, channel.filter[0])
+        length = max(2 * margin - 3, channel.filter[0])
         total += (filter_difference(samples, (length, 4)) / level) ** 2
     for actuator in machine.actuators:
         command = series.columns[f"{actuator}_command"]
         jump = np.abs(np.gradient(command)) / (command.std() or 1.0)
         total += (10.0 * jump) ** 2
-    return maximum_filter1d(total, 2 * MARGIN + 1)
+    return maximum_filter1d(total, 2 * margin + 1)
 
 
-def _lever(machine: Machine, series: Series, cylinder: str) -> np.ndarray:
+def _lever(machine: Machine, series: UniformSeries, cylinder: str) -> np.ndarray:
     """d(actuator length)/d(joint position) over a series, shape (n,), every tenth exact."""
     model = machine.base.model
     data = mujoco.MjData(model)
     actuator = model.actuator(cylinder).id
-    joint = machine.driven[cylinder][0]
-    dof = int(model.joint(joint).dofadr[0])
+    dof = int(model.joint(machine.driven[cylinder][0]).dofadr[0])
     chosen = np.arange(0, series.time.size, 10)
     lever = np.empty(chosen.size)
     addresses = [int(model.joint(name).qposadr[0]) for name in machine.joints]

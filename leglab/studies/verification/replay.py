@@ -9,8 +9,9 @@ import numpy as np
 from leglab.base.recording import Recording
 from leglab.data import read
 from leglab.diagnosis.model import Change, Machine
-from leglab.diagnosis.replay import Layout, Replay
-from leglab.diagnosis.windows import Series, channels
+from leglab.diagnosis.replay import Replay
+from leglab.diagnosis.thresholds import Thresholds
+from leglab.diagnosis.windows import UniformSeries, channels
 
 # RMS at a window's end that is asked for: knee [rad], pressures [Pa].
 LIMITS = {
@@ -24,7 +25,7 @@ _SHIFTS = (0.0, 0.1, 0.2)  # s, so that windows begin every 0.1 s
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReplayErrors:
+class ReplayCheck:
     """Errors at the ends of the windows of one recording.
 
     Attributes:
@@ -55,7 +56,7 @@ def replay(
     recording: Recording,
     timestep: float,
     parameters: Mapping[tuple[str, str], float] | None = None,
-) -> ReplayErrors:
+) -> ReplayCheck:
     """Replays windows that start from measured states, some every 0.1 s.
 
     Each starts at the calmest sample near its place, for a jump of the command smears the measured
@@ -72,16 +73,16 @@ def replay(
     columns = (*machine.columns, *(c.column for c in seen if c.chamber))
     end = recording.time[-1] + 1.0
     series = [
-        Series.from_recording(recording.between(recording.time[0] + shift, end), name, columns)
+        UniformSeries.from_recording(recording.between(recording.time[0] + shift, end), name, columns)
         for shift in _SHIFTS
     ]
     change = Change(machine)
     for (element, parameter), value in (parameters or {}).items():
         change.set_parameter(element, parameter, value)
-    layout = Layout(window=_WINDOW, bin=series[0].period)
-    errors = Replay(machine, series, seen, layout, threads=1).error(change)[:, :, -1]
+    cut = Thresholds(window=_WINDOW, bin=series[0].period)
+    errors = Replay(machine, series, seen, cut, threads=1).error(change).values[:, :, -1]
     knee, pressure_a, pressure_b = np.sqrt(np.mean(errors**2, axis=0)).tolist()
-    return ReplayErrors(
+    return ReplayCheck(
         recording=name,
         timestep=timestep,
         position=knee,
@@ -91,7 +92,7 @@ def replay(
     )
 
 
-def replay_all(folder: Path) -> Iterator[ReplayErrors]:
+def replay_all(folder: Path) -> Iterator[ReplayCheck]:
     """Replays every nominal recording at steps of 0.5 and 1 ms."""
     for name in LIMITS:
         recording = read(folder / f"{name}.parquet")

@@ -13,7 +13,7 @@ from rich.table import Table
 from leglab.base.errors import LeglabError
 from leglab.studies.shared_data import shared_data
 from leglab.studies.verification.cases import CASES, Check
-from leglab.studies.verification.replay import LIMITS, ReplayErrors, replay_all
+from leglab.studies.verification.replay import LIMITS, ReplayCheck, replay_all
 
 _ROUNDING = 1e-11
 
@@ -65,7 +65,7 @@ def _summary(rows: Iterable[Check]) -> Table:
     return _table("Cases of physics.md: the row closest to its limit", head, lines, "")
 
 
-def _replay_table(results: Iterable[ReplayErrors]) -> Table:
+def _replay_table(results: Iterable[ReplayCheck]) -> Table:
     """RMS errors at window ends beside what is asked."""
     lines = []
     for r in results:
@@ -92,7 +92,7 @@ def markdown() -> str:
     return "\n".join(lines) + "\n"
 
 
-def _run() -> tuple[list[Check], list[ReplayErrors], str | None]:
+def _run() -> tuple[list[Check], list[ReplayCheck], str | None]:
     """Rows of all cases, errors of all replays, and why there are no replays."""
     rows = list(chain.from_iterable(case() for case in CASES.values()))
     try:
@@ -102,7 +102,7 @@ def _run() -> tuple[list[Check], list[ReplayErrors], str | None]:
     return rows, list(replay_all(folder)), None
 
 
-def _passed(rows: list[Check], replays: list[ReplayErrors]) -> bool:
+def _passed(rows: list[Check], replays: list[ReplayCheck]) -> bool:
     return all(row.passed for row in rows) and all(result.passed for result in replays)
 
 
@@ -144,7 +144,7 @@ def checks_as_json() -> dict[str, Any]:
     }
 
 
-def _as_json(result: Check | ReplayErrors, **more: Any) -> dict[str, Any]:
+def _as_json(result: Check | ReplayCheck, **more: Any) -> dict[str, Any]:
     return {
         name: None if isinstance(value, float) and not math.isfinite(value) else value
         for name, value in {**asdict(result), **more, "passed": result.passed}.items()

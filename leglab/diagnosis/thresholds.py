@@ -1,0 +1,162 @@
+"""Thresholds of the diagnosis: every number that was chosen rather than derived.
+
+Costs are robust mean squares of whitened errors: in noise variances, so that noise alone gives 1.
+Constants of an effect's physics (bounds, trial sizes, tolerances) stand with the effect.
+"""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thresholds:
+    """Limits, sizes and counts of all steps, in the order in which a diagnosis meets them."""
+
+    # Recordings, before anything is replayed.
+    # A position may pass the joint's range by this share before its unit is doubted.
+    beyond_range: float = 0.5
+    # No hydraulic machine runs its whole recording below this pressure [Pa]: 0.1 bar.
+    no_pressure: float = 1e4
+    # So many equal samples at a limit in a row look like a saturated sensor.
+    saturated_samples: int = 20
+    # Share of a single recording that is held out, at its end.
+    held_out_share: float = 0.3
+
+    # Series on a uniform grid.
+    # Further than this many periods from a true sample, a value on the grid is not measured.
+    gap_periods: float = 1.5
+    # Savitzky-Golay filters as (length [s], fewest samples, order): they pass the motion of a leg
+    # and, at 1 kHz, take noise to a third.
+    position_filter: tuple[float, int, int] = (0.021, 7, 4)
+    pressure_filter: tuple[float, int, int] = (0.005, 5, 2)
+
+    # Windows and their start states.
+    # Length of a window, and of the bins over which predictions and data are averaged [s].
+    window: float = 0.3
+    bin: float = 0.01
+    # Samples that smoothing filters reach to both sides of a window's start.
+    margin_samples: int = 12
+    # Windows start at the calmest sample within this share of their length from a regular grid.
+    start_room: float = 0.35
+    # A chamber below this gauge pressure [Pa] may hold vapour, whose amount no sensor tells: no
+    # window starts there, and what a window says after such a moment does not count.
+    vapour_pressure: float = 2e4
+    # Where no pressures are measured, a replay of this time [s] before a window, which forgets
+    # where it began, says what they are at its start.
+    warm_up: float = 0.15
+    # A bristle that slid less than twice its deflection in this time [s] rests.
+    rest_time: float = 0.03
+
+    # Noise model.
+    # Start states are free within this many standard deviations of what smoothing leaves: a start
+    # that is a little off must not speak for or against an effect.
+    start_spread: float = 3.0
+    # Sampling, hold and integrator: this share of a channel's change over a bin is not held
+    # against a model; of positions and of pressures.
+    timing_share: tuple[float, float] = (3e-4, 3e-3)
+    # Standard deviation [Pa] of pressures that a replay before the window had to find.
+    unseen_pressure: float = 3e5
+    # Standard deviation of a bristle at a window's start, as a share of its full deflection.
+    bristle_share: float = 0.3
+    # A window whose cost exceeds this counts by its logarithm only: one window that starts in a
+    # bad moment must not outvote a hundred others.
+    robust_limit: float = 3.0
+    # Whitened errors are clipped here: beyond lies only a replay that blew up.
+    clip: float = 1e5
+
+    # Fits.
+    # Rounds of iteratively reweighted least squares in a step.
+    reweightings: int = 3
+    # A nuisance parameter stays within this many tolerances: beyond, it is an effect.
+    nuisance_box: float = 4.0
+    # Finite differences of the last fits, as a share of those of the first.
+    fine_differences: float = 0.1
+
+    # Screening and rounds of the search.
+    # So many windows are screened and fitted at first; a verdict uses twice as many.
+    screened_windows: int = 40
+    # First-order steps go this many times as far as a trial; of two effects at once.
+    furthest: float = 20.0
+    pair_furthest: float = 3.0
+    # So many of the screened effects are refitted, so many of those sharpened.
+    refitted: int = 4
+    sharpened: int = 3
+    # A round whose best screened effect saves less than this cost a window ends there.
+    hopeful_gain: float = 0.04
+    # A rough fit that costs more than this share of the baseline is started again from there.
+    stuck_share: float = 0.95
+    # A rival whose excess over noise is this many times the leader's stays behind.
+    hopeless_factor: float = 8.0
+    # A rival below this cost may still catch up, in so many more fits.
+    close_cost: float = 4.0
+    patience: int = 3
+    # So many of all pairs to first order are fitted.
+    pairs: int = 3
+    # Two effects at once must cost less than this share of the best single one.
+    pair_share: float = 0.6
+    # Above this cost more is certainly missing, and finishing the present fit can wait.
+    much_missing: float = 8.0
+    # The noise model is taken about the fit and the fit made anew, this often at most.
+    settling: int = 3
+    # An early effect may be swapped for a rival that cost at most this factor more.
+    near_factor: float = 1.2
+
+    # When an effect is named.
+    # Cost below which nothing more is missing: windows that start in stick-slip or beside jumps of
+    # the command lift it on good models to at most this.
+    explained: float = 2.0
+    # Cost below which not even a further round is worthwhile.
+    clean: float = 1.25
+    # A strength must depart from nominal by this share of its smallest trial ...
+    noticeable: float = 0.15
+    # ... save this cost, or this share of what was in excess of noise ...
+    worthwhile: float = 0.08
+    # ... and reach this t value of paired differences of held-out windows.
+    significant: float = 2.5
+    # An effect that shows at times only: windows whose cost changes by more than this ...
+    changed_cost: float = 1.0
+    # ... are at least so many, and this share of them changes for the better.
+    changed_windows: int = 2
+    changed_for_better: float = 0.9
+
+    # Onsets.
+    # This first share of every recording is taken for healthy, if the refitted model explains it
+    # to this cost.
+    early_share: float = 0.25
+    healthy_cost: float = 2.0
+    # So many windows lie on either side of a change, at least.
+    onset_windows: int = 3
+    # Windows after a change cost at least this factor more, in the mean of their logarithms.
+    onset_factor: float = 3.0
+    # Chi-square that an onset must save over the same effect throughout.
+    onset_gain: float = 60.0
+    # Chi-square by which a window tells that an effect is, or is not, at work in it.
+    onset_evidence: float = 12.0
+    # Errors have left the noise where they exceed those of healthy windows by this factor.
+    departed_factor: float = 6.0
+
+    # Verdict and confidence.
+    # Resamples of the bootstrap of windows.
+    resamples: int = 1000
+    # A rival is told apart if resampling prefers the named effect at least this often and it
+    # costs this much more.
+    preference: float = 0.975
+    distance: float = 0.01
+    # Effects that explain less than this share of the misfit are no explanation.
+    explanation_share: float = 0.5
+    # An effect whose smallest trial moves whitened errors less than this was not excited.
+    detectable: float = 8.0
+
+    # Balances of torque and oil.
+    # Time between samples [s], knots of the splines, and their relative ridge.
+    balance_stride: float = 0.01
+    balance_knots: int = 7
+    balance_ridge: float = 1e-3
+
+    # Proposed experiment.
+    # Duration [s], amplitudes as shares of the present range, tones of the multisine [Hz].
+    experiment_duration: float = 1.0
+    experiment_amplitudes: tuple[float, ...] = (0.3, 1.0)
+    experiment_tones: tuple[float, ...] = (0.7, 1.9, 4.3, 8.9)
+
+
+DEFAULT = Thresholds()
