@@ -15,7 +15,7 @@ from matplotlib.colors import to_hex
 import leglab.controllers
 from leglab.base.errors import LeglabError
 from leglab.cli import main
-from leglab.report.comparison import comparison_figure
+from leglab.report.figures import comparison_figure
 from leglab.report.style import VERMILION
 from leglab.runs import sweep
 from leglab.runs.run import RunSettings, run_scenario

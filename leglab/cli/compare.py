@@ -36,7 +36,7 @@ def compare(
     Writes compare.json and a figure a scenario. Runs that the output folder holds with the same
     settings and code are not repeated: an interrupted comparison goes on where it was.
     """
-    from leglab.report.comparison import save_comparison_figure
+    from leglab.report.figures import save_comparison_figure
     from leglab.runs.sweep import Comparison, run_all
     from leglab.runs.sweep import compare as summarise
 

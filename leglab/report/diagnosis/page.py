@@ -3,24 +3,15 @@
 import base64
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from leglab.base.errors import LeglabError
 from leglab.data import write_atomically
 from leglab.diagnosis.result import Diagnosis
-from leglab.report.diagnosis.figures import (
-    Picture,
-    gap_picture,
-    look,
-    ranking_picture,
-    rivals_picture,
-)
-from leglab.report.diagnosis.residuals import residual_pictures
+from leglab.report.diagnosis.figures import CaptionedFigure, look, pictures
 from leglab.report.diagnosis.words import headline, parameter_words, percent, sections
-from leglab.report.page.shell import render
-from leglab.report.page.table import Table
+from leglab.report.page.shell import Table, render
 from leglab.report.page.wording import capital, number
 
 _DPI = 130
@@ -31,15 +22,6 @@ _KINDS = {
     "unexplained": "unexplained",
     "nothing_missing": "nothing missing",
 }
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Figure:
-    """A picture as the template shows it."""
-
-    alt: str
-    caption: str
-    data: str
 
 
 def write_page(result: Diagnosis, folder: Path, *, model: str) -> Path:
@@ -73,13 +55,7 @@ def write_page(result: Diagnosis, folder: Path, *, model: str) -> Path:
     return path
 
 
-def pictures(result: Diagnosis) -> tuple[Picture, ...]:
-    """All figures that the diagnosis has content for, in the order of the page."""
-    found = (gap_picture(result), ranking_picture(result), rivals_picture(result))
-    return (*(p for p in found if p is not None), *residual_pictures(result))
-
-
-def page(result: Diagnosis, drawn: Sequence[tuple[Picture, bytes]], *, model: str) -> str:
+def page(result: Diagnosis, drawn: Sequence[tuple[CaptionedFigure, bytes]], *, model: str) -> str:
     """The page as well-formed XHTML that is HTML 5 as well.
 
     Args:
@@ -97,7 +73,7 @@ def page(result: Diagnosis, drawn: Sequence[tuple[Picture, bytes]], *, model: st
         tables=(_effects_table(result), _gap_table(result), _nuisance_table(result)),
         improved=result.model,
         figures=[
-            _Figure(alt=p.alt, caption=p.caption, data=base64.b64encode(image).decode())
+            {"alt": p.alt, "caption": p.caption, "data": base64.b64encode(image).decode()}
             for p, image in drawn
         ],
     )
@@ -144,7 +120,7 @@ def _nuisance_table(result: Diagnosis) -> Table:
     return Table(caption="Parameters refitted within their tolerance", head=head, rows=rows)
 
 
-def _png(picture: Picture) -> bytes:
+def _png(picture: CaptionedFigure) -> bytes:
     stream = io.BytesIO()
     with look():
         picture.figure.savefig(stream, format="png", dpi=_DPI)

@@ -1,25 +1,21 @@
 """Traces that run along with the motion: tracking error and feed-forward command."""
 
 import functools
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
 from PIL import Image, ImageDraw
 
-from leglab.report.film.axes import (
-    draw_frame,
-    draw_time_labels,
-    nice_ticks,
-    polyline,
-    smooth_lines,
-)
-from leglab.report.film.layout import Rect
-from leglab.report.film.look import ALARM, SOFT, Rgb
+from leglab.report.film.look import ALARM, FAINT, INK, SOFT, Rect, Rgb, font
 from leglab.report.film.track import Track
 
 _MILLI = 1e3
 _TILE = 512  # px
 _ALARM_LIGHT = tuple(round(255 - 0.35 * (255 - c)) for c in ALARM)
+_SMOOTH = 3  # lines are drawn this many times larger
+_LABEL = 14
+_LINE_WIDTH = 2.2
 
 
 class ErrorTrace:
@@ -48,7 +44,7 @@ class ErrorTrace:
         self._low, self._high = _log_bounds(float(low), float(high))
         windows = sorted({f"{track.window:.3g}" for track in tracks})
         self._note = f"RMS of all joints over {' / '.join(windows)} s, mrad"
-        self._lines = smooth_lines((rect.width + 6, rect.height + 6), self._paint)
+        self._lines = _smooth_lines((rect.width + 6, rect.height + 6), self._paint)
 
     def x(self, time: float | np.ndarray) -> np.ndarray:
         """Place of a time [px], from the left of the axes."""
@@ -71,11 +67,11 @@ class ErrorTrace:
                 if self._low - 1e-9 <= np.log10(value) <= self._high + 1e-9:
                     wide = factor == 1 or self._high - self._low < 1.7
                     ticks.append((rect.top + float(self.y(value)), f"{value:g}" if wide else ""))
-        draw_frame(draw, rect, "tracking error", ticks, self._note)
-        times = nice_ticks(*self._span, 9)
+        _draw_frame(draw, rect, "tracking error", ticks, self._note)
+        times = _nice_ticks(*self._span, 9)
         labels = [(rect.left + float(self.x(t)), f"{t:g} s") for t in times]
-        draw_time_labels(draw, rect, labels)
-        for start, _ in change_times(self._tracks, self._span):
+        _draw_time_labels(draw, rect, labels)
+        for start, _ in _change_times(self._tracks, self._span):
             x = rect.left + float(self.x(start))
             draw.line((x, rect.top, x, rect.bottom), fill=_ALARM_LIGHT, width=1)
 
@@ -99,7 +95,7 @@ class ErrorTrace:
             times = track.recording.time
             inside = (times >= self._span[0]) & (times <= self._span[1])
             y = np.where(error > 0, self.y(error), np.nan)
-            polyline(draw, self.x(times)[inside], y[inside], color, scale)
+            _polyline(draw, self.x(times)[inside], y[inside], color, scale)
 
 
 class CommandTrace:
@@ -152,9 +148,9 @@ class CommandTrace:
     def draw_static(self, image: Image.Image) -> None:
         """Axes."""
         rect = self._rect
-        values = nice_ticks(-self._limit, self._limit, 5)
+        values = _nice_ticks(-self._limit, self._limit, 5)
         ticks = [(rect.top + float(self._y(v)), f"{v:.3g}") for v in values]
-        draw_frame(ImageDraw.Draw(image), rect, self._title, ticks, self._note)
+        _draw_frame(ImageDraw.Draw(image), rect, self._title, ticks, self._note)
 
     def draw(self, image: Image.Image, time: float) -> None:
         """The last seconds before a time [s]; now is at the right."""
@@ -174,9 +170,9 @@ class CommandTrace:
             return rect.width - (time - np.asarray(t)) * per_second
 
         span = (time - self._window, time)
-        ticks = [(rect.left + float(x(t)), f"{t:g} s") for t in nice_ticks(*span, 5)]
+        ticks = [(rect.left + float(x(t)), f"{t:g} s") for t in _nice_ticks(*span, 5)]
         near = [(p, text) for p, text in ticks if rect.left + 14 < p < rect.right - 10]
-        draw_time_labels(draw, rect, near)
+        _draw_time_labels(draw, rect, near)
         _mark_changes(draw, rect, self._tracks, span, time, x)
         for track, signal, color in zip(self._tracks, self._signals, self._colors, strict=True):
             if signal is not None and time <= track.end + 1e-9:
@@ -193,7 +189,7 @@ class CommandTrace:
         if index not in self._tiles:
             for old in [key for key in self._tiles if abs(key - index) > 3]:
                 del self._tiles[old]
-            self._tiles[index] = smooth_lines((_TILE, self._rect.height), self._painter(index))
+            self._tiles[index] = _smooth_lines((_TILE, self._rect.height), self._painter(index))
         return self._tiles[index]
 
     def _painter(self, index: int) -> Callable[[ImageDraw.ImageDraw, int], None]:
@@ -206,12 +202,12 @@ class CommandTrace:
                 x = (track.recording.time - self._origin) * per_second - index * _TILE
                 near = np.flatnonzero((x > -20) & (x < _TILE + 20))
                 if near.size > 1:
-                    polyline(draw, x[near], self._y(signal[near]), color, scale)
+                    _polyline(draw, x[near], self._y(signal[near]), color, scale)
 
         return paint
 
 
-def change_times(tracks: Sequence[Track], span: tuple[float, float]) -> list[tuple[float, float]]:
+def _change_times(tracks: Sequence[Track], span: tuple[float, float]) -> list[tuple[float, float]]:
     """Begin and end [s] of what changes within a span, each once."""
     found = {(c.start, c.end) for track in tracks for c in track.changes}
     return sorted((a, b) for a, b in found if a > 0 and b >= span[0] and a <= span[1])
@@ -225,7 +221,7 @@ def _mark_changes(
     now: float,
     x: Callable[[float], np.ndarray],
 ) -> None:
-    for start, _ in change_times(tracks, span):
+    for start, _ in _change_times(tracks, span):
         if span[0] <= start <= now:
             place = rect.left + round(float(x(start)))
             draw.line((place, rect.top - 6, place, rect.bottom), fill=ALARM, width=2)
@@ -247,7 +243,7 @@ def _dot(image: Image.Image, x: float, y: float, color: Rgb) -> None:
 
 @functools.cache
 def _smooth_dot(color: Rgb) -> Image.Image:
-    return smooth_lines((13, 13), lambda draw, k: _paint_dot(draw, k, color))
+    return _smooth_lines((13, 13), lambda draw, k: _paint_dot(draw, k, color))
 
 
 def _paint_dot(draw: ImageDraw.ImageDraw, scale: int, color: Rgb) -> None:
@@ -266,3 +262,98 @@ def _log_bounds(low: float, high: float) -> tuple[float, float]:
     low, high = np.log10(low) - 0.08, np.log10(high) + 0.08
     missing = max(1.0 - (high - low), 0.0)
     return low - 0.5 * missing, high + 0.5 * missing
+
+
+def _nice_ticks(low: float, high: float, most: int) -> np.ndarray:
+    """At most `most` round values between two bounds, 1, 2 or 5 times a power of ten apart."""
+    span = max(high - low, 1e-12)
+    step = 10.0 ** math.floor(math.log10(span / most))
+    for factor in (1, 2, 5, 10, 20):
+        if span / (factor * step) <= most:
+            step *= factor
+            break
+    first = math.ceil(low / step - 1e-9)
+    return step * np.arange(first, math.floor(high / step + 1e-9) + 1)
+
+
+def _draw_frame(
+    draw: ImageDraw.ImageDraw,
+    rect: Rect,
+    title: str,
+    ticks: list[tuple[float, str]],
+    note: str = "",
+) -> None:
+    """Title, horizontal grid lines with their labels, and the base line.
+
+    Args:
+        draw: Of the picture.
+        rect: The axes.
+        title: Above them.
+        ticks: Height [px] and label of each grid line.
+        note: Behind the title, in grey.
+    """
+    draw.text((rect.left, rect.top - 17), title, font=font(15, True), fill=INK, anchor="ls")
+    if note:
+        x = rect.left + font(15, True).getlength(title) + 10
+        draw.text((x, rect.top - 17), note, font=font(_LABEL), fill=SOFT, anchor="ls")
+    for y, label in ticks:
+        draw.line((rect.left, y, rect.right, y), fill=FAINT, width=1)
+        if label:
+            draw.text((rect.left - 8, y), label, font=font(_LABEL), fill=SOFT, anchor="rm")
+    draw.line((rect.left, rect.bottom, rect.right, rect.bottom), fill=SOFT, width=1)
+
+
+def _draw_time_labels(
+    draw: ImageDraw.ImageDraw, rect: Rect, ticks: list[tuple[float, str]]
+) -> None:
+    """Labels of the time axis, at x [px], below the axes."""
+    for x, label in ticks:
+        draw.line((x, rect.bottom, x, rect.bottom + 4), fill=SOFT, width=1)
+        draw.text((x, rect.bottom + 7), label, font=font(_LABEL), fill=SOFT, anchor="mt")
+
+
+def _smooth_lines(
+    size: tuple[int, int], paint: Callable[[ImageDraw.ImageDraw, int], None]
+) -> Image.Image:
+    """A layer with smooth lines.
+
+    Args:
+        size: Width and height [px].
+        paint: Draws onto a larger layer; its second argument says how much larger.
+    """
+    width, height = size
+    layer = Image.new("RGBA", (width * _SMOOTH, height * _SMOOTH), (255, 255, 255, 0))
+    paint(ImageDraw.Draw(layer), _SMOOTH)
+    # Premultiplied, so that the white of the empty layer does not show at the edges.
+    return layer.convert("RGBa").reduce(_SMOOTH).convert("RGBA")
+
+
+def _polyline(
+    draw: ImageDraw.ImageDraw, x: np.ndarray, y: np.ndarray, color: Rgb, scale: int
+) -> None:
+    """Draws a line through points [px], broken where y is not finite.
+
+    Points that share a column are thinned to its first, lowest, highest and last one.
+    """
+    finite = np.isfinite(y)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], finite.view(np.int8), [0]])))
+    for start, stop in edges.reshape(-1, 2):
+        keep = _thinned(x[start:stop], y[start:stop])
+        points = np.column_stack([x[start:stop][keep], y[start:stop][keep]]) * scale
+        if len(points) > 1:
+            draw.line(
+                [tuple(p) for p in points.tolist()],
+                fill=(*color, 255),
+                width=round(_LINE_WIDTH * scale),
+                joint="curve",
+            )
+
+
+def _thinned(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    columns = np.floor(x).astype(int)
+    starts = np.flatnonzero(np.diff(columns, prepend=columns[0] - 1))
+    kept = []
+    for a, b in zip(starts, [*starts[1:], len(x)], strict=True):
+        part = y[a:b]
+        kept += sorted({a, a + int(part.argmin()), a + int(part.argmax()), b - 1})
+    return np.array(kept, dtype=int)

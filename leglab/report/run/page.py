@@ -14,12 +14,12 @@ from markupsafe import Markup
 
 from leglab.base.errors import LeglabError
 from leglab.data import write_atomically
+from leglab.report.film.encoder import film_bytes, still_bytes
 from leglab.report.page.shell import asset, plotly, render
 from leglab.report.page.wording import listed
-from leglab.report.palette import SERIES
 from leglab.report.run import tables, words
-from leglab.report.run.film import film_bytes, still_bytes
 from leglab.report.run.plots import plot_data
+from leglab.report.style import SERIES
 from leglab.runs.folder import ReportedRun
 
 PAGE, FILM = "report.html", "report.mp4"

@@ -11,10 +11,10 @@ import numpy as np
 
 from leglab.report.page.shell import printable
 from leglab.report.page.wording import shortened
-from leglab.report.palette import SERIES
-from leglab.report.run.errors import moving_error, position_name
 from leglab.report.run.words import change_words
+from leglab.report.style import SERIES
 from leglab.runs.folder import ReportedRun
+from leglab.runs.metrics import sliding_rms
 
 _MILLI, _BAR = 1e3, 1e5
 # Points of all runs in one plot: more than any screen has columns, and the page stays small.
@@ -90,7 +90,7 @@ def _close_up(runs: Sequence[ReportedRun], start: float, end: float) -> list[flo
 
 
 def _quantities(runs: Sequence[ReportedRun], joints: Sequence[str]) -> tuple[Quantity, ...]:
-    position = position_name(runs[0])
+    position = _position_name(runs[0])
     measured = "" if position == "truth" else ", as measured"
     positions = measured or " as they were"
     quantities = (
@@ -171,7 +171,7 @@ def _changes(runs: Sequence[ReportedRun], end: float) -> list[dict[str, Any]]:
 def _error_plot(runs: Sequence[ReportedRun], count: int) -> dict[str, Any] | None:
     traces, values = [], []
     for i, run in enumerate(runs):
-        time, error = moving_error(run)
+        time, error = _moving_error(run)
         if len(time) > 1:
             values.append(_MILLI * error)
             traces.append(_trace(run.label, i, time, values[-1], count, width=1.8))
@@ -296,3 +296,35 @@ def _packed(values: np.ndarray) -> dict[str, str]:
 def _text(text: str) -> str:
     """Text for the plotting library, which reads some HTML in names: shown as it is."""
     return html.escape(printable(shortened(text, _LONGEST)), quote=False)
+
+
+def _position_name(run: ReportedRun) -> str:
+    """Ending of the columns with positions: the true ones where they were recorded."""
+    whole = all(f"{joint}_truth" in run.recording for joint in run.joints)
+    return "truth" if whole else "position"
+
+
+def _tracking_error(run: ReportedRun) -> tuple[np.ndarray, np.ndarray]:
+    """Position less reference.
+
+    Returns:
+        Times [s], (n,), and errors [rad], (n, joints), of the samples that are whole.
+    """
+    positions = run.recording.stack(run.joints, _position_name(run))
+    error = positions - run.recording.stack(run.joints, "reference")
+    whole = np.isfinite(error).all(axis=1)
+    return run.recording.time[whole], error[whole]
+
+
+def _moving_error(run: ReportedRun) -> tuple[np.ndarray, np.ndarray]:
+    """RMS error of all joints over one stride that ends at each time.
+
+    Returns:
+        Times [s] and errors [rad], both (n,), from the first full window on.
+    """
+    time, error = _tracking_error(run)
+    if not len(time):
+        return time, time
+    windowed = sliding_rms(time, error, run.configuration.window)
+    full = np.isfinite(windowed)
+    return time[full], windowed[full]
