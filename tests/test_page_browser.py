@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from leglab.report.diagnosis.page import write_page
-from leglab.report.index import write_index
+from leglab.report.folder_index import write_index
 from leglab.report.run.page import write_report
 from leglab.runs.folder import read_runs
 from tests.report_folders import HOSTILE, write_folder

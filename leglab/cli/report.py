@@ -192,7 +192,7 @@ def index(
     as_json: Json = False,
 ) -> None:
     """Writes a page that lists all runs, reports, comparisons and diagnoses below a folder."""
-    from leglab.report.index import write_index
+    from leglab.report.folder_index import write_index
 
     entries, page = write_index(folder, out or folder / "index.html")
     broken = sum(entry.state == "broken" for entry in entries)
