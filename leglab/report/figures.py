@@ -22,16 +22,7 @@ from leglab.base.recording import Recording
 from leglab.base.scenario import Phase
 from leglab.data import write_atomically
 from leglab.report.page.wording import readable
-from leglab.report.style import (
-    BLACK,
-    BLUE,
-    DARK_GREY,
-    LIGHT_GREY,
-    ORANGE,
-    SERIES,
-    VERMILION,
-    style,
-)
+from leglab.report.style import BLACK, BLUE, DARK_GREY, LIGHT_GREY, ORANGE, SERIES, VERMILION, style
 from leglab.runs.metrics import phase_table, sliding_rms
 from leglab.runs.run import Run
 

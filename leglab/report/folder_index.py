@@ -197,11 +197,7 @@ def _run(place: Path, files: set[str]) -> dict[str, Any]:
     if metrics.completed:
         return {**told, "told": _readapted(metrics.readaptation.time_s, last is not first)}
     reason = metrics.failure or "no reason was stored"
-    return {
-        **told,
-        "state": "stopped",
-        "told": f"stopped at {metrics.duration:.2f} s: {reason}",
-    }
+    return {**told, "state": "stopped", "told": f"stopped at {metrics.duration:.2f} s: {reason}"}
 
 
 def _mrad(phase: PhaseMetrics) -> float | None:

@@ -20,16 +20,7 @@ from leglab.report.diagnosis.words import rms, shown_unit
 from leglab.report.figures import add_head
 from leglab.report.page.shell import printable
 from leglab.report.page.wording import number, readable, shortened
-from leglab.report.style import (
-    BLACK,
-    BLUE,
-    DARK_GREY,
-    GRID,
-    LIGHT_GREY,
-    ORANGE,
-    VERMILION,
-    style,
-)
+from leglab.report.style import BLACK, BLUE, DARK_GREY, GRID, LIGHT_GREY, ORANGE, VERMILION, style
 
 _WIDTH = 6.6  # inch: readable on a page and, scrolled sideways, on a phone
 _ROW = 0.24  # inch a line of text and marks
