@@ -16,6 +16,7 @@ from leglab.cli.terminal import errors, make_many, output, print_json, progress
 if TYPE_CHECKING:
     from leglab.report.run.page import Filmer, Report
     from leglab.runs.folder import ReportedRun
+    from leglab.runs.run import RunSettings
 
 
 def report(
@@ -60,7 +61,7 @@ def report(
     and report.mp4.
     """
     from leglab.report.run.page import check_out, write_report
-    from leglab.runs.folder import read_runs
+    from leglab.runs.folder import make_runs, read_runs
 
     own = {
         "--controllers": controllers,
@@ -84,7 +85,9 @@ def report(
         check_jobs(jobs)
         place, span = out or Path("out/report"), None
         check_out(place, overwrite=True)
-        folders = _run(scenario, own, duration, place / "runs", jobs=jobs, overwrite=overwrite)
+        settings = _settings(scenario, own, duration)
+        make = partial(make_runs, settings, place / "runs", jobs=jobs, overwrite=overwrite)
+        folders = make_many("running", len(settings), make)
     runs = read_runs(folders)
     with progress("filming" if video else "writing", 1.0) as show:
 
@@ -105,20 +108,11 @@ def report(
     _tell(runs, written, as_json=as_json)
 
 
-def _run(
-    scenario: str,
-    own: dict[str, Any],
-    duration: float | None,
-    folder: Path,
-    *,
-    jobs: int,
-    overwrite: bool,
-) -> list[Path]:
-    from leglab.runs.folder import make_runs
+def _settings(scenario: str, own: dict[str, Any], duration: float | None) -> list["RunSettings"]:
     from leglab.runs.run import RunSettings
 
     names = (own["--controllers"] or "pd,static_feedforward").split(",")
-    settings = [
+    return [
         RunSettings(
             scenario=scenario,
             controller=name.strip(),
@@ -131,8 +125,6 @@ def _run(
         for name in names
         if name.strip()
     ]
-    make = partial(make_runs, settings, folder, jobs=jobs, overwrite=overwrite)
-    return make_many("running", len(settings), make)
 
 
 def _tell(runs: Sequence["ReportedRun"], written: "Report", *, as_json: bool) -> None:

@@ -95,38 +95,32 @@ def tracking_figure(
 
 
 def pressure_figure(
-    recording: Recording,
-    *,
-    phases: Sequence[Phase] = (),
-    span: tuple[float, float] | None = None,
-    title: str = "",
+    recording: Recording, *, phases: Sequence[Phase] = (), title: str = ""
 ) -> Figure:
     """Draws both chamber pressures of every joint, and the supply where it was recorded.
 
     Args:
         recording: With `<joint>_pressure_a` and `<joint>_pressure_b` [Pa].
         phases: As in `tracking_figure`.
-        span: As in `tracking_figure`.
         title: What was run.
 
     Raises:
-        LeglabError: A column is missing, or nothing lies in the span.
+        LeglabError: A column is missing, or no pressure was recorded.
     """
     joints = _joints_with_pressures(recording)
     if not joints:
         raise LeglabError("no pressures to draw: no column ends in '_pressure_a'")
-    shown = recording if span is None else recording.between(*span)
     supply = "supply_pressure" in recording
     names = [f"{joint}_pressure_{side}" for joint in joints for side in "ab"]
     names += ["supply_pressure"] * supply
-    highest = max(float(np.nanmax(shown[name], initial=_BAR)) for name in names) / _BAR
+    highest = max(float(np.nanmax(recording[name], initial=_BAR)) for name in names) / _BAR
     with style():
         figure, panels = add_panels(len(joints), heights=(1.25,))
         for joint, (axes,) in zip(joints, panels, strict=True):
             if supply:
-                axes.plot(shown.time, shown["supply_pressure"] / _BAR, color=LIGHT_GREY)
-            axes.plot(shown.time, shown[f"{joint}_pressure_a"] / _BAR, color=BLUE)
-            axes.plot(shown.time, shown[f"{joint}_pressure_b"] / _BAR, color=ORANGE)
+                axes.plot(recording.time, recording["supply_pressure"] / _BAR, color=LIGHT_GREY)
+            axes.plot(recording.time, recording[f"{joint}_pressure_a"] / _BAR, color=BLUE)
+            axes.plot(recording.time, recording[f"{joint}_pressure_b"] / _BAR, color=ORANGE)
             axes.set_title(readable(joint), fontweight="bold")
             axes.set_ylabel("pressure [bar]")
             axes.set_ylim(0, 1.05 * highest)
@@ -139,38 +133,34 @@ def pressure_figure(
 
 
 def command_figure(
-    recording: Recording,
-    *,
-    phases: Sequence[Phase] = (),
-    span: tuple[float, float] | None = None,
-    title: str = "",
+    recording: Recording, *, phases: Sequence[Phase] = (), title: str = ""
 ) -> Figure:
     """Draws the command of every valve; commands at the limit are drawn in another colour.
 
     Args:
         recording: With `<actuator>_command` [1].
         phases: As in `tracking_figure`.
-        span: As in `tracking_figure`.
         title: What was run.
 
     Raises:
-        LeglabError: No command was recorded, or nothing lies in the span.
+        LeglabError: No command was recorded.
     """
     actuators = recording.actuators
     if not actuators:
         raise LeglabError("no commands to draw: no column ends in '_command'")
-    shown = recording if span is None else recording.between(*span)
-    commands = shown.stack(actuators, "command")
+    commands = recording.stack(actuators, "command")
     limit = min(1.08, 1.1 * float(np.nanmax(np.abs(commands), initial=0.01)))
     with style():
         figure, panels = add_panels(len(actuators), heights=(1.25,))
         for i, (actuator, (axes,)) in enumerate(zip(actuators, panels, strict=True)):
             command = np.clip(commands[:, i], -1, 1)
             saturated = np.abs(command) >= 1
-            axes.plot(shown.time, command, color=BLUE, linewidth=0.8)
+            axes.plot(recording.time, command, color=BLUE, linewidth=0.8)
             if saturated.any():
                 at_limit = np.where(saturated, command, np.nan)
-                axes.plot(shown.time, at_limit, color=ORANGE, linewidth=3, solid_capstyle="butt")
+                axes.plot(
+                    recording.time, at_limit, color=ORANGE, linewidth=3, solid_capstyle="butt"
+                )
                 share = f"at the limit {100 * saturated.mean():.1f} % of the time"
                 axes.set_title(share, loc="right", color=DARK_GREY, fontsize=8)
             axes.set_ylim(-limit, limit)

@@ -128,7 +128,7 @@ def gap_picture(result: Diagnosis) -> CaptionedFigure | None:
 
 
 def ranking_picture(result: Diagnosis) -> CaptionedFigure | None:
-    """What each effect saves, one panel a round, beside what chance saves; None if none does."""
+    """Draws the chi-square that each effect and chance save, a panel a round; None if none does."""
     rounds = [
         (number_, [r for r in result.ranking if r.round == number_])
         for number_ in sorted({r.round for r in result.ranking})

@@ -1,4 +1,4 @@
-"""What ffmpeg does: films from raw frames, smaller films, and stills."""
+"""Films from raw frames, smaller films, and stills, all made by ffmpeg."""
 
 import contextlib
 import os

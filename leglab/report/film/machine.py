@@ -241,21 +241,14 @@ class DrawnRun:
 class CylinderShapes:
     """Barrels split at the piston: the cap side and the rod side each in its own colour.
 
-    Cylinders that act on a joint directly have no place to be drawn, and are not.
-
-    Args:
-        simulation: The machine.
-
-    Attributes:
-        tendons: Names of the tendons that are cylinders.
+    Cylinders that act on a joint directly have no place to be drawn, and are not. `tendons` holds
+    the names of those that are cylinders.
     """
 
     def __init__(self, simulation: Simulation) -> None:
-        self._model = model = simulation.model
-        self._tendon: list[int] = []
-        for i in range(model.nu):
-            is_tendon = model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_TENDON
-            self._tendon.append(int(model.actuator_trnid[i, 0]) if is_tendon else -1)
+        model = simulation.model
+        is_tendon = model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON
+        self._tendon = np.where(is_tendon, model.actuator_trnid[:, 0], -1).tolist()
         self._parameters = [simulation.cylinder_parameters(name) for name in simulation.actuators]
         self.tendons = {model.tendon(i).name for i in self._tendon if i >= 0}
 
@@ -326,8 +319,7 @@ def _segment(
 class FloorShadow:
     """Flat discs below the largest part of the last body; none where the model has no floor.
 
-    Args:
-        model: The machine.
+    Real shadows are half the time of a frame.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:

@@ -25,6 +25,7 @@ from leglab.report.film.look import (
 from leglab.report.film.machine import DrawnMachine, DrawnRun
 from leglab.report.film.traces import CommandTrace, ErrorTrace
 from leglab.report.film.track import Track, details, load_track
+from leglab.report.page.wording import readable
 
 _BAR = 1e5  # Pa
 _POSES = 24  # looked at to find what has to be in the picture
@@ -61,25 +62,22 @@ class Picture:
         supplies = [track.column("supply_pressure") for track in tracks]
         highest = max((float(np.nanmax(s)) for s in supplies if s is not None), default=160e5)
         scale = _BAR_STEP * np.ceil(highest / _BAR_STEP - 0.05)
-        self._machines: dict[str, DrawnMachine] = {}
-        for track in tracks:
-            name = str(track.settings["model"])
-            if name not in self._machines:
-                self._machines[name] = DrawnMachine(name, size)
-        machines = [self._machines[str(track.settings["model"])] for track in tracks]
+        models = [str(track.settings["model"]) for track in tracks]
+        self._machines = {name: DrawnMachine(name, size) for name in dict.fromkeys(models)}
+        machines = [self._machines[name] for name in models]
         self._stages = [DrawnRun(m, t, scale) for m, t in zip(machines, tracks, strict=True)]
         self._frame(machines, np.linspace(*span, _POSES), camera, size)
         left, right = look.traces()
         self._error = ErrorTrace(tracks, colors, left, span)
         self._command = CommandTrace(tracks, colors, names, right, span)
         self._writers = [
-            PanelWriter(*row, scale)
+            _PanelWriter(*row, scale)
             for row in zip(
                 tracks, details(tracks), colors, self._panels, self._error.errors, strict=True
             )
         ]
         self._base = Image.new("RGB", look.SIZE, PAPER)
-        draw_title(self._base, *title_of(tracks), scale)
+        _draw_title(self._base, *_title_of(tracks), scale)
         self._error.draw_static(self._base)
         self._command.draw_static(self._base)
 
@@ -96,7 +94,9 @@ class Picture:
             writer.draw(image, time)
         self._error.draw(image, time)
         self._command.draw(image, time)
-        draw_clock(image, time)
+        place = (look.SIZE[0] - 16, look.HEAD // 2)
+        face = font(22, True)
+        ImageDraw.Draw(image).text(place, f"{time:.2f} s", font=face, fill=INK, anchor="rm")
         return image
 
     def _frame(
@@ -111,8 +111,8 @@ class Picture:
             machine.look(framing.frame(points, view, size[0] / size[1], region))
 
 
-def draw_title(image: Image.Image, title: str, subtitle: str, scale: float) -> None:
-    """Title, what the ghost is, and the colour bar of the pressures up to `scale` [Pa]."""
+def _draw_title(image: Image.Image, title: str, subtitle: str, scale: float) -> None:
+    """Draws title, legend of the ghost, and the colour bar of pressures up to `scale` [Pa]."""
     draw = ImageDraw.Draw(image)
     text = fitted(title, 22, 390, bold=True)
     write(draw, (16, 23), text, 22, INK, bold=True, anchor="lm")
@@ -134,15 +134,8 @@ def draw_title(image: Image.Image, title: str, subtitle: str, scale: float) -> N
         write(draw, (place, 31), label, 14, SOFT, anchor="mt")
 
 
-def draw_clock(image: Image.Image, time: float) -> None:
-    """The time [s], at the right of the title."""
-    draw = ImageDraw.Draw(image)
-    place = (look.SIZE[0] - 16, look.HEAD // 2)
-    draw.text(place, f"{time:.2f} s", font=font(22, True), fill=INK, anchor="rm")
-
-
-class PanelWriter:
-    """Writes into the panel of one run.
+class _PanelWriter:
+    """Writes heading, changes, gauges and the end into the panel of one run.
 
     Args:
         track: The run.
@@ -157,10 +150,10 @@ class PanelWriter:
         self, track: Track, detail: str, color: Rgb, panel: Rect, error: np.ndarray, scale: float
     ) -> None:
         self._track, self._detail, self._color, self._panel = track, detail, color, panel
-        self._error, self._gauges = error, Gauges(track, panel, scale)
+        self._error, self._gauges = error, _Gauges(track, panel, scale)
 
     def draw(self, image: Image.Image, time: float) -> None:
-        """Everything that belongs to a time [s]."""
+        """Draws all that belongs to a time [s]."""
         draw, track, panel = ImageDraw.Draw(image, "RGBA"), self._track, self._panel
         over = time > track.end + 1e-6
         if over:
@@ -193,17 +186,23 @@ class PanelWriter:
             width = 3 + round(7 * max(0.0, 1.0 - (time - moving[-1].start) / _FLASH))
             box = (panel.left, panel.top, panel.right - 1, panel.bottom - 1)
             draw.rectangle(box, outline=ALARM, width=width)
-        if self._detail:
-            text = fitted(self._detail, 14, panel.width - 44)
-            _tag(draw, left, top, text, INK, _TAG_CARD, bold=False)
+
+        def tag(text: str, size: int, ink: Rgb, card: tuple[int, ...]) -> None:
+            nonlocal top
+            bold = size == 15
+            text = fitted(text, size, panel.width - 44, bold=bold)
+            width = font(size, bold).getlength(text)
+            draw.rounded_rectangle((left, top, left + width + 16, top + 25), 5, fill=card)
+            write(draw, (left + 8, top + 13), text, size, ink, bold=bold, anchor="lm")
             top += 29
+
+        if self._detail:
+            tag(self._detail, 14, INK, _TAG_CARD)
         for change in past[-_MOST_CHANGES:]:
             text = change.text
             if change.start <= time < change.end:
                 text += f", {100 * (time - change.start) / (change.end - change.start):.0f} %"
-            text = fitted(text, 15, panel.width - 44, bold=True)
-            _tag(draw, left, top, text, PAPER, (*ALARM, 255), bold=True)
-            top += 29
+            tag(text, 15, PAPER, (*ALARM, 255))
 
     def _end(self, draw: ImageDraw.ImageDraw) -> None:
         track, panel = self._track, self._panel
@@ -221,30 +220,14 @@ class PanelWriter:
             y += size + 10
 
 
-def _tag(
-    draw: ImageDraw.ImageDraw,
-    left: int,
-    top: int,
-    text: str,
-    ink: Rgb,
-    card: tuple[int, int, int, int],
-    *,
-    bold: bool,
-) -> None:
-    size = 15 if bold else 14
-    width = font(size, bold).getlength(text)
-    draw.rounded_rectangle((left, top, left + width + 16, top + 25), 5, fill=card)
-    write(draw, (left + 8, top + 13), text, size, ink, bold=bold, anchor="lm")
-
-
-def title_of(tracks: Sequence[Track]) -> tuple[str, str]:
-    """Title and subtitle: what all runs share."""
+def _title_of(tracks: Sequence[Track]) -> tuple[str, str]:
+    """Returns title and subtitle: scenarios, models and references of all runs."""
     scenarios = list(dict.fromkeys(str(t.settings["scenario"]) for t in tracks))
     models = list(dict.fromkeys(str(t.settings["model"]) for t in tracks))
     references = list(dict.fromkeys(str(t.settings.get("reference", "")) for t in tracks))
     parts = [", ".join(Path(model).stem for model in models), ", ".join(filter(None, references))]
-    title = " / ".join(name.replace("_", " ") for name in scenarios)
-    return title, " · ".join(part.replace("_", " ") for part in parts if part)
+    title = " / ".join(readable(name) for name in scenarios)
+    return title, " · ".join(readable(part) for part in parts if part)
 
 
 def _wrapped(text: str, width: float, most: int = 4) -> list[str]:
@@ -259,14 +242,8 @@ def _wrapped(text: str, width: float, most: int = 4) -> list[str]:
     return [*lines, *([line] if line else [])][:most]
 
 
-class Gauges:
-    """Instruments of one run.
-
-    Args:
-        track: The run.
-        panel: Its place.
-        scale: Pressure at the end of the colour bar [Pa].
-    """
+class _Gauges:
+    """Supply, oil, seals, and pressures of every cylinder; the bars of pressures end at `scale`."""
 
     def __init__(self, track: Track, panel: Rect, scale: float) -> None:
         self._panel, self._scale = panel, scale
@@ -283,7 +260,7 @@ class Gauges:
         self._pressures = self._pressures[:most]
 
     def draw(self, draw: ImageDraw.ImageDraw, row: int) -> None:
-        """Draws what they show at a row of the recording."""
+        """Draws the values of a row of the recording."""
         readings = self._readings(row)
         left, width = self._panel.left + 14, look.GAUGES - 14
         top = self._panel.bottom - 12 - _STEP * len(readings)
@@ -327,7 +304,7 @@ class Gauges:
         write(draw, (right, top), "cap, rod [bar]", 13, SOFT, anchor="rt")
         top += 22
         for joint, cap, rod in self._pressures:
-            name = fitted(joint.replace("_", " "), 14, look.PRESSURES - 20)
+            name = fitted(readable(joint), 14, look.PRESSURES - 20)
             write(draw, (left, top), name, 14, INK)
             for i, value in enumerate((float(cap[row]), float(rod[row]))):
                 y = top + 17 + 12 * i

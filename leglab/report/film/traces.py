@@ -9,6 +9,7 @@ from PIL import Image, ImageDraw
 
 from leglab.report.film.look import ALARM, FAINT, INK, SOFT, Rect, Rgb, font
 from leglab.report.film.track import Track
+from leglab.report.page.wording import readable
 
 _MILLI = 1e3
 _TILE = 512  # px
@@ -71,7 +72,7 @@ class ErrorTrace:
         times = _nice_ticks(*self._span, 9)
         labels = [(rect.left + float(self.x(t)), f"{t:g} s") for t in times]
         _draw_time_labels(draw, rect, labels)
-        for start, _ in _change_times(self._tracks, self._span):
+        for start in _change_starts(self._tracks, self._span):
             x = rect.left + float(self.x(start))
             draw.line((x, rect.top, x, rect.bottom), fill=_ALARM_LIGHT, width=1)
 
@@ -83,7 +84,8 @@ class ErrorTrace:
         image.paste(lines, (rect.left, rect.top), lines)
         draw = ImageDraw.Draw(image)
         _mark_changes(draw, rect, self._tracks, self._span, time, self.x)
-        _cursor(draw, rect, now)
+        x = rect.left + now
+        draw.line((x, rect.top, x, rect.bottom), fill=SOFT, width=1)
         for track, error, color in zip(self._tracks, self.errors, self._colors, strict=True):
             value = error[track.row(time)]
             if np.isfinite(value) and value > 0:
@@ -125,7 +127,7 @@ class CommandTrace:
         self._origin = span[0] - self._window
         self._joint = _shown_joint(tracks)
         self._signals = [track.column(f"{self._joint}_feedforward") for track in tracks]
-        self._title, self._note = "feed-forward command", self._joint.replace("_", " ")
+        self._title, self._note = "feed-forward command", readable(self._joint)
         without = [n for n, s in zip(names, self._signals, strict=True) if s is None]
         if len(without) == len(tracks):
             self._title, without = "valve command", []
@@ -207,10 +209,10 @@ class CommandTrace:
         return paint
 
 
-def _change_times(tracks: Sequence[Track], span: tuple[float, float]) -> list[tuple[float, float]]:
-    """Begin and end [s] of what changes within a span, each once."""
-    found = {(c.start, c.end) for track in tracks for c in track.changes}
-    return sorted((a, b) for a, b in found if a > 0 and b >= span[0] and a <= span[1])
+def _change_starts(tracks: Sequence[Track], span: tuple[float, float]) -> list[float]:
+    """Returns when changes begin [s] that are not over before a span and begin within it."""
+    changes = (change for track in tracks for change in track.changes if change.start > 0)
+    return sorted({c.start for c in changes if c.end >= span[0] and c.start <= span[1]})
 
 
 def _mark_changes(
@@ -221,7 +223,7 @@ def _mark_changes(
     now: float,
     x: Callable[[float], np.ndarray],
 ) -> None:
-    for start, _ in _change_times(tracks, span):
+    for start in _change_starts(tracks, span):
         if span[0] <= start <= now:
             place = rect.left + round(float(x(start)))
             draw.line((place, rect.top - 6, place, rect.bottom), fill=ALARM, width=2)
@@ -231,11 +233,6 @@ def _mark_changes(
             )
 
 
-def _cursor(draw: ImageDraw.ImageDraw, rect: Rect, at: int) -> None:
-    x = rect.left + at
-    draw.line((x, rect.top, x, rect.bottom), fill=SOFT, width=1)
-
-
 def _dot(image: Image.Image, x: float, y: float, color: Rgb) -> None:
     dot = _smooth_dot(color)
     image.paste(dot, (round(x) - 6, round(y) - 6), dot)
@@ -243,12 +240,12 @@ def _dot(image: Image.Image, x: float, y: float, color: Rgb) -> None:
 
 @functools.cache
 def _smooth_dot(color: Rgb) -> Image.Image:
-    return _smooth_lines((13, 13), lambda draw, k: _paint_dot(draw, k, color))
+    def paint(draw: ImageDraw.ImageDraw, scale: int) -> None:
+        for edge, ink in ((1, (255, 255, 255)), (2, color)):
+            low, high = edge * scale, (13 - edge) * scale
+            draw.ellipse((low, low, high, high), fill=(*ink, 255))
 
-
-def _paint_dot(draw: ImageDraw.ImageDraw, scale: int, color: Rgb) -> None:
-    draw.ellipse((1 * scale, 1 * scale, 12 * scale, 12 * scale), fill=(255, 255, 255, 255))
-    draw.ellipse((2 * scale, 2 * scale, 11 * scale, 11 * scale), fill=(*color, 255))
+    return _smooth_lines((13, 13), paint)
 
 
 def _shown_joint(tracks: Sequence[Track]) -> str:
@@ -277,25 +274,12 @@ def _nice_ticks(low: float, high: float, most: int) -> np.ndarray:
 
 
 def _draw_frame(
-    draw: ImageDraw.ImageDraw,
-    rect: Rect,
-    title: str,
-    ticks: list[tuple[float, str]],
-    note: str = "",
+    draw: ImageDraw.ImageDraw, rect: Rect, title: str, ticks: list[tuple[float, str]], note: str
 ) -> None:
-    """Title, horizontal grid lines with their labels, and the base line.
-
-    Args:
-        draw: Of the picture.
-        rect: The axes.
-        title: Above them.
-        ticks: Height [px] and label of each grid line.
-        note: Behind the title, in grey.
-    """
+    """Draws title, note in grey, grid lines at heights [px] with labels, and the base line."""
     draw.text((rect.left, rect.top - 17), title, font=font(15, True), fill=INK, anchor="ls")
-    if note:
-        x = rect.left + font(15, True).getlength(title) + 10
-        draw.text((x, rect.top - 17), note, font=font(_LABEL), fill=SOFT, anchor="ls")
+    x = rect.left + font(15, True).getlength(title) + 10
+    draw.text((x, rect.top - 17), note, font=font(_LABEL), fill=SOFT, anchor="ls")
     for y, label in ticks:
         draw.line((rect.left, y, rect.right, y), fill=FAINT, width=1)
         if label:
@@ -315,12 +299,7 @@ def _draw_time_labels(
 def _smooth_lines(
     size: tuple[int, int], paint: Callable[[ImageDraw.ImageDraw, int], None]
 ) -> Image.Image:
-    """A layer with smooth lines.
-
-    Args:
-        size: Width and height [px].
-        paint: Draws onto a larger layer; its second argument says how much larger.
-    """
+    """Returns a layer of a size [px]; `paint` draws it larger, by its second argument."""
     width, height = size
     layer = Image.new("RGBA", (width * _SMOOTH, height * _SMOOTH), (255, 255, 255, 0))
     paint(ImageDraw.Draw(layer), _SMOOTH)

@@ -32,7 +32,7 @@ _LOG_RATIO = 8.0
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """What one plot by joint shows.
+    """A plot of one quantity with a choice of joints.
 
     Attributes:
         name: Of the plot.

@@ -52,7 +52,7 @@ def relative(value: float, base: float) -> str:
 
 
 def title(runs: Sequence[ReportedRun]) -> str:
-    """What the report is about: scenario, model and controllers."""
+    """Returns the title: scenario, model and controllers."""
     scenarios = tuple(dict.fromkeys(run.metrics.scenario for run in runs))
     models = tuple(dict.fromkeys(run.metrics.model for run in runs))
     labels = tuple(run.label for run in runs)
