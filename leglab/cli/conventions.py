@@ -75,20 +75,6 @@ _PANELS = {
     "Output": ("out", "overwrite", "figures", "as_json", "markdown", "write"),
 }  # fmt: skip
 
-_COMPLETION: dict[str, Callable[[str], list[str]]] = {
-    "scenario": completion("scenarios"),
-    "scenarios": completion("scenarios"),
-    "controller": completion("controllers"),
-    "controllers": list_completion("controllers"),
-    "reference": completion("references"),
-    "model": path_completion(".xml", kind="models"),
-    "models": completion("models"),
-    "effect": completion("effects"),
-    "to": completion("formats"),
-    "recordings": path_completion(*RECORDINGS),
-    "columns": path_completion(".toml"),
-}
-
 # Kind of the names that the help lists, by the name of a parameter.
 _LISTED = {
     "scenario": "scenarios",
@@ -98,6 +84,16 @@ _LISTED = {
     "reference": "references",
     "model": "models",
     "to": "formats",
+}
+
+_COMPLETION: dict[str, Callable[[str], list[str]]] = {
+    **{parameter: completion(kind) for parameter, kind in _LISTED.items()},
+    "controllers": list_completion("controllers"),
+    "model": path_completion(".xml", kind="models"),
+    "models": completion("models"),
+    "effect": completion("effects"),
+    "recordings": path_completion(*RECORDINGS),
+    "columns": path_completion(".toml"),
 }
 
 # What typer raises for wrong arguments; its name is not public.

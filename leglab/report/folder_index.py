@@ -91,19 +91,14 @@ def write_index(folder: Path, path: Path) -> tuple[list[Entry], Path]:
         raise LeglabError(f"{path}: cannot be read: {error.strerror}") from error
     if earlier is not None and _OURS not in earlier:
         raise LeglabError(f"{str(path)!r} is no index of leglab: it is left as it is")
-    entries = find_entries(folder, path.parent)
-    text = page(entries, folder.resolve().name)
+    entries = _find_entries(folder, path.parent)
+    text = _page(entries, folder.resolve().name)
     write_atomically(path, lambda stream: stream.write(text.encode(errors="replace")))
     return entries, path
 
 
-def page(entries: list[Entry], name: str) -> str:
-    """The page.
-
-    Args:
-        entries: What was found.
-        name: Of the folder.
-    """
+def _page(entries: list[Entry], name: str) -> str:
+    """Returns the page of a folder of this name."""
     counts: dict[str, int] = {}
     for entry in entries:
         counts[entry.kind] = counts.get(entry.kind, 0) + 1
@@ -124,18 +119,10 @@ def page(entries: list[Entry], name: str) -> str:
     )
 
 
-def find_entries(folder: Path, base: Path) -> list[Entry]:
+def _find_entries(folder: Path, base: Path) -> list[Entry]:
     """Looks for everything below a folder; links to folders are not followed.
 
-    Args:
-        folder: Where to look.
-        base: Folder of the page; links are relative to it.
-
-    Returns:
-        Entries in the order of their paths.
-
-    Raises:
-        LeglabError: There is no such folder.
+    Returns entries in the order of their paths; their links are relative to the folder `base`.
     """
     if not folder.is_dir():
         raise LeglabError(f"{str(folder)!r} is not a folder")

@@ -49,8 +49,8 @@ class DrawnMachine:
     def __init__(self, model: str, size: tuple[int, int]) -> None:
         self.model = load_model(model)
         self.simulation = Simulation(self.model)
-        self.cylinders = CylinderShapes(self.simulation)
-        self.shadow = FloorShadow(self.model)
+        self.cylinders = _CylinderShapes(self.simulation)
+        self.shadow = _FloorShadow(self.model)
         self._size = size
         width, height = _larger(size)
         view = self.model.vis.global_
@@ -238,7 +238,7 @@ class DrawnRun:
         return found
 
 
-class CylinderShapes:
+class _CylinderShapes:
     """Barrels split at the piston: the cap side and the rod side each in its own colour.
 
     Cylinders that act on a joint directly have no place to be drawn, and are not. `tendons` holds
@@ -316,7 +316,7 @@ def _segment(
     scene.ngeom += 1
 
 
-class FloorShadow:
+class _FloorShadow:
     """Flat discs below the largest part of the last body; none where the model has no floor.
 
     Real shadows are half the time of a frame.

@@ -31,7 +31,7 @@ _LOG_RATIO = 8.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Quantity:
+class _Quantity:
     """A plot of one quantity with a choice of joints.
 
     Attributes:
@@ -89,12 +89,12 @@ def _close_up(runs: Sequence[ReportedRun], start: float, end: float) -> list[flo
     return [max(start, min(starts) - margin), min(end, min(starts) + margin)]
 
 
-def _quantities(runs: Sequence[ReportedRun], joints: Sequence[str]) -> tuple[Quantity, ...]:
+def _quantities(runs: Sequence[ReportedRun], joints: Sequence[str]) -> tuple[_Quantity, ...]:
     position = _position_name(runs[0])
     measured = "" if position == "truth" else ", as measured"
     positions = measured or " as they were"
     quantities = (
-        Quantity(
+        _Quantity(
             name="deviation",
             title="Tracking error",
             axis="error [mrad]",
@@ -103,7 +103,7 @@ def _quantities(runs: Sequence[ReportedRun], joints: Sequence[str]) -> tuple[Qua
             curves=((f"{position} error", ""),),
             factor=_MILLI,
         ),
-        Quantity(
+        _Quantity(
             name="angle",
             title="Angle and reference",
             axis="angle [rad]",
@@ -112,7 +112,7 @@ def _quantities(runs: Sequence[ReportedRun], joints: Sequence[str]) -> tuple[Qua
             curves=((position, ""),),
             shared="reference",
         ),
-        Quantity(
+        _Quantity(
             name="command",
             title="Valve command",
             axis="command [1]",
@@ -121,7 +121,7 @@ def _quantities(runs: Sequence[ReportedRun], joints: Sequence[str]) -> tuple[Qua
             "is dashed.",
             curves=(("command", ""), ("feedforward", "feed-forward")),
         ),
-        Quantity(
+        _Quantity(
             name="pressure",
             title="Chamber pressures",
             axis="pressure [bar]",
@@ -130,7 +130,7 @@ def _quantities(runs: Sequence[ReportedRun], joints: Sequence[str]) -> tuple[Qua
             curves=(("pressure_a", "A"), ("pressure_b", "B")),
             factor=1 / _BAR,
         ),
-        Quantity(
+        _Quantity(
             name="temperature",
             title="Oil temperature",
             axis="temperature [°C]",
@@ -203,7 +203,7 @@ def _ticks(low: float, high: float) -> list[float]:
 
 
 def _joint_plot(
-    quantity: Quantity, runs: Sequence[ReportedRun], joints: Sequence[str], count: int
+    quantity: _Quantity, runs: Sequence[ReportedRun], joints: Sequence[str], count: int
 ) -> dict[str, Any] | None:
     by_joint = [_joint_traces(quantity, runs, joint, count) for joint in joints]
     if not any(by_joint):
@@ -224,7 +224,7 @@ def _joint_plot(
 
 
 def _joint_traces(
-    quantity: Quantity, runs: Sequence[ReportedRun], joint: str, count: int
+    quantity: _Quantity, runs: Sequence[ReportedRun], joint: str, count: int
 ) -> list[dict[str, Any]]:
     traces = []
     if quantity.shared:

@@ -267,10 +267,9 @@ def _limits(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
 
 
 def _fallback_shares(run: ReportedRun) -> dict[str, dict[str, float]] | None:
-    """Share of the time that the nominal map stood in for the adapted one.
+    """Returns by phase and joint which share of the time the nominal map stood in for the adapted.
 
-    Returns:
-        By phase and joint; None where the controller has no such state.
+    None where the controller has no such state.
     """
     if not all(f"{joint}_fallback" in run.recording for joint in run.joints):
         return None
