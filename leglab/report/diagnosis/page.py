@@ -9,7 +9,7 @@ from pathlib import Path
 from leglab.base.errors import LeglabError
 from leglab.data import write_atomically
 from leglab.diagnosis.result import Diagnosis
-from leglab.report.diagnosis.figures import CaptionedFigure, look, pictures
+from leglab.report.diagnosis.figures import look, pictures
 from leglab.report.diagnosis.words import headline, parameter_words, percent, sections
 from leglab.report.page.shell import Table, render
 from leglab.report.page.wording import capital, number
@@ -47,22 +47,20 @@ def write_page(result: Diagnosis, folder: Path, *, model: str) -> Path:
         raise LeglabError(f"{place}: cannot be written: {error.strerror}") from error
     drawn = []
     for picture in pictures(result):
-        image = _png(picture)
+        stream = io.BytesIO()
+        with look():
+            picture.figure.savefig(stream, format="png", dpi=_DPI)
+        image = stream.getvalue()
         write_atomically(place / f"{picture.name}.png", partial(_put, image))
-        drawn.append((picture, image))
+        data = base64.b64encode(image).decode()
+        drawn.append({"alt": picture.alt, "caption": picture.caption, "data": data})
     path = folder / "diagnosis.html"
-    write_atomically(path, partial(_put, page(result, drawn, model=model).encode()))
+    write_atomically(path, partial(_put, _page(result, drawn, model).encode()))
     return path
 
 
-def page(result: Diagnosis, drawn: Sequence[tuple[CaptionedFigure, bytes]], *, model: str) -> str:
-    """The page as well-formed XHTML that is HTML 5 as well.
-
-    Args:
-        result: The diagnosis.
-        drawn: Figures, each with its PNG.
-        model: Name of the model that was diagnosed.
-    """
+def _page(result: Diagnosis, figures: Sequence[dict[str, str]], model: str) -> str:
+    """Returns the page as well-formed XHTML that is HTML 5 as well; figures hold base64 data."""
     return render(
         "diagnosis.html",
         kind="diagnosis",
@@ -72,10 +70,7 @@ def page(result: Diagnosis, drawn: Sequence[tuple[CaptionedFigure, bytes]], *, m
         sections=sections(result, model),
         tables=(_effects_table(result), _gap_table(result), _nuisance_table(result)),
         improved=result.model,
-        figures=[
-            {"alt": p.alt, "caption": p.caption, "data": base64.b64encode(image).decode()}
-            for p, image in drawn
-        ],
+        figures=figures,
     )
 
 
@@ -118,13 +113,6 @@ def _nuisance_table(result: Diagnosis) -> Table:
     rows = [[n.name, *parameter_words(n)] for n in result.nuisances]
     head = ("parameter", "refitted", "tolerance, 95 %", "in the model")
     return Table(caption="Parameters refitted within their tolerance", head=head, rows=rows)
-
-
-def _png(picture: CaptionedFigure) -> bytes:
-    stream = io.BytesIO()
-    with look():
-        picture.figure.savefig(stream, format="png", dpi=_DPI)
-    return stream.getvalue()
 
 
 def _put(content: bytes, stream: io.BufferedIOBase) -> None:

@@ -99,7 +99,7 @@ class DrawnMachine:
         """The picture.
 
         Args:
-            data: The true pose, as `pose` leaves it.
+            data: The true pose, as `DrawnRun.place` leaves it.
             reference: The pose of the ghost.
             pressures: Of both sides of each cylinder over the end of the colour bar, NaN where
                 unknown, (actuators, 2).
