@@ -12,7 +12,7 @@ import pytest
 import typer
 
 from leglab import data
-from leglab.cli import names as cli_names
+from leglab.cli import options
 from leglab.cli.app import app, main
 from leglab.cli.conventions import EXAMPLES, explain
 from tests.test_cli import leglab as call
@@ -148,13 +148,13 @@ def test_names_are_those_of_the_registries():
     from leglab.machine.simulation import model_names
     from leglab.references import reference_names
 
-    assert cli_names.scenarios() == scenario_names()
-    assert cli_names.controllers() == controller_names()
-    assert cli_names.references() == reference_names()
-    assert cli_names.models() == model_names()
-    assert cli_names.effects() == tuple(sorted({effect.name for effect in all_effects()}))
-    assert cli_names.formats() == data.FORMATS
-    for suffix in cli_names.RECORDINGS:
+    assert options.names_of("scenarios") == scenario_names()
+    assert options.names_of("controllers") == controller_names()
+    assert options.names_of("references") == reference_names()
+    assert options.names_of("models") == model_names()
+    assert options.names_of("effects") == tuple(sorted({effect.name for effect in all_effects()}))
+    assert options.names_of("formats") == data.FORMATS
+    for suffix in options.RECORDINGS:
         assert data.format_of(f"x{suffix}") in data.FORMATS
 
 
@@ -205,7 +205,7 @@ def test_completion_of_files(tmp_path):
         (tmp_path / name).touch()
     (tmp_path / "afar").mkdir()
     (tmp_path / "afar" / "b.mcap").touch()
-    recordings = cli_names.path_completion(".csv", ".mcap")
+    recordings = options.path_completion(".csv", ".mcap")
     here = str(tmp_path)
     assert recordings(f"{here}/a") == [f"{here}/a.csv", f"{here}/afar/"]
     assert recordings(f"{here}/") == [f"{here}/a.csv", f"{here}/afar/"]

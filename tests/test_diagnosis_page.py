@@ -23,8 +23,8 @@ from leglab.diagnosis.result import (
     Rivals,
     Where,
 )
-from leglab.report.diagnosis.figures import short
-from leglab.report.diagnosis.page import pictures, write_page
+from leglab.report.diagnosis.figures import pictures, short
+from leglab.report.diagnosis.page import write_page
 from leglab.report.diagnosis.words import parameter_words, sections
 from leglab.report.page.wording import number
 

@@ -7,12 +7,12 @@ from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.base.scenario import Phase
 from leglab.report.figures import (
+    add_panels,
     command_figure,
     pressure_figure,
     save_run_figures,
     tracking_figure,
 )
-from leglab.report.panels import add_panels
 from leglab.report.style import VERMILION
 
 STEP = (Phase(name="before", start=0, end=2), Phase(name="after", start=2, end=4))

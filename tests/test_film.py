@@ -15,7 +15,7 @@ from leglab import RunSettings, data, run_scenario
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.cli import main
-from leglab.report.film import layout, render_film
+from leglab.report.film import look, render_film
 from leglab.report.film.encoder import Encoder
 from leglab.report.film.look import ALARM, GHOST, pressure_color
 from leglab.report.film.track import load_track
@@ -104,7 +104,7 @@ def like(frame, color, tolerance=40):
 
 
 def inside(frame, index, count):
-    panel = layout.panels(count)[index]
+    panel = look.panels(count)[index]
     return frame[panel.top : panel.bottom, panel.left : panel.right]
 
 
@@ -151,7 +151,7 @@ def test_the_chambers_have_the_colour_of_their_pressures(stills):
     high, low = (255 * pressure_color(level) for level in (1.0, 0.0))
     rows = {}
     for index, name in enumerate(("cap", "rod")):
-        panel = layout.panels(2)[index]
+        panel = look.panels(2)[index]
         # Without the gauges, which show the pressures as well.
         picture = inside(stills["chambers"][0], index, 2)[:, 150 : panel.width - 180]
         for level, color in (("high", high), ("low", low)):
@@ -166,7 +166,7 @@ def test_the_change_is_marked_when_it_comes(stills):
     before, after = stills["pd"]
     assert like(inside(before, 0, 1), ALARM, 8) < 50
     assert like(inside(after, 0, 1), ALARM, 8) > 2000
-    traces = slice(720 - layout.TRACES, 720)
+    traces = slice(720 - look.TRACES, 720)
     assert like(after[traces], ALARM, 10) > like(before[traces], ALARM, 10) + 100
 
 

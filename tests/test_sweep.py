@@ -16,7 +16,7 @@ import leglab.controllers
 from leglab import RunSettings, run_scenario
 from leglab.base.errors import LeglabError
 from leglab.cli import main
-from leglab.report.comparison import comparison_figure
+from leglab.report.figures import comparison_figure
 from leglab.report.style import VERMILION
 from leglab.runs import sweep
 from leglab.runs.sweep import Comparison, compare, estimate, run_all

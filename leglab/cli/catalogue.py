@@ -1,15 +1,71 @@
-"""Scenarios, controllers, references and models with their summaries."""
+"""The commands `leglab list` and `leglab parameters`: what there is, with summaries."""
 
-import leglab.controllers
-import leglab.scenarios  # noqa: F401  registers the scenarios
-from leglab.base.scenario import scenario_names, scenario_severity, scenario_summary
-from leglab.control import controller_names, controller_summary
-from leglab.machine.simulation import model_names, model_summary
-from leglab.references import reference_names, reference_summary
+from typing import Annotated
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from leglab.cli.options import Json
+from leglab.cli.terminal import output, print_json
+
+Markdown = Annotated[bool, typer.Option(help="Print Markdown, as in docs/.")]
+
+
+def list_names(as_json: Json = False, markdown: Markdown = False) -> None:
+    """Shows scenarios, controllers, references and models."""
+    if markdown:
+        typer.echo(catalogue_page(), nl=False)
+        return
+    groups = summaries()
+    if as_json:
+        print_json(groups)
+        return
+    for title, entries in groups.items():
+        table = Table(title=title, title_justify="left", box=None, show_header=False)
+        for name, summary in entries.items():
+            table.add_row(f"  [bold]{name}[/bold]", summary)
+        output.print(table)
+
+
+def parameters(
+    plugin: Annotated[str | None, typer.Argument(help="Name of a plugin; default: all.")] = None,
+    markdown: Markdown = False,
+    as_json: Json = False,
+) -> None:
+    """Shows the physical parameters of the plugins: units, defaults, bounds, sources."""
+    from leglab.base.errors import unknown_name
+    from leglab.machine.parameters import markdown_tables, plugin_tables
+
+    tables = plugin_tables()
+    if plugin is not None and plugin not in tables:
+        raise unknown_name("plugin", plugin, tables)
+    chosen = [tables[plugin]] if plugin else list(tables.values())
+    if as_json:
+        print_json({entry.plugin: entry.to_json() for entry in chosen})
+        return
+    if markdown:
+        typer.echo(markdown_tables(chosen), nl=False)
+        return
+    for entry in chosen:
+        table = Table(title=entry.plugin, title_justify="left")
+        for column in ("parameter", "default", "allowed", "meaning"):
+            table.add_column(column)
+        for row in entry.parameters.values():
+            default = "required" if row.nominal != row.nominal else f"{row.nominal:g}"
+            table.add_row(row.name, default, escape(row.allowed), escape(row.description))
+        output.print(table)
 
 
 def summaries() -> dict[str, dict[str, str]]:
-    """Summaries by kind and name."""
+    """Returns the summaries of scenarios, controllers, references and models by kind and name."""
+    import leglab.controllers
+    import leglab.scenarios  # noqa: F401  registers the scenarios
+    from leglab.base.scenario import scenario_names, scenario_summary
+    from leglab.control import controller_names, controller_summary
+    from leglab.machine.simulation import model_names, model_summary
+    from leglab.references import reference_names, reference_summary
+
     return {
         "scenarios": {name: scenario_summary(name) for name in scenario_names()},
         "controllers": {name: controller_summary(name) for name in controller_names()},
@@ -19,13 +75,16 @@ def summaries() -> dict[str, dict[str, str]]:
 
 
 def severity_text(scenario: str) -> str:
-    """Meaning and default of a scenario's severity; empty without one."""
+    """Returns the meaning and default of a scenario's severity; empty without one."""
+    import leglab.scenarios  # noqa: F401  registers the scenarios
+    from leglab.base.scenario import scenario_severity
+
     severity = scenario_severity(scenario)
     return f"{severity.meaning}: {severity.default:g}" if severity else ""
 
 
-def markdown() -> str:
-    """All of them as Markdown, the content of docs/catalogue.md."""
+def catalogue_page() -> str:
+    """Returns all summaries as Markdown, the content of docs/catalogue.md."""
     lines = [
         "# Scenarios, controllers, references, models",
         "",

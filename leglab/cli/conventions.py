@@ -1,4 +1,4 @@
-"""What all commands have in common: examples, groups of options, completion, one-line errors."""
+"""Conventions of all commands: examples, groups of options, completion, one-line errors."""
 
 import inspect
 import sys
@@ -13,10 +13,8 @@ from typer.core import TyperGroup
 from typer.models import OptionInfo, ParameterInfo
 
 from leglab.base.errors import LeglabError
-from leglab.cli import names as cli_names
-from leglab.cli.terminal import errors
-
-DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+from leglab.cli.options import RECORDINGS, completion, list_completion, names_of, path_completion
+from leglab.cli.terminal import BAD_INPUT, DONE, FAILED, INTERRUPTED, errors
 
 EXIT_STATUS = {
     DONE: "done",
@@ -45,10 +43,7 @@ EXAMPLES = {
         "leglab convert log.mcap run.parquet --columns map.toml",
         "leglab convert run.parquet plot.csv --to plotjuggler",
     ),
-    "inspect": (
-        "leglab inspect log.mcap",
-        "leglab inspect run.csv --json | jq .rate_hz",
-    ),
+    "inspect": ("leglab inspect log.mcap", "leglab inspect run.csv --json | jq .rate_hz"),
     "list": ("leglab list", "leglab list --json | jq -r '.scenarios | keys[]'"),
     "video": (
         "leglab video runs/seal_wear-pd-leg-0",
@@ -80,32 +75,29 @@ _PANELS = {
     "Output": ("out", "overwrite", "figures", "as_json", "markdown", "write"),
 }  # fmt: skip
 
+# Kind of the names that the help lists, by the name of a parameter.
+_LISTED = {
+    "scenario": "scenarios",
+    "scenarios": "scenarios",
+    "controller": "controllers",
+    "controllers": "controllers",
+    "reference": "references",
+    "model": "models",
+    "to": "formats",
+}
+
 _COMPLETION: dict[str, Callable[[str], list[str]]] = {
-    "scenario": cli_names.completion(cli_names.scenarios),
-    "scenarios": cli_names.completion(cli_names.scenarios),
-    "controller": cli_names.completion(cli_names.controllers),
-    "controllers": cli_names.list_completion(cli_names.controllers),
-    "reference": cli_names.completion(cli_names.references),
-    "model": cli_names.path_completion(".xml", names=cli_names.models),
-    "models": cli_names.completion(cli_names.models),
-    "effect": cli_names.completion(cli_names.effects),
-    "to": cli_names.completion(cli_names.formats),
-    "recordings": cli_names.path_completion(*cli_names.RECORDINGS),
-    "columns": cli_names.path_completion(".toml"),
+    **{parameter: completion(kind) for parameter, kind in _LISTED.items()},
+    "controllers": list_completion("controllers"),
+    "model": path_completion(".xml", kind="models"),
+    "models": completion("models"),
+    "effect": completion("effects"),
+    "recordings": path_completion(*RECORDINGS),
+    "columns": path_completion(".toml"),
 }
 
 # What typer raises for wrong arguments; its name is not public.
 _UsageError: Any = typer.BadParameter.__base__
-
-_ALLOWED: dict[str, Callable[[], tuple[str, ...]]] = {
-    "scenario": cli_names.scenarios,
-    "scenarios": cli_names.scenarios,
-    "controller": cli_names.controllers,
-    "controllers": cli_names.controllers,
-    "reference": cli_names.references,
-    "model": lambda: (*cli_names.models(), "an MJCF file"),
-    "to": cli_names.formats,
-}
 
 
 class Commands(TyperGroup):
@@ -128,7 +120,7 @@ def exit_status() -> str:
 def explain(app: typer.Typer) -> None:
     """Adds examples, panels, completion and allowed values to all commands of an application.
 
-    What a command sets itself stays. Twice is once.
+    An example, panel or completion that a command sets itself stays; a second call changes nothing.
     """
     for command in app.registered_commands:
         assert command.callback is not None
@@ -179,8 +171,9 @@ def _explain(parameter: str, info: ParameterInfo) -> None:
         info.rich_help_panel = next(panels, None)
     if info.autocompletion is None and info.shell_complete is None:
         info.autocompletion = _COMPLETION.get(parameter)
-    if parameter in _ALLOWED:
-        allowed = f"One of: {', '.join(_ALLOWED[parameter]())}."
+    if parameter in _LISTED:
+        also = ("an MJCF file",) if parameter == "model" else ()
+        allowed = f"One of: {', '.join((*names_of(_LISTED[parameter]), *also))}."
         if info.help is not None and allowed not in info.help:
             info.help = f"{info.help} {allowed}"
 

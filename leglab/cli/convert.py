@@ -5,20 +5,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.box import SIMPLE_HEAD
+from rich.markup import escape
+from rich.table import Table
 
 from leglab.base.errors import LeglabError, unknown_name
-from leglab.cli.options import Json
-from leglab.cli.terminal import errors, output, print_wide
+from leglab.cli.options import Columns, Json
+from leglab.cli.terminal import errors, output, print_json, print_wide
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from leglab.data import Summary
-
-Columns = Annotated[
-    Path | None,
-    typer.Option(help="TOML file: what the columns are called here, and their units."),
-]
 
 
 def convert(
@@ -62,12 +58,11 @@ def convert(
             "lost": list(lost),
             "repairs": repairs,
         }
-        typer.echo(json.dumps(found, indent=2, ensure_ascii=False))
+        print_json(found, ascii_only=False)
         return
-    for line in repairs:
-        errors.print(f"repaired: {line}", markup=False)
-    for line in lost:
-        errors.print(f"lost: {line}", markup=False)
+    for word, lines in (("repaired", repairs), ("lost", lost)):
+        for line in lines:
+            errors.print(f"{word}: {line}", markup=False)
     count = len(recording.columns)
     output.print(
         f"written to {target}: {form}, {len(recording)} samples of {count} columns",
@@ -89,7 +84,7 @@ def inspect(
     table, metadata = data.read_table(file, columns=columns)
     summary = data.summarise(table, metadata)
     if as_json:
-        typer.echo(json.dumps({"file": str(file), **summary.to_json()}, indent=2))
+        print_json({"file": str(file), **summary.to_json()})
         return
     output.print(f"{file}: {_axis(summary)}", markup=False, soft_wrap=True)
     print_wide(_table(summary))
@@ -114,11 +109,7 @@ def _axis(summary: "Summary") -> str:
     return f"{text}, {count or 'no'} gap{'s' * (count != 1)}"
 
 
-def _table(summary: "Summary") -> "Table":
-    from rich.box import SIMPLE_HEAD
-    from rich.markup import escape
-    from rich.table import Table
-
+def _table(summary: "Summary") -> Table:
     table = Table(box=SIMPLE_HEAD)
     table.add_column("column")
     table.add_column("unit")

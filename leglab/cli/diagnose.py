@@ -1,6 +1,6 @@
 """`leglab diagnose`: names what the simulation is missing."""
 
-import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -8,7 +8,7 @@ import typer
 
 from leglab.base.errors import LeglabError
 from leglab.cli.options import Json, Overwrite
-from leglab.cli.terminal import output, progress_bar
+from leglab.cli.terminal import output, print_json, progress
 
 
 def diagnose(
@@ -68,14 +68,13 @@ def diagnose(
     named = read_recordings(recordings, columns)
     named, held = split_held_out(model, named, held_out or [])
     settings = Settings(effects=tuple(effect) if effect else None, seed=seed)
-    with progress_bar() as bar:
-        task = bar.add_task("diagnosis", total=None)
+    with progress("diagnosis") as show:
         result, found = run_diagnosis(
             model,
             named,
             held_out=held,
             settings=settings,
-            progress=lambda line: bar.update(task, description=line),
+            progress=lambda line: show(description=line),
         )
     out.mkdir(parents=True, exist_ok=True)
     improved = write_improved(found, out)
@@ -83,7 +82,7 @@ def diagnose(
     write_diagnosis(result, out)
     write_page(result, out, model=Path(model).stem)
     if as_json:
-        typer.echo(json.dumps(result.to_json(), indent=2, ensure_ascii=False))
+        print_json(result.to_json(), ascii_only=False)
         return
     output.print(headline(result), markup=False, highlight=False)
     for table in summary_tables(result):
@@ -94,19 +93,16 @@ def diagnose(
 
 
 def _self_test(folder: Path, count: int, seed: int, as_json: bool) -> None:
-    from dataclasses import asdict
-
     from leglab.studies.blind.selftest import confusion_table, score_table, self_test
 
-    with progress_bar() as bar:
-        task = bar.add_task("self-test", total=count)
+    with progress("self-test", count) as show:
 
-        def show(label: str, done: int, total: int) -> None:
-            bar.update(task, description=label or "self-test", completed=done, total=total)
+        def tell(label: str, done: int, total: int) -> None:
+            show(description=label or "self-test", completed=done, total=total)
 
-        outcomes = self_test(folder, count, seed=seed, progress=show)
+        outcomes = self_test(folder, count, seed=seed, progress=tell)
     if as_json:
-        typer.echo(json.dumps([asdict(o) for o in outcomes], indent=2))
+        print_json([asdict(o) for o in outcomes])
         return
     output.print(score_table(outcomes))
     output.print(confusion_table(outcomes))

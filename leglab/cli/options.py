@@ -1,8 +1,20 @@
-"""Options that several commands share."""
+"""Options that several commands share, and the names that they take.
 
-from typing import Annotated
+Names for shell completion and help are found without importing what they name: scenarios and
+controllers are called like their files, models like their MJCF; the others are listed. A test
+compares all of them with the registries.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from leglab.base.errors import LeglabError
+
+if TYPE_CHECKING:
+    from leglab.runs.preparation import RunSettings
 
 Scenario = Annotated[str, typer.Argument(help="What happens to the machine.")]
 Controller = Annotated[str, typer.Option(help="What drives it.")]
@@ -27,3 +39,102 @@ Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace the folder of an earlier run.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
+Columns = Annotated[
+    Path | None, typer.Option(help="TOML file: what the columns are called here, and their units.")
+]
+
+RECORDINGS = (".parquet", ".csv", ".mcap", ".mat", ".npz")
+"""Suffixes that `leglab.data.read` knows."""
+
+_PACKAGE = Path(__file__).parent.parent
+_FILES = {"scenarios": "*.py", "controllers": "*.py", "models": "*.xml"}
+# Several classes may stand behind one name, and loading them takes MuJoCo: so they are listed.
+_EFFECTS = (
+    "actuator_gain", "armature", "asymmetric_friction", "backlash", "base_tilt",
+    "command_bandwidth", "command_bias", "command_deadband", "command_delay",
+    "command_hysteresis", "coulomb_friction", "encoder_offset", "encoder_scale", "entrained_air",
+    "external_leakage", "force_offset", "internal_leakage", "load_dependent_friction",
+    "oil_viscosity", "payload", "pressure_dependent_friction", "quadratic_damping", "sensor_delay",
+    "spring_hardening", "spring_offset", "spring_stiffness", "stiction", "supply_droop",
+    "supply_pressure", "valve_bandwidth", "valve_bias", "valve_deadband", "valve_gain",
+    "valve_gain_asymmetry", "valve_hysteresis", "viscous_friction",
+)  # fmt: skip
+_LISTED = {
+    "effects": _EFFECTS,
+    "references": ("random_stride", "sine_sweep", "squat", "step", "walking_stride"),
+    "formats": ("parquet", "csv", "mcap", "matlab", "sysid", "plotjuggler"),
+}
+
+
+def settings_of(context: typer.Context) -> "RunSettings":
+    """Returns the settings of a run, from the options of a command that are called like them."""
+    from dataclasses import fields
+
+    from leglab.runs.preparation import RunSettings
+
+    given = {**context.params, "ramp_duration": context.params["ramp"]}
+    return RunSettings(**{f.name: given[f.name] for f in fields(RunSettings) if f.name in given})
+
+
+def check_jobs(jobs: int) -> None:
+    """Refuses no process at all.
+
+    Raises:
+        LeglabError: The number is 0.
+    """
+    if jobs == 0:
+        raise LeglabError("jobs is 0; allowed: 1 or more, or -1 for one a core")
+
+
+def names_of(kind: str) -> tuple[str, ...]:
+    """Returns the names of all scenarios, controllers, models, effects, references or formats."""
+    if kind in _LISTED:
+        return _LISTED[kind]
+    found = (path.stem for path in (_PACKAGE / kind).glob(_FILES[kind]))
+    return tuple(sorted(name for name in found if not name.startswith("_")))
+
+
+def completion(kind: str) -> Callable[[str], list[str]]:
+    """Returns a completion function for typer: the names that begin with what is typed."""
+
+    def complete(incomplete: str) -> list[str]:
+        return [name for name in names_of(kind) if name.startswith(incomplete)]
+
+    return complete
+
+
+def list_completion(kind: str) -> Callable[[str], list[str]]:
+    """Returns a completion function for names separated by commas; none is offered twice."""
+
+    def complete(incomplete: str) -> list[str]:
+        before, comma, last = incomplete.rpartition(",")
+        taken = before.split(",")
+        return [
+            before + comma + name
+            for name in names_of(kind)
+            if name.startswith(last) and name not in taken
+        ]
+
+    return complete
+
+
+def path_completion(*suffixes: str, kind: str | None = None) -> Callable[[str], list[str]]:
+    """Returns a completion function: names of a kind, files with one of the suffixes, folders."""
+
+    def complete(incomplete: str) -> list[str]:
+        found = completion(kind)(incomplete) if kind else []
+        typed = Path(incomplete)
+        folder = typed if incomplete.endswith("/") else typed.parent
+        start = "" if incomplete.endswith("/") else typed.name
+        prefix = incomplete.removesuffix(start) if start else incomplete
+        if not folder.is_dir():
+            return found
+        for path in sorted(folder.iterdir()):
+            if path.name.startswith(start) and (start or not path.name.startswith(".")):
+                if path.is_dir():
+                    found.append(f"{prefix}{path.name}/")
+                elif path.suffix in suffixes:
+                    found.append(f"{prefix}{path.name}")
+        return found
+
+    return complete

@@ -1,8 +1,8 @@
-"""The commands `leglab report` and `leglab index`."""
+"""The commands `leglab report`, `leglab index` and `leglab video`: pages and films of runs."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,12 +10,13 @@ import typer
 from rich.markup import escape
 
 from leglab.base.errors import LeglabError
-from leglab.cli.options import Camera, Jobs, Json
-from leglab.cli.terminal import errors, output, progress_bar
+from leglab.cli.options import Camera, Jobs, Json, check_jobs
+from leglab.cli.terminal import errors, make_many, output, print_json, progress
 
 if TYPE_CHECKING:
     from leglab.report.run.page import Filmer, Report
     from leglab.runs.folder import ReportedRun
+    from leglab.runs.preparation import RunSettings
 
 
 def report(
@@ -49,8 +50,7 @@ def report(
     ] = None,
     jobs: Jobs = -1,
     overwrite: Annotated[
-        bool,
-        typer.Option("--overwrite", help="Replace a report; with --scenario repeat its runs."),
+        bool, typer.Option("--overwrite", help="Replace a report; with --scenario repeat its runs.")
     ] = False,
     as_json: Json = False,
 ) -> None:
@@ -61,7 +61,7 @@ def report(
     and report.mp4.
     """
     from leglab.report.run.page import check_out, write_report
-    from leglab.runs.folder import read_runs
+    from leglab.runs.folder import make_runs, read_runs
 
     own = {
         "--controllers": controllers,
@@ -82,14 +82,14 @@ def report(
     else:
         if folders:
             raise LeglabError("report takes folders of runs or --scenario, not both")
-        if jobs == 0:
-            raise LeglabError("jobs is 0; allowed: 1 or more, or -1 for one a core")
+        check_jobs(jobs)
         place, span = out or Path("out/report"), None
         check_out(place, overwrite=True)
-        folders = _run(scenario, own, duration, place / "runs", jobs=jobs, overwrite=overwrite)
+        settings = _settings(scenario, own, duration)
+        make = partial(make_runs, settings, place / "runs", jobs=jobs, overwrite=overwrite)
+        folders = make_many("running", len(settings), make)
     runs = read_runs(folders)
-    with progress_bar() as bar:
-        task = bar.add_task("filming" if video else "writing", total=1.0)
+    with progress("filming" if video else "writing", 1.0) as show:
 
         def film(path: Path) -> Path:
             from leglab.report.film import render_film
@@ -100,7 +100,7 @@ def report(
                 start=start,
                 duration=span,
                 camera=camera,
-                progress=lambda share: bar.update(task, completed=share),
+                progress=lambda share: show(completed=share),
             )
 
         filmer: Filmer | None = film if video else None
@@ -108,20 +108,11 @@ def report(
     _tell(runs, written, as_json=as_json)
 
 
-def _run(
-    scenario: str,
-    own: dict[str, Any],
-    duration: float | None,
-    folder: Path,
-    *,
-    jobs: int,
-    overwrite: bool,
-) -> list[Path]:
-    from leglab.runs.folder import make_runs
+def _settings(scenario: str, own: dict[str, Any], duration: float | None) -> list["RunSettings"]:
     from leglab.runs.preparation import RunSettings
 
     names = (own["--controllers"] or "pd,static_feedforward").split(",")
-    settings = [
+    return [
         RunSettings(
             scenario=scenario,
             controller=name.strip(),
@@ -134,24 +125,6 @@ def _run(
         for name in names
         if name.strip()
     ]
-    finished = 0
-    with progress_bar() as bar:
-        task = bar.add_task("running", total=len(settings))
-
-        def show(done: int, total: int, label: str) -> None:
-            nonlocal finished
-            finished = done
-            bar.update(task, completed=done, total=total, description=label or "running")
-
-        try:
-            return make_runs(settings, folder, jobs=jobs, overwrite=overwrite, progress=show)
-        except KeyboardInterrupt:
-            bar.stop()
-            errors.print(
-                f"[red]interrupted[/red] after {finished} of {len(settings)} runs: "
-                "the same command goes on from there"
-            )
-            raise typer.Exit(130) from None
 
 
 def _tell(runs: Sequence["ReportedRun"], written: "Report", *, as_json: bool) -> None:
@@ -180,7 +153,7 @@ def _tell(runs: Sequence["ReportedRun"], written: "Report", *, as_json: bool) ->
                 for run in runs
             ],
         }
-        typer.echo(json.dumps(content, indent=2))
+        print_json(content)
         return
     output.print(headline(runs), markup=False, highlight=False)
     output.print(f"written to {written.page}", markup=False, soft_wrap=True)
@@ -192,13 +165,50 @@ def index(
     as_json: Json = False,
 ) -> None:
     """Writes a page that lists all runs, reports, comparisons and diagnoses below a folder."""
-    from leglab.report.index.page import write_index
+    from leglab.report.folder_index import write_index
 
     entries, page = write_index(folder, out or folder / "index.html")
     broken = sum(entry.state == "broken" for entry in entries)
     if broken:
         errors.print(f"[yellow]warning:[/yellow] {broken} of {len(entries)} cannot be read")
     if as_json:
-        typer.echo(json.dumps([asdict(entry) for entry in entries], indent=2))
+        print_json([asdict(entry) for entry in entries])
         return
     output.print(f"{len(entries)} listed in {page}", markup=False, soft_wrap=True)
+
+
+def video(
+    folders: Annotated[list[Path], typer.Argument(help="Folders of one to four runs.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="MP4 file; default FOLDER/video.mp4, of several runs ./video.mp4."),
+    ] = None,
+    start: Annotated[float | None, typer.Option(help="First second shown.")] = None,
+    duration: Annotated[float | None, typer.Option(help="Seconds shown; default: all.")] = None,
+    camera: Camera = "three_quarter",
+    as_json: Json = False,
+) -> None:
+    """Renders runs side by side to MP4, headless, with EGL or OSMesa."""
+    from leglab.report.film import FRAME_RATE, SIZE, render_film
+
+    path = out or (folders[0] / "video.mp4" if len(folders) == 1 else Path("video.mp4"))
+    with progress("rendering", 1.0) as show:
+        render_film(
+            folders,
+            path,
+            start=start,
+            duration=duration,
+            camera=camera,
+            progress=lambda share: show(completed=share),
+        )
+    if as_json:
+        content = {
+            "film": str(path),
+            "runs": [str(folder) for folder in folders],
+            "size": list(SIZE),
+            "frame_rate": FRAME_RATE,
+            "bytes": path.stat().st_size,
+        }
+        print_json(content)
+    else:
+        output.print(f"written to {path}")

@@ -1,18 +1,23 @@
-"""What the commands share: consoles, progress bar, tables."""
+"""Consoles, exit statuses, progress bars and tables of the commands."""
 
-from typing import TYPE_CHECKING, Any
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import Any, TypeVar
 
+import typer
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-if TYPE_CHECKING:
-    from rich.progress import Progress
+DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 errors = Console(stderr=True, highlight=False, soft_wrap=True)
 output = Console(highlight=False)
 
 _WIDE = 120  # characters
+_Made = TypeVar("_Made")
 
 
 def print_wide(table: Table) -> None:
@@ -20,8 +25,22 @@ def print_wide(table: Table) -> None:
     Console(highlight=False, width=max(output.width, _WIDE)).print(table)
 
 
-def progress_bar() -> "Progress":
-    """A bar on stderr that leaves nothing behind."""
+def print_json(content: Any, *, ascii_only: bool = True) -> None:
+    """Prints content as JSON on standard output."""
+    typer.echo(json.dumps(content, indent=2, ensure_ascii=ascii_only))
+
+
+@contextmanager
+def progress(label: str, total: float | None = None) -> Iterator[Callable[..., None]]:
+    """Shows a bar on stderr that leaves nothing behind.
+
+    Args:
+        label: What is done.
+        total: Amount that is all; None where it is not known.
+
+    Yields:
+        Moves the bar; takes `completed`, `total` and `description` by name.
+    """
     # Help and completion do without it.
     from rich.progress import (
         BarColumn,
@@ -36,14 +55,39 @@ def progress_bar() -> "Progress":
             # The library prints an empty line here where there is no terminal.
             self.live.stop()
 
-    return Bar(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeRemainingColumn(),
-        console=errors,
-        transient=True,
-    )
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
+    with Bar(*columns, TimeRemainingColumn(), console=errors, transient=True) as bar:
+        yield partial(bar.update, bar.add_task(label, total=total))
+
+
+def make_many(label: str, total: int, make: Callable[..., _Made]) -> _Made:
+    """Makes many runs with a bar.
+
+    Args:
+        label: What is done.
+        total: Number of runs.
+        make: Makes them; `progress` is called with the number of runs that are done, that of all,
+            and the name of the last one.
+
+    Raises:
+        typer.Exit: The user interrupts; the number of finished runs is told.
+    """
+    finished = 0
+    try:
+        with progress(label, total) as show:
+
+            def tell(done: int, total: int, name: str) -> None:
+                nonlocal finished
+                finished = done
+                show(completed=done, total=total, description=name or label)
+
+            return make(progress=tell)
+    except KeyboardInterrupt:
+        errors.print(
+            f"[red]interrupted[/red] after {finished} of {total} runs: "
+            "the same command goes on from there"
+        )
+        raise typer.Exit(INTERRUPTED) from None
 
 
 def metrics_table(metrics: dict[str, Any]) -> Table:

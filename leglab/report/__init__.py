@@ -1,1 +1,1 @@
-"""What a run looks like: figures, videos, pages."""
+"""Figures, films and pages of runs and diagnoses."""

@@ -1,29 +1,47 @@
-"""Figures of one run: tracking, pressures and valve commands over time."""
+"""Figures of a run, tracking, pressures and valve commands, and of a comparison of runs.
 
+Panels are placed to the millimetre, so that all axes line up: automatic layouts move each panel by
+the width of its own tick labels.
+"""
+
+import itertools
+import math
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator
 
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.base.scenario import Phase
 from leglab.data import write_atomically
-from leglab.report.panels import add_head, add_panels
-from leglab.report.style import BLACK, BLUE, DARK_GREY, LIGHT_GREY, ORANGE, VERMILION, style
+from leglab.report.page.wording import readable
+from leglab.report.style import BLACK, BLUE, DARK_GREY, LIGHT_GREY, ORANGE, SERIES, VERMILION, style
 from leglab.runs.metrics import phase_table, sliding_rms
 from leglab.runs.run import Run
 
 _BAR = 1e5  # Pa
 _MILLI = 1e3
-
-# Strides shown before and after the change in its close-up.
-_CLOSE_UP = 3.0
+_CLOSE_UP = 3.0  # strides shown before and after the change
+# Panels [inch].
+_LEFT = 0.75  # axis label and tick labels
+_RIGHT = 0.12
+_HEAD = 0.6  # title and legend of the figure
+_TITLE = 0.4  # title of a panel, and the space to the one above
+_GAP = 0.12  # between the axes of one panel
+_FOOT = 0.5  # time axis
+_ONE_COLUMN = 7.2
+_TWO_COLUMNS = 4.9
+# Lines of a comparison.
+_DASHES: tuple[Literal["-", "--", ":"], ...] = ("-", "--", ":")
+_LEGEND_COLUMNS = 4
+_SUBDIVISIONS = (1.0, 2.0, 5.0)
 
 
 def tracking_figure(
@@ -46,7 +64,9 @@ def tracking_figure(
     Raises:
         LeglabError: A column is missing, no joint was recorded, or nothing lies in the span.
     """
-    joints = _joints_of(recording)
+    joints = recording.joints
+    if not joints:
+        raise LeglabError("no tracking to draw: no column ends in '_position'")
     error = recording.stack(joints, "reference") - recording.stack(joints, "position")
     table = phase_table(recording.time, error, joints, phases) if phases else []
     shown = recording if span is None else recording.between(*span)
@@ -57,7 +77,7 @@ def tracking_figure(
             top.plot(shown.time, shown[f"{joint}_reference"], color=LIGHT_GREY, linewidth=2.6)
             top.plot(shown.time, shown[f"{joint}_position"], color=BLUE)
             top.set_ylabel("position [rad]")
-            top.set_title(_readable(joint), fontweight="bold")
+            top.set_title(readable(joint), fontweight="bold")
             if table:
                 top.set_title(_rms_by_phase(table, joint), loc="right", color=DARK_GREY, fontsize=8)
             bottom.plot(shown.time, _MILLI * error[part, i], color=BLUE, linewidth=0.6)
@@ -70,94 +90,85 @@ def tracking_figure(
         lines = [_line("reference", LIGHT_GREY, 2.6), _line("measured, error", BLUE)]
         if window is not None:
             lines.append(_line(f"RMS error over {window:g} s", BLACK, 1.4))
-        _head(figure, title, lines, phases)
+        add_head(figure, title, lines, phases=phases)
     return figure
 
 
 def pressure_figure(
-    recording: Recording,
-    *,
-    phases: Sequence[Phase] = (),
-    span: tuple[float, float] | None = None,
-    title: str = "",
+    recording: Recording, *, phases: Sequence[Phase] = (), title: str = ""
 ) -> Figure:
     """Draws both chamber pressures of every joint, and the supply where it was recorded.
 
     Args:
         recording: With `<joint>_pressure_a` and `<joint>_pressure_b` [Pa].
         phases: As in `tracking_figure`.
-        span: As in `tracking_figure`.
         title: What was run.
 
     Raises:
-        LeglabError: A column is missing, or nothing lies in the span.
+        LeglabError: A column is missing, or no pressure was recorded.
     """
-    joints = [joint for joint in recording.joints if f"{joint}_pressure_a" in recording]
+    joints = _joints_with_pressures(recording)
     if not joints:
         raise LeglabError("no pressures to draw: no column ends in '_pressure_a'")
-    shown = recording if span is None else recording.between(*span)
     supply = "supply_pressure" in recording
     names = [f"{joint}_pressure_{side}" for joint in joints for side in "ab"]
     names += ["supply_pressure"] * supply
-    highest = max(float(np.nanmax(shown[name], initial=_BAR)) for name in names) / _BAR
+    highest = max(float(np.nanmax(recording[name], initial=_BAR)) for name in names) / _BAR
     with style():
         figure, panels = add_panels(len(joints), heights=(1.25,))
         for joint, (axes,) in zip(joints, panels, strict=True):
             if supply:
-                axes.plot(shown.time, shown["supply_pressure"] / _BAR, color=LIGHT_GREY)
-            axes.plot(shown.time, shown[f"{joint}_pressure_a"] / _BAR, color=BLUE)
-            axes.plot(shown.time, shown[f"{joint}_pressure_b"] / _BAR, color=ORANGE)
-            axes.set_title(_readable(joint), fontweight="bold")
+                axes.plot(recording.time, recording["supply_pressure"] / _BAR, color=LIGHT_GREY)
+            axes.plot(recording.time, recording[f"{joint}_pressure_a"] / _BAR, color=BLUE)
+            axes.plot(recording.time, recording[f"{joint}_pressure_b"] / _BAR, color=ORANGE)
+            axes.set_title(readable(joint), fontweight="bold")
             axes.set_ylabel("pressure [bar]")
             axes.set_ylim(0, 1.05 * highest)
             _finish(axes, phases)
         lines = [_line("A, cap side", BLUE), _line("B, rod side", ORANGE)]
         if supply:
             lines.append(_line("supply", LIGHT_GREY))
-        _head(figure, title, lines, phases)
+        add_head(figure, title, lines, phases=phases)
     return figure
 
 
 def command_figure(
-    recording: Recording,
-    *,
-    phases: Sequence[Phase] = (),
-    span: tuple[float, float] | None = None,
-    title: str = "",
+    recording: Recording, *, phases: Sequence[Phase] = (), title: str = ""
 ) -> Figure:
     """Draws the command of every valve; commands at the limit are drawn in another colour.
 
     Args:
         recording: With `<actuator>_command` [1].
         phases: As in `tracking_figure`.
-        span: As in `tracking_figure`.
         title: What was run.
 
     Raises:
-        LeglabError: No command was recorded, or nothing lies in the span.
+        LeglabError: No command was recorded.
     """
     actuators = recording.actuators
     if not actuators:
         raise LeglabError("no commands to draw: no column ends in '_command'")
-    shown = recording if span is None else recording.between(*span)
-    commands = shown.stack(actuators, "command")
+    commands = recording.stack(actuators, "command")
     limit = min(1.08, 1.1 * float(np.nanmax(np.abs(commands), initial=0.01)))
     with style():
         figure, panels = add_panels(len(actuators), heights=(1.25,))
         for i, (actuator, (axes,)) in enumerate(zip(actuators, panels, strict=True)):
             command = np.clip(commands[:, i], -1, 1)
             saturated = np.abs(command) >= 1
-            axes.plot(shown.time, command, color=BLUE, linewidth=0.8)
+            axes.plot(recording.time, command, color=BLUE, linewidth=0.8)
             if saturated.any():
                 at_limit = np.where(saturated, command, np.nan)
-                axes.plot(shown.time, at_limit, color=ORANGE, linewidth=3, solid_capstyle="butt")
+                axes.plot(
+                    recording.time, at_limit, color=ORANGE, linewidth=3, solid_capstyle="butt"
+                )
                 share = f"at the limit {100 * saturated.mean():.1f} % of the time"
                 axes.set_title(share, loc="right", color=DARK_GREY, fontsize=8)
             axes.set_ylim(-limit, limit)
-            axes.set_title(_readable(actuator), fontweight="bold")
+            axes.set_title(readable(actuator), fontweight="bold")
             axes.set_ylabel("valve command")
             _finish(axes, phases)
-        _head(figure, title, [_line("command", BLUE), _line("at its limit", ORANGE, 3)], phases)
+        lines = [_line("command", BLUE), _line("at its limit", ORANGE, 3)]
+        add_head(figure, title, lines, phases=phases)
     return figure
 
 
@@ -198,33 +209,21 @@ def save_run_figures(
     Raises:
         LeglabError: A joint has no reference column, or the folder cannot be written to.
     """
-    figures = {
-        "tracking": tracking_figure(recording, phases=phases, window=window, title=title),
-    }
+    tracking = partial(tracking_figure, recording, phases=phases, window=window, title=title)
+    figures = {"tracking": tracking()}
     change = _change(phases)
     if change is not None:
         margin = _CLOSE_UP * (window or 1.0)
-        span = (change[0] - margin, change[1] + margin)
-        figures["tracking_change"] = tracking_figure(
-            recording, phases=phases, window=window, span=span, title=title
-        )
-    if any(f"{joint}_pressure_a" in recording for joint in recording.joints):
+        figures["tracking_change"] = tracking(span=(change[0] - margin, change[1] + margin))
+    if _joints_with_pressures(recording):
         figures["pressures"] = pressure_figure(recording, phases=phases, title=title)
     if recording.actuators:
         figures["commands"] = command_figure(recording, phases=phases, title=title)
-    paths = []
-    for name, figure in figures.items():
-        path = Path(folder) / f"{name}.png"
-        with style():
-            write_atomically(path, partial(figure.savefig, format="png"))
-        paths.append(path)
-    return tuple(paths)
+    return tuple(_save(f, Path(folder) / f"{name}.png") for name, f in figures.items())
 
 
-def _joints_of(recording: Recording) -> tuple[str, ...]:
-    if not recording.joints:
-        raise LeglabError("no tracking to draw: no column ends in '_position'")
-    return recording.joints
+def _joints_with_pressures(recording: Recording) -> list[str]:
+    return [joint for joint in recording.joints if f"{joint}_pressure_a" in recording]
 
 
 def _finish(axes: Axes, phases: Sequence[Phase]) -> None:
@@ -251,16 +250,143 @@ def _rms_by_phase(table: list[dict], joint: str) -> str:
     return f"RMS [mrad]: {', '.join(parts)}"
 
 
-def _head(figure: Figure, title: str, lines: list[Line2D], phases: Sequence[Phase]) -> None:
-    """Puts the title and one legend for all panels above them."""
-    if _change(phases) is not None:
-        lines = [*lines, _line("change of the machine", VERMILION)]
-    add_head(figure, title, lines)
-
-
 def _line(label: str, color: str, width: float = 1.4) -> Line2D:
     return Line2D([], [], color=color, linewidth=width, label=label)
 
 
-def _readable(name: str) -> str:
-    return name.replace("_", " ")
+def comparison_figure(results: Sequence[dict[str, Any]], *, title: str = "") -> Figure:
+    """Draws the mean over seeds and the range between the best and the worst seed.
+
+    Args:
+        results: Runs of one scenario: `metrics` (its `controller`), `changes` [s], `window` [s],
+            `time` [s] and `windowed_error_rad`; lines come in the order of the controllers.
+        title: What was run.
+
+    Raises:
+        LeglabError: There is no run, or none lasts a window.
+    """
+    controllers = list(dict.fromkeys(result["metrics"]["controller"] for result in results))
+    if not any(value for result in results for value in result["windowed_error_rad"]):
+        raise LeglabError("no windowed error to draw: no run lasts a window")
+    looks = itertools.cycle(itertools.product(_DASHES, SERIES))
+    lines = []
+    with style():
+        figure, (panel,) = add_panels(1, heights=(3.0,))
+        (axes,) = panel
+        for controller, (dashes, color) in zip(controllers, looks, strict=False):
+            time, errors = _stack([r for r in results if r["metrics"]["controller"] == controller])
+            axes.plot(time, errors.mean(axis=0), color=color, linestyle=dashes, linewidth=1.4)
+            if len(errors) > 1:
+                low, high = errors.min(axis=0), errors.max(axis=0)
+                axes.fill_between(time, low, high, color=color, alpha=0.2, linewidth=0)
+            lines.append(Line2D([], [], color=color, linestyle=dashes, label=controller))
+        changes = results[0]["changes"]
+        for change in changes:
+            axes.axvline(change, color=VERMILION, linewidth=1.0, zorder=1)
+        if changes:
+            axes.axvspan(changes[0], changes[-1], color=VERMILION, alpha=0.12, linewidth=0)
+            lines.append(_line("change of the machine", VERMILION, 1.0))
+        axes.set_xlim(0, max(result["time"][-1] for result in results))
+        axes.set_yscale("log")
+        axes.yaxis.set_major_locator(LogLocator(subs=_SUBDIVISIONS))
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.yaxis.set_minor_formatter("")
+        axes.xaxis.set_major_locator(MaxNLocator(nbins=10, steps=[1, 2, 5, 10]))
+        axes.set_ylabel(f"RMS error over {results[0]['window']:g} s [mrad]")
+        add_head(figure, title, lines, columns=_LEGEND_COLUMNS)
+    return figure
+
+
+def save_comparison_figure(results: Sequence[dict[str, Any]], path: Path, *, title: str) -> None:
+    """Writes `comparison_figure` as PNG.
+
+    Raises:
+        LeglabError: As `comparison_figure`, or the file cannot be written.
+    """
+    _save(comparison_figure(results, title=title), path)
+
+
+def _save(figure: Figure, path: Path) -> Path:
+    with style():
+        write_atomically(path, partial(figure.savefig, format="png"))
+    return path
+
+
+def _stack(results: Sequence[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
+    """Times [s], (n,), and errors [mrad], (runs, n), of the time that all of the runs reached."""
+    count = min(len(result["time"]) for result in results)
+    errors = [result["windowed_error_rad"][:count] for result in results]
+    return np.array(results[0]["time"][:count]), _MILLI * np.array(errors, dtype=np.float64)
+
+
+def add_panels(count: int, heights: Sequence[float]) -> tuple[Figure, list[tuple[Axes, ...]]]:
+    """Makes a figure with equal panels: up to two below each other, more in two columns.
+
+    Args:
+        count: Number of panels.
+        heights: Heights of the axes of each panel, from top to bottom [inch].
+
+    Returns:
+        The figure, and the axes of each panel, which share their time axis.
+    """
+    rows = count if count <= 2 else math.ceil(count / 2)
+    columns = math.ceil(count / rows)
+    width = _ONE_COLUMN if columns == 1 else _TWO_COLUMNS
+    panel_height = _TITLE + sum(heights) + _GAP * (len(heights) - 1)
+    size = (columns * (_LEFT + width + _RIGHT), _HEAD + rows * panel_height + _FOOT)
+    figure = Figure(figsize=size)
+    panels = []
+    for index in range(count):
+        row, column = index % rows, index // rows
+        left = column * (_LEFT + width + _RIGHT) + _LEFT
+        top = size[1] - _HEAD - row * panel_height - _TITLE
+        stack: list[Axes] = []
+        for height in heights:
+            place = (left / size[0], (top - height) / size[1], width / size[0], height / size[1])
+            axes = figure.add_axes(place, sharex=stack[0] if stack else None)
+            axes.tick_params(labelbottom=False)
+            # At one distance from all axes, whatever the width of the tick labels.
+            axes.yaxis.set_label_coords(-0.53 / width, 0.5)
+            stack.append(axes)
+            top -= height + _GAP
+        if row == rows - 1 or index == count - 1:
+            stack[-1].tick_params(labelbottom=True)
+            stack[-1].set_xlabel("time [s]")
+        panels.append(tuple(stack))
+    return figure, panels
+
+
+def add_head(
+    figure: Figure,
+    title: str,
+    lines: Sequence[Line2D],
+    *,
+    phases: Sequence[Phase] = (),
+    columns: int | None = None,
+    **legend: float,
+) -> None:
+    """Puts the title and one legend for all panels above them.
+
+    Args:
+        figure: The figure.
+        title: What was run.
+        lines: A sample of each kind of line, with its label; without any there is no legend.
+        phases: Parts of a run; the line of a change is added where there is one.
+        columns: Entries in a row of the legend; None puts all into one.
+        legend: Further distances in the legend, as Matplotlib takes them.
+    """
+    if _change(phases) is not None:
+        lines = [*lines, _line("change of the machine", VERMILION)]
+    width, height = figure.get_size_inches()
+    left = 0.1 / width
+    figure.text(left, 1 - 0.08 / height, title, va="top", fontsize=12, fontweight="bold")
+    if lines:
+        figure.legend(
+            handles=list(lines),
+            loc="upper left",
+            bbox_to_anchor=(left, 1 - 0.36 / height),
+            ncols=min(columns or len(lines), len(lines)),
+            borderpad=0,
+            borderaxespad=0,
+            **legend,
+        )

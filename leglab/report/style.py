@@ -1,31 +1,19 @@
-"""One look for all figures: few inks, safe for colour-blind readers, no decoration."""
+"""One look for all figures and films: few inks, safe for colour-blind readers, no decoration."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-import matplotlib as mpl
-
-from leglab.report.palette import (
-    BLACK,
-    BLUE,
-    DARK_GREY,
-    LIGHT_GREY,
-    ORANGE,
-    SERIES,
-    VERMILION,
-)
-
-__all__ = [
-    "BLACK",
-    "BLUE",
-    "DARK_GREY",
-    "LIGHT_GREY",
-    "ORANGE",
-    "SERIES",
-    "VERMILION",
-    "style",
-]
+# Okabe and Ito 2008, Color Universal Design: told apart under all common colour blindness.
+BLUE = "#0072B2"
+ORANGE = "#E69F00"
+VERMILION = "#D55E00"
+BLACK = "#000000"
+LIGHT_GREY = "#B8B8B8"
+DARK_GREY = "#4D4D4D"
+GRID = "#E6E6E6"
+# Runs and controllers beside each other, in this order; vermilion marks what changes.
+SERIES = (BLACK, BLUE, ORANGE, "#009E73", "#CC79A7", "#56B4E9")
 
 _STYLE: dict[Any, Any] = {
     "font.size": 9.0,
@@ -41,7 +29,7 @@ _STYLE: dict[Any, Any] = {
     "axes.grid.axis": "y",
     "axes.axisbelow": True,
     "axes.xmargin": 0.0,
-    "grid.color": "#E6E6E6",
+    "grid.color": GRID,
     "grid.linewidth": 0.6,
     "xtick.color": DARK_GREY,
     "ytick.color": DARK_GREY,
@@ -59,6 +47,8 @@ _STYLE: dict[Any, Any] = {
 @contextmanager
 def style() -> Iterator[None]:
     """Applies the look to figures made inside, and leaves other figures alone."""
+    import matplotlib as mpl  # films, which need colours alone, do without
+
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(_STYLE)

@@ -1,10 +1,11 @@
-"""Figures of a diagnosis: gaps, screening, rivals. Residuals are in `residuals`."""
+"""Figures of a diagnosis: gaps, screening, rivals, and the errors of replays that are left."""
 
 import math
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -12,22 +13,35 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-from leglab.diagnosis.result import Diagnosis, Rank, Rivals
+from leglab.diagnosis.result import Diagnosis, Rank, ResidualTrace, Rivals
+from leglab.report.diagnosis.words import rms, shown_unit
+from leglab.report.figures import add_head
+from leglab.report.page.shell import printable
 from leglab.report.page.wording import number, readable, shortened
-from leglab.report.style import BLUE, DARK_GREY, LIGHT_GREY, ORANGE, VERMILION, style
+from leglab.report.style import BLACK, BLUE, DARK_GREY, GRID, LIGHT_GREY, ORANGE, VERMILION, style
 
-WIDTH = 6.6  # inch: readable on a page and, scrolled sideways, on a phone
+_WIDTH = 6.6  # inch: readable on a page and, scrolled sideways, on a phone
 _ROW = 0.24  # inch a line of text and marks
 _HEAD, _FOOT = 0.62, 0.5  # inch: title and legend; axis
 _MOST_RECORDINGS = 30
 _MOST_RANKS = 12
 _LONGEST = 28  # characters of a label
+_LEGEND: dict[str, Any] = {"columnspacing": 1.4, "handletextpad": 0.5}
+# Residuals: at most so many channels, recordings of a channel, points of a cloud.
+_MOST_CHANNELS, _MOST_ROWS = 6, 6
+_MOST_POINTS = 3000
+_INNER = 0.99  # share of the points within the axes of a cloud: outliers would set the scale
+_BINS = 20
+_FEWEST = 8  # points of a bin whose median is drawn
+_BAR = 1e-5  # bar/Pa
+# Both rows share their scale unless the errors shrink by more than this factor.
+_ALIKE = 4.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Picture:
+class CaptionedFigure:
     """A figure with the words that belong to it.
 
     Attributes:
@@ -52,12 +66,17 @@ def look() -> Iterator[None]:
 
 def short(name: str, most: int = _LONGEST) -> str:
     """A name that fits beside an axis: without its file type, cut in the middle."""
-    name = "".join(c if c.isprintable() else "\ufffd" for c in " ".join(name.split()))
-    name = re.sub(r"\.(parquet|csv|mcap)$", "", name)
+    name = re.sub(r"\.(parquet|csv|mcap)$", "", printable(" ".join(name.split())))
     return shortened(name, most)
 
 
-def gap_picture(result: Diagnosis) -> Picture | None:
+def pictures(result: Diagnosis) -> tuple[CaptionedFigure, ...]:
+    """All figures that the diagnosis has content for, in the order of the page."""
+    found = (gap_picture(result), ranking_picture(result), rivals_picture(result))
+    return (*(p for p in found if p is not None), *residual_pictures(result))
+
+
+def gap_picture(result: Diagnosis) -> CaptionedFigure | None:
     """Replay error of every recording before, recalibrated and after; None without any."""
     rows = [r for r in result.recordings if math.isfinite(r.before) and math.isfinite(r.after)]
     rows = sorted(rows, key=lambda r: (not r.held_out, -r.before))[:_MOST_RECORDINGS]
@@ -87,7 +106,7 @@ def gap_picture(result: Diagnosis) -> Picture | None:
                     bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6},
                 )
         axes.set_xlabel("replay error [noise levels]")
-        _head(
+        add_head(
             figure,
             "Gap between simulation and recording",
             [
@@ -96,9 +115,10 @@ def gap_picture(result: Diagnosis) -> Picture | None:
                 _mark("with what was found", BLUE),
                 Line2D([], [], color=DARK_GREY, linestyle="--", label="noise alone"),
             ],
+            **_LEGEND,
         )
     held = "; * was kept from all fits" if any(r.held_out for r in rows) else ""
-    return Picture(
+    return CaptionedFigure(
         name="gap",
         figure=figure,
         caption=f"How far each recording is from its replay; noise alone gives {floor:g}{held}.",
@@ -107,8 +127,8 @@ def gap_picture(result: Diagnosis) -> Picture | None:
     )
 
 
-def ranking_picture(result: Diagnosis) -> Picture | None:
-    """What each effect saves, one panel a round, beside what chance saves; None if none does."""
+def ranking_picture(result: Diagnosis) -> CaptionedFigure | None:
+    """Draws the chi-square that each effect and chance save, a panel a round; None if none does."""
     rounds = [
         (number_, [r for r in result.ranking if r.round == number_])
         for number_ in sorted({r.round for r in result.ranking})
@@ -121,12 +141,12 @@ def ranking_picture(result: Diagnosis) -> Picture | None:
     with look():
         heights = [_ROW * len(ranks) + 0.2 for _, ranks in shown]
         total = _HEAD + sum(heights) + (0.3 + _FOOT) * len(shown)
-        figure = Figure(figsize=(WIDTH, total))
+        figure = Figure(figsize=(_WIDTH, total))
         top = total - _HEAD - 0.3
         labels = [_rank_label(rank) for _, ranks in shown for rank in ranks]
         left = 0.07 * max(len(label) for label in labels) + 0.25
         for (round_, ranks), height in zip(shown, heights, strict=True):
-            axes = _axes(figure, (left, top - height, WIDTH - left - 0.35, height))
+            axes = _axes(figure, (left, top - height, _WIDTH - left - 0.35, height))
             _draw_ranks(axes, ranks, named, tied)
             rest = len(dict(rounds)[round_]) - len(ranks)
             axes.set_title(f"round {round_}" + (f", best {len(ranks)}" if rest else ""))
@@ -134,8 +154,9 @@ def ranking_picture(result: Diagnosis) -> Picture | None:
             top -= height + 0.3 + _FOOT
         others = [_mark("not told apart", ORANGE)] * bool(tied) + [_mark("other", LIGHT_GREY)]
         chance = Line2D([], [], color=VERMILION, linestyle="--", label="chance, 1 in 100")
-        _head(figure, "Which effect helps, on first trial", [_mark("named", BLUE), *others, chance])
-    return Picture(
+        lines = [_mark("named", BLUE), *others, chance]
+        add_head(figure, "Which effect helps, on first trial", lines, **_LEGEND)
+    return CaptionedFigure(
         name="ranking",
         figure=figure,
         caption="What adding each effect alone saves; left of the dashed line is what the best of "
@@ -148,7 +169,7 @@ def ranking_picture(result: Diagnosis) -> Picture | None:
     )
 
 
-def rivals_picture(result: Diagnosis) -> Picture | None:
+def rivals_picture(result: Diagnosis) -> CaptionedFigure | None:
     """Share of resampled data in which one effect beats another; None where none had a rival."""
     rounds = [r for r in result.rivals if len(r.names) > 1]
     if not rounds:
@@ -159,17 +180,17 @@ def rivals_picture(result: Diagnosis) -> Picture | None:
     heights = [above + 0.36 * len(r.names) for r in rounds]
     total = 0.4 + sum(heights) + 0.15 * len(rounds)
     with look():
-        figure = Figure(figsize=(WIDTH, total))
+        figure = Figure(figsize=(_WIDTH, total))
         top = total - 0.4
         for rivals, height in zip(rounds, heights, strict=True):
             count = len(rivals.names)
-            width = min(cell * count, WIDTH - left - 0.9)
+            width = min(cell * count, _WIDTH - left - 0.9)
             axes = _axes(figure, (left, top - height, width, height - above))
             _draw_rivals(axes, rivals)
-            figure.text(0.1 / WIDTH, (top - above) / total, f"round {rivals.round}", va="bottom")
+            figure.text(0.1 / _WIDTH, (top - above) / total, f"round {rivals.round}", va="bottom")
             top -= height + 0.15
-        _head(figure, "Rivals fitted to the end", [])
-    return Picture(
+        add_head(figure, "Rivals fitted to the end", [])
+    return CaptionedFigure(
         name="rivals",
         figure=figure,
         caption="Percent of resampled data sets in which the effect of the row explains the "
@@ -221,7 +242,7 @@ def _draw_rivals(axes: Axes, rivals: Rivals) -> None:
                 axes.text(j, i, f"{share[i, j]:.0f}", ha="center", va="center", color=ink)
     axes.set_xticks(np.arange(-0.5, count), minor=True)
     axes.set_yticks(np.arange(-0.5, count), minor=True)
-    axes.set_facecolor("#E6E6E6")  # the diagonal
+    axes.set_facecolor(GRID)  # the diagonal
     names = [short(readable(name)) for name in rivals.names]
     axes.set_xticks(range(count), names, rotation=30, ha="left", rotation_mode="anchor")
     axes.set_yticks(range(count), names)
@@ -239,8 +260,8 @@ def _rows(labels: Sequence[str], left: float) -> tuple[Figure, Axes]:
     left = max(left, 0.075 * max(len(label) for label in labels) + 0.2)
     height = _ROW * 1.35 * len(labels) + 0.2
     total = _HEAD + height + _FOOT
-    figure = Figure(figsize=(WIDTH, total))
-    axes = _axes(figure, (left, _FOOT, WIDTH - left - 0.25, height))
+    figure = Figure(figsize=(_WIDTH, total))
+    axes = _axes(figure, (left, _FOOT, _WIDTH - left - 0.25, height))
     _label(axes, labels)
     return figure, axes
 
@@ -278,18 +299,187 @@ def _mark(label: str, color: str, marker: str = "o") -> Line2D:
     return Line2D([], [], color=color, marker=marker, linestyle="", label=label)
 
 
-def _head(figure: Figure, title: str, lines: Sequence[Line2D]) -> None:
-    width, height = figure.get_size_inches()
-    left = 0.1 / width
-    figure.text(left, 1 - 0.08 / height, title, va="top", fontsize=12, fontweight="bold")
-    if lines:
-        figure.legend(
-            handles=list(lines),
-            loc="upper left",
-            bbox_to_anchor=(left, 1 - 0.36 / height),
-            ncols=len(lines),
-            borderpad=0,
-            borderaxespad=0,
-            columnspacing=1.4,
-            handletextpad=0.5,
-        )
+def residual_pictures(result: Diagnosis) -> tuple[CaptionedFigure, ...]:
+    """Two figures a channel, over state and over time; channels that gained most come first."""
+    grouped: dict[str, list[ResidualTrace]] = {}
+    for trace in result.traces:
+        if np.isfinite(trace.before).any() and np.isfinite(trace.after).any():
+            grouped.setdefault(trace.channel, []).append(trace)
+    chosen = sorted(grouped.values(), key=lambda traces: -_gain(traces))[:_MOST_CHANNELS]
+    lengths = {
+        trace.channel.removesuffix("_position"): trace.unit
+        for trace in result.traces
+        if trace.channel.endswith("_position")
+    }
+    pictures = []
+    for i, traces in enumerate(chosen, start=1):
+        name = f"{i}_{re.sub(r'[^A-Za-z0-9]+', '_', traces[0].channel)[:40].strip('_')}"
+        joint = re.sub(r"_(position|pressure_[ab])$", "", traces[0].channel)
+        pictures += [
+            _over_state(traces, name, lengths.get(joint, "SI")),
+            _over_time(traces, name, {r.name for r in result.recordings if r.held_out}),
+        ]
+    return tuple(pictures)
+
+
+def _gain(traces: Sequence[ResidualTrace]) -> float:
+    before, after = map(rms, _errors(traces))
+    return before / after if after > 0.0 else math.inf
+
+
+def _errors(traces: Sequence[ResidualTrace]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    return [t.before for t in traces], [t.after for t in traces]
+
+
+def _scale(axes: Axes, limit: float, *, ticks: tuple[int, int]) -> None:
+    """Sets the half height, and about how many ticks the axes have in x and y."""
+    axes.set_ylim(-limit, limit)
+    for axis, most in zip((axes.xaxis, axes.yaxis), ticks, strict=True):
+        axis.set_major_locator(MaxNLocator(most, steps=[1, 2, 5, 10]))
+
+
+def _over_state(traces: Sequence[ResidualTrace], name: str, length: str) -> CaptionedFigure:
+    """Errors of all recordings over position, velocity and, where measured, pressure."""
+    factor, unit = shown_unit(traces[0].unit)
+    before, after = (factor * np.concatenate(errors) for errors in _errors(traces))
+    states = [
+        (f"position [{length}]", np.concatenate([t.position for t in traces])),
+        (f"velocity [{length}/s]", np.concatenate([t.velocity for t in traces])),
+    ]
+    measured = [t.pressure for t in traces if t.pressure is not None]
+    if len(measured) == len(traces):
+        states.append(("pressure difference [bar]", _BAR * np.concatenate(measured)))
+    limits = _limits(before, after, _INNER)
+    with look():
+        figure = Figure(figsize=(_WIDTH, 4.5))
+        grid = figure.subplots(2, len(states), sharey="row", sharex="col", squeeze=False)
+        for row, values, color, limit in zip(
+            grid, (before, after), (VERMILION, BLUE), limits, strict=True
+        ):
+            for axes, (_, state) in zip(row, states, strict=True):
+                _cloud(axes, state, values, color)
+                _scale(axes, limit, ticks=(4, 5))
+            row[0].set_ylabel(f"error [{unit}]")
+        for axes, (label, _) in zip(grid[1], states, strict=True):
+            axes.set_xlabel(label)
+        _rms_titles(grid[0][0], grid[1][0], before, after, unit, limits)
+        _finish(figure, f"{short(readable(traces[0].channel))}: error over state")
+    return CaptionedFigure(
+        name=f"residual_state_{name}",
+        figure=figure,
+        caption=f"Replay error of {traces[0].channel} in all recordings against the state, before "
+        "(top) and after (bottom); black lines are medians, the outermost 1 % is cut off, and what "
+        "is left over should show no shape.",
+        alt=_alt(traces[0].channel, before, after, unit),
+    )
+
+
+def _over_time(traces: Sequence[ResidualTrace], name: str, held: set[str]) -> CaptionedFigure:
+    """Errors over time, a row a recording."""
+    factor, unit = shown_unit(traces[0].unit)
+    shown = sorted(traces, key=lambda t: (t.recording not in held, -rms([t.before])))
+    shown = shown[:_MOST_ROWS]
+    before, after = (factor * np.concatenate(errors) for errors in _errors(shown))
+    limits = _limits(before, after, 1.0)
+    with look():
+        figure = Figure(figsize=(_WIDTH, 1.5 + 0.95 * len(shown)))
+        grid = figure.subplots(len(shown), 2, sharey="col", sharex=True, squeeze=False)
+        for row, trace in zip(grid, shown, strict=True):
+            pairs = zip(row, (trace.before, trace.after), (VERMILION, BLUE), limits, strict=True)
+            for axes, values, color, limit in pairs:
+                axes.plot(*_broken(trace.time, factor * values), color=color, linewidth=0.7)
+                _scale(axes, limit, ticks=(6, 3))
+            star = " *" if trace.recording in held else ""
+            # On the right, where no tick labels are.
+            row[1].yaxis.set_label_position("right")
+            row[1].set_ylabel(short(trace.recording, 16) + star, rotation=0, ha="left", va="center")
+            row[0].set_ylabel(f"[{unit}]")
+        for axes in grid[-1]:
+            axes.set_xlabel("time [s]")
+        _rms_titles(grid[0][0], grid[0][1], before, after, unit, limits)
+        _finish(figure, f"{short(readable(traces[0].channel))}: error over time")
+    return CaptionedFigure(
+        name=f"residual_time_{name}",
+        figure=figure,
+        caption=f"Replay error of {traces[0].channel} over time, before (left) and after (right); "
+        "every replay starts anew from the measured state after a fraction of a second, hence the "
+        "teeth" + ("; * was kept from all fits." if held else "."),
+        alt=_alt(traces[0].channel, before, after, unit),
+    )
+
+
+def _limits(before: np.ndarray, after: np.ndarray, share: float) -> tuple[float, float]:
+    """Half heights of the axes for a share of the points; common where both errors are alike."""
+    ends = []
+    for values in (before, after):
+        finite = np.abs(values[np.isfinite(values)])
+        ends.append(1.1 * float(np.quantile(finite, share)) or 1.0)
+    if max(ends) < _ALIKE * min(ends):
+        return max(ends), max(ends)
+    return ends[0], ends[1]
+
+
+def _broken(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """In the order of time, with a NaN where windows are missing: no line over a gap."""
+    order = np.argsort(time, kind="stable")
+    time, values = time[order], values[order]
+    steps = np.diff(time)
+    usual = steps[steps > 0.0]
+    longest = 3.0 * float(np.median(usual)) if usual.size else math.inf
+    gaps = np.flatnonzero(steps > longest) + 1
+    return np.insert(time, gaps, np.nan), np.insert(values, gaps, np.nan)
+
+
+def _cloud(axes: Axes, state: np.ndarray, values: np.ndarray, color: str) -> None:
+    """Points, thinned evenly, and the median of equally filled bins of the state."""
+    finite = np.isfinite(state) & np.isfinite(values)
+    state, values = state[finite], values[finite]
+    step = max(1, math.ceil(state.size / _MOST_POINTS))
+    axes.plot(
+        state[::step],
+        values[::step],
+        ".",
+        color=color,
+        markersize=2,
+        alpha=0.35,
+        markeredgewidth=0,
+        rasterized=True,
+    )
+    axes.axhline(0.0, color=DARK_GREY, linewidth=0.6)
+    parts = np.array_split(np.argsort(state, kind="stable"), _BINS)
+    parts = [part for part in parts if part.size >= _FEWEST]
+    middle = [float(np.median(state[part])) for part in parts]
+    axes.plot(middle, [float(np.median(values[part])) for part in parts], color=BLACK)
+    if state.size:
+        low, high = np.quantile(state, [1.0 - _INNER, _INNER])
+        room = 0.05 * (high - low) or 1.0
+        axes.set_xlim(low - room, high + room)
+
+
+def _rms_titles(
+    first: Axes,
+    second: Axes,
+    before: np.ndarray,
+    after: np.ndarray,
+    unit: str,
+    limits: tuple[float, float],
+) -> None:
+    first.set_title(f"before: {number(rms([before]))} {unit} RMS", color=VERMILION, fontsize=9)
+    text = f"after: {number(rms([after]))} {unit} RMS"
+    finer = limits[0] / limits[1]
+    if finer > 1.0:
+        text += f", scale {number(finer, 2)} times finer"
+    second.set_title(text, color=BLUE, fontsize=9)
+
+
+def _alt(channel: str, before: np.ndarray, after: np.ndarray, unit: str) -> str:
+    return (
+        f"Errors of {channel}: {number(rms([before]))} {unit} RMS before, "
+        f"{number(rms([after]))} {unit} after."
+    )
+
+
+def _finish(figure: Figure, title: str) -> None:
+    add_head(figure, title, ())
+    figure.tight_layout(rect=(0, 0, 1, 1 - 0.3 / figure.get_figheight()))
+    figure.align_ylabels()

@@ -3,24 +3,15 @@
 import base64
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from leglab.base.errors import LeglabError
 from leglab.data import write_atomically
 from leglab.diagnosis.result import Diagnosis
-from leglab.report.diagnosis.figures import (
-    Picture,
-    gap_picture,
-    look,
-    ranking_picture,
-    rivals_picture,
-)
-from leglab.report.diagnosis.residuals import residual_pictures
+from leglab.report.diagnosis.figures import look, pictures
 from leglab.report.diagnosis.words import headline, parameter_words, percent, sections
-from leglab.report.page.shell import render
-from leglab.report.page.table import Table
+from leglab.report.page.shell import Table, render
 from leglab.report.page.wording import capital, number
 
 _DPI = 130
@@ -31,15 +22,6 @@ _KINDS = {
     "unexplained": "unexplained",
     "nothing_missing": "nothing missing",
 }
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Figure:
-    """A picture as the template shows it."""
-
-    alt: str
-    caption: str
-    data: str
 
 
 def write_page(result: Diagnosis, folder: Path, *, model: str) -> Path:
@@ -65,28 +47,20 @@ def write_page(result: Diagnosis, folder: Path, *, model: str) -> Path:
         raise LeglabError(f"{place}: cannot be written: {error.strerror}") from error
     drawn = []
     for picture in pictures(result):
-        image = _png(picture)
+        stream = io.BytesIO()
+        with look():
+            picture.figure.savefig(stream, format="png", dpi=_DPI)
+        image = stream.getvalue()
         write_atomically(place / f"{picture.name}.png", partial(_put, image))
-        drawn.append((picture, image))
+        data = base64.b64encode(image).decode()
+        drawn.append({"alt": picture.alt, "caption": picture.caption, "data": data})
     path = folder / "diagnosis.html"
-    write_atomically(path, partial(_put, page(result, drawn, model=model).encode()))
+    write_atomically(path, partial(_put, _page(result, drawn, model).encode()))
     return path
 
 
-def pictures(result: Diagnosis) -> tuple[Picture, ...]:
-    """All figures that the diagnosis has content for, in the order of the page."""
-    found = (gap_picture(result), ranking_picture(result), rivals_picture(result))
-    return (*(p for p in found if p is not None), *residual_pictures(result))
-
-
-def page(result: Diagnosis, drawn: Sequence[tuple[Picture, bytes]], *, model: str) -> str:
-    """The page as well-formed XHTML that is HTML 5 as well.
-
-    Args:
-        result: The diagnosis.
-        drawn: Figures, each with its PNG.
-        model: Name of the model that was diagnosed.
-    """
+def _page(result: Diagnosis, figures: Sequence[dict[str, str]], model: str) -> str:
+    """Returns the page as well-formed XHTML that is HTML 5 as well; figures hold base64 data."""
     return render(
         "diagnosis.html",
         kind="diagnosis",
@@ -96,10 +70,7 @@ def page(result: Diagnosis, drawn: Sequence[tuple[Picture, bytes]], *, model: st
         sections=sections(result, model),
         tables=(_effects_table(result), _gap_table(result), _nuisance_table(result)),
         improved=result.model,
-        figures=[
-            _Figure(alt=p.alt, caption=p.caption, data=base64.b64encode(image).decode())
-            for p, image in drawn
-        ],
+        figures=figures,
     )
 
 
@@ -142,13 +113,6 @@ def _nuisance_table(result: Diagnosis) -> Table:
     rows = [[n.name, *parameter_words(n)] for n in result.nuisances]
     head = ("parameter", "refitted", "tolerance, 95 %", "in the model")
     return Table(caption="Parameters refitted within their tolerance", head=head, rows=rows)
-
-
-def _png(picture: Picture) -> bytes:
-    stream = io.BytesIO()
-    with look():
-        picture.figure.savefig(stream, format="png", dpi=_DPI)
-    return stream.getvalue()
 
 
 def _put(content: bytes, stream: io.BufferedIOBase) -> None:

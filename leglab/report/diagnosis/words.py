@@ -9,7 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from leglab.diagnosis.result import Diagnosis, Estimate, NamedEffect
-from leglab.report.page.wording import Section, capital, listed, number, readable
+from leglab.report.page.shell import Section
+from leglab.report.page.wording import capital, listed, number, readable
 
 # Below this share of the gap, "closed" would mislead.
 _HARDLY = 0.05

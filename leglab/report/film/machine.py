@@ -1,4 +1,4 @@
-"""A model as a picture: its pose, a ghost at the reference, pressures in colour."""
+"""A model as a picture: its pose, a ghost at the reference, cylinders in the colour of pressure."""
 
 import math
 
@@ -8,9 +8,8 @@ from PIL import Image
 
 from leglab.machine.simulation import Simulation, load_model
 from leglab.report.film import framing
-from leglab.report.film.cylinders import CylinderShapes
-from leglab.report.film.look import GHOST
-from leglab.report.film.shadow import FloorShadow
+from leglab.report.film.look import GHOST, UNKNOWN, pressure_color
+from leglab.report.film.track import Track
 
 # Rendered half again as large and averaged; twice as large takes an eighth longer and looks alike.
 _SUPERSAMPLING = 1.5
@@ -23,9 +22,20 @@ _SPRING = (0.88, 0.33, 0.06, 1.0)
 _MAX_GEOMS = 4000
 _HIDDEN_GROUP = 5
 _FLIP, _AVERAGE = Image.Transpose.FLIP_TOP_BOTTOM, Image.Resampling.HAMMING
+# Cylinders are drawn wider than they are, for their colours to be seen in a small picture.
+_WIDER = 1.5
+_WALL = 0.0035  # m
+# Half of a colour glows and half is lit, so that it looks as in the colour bar, and still round.
+_GLOW, _LIT = 0.9, 0.55
+_CAP, _CHROME = (0.14, 0.15, 0.17), (0.92, 0.93, 0.95)
+_ORIGIN, _UPRIGHT = np.zeros(3), np.eye(3).ravel()
+_BASE, _END = 0.012, 0.012  # length of the ends of a barrel [m]
+# Discs of the soft patch below the foot, and their colour.
+_DISCS = 6
+_SHADOW = (0.10, 0.11, 0.13, 0.07)
 
 
-class Machine:
+class DrawnMachine:
     """A model with what is needed to draw it; runs of one model share it.
 
     What cannot move is drawn once. After that only the part of the picture in which the machine is
@@ -39,8 +49,8 @@ class Machine:
     def __init__(self, model: str, size: tuple[int, int]) -> None:
         self.model = load_model(model)
         self.simulation = Simulation(self.model)
-        self.cylinders = CylinderShapes(self.simulation)
-        self.shadow = FloorShadow(self.model)
+        self.cylinders = _CylinderShapes(self.simulation)
+        self.shadow = _FloorShadow(self.model)
         self._size = size
         width, height = _larger(size)
         view = self.model.vis.global_
@@ -89,7 +99,7 @@ class Machine:
         """The picture.
 
         Args:
-            data: The true pose, as `pose` leaves it.
+            data: The true pose, as `DrawnRun.place` leaves it.
             reference: The pose of the ghost.
             pressures: Of both sides of each cylinder over the end of the colour bar, NaN where
                 unknown, (actuators, 2).
@@ -160,3 +170,203 @@ def _lights_move(model: mujoco.MjModel) -> bool:
     fixed = int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED)
     moving = model.body_weldid[model.light_bodyid] != 0
     return bool(np.any(moving | (model.light_mode != fixed)))
+
+
+class DrawnRun:
+    """One run on its machine.
+
+    Args:
+        machine: Of the model of the run.
+        track: The run.
+        scale: Pressure at the end of the colour bar [Pa].
+    """
+
+    def __init__(self, machine: DrawnMachine, track: Track, scale: float) -> None:
+        self._machine, self._track = machine, track
+        model = machine.model
+        self._data, self._reference = mujoco.MjData(model), mujoco.MjData(model)
+        for data in (self._data, self._reference):
+            mujoco.mj_copyData(data, model, machine.simulation.data)
+        # Joints without a reference, such as a rail, stay where they truly are in the ghost too.
+        self._truth = self._columns("truth", "position")
+        self._wanted = self._columns("reference", "truth", "position")
+        sides = [
+            track.column(f"{joint}_pressure_{side}")
+            for joint in machine.simulation.joints
+            for side in "ab"
+        ]
+        unknown = np.full(len(track.recording), np.nan)
+        self._levels = np.stack([unknown if s is None else s / scale for s in sides], axis=1)
+
+    def place(self, time: float) -> None:
+        """Moves the machine and its ghost to a time [s]."""
+        row = self._track.row(time)
+        for data, columns in ((self._data, self._truth), (self._reference, self._wanted)):
+            for address, values in columns:
+                if np.isfinite(values[row]):
+                    data.qpos[address] = values[row]
+            for compute in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight):
+                compute(self._machine.model, data)
+            mujoco.mj_tendon(self._machine.model, data)
+
+    def extent(self, times: np.ndarray) -> np.ndarray:
+        """Points around machine and ghost at these times [s], (n, 3) [m]."""
+        found = []
+        for time in times:
+            self.place(float(time))
+            found += [self._machine.outline(data) for data in (self._data, self._reference)]
+        return np.concatenate(found)
+
+    def direction(self, camera: str) -> framing.Direction:
+        """Where a camera of the model looks."""
+        return framing.direction(self._machine.model, self._data, camera)
+
+    def draw(self, time: float) -> Image.Image:
+        """The machine at a time [s]."""
+        self.place(time)
+        levels = self._levels[self._track.row(time)].reshape(-1, 2)
+        return self._machine.draw(self._data, self._reference, levels)
+
+    def _columns(self, *suffixes: str) -> list[tuple[int, np.ndarray]]:
+        """Place in qpos and samples of every joint that was recorded."""
+        model, found = self._machine.model, []
+        for i in range(model.njnt):
+            name = model.joint(i).name
+            values = self._track.column(*(f"{name}_{suffix}" for suffix in suffixes))
+            if values is not None:
+                found.append((int(model.jnt_qposadr[i]), values))
+        return found
+
+
+class _CylinderShapes:
+    """Barrels split at the piston: the cap side and the rod side each in its own colour.
+
+    Cylinders that act on a joint directly have no place to be drawn, and are not. `tendons` holds
+    the names of those that are cylinders.
+    """
+
+    def __init__(self, simulation: Simulation) -> None:
+        model = simulation.model
+        is_tendon = model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON
+        self._tendon = np.where(is_tendon, model.actuator_trnid[:, 0], -1).tolist()
+        self._parameters = [simulation.cylinder_parameters(name) for name in simulation.actuators]
+        self.tendons = {model.tendon(i).name for i in self._tendon if i >= 0}
+
+    def pins(self, data: mujoco.MjData) -> np.ndarray:
+        """Ends of all tendons, cylinders and springs [m], (n, 3)."""
+        used = data.ten_wrapnum > 0
+        first = data.ten_wrapadr[used]
+        last = first + data.ten_wrapnum[used] - 1
+        return data.wrap_xpos.reshape(-1, 3)[np.concatenate([first, last])]
+
+    def draw(self, scene: mujoco.MjvScene, data: mujoco.MjData, levels: np.ndarray) -> None:
+        """Adds the cylinders to a scene.
+
+        Args:
+            scene: Where to.
+            data: With tendons computed.
+            levels: Pressures of cap and rod side over the end of the colour bar, NaN where unknown,
+                (actuators, 2).
+        """
+        known = ~np.isnan(levels)[..., None]
+        colours = _LIT * np.where(known, pressure_color(np.nan_to_num(levels)), UNKNOWN)
+        points = data.wrap_xpos.reshape(-1, 3)
+        for tendon, parameters, (cap, rod) in zip(
+            self._tendon, self._parameters, colours, strict=True
+        ):
+            if tendon < 0 or data.ten_wrapnum[tendon] < 2:
+                continue
+            first = int(data.ten_wrapadr[tendon])
+            base, end = points[first], points[first + data.ten_wrapnum[tendon] - 1]
+            length = float(np.linalg.norm(end - base))
+            stroke = parameters["stroke"]
+            barrel = stroke + 0.02
+            position = 0.5 * stroke + data.ten_length[tendon] - parameters["mid_length"]
+            share = float(np.clip(position / stroke, 0.02, 0.98))
+            piston = _BASE + share * (barrel - _BASE - _END)
+            radius = _WIDER * (0.5 * parameters["bore"] + _WALL)
+            axis = (end - base) / max(length, 1e-9)
+            for start, stop, size, colour, glow in (
+                (0.0, _BASE, radius + 0.001, _CAP, 0.0),
+                (_BASE, piston, radius, cap, _GLOW),
+                (piston - 0.0015, piston + 0.0015, radius + 0.0008, _CAP, 0.0),
+                (piston, barrel - _END, radius, rod, _GLOW),
+                (barrel - _END, barrel, radius + 0.001, _CAP, 0.0),
+                (barrel, length, 0.6 * parameters["rod"], _CHROME, 0.1),
+            ):
+                _segment(scene, base + start * axis, base + stop * axis, size, colour, glow)
+
+
+def _segment(
+    scene: mujoco.MjvScene,
+    start: np.ndarray,
+    stop: np.ndarray,
+    radius: float,
+    colour: np.ndarray | tuple[float, float, float],
+    glow: float,
+) -> None:
+    if scene.ngeom >= scene.maxgeom:
+        return
+    geom = scene.geoms[scene.ngeom]
+    shape = mujoco.mjtGeom.mjGEOM_CYLINDER
+    rgba = np.array([*colour, 1.0], np.float32)
+    mujoco.mjv_initGeom(geom, shape, _ORIGIN, _ORIGIN, _UPRIGHT, rgba)
+    mujoco.mjv_connector(geom, shape, radius, start, stop)
+    geom.emission, geom.specular, geom.shininess = glow, 0.3, 0.3
+    scene.ngeom += 1
+
+
+class _FloorShadow:
+    """Flat discs below the largest part of the last body; none where the model has no floor.
+
+    Real shadows are half the time of a frame.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        planes = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
+        moving = framing.moving_geoms(model)
+        self._floor: float | None = None
+        if len(planes) and len(moving):
+            last = moving[model.geom_bodyid[moving] == model.geom_bodyid[moving].max()]
+            self._part = int(last[np.argmax(model.geom_rbound[last])])
+            self._box = model.geom_aabb[self._part]
+            self._floor = float(model.geom_pos[planes[0], 2])
+
+    def draw(self, scene: mujoco.MjvScene, data: mujoco.MjData) -> None:
+        """Adds the discs to a scene; the higher the part, the wider they are."""
+        if self._floor is None:
+            return
+        point, turn, radii = self._place(data)
+        for i in range(min(_DISCS, scene.maxgeom - scene.ngeom)):
+            size = np.array([*(radii * (0.6 + 0.9 * i / _DISCS)), 1e-4])
+            point[2] = self._floor + 0.0005 * (i + 1)
+            geom = scene.geoms[scene.ngeom]
+            shape = mujoco.mjtGeom.mjGEOM_ELLIPSOID
+            mujoco.mjv_initGeom(geom, shape, size, point, turn, np.array(_SHADOW, np.float32))
+            geom.specular = geom.reflectance = 0.0
+            scene.ngeom += 1
+
+    def corners(self, data: mujoco.MjData) -> np.ndarray:
+        """Points around the discs [m], (n, 3)."""
+        if self._floor is None:
+            return np.empty((0, 3))
+        point, turn, radii = self._place(data)
+        ring = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
+        spread = 1.5 * radii[:, None] * np.array([np.cos(ring), np.sin(ring)])
+        point[2] = self._floor
+        return point + (turn.reshape(3, 3)[:, :2] @ spread).T
+
+    def _place(self, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Point below the part, rotation of the discs and their half axes [m]."""
+        turn = data.geom_xmat[self._part].reshape(3, 3)
+        point = data.geom_xpos[self._part] + turn @ self._box[:3]
+        # The longest horizontal axis of the part's box, and how far the part reaches beside it.
+        reach = turn[:2] * self._box[3:]
+        longest = reach[:, int(np.argmax(np.hypot(*reach)))]
+        angle = float(np.arctan2(longest[1], longest[0]))
+        along = np.array([np.cos(angle), np.sin(angle)])
+        across = np.array([-along[1], along[0]])
+        radii = np.array([np.abs(axis @ reach).sum() for axis in (along, across)])
+        radii *= 0.8 + 0.4 * max(point[2] - self._floor, 0.0)
+        rotation = np.array([[*along, 0.0], [*across, 0.0], [0.0, 0.0, 1.0]]).T
+        return point.copy(), rotation.ravel(), radii

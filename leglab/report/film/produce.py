@@ -10,7 +10,7 @@ import numpy as np
 from leglab.base.errors import LeglabError
 from leglab.report.film.encoder import Encoder
 from leglab.report.film.framing import DEFAULT_CAMERA
-from leglab.report.film.layout import MAX_RUNS, SIZE
+from leglab.report.film.look import MAX_RUNS, SIZE
 from leglab.report.film.track import Track, load_track
 from leglab.report.film.workers import NoOpenGLError, draw_frames, worker_count
 

@@ -1,25 +1,22 @@
 """Traces that run along with the motion: tracking error and feed-forward command."""
 
 import functools
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
 from PIL import Image, ImageDraw
 
-from leglab.report.film.axes import (
-    draw_frame,
-    draw_time_labels,
-    nice_ticks,
-    polyline,
-    smooth_lines,
-)
-from leglab.report.film.layout import Rect
-from leglab.report.film.look import ALARM, SOFT, Rgb
+from leglab.report.film.look import ALARM, FAINT, INK, SOFT, Rect, Rgb, font
 from leglab.report.film.track import Track
+from leglab.report.page.wording import readable
 
 _MILLI = 1e3
 _TILE = 512  # px
 _ALARM_LIGHT = tuple(round(255 - 0.35 * (255 - c)) for c in ALARM)
+_SMOOTH = 3  # lines are drawn this many times larger
+_LABEL = 14
+_LINE_WIDTH = 2.2
 
 
 class ErrorTrace:
@@ -48,7 +45,7 @@ class ErrorTrace:
         self._low, self._high = _log_bounds(float(low), float(high))
         windows = sorted({f"{track.window:.3g}" for track in tracks})
         self._note = f"RMS of all joints over {' / '.join(windows)} s, mrad"
-        self._lines = smooth_lines((rect.width + 6, rect.height + 6), self._paint)
+        self._lines = _smooth_lines((rect.width + 6, rect.height + 6), self._paint)
 
     def x(self, time: float | np.ndarray) -> np.ndarray:
         """Place of a time [px], from the left of the axes."""
@@ -71,11 +68,11 @@ class ErrorTrace:
                 if self._low - 1e-9 <= np.log10(value) <= self._high + 1e-9:
                     wide = factor == 1 or self._high - self._low < 1.7
                     ticks.append((rect.top + float(self.y(value)), f"{value:g}" if wide else ""))
-        draw_frame(draw, rect, "tracking error", ticks, self._note)
-        times = nice_ticks(*self._span, 9)
+        _draw_frame(draw, rect, "tracking error", ticks, self._note)
+        times = _nice_ticks(*self._span, 9)
         labels = [(rect.left + float(self.x(t)), f"{t:g} s") for t in times]
-        draw_time_labels(draw, rect, labels)
-        for start, _ in change_times(self._tracks, self._span):
+        _draw_time_labels(draw, rect, labels)
+        for start in _change_starts(self._tracks, self._span):
             x = rect.left + float(self.x(start))
             draw.line((x, rect.top, x, rect.bottom), fill=_ALARM_LIGHT, width=1)
 
@@ -87,7 +84,8 @@ class ErrorTrace:
         image.paste(lines, (rect.left, rect.top), lines)
         draw = ImageDraw.Draw(image)
         _mark_changes(draw, rect, self._tracks, self._span, time, self.x)
-        _cursor(draw, rect, now)
+        x = rect.left + now
+        draw.line((x, rect.top, x, rect.bottom), fill=SOFT, width=1)
         for track, error, color in zip(self._tracks, self.errors, self._colors, strict=True):
             value = error[track.row(time)]
             if np.isfinite(value) and value > 0:
@@ -99,7 +97,7 @@ class ErrorTrace:
             times = track.recording.time
             inside = (times >= self._span[0]) & (times <= self._span[1])
             y = np.where(error > 0, self.y(error), np.nan)
-            polyline(draw, self.x(times)[inside], y[inside], color, scale)
+            _polyline(draw, self.x(times)[inside], y[inside], color, scale)
 
 
 class CommandTrace:
@@ -129,7 +127,7 @@ class CommandTrace:
         self._origin = span[0] - self._window
         self._joint = _shown_joint(tracks)
         self._signals = [track.column(f"{self._joint}_feedforward") for track in tracks]
-        self._title, self._note = "feed-forward command", self._joint.replace("_", " ")
+        self._title, self._note = "feed-forward command", readable(self._joint)
         without = [n for n, s in zip(names, self._signals, strict=True) if s is None]
         if len(without) == len(tracks):
             self._title, without = "valve command", []
@@ -152,9 +150,9 @@ class CommandTrace:
     def draw_static(self, image: Image.Image) -> None:
         """Axes."""
         rect = self._rect
-        values = nice_ticks(-self._limit, self._limit, 5)
+        values = _nice_ticks(-self._limit, self._limit, 5)
         ticks = [(rect.top + float(self._y(v)), f"{v:.3g}") for v in values]
-        draw_frame(ImageDraw.Draw(image), rect, self._title, ticks, self._note)
+        _draw_frame(ImageDraw.Draw(image), rect, self._title, ticks, self._note)
 
     def draw(self, image: Image.Image, time: float) -> None:
         """The last seconds before a time [s]; now is at the right."""
@@ -174,9 +172,9 @@ class CommandTrace:
             return rect.width - (time - np.asarray(t)) * per_second
 
         span = (time - self._window, time)
-        ticks = [(rect.left + float(x(t)), f"{t:g} s") for t in nice_ticks(*span, 5)]
+        ticks = [(rect.left + float(x(t)), f"{t:g} s") for t in _nice_ticks(*span, 5)]
         near = [(p, text) for p, text in ticks if rect.left + 14 < p < rect.right - 10]
-        draw_time_labels(draw, rect, near)
+        _draw_time_labels(draw, rect, near)
         _mark_changes(draw, rect, self._tracks, span, time, x)
         for track, signal, color in zip(self._tracks, self._signals, self._colors, strict=True):
             if signal is not None and time <= track.end + 1e-9:
@@ -193,7 +191,7 @@ class CommandTrace:
         if index not in self._tiles:
             for old in [key for key in self._tiles if abs(key - index) > 3]:
                 del self._tiles[old]
-            self._tiles[index] = smooth_lines((_TILE, self._rect.height), self._painter(index))
+            self._tiles[index] = _smooth_lines((_TILE, self._rect.height), self._painter(index))
         return self._tiles[index]
 
     def _painter(self, index: int) -> Callable[[ImageDraw.ImageDraw, int], None]:
@@ -206,15 +204,15 @@ class CommandTrace:
                 x = (track.recording.time - self._origin) * per_second - index * _TILE
                 near = np.flatnonzero((x > -20) & (x < _TILE + 20))
                 if near.size > 1:
-                    polyline(draw, x[near], self._y(signal[near]), color, scale)
+                    _polyline(draw, x[near], self._y(signal[near]), color, scale)
 
         return paint
 
 
-def change_times(tracks: Sequence[Track], span: tuple[float, float]) -> list[tuple[float, float]]:
-    """Begin and end [s] of what changes within a span, each once."""
-    found = {(c.start, c.end) for track in tracks for c in track.changes}
-    return sorted((a, b) for a, b in found if a > 0 and b >= span[0] and a <= span[1])
+def _change_starts(tracks: Sequence[Track], span: tuple[float, float]) -> list[float]:
+    """Returns when changes begin [s] that are not over before a span and begin within it."""
+    changes = (change for track in tracks for change in track.changes if change.start > 0)
+    return sorted({c.start for c in changes if c.end >= span[0] and c.start <= span[1]})
 
 
 def _mark_changes(
@@ -225,7 +223,7 @@ def _mark_changes(
     now: float,
     x: Callable[[float], np.ndarray],
 ) -> None:
-    for start, _ in change_times(tracks, span):
+    for start in _change_starts(tracks, span):
         if span[0] <= start <= now:
             place = rect.left + round(float(x(start)))
             draw.line((place, rect.top - 6, place, rect.bottom), fill=ALARM, width=2)
@@ -235,11 +233,6 @@ def _mark_changes(
             )
 
 
-def _cursor(draw: ImageDraw.ImageDraw, rect: Rect, at: int) -> None:
-    x = rect.left + at
-    draw.line((x, rect.top, x, rect.bottom), fill=SOFT, width=1)
-
-
 def _dot(image: Image.Image, x: float, y: float, color: Rgb) -> None:
     dot = _smooth_dot(color)
     image.paste(dot, (round(x) - 6, round(y) - 6), dot)
@@ -247,12 +240,12 @@ def _dot(image: Image.Image, x: float, y: float, color: Rgb) -> None:
 
 @functools.cache
 def _smooth_dot(color: Rgb) -> Image.Image:
-    return smooth_lines((13, 13), lambda draw, k: _paint_dot(draw, k, color))
+    def paint(draw: ImageDraw.ImageDraw, scale: int) -> None:
+        for edge, ink in ((1, (255, 255, 255)), (2, color)):
+            low, high = edge * scale, (13 - edge) * scale
+            draw.ellipse((low, low, high, high), fill=(*ink, 255))
 
-
-def _paint_dot(draw: ImageDraw.ImageDraw, scale: int, color: Rgb) -> None:
-    draw.ellipse((1 * scale, 1 * scale, 12 * scale, 12 * scale), fill=(255, 255, 255, 255))
-    draw.ellipse((2 * scale, 2 * scale, 11 * scale, 11 * scale), fill=(*color, 255))
+    return _smooth_lines((13, 13), paint)
 
 
 def _shown_joint(tracks: Sequence[Track]) -> str:
@@ -266,3 +259,80 @@ def _log_bounds(low: float, high: float) -> tuple[float, float]:
     low, high = np.log10(low) - 0.08, np.log10(high) + 0.08
     missing = max(1.0 - (high - low), 0.0)
     return low - 0.5 * missing, high + 0.5 * missing
+
+
+def _nice_ticks(low: float, high: float, most: int) -> np.ndarray:
+    """At most `most` round values between two bounds, 1, 2 or 5 times a power of ten apart."""
+    span = max(high - low, 1e-12)
+    step = 10.0 ** math.floor(math.log10(span / most))
+    for factor in (1, 2, 5, 10, 20):
+        if span / (factor * step) <= most:
+            step *= factor
+            break
+    first = math.ceil(low / step - 1e-9)
+    return step * np.arange(first, math.floor(high / step + 1e-9) + 1)
+
+
+def _draw_frame(
+    draw: ImageDraw.ImageDraw, rect: Rect, title: str, ticks: list[tuple[float, str]], note: str
+) -> None:
+    """Draws title, note in grey, grid lines at heights [px] with labels, and the base line."""
+    draw.text((rect.left, rect.top - 17), title, font=font(15, True), fill=INK, anchor="ls")
+    x = rect.left + font(15, True).getlength(title) + 10
+    draw.text((x, rect.top - 17), note, font=font(_LABEL), fill=SOFT, anchor="ls")
+    for y, label in ticks:
+        draw.line((rect.left, y, rect.right, y), fill=FAINT, width=1)
+        if label:
+            draw.text((rect.left - 8, y), label, font=font(_LABEL), fill=SOFT, anchor="rm")
+    draw.line((rect.left, rect.bottom, rect.right, rect.bottom), fill=SOFT, width=1)
+
+
+def _draw_time_labels(
+    draw: ImageDraw.ImageDraw, rect: Rect, ticks: list[tuple[float, str]]
+) -> None:
+    """Labels of the time axis, at x [px], below the axes."""
+    for x, label in ticks:
+        draw.line((x, rect.bottom, x, rect.bottom + 4), fill=SOFT, width=1)
+        draw.text((x, rect.bottom + 7), label, font=font(_LABEL), fill=SOFT, anchor="mt")
+
+
+def _smooth_lines(
+    size: tuple[int, int], paint: Callable[[ImageDraw.ImageDraw, int], None]
+) -> Image.Image:
+    """Returns a layer of a size [px]; `paint` draws it larger, by its second argument."""
+    width, height = size
+    layer = Image.new("RGBA", (width * _SMOOTH, height * _SMOOTH), (255, 255, 255, 0))
+    paint(ImageDraw.Draw(layer), _SMOOTH)
+    # Premultiplied, so that the white of the empty layer does not show at the edges.
+    return layer.convert("RGBa").reduce(_SMOOTH).convert("RGBA")
+
+
+def _polyline(
+    draw: ImageDraw.ImageDraw, x: np.ndarray, y: np.ndarray, color: Rgb, scale: int
+) -> None:
+    """Draws a line through points [px], broken where y is not finite.
+
+    Points that share a column are thinned to its first, lowest, highest and last one.
+    """
+    finite = np.isfinite(y)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], finite.view(np.int8), [0]])))
+    for start, stop in edges.reshape(-1, 2):
+        keep = _thinned(x[start:stop], y[start:stop])
+        points = np.column_stack([x[start:stop][keep], y[start:stop][keep]]) * scale
+        if len(points) > 1:
+            draw.line(
+                [tuple(p) for p in points.tolist()],
+                fill=(*color, 255),
+                width=round(_LINE_WIDTH * scale),
+                joint="curve",
+            )
+
+
+def _thinned(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    columns = np.floor(x).astype(int)
+    starts = np.flatnonzero(np.diff(columns, prepend=columns[0] - 1))
+    kept = []
+    for a, b in zip(starts, [*starts[1:], len(x)], strict=True):
+        part = y[a:b]
+        kept += sorted({a, a + int(part.argmin()), a + int(part.argmax()), b - 1})
+    return np.array(kept, dtype=int)

@@ -1,4 +1,4 @@
-"""What a film needs of one run: its recording, its changes and what follows from them."""
+"""One run as a film shows it: its recording, its changes and what follows from them."""
 
 import json
 from collections.abc import Mapping
@@ -12,6 +12,7 @@ from leglab import data
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.report.film.look import TIMES
+from leglab.report.page.wording import readable
 from leglab.runs import metrics
 
 # A run counts as stopped early where it lacks more than this [s].
@@ -19,7 +20,7 @@ _TOLERANCE = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
-class Change:
+class ShownChange:
     """A change of the machine as the film tells it.
 
     Attributes:
@@ -54,7 +55,7 @@ class Track:
     recording: Recording
     joints: tuple[str, ...]
     actuators: tuple[str, ...]
-    changes: tuple[Change, ...]
+    changes: tuple[ShownChange, ...]
     elements: Mapping[str, Mapping[str, float]]
     window: float
     failure: str
@@ -150,9 +151,8 @@ def load_track(folder: Path) -> Track:
     joints = tuple(joint for joint in recording.joints if f"{joint}_reference" in recording)
     if not joints:
         raise LeglabError(f"{str(folder)!r}: no joint of the recording has a reference")
-    failure = ""
-    if (folder / "metrics.json").exists():
-        failure = _read_json(folder / "metrics.json").get("failure") or ""
+    metrics_file = folder / "metrics.json"
+    failure = _read_json(metrics_file).get("failure") or "" if metrics_file.exists() else ""
     window = float(run.get("window") or 1.0)
     return Track(
         folder=folder,
@@ -168,7 +168,7 @@ def load_track(folder: Path) -> Track:
 
 
 def details(tracks: list[Track]) -> list[str]:
-    """What tells the runs apart beside their controllers; empty where those suffice."""
+    """Returns the settings in which runs differ, a text a run; empty where controllers suffice."""
     shown: list[list[str]] = [[] for _ in tracks]
     names = [str(track.settings["controller"]) for track in tracks]
     scenarios = {track.settings["scenario"] for track in tracks}
@@ -180,7 +180,7 @@ def details(tracks: list[Track]) -> list[str]:
             prefix = f"{key} " if key in ("severity", "seed") else ""
             for texts, value in zip(shown, values, strict=True):
                 text = f"{value:g}" if isinstance(value, float) else Path(str(value)).stem
-                texts.append(prefix + text.replace("_", " "))
+                texts.append(prefix + readable(text))
     found = [" · ".join(texts) for texts in shown]
     if len(set(zip(names, found, strict=True))) < len(tracks):
         found = [" · ".join([*t, r.folder.name]) for t, r in zip(shown, tracks, strict=True)]
@@ -215,9 +215,9 @@ def _actuators(joints: tuple[str, ...], recording: Recording) -> tuple[str, ...]
     )
 
 
-def _changes(changes: list[dict[str, Any]], recording: Recording) -> tuple[Change, ...]:
+def _changes(changes: list[dict[str, Any]], recording: Recording) -> tuple[ShownChange, ...]:
     units = _units()
-    told: dict[tuple[float, str], Change] = {}
+    told: dict[tuple[float, str], ShownChange] = {}
     for change in changes:
         name, start = change["parameter"], float(change["start"])
         if change["kind"] == "scale":
@@ -225,10 +225,10 @@ def _changes(changes: list[dict[str, Any]], recording: Recording) -> tuple[Chang
         else:
             amount = f"{change['value']:.4g} {units.get(name, '')}".strip()
         where = "" if change["element"] == "*" else f" ({change['element']})"
-        text = f"{name.replace('_', ' ')} {amount}{where}"
+        text = f"{readable(name)} {amount}{where}"
         if start <= recording.time[-1]:
             end = start + float(change.get("ramp_duration", 0.0))
-            told.setdefault((start, text), Change(start=start, end=end, text=text))
+            told.setdefault((start, text), ShownChange(start=start, end=end, text=text))
     return tuple(sorted(told.values(), key=lambda change: change.start))
 
 

@@ -1,4 +1,7 @@
-"""Processes that draw frames at the same time; the frames come out in order."""
+"""Processes that draw frames at the same time; the frames come out in order.
+
+A process writes raw RGB frames to standard output and, where it fails, why to standard error.
+"""
 
 import contextlib
 import fcntl
@@ -10,14 +13,18 @@ import sys
 import tempfile
 import threading
 from collections.abc import Iterator
-from typing import IO, Any
+from pathlib import Path
+from typing import IO, Any, NoReturn
 
 from leglab.base.errors import LeglabError
-from leglab.report.film.worker import ERROR_MARK, NO_OPENGL
 
 _AHEAD = 6  # frames that a process may be ahead of the film
 _PIPE = 1 << 20  # bytes
 _LEAST_FRAMES = 20  # below this, another process takes longer to start than it saves
+_ERROR_MARK = "leglab-error: "  # begins the line on standard error that is meant for the user
+_NO_OPENGL = "no OpenGL library"
+# Not `-m`, which would load this module twice.
+_CODE = "from leglab.report.film.workers import work; work()"
 
 
 class NoOpenGLError(LeglabError):
@@ -63,7 +70,7 @@ class _Worker:
     def __init__(self, job: dict[str, Any], env: dict[str, str], frame_size: int) -> None:
         self._log = tempfile.TemporaryFile()  # noqa: SIM115
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "leglab.report.film.worker", json.dumps(job)],
+            [sys.executable, "-c", _CODE, json.dumps(job)],
             env=env,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
@@ -112,8 +119,50 @@ class _Worker:
         self._log.seek(0)
         lines = self._log.read().decode(errors="replace").strip().splitlines()
         for line in lines:
-            if line.startswith(ERROR_MARK):
-                text = line.removeprefix(ERROR_MARK)
-                return NoOpenGLError(text) if text.startswith(NO_OPENGL) else LeglabError(text)
+            if line.startswith(_ERROR_MARK):
+                text = line.removeprefix(_ERROR_MARK)
+                return NoOpenGLError(text) if text.startswith(_NO_OPENGL) else LeglabError(text)
         last = lines[-1] if lines else f"exit status {self._process.returncode}"
         return LeglabError(f"rendering failed: {last}")
+
+
+def work() -> NoReturn:
+    """Runs a process: draws every `step`-th frame of the job in the first argument, then ends."""
+    status = 0
+    try:
+        _draw(json.loads(sys.argv[1]))
+    except LeglabError as problem:
+        print(f"{_ERROR_MARK}{problem}", file=sys.stderr, flush=True)
+        status = 2
+    except (BrokenPipeError, KeyboardInterrupt):
+        status = 3
+    sys.stderr.flush()
+    os._exit(status)  # some OpenGL libraries fail once more when Python tidies up
+
+
+def _draw(job: dict[str, Any]) -> None:
+    # Whatever a library prints must not end up between the frames.
+    frames = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    _open_gl()
+    from leglab.report.film.picture import Picture
+
+    span = (job["start"], job["last"])
+    picture = Picture([Path(folder) for folder in job["folders"]], span, job["camera"])
+    with contextlib.closing(picture), frames:
+        for i in range(job["first"], job["frames"], job["step"]):
+            frames.write(picture.draw(job["start"] + i / job["rate"]).tobytes())
+            frames.flush()
+
+
+def _open_gl() -> None:
+    """Makes a context at once: a missing library shows here, not in the middle."""
+    try:
+        import mujoco
+
+        context = mujoco.GLContext(16, 16)
+        context.make_current()
+        context.free()
+    except Exception as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise LeglabError(f"{_NO_OPENGL} for {os.environ['MUJOCO_GL']} ({reason})") from error

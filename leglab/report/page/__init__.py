@@ -1,1 +1,1 @@
-"""What all pages share: the shell, the style sheet, tables, plots and scripts."""
+"""The common parts of all pages: shell, style sheet, tables, sections, wording, scripts."""

@@ -1,22 +1,57 @@
-"""Pages from templates: everything inlined, everything escaped, nothing loaded from elsewhere."""
+"""Pages from templates, their tables and sections: all inlined, all escaped, nothing loaded."""
 
 import base64
 import functools
 import hashlib
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib import resources
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from leglab.report.palette import ORANGE, SERIES
+from leglab.report.style import ORANGE, SERIES
 
 _PACKAGE = "leglab.report.page"
 
 # SERIES for a dark background: as bright as they must be to be seen there.
 _SERIES_IN_THE_DARK = ("#F2F2F2", "#4DA6E0", ORANGE, "#1DBF91", "#D98DB7", "#A5D8F5")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """A table whose first columns are words and the others numbers.
+
+    Attributes:
+        caption: What it shows, with the unit.
+        head: Names of the columns.
+        rows: Cells as text, as many a row as there are columns.
+        words: Number of columns that are words.
+        heads: Whether the first cell of each row names the row.
+    """
+
+    caption: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    words: int = 1
+    heads: bool = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """One question and its answer.
+
+    Attributes:
+        title: The question.
+        lines: Answers, a sentence or two each.
+        names: What each line is about, where they are about several things.
+    """
+
+    title: str
+    lines: tuple[str, ...]
+    names: tuple[str, ...] = ()
 
 
 def render(template: str, *, scripts: Sequence[str] = (), **content: Any) -> str:

@@ -1,22 +1,6 @@
 """Names, numbers and lists as one reads them. Plain text: the page escapes it."""
 
 import math
-from dataclasses import dataclass
-
-
-@dataclass(frozen=True, kw_only=True)
-class Section:
-    """One question and its answer.
-
-    Attributes:
-        title: The question.
-        lines: Answers, a sentence or two each.
-        names: What each line is about, where they are about several things.
-    """
-
-    title: str
-    lines: tuple[str, ...]
-    names: tuple[str, ...] = ()
 
 
 def readable(name: str) -> str:

@@ -8,18 +8,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from markupsafe import Markup
 
 from leglab.base.errors import LeglabError
 from leglab.data import write_atomically
+from leglab.report.film.encoder import film_bytes, still_bytes
 from leglab.report.page.shell import asset, plotly, render
 from leglab.report.page.wording import listed
-from leglab.report.palette import SERIES
 from leglab.report.run import tables, words
-from leglab.report.run.film import film_bytes, still_bytes
 from leglab.report.run.plots import plot_data
+from leglab.report.style import SERIES
 from leglab.runs.folder import ReportedRun
 
 PAGE, FILM = "report.html", "report.mp4"
@@ -34,7 +33,7 @@ Filmer = Callable[[Path], Path]
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """What was written.
+    """Files of a report.
 
     Attributes:
         page: The page.
@@ -72,9 +71,7 @@ def check_out(folder: Path, *, overwrite: bool) -> None:
         raise LeglabError(f"{str(folder / PAGE)!r} exists; remove it or give --overwrite")
 
 
-def write_report(
-    runs: Sequence[ReportedRun], folder: Path, *, filmer: Filmer | None, no_film: str = ""
-) -> Report:
+def write_report(runs: Sequence[ReportedRun], folder: Path, *, filmer: Filmer | None) -> Report:
     """Writes `report.html` and `report.mp4`, both or none.
 
     Args:
@@ -82,7 +79,6 @@ def write_report(
         folder: Where to; made where it is missing. An earlier report is replaced.
         filmer: Draws the film; None for a page without one. Where it fails with `LeglabError`, the
             page says why, and an earlier film goes.
-        no_film: Why there is no film, where there is no filmer.
 
     Raises:
         LeglabError: The folder cannot be written to.
@@ -93,13 +89,13 @@ def write_report(
     except OSError as error:
         raise LeglabError(f"{folder}: cannot be written: {error.strerror}") from error
     try:
-        film = None
+        film, why_no_film = None, ""
         if filmer is not None:
             try:
                 film = filmer(workplace / FILM)
             except LeglabError as error:
-                no_film = str(error)
-        text = page(runs, film=film, no_film=no_film)
+                why_no_film = str(error)
+        text = page(runs, film=film, no_film=why_no_film)
         write_atomically(workplace / PAGE, lambda stream: stream.write(text.encode()))
         if film is None:
             (folder / FILM).unlink(missing_ok=True)
@@ -113,7 +109,7 @@ def write_report(
     return Report(
         page=folder / PAGE,
         film=None if film is None else folder / FILM,
-        why_no_film="" if film is not None else no_film,
+        why_no_film=why_no_film,
     )
 
 
@@ -130,7 +126,29 @@ def page(runs: Sequence[ReportedRun], *, film: Path | None = None, no_film: str 
     shared = [joint for joint in joints if all(joint in run.joints for run in runs)] or joints
     first = joints.index(max(shared, key=partial(_worst, runs)))
     data = plot_data(runs, joints, first)
-    fill = partial(_fill, runs, joints, first, data)
+
+    def fill(film: FilmPart) -> str:
+        return render(
+            "report.html",
+            kind="report",
+            scripts=(plotly(), asset("report.js")),
+            title=words.title(runs),
+            headline=words.headline(runs),
+            sections=words.sections(runs),
+            count=len(runs),
+            labels=[run.label for run in runs],
+            colors=len(SERIES),
+            bars=tables.error_bars(runs, len(SERIES)),
+            table=tables.run_table(runs),
+            joint_tables=tables.joint_tables(runs),
+            setting_tables=tables.setting_tables(runs),
+            joints=joints,
+            first_joint=first,
+            plots=data["plots"],
+            plot_data=data,
+            film=film,
+        )
+
     if film is None:
         return fill(FilmPart(text=no_film or "none was asked for."))
     still = base64.b64encode(still_bytes(film)).decode()
@@ -140,41 +158,12 @@ def page(runs: Sequence[ReportedRun], *, film: Path | None = None, no_film: str 
     return fill(replace(empty, data=Markup(content)))
 
 
-def _fill(
-    runs: Sequence[ReportedRun],
-    joints: Sequence[str],
-    first: int,
-    data: dict[str, Any],
-    film: FilmPart,
-) -> str:
-    return render(
-        "report.html",
-        kind="report",
-        scripts=(plotly(), asset("report.js")),
-        title=words.title(runs),
-        headline=words.headline(runs),
-        sections=words.sections(runs),
-        count=len(runs),
-        labels=[run.label for run in runs],
-        colors=len(SERIES),
-        bars=tables.error_bars(runs, len(SERIES)),
-        table=tables.run_table(runs),
-        joint_tables=tables.joint_tables(runs),
-        setting_tables=tables.setting_tables(runs),
-        joints=joints,
-        first_joint=first,
-        plots=data["plots"],
-        plot_data=data,
-        film=film,
-    )
-
-
 def _worst(runs: Sequence[ReportedRun], joint: str) -> float:
     return max(run.last.rms_rad.get(joint, 0.0) for run in runs)
 
 
 def _description(runs: Sequence[ReportedRun]) -> str:
-    """What one would see."""
+    """Describes the film for those who do not see it."""
     run = runs[0]
     labels = tuple(run.label for run in runs)
     places = f"{listed(labels)}, side by side" if len(runs) > 1 else labels[0]

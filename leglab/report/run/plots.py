@@ -11,10 +11,10 @@ import numpy as np
 
 from leglab.report.page.shell import printable
 from leglab.report.page.wording import shortened
-from leglab.report.palette import SERIES
-from leglab.report.run.errors import moving_error, position_name
 from leglab.report.run.words import change_words
+from leglab.report.style import SERIES
 from leglab.runs.folder import ReportedRun
+from leglab.runs.metrics import sliding_rms
 
 _MILLI, _BAR = 1e3, 1e5
 # Points of all runs in one plot: more than any screen has columns, and the page stays small.
@@ -31,8 +31,8 @@ _LOG_RATIO = 8.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Quantity:
-    """What one plot by joint shows.
+class _Quantity:
+    """A plot of one quantity with a choice of joints.
 
     Attributes:
         name: Of the plot.
@@ -89,12 +89,12 @@ def _close_up(runs: Sequence[ReportedRun], start: float, end: float) -> list[flo
     return [max(start, min(starts) - margin), min(end, min(starts) + margin)]
 
 
-def _quantities(runs: Sequence[ReportedRun], joints: Sequence[str]) -> tuple[Quantity, ...]:
-    position = position_name(runs[0])
+def _quantities(runs: Sequence[ReportedRun], joints: Sequence[str]) -> tuple[_Quantity, ...]:
+    position = _position_name(runs[0])
     measured = "" if position == "truth" else ", as measured"
     positions = measured or " as they were"
     quantities = (
-        Quantity(
+        _Quantity(
             name="deviation",
             title="Tracking error",
             axis="error [mrad]",
@@ -103,7 +103,7 @@ def _quantities(runs: Sequence[ReportedRun], joints: Sequence[str]) -> tuple[Qua
             curves=((f"{position} error", ""),),
             factor=_MILLI,
         ),
-        Quantity(
+        _Quantity(
             name="angle",
             title="Angle and reference",
             axis="angle [rad]",
@@ -112,7 +112,7 @@ def _quantities(runs: Sequence[ReportedRun], joints: Sequence[str]) -> tuple[Qua
             curves=((position, ""),),
             shared="reference",
         ),
-        Quantity(
+        _Quantity(
             name="command",
             title="Valve command",
             axis="command [1]",
@@ -121,7 +121,7 @@ def _quantities(runs: Sequence[ReportedRun], joints: Sequence[str]) -> tuple[Qua
             "is dashed.",
             curves=(("command", ""), ("feedforward", "feed-forward")),
         ),
-        Quantity(
+        _Quantity(
             name="pressure",
             title="Chamber pressures",
             axis="pressure [bar]",
@@ -130,7 +130,7 @@ def _quantities(runs: Sequence[ReportedRun], joints: Sequence[str]) -> tuple[Qua
             curves=(("pressure_a", "A"), ("pressure_b", "B")),
             factor=1 / _BAR,
         ),
-        Quantity(
+        _Quantity(
             name="temperature",
             title="Oil temperature",
             axis="temperature [°C]",
@@ -171,7 +171,7 @@ def _changes(runs: Sequence[ReportedRun], end: float) -> list[dict[str, Any]]:
 def _error_plot(runs: Sequence[ReportedRun], count: int) -> dict[str, Any] | None:
     traces, values = [], []
     for i, run in enumerate(runs):
-        time, error = moving_error(run)
+        time, error = _moving_error(run)
         if len(time) > 1:
             values.append(_MILLI * error)
             traces.append(_trace(run.label, i, time, values[-1], count, width=1.8))
@@ -203,7 +203,7 @@ def _ticks(low: float, high: float) -> list[float]:
 
 
 def _joint_plot(
-    quantity: Quantity, runs: Sequence[ReportedRun], joints: Sequence[str], count: int
+    quantity: _Quantity, runs: Sequence[ReportedRun], joints: Sequence[str], count: int
 ) -> dict[str, Any] | None:
     by_joint = [_joint_traces(quantity, runs, joint, count) for joint in joints]
     if not any(by_joint):
@@ -224,7 +224,7 @@ def _joint_plot(
 
 
 def _joint_traces(
-    quantity: Quantity, runs: Sequence[ReportedRun], joint: str, count: int
+    quantity: _Quantity, runs: Sequence[ReportedRun], joint: str, count: int
 ) -> list[dict[str, Any]]:
     traces = []
     if quantity.shared:
@@ -296,3 +296,35 @@ def _packed(values: np.ndarray) -> dict[str, str]:
 def _text(text: str) -> str:
     """Text for the plotting library, which reads some HTML in names: shown as it is."""
     return html.escape(printable(shortened(text, _LONGEST)), quote=False)
+
+
+def _position_name(run: ReportedRun) -> str:
+    """Ending of the columns with positions: the true ones where they were recorded."""
+    whole = all(f"{joint}_truth" in run.recording for joint in run.joints)
+    return "truth" if whole else "position"
+
+
+def _tracking_error(run: ReportedRun) -> tuple[np.ndarray, np.ndarray]:
+    """Position less reference.
+
+    Returns:
+        Times [s], (n,), and errors [rad], (n, joints), of the samples that are whole.
+    """
+    positions = run.recording.stack(run.joints, _position_name(run))
+    error = positions - run.recording.stack(run.joints, "reference")
+    whole = np.isfinite(error).all(axis=1)
+    return run.recording.time[whole], error[whole]
+
+
+def _moving_error(run: ReportedRun) -> tuple[np.ndarray, np.ndarray]:
+    """RMS error of all joints over one stride that ends at each time.
+
+    Returns:
+        Times [s] and errors [rad], both (n,), from the first full window on.
+    """
+    time, error = _tracking_error(run)
+    if not len(time):
+        return time, time
+    windowed = sliding_rms(time, error, run.configuration.window)
+    full = np.isfinite(windowed)
+    return time[full], windowed[full]

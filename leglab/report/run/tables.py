@@ -4,7 +4,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from leglab.report.page.table import Table
+from leglab.report.page.shell import Table
 from leglab.report.page.wording import number, readable
 from leglab.report.run.words import change_words, different
 from leglab.runs.folder import PhaseMetrics, ReportedRun

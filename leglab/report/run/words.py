@@ -3,8 +3,10 @@
 import math
 from collections.abc import Sequence
 
-from leglab.report.page.wording import Section, capital, listed, number
-from leglab.report.run.errors import fallback_shares, saturation
+import numpy as np
+
+from leglab.report.page.shell import Section
+from leglab.report.page.wording import capital, listed, number, readable
 from leglab.runs.folder import ReportedRun
 from leglab.runs.record import ChangeRecord as Change
 
@@ -51,7 +53,7 @@ def relative(value: float, base: float) -> str:
 
 
 def title(runs: Sequence[ReportedRun]) -> str:
-    """What the report is about: scenario, model and controllers."""
+    """Returns the title: scenario, model and controllers."""
     scenarios = tuple(dict.fromkeys(run.metrics.scenario for run in runs))
     models = tuple(dict.fromkeys(run.metrics.model for run in runs))
     labels = tuple(run.label for run in runs)
@@ -107,7 +109,7 @@ def different(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
 def change_words(change: Change) -> str:
     """One change, for instance "internal leakage of all elements = 2" or with a factor."""
     where = "all elements" if change.element == "*" else change.element
-    name = change.parameter.replace("_", " ")
+    name = readable(change.parameter)
     sign = _TIMES if change.kind == "scale" else "="
     return f"{name} of {where} {sign} {change.value:g}"
 
@@ -128,7 +130,7 @@ def _single(run: ReportedRun) -> str:
 def _tested(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
     differing = different(runs)
     if differing:
-        told = listed(tuple(name.replace("_", " ") for name in differing))
+        told = listed(tuple(readable(name) for name in differing))
         return (
             f"{len(runs)} runs that differ in {told}; the settings below tell each of them.",
             "Their errors stand side by side, but no ratio between them says which controller is "
@@ -164,7 +166,7 @@ def _happened(run: ReportedRun) -> str:
     else:
         parts.append(f"RMS error {mrad(_error(run))}, {peak}.")
     parts += _fallback(run)
-    share = saturation(run)
+    share = _saturation(run)
     if share > _RARE:
         parts.append(f"A valve was at its limit {number(100 * share, 2)} % of the time.")
     energy, seconds = last.energy_j.get("all"), _reached(run)
@@ -200,7 +202,7 @@ def _readapted(run: ReportedRun) -> list[str]:
 
 
 def _fallback(run: ReportedRun) -> list[str]:
-    shares = fallback_shares(run)
+    shares = _fallback_shares(run)
     if shares is None:
         return []
     told = []
@@ -263,3 +265,30 @@ def _limits(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
     if any(run.label and run.metrics.controller == "oracle" for run in runs):
         lines.append("oracle knows the changed machine beforehand: it is a bound, no rival.")
     return tuple(lines)
+
+
+def _fallback_shares(run: ReportedRun) -> dict[str, dict[str, float]] | None:
+    """Returns by phase and joint which share of the time the nominal map stood in for the adapted.
+
+    None where the controller has no such state.
+    """
+    if not all(f"{joint}_fallback" in run.recording for joint in run.joints):
+        return None
+    values = run.recording.stack(run.joints, "fallback")
+    time = run.recording.time
+    shares = {}
+    for phase in run.metrics.phases:
+        part = (time >= phase.start) & (time <= phase.end)
+        if part.any():
+            mean = np.nanmean(values[part] > 0.5, axis=0)
+            shares[phase.name] = dict(zip(run.joints, mean.tolist(), strict=True))
+    return shares
+
+
+def _saturation(run: ReportedRun) -> float:
+    """Share of the time that at least one valve command was at its limit."""
+    actuators = run.recording.actuators
+    if not actuators:
+        return 0.0
+    commands = run.recording.stack(actuators, "command")
+    return float(np.mean((np.abs(commands) >= 1.0).any(axis=1)))

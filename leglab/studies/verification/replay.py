@@ -71,9 +71,11 @@ def replay(
     machine = Machine("knee_bench", timestep=timestep)
     seen = channels(machine, {name: recording})
     columns = (*machine.columns, *(c.column for c in seen if c.chamber))
-    end = recording.time[-1] + 1.0
+    start, end = recording.time[0], recording.time[-1] + 1.0
     series = [
-        UniformSeries.from_recording(recording.between(recording.time[0] + shift, end), name, columns)
+        UniformSeries.from_recording(
+            recording.between(recording.time[0] + shift, end), name, columns
+        )
         for shift in _SHIFTS
     ]
     change = Change(machine)

@@ -1,4 +1,4 @@
-"""What lies below a folder: runs, reports, comparisons, diagnoses, whole or broken."""
+"""The index of a folder: a page that lists the runs, reports, comparisons, diagnoses below it."""
 
 import html
 import json
@@ -12,12 +12,28 @@ from typing import Any, Literal
 from urllib.parse import quote
 
 from leglab.base.errors import LeglabError
+from leglab.data import write_atomically
+from leglab.report.page.shell import asset, render
 from leglab.runs.folder import PhaseMetrics, read_metrics
 
 State = Literal["whole", "stopped", "broken"]
 _RUN_FILES = ("metrics.json", "run.json", "recording.parquet")
 # Title and first heading lie there; what follows are scripts and data.
 _HEAD_LENGTH = 200_000
+_HEAD = (
+    "where",
+    "kind",
+    "scenario",
+    "controller",
+    "model",
+    "seed",
+    "RMS before [mrad]",
+    "RMS after [mrad]",
+    "outcome",
+    "written, UTC",
+)
+_NUMBERS = ("seed", "RMS before [mrad]", "RMS after [mrad]")
+_OURS = '<meta name="generator" content="leglab index"'
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,25 +69,67 @@ class Entry:
     after: float | None = None
 
 
-def find_entries(folder: Path, base: Path) -> list[Entry]:
-    """Looks for everything below a folder; links to folders are not followed.
+def write_index(folder: Path, path: Path) -> tuple[list[Entry], Path]:
+    """Writes the index of a folder.
 
     Args:
-        folder: Where to look.
-        base: Folder of the page; links are relative to it.
+        folder: Below which to look.
+        path: The page; an earlier index is replaced, another file is not.
 
     Returns:
-        Entries in the order of their paths.
+        What was found, and the path.
 
     Raises:
-        LeglabError: There is no such folder.
+        LeglabError: There is no such folder, the path holds a file that is no index, or it cannot
+            be written.
+    """
+    if path.is_dir():
+        raise LeglabError(f"{str(path)!r} is a folder; give the name of a page")
+    try:
+        earlier = path.read_text(encoding="utf-8", errors="replace") if path.exists() else None
+    except OSError as error:
+        raise LeglabError(f"{path}: cannot be read: {error.strerror}") from error
+    if earlier is not None and _OURS not in earlier:
+        raise LeglabError(f"{str(path)!r} is no index of leglab: it is left as it is")
+    entries = _find_entries(folder, path.parent)
+    text = _page(entries, folder.resolve().name)
+    write_atomically(path, lambda stream: stream.write(text.encode(errors="replace")))
+    return entries, path
+
+
+def _page(entries: list[Entry], name: str) -> str:
+    """Returns the page of a folder of this name."""
+    counts: dict[str, int] = {}
+    for entry in entries:
+        counts[entry.kind] = counts.get(entry.kind, 0) + 1
+    parts = [f"{count} {kind}{'s' * (count > 1)}" for kind, count in sorted(counts.items())]
+    summary = ", ".join(parts).replace("diagnosiss", "diagnoses") or "Nothing was found"
+    for state, told in (("stopped", "stopped half way"), ("broken", "cannot be read")):
+        count = sum(entry.state == state for entry in entries)
+        summary += f"; {count} {told}" if count else ""
+    return render(
+        "index.html",
+        kind="index",
+        scripts=(asset("index.js"),),
+        title=f"Runs below {name}",
+        summary=f"{summary}.",
+        head=_HEAD,
+        numbers=_NUMBERS,
+        entries=entries,
+    )
+
+
+def _find_entries(folder: Path, base: Path) -> list[Entry]:
+    """Looks for everything below a folder; links to folders are not followed.
+
+    Returns entries in the order of their paths; their links are relative to the folder `base`.
     """
     if not folder.is_dir():
         raise LeglabError(f"{str(folder)!r} is not a folder")
-    found = []
+    found: list[Entry] = []
     for place, folders, files in os.walk(folder):
         folders.sort()
-        found += list(_entries(Path(place), set(files), folder, base))
+        found += _entries(Path(place), set(files), folder, base)
         # Folders that are being written, or were when the power went.
         folders[:] = [f for f in folders if not f.startswith(".") or f.endswith(".partial")]
     return sorted(found, key=lambda entry: (entry.name, entry.kind))
@@ -126,11 +184,7 @@ def _run(place: Path, files: set[str]) -> dict[str, Any]:
     if metrics.completed:
         return {**told, "told": _readapted(metrics.readaptation.time_s, last is not first)}
     reason = metrics.failure or "no reason was stored"
-    return {
-        **told,
-        "state": "stopped",
-        "told": f"stopped at {metrics.duration:.2f} s: {reason}",
-    }
+    return {**told, "state": "stopped", "told": f"stopped at {metrics.duration:.2f} s: {reason}"}
 
 
 def _mrad(phase: PhaseMetrics) -> float | None:

@@ -1,1 +1,0 @@
-"""The page that lists what lies below a folder."""
