@@ -22,6 +22,7 @@ from leglab.studies.verification.geometry import (
 )
 from leglab.studies.verification.oil import bulk_modulus
 from leglab.studies.verification.steady import stall_pressure, steady_speed
+from tests.tables import difference, made, printed
 
 REFERENCE = json.loads((Path(__file__).parent / "data" / "hydraulics_conformance.json").read_text())
 STEADY = ("a no-load speed", "b load", "k worn stall", "null leak")
@@ -133,6 +134,14 @@ def test_rows_hold_the_stored_numbers():
         row = blocked[f"way under {entry['F']:g} N, both ports blocked"]
         assert row.got == pytest.approx(entry["dx_sim"], rel=1e-3)
         assert row.expected == pytest.approx(entry["dx_lin"], rel=1e-9)
+
+
+def test_the_page_shows_the_closest_rows(monkeypatch):
+    (part,) = (part for part in made() if "leglab.studies.verification" in part.command)
+    shared = {name: functools.partial(rows_of, name) for name in CASES}
+    monkeypatch.setattr(report, "CASES", shared)
+    changed = difference(part, printed(part.command))
+    assert not changed, f"{changed}\nif this change is wanted: python -m tests.tables --write"
 
 
 def test_verify_prints_tables_and_reports_a_failure(monkeypatch, tmp_path):

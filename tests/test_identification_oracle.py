@@ -77,7 +77,9 @@ RLS = {
 
 
 @pytest.fixture(
-    scope="module", params=[10_000, pytest.param(100_000, marks=pytest.mark.soak)], ids="{:,}".format
+    scope="module",
+    params=[10_000, pytest.param(100_000, marks=pytest.mark.soak)],
+    ids="{:,}".format,
 )
 def samples(request):
     return request.param
