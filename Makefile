@@ -3,16 +3,23 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/installed
+PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal --durations=15
+# Python compiles at the first import: most files of the packages are never imported.
+INSTALL := $(BIN)/python -m pip install --quiet --no-compile
 SOURCES := pyproject.toml CMakeLists.txt $(shell find leglab/csrc -type f)
 
-.PHONY: demo test lint docs clean
+.PHONY: demo test soak lint docs clean
 
 demo: $(STAMP)
 	$(BIN)/leglab report --scenario seal_wear --controllers pd,static_feedforward,bsnn_arx --out out/demo
 	@echo "open out/demo/report.html"
 
 test: $(STAMP)
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal --durations=15
+	$(PYTEST)
+
+# Long cases of what the tests check with fewer samples.
+soak: $(STAMP)
+	$(PYTEST) -m soak
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
@@ -31,8 +38,8 @@ $(STAMP): $(SOURCES)
 	@$(PYTHON) -c 'import os, sysconfig; assert os.path.exists(sysconfig.get_path("include") + "/Python.h")' || { echo "Python's headers are missing: sudo apt-get install -y python3-dev"; exit 2; }
 	@command -v c++ > /dev/null || { echo "a C++ compiler is missing: sudo apt-get install -y g++"; exit 2; }
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --upgrade 'pip>=25.1'
-	$(BIN)/python -m pip install --quiet --editable . --group dev
+	$(INSTALL) --upgrade 'pip>=25.1'
+	$(INSTALL) --editable . --group dev
 	touch $@
 
 clean:

@@ -1,7 +1,5 @@
 """Small MJCF models without hydraulics: native actuators, and leglab's plugins beside them."""
 
-import mujoco
-
 from leglab.machine import plugin
 from leglab.machine.parameters import plugin_tables
 from tests.plugin_models import instance
@@ -17,46 +15,44 @@ def extension(*instances):
     return "".join(f'<plugin plugin="{name}"/>' for name in names) + used
 
 
+def machine(
+    body,
+    actuator,
+    instances,
+    timestep=1e-3,
+    integrator="implicitfast",
+):
+    return f"""
+      <mujoco>
+        <option timestep="{timestep}" integrator="{integrator}"/>
+        <extension>{extension(*instances)}</extension>
+        <worldbody>{body}</worldbody>
+        <actuator>{actuator}</actuator>
+      </mujoco>"""
+
+
 def pendulum(
     *instances,
     actuator='<motor name="drive" joint="hinge"/>',
-    timestep=1e-3,
-    integrator="implicitfast",
     joint='armature="0.02" damping="0.1"',
+    **options,
 ):
     """A pendulum that hangs at 0: 0.10 kg m^2 about the hinge without its armature."""
-    return f"""
-      <mujoco>
-        <option timestep="{timestep}" integrator="{integrator}"/>
-        <extension>{extension(*instances)}</extension>
-        <worldbody><body name="arm">
+    body = f"""<body name="arm">
           <joint name="hinge" type="hinge" axis="0 1 0" {joint}/>
           <inertial pos="0 0 {-REACH}" mass="{MASS}"
            diaginertia="{INERTIA} {INERTIA} {INERTIA}"/>
-        </body></worldbody>
-        <actuator>{actuator}</actuator>
-      </mujoco>"""
+        </body>"""
+    return machine(body, actuator, instances, **options)
 
 
-def slide(
-    *instances,
-    actuator='<motor name="drive" joint="axis"/>',
-    timestep=1e-3,
-    integrator="implicitfast",
-    mass=2.0,
-    joint="",
-):
+def slide(*instances, actuator='<motor name="drive" joint="axis"/>', mass=2.0, joint="", **options):
     """A carriage on a horizontal slide."""
-    return f"""
-      <mujoco>
-        <option timestep="{timestep}" integrator="{integrator}"/>
-        <extension>{extension(*instances)}</extension>
-        <worldbody><body name="carriage">
+    body = f"""<body name="carriage">
           <joint name="axis" type="slide" axis="1 0 0" {joint}/>
           <inertial pos="0 0 0" mass="{mass}" diaginertia="1 1 1"/>
-        </body></worldbody>
-        <actuator>{actuator}</actuator>
-      </mujoco>"""
+        </body>"""
+    return machine(body, actuator, instances, **options)
 
 
 def friction(joint="axis", **attributes):
@@ -69,8 +65,3 @@ def backlash(joint="hinge", **attributes):
 
 def command_path(**attributes):
     return instance("leglab.command_path", "path", actuator="drive", **attributes)
-
-
-def compiled(xml):
-    model = mujoco.MjModel.from_xml_string(xml)
-    return model, mujoco.MjData(model)

@@ -90,3 +90,13 @@ def full_physics(model, data):
     state = np.empty(mujoco.mj_stateSize(model, kind))
     mujoco.mj_getState(model, data, state, kind)
     return state
+
+
+def check_copy_between_stages(model, data):
+    """Asserts that a copy made after the forward stage integrates to the same state."""
+    mujoco.mj_forward(model, data)
+    copy = mujoco.MjData(model)
+    mujoco.mj_copyData(copy, model, data)
+    for d in (data, copy):
+        mujoco.mj_implicit(model, d)
+    np.testing.assert_array_equal(full_physics(model, data), full_physics(model, copy))

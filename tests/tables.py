@@ -9,15 +9,19 @@ Commands are `leglab ...` or `python ...` and run in the repository's root.
 """
 
 import argparse
+import contextlib
 import difflib
+import io
 import os
 import re
+import runpy
 import shlex
-import subprocess
 import sys
+import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from unittest import mock
 
 ROOT = Path(__file__).parent.parent
 _BLOCK = re.compile(r"^<!-- made by: (.+?) -->\n(.*?)^<!-- end -->$", re.MULTILINE | re.DOTALL)
@@ -62,26 +66,38 @@ def made(paths: Iterable[Path] | None = None) -> list[Made]:
 
 
 def printed(command: str) -> str:
-    """What a command prints.
+    """What a command prints, run in this process: to start Python takes longer than most tables.
 
     Raises:
-        ValueError: It fails, or is neither `leglab` nor `python`.
+        ValueError: It ends with another status than 0, or is neither `leglab` nor `python`.
     """
     program, *arguments = shlex.split(command)
     known = {"leglab": ["-m", "leglab"], "python": []}
     if program not in known:
         raise ValueError(f"{command!r} starts with {program!r}; allowed: {', '.join(known)}")
-    done = subprocess.run(
-        [sys.executable, *known[program], *arguments],
-        cwd=ROOT,
-        env={**os.environ, "COLUMNS": "100", "OMP_NUM_THREADS": "1"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if done.returncode:
-        raise ValueError(f"{command!r} ended with status {done.returncode}: {done.stderr}")
-    return done.stdout
+    words = [*known[program], *arguments]
+    script = words[0] != "-m"
+    name, *options = words if script else words[1:]
+    output, errors, status = io.StringIO(), io.StringIO(), None
+    with (
+        contextlib.chdir(ROOT),
+        mock.patch.dict(os.environ, COLUMNS="100"),
+        mock.patch.object(sys, "argv", [name, *options]),
+        mock.patch.object(sys, "path", [str((ROOT / name).parent) if script else ".", *sys.path]),
+        contextlib.redirect_stdout(output),
+        contextlib.redirect_stderr(errors),
+        warnings.catch_warnings(action="ignore", category=RuntimeWarning),  # imported before
+    ):
+        try:
+            if script:
+                runpy.run_path(name, run_name="__main__")
+            else:
+                runpy.run_module(name, run_name="__main__", alter_sys=True)
+        except SystemExit as exit_:
+            status = exit_.code
+    if status:
+        raise ValueError(f"{command!r} ended with status {status}: {errors.getvalue()}")
+    return output.getvalue()
 
 
 def difference(part: Made, now: str) -> str:

@@ -17,9 +17,10 @@ from leglab.controllers.pd import Pd
 RUN = ["run", "seal_wear", "--model", "knee_bench", "--duration", "4", "--no-figures"]
 
 
-def leglab(*arguments: str, capsys) -> tuple[int, str, str]:
+def leglab(*arguments, capsys) -> tuple[int, str, str]:
+    """Exit status, standard output and standard error of a command."""
     try:
-        main(list(arguments))
+        main([str(argument) for argument in arguments])
         status = 0
     except SystemExit as exit_:
         status = exit_.code or 0

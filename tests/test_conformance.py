@@ -1,5 +1,6 @@
 """Every case of physics.md, in the continuous model and in MuJoCo at 0.5 and 1 ms steps."""
 
+import functools
 import json
 import math
 from itertools import chain
@@ -22,14 +23,20 @@ from leglab.studies.verification.cases import (
     stiffness,
     walther,
 )
+from tests.tables import difference, made, printed
 
 REFERENCE = json.loads((Path(__file__).parent / "data" / "hydraulics_conformance.json").read_text())
 STEADY = ("a no-load speed", "b load", "k worn stall", "null leak")
 
 
+@functools.cache
+def rows_of(name):
+    return tuple(CASES[name]())
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_every_row_passes(name):
-    rows = list(CASES[name]())
+    rows = rows_of(name)
     failed = [(r.quantity, r.solver, r.expected, r.got, r.deviation) for r in rows if not r.passed]
     assert rows
     assert not failed
@@ -112,10 +119,10 @@ def test_rows_hold_the_stored_numbers():
     """What the continuous model gives equals the stored solutions, to four digits."""
     rows = {
         row.quantity: row
-        for row in chain.from_iterable(CASES[name]() for name in STEADY)
+        for row in chain.from_iterable(rows_of(name) for name in STEADY)
         if row.solver == "continuous"
     }
-    blocked = {r.quantity: r for r in CASES["e blocked ports"]() if r.solver == "continuous"}
+    blocked = {r.quantity: r for r in rows_of("e blocked ports") if r.solver == "continuous"}
     for entry in REFERENCE["a_velocity"]:
         row = rows[f"speed at x_s = {entry['xs']:+g}, tank {entry['pt'] / 1e5:g} bar"]
         assert row.got == pytest.approx(entry["v_sim"], rel=4e-4)
@@ -130,6 +137,14 @@ def test_rows_hold_the_stored_numbers():
         row = blocked[f"way under {entry['F']:g} N, both ports blocked"]
         assert row.got == pytest.approx(entry["dx_sim"], rel=1e-3)
         assert row.expected == pytest.approx(entry["dx_lin"], rel=1e-9)
+
+
+def test_the_page_shows_the_closest_rows(monkeypatch):
+    (part,) = (part for part in made() if "leglab.studies.verification" in part.command)
+    shared = {name: functools.partial(rows_of, name) for name in CASES}
+    monkeypatch.setattr(report, "CASES", shared)
+    changed = difference(part, printed(part.command))
+    assert not changed, f"{changed}\nif this change is wanted: python -m tests.tables --write"
 
 
 def test_verify_prints_tables_and_reports_a_failure(monkeypatch, tmp_path):

@@ -7,8 +7,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.native_models import GRAVITY, INERTIA, MASS, REACH, backlash, compiled, pendulum
-from tests.plugin_models import Slots
+from tests.native_models import GRAVITY, INERTIA, MASS, REACH, backlash, pendulum
+from tests.plugin_models import Slots, compiled
 
 JOINT = INERTIA + MASS * REACH**2  # kg m^2
 MOTOR = 0.02  # the armature of the rig

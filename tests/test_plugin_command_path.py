@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from tests.native_models import backlash, command_path, compiled, pendulum, slide
-from tests.plugin_models import Slots
+from tests.native_models import backlash, command_path, pendulum, slide
+from tests.plugin_models import Slots, compiled
 
 H = 1e-3
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from tests.native_models import GRAVITY, INERTIA, MASS, REACH, compiled, friction, pendulum, slide
-from tests.plugin_models import Slots, instance
+from tests.native_models import GRAVITY, INERTIA, MASS, REACH, friction, pendulum, slide
+from tests.plugin_models import Slots, compiled, instance
 
 BRISTLE = {"sigma_0": 2e4, "sigma_1": 200.0}
 

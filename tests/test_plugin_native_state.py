@@ -5,8 +5,8 @@ import mujoco.rollout
 import numpy as np
 import pytest
 
-from tests.native_models import backlash, command_path, compiled, friction, pendulum
-from tests.plugin_models import Slots, full_physics, instance
+from tests.native_models import backlash, command_path, friction, pendulum
+from tests.plugin_models import Slots, check_copy_between_stages, compiled, full_physics, instance
 
 FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 ACTUATORS = [
@@ -68,12 +68,7 @@ def test_copy_and_snapshot_go_on_exactly(rig):
 def test_copy_between_the_stages_of_a_step_goes_on_exactly(rig):
     model, data = rig
     drive(model, data, controls(100))
-    mujoco.mj_forward(model, data)
-    copy = mujoco.MjData(model)
-    mujoco.mj_copyData(copy, model, data)
-    for d in (data, copy):
-        mujoco.mj_implicit(model, d)
-    np.testing.assert_array_equal(full_physics(model, data), full_physics(model, copy))
+    check_copy_between_stages(model, data)
 
 
 def test_forward_is_pure_from_every_stage(rig):

@@ -164,6 +164,7 @@ def test_instances_must_be_a_positive_integer(instances, tmp_path):
 def test_page_has_all_figures(tmp_path, monkeypatch):
     monkeypatch.setattr(run, "REALISATIONS", 2)
     monkeypatch.setattr(run, "CHANGE_SEEDS", 2)
+    monkeypatch.setattr(run, "LONG_RUN", 2 * paper.N_SAMPLES)
     lines = []
     result = replicate(3, tmp_path, progress=lines.append)
     text = result.page.read_text()

@@ -8,19 +8,9 @@ import resource
 import pytest
 
 from leglab import run_scenario
-from leglab.cli import main
 from leglab.runs import folder as run_folders
 from tests.report_folders import Elements, write_folder
-
-
-def leglab(*arguments, capsys):
-    try:
-        main([str(argument) for argument in arguments])
-        status = 0
-    except SystemExit as exit_:
-        status = exit_.code or 0
-    captured = capsys.readouterr()
-    return status, captured.out, captured.err
+from tests.test_cli import leglab
 
 
 def test_a_full_disk_leaves_nothing_half_written(tmp_path, capsys):

@@ -15,11 +15,11 @@ from matplotlib.colors import to_hex
 import leglab.controllers
 from leglab import RunSettings, run_scenario
 from leglab.base.errors import LeglabError
-from leglab.cli import main
 from leglab.report.figures import comparison_figure
 from leglab.report.style import VERMILION
 from leglab.runs import sweep
 from leglab.runs.sweep import Comparison, compare, estimate, run_all
+from tests.test_cli import leglab as command_line
 
 
 def bench(**changes) -> Comparison:
@@ -30,16 +30,6 @@ def bench(**changes) -> Comparison:
         "duration": 5.0,
     }
     return Comparison(**{**base, **changes})
-
-
-def command_line(*arguments: str, capsys) -> tuple[int, str, str]:
-    try:
-        main(list(arguments))
-        status = 0
-    except SystemExit as exit_:
-        status = exit_.code or 0
-    captured = capsys.readouterr()
-    return status, captured.out, captured.err
 
 
 def test_the_matrix_has_every_combination_once():

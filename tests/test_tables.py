@@ -4,8 +4,11 @@ import pytest
 
 from tests.tables import Made, difference, made, pages, printed, write
 
+# The table of physics.md has its test beside the checks that it shows, in test_conformance.py.
+MADE = [part for part in made() if "leglab.studies.verification" not in part.command]
 
-@pytest.mark.parametrize("part", made(), ids=str)
+
+@pytest.mark.parametrize("part", MADE, ids=str)
 def test_it_is_what_its_command_prints(part):
     changed = difference(part, printed(part.command))
     assert not changed, f"{changed}\nif this change is wanted: python -m tests.tables --write"
@@ -23,7 +26,8 @@ def test_every_marker_is_closed():
 def test_a_table_can_be_made_anew(tmp_path, monkeypatch):
     monkeypatch.setattr("tests.tables.ROOT", tmp_path)
     page = tmp_path / "page.md"
-    command = "python -c 'print(6 * 7)'"
+    command = "python answer.py"
+    (tmp_path / "answer.py").write_text("print(6 * 7)")
     page.write_text(f"before\n<!-- made by: {command} -->\nold\n<!-- end -->\nafter\n")
     (part,) = made([page])
     assert part == Made(page="page.md", command=command, text="old\n")

@@ -5,13 +5,16 @@ from scipy.optimize import brentq
 from scipy.signal import savgol_coeffs
 
 
-def table_command(table, joint, position, share):
-    """Bilinear table, continued in straight lines beyond the first and the last column."""
+def table_row(table, joint, position):
+    """Commands at this position over `table.share`, linear between the table's positions."""
     rows = table.command[joint]
     place = np.clip((position - table.start[joint]) / table.spacing[joint], 0, len(rows) - 1)
     low = min(int(place), len(rows) - 2)
-    row = rows[low] + (place - low) * (rows[low + 1] - rows[low])
-    x = table.share
+    return rows[low] + (place - low) * (rows[low + 1] - rows[low])
+
+
+def on_row(x, row, share):
+    """The row at this share, continued in straight lines beyond its first and last column."""
     if share < x[0]:
         return row[0] + (share - x[0]) * (row[1] - row[0]) / (x[1] - x[0])
     if share > x[-1]:
@@ -19,13 +22,17 @@ def table_command(table, joint, position, share):
     return np.interp(share, x, row)
 
 
+def table_command(table, joint, position, share):
+    """Bilinear table, continued in straight lines beyond the first and the last column."""
+    return on_row(table.share, table_row(table, joint, position), share)
+
+
 def table_share(table, joint, position, command):
     """The speed at which the table gives this command: its root."""
     if np.isnan(position):
         return np.nan
-    return brentq(
-        lambda s: table_command(table, joint, position, s) - command, -1e3, 1e3, xtol=1e-15
-    )
+    x, row = table.share, table_row(table, joint, position)
+    return brentq(lambda s: on_row(x, row, s) - command, -1e3, 1e3, xtol=1e-15)
 
 
 class Feedforward:
