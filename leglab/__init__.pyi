@@ -18,9 +18,13 @@ from .controllers import make_controller as make_controller
 from .data import read as read
 from .data import read_column_map as read_column_map
 from .data import write as write
+from .diagnosis.effects import Effect as Effect
+from .diagnosis.effects import EffectParameter as EffectParameter
+from .diagnosis.effects import register_effect as register_effect
 from .diagnosis.output import write_improved as write_improved
 from .diagnosis.result import Diagnosis as Diagnosis
 from .diagnosis.verdict import diagnose as diagnose
+from .machine.plugin import load_plugin as load_plugin
 from .machine.simulation import Simulation as Simulation
 from .machine.simulation import load_model as load_model
 from .references import make_reference as make_reference

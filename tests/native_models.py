@@ -4,7 +4,7 @@ from leglab.machine import plugin
 from leglab.machine.parameters import plugin_tables
 from tests.plugin_models import instance
 
-plugin.load()
+plugin.load_plugin()
 
 MASS, REACH, INERTIA, GRAVITY = 1.0, 0.3, 0.01, 9.81
 

@@ -6,7 +6,7 @@ import numpy as np
 from leglab.machine import plugin
 from leglab.machine.parameters import plugin_tables
 
-plugin.load()
+plugin.load_plugin()
 
 CYLINDER = {"bore": 0.016, "rod": 0.010, "stroke": 0.080, "mid_length": 0.040}
 

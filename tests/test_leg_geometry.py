@@ -29,7 +29,7 @@ def load(name: str) -> mujoco.MjModel:
     try:
         from leglab.machine import plugin
 
-        plugin.load()
+        plugin.load_plugin()
     except (ImportError, OSError):
         return load_with_motors(name)
     return mujoco.MjModel.from_xml_path(str(FOLDER / f"{name}.xml"))

@@ -74,7 +74,7 @@ class Machine:
     """
 
     def __init__(self, path: str | Path, *, timestep: float | None = None) -> None:
-        leglab.machine.plugin.load()
+        leglab.machine.plugin.load_plugin()
         file = Path(leglab.models.__path__[0]) / f"{path}.xml"
         self.path = file if file.exists() else Path(path)
         if not self.path.is_file():

@@ -41,14 +41,14 @@ def library_path() -> Path:
 
 
 @functools.cache
-def load() -> None:
+def load_plugin() -> None:
     """Registers leglab's plugins with MuJoCo; further calls do nothing."""
     mujoco.mj_loadPluginLibrary(str(library_path()))
 
 
 def slots(names: Iterable[str]) -> dict[int, str]:
     """Finds the registration slots of plugins: number, as in `MjModel.plugin`, to name."""
-    load()
+    load_plugin()
     # MuJoCo's Python bindings do not expose mjp_getPlugin.
     look_up = library().mjp_getPlugin
     look_up.restype = ctypes.c_void_p

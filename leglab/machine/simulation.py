@@ -54,7 +54,7 @@ def load_model(
     Raises:
         LeglabError: If there is no such model or MuJoCo refuses it; one line.
     """
-    leglab.machine.plugin.load()
+    leglab.machine.plugin.load_plugin()
     path = _model_folder() / f"{model}.xml"
     if not path.exists():
         path = Path(model)

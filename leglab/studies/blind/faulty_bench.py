@@ -29,7 +29,7 @@ Torque = Callable[[float, float], float]
 
 def bench(pump: Mapping[str, float] | None = None) -> mujoco.MjModel:
     """The nominal bench with the fine step; `pump` are parameters of a pump unit that feeds it."""
-    plugin.load()
+    plugin.load_plugin()
     spec = mujoco.MjSpec.from_file(f"{leglab.models.__path__[0]}/knee_bench.xml")
     spec.option.timestep = TIMESTEP
     spec.compiler.discardvisual = True

@@ -184,7 +184,7 @@ def slide_model(
         timestep: Seconds.
         unit: Attributes of the `leglab.supply` "unit" that feeds it; constant pressure if None.
     """
-    plugin.load()
+    plugin.load_plugin()
 
     def config(values: Mapping[str, object]) -> str:
         return "".join(f'<config key="{k}" value="{v}"/>' for k, v in values.items())

@@ -73,9 +73,7 @@ def replay(
     columns = (*machine.columns, *(c.column for c in seen if c.chamber))
     start, end = recording.time[0], recording.time[-1] + 1.0
     series = [
-        UniformSeries.from_recording(
-            recording.between(recording.time[0] + shift, end), name, columns
-        )
+        UniformSeries.from_recording(recording.between(start + shift, end), name, columns)
         for shift in _SHIFTS
     ]
     change = Change(machine)
