@@ -45,12 +45,7 @@ def core(**parameters: float) -> np.ndarray:
     for _ in range(REPEATS):
         start = time.perf_counter()
         out = cylinder.simulate(
-            commands,
-            TIMESTEP,
-            mass=20.0,
-            position=0.04,
-            pressure_a=6e6,
-            pressure_b=9.8e6,
+            commands, TIMESTEP, mass=20.0, position=0.04, pressure_a=6e6, pressure_b=9.8e6
         )
         best = min(best, time.perf_counter() - start)
     return np.array([best / STEPS * 1e9, *out[-1, :4]])

@@ -10,10 +10,7 @@ from leglab.base.scenario import Options, ParameterChange, Severity, register_sc
 )
 def spring_fatigue(options: Options) -> tuple[ParameterChange, ...]:
     """Multiplies both stiffnesses of every parallel spring."""
-    return (
-        options.scale("k1", options.severity),
-        options.scale("k2", options.severity),
-    )
+    return (options.scale("k1", options.severity), options.scale("k2", options.severity))
 
 
 if __name__ == "__main__":

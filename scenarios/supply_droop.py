@@ -18,10 +18,7 @@ from leglab.base.scenario import Options, ParameterChange, Severity, register_sc
 )
 def supply_droop(options: Options) -> tuple[ParameterChange, ...]:
     """Takes flow from the pump and gas volume from the accumulator."""
-    return (
-        options.scale("pump_flow", options.severity),
-        options.scale("accumulator_volume", 0.25),
-    )
+    return (options.scale("pump_flow", options.severity), options.scale("accumulator_volume", 0.25))
 
 
 if __name__ == "__main__":

@@ -10,18 +10,12 @@ from leglab.base.scenario import Options, ParameterChange, Severity, register_sc
     "valve_wear",
     summary="dead band and hysteresis of all valves grow at half time",
     severity=Severity(
-        meaning="lap and hysteresis, of full spool travel",
-        default=0.06,
-        lowest=0.0,
-        highest=0.3,
+        meaning="lap and hysteresis, of full spool travel", default=0.06, lowest=0.0, highest=0.3
     ),
 )
 def valve_wear(options: Options) -> tuple[ParameterChange, ...]:
     """Sets overlap and hysteresis of every valve to the severity."""
-    return (
-        options.set("lap", options.severity),
-        options.set("hysteresis", options.severity),
-    )
+    return (options.set("lap", options.severity), options.set("hysteresis", options.severity))
 
 
 if __name__ == "__main__":

@@ -93,7 +93,7 @@ class Severity:
     """How bad a scenario's change is.
 
     Attributes:
-        meaning: What the number says, with its unit, for instance "internal leakage ratio [1]".
+        meaning: What the number says, with its unit, for instance "internal leakage ratio".
         default: The severity if none is asked for.
         lowest: Smallest severity allowed.
         highest: Largest severity allowed.

@@ -234,7 +234,7 @@ def linear_controller(
     return LinearController(a=a, b=b, c=c[None], d=d[None])
 
 
-class Loop:
+class JointLoop:
     """Frequency responses of one joint's plants, to judge gains by.
 
     Args:
@@ -244,10 +244,7 @@ class Loop:
     """
 
     def __init__(
-        self,
-        points: Sequence[OperatingPoint],
-        data: NominalCylinders,
-        sensors: SensorConfiguration,
+        self, points: Sequence[OperatingPoint], data: NominalCylinders, sensors: SensorConfiguration
     ) -> None:
         self._points, self._model, self._sensors = points, CylinderModel(data), sensors
         self._speed = float(no_load_speed(data)[0])
@@ -303,7 +300,7 @@ class Loop:
 
 def joint_loop(
     simulation: Simulation, joint: int, sensors: SensorConfiguration, *, valve_share: float = 1.0
-) -> Loop:
+) -> JointLoop:
     """Prepares the judgement of one joint's gains on the nominal machine in its rest pose.
 
     Args:
@@ -320,7 +317,7 @@ def joint_loop(
         simulation, joint, data, period=sensors.control_period, latency=sensors.latency
     )
     simulation.set_parameter(actuator, "bandwidth_hz", bandwidth)
-    return Loop(points, data, sensors)
+    return JointLoop(points, data, sensors)
 
 
 def tuned_gains(
@@ -332,7 +329,7 @@ def tuned_gains(
     return derated(gains, slower)
 
 
-def derated(gains: BacksteppingGains, loop: Loop) -> BacksteppingGains:
+def derated(gains: BacksteppingGains, loop: JointLoop) -> BacksteppingGains:
     """Scales position gain and drifts down until `SLOW_SENSITIVITY` is kept; a tenth at least."""
     for factor in np.geomspace(1.0, 0.1, 19):
         slower = replace(
@@ -357,11 +354,11 @@ def gains_of(values: Sequence[float] | np.ndarray) -> BacksteppingGains:
     )
 
 
-def tune_joint(loop: Loop) -> tuple[BacksteppingGains, float, float]:
+def tune_joint(loop: JointLoop) -> tuple[BacksteppingGains, float, float]:
     """Gains with the smallest response to unknown flow and force that keep `SENSITIVITY`.
 
     Returns:
-        The gains, the response and the largest sensitivity, as `Loop.judge` gives them.
+        The gains, the response and the largest sensitivity, as `JointLoop.judge` gives them.
     """
 
     def cost(values: np.ndarray) -> float:

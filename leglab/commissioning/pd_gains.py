@@ -198,11 +198,7 @@ def tune(
     kp, kv = _round_down(best[0]), round(float(-best[1]), 4)
     gain, phase, crossover = margins(kp, kv)
     return Gains(
-        position=kp,
-        velocity=kv,
-        gain_margin_db=gain,
-        phase_margin_deg=phase,
-        crossover=crossover,
+        position=kp, velocity=kv, gain_margin_db=gain, phase_margin_deg=phase, crossover=crossover
     )
 
 

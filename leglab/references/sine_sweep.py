@@ -4,14 +4,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from leglab.base.settings import Configuration
-from leglab.references.base import (
-    Joint,
-    Motion,
-    Samples,
-    register_reference,
-    rest_pose,
-    selected,
-)
+from leglab.references.base import Joint, Motion, Samples, register_reference, rest_pose, selected
 from leglab.references.blending import product, smooth_step
 
 

@@ -9,13 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from leglab import data
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
-from leglab.base.scenario import get_scenario
-from leglab.control import controller_names
 from leglab.runs import record
 from leglab.runs.parallel import Progress, make_missing
-from leglab.runs.preparation import RunSettings
+from leglab.runs.preparation import RunSettings, check_controllers, scenario_of
 from leglab.runs.record import (
     CONFIGURATION,
     METRICS,
@@ -154,17 +152,7 @@ def read_runs(folders: Sequence[Path]) -> tuple[ReportedRun, ...]:
             raise LeglabError(f"the folder {str(folder)!r} is given twice")
         seen.add(folder.resolve())
         runs.append(read_run(folder))
-    labels = _labels(runs)
-    return tuple(
-        ReportedRun(
-            folder=run.folder,
-            label=label,
-            metrics=run.metrics,
-            configuration=run.configuration,
-            recording=run.recording,
-        )
-        for run, label in zip(runs, labels, strict=True)
-    )
+    return tuple(replace(run, label=x) for run, x in zip(runs, _labels(runs), strict=True))
 
 
 def read_run(folder: Path) -> ReportedRun:
@@ -240,19 +228,9 @@ def check_settings(runs: Sequence[RunSettings]) -> None:
     """
     if not runs:
         raise LeglabError("no controllers to run; give one or more")
-    seen = set()
+    check_controllers([run.controller for run in runs])
     for run in runs:
-        if run.controller not in controller_names():
-            raise unknown_name("controller", run.controller, controller_names())
-        if run.controller in seen:
-            raise LeglabError(f"controllers: {run.controller!r} is given twice")
-        seen.add(run.controller)
-        get_scenario(
-            run.scenario,
-            duration=run.duration,
-            severity=run.severity,
-            ramp_duration=run.ramp_duration,
-        )
+        scenario_of(run)
 
 
 def make_runs(

@@ -10,13 +10,7 @@ import numpy as np
 from leglab._native.loop import Rows, Valves
 from leglab.base.errors import LeglabError
 from leglab.base.scenario import Scenario
-from leglab.control import (
-    Controller,
-    Measurement,
-    ReferencePoint,
-    check_command,
-    make_controller,
-)
+from leglab.control import Controller, Measurement, ReferencePoint, check_command, make_controller
 from leglab.control.feedforward.offline import BenchRun
 from leglab.machine.changes import Bodies, Schedule
 from leglab.machine.plugin import headless

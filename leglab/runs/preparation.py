@@ -2,18 +2,18 @@
 
 import copy
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import leglab.controllers
 import leglab.scenarios  # noqa: F401  registers the scenarios
-from leglab.base.errors import LeglabError
+from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.scenario import Scenario, get_scenario
 from leglab.base.settings import validate_configuration
 from leglab.commissioning.calibration import settle, speed_limits
 from leglab.commissioning.setup import controller_setup
-from leglab.control import ControllerSetup, Foreknowledge
+from leglab.control import ControllerSetup, Foreknowledge, controller_names
 from leglab.machine.changes import check_tolerance, vary_bodies, vary_parameters
 from leglab.machine.sensors import SensorConfiguration
 from leglab.machine.simulation import Simulation, load_model
@@ -70,6 +70,19 @@ def scenario_of(settings: RunSettings) -> Scenario:
         severity=settings.severity,
         ramp_duration=settings.ramp_duration,
     )
+
+
+def check_controllers(names: Sequence[str]) -> None:
+    """Refuses names of controllers that are not known, or given twice.
+
+    Raises:
+        LeglabError: Names the first one.
+    """
+    for i, name in enumerate(names):
+        if name not in controller_names():
+            raise unknown_name("controller", name, controller_names())
+        if name in names[:i]:
+            raise LeglabError(f"controllers: {name!r} is given twice")
 
 
 class Preparation:

@@ -4,7 +4,7 @@ import hashlib
 import json
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -17,14 +17,12 @@ import leglab.controllers
 import leglab.models
 import leglab.scenarios
 from leglab import __version__
-from leglab.base.errors import LeglabError, unknown_name
-from leglab.base.scenario import get_scenario
-from leglab.control import controller_names
+from leglab.base.errors import LeglabError
 from leglab.data import write_atomically
 from leglab.machine.changes import check_tolerance
 from leglab.runs.metrics import rms, sliding_rms
 from leglab.runs.parallel import Progress, make_missing
-from leglab.runs.preparation import RunSettings
+from leglab.runs.preparation import RunSettings, check_controllers, scenario_of
 from leglab.runs.run import Run, run_scenario
 
 # Distance of the stored samples of the windowed error [s].
@@ -33,6 +31,10 @@ _TRACE_PERIOD = 0.02
 # Window of the error that adaptation must not make worse, when a run counts as settled, and the
 # part of a run that counts as its end [s].
 _SAFETY_WINDOW, _SETTLED, _END = 2.0, 5.0, 5.0
+
+
+# Settings in which the runs of a comparison differ.
+_VARIED = ("scenarios", "controllers", "seeds")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,31 +74,15 @@ class Comparison:
             twice = sorted({name for name in names if names.count(name) > 1})
             if twice:
                 raise LeglabError(f"{kind}: {twice[0]!r} is given twice")
-        for name in self.controllers:
-            if name not in controller_names():
-                raise unknown_name("controller", name, controller_names())
-        for name in self.scenarios:
-            get_scenario(
-                name,
-                duration=self.duration,
-                severity=self.severity,
-                ramp_duration=self.ramp_duration,
-            )
+        check_controllers(self.controllers)
+        for run in self.runs():
+            scenario_of(run)
 
     def runs(self) -> list[RunSettings]:
         """Settings of all runs; the seeds of a controller follow each other."""
+        shared = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in _VARIED}
         return [
-            RunSettings(
-                scenario=scenario,
-                controller=controller,
-                model=self.model,
-                duration=self.duration,
-                seed=seed,
-                severity=self.severity,
-                ramp_duration=self.ramp_duration,
-                reference=self.reference,
-                tolerance=self.tolerance,
-            )
+            RunSettings(scenario=scenario, controller=controller, seed=seed, **shared)
             for scenario in self.scenarios
             for controller in self.controllers
             for seed in range(self.seeds)
