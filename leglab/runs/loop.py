@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -153,8 +153,9 @@ class SampledMachine:
         self.bodies.restore()
 
 
-class Period(NamedTuple):
-    """One control period as the controller meets it.
+@dataclass(slots=True, eq=False)
+class Period:
+    """One control period as the controller meets it; a loop has one, which each period fills anew.
 
     Attributes:
         number: Counted from 0.
@@ -196,6 +197,7 @@ class Loop:
         machine: The machine as the controller meets it.
         period: Control period [s].
         count: Periods of the scenario's duration.
+        present: The period that `observe` began last; number -1 before the first.
         watch: Called with the number of each period, after its command and before it passes.
 
     Raises:
@@ -250,25 +252,29 @@ class Loop:
         self._measure, self._send, self.advance = machine.measure, machine.send, machine.advance
         self._next = 0
         self._sample_reference(0, self.count + self._ahead)
+        nothing = np.zeros(len(self.simulation.joints))
+        first = Measurement(0.0, nothing, nothing)
+        self.present = Period(-1, first, self.reference_now(), None)
 
     def observe(self) -> Period:
         """Begins a period: changes happen, sensors are read, the controller computes."""
         measurement = self._measure()
         number = self._next
         self._next = number + 1
-        row = number - self._first
-        if row == len(self._wanted[0]):
+        try:
+            point = next(self._points)
+        except StopIteration:
             self._sample_reference(number, round(_PIECE / self.period))
-            row = 0
-        position, velocity, acceleration = self._wanted
-        point = ReferencePoint(position[row], velocity[row], acceleration[row])
-        wish = None
-        if self.controller is not None:
+            point = next(self._points)
+        controller, wish = self.controller, None
+        if controller is not None:
             if number == 0:
-                self.controller.reset(measurement)
-            wish = self.controller.command(measurement, point)
-        self.present = Period(number, measurement, point, wish)
-        return self.present
+                controller.reset(measurement)
+            wish = controller.command(measurement, point)
+        period = self.present
+        period.number, period.measurement = number, measurement
+        period.reference, period.command = point, wish
+        return period
 
     def act(self, action: np.ndarray | None = None) -> None:
         """Sends the valve commands of the period, clipped to [-1, 1].
@@ -293,7 +299,8 @@ class Loop:
             LeglabError: As `act`.
         """
         period = self.observe()
-        self.act(action)
+        if not self._send(period.command if action is None else action):
+            self.act(action)
         if self.watch is not None:
             self.watch(period.number)
         self.advance()
@@ -375,6 +382,7 @@ class Loop:
     def _sample_reference(self, first: int, count: int) -> None:
         self._first = first
         self._wanted: Samples = self.reference.sample((first + np.arange(count)) * self.period)
+        self._points = map(ReferencePoint, *self._wanted)
 
     def _bench_runs(self) -> tuple[BenchRun, BenchRun]:
         """Recordings of this machine before and after its changes, for identification offline."""
