@@ -381,9 +381,7 @@ FAULTS: dict[str, Fault] = {
     "valve_hysteresis": _shifted("hysteresis", 0.008, 0.06, signed=False),
     "valve_bandwidth": _scaled("bandwidth_hz", (0.05, 0.3)),
     "command_delay": _set(
-        "command_delay",
-        "delay",
-        lambda rng: TIMESTEP * round(rng.uniform(0.003, 0.02) / TIMESTEP),
+        "command_delay", "delay", lambda rng: TIMESTEP * round(rng.uniform(0.003, 0.02) / TIMESTEP)
     ),
     "viscous_friction": _scaled("viscous", (1.5, 6.0)),
     "coulomb_friction": _coulomb,

@@ -16,13 +16,7 @@ import numpy as np
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.recording import Recording
 from leglab.data import write_atomically
-from leglab.studies.blind.faulty_bench import (
-    FAULTS,
-    FaultyBench,
-    HiddenValue,
-    detuned,
-    references,
-)
+from leglab.studies.blind.faulty_bench import FAULTS, FaultyBench, HiddenValue, detuned, references
 
 JITTER = 1e-5  # s, standard deviation of the logger's clock
 LOST = 5e-4  # share of rows that never reach the file

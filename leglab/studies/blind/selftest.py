@@ -211,10 +211,7 @@ def run_case(case: Case, seed: int) -> Outcome:
     settings = Settings(excluded=excluded, threads=1, seed=seed)
     began = perf_counter()
     result, _ = diagnose(
-        MODEL,
-        recordings,
-        held_out=held_out_choice(recordings, Machine(MODEL)),
-        settings=settings,
+        MODEL, recordings, held_out=held_out_choice(recordings, Machine(MODEL)), settings=settings
     )
     covered = []
     for name, severity in zip(case.effects, severities, strict=True):
