@@ -108,16 +108,10 @@ def _case(
         def rows() -> Iterator[Check]:
             for solver in solvers:
                 for found in compare(solver):
-                    yield Check(
-                        case=label or name.split()[0],
-                        quantity=found.quantity,
-                        solver=solver.name,
-                        unit=found.unit,
-                        expected=float(found.expected),
-                        got=float(found.got),
-                        tolerance=found.tolerance or tolerance,
-                        scale=found.scale,
-                    )
+                    values = {"expected": float(found.expected), "got": float(found.got)}
+                    values["tolerance"] = found.tolerance or tolerance
+                    case = label or name.split()[0]
+                    yield Check(case=case, solver=solver.name, **{**found._asdict(), **values})
 
         CASES[name] = rows
         return compare
@@ -189,8 +183,7 @@ def _moving(spool: float, load: float = 0.0, tank: float = 0.0) -> Experiment:
     return Experiment(
         parameters={**IDEAL, "tank_pressure": tank},
         position=0.01 if spool > 0 else 0.07,
-        pressure_a=pressure_a,
-        pressure_b=pressure_b,
+        pressures=(pressure_a, pressure_b),
         command=constant(spool),
         load=constant(load),
         duration=round(0.06 / abs(speed), 3),
@@ -257,15 +250,10 @@ def _resonance(solver: Solver) -> Iterator[Found]:
         w = math.sqrt(stiffness(position) / MASS)
         if isinstance(solver, Engine):
             w = 2 * math.asin(0.5 * w * solver.timestep) / solver.timestep
-        trace = solver.run(
-            Experiment(
-                position=position,
-                velocity=1e-3,
-                pressure_a=5e6,
-                pressure_b=5e6 * AREA_A / AREA_B,
-                duration=0.2,
-            )
+        experiment = Experiment(
+            position=position, velocity=1e-3, pressures=(5e6, 5e6 * AREA_A / AREA_B), duration=0.2
         )
+        trace = solver.run(experiment)
         name = f"angular frequency at x = {position * 1e3:g} mm"
         yield Found(name, "rad/s", w, _oscillation(trace, w, 0.0)[0])
 
@@ -302,16 +290,14 @@ def _damping(solver: Solver) -> Iterator[Found]:
     """Damping ratio 0.042 that the leakage gives."""
     pole = _shown_pole(_linearised(0.04, LEAKAGE), solver)
     pressure = 8e6  # equal pressures do not leak; the load carries the rod's share
-    trace = solver.run(
-        Experiment(
-            parameters={**IDEAL, "internal_leakage": LEAKAGE},
-            velocity=1e-3,
-            pressure_a=pressure,
-            pressure_b=pressure,
-            load=constant(pressure * AREA_ROD),
-            duration=0.1,
-        )
+    experiment = Experiment(
+        parameters={**IDEAL, "internal_leakage": LEAKAGE},
+        velocity=1e-3,
+        pressures=(pressure, pressure),
+        load=constant(pressure * AREA_ROD),
+        duration=0.1,
     )
+    trace = solver.run(experiment)
     w, s = _oscillation(trace, pole.imag, -pole.real)
     name = "damping ratio with C_i = 1.7e-13, as the step shows it"
     yield Found(name, "1", -pole.real / abs(pole), s / math.hypot(w, s))
@@ -335,21 +321,19 @@ def _leak_down(solver: Solver) -> Iterator[Found]:
         leakage = part * LEAKAGE * clearance**3 / dynamic_viscosity_ratio(celsius)
         tau = va * vb / (va + vb) / (BULK_MODULUS * leakage)
         fine = isinstance(solver, Engine) and tau < 10 * solver.timestep
-        trace = solver.run(
-            Experiment(
-                parameters={
-                    **IDEAL,
-                    "internal_leakage": part * LEAKAGE,
-                    "seal_clearance": clearance,
-                    "oil_temperature": celsius,
-                    "substeps": 4.0 if fine else 2.0,
-                },
-                mass=HELD,
-                pressure_a=14e6,
-                pressure_b=2e6,
-                duration=round(12 * tau, 3),
-            )
+        experiment = Experiment(
+            parameters={
+                **IDEAL,
+                "internal_leakage": part * LEAKAGE,
+                "seal_clearance": clearance,
+                "oil_temperature": celsius,
+                "substeps": 4.0 if fine else 2.0,
+            },
+            mass=HELD,
+            pressures=(14e6, 2e6),
+            duration=round(12 * tau, 3),
         )
+        trace = solver.run(experiment)
         difference = trace.pressure_a - trace.pressure_b
         used = trace.time <= 4 * tau
         slope = np.polyfit(trace.time[used], np.log(difference[used]), 1)[0]
@@ -379,15 +363,13 @@ def _open_drift(solver: Solver) -> Iterator[Found]:
         "side B vented": ({"external_leakage_b": 1e-9}, load / AREA_A, 0.0),
     }
     for name, (difference, pressure_a, pressure_b) in variants.items():
-        trace = solver.run(
-            Experiment(
-                parameters={**_LEAKING, **difference},
-                pressure_a=pressure_a,
-                pressure_b=pressure_b,
-                load=constant(load),
-                duration=2.0,
-            )
+        experiment = Experiment(
+            parameters={**_LEAKING, **difference},
+            pressures=(pressure_a, pressure_b),
+            load=constant(load),
+            duration=2.0,
         )
+        trace = solver.run(experiment)
         yield Found(f"drift under 1 kN, {name}", "m/s", expected, _late_speed(trace))
 
 
@@ -409,15 +391,13 @@ def _blocked_drift(solver: Solver) -> Iterator[Found]:
         va, vb = volumes(start + way)
         share = (AREA_A / va + AREA_B / vb) / (AREA_A**2 / va + AREA_B**2 / vb)
         tau = vb / (BULK_MODULUS * LEAKAGE * (1 - AREA_B / AREA_A) * (1 - AREA_B * share))
-        trace = solver.run(
-            Experiment(
-                parameters=_LEAKING,
-                pressure_a=pressure_a,
-                pressure_b=pressure_b,
-                load=constant(load),
-                duration=4.0,
-            )
+        experiment = Experiment(
+            parameters=_LEAKING,
+            pressures=(pressure_a, pressure_b),
+            load=constant(load),
+            duration=4.0,
         )
+        trace = solver.run(experiment)
         late = (trace.time > 3 * tau) & (trace.time < 6 * tau)
         rest = trace.pressure_a - trace.pressure_b
         slope = np.polyfit(trace.time[late], np.log(np.abs(rest[late])), 1)[0]
@@ -454,15 +434,13 @@ def null_creep(load: float, rounding: float = 0.0216) -> tuple[float, float]:
 def _creep(solver: Solver) -> Iterator[Found]:
     """e4: the leaking null of a real valve lets the piston creep."""
     for load in (0.0, 1000.0, 2000.0):
-        trace = solver.run(
-            Experiment(
-                parameters={**_LEAKING, "edge_rounding": 0.0216},
-                pressure_a=8e6,
-                pressure_b=(8e6 * AREA_A - load) / AREA_B,
-                load=constant(load),
-                duration=1.0,
-            )
+        experiment = Experiment(
+            parameters={**_LEAKING, "edge_rounding": 0.0216},
+            pressures=(8e6, (8e6 * AREA_A - load) / AREA_B),
+            load=constant(load),
+            duration=1.0,
         )
+        trace = solver.run(experiment)
         name = f"creep of the rounded null under {load:g} N"
         yield Found(name, "m/s", null_creep(load)[0], _late_speed(trace))
 
@@ -532,17 +510,15 @@ def steady_friction(v: float) -> float:
 def _stribeck(solver: Solver) -> Iterator[Found]:
     """Friction at an imposed speed: a huge mass keeps it."""
     for v in (1e-4, 1e-3, 0.003, 0.0141, 0.03, 0.1, 0.5, -0.0141):
-        trace = solver.run(
-            Experiment(
-                parameters=_DRAINED,
-                mass=HELD,
-                velocity=v,
-                pressure_a=0.0,
-                pressure_b=0.0,
-                # The bristle settles over a path of F/sigma_0; ten of them, 0.75 mm.
-                duration=max(round(7.5e-4 / abs(v), 3), 0.05),
-            )
+        experiment = Experiment(
+            parameters=_DRAINED,
+            mass=HELD,
+            velocity=v,
+            pressures=(0.0, 0.0),
+            # The bristle settles over a path of F/sigma_0; ten of them, 0.75 mm.
+            duration=max(round(7.5e-4 / abs(v), 3), 0.05),
         )
+        trace = solver.run(experiment)
         friction = AREA_A * trace.pressure_a - AREA_B * trace.pressure_b - trace.force
         yield Found(f"friction at {v:g} m/s", "N", steady_friction(v), np.mean(friction[-5:]))
 
@@ -551,15 +527,10 @@ def _stribeck(solver: Solver) -> Iterator[Found]:
 def _presliding(solver: Solver) -> Iterator[Found]:
     """Displacement under a force of 0.4 F_s raised slowly: -(F_s/sigma_0) ln(1 - F/F_s)."""
     force, static = 60.0, _DRAINED["static"]
-    trace = solver.run(
-        Experiment(
-            parameters=_DRAINED,
-            pressure_a=0.0,
-            pressure_b=0.0,
-            load=lambda t: -force * min(t, 1.0),
-            duration=1.1,
-        )
+    experiment = Experiment(
+        parameters=_DRAINED, pressures=(0.0, 0.0), load=lambda t: -force * min(t, 1.0), duration=1.1
     )
+    trace = solver.run(experiment)
     expected = -static / _DRAINED["sigma_0"] * math.log(1 - force / static)
     got = trace.position[-1] - trace.position[0]
     yield Found(f"displacement before sliding under {force:g} N", "m", expected, got)
@@ -567,8 +538,7 @@ def _presliding(solver: Solver) -> Iterator[Found]:
 
 _WORKING = Experiment(
     parameters={**CYLINDER, "internal_leakage": 1.7e-12},
-    pressure_a=6e6,
-    pressure_b=9.8e6,
+    pressures=(6e6, 9.8e6),
     command=lambda t: 0.1 + 0.25 * math.sin(2 * math.pi * 4.0 * t),
     ideal_spool=False,
     load=lambda t: 300.0 * math.cos(2 * math.pi * 3.0 * t),
@@ -656,8 +626,7 @@ def _null_leak(solver: Solver) -> Iterator[Found]:
         held = Experiment(
             parameters={**IDEAL, "edge_rounding": 0.0216, "supply_pressure": supply},
             mass=HELD,
-            pressure_a=0.5 * supply,
-            pressure_b=0.5 * supply,
+            pressures=(0.5 * supply, 0.5 * supply),
             duration=0.1,
         )
         flow = _power(solver.run(held), "energy_supply") / supply * _LPM
