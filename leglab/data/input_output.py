@@ -69,10 +69,9 @@ def from_input_output(
     metadata: dict[str, Any] = {}
     if data.name:
         metadata["name"] = str(data.name)
-    if data.state_initialization_window_length is not None:
-        metadata["state_initialization_window_length"] = int(
-            data.state_initialization_window_length
-        )
+    window = data.state_initialization_window_length
+    if window is not None:
+        metadata["state_initialization_window_length"] = int(window)
     time = start + np.arange(len(data.y)) * float(period)
     return Recording(time=time, columns=columns, metadata=metadata)
 
