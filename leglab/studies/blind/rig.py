@@ -81,12 +81,9 @@ def logged(recording: Recording, *, pressures: bool, rng: np.random.Generator) -
     sampled = {
         name: np.interp(time, recording.time, values) for name, values in recording.columns.items()
     }
-    columns = [
-        1e3 * time,
-        -np.degrees(sampled["knee_position"]),
-        # Held over its millisecond, whenever in it the logger looks.
-        FULL_COMMAND * recording["knee_valve_command"],
-    ]
+    # Held over its millisecond, whenever in it the logger looks.
+    command = FULL_COMMAND * recording["knee_valve_command"]
+    columns = [1e3 * time, -np.degrees(sampled["knee_position"]), command]
     formats = dict(_COLUMNS)
     if pressures:
         columns += [1e-5 * sampled["knee_pressure_a"], 1e-5 * sampled["knee_pressure_b"]]
@@ -125,8 +122,7 @@ def write_rig(settings: RigSettings, folder: Path) -> list[Path]:
         f"{name}: {hidden.parameter or 'size'} = {hidden.value:.5g}\n"
         for name, hidden in zip(settings.effects, severities, strict=True)
     ]
-    truth = "".join(lines) or "nothing is hidden\n"
-    _write(folder / "truth.txt", truth.encode())
+    _write(folder / "truth.txt", ("".join(lines) or "nothing is hidden\n").encode())
     return paths
 
 
