@@ -290,19 +290,12 @@ ROUNDS = 9
 SPLINES = (4, 8, 16, 32, 64, 128)
 
 
-def rls_multiplications(parameters: int) -> int:
-    """5 N^2 + 3 N for one RLS step with N parameters (Sec. 3.2)."""
-    return 5 * parameters**2 + 3 * parameters
-
-
-def bsnn_multiplications(neurons: int) -> int:
-    """5 N for one adaptation step of a single-input BSNN with N neurons (Sec. 3.2)."""
-    return 5 * neurons
-
-
 def multiplications(arx_parameters: int, neurons: int) -> int:
-    """Of one step of the combined model: 238 for 6 ARX parameters and 8 neurons."""
-    return rls_multiplications(arx_parameters) + bsnn_multiplications(neurons)
+    """Of one step (Sec. 3.2): 5 N^2 + 3 N for the RLS with N parameters, 5 N for the BSNN.
+
+    That is 238 for 6 ARX parameters and 8 neurons.
+    """
+    return 5 * arx_parameters**2 + 3 * arx_parameters + 5 * neurons
 
 
 def update_times(samples: int = 20_000) -> list[tuple[int, int, int, float]]:

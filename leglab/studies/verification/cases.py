@@ -121,10 +121,8 @@ def _case(
 
 def volumes(position: float) -> tuple[float, float]:
     """Chamber volumes [m^3] at a piston position [m]."""
-    return (
-        DEAD_VOLUME_A + AREA_A * position,
-        DEAD_VOLUME_B + AREA_B * (CYLINDER["stroke"] - position),
-    )
+    volume_b = DEAD_VOLUME_B + AREA_B * (CYLINDER["stroke"] - position)
+    return DEAD_VOLUME_A + AREA_A * position, volume_b
 
 
 def stiffness(position: float) -> float:
@@ -220,12 +218,9 @@ def _loaded_speed(solver: Solver) -> Iterator[Found]:
         got = _settled(solver.run(held).force)
         yield Found(f"stall force at x_s = {spool:+g}", "N", force, got)
     trace = solver.run(_moving(1.0, 2000.0))
-    yield Found(
-        "efficiency at x_s = +1 against 2000 N",
-        "1",
-        2000.0 / (AREA_A * SUPPLY_PRESSURE),
-        _power(trace, "energy_load") / _power(trace, "energy_supply"),
-    )
+    got = _power(trace, "energy_load") / _power(trace, "energy_supply")
+    expected = 2000.0 / (AREA_A * SUPPLY_PRESSURE)
+    yield Found("efficiency at x_s = +1 against 2000 N", "1", expected, got)
 
 
 def _decaying(t: np.ndarray, w: float, s: float, a: float, b: float, c: float) -> np.ndarray:
@@ -311,29 +306,23 @@ def _leak_down(solver: Solver) -> Iterator[Found]:
     `substeps` is raised to 4 where tau is below ten steps, and the row says so.
     """
     va, vb = volumes(0.04)
-    for part, clearance, celsius in (
+    cases = [
         (1.0, 1.0, 40.0),
         (0.1, 1.0, 40.0),
         (1.0, 2.0, 40.0),
         (1.0, 1.0, 0.0),
         (1.0, 1.0, 80.0),
-    ):
+    ]
+    for part, clearance, celsius in cases:
         leakage = part * LEAKAGE * clearance**3 / dynamic_viscosity_ratio(celsius)
         tau = va * vb / (va + vb) / (BULK_MODULUS * leakage)
         fine = isinstance(solver, Engine) and tau < 10 * solver.timestep
-        experiment = Experiment(
-            parameters={
-                **IDEAL,
-                "internal_leakage": part * LEAKAGE,
-                "seal_clearance": clearance,
-                "oil_temperature": celsius,
-                "substeps": 4.0 if fine else 2.0,
-            },
-            mass=HELD,
-            pressures=(14e6, 2e6),
-            duration=round(12 * tau, 3),
+        leaking = {**IDEAL, "internal_leakage": part * LEAKAGE, "seal_clearance": clearance}
+        leaking |= {"oil_temperature": celsius, "substeps": 4.0 if fine else 2.0}
+        duration = round(12 * tau, 3)
+        trace = solver.run(
+            Experiment(parameters=leaking, mass=HELD, pressures=(14e6, 2e6), duration=duration)
         )
-        trace = solver.run(experiment)
         difference = trace.pressure_a - trace.pressure_b
         used = trace.time <= 4 * tau
         slope = np.polyfit(trace.time[used], np.log(difference[used]), 1)[0]
@@ -359,15 +348,12 @@ def _open_drift(solver: Solver) -> Iterator[Found]:
     expected = -LEAKAGE * load / (AREA_A**2 + LEAKAGE * _LEAKING["viscous"])
     variants = {
         # Without a rod both sides are alike and the leak goes from one to the other.
-        "symmetric cylinder": ({"rod": 0.0}, 8e6, 8e6 - load / AREA_A),
-        "side B vented": ({"external_leakage_b": 1e-9}, load / AREA_A, 0.0),
+        "symmetric cylinder": ({"rod": 0.0}, (8e6, 8e6 - load / AREA_A)),
+        "side B vented": ({"external_leakage_b": 1e-9}, (load / AREA_A, 0.0)),
     }
-    for name, (difference, pressure_a, pressure_b) in variants.items():
+    for name, (other, pressures) in variants.items():
         experiment = Experiment(
-            parameters={**_LEAKING, **difference},
-            pressures=(pressure_a, pressure_b),
-            load=constant(load),
-            duration=2.0,
+            parameters={**_LEAKING, **other}, pressures=pressures, load=constant(load), duration=2.0
         )
         trace = solver.run(experiment)
         yield Found(f"drift under 1 kN, {name}", "m/s", expected, _late_speed(trace))
@@ -391,11 +377,9 @@ def _blocked_drift(solver: Solver) -> Iterator[Found]:
         va, vb = volumes(start + way)
         share = (AREA_A / va + AREA_B / vb) / (AREA_A**2 / va + AREA_B**2 / vb)
         tau = vb / (BULK_MODULUS * LEAKAGE * (1 - AREA_B / AREA_A) * (1 - AREA_B * share))
+        pressures = pressure_a, pressure_b
         experiment = Experiment(
-            parameters=_LEAKING,
-            pressures=(pressure_a, pressure_b),
-            load=constant(load),
-            duration=4.0,
+            parameters=_LEAKING, pressures=pressures, load=constant(load), duration=4.0
         )
         trace = solver.run(experiment)
         late = (trace.time > 3 * tau) & (trace.time < 6 * tau)
@@ -586,17 +570,9 @@ def _worn_stall(solver: Solver) -> Iterator[Found]:
     """Stall pressure that a worn seal leaves."""
     cases = [(1, 40.0, 0.05), (10, 40.0, 0.05), (10, 40.0, 0.2), (50, 40.0, 1.0), (50, 80.0, 1.0)]
     for wear, celsius, spool in cases:
-        held = Experiment(
-            parameters={
-                **IDEAL,
-                "internal_leakage": LEAKAGE,
-                "seal_clearance": wear ** (1 / 3),
-                "oil_temperature": celsius,
-            },
-            mass=HELD,
-            command=constant(spool),
-            duration=0.2,
-        )
+        worn = {**IDEAL, "internal_leakage": LEAKAGE, "seal_clearance": wear ** (1 / 3)}
+        worn["oil_temperature"] = celsius
+        held = Experiment(parameters=worn, mass=HELD, command=constant(spool), duration=0.2)
         name = f"pressure A, leakage x{wear} at {celsius:g} degC, x_s = {spool:g}"
         expected = stall_pressure(spool, wear * LEAKAGE / dynamic_viscosity_ratio(celsius))
         yield Found(name, "Pa", expected, _settled(solver.run(held).pressure_a))
@@ -607,9 +583,8 @@ def _spool_step(solver: Solver) -> Iterator[Found]:
     """Peak of the second-order spool at 250 Hz and zeta 0.7: 1 + exp(-pi zeta/sqrt(1 - zeta^2))."""
     w, zeta, command = 2 * math.pi * 250.0, 0.7, 0.5
     root = math.sqrt(1 - zeta**2)
-    trace = solver.run(
-        Experiment(mass=HELD, command=constant(command), ideal_spool=False, duration=0.01)
-    )
+    held = Experiment(mass=HELD, command=constant(command), ideal_spool=False, duration=0.01)
+    trace = solver.run(held)
     peak = int(np.argmax(trace.spool))
     time = trace.time[peak]  # samples need not hit the peak: compare at the sample
     phase = w * root * time
@@ -623,12 +598,9 @@ def _spool_step(solver: Solver) -> Iterator[Found]:
 def _null_leak(solver: Solver) -> Iterator[Found]:
     """Flow of the centred valve with rounded edges, 2 K (eps/2) sqrt(p_s/2)."""
     for supply in (16e6, 21e6):
-        held = Experiment(
-            parameters={**IDEAL, "edge_rounding": 0.0216, "supply_pressure": supply},
-            mass=HELD,
-            pressures=(0.5 * supply, 0.5 * supply),
-            duration=0.1,
-        )
+        rounded = {**IDEAL, "edge_rounding": 0.0216, "supply_pressure": supply}
+        half = 0.5 * supply, 0.5 * supply
+        held = Experiment(parameters=rounded, mass=HELD, pressures=half, duration=0.1)
         flow = _power(solver.run(held), "energy_supply") / supply * _LPM
         expected = GAIN * 0.0216 * math.sqrt(supply / 2) * _LPM
         yield Found(f"supply flow at {supply / 1e5:g} bar", "l/min", expected, flow)
