@@ -139,7 +139,11 @@ def losses(recording: Recording, path: str | Path, form: str | None = None) -> t
     Raises:
         LeglabError: Suffix or format is not known.
     """
-    return _module(Path(path), form).losses(recording)
+    module = _module(Path(path), form)
+    if hasattr(module, "losses"):
+        return module.losses(recording)
+    # Of the others these two hold nothing but numbers.
+    return ("metadata",) if recording.metadata and module in (csv, sysid) else ()
 
 
 def format_of(path: str | Path) -> str:

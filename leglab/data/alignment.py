@@ -12,7 +12,7 @@ from leglab.base.errors import LeglabError
 _GAP = 3.5
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class TopicSeries:
     """The numbers of one topic.
 

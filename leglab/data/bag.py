@@ -59,10 +59,8 @@ def scan(path: Path) -> Bag:
     try:
         # A mapped file, for its `read` never allocates more than there is, whatever a broken
         # record says of its length.
-        with (
-            path.open("rb") as file,
-            mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as stream,
-        ):
+        read = mmap.ACCESS_READ
+        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=read) as stream:
             for record in StreamReader(stream, validate_crcs=True).records:  # type: ignore[arg-type]
                 # The summary at the end repeats schemas and channels: the first ones count.
                 if isinstance(record, Schema):
@@ -138,5 +136,4 @@ def _series(topic: str, rows: list, wanted_stamps: str, path: Path) -> TopicSeri
         raise LeglabError(f"{path}: topic {topic!r}: stamps beyond 2^63 ns") from error
     names = dict.fromkeys(name for row in rows for name in row[2])
     columns = {n: np.array([row[2].get(n, np.nan) for row in rows]) for n in names}
-    stamped_by = "header" if by_header else "log"
-    return TopicSeries(topic=topic, stamps=stamps, columns=columns, stamped_by=stamped_by)
+    return TopicSeries(topic, stamps, columns, stamped_by="header" if by_header else "log")

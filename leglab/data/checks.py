@@ -128,12 +128,10 @@ def _inspect_time(table: Mapping[str, np.ndarray]) -> Iterator[Finding]:
     usual = float(np.median(forward)) if forward.size else np.nan
     same = _repeated_rows(table)
     for row in (np.flatnonzero(interval == 0) + 1).tolist():
-        if same[row]:
-            message = f"repeats row {row - 1} exactly"
-            yield _finding("repeated_row", "time", row, 1, message)
-        else:
-            message = f"{time[row]:.9g} s again, with other values than row {row - 1}"
-            yield _finding("repeated_time", "time", row, 1, message)
+        again = f"{time[row]:.9g} s again, with other values than row {row - 1}"
+        kind = "repeated_row" if same[row] else "repeated_time"
+        message = f"repeats row {row - 1} exactly" if same[row] else again
+        yield _finding(kind, "time", row, 1, message)
     for row in (np.flatnonzero(interval < 0) + 1).tolist():
         message = f"{time[row]:.9g} s comes after {time[row - 1]:.9g} s"
         yield _finding("reversed_time", "time", row, 1, message)

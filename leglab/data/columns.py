@@ -28,11 +28,6 @@ def to_arrays(table: pa.Table, path: Path) -> dict[str, np.ndarray]:
     return {name: _to_array(table.column(name), name, path) for name in names}
 
 
-def to_table(time: np.ndarray, columns: dict[str, np.ndarray]) -> pa.Table:
-    """Builds an Arrow table with `time` first."""
-    return pa.table({"time": time, **columns})
-
-
 def _to_array(column: pa.ChunkedArray, name: str, path: Path) -> np.ndarray:
     kind = column.type
     if pa.types.is_null(kind):
@@ -47,7 +42,7 @@ def _to_array(column: pa.ChunkedArray, name: str, path: Path) -> np.ndarray:
 
 def _is_number(text: object) -> bool:
     try:
-        float(str(text))
+        float(str(text))  # Not of a bool, whose name is no number.
     except ValueError:
         return False
-    return not isinstance(text, bool)
+    return True

@@ -8,7 +8,7 @@ import pyarrow.csv as pc
 
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
-from leglab.data.columns import to_arrays, to_table
+from leglab.data.columns import to_arrays
 from leglab.data.files import read_bytes, write_atomically
 
 # Cells that stand for a missing sample; all other text is refused.
@@ -57,14 +57,9 @@ def write(recording: Recording, path: Path) -> None:
     Raises:
         LeglabError: The folder does not exist or cannot be written to.
     """
-    table = to_table(recording.time, dict(recording.columns))
+    table = pa.table({"time": recording.time, **recording.columns})
     options = pc.WriteOptions(quoting_style="needed", quoting_header="none")
     write_atomically(path, lambda stream: pc.write_csv(table, stream, options))
-
-
-def losses(recording: Recording) -> tuple[str, ...]:
-    """Returns what the format cannot hold."""
-    return ("metadata",) if recording.metadata else ()
 
 
 def _text_of(path: Path) -> bytes:

@@ -42,11 +42,7 @@ def to_input_output(
 
 
 def from_input_output(
-    data: "Input_output_data",
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-    *,
-    start: float = 0.0,
+    data: "Input_output_data", inputs: Sequence[str], outputs: Sequence[str], *, start: float = 0.0
 ) -> Recording:
     """Returns the data of a benchmark as a recording.
 
@@ -69,17 +65,13 @@ def from_input_output(
     names = [*inputs, *outputs]
     if len(set(names)) < len(names):
         raise LeglabError(f"columns {', '.join(map(repr, names))} are not all different")
-    columns = {
-        **_split(data.u, inputs, "u", "inputs"),
-        **_split(data.y, outputs, "y", "outputs"),
-    }
+    columns = {**_split(data.u, inputs, "u", "inputs"), **_split(data.y, outputs, "y", "outputs")}
     metadata: dict[str, Any] = {}
     if data.name:
         metadata["name"] = str(data.name)
-    if data.state_initialization_window_length is not None:
-        metadata["state_initialization_window_length"] = int(
-            data.state_initialization_window_length
-        )
+    window = data.state_initialization_window_length
+    if window is not None:
+        metadata["state_initialization_window_length"] = int(window)
     time = start + np.arange(len(data.y)) * float(period)
     return Recording(time=time, columns=columns, metadata=metadata)
 

@@ -82,11 +82,6 @@ def write(recording: Recording, path: Path) -> None:
     write_atomically(path, lambda file: file.write(written))
 
 
-def losses(recording: Recording) -> tuple[str, ...]:
-    """Returns what the format cannot hold: nothing."""
-    return ()
-
-
 def field_names(names: Iterable[str]) -> dict[str, str]:
     """Returns a field name that MATLAB allows for every column name; all are different."""
     names = list(names)
@@ -153,11 +148,8 @@ def _own_table(content: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], dict]
     if isinstance(units, dict):
         known = own_units(metadata)
         given = {str(names.get(f, f)): unit for f, unit in units.items()}
-        changed = {
-            name: unit
-            for name, unit in given.items()
-            if isinstance(unit, str) and unit and unit != known.get(name, usual_unit(name))
-        }
+        usual = {n: ("", known.get(n, usual_unit(n))) for n in given}
+        changed = {n: u for n, u in given.items() if isinstance(u, str) and u not in usual[n]}
         if changed:
             metadata["units"] = {**known, **changed}
     return table, metadata
@@ -187,23 +179,18 @@ def _foreign_table(variables: Mapping[str, Any]) -> tuple[dict[str, np.ndarray],
 
 def _is_samples(value: Any) -> bool:
     """Whether this is a real vector or matrix; a lone number is rather a setting."""
-    if not isinstance(value, np.ndarray):
-        return False
-    return value.dtype.kind in "fiub" and value.ndim in (1, 2) and value.size > 1
+    real = isinstance(value, np.ndarray) and value.dtype.kind in "fiub"
+    return real and value.ndim in (1, 2) and value.size > 1
 
 
 def _vector(value: Any, name: str) -> np.ndarray:
     array = np.asarray(value)
     if array.dtype.kind not in "fiub" or array.ndim > 1:
-        raise LeglabError(f"column {name!r} is {_describe(value)}, allowed is a real vector")
+        found = type(value).__name__
+        if isinstance(value, np.ndarray):
+            found = f"{' x '.join(map(str, value.shape))} array of {value.dtype}"
+        raise LeglabError(f"column {name!r} is a {found}, allowed is a real vector")
     return np.atleast_1d(array).astype(np.float64)
-
-
-def _describe(value: Any) -> str:
-    if isinstance(value, np.ndarray):
-        size = " x ".join(map(str, value.shape))
-        return f"a {size} array of {value.dtype}"
-    return f"a {type(value).__name__}"
 
 
 def _json(content: Mapping[str, Any], field: str) -> dict[str, Any]:

@@ -138,17 +138,11 @@ def _write(recording: Recording, stamps: list[int], stream: BinaryIO) -> None:
         writer.add_metadata(METADATA_NAME, {"metadata": to_json(recording.metadata)})
         joint_state = writer.register_msgdef(JOINT_STATE, JOINT_STATE_DEFINITION)
         kinds = {name: scalar_kind(name) for name in rest}
-        schemas = {
-            kind: writer.register_msgdef(kind, DEFINITIONS[kind])
-            for kind in dict.fromkeys(kinds.values())
-        }
+        used = dict.fromkeys(kinds.values())
+        schemas = {kind: writer.register_msgdef(kind, DEFINITIONS[kind]) for kind in used}
         for row, stamp in enumerate(stamps):
-            message = {
-                "header": header(stamp),
-                "name": joints,
-                **{f: rows[row] if rows else [] for f, rows in arrays.items()},
-            }
-            message = {"velocity": [], "effort": [], **message}
+            message = {"header": header(stamp), "name": joints, "velocity": [], "effort": []}
+            message |= {f: rows[row] if rows else [] for f, rows in arrays.items()}
             writer.write_message(_CLOCK_TOPIC, joint_state, message, stamp, stamp, row)
             for name, samples in rest.items():
                 kind = kinds[name]

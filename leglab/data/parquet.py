@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
-from leglab.data.columns import to_arrays, to_table
+from leglab.data.columns import to_arrays
 from leglab.data.files import write_atomically
 from leglab.data.metadata import to_json
 
@@ -41,11 +41,6 @@ def write(recording: Recording, path: Path) -> None:
     Raises:
         LeglabError: The folder does not exist or cannot be written to.
     """
-    table = to_table(recording.time, dict(recording.columns))
+    table = pa.table({"time": recording.time, **recording.columns})
     table = table.replace_schema_metadata({_METADATA_KEY: to_json(recording.metadata)})
     write_atomically(path, lambda stream: pq.write_table(table, stream, compression="zstd"))
-
-
-def losses(recording: Recording) -> tuple[str, ...]:
-    """Returns what the format cannot hold: nothing."""
-    return ()

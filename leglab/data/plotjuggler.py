@@ -6,7 +6,7 @@ quote cannot be escaped; the first value of a column settles its type, and a num
 exponent would make it text, a whole number of ten digits a date; an empty cell is no sample.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -64,18 +64,13 @@ def _names(recording: Recording) -> dict[str, str]:
     return names
 
 
-def _cells(samples: np.ndarray) -> Iterable[str]:
-    cells = []
-    first = True
+def _cells(samples: np.ndarray) -> Iterator[str]:
+    (small, large), first = _POSITIONAL, True
     for value in samples.tolist():
         if not np.isfinite(value):
-            cells.append("")
+            yield ""
             continue
-        small, large = _POSITIONAL
-        if first or value == 0.0 or small <= abs(value) < large:
-            # Shortest decimals that give the same float64, always with a point.
-            cells.append(np.format_float_positional(value, unique=True, trim="0"))
-        else:
-            cells.append(repr(value))
+        # Shortest decimals that give the same float64, always with a point.
+        short = first or value == 0.0 or small <= abs(value) < large
+        yield np.format_float_positional(value, unique=True, trim="0") if short else repr(value)
         first = False
-    return cells

@@ -27,15 +27,6 @@ float64[] velocity
 float64[] effort
 {_HEADER}"""
 FLOAT64_DEFINITION = "float64 data\n"
-DEFINITIONS = {
-    FLOAT64: FLOAT64_DEFINITION,
-    FLUID_PRESSURE: (
-        f"std_msgs/Header header\nfloat64 fluid_pressure\nfloat64 variance\n{_HEADER}"
-    ),
-    TEMPERATURE: f"std_msgs/Header header\nfloat64 temperature\nfloat64 variance\n{_HEADER}",
-}
-"""Of the messages that `scalar_message` makes."""
-
 # The field of messages that hold one number.
 _SCALARS = {
     FLOAT64: "data",
@@ -43,6 +34,11 @@ _SCALARS = {
     FLUID_PRESSURE: "fluid_pressure",
     TEMPERATURE: "temperature",
 }
+_MEASURED = "std_msgs/Header header\nfloat64 {}\nfloat64 variance\n" + _HEADER
+DEFINITIONS = {kind: _MEASURED.format(_SCALARS[kind]) for kind in (FLUID_PRESSURE, TEMPERATURE)}
+DEFINITIONS[FLOAT64] = FLOAT64_DEFINITION
+"""Of the messages that `scalar_message` makes."""
+
 _ARRAYS = ("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float32MultiArray")
 
 SUPPORTED = (JOINT_STATE, *_SCALARS, *_ARRAYS)
@@ -94,11 +90,10 @@ def scalar_message(kind: str, value: float, stamp: int) -> dict[str, Any]:
         value: The number.
         stamp: The time [ns], for messages with a header.
     """
-    message: dict[str, Any] = {_SCALARS[kind]: value}
     if kind == FLOAT64:
-        return message
+        return {"data": value}
     # Zero is "unknown" in both definitions.
-    return {"header": header(stamp), **message, "variance": 0.0}
+    return {"header": header(stamp), _SCALARS[kind]: value, "variance": 0.0}
 
 
 def header_stamp(message: Any) -> int | None:

@@ -1,7 +1,7 @@
 """Summaries of recording files: time axis, columns, findings."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from leglab.data.checks import Finding, inspect
 from leglab.data.units import unit_of
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ColumnSummary:
     """One column.
 
@@ -60,6 +60,7 @@ class Summary:
 
     def to_json(self) -> dict[str, Any]:
         """Returns the summary as JSON can hold it."""
+        keys = ("name", "unit", "min", "max", "missing")
         return {
             "samples": self.samples,
             "start_s": self.start,
@@ -67,16 +68,7 @@ class Summary:
             "period_s": self.period,
             "rate_hz": self.rate,
             "gaps": len(self.gaps),
-            "columns": [
-                {
-                    "name": c.name,
-                    "unit": c.unit,
-                    "min": c.smallest,
-                    "max": c.largest,
-                    "missing": c.missing,
-                }
-                for c in self.columns
-            ],
+            "columns": [dict(zip(keys, astuple(c), strict=True)) for c in self.columns],
             "findings": [{**asdict(f), "fatal": f.fatal} for f in self.findings],
             "metadata": dict(self.metadata),
         }
@@ -95,18 +87,13 @@ def summarise(table: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> S
     period = float(np.median(forward)) if forward.size else None
     columns = []
     for name, samples in table.items():
-        if name == "time":
-            continue
-        finite = samples[np.isfinite(samples)]
-        columns.append(
-            ColumnSummary(
-                name=name,
-                unit=unit_of(name, metadata),
-                smallest=float(finite.min()) if finite.size else None,
-                largest=float(finite.max()) if finite.size else None,
-                missing=int(samples.size - finite.size),
+        if name != "time":
+            finite = samples[np.isfinite(samples)]
+            least, most = (
+                (float(finite.min()), float(finite.max())) if finite.size else (None, None)
             )
-        )
+            missing = int(samples.size - finite.size)
+            columns.append(ColumnSummary(name, unit_of(name, metadata), least, most, missing))
     return Summary(
         samples=table["time"].size,
         start=float(time[0]) if time.size else None,

@@ -99,13 +99,7 @@ def write(recording: Recording, path: Path) -> None:
     Raises:
         LeglabError: The folder cannot be written to, or two columns get one signal name.
     """
-    series = to_time_series(recording)
-    write_atomically(path, series.save_to_disk)
-
-
-def losses(recording: Recording) -> tuple[str, ...]:
-    """Returns what the format cannot hold."""
-    return ("metadata",) if recording.metadata else ()
+    write_atomically(path, to_time_series(recording).save_to_disk)
 
 
 def _classes() -> tuple[Any, Any]:
@@ -139,11 +133,9 @@ def _table_of(series: Any) -> dict[str, np.ndarray]:
         )
     table = {"time": series.times.astype(np.float64)}
     mapping = series.signal_mapping
-    signals = (
-        [("signal", "CustomObs", np.arange(data.shape[1]))]
-        if mapping is None
-        else [(name, kind.name, np.atleast_1d(i)) for name, (kind, i) in mapping.items()]
-    )
+    signals = [("signal", "CustomObs", np.arange(data.shape[1]))]
+    if mapping is not None:
+        signals = [(name, kind.name, np.atleast_1d(i)) for name, (kind, i) in mapping.items()]
     for name, kind, indices in signals:
         column = _column_of(name, kind)
         for i, index in enumerate(indices.tolist()):

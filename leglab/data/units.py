@@ -3,10 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
-# By the end of the name, the longest first. A joint may hinge or slide: the name does not say.
+# By the end of the name. A joint may hinge or slide: the name does not say.
 _UNITS = {
-    "reference_acceleration": "rad/s^2 or m/s^2",
-    "reference_velocity": "rad/s or m/s",
     "acceleration": "rad/s^2 or m/s^2",
     "temperature": "degC",
     "pressure_a": "Pa",
@@ -46,7 +44,4 @@ def usual_unit(name: str) -> str:
     """Returns the unit that the naming rules of recordings give a column, or ""."""
     if name == "time":
         return "s"
-    for end, unit in _UNITS.items():
-        if name == end or name.endswith(f"_{end}"):
-            return unit
-    return ""
+    return next((unit for end, unit in _UNITS.items() if f"_{name}".endswith(f"_{end}")), "")

@@ -79,7 +79,6 @@ class FaultyBench:
                 start, table = places[element]
                 data.plugin_state[start + table.entry(name).offset] = value
 
-        substeps = round(SAMPLING_PERIOD / TIMESTEP)
         start, table = places[VALVE]
         slots = [start + table.entry(n).offset for n in ("pressure_a", "pressure_b")]
         put(self.tuning)
@@ -88,8 +87,7 @@ class FaultyBench:
         data.qpos[0] = reference[0]
         _settle(model, data)
         count = reference.size
-        true = np.empty((count, 3))
-        command = np.empty(count)
+        true, command = np.empty((count, 3)), np.empty(count)
         rate = np.gradient(reference, SAMPLING_PERIOD)
         scale, offset, late = self.encoder_scale, self.encoder_offset, self.encoder_delay
         lag = round(self.command_delay / TIMESTEP)
@@ -105,15 +103,13 @@ class FaultyBench:
             if not active and k * SAMPLING_PERIOD >= self.onset:
                 put(self.parameters)
                 active = True
-            for _ in range(substeps):
+            for _ in range(round(SAMPLING_PERIOD / TIMESTEP)):
                 queue[1:] = queue[:-1]
                 queue[0] = command[k]
                 data.ctrl[0] = queue[lag] if active else command[k]
-                if self.torques:
-                    load = float(data.qfrc_actuator[0])
-                    v = float(data.qvel[0])
-                    total = sum(torque(v, load) for torque in self.torques)
-                    data.qfrc_applied[0] = total if active else 0.0
+                if active and self.torques:
+                    load, v = float(data.qfrc_actuator[0]), float(data.qvel[0])
+                    data.qfrc_applied[0] = sum(torque(v, load) for torque in self.torques)
                 mujoco.mj_step(model, data)
         time = SAMPLING_PERIOD * np.arange(count)
         position = scale * np.interp(time - late, time, true[:, 0]) + offset
@@ -148,9 +144,8 @@ def references(rng: np.random.Generator, duration: float = 12.0) -> dict[str, np
     frequencies = np.array([0.17, 0.25, 0.5, 0.92, 1.58, 2.3])
     amplitudes = np.array([0.12, 0.1, 0.13, 0.07, 0.035, 0.015])
     phases = rng.uniform(0.0, 2.0 * np.pi, frequencies.size)
-    multisine = _MIDDLE + amplitudes @ np.sin(
-        2.0 * np.pi * np.outer(frequencies, time) + phases[:, None]
-    )
+    angles = 2.0 * np.pi * np.outer(frequencies, time) + phases[:, None]
+    multisine = _MIDDLE + amplitudes @ np.sin(angles)
     period = rng.uniform(7.0, 10.0)
     slow = _MIDDLE + 0.38 * (2.0 / np.pi) * np.arcsin(np.sin(2.0 * np.pi * time / period))
     steps = np.full(time.size, _MIDDLE)
@@ -164,10 +159,9 @@ def references(rng: np.random.Generator, duration: float = 12.0) -> dict[str, np
     found = {"multisine": multisine, "slow": slow, "steps": steps, "walk": walk}
     # Every motion begins gently from rest.
     fade = np.minimum(time / 0.5, 1.0)
-    return {
-        name: values if name == "steps" else _MIDDLE + fade * (values - _MIDDLE)
-        for name, values in found.items()
-    }
+    for name in ("multisine", "slow", "walk"):
+        found[name] = _MIDDLE + fade * (found[name] - _MIDDLE)
+    return found
 
 
 # Nominal values that the faults start from, spec/knee_bench.toml.
@@ -343,28 +337,20 @@ def _force(plant: FaultyBench, rng: np.random.Generator) -> HiddenValue:
 def _external(plant: FaultyBench, rng: np.random.Generator) -> HiddenValue:
     chamber = rng.choice(("a", "b"))
     value = float(np.exp(rng.uniform(np.log(3e-13), np.log(4e-12))))
-    name = f"external_leakage_{chamber}"
-    plant.parameters[VALVE, name] = value
-    return HiddenValue(parameter=name, value=value)
+    return _put(plant, f"external_leakage_{chamber}", value)
 
 
 def _droop(plant: FaultyBench, rng: np.random.Generator) -> HiddenValue:
     droop = float(np.exp(rng.uniform(np.log(2e10), np.log(3e11))))
     pressure = plant.tuning.get((VALVE, "supply_pressure"), NOMINAL["supply_pressure"])
-    plant.model = bench(
-        {
-            "supply_pressure": pressure,
-            "accumulator_volume": float(rng.uniform(2e-5, 8e-5)),
-            "compensator_gain": 1.0 / droop,
-            "pump_flow": 0.1,
-        }
-    )
+    pump = {"supply_pressure": pressure, "accumulator_volume": float(rng.uniform(2e-5, 8e-5))}
+    plant.model = bench({**pump, "compensator_gain": 1.0 / droop, "pump_flow": 0.1})
     return HiddenValue(parameter="droop", value=droop)
 
 
 def _temperature(plant: FaultyBench, rng: np.random.Generator) -> HiddenValue:
-    value = float(rng.choice((rng.uniform(5.0, 30.0), rng.uniform(52.0, 80.0))))
-    return _put(plant, "oil_temperature", value)
+    choice = rng.uniform(5.0, 30.0), rng.uniform(52.0, 80.0)
+    return _put(plant, "oil_temperature", float(rng.choice(choice)))
 
 
 FAULTS: dict[str, Fault] = {
@@ -381,9 +367,7 @@ FAULTS: dict[str, Fault] = {
     "valve_hysteresis": _shifted("hysteresis", 0.008, 0.06, signed=False),
     "valve_bandwidth": _scaled("bandwidth_hz", (0.05, 0.3)),
     "command_delay": _set(
-        "command_delay",
-        "delay",
-        lambda rng: TIMESTEP * round(rng.uniform(0.003, 0.02) / TIMESTEP),
+        "command_delay", "delay", lambda rng: TIMESTEP * round(rng.uniform(0.003, 0.02) / TIMESTEP)
     ),
     "viscous_friction": _scaled("viscous", (1.5, 6.0)),
     "coulomb_friction": _coulomb,

@@ -16,13 +16,7 @@ import numpy as np
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.recording import Recording
 from leglab.data import write_atomically
-from leglab.studies.blind.faulty_bench import (
-    FAULTS,
-    FaultyBench,
-    HiddenValue,
-    detuned,
-    references,
-)
+from leglab.studies.blind.faulty_bench import FAULTS, FaultyBench, HiddenValue, detuned, references
 
 JITTER = 1e-5  # s, standard deviation of the logger's clock
 LOST = 5e-4  # share of rows that never reach the file
@@ -87,12 +81,9 @@ def logged(recording: Recording, *, pressures: bool, rng: np.random.Generator) -
     sampled = {
         name: np.interp(time, recording.time, values) for name, values in recording.columns.items()
     }
-    columns = [
-        1e3 * time,
-        -np.degrees(sampled["knee_position"]),
-        # Held over its millisecond, whenever in it the logger looks.
-        FULL_COMMAND * recording["knee_valve_command"],
-    ]
+    # Held over its millisecond, whenever in it the logger looks.
+    command = FULL_COMMAND * recording["knee_valve_command"]
+    columns = [1e3 * time, -np.degrees(sampled["knee_position"]), command]
     formats = dict(_COLUMNS)
     if pressures:
         columns += [1e-5 * sampled["knee_pressure_a"], 1e-5 * sampled["knee_pressure_b"]]
@@ -131,8 +122,7 @@ def write_rig(settings: RigSettings, folder: Path) -> list[Path]:
         f"{name}: {hidden.parameter or 'size'} = {hidden.value:.5g}\n"
         for name, hidden in zip(settings.effects, severities, strict=True)
     ]
-    truth = "".join(lines) or "nothing is hidden\n"
-    _write(folder / "truth.txt", truth.encode())
+    _write(folder / "truth.txt", ("".join(lines) or "nothing is hidden\n").encode())
     return paths
 
 

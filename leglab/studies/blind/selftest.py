@@ -9,6 +9,7 @@ from time import perf_counter
 
 import joblib
 import numpy as np
+from pydantic import TypeAdapter
 from rich.table import Table
 
 from leglab.base.errors import LeglabError
@@ -16,7 +17,6 @@ from leglab.base.recording import Recording
 from leglab.diagnosis.hypothesis import Library
 from leglab.diagnosis.model import Machine
 from leglab.diagnosis.recordings import held_out_choice
-from leglab.diagnosis.result import Diagnosis
 from leglab.diagnosis.verdict import diagnose
 from leglab.diagnosis.workflow import Settings
 from leglab.studies.blind.faulty_bench import (
@@ -88,10 +88,7 @@ def make(case: Case, seed: int) -> tuple[dict[str, Recording], tuple[HiddenValue
     plant = FaultyBench(onset=case.onset)
     detuned(plant, rng)
     severities = tuple(FAULTS[name](plant, rng) for name in case.effects)
-    return (
-        {name: plant.record(values, rng) for name, values in references(rng).items()},
-        severities,
-    )
+    return {n: plant.record(values, rng) for n, values in references(rng).items()}, severities
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,11 +143,8 @@ class Outcome:
     @property
     def honest(self) -> bool:
         """Whether doubt is expressed: unexplained, partial, nothing named, or low confidence."""
-        return (
-            self.verdict in ("unexplained", "partial")
-            or not self.named
-            or max(self.confidence) <= _DOUBT
-        )
+        doubted = self.verdict in ("unexplained", "partial") or not self.named
+        return doubted or max(self.confidence) <= _DOUBT
 
     @property
     def onset_right(self) -> bool:
@@ -188,8 +182,8 @@ def self_test(
     todo = cases(counts, seed, sorted(set(FAULTS) & names))
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"outcomes-{seed}.jsonl"
-    done = {(o.kind, o.number): o for o in _read(path)}
-    done = {k: o for k, o in done.items() if any((c.kind, c.number) == k for c in todo)}
+    keys = {(c.kind, c.number) for c in todo}
+    done = {key: o for o in _read(path) if (key := (o.kind, o.number)) in keys}
     rest = [c for c in todo if (c.kind, c.number) not in done]
     # All kinds side by side, so that an interrupted test says something about each.
     rest.sort(key=lambda c: (c.number + 0.5) / counts[c.kind])
@@ -211,14 +205,15 @@ def run_case(case: Case, seed: int) -> Outcome:
     settings = Settings(excluded=excluded, threads=1, seed=seed)
     began = perf_counter()
     result, _ = diagnose(
-        MODEL,
-        recordings,
-        held_out=held_out_choice(recordings, Machine(MODEL)),
-        settings=settings,
+        MODEL, recordings, held_out=held_out_choice(recordings, Machine(MODEL)), settings=settings
     )
-    covered = []
-    for name, severity in zip(case.effects, severities, strict=True):
-        covered += _coverage(result, name, severity.parameter, severity.value)
+    covered = [
+        p.interval[0] <= hidden.value <= p.interval[1]
+        for name, hidden in zip(case.effects, severities, strict=True)
+        for e in result.effects
+        for p in e.parameters
+        if (e.name, p.name) == (name, hidden.parameter)
+    ]
     return Outcome(
         kind=case.kind,
         number=case.number,
@@ -236,14 +231,7 @@ def run_case(case: Case, seed: int) -> Outcome:
     )
 
 
-def _coverage(result: Diagnosis, effect: str, parameter: str, value: float) -> list[bool]:
-    return [
-        p.interval[0] <= value <= p.interval[1]
-        for e in result.effects
-        if e.name == effect
-        for p in e.parameters
-        if p.name == parameter
-    ]
+_OUTCOME = TypeAdapter(Outcome)  # makes tuples of JSON's lists
 
 
 def _read(path: Path) -> Iterator[Outcome]:
@@ -254,9 +242,7 @@ def _read(path: Path) -> Iterator[Outcome]:
             row = json.loads(line)
         except json.JSONDecodeError:  # the line that an interruption cut off
             continue
-        lists = {k: tuple(v) for k, v in row.items() if isinstance(v, list)}
-        lists["alternatives"] = tuple(tuple(a) for a in row["alternatives"])
-        yield Outcome(**{**row, **lists})
+        yield _OUTCOME.validate_python(row)
 
 
 def scores(outcomes: list[Outcome]) -> list[tuple[str, str, str, str]]:
@@ -285,14 +271,9 @@ def scores(outcomes: list[Outcome]) -> list[tuple[str, str, str, str]]:
     add("onset at 6 s named and within 0.3 s", onset, "all")
     seconds = [o.seconds for o in outcomes]
     if seconds:
-        rows.append(
-            (
-                "seconds a diagnosis on one thread, median / longest",
-                f"{np.median(seconds):.1f} / {max(seconds):.1f}",
-                str(len(seconds)),
-                "",
-            )
-        )
+        question = "seconds a diagnosis on one thread, median / longest"
+        times = f"{np.median(seconds):.1f} / {max(seconds):.1f}"
+        rows.append((question, times, str(len(seconds)), ""))
     return rows
 
 
@@ -306,9 +287,8 @@ def score_table(outcomes: list[Outcome]) -> Table:
 
 def confusion_table(outcomes: list[Outcome]) -> Table:
     """Wrong or missing first names of single-effect cases: hidden against named."""
-    table = Table(title="single effects not named first", title_justify="left")
-    for name in ("hidden", "named instead", "verdict", "times"):
-        table.add_column(name)
+    head = ("hidden", "named instead", "verdict", "times")
+    table = Table(*head, title="single effects not named first", title_justify="left")
     wrong = Counter(
         (o.hidden[0], ", ".join(o.named) or "nothing", o.verdict)
         for o in outcomes

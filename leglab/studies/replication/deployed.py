@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import product
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +21,8 @@ from leglab.identification import (
     SplineNarxSettings,
 )
 from leglab.studies.replication import paper
+from leglab.studies.replication.paper import Array
 from leglab.studies.replication.plant import Plant, exact_free_run, simulate
-
-Array = NDArray[np.float64]
 
 U = Signal(name="u", lower=0.0, upper=1.0)
 Y = Signal(name="y", lower=0.0, upper=0.9)
@@ -121,19 +122,13 @@ def forgetting_modes(gain: float = 1e4) -> dict[str, Rls]:
     plain = Rls(initial_gain=gain)
     fortescue = Rls(initial_gain=gain, forgetting="variable", forgetting_factor=0.9, memory=400.0)
     modes = {"plain": plain}
-    for factor in (0.99, 0.998):
-        modes[f"exponential {factor}"] = replace(
-            plain, forgetting="exponential", forgetting_factor=factor
-        )
-        modes[f"directional {factor}"] = replace(
-            plain, forgetting="directional", forgetting_factor=factor
-        )
+    ways: tuple[Literal["exponential", "directional"], ...] = ("exponential", "directional")
+    for factor, way in product((0.99, 0.998), ways):
+        modes[f"{way} {factor}"] = replace(plain, forgetting=way, forgetting_factor=factor)
     modes |= {
         "Fortescue, N_0 400": fortescue,
         "plain, reset on change": replace(plain, change=change),
-        "exponential 0.998, reset": replace(
-            plain, forgetting="exponential", forgetting_factor=0.998, change=change
-        ),
+        "exponential 0.998, reset": replace(modes["exponential 0.998"], change=change),
         DEPLOYED_MODE: replace(fortescue, change=change),
     }
     return modes

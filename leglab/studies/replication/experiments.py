@@ -1,11 +1,11 @@
 """Experiments with the paper's models: Table 1, convergence, sensitivity, cost of an update."""
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
+from timeit import timeit
 
 import numpy as np
-from numpy.typing import NDArray
 
 from leglab.identification import Basis, BsnnArx
 from leglab.studies.replication.networks import LAGS, train
@@ -17,10 +17,8 @@ from leglab.studies.replication.online import (
     run_online,
     static_alone,
 )
-from leglab.studies.replication.paper import INSTANCES, MODELS, N_TRAINING, Scores, score
+from leglab.studies.replication.paper import INSTANCES, MODELS, N_TRAINING, Array, Scores, score
 from leglab.studies.replication.plant import Excitation, simulate
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,11 +111,10 @@ def converge(u: Array, y: Array, instances: int, seed: int) -> Convergence:
     bsnn, alone, model = online_models(instances, seed, OnlineSettings()).values()
     start = np.atleast_2d(model.weights).copy()
     order, neurons = model.settings.na + model.settings.nb, start.shape[-1]
-    _, trajectory = _record(model, u, y)
-    _, alone_trajectory = _record(alone, u, y)
-    prediction, _ = _record(bsnn, u[:n], y[:n])
+    trajectory = _record(model, u, y)[1]
     theta, weights = trajectory[..., :order], trajectory[..., order : order + neurons]
-    theta_alone = alone_trajectory[..., :order]
+    theta_alone = _record(alone, u, y)[1][..., :order]
+    prediction = _record(bsnn, u[:n], y[:n])[0]
 
     basis = model.settings.network.basis[0]
     inside = np.clip(u[:n], basis.knots[0], basis.knots[-1])
@@ -235,8 +232,7 @@ def learning_constant(u: Array, y: Array, instances: int, seed: int) -> dict[str
     for eta in LEARNING_CONSTANTS:
         runs = [run_online(u, y, instances, seed, OnlineSettings(learning_constant=eta))]
         for model in ("BSNN", "BSNN-ARX"):
-            one, _ = _errors(runs, y[None], model)
-            curves.setdefault(model, []).append(float(np.mean(one)))
+            curves.setdefault(model, []).append(float(np.mean(_errors(runs, y[None], model)[0])))
     return curves
 
 
@@ -294,19 +290,12 @@ ROUNDS = 9
 SPLINES = (4, 8, 16, 32, 64, 128)
 
 
-def rls_multiplications(parameters: int) -> int:
-    """5 N^2 + 3 N for one RLS step with N parameters (Sec. 3.2)."""
-    return 5 * parameters**2 + 3 * parameters
-
-
-def bsnn_multiplications(neurons: int) -> int:
-    """5 N for one adaptation step of a single-input BSNN with N neurons (Sec. 3.2)."""
-    return 5 * neurons
-
-
 def multiplications(arx_parameters: int, neurons: int) -> int:
-    """Of one step of the combined model: 238 for 6 ARX parameters and 8 neurons."""
-    return rls_multiplications(arx_parameters) + bsnn_multiplications(neurons)
+    """Of one step (Sec. 3.2): 5 N^2 + 3 N for the RLS with N parameters, 5 N for the BSNN.
+
+    That is 238 for 6 ARX parameters and 8 neurons.
+    """
+    return 5 * arx_parameters**2 + 3 * arx_parameters + 5 * neurons
 
 
 def update_times(samples: int = 20_000) -> list[tuple[int, int, int, float]]:
@@ -322,14 +311,15 @@ def update_times(samples: int = 20_000) -> list[tuple[int, int, int, float]]:
     u = rng.uniform(0.0, 0.8, samples)
     y = 0.5 * np.concatenate([[0.0], u[:-1]]) + 0.01 * rng.standard_normal(samples)
     sizes = [(order, 8) for order in ORDERS] + [(3, n) for n in SPLINES if n != 8]
-    models = []
+    models, base = [], OnlineSettings().bsnn_arx()
     for order, neurons in sizes:
-        base = OnlineSettings().bsnn_arx()
-        basis = Basis.uniform(0.0, 0.8, neurons, kind="paper")
-        settings = replace(base, na=order, nb=order, network=replace(base.network, basis=(basis,)))
-        models.append(settings)
+        network = replace(base.network, basis=(Basis.uniform(0.0, 0.8, neurons, kind="paper"),))
+        models.append(replace(base, na=order, nb=order, network=network))
     # Sizes take turns, so that a slow spell of the machine does not fall on one of them.
-    rounds = [[_time(BsnnArx(settings), u, y) for settings in models] for _ in range(ROUNDS)]
+    rounds = [
+        [timeit(partial(BsnnArx(settings).run, u, y), number=1) for settings in models]
+        for _ in range(ROUNDS)
+    ]
     rows = []
     for (order, neurons), best in zip(sizes, np.min(rounds, axis=0).tolist(), strict=True):
         count = multiplications(2 * order, neurons)
@@ -339,12 +329,4 @@ def update_times(samples: int = 20_000) -> list[tuple[int, int, int, float]]:
 
 def table_time(u: Array, y: Array, seed: int) -> float:
     """Seconds for the online models of Table 1: 100 instances of each, training and validation."""
-    start = time.perf_counter()
-    run_online(u, y, INSTANCES, seed)
-    return time.perf_counter() - start
-
-
-def _time(model: BsnnArx, u: Array, y: Array) -> float:
-    start = time.perf_counter()
-    model.run(u, y)
-    return time.perf_counter() - start
+    return timeit(lambda: run_online(u, y, INSTANCES, seed), number=1)

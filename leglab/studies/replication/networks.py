@@ -15,11 +15,10 @@ from dataclasses import dataclass
 from math import tanh
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_banded
 from scipy.optimize import least_squares
 
-Array = NDArray[np.float64]
+from leglab.studies.replication.paper import Array
 
 LAGS = 3
 """Past outputs and past inputs in the regressor: n = m = 3 as in the ARX model."""
@@ -62,9 +61,8 @@ def train(u: Array, y: Array, *, output_error: bool, rng: np.random.Generator) -
     u_scale, y_scale = _scale(u), _scale(y)
     scaled_u, scaled_y = (u - u_scale[0]) / u_scale[1], (y - y_scale[0]) / y_scale[1]
     problem = _output_error if output_error else _equation_error
-    weights = _levenberg_marquardt(
-        *problem(scaled_u, scaled_y), rng.uniform(-0.25, 0.25, N_PARAMETERS)
-    )
+    start = rng.uniform(-0.25, 0.25, N_PARAMETERS)
+    weights = _levenberg_marquardt(*problem(scaled_u, scaled_y), start)
     return Network(weights=weights, u_scale=u_scale, y_scale=y_scale)
 
 

@@ -4,16 +4,13 @@ Instances differ in their initial parameters alone (Sec. 3.1). They run as the j
 identifier, so a hundred cost one call.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from leglab.identification import BsnnArx, BsnnArxSettings, Rls
-from leglab.studies.replication.paper import N_TRAINING, Scores, score
-
-Array = NDArray[np.float64]
+from leglab.studies.replication.paper import N_TRAINING, Array, Scores, score
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +47,7 @@ models' means to the table. Of the thirty best, the one whose networks fit best 
 """
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class OnlineRun:
     """Predictions of M instances of one model.
 
@@ -69,7 +66,7 @@ class OnlineRun:
 class OnlineRuns:
     """The three models on one realisation, in the order BSNN, ARX, BSNN-ARX."""
 
-    runs: dict[str, OnlineRun] = field(default_factory=dict)
+    runs: dict[str, OnlineRun]
 
     def scores(self, y: Array) -> Scores:
         """Scores as the paper judges them: while adapting, then one step ahead."""
@@ -138,12 +135,10 @@ def static_alone(settings: BsnnArxSettings, start: BsnnArx | None = None) -> Bsn
 def _linear_alone(instances: int, rng: np.random.Generator, settings: OnlineSettings) -> BsnnArx:
     """The ARX model by itself: a BSNN-ARX model whose static part is the identity."""
     base = settings.bsnn_arx()
-    identity = replace(
-        base.network.basis[0], kind="full", outside="linear", middle_piece="corrected"
-    )
-    network = replace(
-        base.network, basis=(identity,), learning_constant=(0.0,), bias=False, saturation=False
-    )
+    basis = base.network.basis[0]
+    identity = replace(basis, kind="full", outside="linear", middle_piece="corrected")
+    fixed = replace(base.network, basis=(identity,), learning_constant=(0.0,))
+    network = replace(fixed, bias=False, saturation=False)
     model = BsnnArx(replace(base, network=network), joints=instances)
     model.randomise(rng, settings.spread)
     parameters = model.parameters
@@ -158,10 +153,6 @@ def _run(model: BsnnArx, u: Array, y: Array) -> OnlineRun:
     training = model.run(inputs[:n], outputs[:n])
     model.freeze()
     with np.errstate(over="ignore", invalid="ignore"):
-        parts = (
-            training,
-            model.one_step(inputs[n:], outputs[n:], resume=True),
-            model.free_run(inputs[n:]),
-        )
-    training, validation, free = (part.reshape(-1, model.joints) for part in parts)
-    return OnlineRun(training=training, validation=validation, free_run=free)
+        one_step = model.one_step(inputs[n:], outputs[n:], resume=True)
+        parts = training, one_step, model.free_run(inputs[n:])
+    return OnlineRun(*(part.reshape(-1, model.joints) for part in parts))

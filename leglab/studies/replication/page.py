@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from leglab.studies.replication.deployed import CHANGES, DEPLOYED_MODE, WINDOW, Recovery
 from leglab.studies.replication.experiments import (
@@ -19,9 +19,7 @@ from leglab.studies.replication.experiments import (
     spline_shapes,
 )
 from leglab.studies.replication.online import BETTER_FIT
-from leglab.studies.replication.paper import Score, markdown, table_1, worst_deviation
-
-Array = NDArray[np.float64]
+from leglab.studies.replication.paper import Array, Score, markdown, table_1, worst_deviation
 
 SAMPLING_TIME = 0.005  # s
 SHOWN_MODES = (
@@ -72,16 +70,11 @@ def comparison(page: Page, result: ModelComparison, y: Array, instances: int, se
         "the constants were picked to be near the table: see the spread below."
     )
     page.text(table_1(result.scores))
-    names = {
-        "BSNN": "fig_08_bsnn",
-        "ARX": "fig_09_arx",
-        "BSNN-ARX": "fig_11_bsnn_arx",
-        "NNOE": "fig_16_nnoe",
-        "NNARX": "fig_17_nnarx",
-    }
-    for model, name in names.items():
+    numbers = {"BSNN": 8, "ARX": 9, "BSNN-ARX": 11, "NNOE": 16, "NNARX": 17}
+    for model, number in numbers.items():
         how = "free run" if model.startswith("NN") else "one step"
-        title = f"Fig. {int(name[4:6])}: {model} on the validation set ({how})"
+        title = f"Fig. {number}: {model} on the validation set ({how})"
+        name = f"fig_{number:02}_{model.lower().replace('-', '_')}"
         page.figure(name, _validation(title, y, model, result.examples[model]))
     scores = result.scores["validation"]
     page.figure("fig_12_instances", _instances(scores["BSNN-ARX"].rms))
@@ -122,7 +115,7 @@ def sensitivities(
     page.text(markdown(("variance", *head[1:]), variances))
     u, shapes = spline_shapes()
     title = "Third spline of Eq. 9: the printed middle piece jumps at its knots"
-    page.figure("eq_9", _traces(title, ("u", u), "N_3(u)", shapes, scale="linear"))
+    page.figure("eq_9", _traces(title, "u", u, "N_3(u)", shapes, scale="linear"))
     free_text = ", ".join(f"{model} {value:.4f}" for model, value in free.items())
     page.text(
         f"In free run instead of one step, paper mode: {free_text}; a constant would have the "
@@ -130,12 +123,11 @@ def sensitivities(
     )
     curves = {label: values for label, values in gains.items() if "share" not in label}
     title = "Validation RMS against F(0)"
-    figure = _lines(title, ("F(0) / I", INITIAL_GAINS), curves, y_scale="log")
-    page.figure("sensitivity_gain", figure)
+    page.figure("sensitivity_gain", _lines(title, "F(0) / I", INITIAL_GAINS, curves, scale="log"))
     table = [(gain, *(v[i] for v in gains.values())) for i, gain in enumerate(INITIAL_GAINS)]
     page.text(markdown(("F(0)", *gains), table))
     title = "Validation RMS (one step) against the learning constant"
-    figure = _lines(title, ("learning constant", LEARNING_CONSTANTS), constants)
+    figure = _lines(title, "learning constant", LEARNING_CONSTANTS, constants)
     page.figure("sensitivity_learning", figure)
 
 
@@ -206,11 +198,10 @@ def readaptation(page: Page, recoveries: Mapping[str, Mapping[str, Recovery]]) -
     page.text(recovery_table(recoveries))
     for name in CHANGES:
         curves = {mode: recoveries[mode][name].error for mode in SHOWN_MODES}
-        first = next(iter(curves.values()))
-        time = (np.arange(len(first)) - 1000) * SAMPLING_TIME
+        time = (np.arange(len(curves[DEPLOYED_MODE])) - 1000) * SAMPLING_TIME
         title = f"One-step error around a doubling of {name} at 0 s"
         label = f"RMS over the next {WINDOW * SAMPLING_TIME} s"
-        page.figure(f"readaptation_{name}", _traces(title, ("time [s]", time), label, curves))
+        page.figure(f"readaptation_{name}", _traces(title, "time [s]", time, label, curves))
 
 
 def recovery_table(recoveries: Mapping[str, Mapping[str, Recovery]]) -> str:
@@ -230,8 +221,7 @@ def recovery_table(recoveries: Mapping[str, Mapping[str, Recovery]]) -> str:
 
 def _figure(rows: int = 1, height: float = 2.4) -> tuple[Figure, list[Axes]]:
     figure = Figure(figsize=(7.0, height * rows + 0.6), layout="constrained")
-    axes = figure.subplots(rows, 1, squeeze=False, sharex=True)
-    return figure, list(axes[:, 0])
+    return figure, list(figure.subplots(rows, 1, squeeze=False, sharex=True)[:, 0])
 
 
 def _adaptation_of_weights(result: Convergence, y: Array) -> Figure:
@@ -251,7 +241,7 @@ def _adaptation_of_weights(result: Convergence, y: Array) -> Figure:
 def _adaptation_of_theta(result: Convergence) -> Figure:
     """Fig. 10: parameters of the ARX model alone (above) and behind the BSNN."""
     figure, axes = _figure(2)
-    labels = [*(f"a_{i}" for i in (1, 2, 3)), *(f"b_{i}" for i in (1, 2, 3))]
+    labels = [f"{name}_{i}" for name in "ab" for i in (1, 2, 3)]
     thetas = {"ARX": result.theta_alone, "BSNN-ARX": result.theta}
     for axis, (name, theta) in zip(axes, thetas.items(), strict=True):
         axis.plot(np.arange(len(theta)) * SAMPLING_TIME, theta, label=labels)
@@ -313,36 +303,30 @@ def _view(values: Sequence[Array]) -> tuple[float, float]:
     return float(min(ends) - margin), float(max(ends) + margin)
 
 
+Curves = Mapping[str, ArrayLike]
+
+
 def _lines(
-    title: str,
-    x: tuple[str, Sequence[float]],
-    curves: Mapping[str, Sequence[float]],
-    *,
-    y_scale: str = "linear",
+    title: str, x_label: str, x: ArrayLike, curves: Curves, *, scale: str = "linear"
 ) -> Figure:
-    """RMS as a line for each named curve over common points x = (label, values)."""
+    """RMS as a line for each named curve over few common points."""
     figure, (axis,) = _figure(height=3.2)
     for label, values in curves.items():
-        axis.plot(x[1], values, "o-", label=label, markersize=4)
-    axis.set(xlabel=x[0], ylabel="RMS", title=title, xscale="log", yscale=y_scale)
+        axis.plot(x, values, "o-", label=label, markersize=4)
+    axis.set(xlabel=x_label, ylabel="RMS", title=title, xscale="log", yscale=scale)
     axis.grid(alpha=0.3)
     axis.legend()
     return figure
 
 
 def _traces(
-    title: str,
-    x: tuple[str, ArrayLike],
-    y_label: str,
-    curves: Mapping[str, Array],
-    *,
-    scale: str = "log",
+    title: str, x_label: str, x: ArrayLike, y_label: str, curves: Curves, *, scale: str = "log"
 ) -> Figure:
-    """Dense curves over x = (label, values)."""
+    """Dense curves over common points."""
     figure, (axis,) = _figure(height=3.2)
     for label, values in curves.items():
-        axis.plot(x[1], values, label=label, linewidth=1.0)
-    axis.set(xlabel=x[0], ylabel=y_label, title=title, yscale=scale)
+        axis.plot(x, values, label=label, linewidth=1.0)
+    axis.set(xlabel=x_label, ylabel=y_label, title=title, yscale=scale)
     axis.grid(alpha=0.3)
     figure.legend(loc="outside lower center", ncols=3, fontsize="small")
     return figure

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -63,6 +64,11 @@ class Score:
     rms: Array
     r2: Array
 
+    def to_json(self) -> dict[str, float]:
+        """Returns means and spread over the instances."""
+        means = {"rms_mean": float(self.rms.mean()), "rms_std": float(self.rms.std())}
+        return {**means, "r2_mean": float(self.r2.mean()), "instances": len(self.rms)}
+
 
 def score(y: Array, predictions: Array) -> Score:
     """Scores predictions of shape (n,) or (n, M) of the output y, shape (n,)."""
@@ -78,10 +84,8 @@ Scores = dict[str, dict[str, Score]]
 def table_1(scores: Scores) -> str:
     """Table 1 as Markdown: each measured value with the printed one in brackets behind it."""
     rows = []
-    for name in SETS:
-        for model in MODELS:
-            if model not in scores[name]:
-                continue
+    for name, model in product(SETS, MODELS):
+        if model in scores[name]:
             got, printed = scores[name][model], TABLE_1[name][model]
             off = f"{100.0 * (float(np.mean(got.rms)) / printed.rms_mean - 1.0):+.0f} %"
             cells = (
@@ -90,7 +94,10 @@ def table_1(scores: Scores) -> str:
                 (np.mean(got.r2), printed.r2_mean, ".3f"),
                 (np.var(got.r2), printed.r2_var, ".1e"),
             )
-            texts = [f"{value:{form}} ({_printed(ref, form)})" for value, ref, form in cells]
+            texts = [
+                f"{value:{form}} ({'NS' if ref is None else format(ref, form)})"
+                for value, ref, form in cells
+            ]
             rows.append((name, model, texts[0], off, *texts[1:]))
     head = ("set", "model", "RMS mean (paper)", "off by", "RMS var (paper)")
     return markdown((*head, "R^2 mean (paper)", "R^2 var (paper)"), rows)
@@ -110,13 +117,7 @@ def worst_deviation(scores: Scores) -> float:
 def markdown(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """A Markdown table; floats are shown with four significant digits."""
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    lines += ["| " + " | ".join(_cell(cell) for cell in row) + " |" for row in rows]
+    for row in rows:
+        cells = (f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in row)
+        lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
-
-
-def _cell(value: object) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _printed(value: float | None, form: str) -> str:
-    return "NS" if value is None else f"{value:{form}}"

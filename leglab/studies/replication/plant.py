@@ -8,11 +8,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from leglab.base.errors import LeglabError
-
-Array = NDArray[np.float64]
+from leglab.studies.replication.paper import Array
 
 SUBSTEPS = 5
 """Runge-Kutta steps in one hold of the noise: halving them moves y by less than 1e-7."""
@@ -141,7 +139,10 @@ def exact_free_run(u: Array, plant: Plant | None = None, *, sampling_time: float
     return outputs
 
 
-def _acceleration(*plants: Plant) -> Callable[[Array, Array, Array], Array]:
+Acceleration = Callable[[Array, Array, Array], Array]
+
+
+def _acceleration(*plants: Plant) -> Acceleration:
     """Eq. 23 solved for the acceleration, for one plant or for one a realisation."""
     m, b, k_1, k_2 = np.array([(p.m, p.b, p.k_1, p.k_2) for p in plants]).T
 
@@ -152,11 +153,7 @@ def _acceleration(*plants: Plant) -> Callable[[Array, Array, Array], Array]:
 
 
 def _runge_kutta(
-    acceleration: Callable[[Array, Array, Array], Array],
-    y: Array,
-    v: Array,
-    forces: Sequence[Array],
-    step: float,
+    acceleration: Acceleration, y: Array, v: Array, forces: Sequence[Array], step: float
 ) -> tuple[Array, Array]:
     """One classical fourth-order step; `forces` are those at its start, middle and end."""
     start, middle, end = forces
@@ -167,7 +164,5 @@ def _runge_kutta(
     a_3 = acceleration(y + step / 2.0 * v_2, v_3, middle)
     v_4 = v + step * a_3
     a_4 = acceleration(y + step * v_3, v_4, end)
-    return (
-        y + step / 6.0 * (v + 2.0 * v_2 + 2.0 * v_3 + v_4),
-        v + step / 6.0 * (a_1 + 2.0 * a_2 + 2.0 * a_3 + a_4),
-    )
+    way = v + 2.0 * v_2 + 2.0 * v_3 + v_4
+    return y + step / 6.0 * way, v + step / 6.0 * (a_1 + 2.0 * a_2 + 2.0 * a_3 + a_4)

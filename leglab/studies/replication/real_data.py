@@ -12,7 +12,6 @@ from itertools import product
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.io import loadmat
 
 from leglab.identification import (
@@ -26,9 +25,8 @@ from leglab.identification import (
     SplineNarx,
     SplineNarxSettings,
 )
+from leglab.studies.replication.paper import Array
 from leglab.studies.shared_data import shared_data
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

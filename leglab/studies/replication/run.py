@@ -55,15 +55,7 @@ class Replication:
         """Returns the scores by set and model and where the page is, as JSON can hold it."""
         return {
             "scores": {
-                part: {
-                    model: {
-                        "rms_mean": float(score.rms.mean()),
-                        "rms_std": float(score.rms.std()),
-                        "r2_mean": float(score.r2.mean()),
-                        "instances": len(score.rms),
-                    }
-                    for model, score in models.items()
-                }
+                part: {model: score.to_json() for model, score in models.items()}
                 for part, models in self.comparison.scores.items()
             },
             "worst_deviation": self.worst_deviation,
@@ -93,10 +85,9 @@ def replicate(
     Raises:
         LeglabError: `instances` is no positive integer or `seed` is negative.
     """
-    if isinstance(instances, bool) or not isinstance(instances, int) or instances < 1:
-        raise LeglabError(f"instances is {instances!r}: must be an integer of at least 1")
-    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-        raise LeglabError(f"seed is {seed!r}: must be an integer of at least 0")
+    for name, value, least in (("instances", instances, 1), ("seed", seed, 0)):
+        if isinstance(value, bool) or not isinstance(value, int) or value < least:
+            raise LeglabError(f"{name} is {value!r}: must be an integer of at least {least}")
     say = progress or (lambda line: None)
     sheet = page.Page(Path(out), "The paper's experiment replicated")
 

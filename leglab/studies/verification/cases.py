@@ -108,16 +108,10 @@ def _case(
         def rows() -> Iterator[Check]:
             for solver in solvers:
                 for found in compare(solver):
-                    yield Check(
-                        case=label or name.split()[0],
-                        quantity=found.quantity,
-                        solver=solver.name,
-                        unit=found.unit,
-                        expected=float(found.expected),
-                        got=float(found.got),
-                        tolerance=found.tolerance or tolerance,
-                        scale=found.scale,
-                    )
+                    values = {"expected": float(found.expected), "got": float(found.got)}
+                    values["tolerance"] = found.tolerance or tolerance
+                    case = label or name.split()[0]
+                    yield Check(case=case, solver=solver.name, **{**found._asdict(), **values})
 
         CASES[name] = rows
         return compare
@@ -127,10 +121,8 @@ def _case(
 
 def volumes(position: float) -> tuple[float, float]:
     """Chamber volumes [m^3] at a piston position [m]."""
-    return (
-        DEAD_VOLUME_A + AREA_A * position,
-        DEAD_VOLUME_B + AREA_B * (CYLINDER["stroke"] - position),
-    )
+    volume_b = DEAD_VOLUME_B + AREA_B * (CYLINDER["stroke"] - position)
+    return DEAD_VOLUME_A + AREA_A * position, volume_b
 
 
 def stiffness(position: float) -> float:
@@ -189,8 +181,7 @@ def _moving(spool: float, load: float = 0.0, tank: float = 0.0) -> Experiment:
     return Experiment(
         parameters={**IDEAL, "tank_pressure": tank},
         position=0.01 if spool > 0 else 0.07,
-        pressure_a=pressure_a,
-        pressure_b=pressure_b,
+        pressures=(pressure_a, pressure_b),
         command=constant(spool),
         load=constant(load),
         duration=round(0.06 / abs(speed), 3),
@@ -227,12 +218,9 @@ def _loaded_speed(solver: Solver) -> Iterator[Found]:
         got = _settled(solver.run(held).force)
         yield Found(f"stall force at x_s = {spool:+g}", "N", force, got)
     trace = solver.run(_moving(1.0, 2000.0))
-    yield Found(
-        "efficiency at x_s = +1 against 2000 N",
-        "1",
-        2000.0 / (AREA_A * SUPPLY_PRESSURE),
-        _power(trace, "energy_load") / _power(trace, "energy_supply"),
-    )
+    got = _power(trace, "energy_load") / _power(trace, "energy_supply")
+    expected = 2000.0 / (AREA_A * SUPPLY_PRESSURE)
+    yield Found("efficiency at x_s = +1 against 2000 N", "1", expected, got)
 
 
 def _decaying(t: np.ndarray, w: float, s: float, a: float, b: float, c: float) -> np.ndarray:
@@ -257,15 +245,10 @@ def _resonance(solver: Solver) -> Iterator[Found]:
         w = math.sqrt(stiffness(position) / MASS)
         if isinstance(solver, Engine):
             w = 2 * math.asin(0.5 * w * solver.timestep) / solver.timestep
-        trace = solver.run(
-            Experiment(
-                position=position,
-                velocity=1e-3,
-                pressure_a=5e6,
-                pressure_b=5e6 * AREA_A / AREA_B,
-                duration=0.2,
-            )
+        experiment = Experiment(
+            position=position, velocity=1e-3, pressures=(5e6, 5e6 * AREA_A / AREA_B), duration=0.2
         )
+        trace = solver.run(experiment)
         name = f"angular frequency at x = {position * 1e3:g} mm"
         yield Found(name, "rad/s", w, _oscillation(trace, w, 0.0)[0])
 
@@ -302,16 +285,14 @@ def _damping(solver: Solver) -> Iterator[Found]:
     """Damping ratio 0.042 that the leakage gives."""
     pole = _shown_pole(_linearised(0.04, LEAKAGE), solver)
     pressure = 8e6  # equal pressures do not leak; the load carries the rod's share
-    trace = solver.run(
-        Experiment(
-            parameters={**IDEAL, "internal_leakage": LEAKAGE},
-            velocity=1e-3,
-            pressure_a=pressure,
-            pressure_b=pressure,
-            load=constant(pressure * AREA_ROD),
-            duration=0.1,
-        )
+    experiment = Experiment(
+        parameters={**IDEAL, "internal_leakage": LEAKAGE},
+        velocity=1e-3,
+        pressures=(pressure, pressure),
+        load=constant(pressure * AREA_ROD),
+        duration=0.1,
     )
+    trace = solver.run(experiment)
     w, s = _oscillation(trace, pole.imag, -pole.real)
     name = "damping ratio with C_i = 1.7e-13, as the step shows it"
     yield Found(name, "1", -pole.real / abs(pole), s / math.hypot(w, s))
@@ -325,30 +306,22 @@ def _leak_down(solver: Solver) -> Iterator[Found]:
     `substeps` is raised to 4 where tau is below ten steps, and the row says so.
     """
     va, vb = volumes(0.04)
-    for part, clearance, celsius in (
+    cases = [
         (1.0, 1.0, 40.0),
         (0.1, 1.0, 40.0),
         (1.0, 2.0, 40.0),
         (1.0, 1.0, 0.0),
         (1.0, 1.0, 80.0),
-    ):
+    ]
+    for part, clearance, celsius in cases:
         leakage = part * LEAKAGE * clearance**3 / dynamic_viscosity_ratio(celsius)
         tau = va * vb / (va + vb) / (BULK_MODULUS * leakage)
         fine = isinstance(solver, Engine) and tau < 10 * solver.timestep
+        leaking = {**IDEAL, "internal_leakage": part * LEAKAGE, "seal_clearance": clearance}
+        leaking |= {"oil_temperature": celsius, "substeps": 4.0 if fine else 2.0}
+        duration = round(12 * tau, 3)
         trace = solver.run(
-            Experiment(
-                parameters={
-                    **IDEAL,
-                    "internal_leakage": part * LEAKAGE,
-                    "seal_clearance": clearance,
-                    "oil_temperature": celsius,
-                    "substeps": 4.0 if fine else 2.0,
-                },
-                mass=HELD,
-                pressure_a=14e6,
-                pressure_b=2e6,
-                duration=round(12 * tau, 3),
-            )
+            Experiment(parameters=leaking, mass=HELD, pressures=(14e6, 2e6), duration=duration)
         )
         difference = trace.pressure_a - trace.pressure_b
         used = trace.time <= 4 * tau
@@ -375,19 +348,14 @@ def _open_drift(solver: Solver) -> Iterator[Found]:
     expected = -LEAKAGE * load / (AREA_A**2 + LEAKAGE * _LEAKING["viscous"])
     variants = {
         # Without a rod both sides are alike and the leak goes from one to the other.
-        "symmetric cylinder": ({"rod": 0.0}, 8e6, 8e6 - load / AREA_A),
-        "side B vented": ({"external_leakage_b": 1e-9}, load / AREA_A, 0.0),
+        "symmetric cylinder": ({"rod": 0.0}, (8e6, 8e6 - load / AREA_A)),
+        "side B vented": ({"external_leakage_b": 1e-9}, (load / AREA_A, 0.0)),
     }
-    for name, (difference, pressure_a, pressure_b) in variants.items():
-        trace = solver.run(
-            Experiment(
-                parameters={**_LEAKING, **difference},
-                pressure_a=pressure_a,
-                pressure_b=pressure_b,
-                load=constant(load),
-                duration=2.0,
-            )
+    for name, (other, pressures) in variants.items():
+        experiment = Experiment(
+            parameters={**_LEAKING, **other}, pressures=pressures, load=constant(load), duration=2.0
         )
+        trace = solver.run(experiment)
         yield Found(f"drift under 1 kN, {name}", "m/s", expected, _late_speed(trace))
 
 
@@ -409,15 +377,11 @@ def _blocked_drift(solver: Solver) -> Iterator[Found]:
         va, vb = volumes(start + way)
         share = (AREA_A / va + AREA_B / vb) / (AREA_A**2 / va + AREA_B**2 / vb)
         tau = vb / (BULK_MODULUS * LEAKAGE * (1 - AREA_B / AREA_A) * (1 - AREA_B * share))
-        trace = solver.run(
-            Experiment(
-                parameters=_LEAKING,
-                pressure_a=pressure_a,
-                pressure_b=pressure_b,
-                load=constant(load),
-                duration=4.0,
-            )
+        pressures = pressure_a, pressure_b
+        experiment = Experiment(
+            parameters=_LEAKING, pressures=pressures, load=constant(load), duration=4.0
         )
+        trace = solver.run(experiment)
         late = (trace.time > 3 * tau) & (trace.time < 6 * tau)
         rest = trace.pressure_a - trace.pressure_b
         slope = np.polyfit(trace.time[late], np.log(np.abs(rest[late])), 1)[0]
@@ -454,15 +418,13 @@ def null_creep(load: float, rounding: float = 0.0216) -> tuple[float, float]:
 def _creep(solver: Solver) -> Iterator[Found]:
     """e4: the leaking null of a real valve lets the piston creep."""
     for load in (0.0, 1000.0, 2000.0):
-        trace = solver.run(
-            Experiment(
-                parameters={**_LEAKING, "edge_rounding": 0.0216},
-                pressure_a=8e6,
-                pressure_b=(8e6 * AREA_A - load) / AREA_B,
-                load=constant(load),
-                duration=1.0,
-            )
+        experiment = Experiment(
+            parameters={**_LEAKING, "edge_rounding": 0.0216},
+            pressures=(8e6, (8e6 * AREA_A - load) / AREA_B),
+            load=constant(load),
+            duration=1.0,
         )
+        trace = solver.run(experiment)
         name = f"creep of the rounded null under {load:g} N"
         yield Found(name, "m/s", null_creep(load)[0], _late_speed(trace))
 
@@ -532,17 +494,15 @@ def steady_friction(v: float) -> float:
 def _stribeck(solver: Solver) -> Iterator[Found]:
     """Friction at an imposed speed: a huge mass keeps it."""
     for v in (1e-4, 1e-3, 0.003, 0.0141, 0.03, 0.1, 0.5, -0.0141):
-        trace = solver.run(
-            Experiment(
-                parameters=_DRAINED,
-                mass=HELD,
-                velocity=v,
-                pressure_a=0.0,
-                pressure_b=0.0,
-                # The bristle settles over a path of F/sigma_0; ten of them, 0.75 mm.
-                duration=max(round(7.5e-4 / abs(v), 3), 0.05),
-            )
+        experiment = Experiment(
+            parameters=_DRAINED,
+            mass=HELD,
+            velocity=v,
+            pressures=(0.0, 0.0),
+            # The bristle settles over a path of F/sigma_0; ten of them, 0.75 mm.
+            duration=max(round(7.5e-4 / abs(v), 3), 0.05),
         )
+        trace = solver.run(experiment)
         friction = AREA_A * trace.pressure_a - AREA_B * trace.pressure_b - trace.force
         yield Found(f"friction at {v:g} m/s", "N", steady_friction(v), np.mean(friction[-5:]))
 
@@ -551,15 +511,10 @@ def _stribeck(solver: Solver) -> Iterator[Found]:
 def _presliding(solver: Solver) -> Iterator[Found]:
     """Displacement under a force of 0.4 F_s raised slowly: -(F_s/sigma_0) ln(1 - F/F_s)."""
     force, static = 60.0, _DRAINED["static"]
-    trace = solver.run(
-        Experiment(
-            parameters=_DRAINED,
-            pressure_a=0.0,
-            pressure_b=0.0,
-            load=lambda t: -force * min(t, 1.0),
-            duration=1.1,
-        )
+    experiment = Experiment(
+        parameters=_DRAINED, pressures=(0.0, 0.0), load=lambda t: -force * min(t, 1.0), duration=1.1
     )
+    trace = solver.run(experiment)
     expected = -static / _DRAINED["sigma_0"] * math.log(1 - force / static)
     got = trace.position[-1] - trace.position[0]
     yield Found(f"displacement before sliding under {force:g} N", "m", expected, got)
@@ -567,8 +522,7 @@ def _presliding(solver: Solver) -> Iterator[Found]:
 
 _WORKING = Experiment(
     parameters={**CYLINDER, "internal_leakage": 1.7e-12},
-    pressure_a=6e6,
-    pressure_b=9.8e6,
+    pressures=(6e6, 9.8e6),
     command=lambda t: 0.1 + 0.25 * math.sin(2 * math.pi * 4.0 * t),
     ideal_spool=False,
     load=lambda t: 300.0 * math.cos(2 * math.pi * 3.0 * t),
@@ -616,17 +570,9 @@ def _worn_stall(solver: Solver) -> Iterator[Found]:
     """Stall pressure that a worn seal leaves."""
     cases = [(1, 40.0, 0.05), (10, 40.0, 0.05), (10, 40.0, 0.2), (50, 40.0, 1.0), (50, 80.0, 1.0)]
     for wear, celsius, spool in cases:
-        held = Experiment(
-            parameters={
-                **IDEAL,
-                "internal_leakage": LEAKAGE,
-                "seal_clearance": wear ** (1 / 3),
-                "oil_temperature": celsius,
-            },
-            mass=HELD,
-            command=constant(spool),
-            duration=0.2,
-        )
+        worn = {**IDEAL, "internal_leakage": LEAKAGE, "seal_clearance": wear ** (1 / 3)}
+        worn["oil_temperature"] = celsius
+        held = Experiment(parameters=worn, mass=HELD, command=constant(spool), duration=0.2)
         name = f"pressure A, leakage x{wear} at {celsius:g} degC, x_s = {spool:g}"
         expected = stall_pressure(spool, wear * LEAKAGE / dynamic_viscosity_ratio(celsius))
         yield Found(name, "Pa", expected, _settled(solver.run(held).pressure_a))
@@ -637,9 +583,8 @@ def _spool_step(solver: Solver) -> Iterator[Found]:
     """Peak of the second-order spool at 250 Hz and zeta 0.7: 1 + exp(-pi zeta/sqrt(1 - zeta^2))."""
     w, zeta, command = 2 * math.pi * 250.0, 0.7, 0.5
     root = math.sqrt(1 - zeta**2)
-    trace = solver.run(
-        Experiment(mass=HELD, command=constant(command), ideal_spool=False, duration=0.01)
-    )
+    held = Experiment(mass=HELD, command=constant(command), ideal_spool=False, duration=0.01)
+    trace = solver.run(held)
     peak = int(np.argmax(trace.spool))
     time = trace.time[peak]  # samples need not hit the peak: compare at the sample
     phase = w * root * time
@@ -653,13 +598,9 @@ def _spool_step(solver: Solver) -> Iterator[Found]:
 def _null_leak(solver: Solver) -> Iterator[Found]:
     """Flow of the centred valve with rounded edges, 2 K (eps/2) sqrt(p_s/2)."""
     for supply in (16e6, 21e6):
-        held = Experiment(
-            parameters={**IDEAL, "edge_rounding": 0.0216, "supply_pressure": supply},
-            mass=HELD,
-            pressure_a=0.5 * supply,
-            pressure_b=0.5 * supply,
-            duration=0.1,
-        )
+        rounded = {**IDEAL, "edge_rounding": 0.0216, "supply_pressure": supply}
+        half = 0.5 * supply, 0.5 * supply
+        held = Experiment(parameters=rounded, mass=HELD, pressures=half, duration=0.1)
         flow = _power(solver.run(held), "energy_supply") / supply * _LPM
         expected = GAIN * 0.0216 * math.sqrt(supply / 2) * _LPM
         yield Found(f"supply flow at {supply / 1e5:g} bar", "l/min", expected, flow)

@@ -19,17 +19,9 @@ HELD = 1e12  # kg: a piston that nothing moves
 # Ideal valve, oil without air, no leakage, no friction: the rows of physics.md unless they say so.
 IDEAL: Mapping[str, float] = {
     **CYLINDER,
-    "lap": 0.0,
-    "edge_rounding": 0.0,
-    "entrained_air": 0.0,
-    "internal_leakage": 0.0,
-    "sigma_0": 0.0,
-    "sigma_1": 0.0,
-    "viscous": 0.0,
-    "coulomb": 0.0,
-    "static": 0.0,
-    "stop_stiffness": 0.0,
-    "stop_damping": 0.0,
+    **dict.fromkeys(("lap", "edge_rounding", "entrained_air", "internal_leakage"), 0.0),
+    **dict.fromkeys(("sigma_0", "sigma_1", "viscous", "coulomb", "static"), 0.0),
+    **dict.fromkeys(("stop_stiffness", "stop_damping"), 0.0),
 }
 _ENERGIES = CONTINUOUS_STATES[7:]
 
@@ -51,8 +43,7 @@ class Experiment:
         mass: Moving mass [kg].
         position: Initial piston position [m].
         velocity: Initial velocity [m/s].
-        pressure_a: Initial cap-side pressure [Pa].
-        pressure_b: Initial rod-side pressure [Pa].
+        pressures: Initial pressures of cap and rod side [Pa].
         command: Valve command over time [s].
         ideal_spool: The spool starts, and so stays, at a constant command.
         load: Force against extension [N] over time [s].
@@ -63,8 +54,7 @@ class Experiment:
     mass: float = MASS
     position: float = MID_POSITION
     velocity: float = 0.0
-    pressure_a: float = 5e6
-    pressure_b: float = 5e6
+    pressures: tuple[float, float] = (5e6, 5e6)
     command: Callable[[float], float] = NOTHING
     ideal_spool: bool = True
     load: Callable[[float], float] = NOTHING
@@ -97,6 +87,26 @@ class Trace:
     force: np.ndarray
     energies: Mapping[str, np.ndarray]
 
+    @classmethod
+    def of(
+        cls,
+        experiment: Experiment,
+        time: np.ndarray,
+        states: Mapping[str, np.ndarray],
+        force: np.ndarray,
+        lag: float = 0.0,
+    ) -> "Trace":
+        """The trace of states by the names of the continuous model; velocities lag by `lag` [s]."""
+        kinetic = 0.5 * experiment.mass * (states["velocity"] ** 2 - experiment.velocity**2)
+        return cls(
+            time=time,
+            velocity_time=time - lag,
+            spool=states["spool_position"],
+            force=force,
+            energies={**{name: states[name] for name in _ENERGIES}, "kinetic": kinetic},
+            **{n: states[n] for n in ("position", "velocity", "pressure_a", "pressure_b")},
+        )
+
 
 class Core:
     """Functions of the C++ core, called by themselves."""
@@ -121,8 +131,8 @@ class Continuous:
         state = cylinder.initial_state(
             position=e.position,
             velocity=e.velocity,
-            pressure_a=e.pressure_a,
-            pressure_b=e.pressure_b,
+            pressure_a=e.pressures[0],
+            pressure_b=e.pressures[1],
             spool_position=e.command(0.0) if e.ideal_spool else 0.0,
         )
         scale = np.array([1e-3, 1e-2, 1e-3, 1e-1, 1e4, 1e4, 1e-6] + [1e-3] * 6)
@@ -147,26 +157,9 @@ class Continuous:
         if blocked:
             force = cylinder.area_a * y["pressure_a"] - cylinder.area_b * y["pressure_b"]
         else:
-            force = np.array(
-                [
-                    e.mass * rate(t, row)[1] + e.load(t)
-                    for t, row in zip(time, solution.y.T, strict=True)
-                ]
-            )
-        return Trace(
-            time=time,
-            velocity_time=time,
-            position=y["position"],
-            velocity=y["velocity"],
-            pressure_a=y["pressure_a"],
-            pressure_b=y["pressure_b"],
-            spool=y["spool_position"],
-            force=force,
-            energies={
-                **{name: y[name] for name in _ENERGIES},
-                "kinetic": 0.5 * e.mass * (y["velocity"] ** 2 - e.velocity**2),
-            },
-        )
+            rows = zip(time, solution.y.T, strict=True)
+            force = np.array([e.mass * rate(t, row)[1] + e.load(t) for t, row in rows])
+        return Trace.of(e, time, y, force)
 
 
 def slide_model(
@@ -236,10 +229,11 @@ class Engine:
         data = mujoco.MjData(model)
         state, at = data.plugin_state, places(model)
         data.qpos[0], data.qvel[0] = e.position, e.velocity
-        state[at["pressure_a"]], state[at["pressure_b"]] = e.pressure_a, e.pressure_b
+        state[at["pressure_a"]], state[at["pressure_b"]] = e.pressures
         if e.ideal_spool:
             state[at["spool_position"]] = state[at["play_output"]] = e.command(0.0)
-        columns = [at[name] for name in ("pressure_a", "pressure_b", "spool_position", *_ENERGIES)]
+        names = ("pressure_a", "pressure_b", "spool_position", *_ENERGIES)
+        columns = [at[name] for name in names]
         count = round(e.duration / h)
         rows = np.empty((count, 3 + len(columns)))
         for i in range(count):
@@ -248,22 +242,8 @@ class Engine:
             mujoco.mj_step(model, data)
             rows[i, :3] = data.qpos[0], data.qvel[0], data.actuator_force[0]
             rows[i, 3:] = state[columns]
-        time = h * np.arange(1, count + 1)
-        velocity = rows[:, 1]
-        return Trace(
-            time=time,
-            velocity_time=time - 0.5 * h,
-            position=rows[:, 0],
-            velocity=velocity,
-            pressure_a=rows[:, 3],
-            pressure_b=rows[:, 4],
-            spool=rows[:, 5],
-            force=rows[:, 2],
-            energies={
-                **{name: rows[:, 6 + k] for k, name in enumerate(_ENERGIES)},
-                "kinetic": 0.5 * e.mass * (velocity**2 - e.velocity**2),
-            },
-        )
+        states = dict(zip(("position", "velocity", "force", *names), rows.T, strict=True))
+        return Trace.of(e, h * np.arange(1, count + 1), states, states["force"], lag=0.5 * h)
 
 
 Solver = Continuous | Engine

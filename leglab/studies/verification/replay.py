@@ -24,7 +24,7 @@ _WINDOW = 0.3  # s
 _SHIFTS = (0.0, 0.1, 0.2)  # s, so that windows begin every 0.1 s
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ReplayCheck:
     """Errors at the ends of the windows of one recording.
 
@@ -82,14 +82,7 @@ def replay(
     cut = Thresholds(window=_WINDOW, bin=series[0].period)
     errors = Replay(machine, series, seen, cut, threads=1).error(change).values[:, :, -1]
     knee, pressure_a, pressure_b = np.sqrt(np.mean(errors**2, axis=0)).tolist()
-    return ReplayCheck(
-        recording=name,
-        timestep=timestep,
-        position=knee,
-        pressure_a=pressure_a,
-        pressure_b=pressure_b,
-        count=len(errors),
-    )
+    return ReplayCheck(name, timestep, knee, pressure_a, pressure_b, len(errors))
 
 
 def replay_all(folder: Path) -> Iterator[ReplayCheck]:

@@ -40,13 +40,13 @@ def _closest(rows: Iterable[Check]) -> Check:
 
 
 def _row_table(rows: Iterable[Check]) -> Table:
-    def cells(row: Check) -> Iterable[str]:
+    lines = []
+    for row in rows:
         values = f"{row.expected:.6g}", f"{row.got:.6g}", row.unit
         deviation = f"{row.deviation:.1e}", f"{row.tolerance:.0e}"
-        return row.case, row.quantity, row.solver, *values, *deviation
-
+        cells = row.case, row.quantity, row.solver, *values, *deviation
+        lines.append((row.passed, cells))
     head = "case, quantity, solver, expected, got, unit, deviation, allowed"
-    lines = ((row.passed, cells(row)) for row in rows)
     return _table("Cases of physics.md", head, lines, "expected, got, deviation, allowed")
 
 
@@ -72,9 +72,8 @@ def _replay_table(results: Iterable[ReplayCheck]) -> Table:
         knee, pressure = LIMITS[r.recording]
         errors = f"{r.position * 1e3:.3f}", f"{r.pressure_a / 1e5:.2f}", f"{r.pressure_b / 1e5:.2f}"
         asked = f"{knee * 1e3:g} / {pressure / 1e5:g}"
-        lines.append(
-            (r.passed, (r.recording, str(r.count), f"{r.timestep * 1e3:g}", *errors, asked))
-        )
+        cells = r.recording, str(r.count), f"{r.timestep * 1e3:g}", *errors, asked
+        lines.append((r.passed, cells))
     head = "recording, windows, step ms, knee mrad, pA bar, pB bar, asked"
     return _table("Replay of knee_bench/nominal over 0.3 s windows", head, lines, "")
 
@@ -84,10 +83,9 @@ def markdown() -> str:
     lines = ["| case | closest row | deviation | allowed |", "|---|---|---|---|"]
     for name, case in CASES.items():
         worst = _closest(row for row in case() if row.solver in ("core", "MuJoCo 1 ms"))
-        # What is left of rounding differs between processors.
-        exact = worst.deviation < _ROUNDING
-        deviation = "rounding" if exact else f"{worst.deviation:.1e}"
-        quantity = "all" if exact else worst.quantity
+        quantity, deviation = worst.quantity, f"{worst.deviation:.1e}"
+        if worst.deviation < _ROUNDING:  # What is left of it differs between processors.
+            quantity, deviation = "all", "rounding"
         lines.append(f"| {name} | {quantity} | {deviation} | {worst.tolerance:.0e} |")
     return "\n".join(lines) + "\n"
 
