@@ -56,10 +56,7 @@ class Window:
         threads = set(threading.enumerate())
         # The callback comes from the window's thread.
         self.handle = mujoco.viewer.launch_passive(
-            self.display.model,
-            self.display.data,
-            key_callback=self._keys.put,
-            show_left_ui=False,
+            self.display.model, self.display.data, key_callback=self._keys.put, show_left_ui=False
         )
         self._threads = set(threading.enumerate()) - threads
         camera = mujoco.mj_name2id(self.display.model, mujoco.mjtObj.mjOBJ_CAMERA, "three_quarter")

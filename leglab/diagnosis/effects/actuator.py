@@ -37,8 +37,8 @@ class ActuatorGain(Effect):
         del machine, element
         return (
             EffectParameter(
-                name="gain",
-                unit="1",
+                "gain",
+                "1",
                 nominal=1.0,
                 lower=0.05,
                 upper=5.0,
@@ -69,11 +69,7 @@ class ForceOffset(JointEffect):
     physics = "constant generalised force"
     source = "offset of a torque loop, pull of a cable or hose"
     excitation = "any motion; rest under little friction"
-    rows = (
-        JointRow(
-            name="force", unit="{force}", trials=(-0.1, -0.02, 0.02, 0.1), lower=-2.0, upper=2.0
-        ),
-    )
+    rows = (JointRow("force", "{force}", (-0.1, -0.02, 0.02, 0.1), lower=-2.0, upper=2.0),)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts a spring-damper that has nothing but the constant force."""

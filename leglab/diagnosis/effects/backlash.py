@@ -54,14 +54,14 @@ class Backlash(Effect):
         motor = own or _MOTOR_SHARE * joints.inertia(machine, element)
         return (
             EffectParameter(
-                name="width",
-                unit=joints.unit(machine, element),
+                "width",
+                joints.unit(machine, element),
                 upper=0.5 * small,
                 trials=(0.004 * small, 0.02 * small, 0.08 * small),
             ),
             EffectParameter(
-                name="motor_inertia",
-                unit=joints.unit_of(machine, element, "{inertia}"),
+                "motor_inertia",
+                joints.unit_of(machine, element, "{inertia}"),
                 nominal=motor,
                 lower=0.1 * motor,
                 upper=own or 10.0 * motor,

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import ClassVar, Literal, TypeVar
 
 import mujoco
@@ -16,7 +16,7 @@ Values = Mapping[str, float]
 T = TypeVar("T")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class EffectParameter:
     """One physical parameter of an effect on one element.
 
@@ -37,6 +37,7 @@ class EffectParameter:
 
     name: str
     unit: str
+    _: KW_ONLY
     nominal: float = 0.0
     lower: float = 0.0
     upper: float

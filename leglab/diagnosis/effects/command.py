@@ -81,9 +81,7 @@ class CommandDelay(CommandEffect):
     physics = "u_actuator(t) = u(t - delay)"
     source = "fieldbus and controller cycles: 1 to 40 ms"
     excitation = "commands that change faster than the delay lasts"
-    parameter = EffectParameter(
-        name="delay", unit="s", upper=0.06, trials=(0.001, 0.004, 0.012, 0.03)
-    )
+    parameter = EffectParameter("delay", "s", upper=0.06, trials=(0.001, 0.004, 0.012, 0.03))
 
     def path(self, value: float) -> CommandPath:
         """Shifts commands."""
@@ -119,7 +117,7 @@ class CommandDeadband(CommandEffect):
     )
     source = "Tao and Kokotovic 1996"
     excitation = "commands through zero"
-    parameter = EffectParameter(name="dead_band", unit="ctrl", upper=0.5, trials=(0.01, 0.05, 0.2))
+    parameter = EffectParameter("dead_band", "ctrl", upper=0.5, trials=(0.01, 0.05, 0.2))
 
     def path(self, value: float) -> CommandPath:
         """Takes the band off."""
@@ -134,7 +132,7 @@ class CommandHysteresis(CommandEffect):
     physics = "play of full width h between command and what arrives"
     source = "Krasnosel'skii and Pokrovskii 1989"
     excitation = "commands that reverse"
-    parameter = EffectParameter(name="hysteresis", unit="ctrl", upper=1.0, trials=(0.02, 0.1, 0.3))
+    parameter = EffectParameter("hysteresis", "ctrl", upper=1.0, trials=(0.02, 0.1, 0.3))
 
     def path(self, value: float) -> CommandPath:
         """Drags commands along."""
@@ -149,9 +147,7 @@ class CommandBandwidth(CommandEffect):
     physics = "first-order lag of time constant T; bandwidth 1/(2 pi T)"
     source = "current loops of drives: 100 to 1000 Hz"
     excitation = "commands that change within the time constant"
-    parameter = EffectParameter(
-        name="time_constant", unit="s", upper=0.5, trials=(0.003, 0.015, 0.06)
-    )
+    parameter = EffectParameter("time_constant", "s", upper=0.5, trials=(0.003, 0.015, 0.06))
 
     def path(self, value: float) -> CommandPath:
         """Mean over each period of the exact response to held commands."""
@@ -167,7 +163,7 @@ class CommandBias(CommandEffect):
     source = "offsets of analogue command inputs: within 1 % of full scale"
     excitation = "motion under different loads"
     parameter = EffectParameter(
-        name="bias", unit="ctrl", lower=-0.5, upper=0.5, trials=(-0.1, -0.02, 0.02, 0.1)
+        "bias", "ctrl", lower=-0.5, upper=0.5, trials=(-0.1, -0.02, 0.02, 0.1)
     )
 
     def path(self, value: float) -> CommandPath:

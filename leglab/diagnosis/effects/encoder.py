@@ -30,9 +30,9 @@ class EncoderOffset(EncoderEffect):
     excitation = "positions over a range in which gravity, lever or springs change"
     rows = (
         JointRow(
-            name="offset",
-            unit="{length}",
-            trials=(-0.06, -0.01, 0.01, 0.06),
+            "offset",
+            "{length}",
+            (-0.06, -0.01, 0.01, 0.06),
             lower=-0.5,
             upper=0.5,
             size=joints.travel,
@@ -61,14 +61,7 @@ class EncoderScale(EncoderEffect):
     source = "gear ratio, magnet or potentiometer nonlinearity: some per cent"
     excitation = "large and fast motion"
     rows = (
-        JointRow(
-            name="scale",
-            unit="1",
-            trials=(-0.1, -0.02, 0.02, 0.1),
-            lower=0.5,
-            upper=1.0,
-            size=joints.one,
-        ),
+        JointRow("scale", "1", (-0.1, -0.02, 0.02, 0.1), lower=0.5, upper=1.0, size=joints.one),
     )
 
     def own(self, machine: Machine, joint: str, row: JointRow) -> float:
@@ -97,9 +90,7 @@ class SensorDelay(EncoderEffect):
     physics = "measured(t) = true(t - delay); commands and pressures are on time"
     source = "fieldbus cycles and filters of encoders: 1 to 20 ms"
     excitation = "fast motion"
-    rows = (
-        JointRow(name="delay", unit="s", trials=(0.001, 0.004, 0.016), upper=0.06, size=joints.one),
-    )
+    rows = (JointRow("delay", "s", (0.001, 0.004, 0.016), upper=0.06, size=joints.one),)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Brings the measured positions forward, interpolating between samples."""

@@ -32,9 +32,9 @@ class JointViscousFriction(FrictionEffect):
     excitation = "fast motion"
     rows = (
         JointRow(
-            name="damping",
-            unit="{force} s/{length}",
-            trials=(0.02, 0.15),
+            "damping",
+            "{force} s/{length}",
+            (0.02, 0.15),
             upper=10.0,
             field="damping",
             half_above=0.0,
@@ -53,9 +53,9 @@ class JointCoulombFriction(FrictionEffect):
     excitation = "slow motion in both directions, and rest"
     rows = (
         JointRow(
-            name="coulomb",
-            unit="{force}",
-            trials=(0.01, 0.08),
+            "coulomb",
+            "{force}",
+            (0.01, 0.08),
             upper=1.0,
             field="frictionloss",
             half_above=0.0,
@@ -79,14 +79,14 @@ class JointStiction(FrictionEffect):
     physics = "(F_s - F_c) exp(-(v/v_s)^2) sgn(v), LuGre bristle before sliding."
     source = "Canudas de Wit et al. 1995"
     excitation = "slow motion, reversals and rest"
-    rows = (JointRow(name="breakaway", unit="{force}", trials=(0.02, 0.1), upper=1.0),)
+    rows = (JointRow("breakaway", "{force}", (0.02, 0.1), upper=1.0),)
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """Breakaway above Coulomb friction, and the Stribeck velocity."""
         hinge = joints.unit(machine, element) == "rad"
         stribeck = EffectParameter(
-            name="stribeck_velocity",
-            unit=joints.unit_of(machine, element, "{length}/s"),
+            "stribeck_velocity",
+            joints.unit_of(machine, element, "{length}/s"),
             nominal=0.05 if hinge else 0.01,
             lower=0.005 if hinge else 0.001,
             upper=1.0 if hinge else 0.2,
@@ -123,7 +123,7 @@ class LoadDependentFriction(JointEffect):
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """Shares of the actuator's force and of gravity, Coriolis and centrifugal force."""
         return tuple(
-            EffectParameter(name=name, unit="1", upper=1.0, trials=(0.03, 0.15))
+            EffectParameter(name, "1", upper=1.0, trials=(0.03, 0.15))
             for name in _loads(machine, element)
         )
 
@@ -220,7 +220,7 @@ class AsymmetricFriction(JointEffect):
     excitation = "motion in both directions at several speeds; reversals"
 
     rows = tuple(
-        JointRow(name=f"{kind}_{side}", unit=unit, trials=(trial,), upper=upper)
+        JointRow(f"{kind}_{side}", unit, (trial,), upper=upper)
         for kind, unit, trial, upper in (
             ("viscous", "{force} s/{length}", 0.1, 10.0),
             ("coulomb", "{force}", 0.05, 1.0),

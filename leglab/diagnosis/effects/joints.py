@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from functools import lru_cache
 from typing import ClassVar
 
@@ -143,7 +143,7 @@ def bristle(machine: Machine, joint: str) -> dict[str, float]:
     return {"sigma_0": mass * frequency**2, "sigma_1": mass * frequency}
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class JointRow:
     """One parameter of an effect on joints; the joint's size decides how far it goes.
 
@@ -163,6 +163,7 @@ class JointRow:
     name: str
     unit: str
     trials: tuple[float, ...]
+    _: KW_ONLY
     lower: float = 0.0
     upper: float
     size: Callable[[Machine, str], float] = force_scale
@@ -178,8 +179,8 @@ class JointRow:
             size *= self.slide
         trials = tuple(own + share * size for share in self.trials)
         return EffectParameter(
-            name=self.name,
-            unit=unit_of(machine, joint, self.unit),
+            self.name,
+            unit_of(machine, joint, self.unit),
             nominal=own,
             lower=self.lower * size,
             upper=own + self.upper * size,

@@ -27,9 +27,9 @@ class Armature(JointEffect):
     excitation = "accelerations of different size"
     rows = (
         JointRow(
-            name="inertia",
-            unit="{inertia}",
-            trials=(0.05, 0.4),
+            "inertia",
+            "{inertia}",
+            (0.05, 0.4),
             upper=10.0,
             size=joints.inertia,
             field="armature",
@@ -57,9 +57,7 @@ class BaseTilt(Effect):
         """Angles about the axes that matter."""
         del element
         return tuple(
-            EffectParameter(
-                name=axis, unit="rad", lower=-0.6, upper=0.6, trials=(-0.15, -0.03, 0.03, 0.15)
-            )
+            EffectParameter(axis, "rad", lower=-0.6, upper=0.6, trials=(-0.15, -0.03, 0.03, 0.15))
             for axis in self._axes(machine)
         )
 

@@ -29,16 +29,14 @@ class Payload(Effect):
         """Mass and distance."""
         body = machine.base.model.body(element)
         own, reach = float(body.mass[0]), float((body.ipos**2).sum() ** 0.5)
-        mass = EffectParameter(
-            name="mass", unit="kg", upper=5.0 * own, trials=(0.05 * own, 0.4 * own)
-        )
+        mass = EffectParameter("mass", "kg", upper=5.0 * own, trials=(0.05 * own, 0.4 * own))
         if reach == 0.0:  # nowhere along the line: at the centre itself
             return (mass,)
         return (
             mass,
             EffectParameter(
-                name="distance",
-                unit="m",
+                "distance",
+                "m",
                 nominal=1.5 * reach,
                 lower=0.1 * reach,
                 upper=3.0 * reach,

@@ -5,12 +5,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from leglab.diagnosis.effects import joints
-from leglab.diagnosis.effects.base import (
-    Effect,
-    EffectParameter,
-    Values,
-    register_effect,
-)
+from leglab.diagnosis.effects.base import Effect, EffectParameter, Values, register_effect
 from leglab.diagnosis.model import CYLINDER, Change, Machine, Measured, Variant
 from leglab.machine.parameters import plugin_tables
 
@@ -41,14 +36,9 @@ class SupplyDroop(Effect):
         """Droop, and gas volume of the accumulator at its precharge."""
         del machine, element
         return (
-            EffectParameter(name="droop", unit="Pa s/m^3", upper=3e12, trials=(1e10, 1e11, 5e11)),
+            EffectParameter("droop", "Pa s/m^3", upper=3e12, trials=(1e10, 1e11, 5e11)),
             EffectParameter(
-                name="accumulator_volume",
-                unit="m^3",
-                nominal=4e-5,
-                lower=1e-6,
-                upper=1e-3,
-                role="shape",
+                "accumulator_volume", "m^3", nominal=4e-5, lower=1e-6, upper=1e-3, role="shape"
             ),
         )
 
