@@ -1,6 +1,5 @@
 """Faults of a command on its way to an actuator: delay, dead band, play, lag, bias."""
 
-from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import ClassVar
@@ -11,7 +10,7 @@ import numpy as np
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import Effect, EffectParameter, Values, register_effect
 from leglab.diagnosis.model import Change, Machine
-from leglab.diagnosis.paths import COMMAND_PATH, CommandPath, dead_band, lagged, late, play
+from leglab.diagnosis.paths import COMMAND_PATH, dead_band, delayed, lagged, play
 
 # A command path keeps at least this much history.
 _SHORTEST_HISTORY = 0.05  # s
@@ -28,11 +27,8 @@ def write_command_path(spec: mujoco.MjSpec, actuator: str, values: Mapping[str, 
 
 def command_scale(machine: Machine, actuator: str) -> float:
     """Size of commands that matters: half the range, 1 where there is none."""
-    model = machine.base.model
-    i = model.actuator(actuator).id
-    if not model.actuator_ctrllimited[i]:
-        return 1.0
-    return 0.5 * float(np.ptp(model.actuator_ctrlrange[i]))
+    found = machine.base.model.actuator(actuator)
+    return 0.5 * float(np.ptp(found.ctrlrange)) if found.ctrllimited[0] else 1.0
 
 
 class CommandEffect(Effect):
@@ -40,14 +36,13 @@ class CommandEffect(Effect):
 
     Attributes:
         parameter: Of the plugin. Trials and bounds count in command scales if its unit is "ctrl".
+        arrives: What the actuator gets, (n,): of commands (n,), a value of the parameter and the
+            sampling period [s].
     """
 
     group = "valve and command"
     parameter: ClassVar[EffectParameter]
-
-    @abstractmethod
-    def path(self, value: float) -> CommandPath:
-        """Function from commands to what arrives, for a value of the parameter."""
+    arrives: ClassVar["staticmethod[[np.ndarray, float, float], np.ndarray]"]
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """Native actuators."""
@@ -63,14 +58,13 @@ class CommandEffect(Effect):
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Passes the measured command through the path."""
         if value := values[self.parameter.name]:
-            change.command(element, self.path(value))
+            change.command(element, lambda samples, period: self.arrives(samples, value, period))
 
     def write(self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Values) -> None:
         """Writes the parameter into the actuator's command path."""
         del machine
-        name = self.parameter.name
-        if values[name]:
-            write_command_path(spec, element, {name: values[name]})
+        if values[self.parameter.name]:
+            write_command_path(spec, element, values)
 
 
 @register_effect
@@ -82,10 +76,7 @@ class CommandDelay(CommandEffect):
     source = "fieldbus and controller cycles: 1 to 40 ms"
     excitation = "commands that change faster than the delay lasts"
     parameter = EffectParameter("delay", "s", upper=0.06, trials=(0.001, 0.004, 0.012, 0.03))
-
-    def path(self, value: float) -> CommandPath:
-        """Shifts commands."""
-        return late(value)
+    arrives = staticmethod(delayed)
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """All actuators."""
@@ -118,10 +109,7 @@ class CommandDeadband(CommandEffect):
     source = "Tao and Kokotovic 1996"
     excitation = "commands through zero"
     parameter = EffectParameter("dead_band", "ctrl", upper=0.5, trials=(0.01, 0.05, 0.2))
-
-    def path(self, value: float) -> CommandPath:
-        """Takes the band off."""
-        return lambda samples, period: dead_band(samples, value)
+    arrives = staticmethod(lambda samples, value, _: dead_band(samples, value))
 
 
 @register_effect
@@ -133,10 +121,7 @@ class CommandHysteresis(CommandEffect):
     source = "Krasnosel'skii and Pokrovskii 1989"
     excitation = "commands that reverse"
     parameter = EffectParameter("hysteresis", "ctrl", upper=1.0, trials=(0.02, 0.1, 0.3))
-
-    def path(self, value: float) -> CommandPath:
-        """Drags commands along."""
-        return lambda samples, period: play(samples, value)
+    arrives = staticmethod(lambda samples, value, _: play(samples, value))
 
 
 @register_effect
@@ -148,10 +133,7 @@ class CommandBandwidth(CommandEffect):
     source = "current loops of drives: 100 to 1000 Hz"
     excitation = "commands that change within the time constant"
     parameter = EffectParameter("time_constant", "s", upper=0.5, trials=(0.003, 0.015, 0.06))
-
-    def path(self, value: float) -> CommandPath:
-        """Mean over each period of the exact response to held commands."""
-        return lambda samples, period: lagged(samples, value, period)
+    arrives = staticmethod(lagged)
 
 
 @register_effect
@@ -165,18 +147,14 @@ class CommandBias(CommandEffect):
     parameter = EffectParameter(
         "bias", "ctrl", lower=-0.5, upper=0.5, trials=(-0.1, -0.02, 0.02, 0.1)
     )
-
-    def path(self, value: float) -> CommandPath:
-        """Adds the bias."""
-        return lambda samples, period: samples + value
+    arrives = staticmethod(lambda samples, value, _: samples + value)
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """Native actuators whose bias is not a constant force."""
-        model = machine.base.model
-        found = []
-        for name in machine.native_actuators():
-            i = model.actuator(name).id
-            integrates = model.actuator_dyntype[i] == int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
-            if integrates or model.actuator_gaintype[i] == int(mujoco.mjtGain.mjGAIN_AFFINE):
-                found.append(name)
-        return tuple(found)
+        integrator, affine = int(mujoco.mjtDyn.mjDYN_INTEGRATOR), int(mujoco.mjtGain.mjGAIN_AFFINE)
+        actuators = {name: machine.base.model.actuator(name) for name in machine.native_actuators()}
+        return tuple(
+            name
+            for name, actuator in actuators.items()
+            if actuator.dyntype[0] == integrator or actuator.gaintype[0] == affine
+        )

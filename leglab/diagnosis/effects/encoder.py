@@ -1,4 +1,4 @@
-"""Faults of a joint's position sensor."""
+"""Faults of a joint's position sensor, put beside the model as `machine.sensors` reads them."""
 
 import mujoco
 import numpy as np
@@ -11,20 +11,12 @@ from leglab.diagnosis.paths import number_of, undo_delay, undo_offset, undo_scal
 from leglab.machine.sensors import ENCODER_OFFSET, ENCODER_SCALE, delayed_sensor
 
 
-class EncoderEffect(JointEffect):
-    """Base of faults of a joint's encoder; `write` puts them beside the model.
-
-    See `leglab.machine.sensors`.
-    """
-
-    group = "sensing"
-
-
 @register_effect
-class EncoderOffset(EncoderEffect):
+class EncoderOffset(JointEffect):
     """The encoder's zero has shifted."""
 
     name = "encoder_offset"
+    group = "sensing"
     physics = "measured = true + offset"
     source = "mounting error of an encoder"
     excitation = "positions over a range in which gravity, lever or springs change"
@@ -53,21 +45,25 @@ class EncoderOffset(EncoderEffect):
 
 
 @register_effect
-class EncoderScale(EncoderEffect):
+class EncoderScale(JointEffect):
     """The encoder counts too much or too little."""
 
     name = "encoder_scale"
+    group = "sensing"
     physics = "measured = scale x true, from the joint's zero"
     source = "gear ratio, magnet or potentiometer nonlinearity: some per cent"
     excitation = "large and fast motion"
     rows = (
-        JointRow("scale", "1", (-0.1, -0.02, 0.02, 0.1), lower=0.5, upper=1.0, size=joints.one),
+        JointRow(
+            "scale",
+            "1",
+            (-0.1, -0.02, 0.02, 0.1),
+            nominal=1.0,
+            lower=0.5,
+            upper=1.0,
+            size=joints.one,
+        ),
     )
-
-    def own(self, machine: Machine, joint: str, row: JointRow) -> float:
-        """A factor of 1."""
-        del machine, joint, row
-        return 1.0
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Divides what was measured by the factor."""
@@ -83,10 +79,11 @@ class EncoderScale(EncoderEffect):
 
 
 @register_effect
-class SensorDelay(EncoderEffect):
+class SensorDelay(JointEffect):
     """Positions are shown late."""
 
     name = "sensor_delay"
+    group = "sensing"
     physics = "measured(t) = true(t - delay); commands and pressures are on time"
     source = "fieldbus cycles and filters of encoders: 1 to 20 ms"
     excitation = "fast motion"

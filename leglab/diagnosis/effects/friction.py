@@ -30,17 +30,7 @@ class JointViscousFriction(FrictionEffect):
     physics = "b v: lubricated bearings, grease, eddy currents."
     source = "Armstrong-Helouvry et al. 1994; 10 % between good machines"
     excitation = "fast motion"
-    rows = (
-        JointRow(
-            "damping",
-            "{force} s/{length}",
-            (0.02, 0.15),
-            upper=10.0,
-            field="damping",
-            half_above=0.0,
-            tolerance=0.1,
-        ),
-    )
+    rows = (JointRow("damping", "{force} s/{length}", (0.02, 0.15), upper=10.0, field="damping"),)
 
 
 @register_effect
@@ -51,17 +41,7 @@ class JointCoulombFriction(FrictionEffect):
     physics = "F_c sgn(v); at rest it holds up to F_c."
     source = "Armstrong-Helouvry et al. 1994"
     excitation = "slow motion in both directions, and rest"
-    rows = (
-        JointRow(
-            "coulomb",
-            "{force}",
-            (0.01, 0.08),
-            upper=1.0,
-            field="frictionloss",
-            half_above=0.0,
-            tolerance=0.1,
-        ),
-    )
+    rows = (JointRow("coulomb", "{force}", (0.01, 0.08), upper=1.0, field="frictionloss"),)
 
 
 def insert_friction(change: Change, joint: str, effect: str) -> str:

@@ -34,7 +34,6 @@ class Armature(JointEffect):
             size=joints.inertia,
             field="armature",
             half_above=0.02,
-            tolerance=0.1,
         ),
     )
 
