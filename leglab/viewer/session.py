@@ -143,7 +143,6 @@ class Session:
 
     def _show(self, number: int) -> None:
         """Keeps the present period for the figures."""
-        del number
         self.point = self._loop.present.reference
         error = self.simulation.position() - self.point.position
         feedforward = self._loop.diagnostics().get("feedforward", np.full_like(error, np.nan))

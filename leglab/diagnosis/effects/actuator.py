@@ -37,7 +37,6 @@ class ActuatorGain(Effect):
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """The factor."""
-        del machine, element
         return (_GAIN,)
 
     def apply(self, change: Change, element: str, values: Values) -> None:

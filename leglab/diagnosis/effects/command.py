@@ -62,7 +62,6 @@ class CommandEffect(Effect):
 
     def write(self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Values) -> None:
         """Writes the parameter into the actuator's command path."""
-        del machine
         if values[self.parameter.name]:
             write_command_path(spec, element, values)
 

@@ -65,8 +65,7 @@ class CylinderEffect(Effect):
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Shifts the plugin parameters by the difference from nominal."""
         for row in self.rows:
-            nominal = change.machine.parameter(element, row.name)
-            difference = values[row.name] - nominal
+            difference = values[row.name] - change.machine.parameter(element, row.name)
             for name in (row.name, *row.follows):
                 change.add_parameter(element, name, difference)
 
@@ -85,8 +84,7 @@ def define(
         "__doc__": physics,
         "__module__": __name__,
     }
-    title = "".join(part.title() for part in name.split("_"))
-    register_effect(type(title, (CylinderEffect,), body))
+    register_effect(type(name.title().replace("_", ""), (CylinderEffect,), body))
 
 
 define(

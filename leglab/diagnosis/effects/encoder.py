@@ -38,7 +38,6 @@ class EncoderOffset(JointEffect):
 
     def write(self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Values) -> None:
         """Adds the numeric, to one that is there: measured = scale x (true + offset) + old."""
-        del machine
         name = ENCODER_OFFSET.format(joint=element)
         scale = number_of(spec, ENCODER_SCALE.format(joint=element), 1.0)
         _set_numeric(spec, name, number_of(spec, name, 0.0) + scale * values["offset"])
@@ -73,7 +72,6 @@ class EncoderScale(JointEffect):
 
     def write(self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Values) -> None:
         """Adds the numeric, times one that is there."""
-        del machine
         name = ENCODER_SCALE.format(joint=element)
         _set_numeric(spec, name, number_of(spec, name, 1.0) * values["scale"])
 
@@ -96,7 +94,6 @@ class SensorDelay(JointEffect):
 
     def write(self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Values) -> None:
         """Adds a `jointpos` sensor with MuJoCo's own delay, or to that of one that is there."""
-        del machine
         delay = values["delay"]
         if not delay:
             return

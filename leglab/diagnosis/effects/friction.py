@@ -8,7 +8,7 @@ import numpy as np
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import EffectParameter, Values, latest_only, register_effect
 from leglab.diagnosis.effects.joints import JointEffect, JointRow
-from leglab.diagnosis.model import CYLINDER, FRICTION, Change, Machine, Measured, Variant
+from leglab.diagnosis.model import CHAMBERS, CYLINDER, FRICTION, Change, Machine, Measured, Variant
 from leglab.diagnosis.starts import bristle
 
 
@@ -64,13 +64,10 @@ class JointStiction(FrictionEffect):
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """Breakaway above Coulomb friction, and the Stribeck velocity."""
         hinge = joints.unit(machine, element) == "rad"
+        nominal, lower, upper = (0.05, 0.005, 1.0) if hinge else (0.01, 0.001, 0.2)
+        unit = joints.unit_of(machine, element, "{length}/s")
         stribeck = EffectParameter(
-            "stribeck_velocity",
-            joints.unit_of(machine, element, "{length}/s"),
-            nominal=0.05 if hinge else 0.01,
-            lower=0.005 if hinge else 0.001,
-            upper=1.0 if hinge else 0.2,
-            role="shape",
+            "stribeck_velocity", unit, nominal=nominal, lower=lower, upper=upper, role="shape"
         )
         return (*super().parameters(machine, element), stribeck)
 
@@ -151,10 +148,8 @@ def carried_load(
 ) -> np.ndarray:
     """|k_a qfrc_actuator + k_b qfrc_bias| of `leglab.joint_friction` along a recording, (n,)."""
     count = measured.velocity[joint].size
-    actuator, bias = (
-        change.parameters.get((instance, f"{kind}_load_coefficient"), 0.0)
-        for kind in ("actuator", "bias")
-    )
+    actuator = change.parameters.get((instance, "actuator_load_coefficient"), 0.0)
+    bias = change.parameters.get((instance, "bias_load_coefficient"), 0.0)
     if actuator == 0.0 and bias == 0.0:
         return np.zeros(count)
     model, data = variant.model, mujoco.MjData(variant.model)
@@ -180,13 +175,12 @@ def _chambers(
     machine: Machine, measured: Measured, variant: Variant
 ) -> list[tuple[int, np.ndarray]]:
     """Slots of the chamber pressures in `plugin_state` with what was measured."""
-    found = []
-    for cylinder in machine.instances(CYLINDER):
-        for chamber in ("pressure_a", "pressure_b"):
-            column = f"{machine.driven[cylinder][0]}_{chamber}"
-            if column in measured.pressure:
-                found.append((variant.slot(cylinder, chamber), measured.pressure[column]))
-    return found
+    return [
+        (variant.slot(cylinder, chamber), measured.pressure[column])
+        for cylinder in machine.instances(CYLINDER)
+        for chamber in CHAMBERS
+        if (column := f"{machine.driven[cylinder][0]}_{chamber}") in measured.pressure
+    ]
 
 
 @register_effect

@@ -87,7 +87,6 @@ def travel(machine: Machine, joint: str) -> float:
 
 def one(machine: Machine, joint: str) -> float:
     """1 at every joint: the size of trials that count as they are."""
-    del machine, joint
     return 1.0
 
 

@@ -53,11 +53,8 @@ class SpringStiffness(JointEffect):
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """The stiffness."""
         spring = machine.spring_of(element)
-        own = (
-            machine.parameter(spring, "k1")
-            if spring
-            else joints.native(machine, element, "stiffness")
-        )
+        native = joints.native(machine, element, "stiffness")
+        own = machine.parameter(spring, "k1") if spring else native
         size = joints.force_scale(machine, element)
         return (
             EffectParameter(
@@ -168,7 +165,6 @@ class QuadraticDamping(JointEffect):
 
     def own(self, machine: Machine, joint: str, row: JointRow) -> float:
         """The coefficient of the spring-damper element that is there."""
-        del row
         return _of_spring(machine, joint, "quadratic_damping")
 
     def apply(self, change: Change, element: str, values: Values) -> None:
