@@ -107,7 +107,7 @@ class Session:
             self.failure = str(error)
 
     def move(self, name: str, value: float) -> None:
-        """Moves a slider.
+        """Moves a slider, to the nearest value of its range.
 
         Raises:
             LeglabError: If there is none of this name.
@@ -115,7 +115,7 @@ class Session:
         if name not in self.sliders:
             raise unknown_name("slider", name, self.sliders)
         slider = self.sliders[name]
-        value = slider.clip(value)
+        value = min(max(value, slider.lowest), slider.highest)
         if value == self.values[name]:
             return
         self.values[name] = value

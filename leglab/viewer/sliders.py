@@ -31,10 +31,6 @@ class Slider:
     initial: float
     change: Callable[[float, float], ParameterChange]
 
-    def clip(self, value: float) -> float:
-        """The nearest value of the range: the panel's "Clear all" asks for 0."""
-        return min(max(value, self.lowest), self.highest)
-
 
 def sliders(simulation: Simulation, bodies: Bodies) -> tuple[Slider, ...]:
     """The sliders of a machine: seal_wear, oil_temperature and payload."""

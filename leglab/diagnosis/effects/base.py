@@ -135,6 +135,4 @@ def register_effect(effect: type[Effect]) -> type[Effect]:
 
 def all_effects() -> tuple[Effect, ...]:
     """All effects, ordered by name."""
-    import leglab.diagnosis.effects  # noqa: F401  # its modules register what they define
-
     return tuple(effect for _, effect in sorted(_REGISTRY.items()))

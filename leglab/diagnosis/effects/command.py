@@ -25,17 +25,12 @@ def write_command_path(spec: mujoco.MjSpec, actuator: str, values: Mapping[str, 
     joints.insert(spec, COMMAND_PATH, f"{actuator}_path", {"actuator": actuator, **values})
 
 
-def command_scale(machine: Machine, actuator: str) -> float:
-    """Size of commands that matters: half the range, 1 where there is none."""
-    found = machine.base.model.actuator(actuator)
-    return 0.5 * float(np.ptp(found.ctrlrange)) if found.ctrllimited[0] else 1.0
-
-
 class CommandEffect(Effect):
     """Base of effects that one parameter of `leglab.command_path` describes.
 
     Attributes:
-        parameter: Of the plugin. Trials and bounds count in command scales if its unit is "ctrl".
+        parameter: Of the plugin. If its unit is "ctrl", trials and bounds are shares of half the
+            actuator's range, values where it has none.
         arrives: What the actuator gets, (n,): of commands (n,), a value of the parameter and the
             sampling period [s].
     """
@@ -51,7 +46,9 @@ class CommandEffect(Effect):
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """The one parameter, scaled to the actuator's commands."""
         one = self.parameter
-        size = command_scale(machine, element) if one.unit == "ctrl" else 1.0
+        actuator = machine.base.model.actuator(element)
+        scaled = one.unit == "ctrl" and actuator.ctrllimited[0]
+        size = 0.5 * float(np.ptp(actuator.ctrlrange)) if scaled else 1.0
         trials = tuple(trial * size for trial in one.trials)
         return (replace(one, lower=one.lower * size, upper=one.upper * size, trials=trials),)
 

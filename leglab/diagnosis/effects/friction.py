@@ -1,5 +1,6 @@
 """Friction of joints: viscous, Coulomb and stiction, with the load, by direction."""
 
+import math
 from dataclasses import replace
 
 import mujoco
@@ -11,6 +12,9 @@ from leglab.diagnosis.effects.joints import JointEffect, JointRow
 from leglab.diagnosis.model import CHAMBERS, CYLINDER, FRICTION, Change, Machine, Measured, Variant
 from leglab.diagnosis.starts import bristle
 
+# LuGre bristle that is stiff for a joint and stable at 1 ms: 100 Hz, half damped.
+_BRISTLE = 2.0 * math.pi * 100.0  # rad/s
+
 
 class FrictionEffect(JointEffect):
     """Base of effects on joints whose friction is not that of a cylinder."""
@@ -19,7 +23,8 @@ class FrictionEffect(JointEffect):
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """Joints without a cylinder."""
-        return joints.plain_joints(machine)
+        driven = {j for cylinder in machine.instances(CYLINDER) for j in machine.driven[cylinder]}
+        return tuple(joint for joint in machine.joints if joint not in driven)
 
 
 @register_effect
@@ -46,8 +51,9 @@ class JointCoulombFriction(FrictionEffect):
 
 def insert_friction(change: Change, joint: str, effect: str) -> str:
     """Inserts a neutral `leglab.joint_friction` for one effect and returns its name."""
-    name = f"{joint}_{effect}"
-    joints.insert_on_joint(change, FRICTION, name, joint, joints.bristle(change.machine, joint))
+    name, inertia = f"{joint}_{effect}", joints.inertia(change.machine, joint)
+    neutral = {"sigma_0": inertia * _BRISTLE**2, "sigma_1": inertia * _BRISTLE}
+    joints.insert_on_joint(change, FRICTION, name, joint, neutral)
     return name
 
 

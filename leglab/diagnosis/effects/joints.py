@@ -16,7 +16,6 @@ from leglab.machine.simulation import actuator_moments
 # Standard deviation of a native field between good machines, a share of its value.
 _TOLERANCE = 0.1
 _POSES = 12
-_BRISTLE_HZ = 100.0
 
 
 def unit(machine: Machine, joint: str) -> str:
@@ -108,12 +107,6 @@ def set_native(change: Change, joint: str, field: str, value: float) -> None:
         change.edit((field, joint, value), edit)
 
 
-def plain_joints(machine: Machine) -> tuple[str, ...]:
-    """Joints without a cylinder, whose friction is that of the cylinder."""
-    driven = {j for cylinder in machine.instances(CYLINDER) for j in machine.driven[cylinder]}
-    return tuple(joint for joint in machine.joints if joint not in driven)
-
-
 def insert(spec: mujoco.MjSpec, plugin: str, name: str, config: Mapping[str, float | str]) -> None:
     """Adds a plugin instance to a specification."""
     spec.activate_plugin(plugin)
@@ -128,13 +121,6 @@ def insert_on_joint(
     full: dict[str, float | str] = {"joint": joint, **config}
     key = ("insert", plugin, name, *sorted(full.items(), key=str))
     change.edit(key, lambda spec: insert(spec, plugin, name, full))
-
-
-def bristle(machine: Machine, joint: str) -> dict[str, float]:
-    """LuGre bristle that is stiff for the joint and stable at 1 ms: 100 Hz, half damped."""
-    mass = inertia(machine, joint)
-    frequency = 2.0 * math.pi * _BRISTLE_HZ
-    return {"sigma_0": mass * frequency**2, "sigma_1": mass * frequency}
 
 
 @dataclass(frozen=True)
