@@ -23,24 +23,12 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-_COMMANDS: dict[str, Callable[..., None]] = {
-    "compare": compare,
-    "diagnose": diagnose,
-    "convert": convert,
-    "inspect": inspect,
-    "video": video,
-    "report": report,
-    "index": index,
-    "view": view,
-    "run": run,
-    "list": list_names,
-    "tune": tune,
-    "replicate": replicate,
-    "verify": verify,
-    "parameters": parameters,
-}
-for _name, _command in _COMMANDS.items():
-    app.command(_name)(_command)
+_COMMANDS: tuple[Callable[..., None], ...] = (
+    compare, diagnose, convert, inspect, video, report, index, view, run, list_names, tune,
+    replicate, verify, parameters,
+)  # fmt: skip
+for _command in _COMMANDS:
+    app.command("list" if _command is list_names else None)(_command)
 explain(app)
 
 

@@ -131,8 +131,10 @@ def explain(app: typer.Typer) -> None:
         if command.help is None and command.callback.__doc__:
             paragraphs = inspect.cleandoc(command.callback.__doc__).split("\n\n")
             command.help = "\n\n".join(" ".join(text.split()) for text in paragraphs)
-        for parameter, info in _parameters(command.callback):
-            _explain(parameter, info)
+        for parameter, hint in typing.get_type_hints(command.callback, include_extras=True).items():
+            for info in getattr(hint, "__metadata__", ()):
+                if isinstance(info, ParameterInfo):
+                    _explain(parameter, info)
 
 
 def execute(app: typer.Typer, arguments: Sequence[str]) -> None:
@@ -145,11 +147,13 @@ def execute(app: typer.Typer, arguments: Sequence[str]) -> None:
     Raises:
         SystemExit: With a status of `EXIT_STATUS`, unless all is done.
     """
-    arguments, verbose = _without_verbose(list(arguments))
+    given = list(arguments)
+    end = given.index("--") if "--" in given else len(given)
+    kept = [a for a in given[:end] if a not in ("-v", "--verbose")]
     try:
-        status = app(args=arguments, prog_name="leglab", standalone_mode=False)
+        status = app(args=kept + given[end:], prog_name="leglab", standalone_mode=False)
     except (LeglabError, _UsageError) as error:
-        if verbose:
+        if len(kept) < end:
             traceback.print_exc()
         text = error.format_message() if isinstance(error, _UsageError) else str(error)
         if text:  # Without a command the help has been printed.
@@ -157,12 +161,6 @@ def execute(app: typer.Typer, arguments: Sequence[str]) -> None:
         sys.exit(BAD_INPUT)
     if isinstance(status, int) and status:
         sys.exit(status)
-
-
-def _without_verbose(arguments: list[str]) -> tuple[list[str], bool]:
-    end = arguments.index("--") if "--" in arguments else len(arguments)
-    kept = [a for a in arguments[:end] if a not in ("-v", "--verbose")]
-    return kept + arguments[end:], len(kept) < end
 
 
 def _explain(parameter: str, info: ParameterInfo) -> None:
@@ -176,13 +174,3 @@ def _explain(parameter: str, info: ParameterInfo) -> None:
         allowed = f"One of: {', '.join((*names_of(_LISTED[parameter]), *also))}."
         if info.help is not None and allowed not in info.help:
             info.help = f"{info.help} {allowed}"
-
-
-def _parameters(callback: Callable) -> list[tuple[str, ParameterInfo]]:
-    hints = typing.get_type_hints(callback, include_extras=True)
-    return [
-        (name, info)
-        for name, hint in hints.items()
-        for info in getattr(hint, "__metadata__", ())
-        if isinstance(info, ParameterInfo)
-    ]

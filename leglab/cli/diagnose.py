@@ -51,12 +51,7 @@ def diagnose(
         return
     if model is None or not recordings:
         raise LeglabError("diagnose needs a model and at least one recording, or --self-test")
-    from leglab.diagnosis.output import (
-        summary_lines,
-        summary_tables,
-        write_diagnosis,
-        write_improved,
-    )
+    from leglab.diagnosis import output as results
     from leglab.diagnosis.recordings import read_recordings, split_held_out
     from leglab.diagnosis.verdict import diagnose as run_diagnosis
     from leglab.diagnosis.workflow import Settings
@@ -77,17 +72,16 @@ def diagnose(
             progress=lambda line: show(description=line),
         )
     out.mkdir(parents=True, exist_ok=True)
-    improved = write_improved(found, out)
-    result = result.with_model(improved.name)
-    write_diagnosis(result, out)
+    result = result.with_model(results.write_improved(found, out).name)
+    results.write_diagnosis(result, out)
     write_page(result, out, model=Path(model).stem)
     if as_json:
         print_json(result.to_json(), ascii_only=False)
         return
     output.print(headline(result), markup=False, highlight=False)
-    for table in summary_tables(result):
+    for table in results.summary_tables(result):
         output.print(table)
-    for line in summary_lines(result):
+    for line in results.summary_lines(result):
         output.print(line, markup=False)
     output.print(f"{result.seconds:.1f} s, {result.rollouts:.0f} replays; {out}/diagnosis.html")
 

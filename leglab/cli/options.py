@@ -77,11 +77,7 @@ def settings_of(context: typer.Context) -> "RunSettings":
 
 
 def check_jobs(jobs: int) -> None:
-    """Refuses no process at all.
-
-    Raises:
-        LeglabError: The number is 0.
-    """
+    """Raises `LeglabError` for 0 processes."""
     if jobs == 0:
         raise LeglabError("jobs is 0; allowed: 1 or more, or -1 for one a core")
 

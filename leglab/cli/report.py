@@ -1,10 +1,10 @@
 """The commands `leglab report`, `leglab index` and `leglab video`: pages and films of runs."""
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.markup import escape
@@ -16,7 +16,6 @@ from leglab.cli.terminal import errors, make_many, output, print_json, progress
 if TYPE_CHECKING:
     from leglab.report.run.page import Filmer, Report
     from leglab.runs.folder import ReportedRun
-    from leglab.runs.preparation import RunSettings
 
 
 def report(
@@ -62,6 +61,7 @@ def report(
     """
     from leglab.report.run.page import check_out, write_report
     from leglab.runs.folder import make_runs, read_runs
+    from leglab.runs.preparation import RunSettings
 
     own = {
         "--controllers": controllers,
@@ -85,7 +85,16 @@ def report(
         check_jobs(jobs)
         place, span = out or Path("out/report"), None
         check_out(place, overwrite=True)
-        settings = _settings(scenario, own, duration)
+        common = RunSettings(
+            scenario=scenario,
+            model=model or "leg",
+            reference=reference,
+            seed=seed or 0,
+            severity=severity,
+            duration=duration,
+        )
+        names = (controllers or "pd,static_feedforward").split(",")
+        settings = [replace(common, controller=name.strip()) for name in names if name.strip()]
         make = partial(make_runs, settings, place / "runs", jobs=jobs, overwrite=overwrite)
         folders = make_many("running", len(settings), make)
     runs = read_runs(folders)
@@ -106,25 +115,6 @@ def report(
         filmer: Filmer | None = film if video else None
         written = write_report(runs, place, filmer=filmer)
     _tell(runs, written, as_json=as_json)
-
-
-def _settings(scenario: str, own: dict[str, Any], duration: float | None) -> list["RunSettings"]:
-    from leglab.runs.preparation import RunSettings
-
-    names = (own["--controllers"] or "pd,static_feedforward").split(",")
-    return [
-        RunSettings(
-            scenario=scenario,
-            controller=name.strip(),
-            model=own["--model"] or "leg",
-            reference=own["--reference"],
-            seed=own["--seed"] or 0,
-            severity=own["--severity"],
-            duration=duration,
-        )
-        for name in names
-        if name.strip()
-    ]
 
 
 def _tell(runs: Sequence["ReportedRun"], written: "Report", *, as_json: bool) -> None:

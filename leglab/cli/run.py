@@ -7,55 +7,28 @@ from typing import Annotated
 
 import typer
 
-from leglab.cli.options import (
-    Controller,
-    Duration,
-    Jobs,
-    Json,
-    Model,
-    Overwrite,
-    Ramp,
-    Reference,
-    Scenario,
-    Seed,
-    Severity,
-    Tolerance,
-    check_jobs,
-    settings_of,
-)
-from leglab.cli.terminal import (
-    BAD_INPUT,
-    INTERRUPTED,
-    comparison_table,
-    errors,
-    make_many,
-    metrics_table,
-    output,
-    print_json,
-    print_wide,
-    progress,
-)
+from leglab.cli import options, terminal
 
 
 def run(
     context: typer.Context,
-    scenario: Scenario,
-    controller: Controller = "pd",
-    model: Model = "leg",
-    duration: Duration = None,
-    seed: Seed = 0,
-    severity: Severity = None,
-    ramp: Ramp = 0.0,
-    reference: Reference = None,
+    scenario: options.Scenario,
+    controller: options.Controller = "pd",
+    model: options.Model = "leg",
+    duration: options.Duration = None,
+    seed: options.Seed = 0,
+    severity: options.Severity = None,
+    ramp: options.Ramp = 0.0,
+    reference: options.Reference = None,
     timestep: Annotated[float | None, typer.Option(help=r"Simulation step \[s].")] = None,
-    tolerance: Tolerance = 0.0,
+    tolerance: options.Tolerance = 0.0,
     out: Annotated[
         Path | None,
         typer.Option(help="Output folder; default runs/SCENARIO-CONTROLLER-MODEL-SEED."),
     ] = None,
-    overwrite: Overwrite = False,
+    overwrite: options.Overwrite = False,
     figures: Annotated[bool, typer.Option(help="Draw plots.")] = True,
-    as_json: Json = False,
+    as_json: options.Json = False,
 ) -> None:
     """Runs a scenario headless and writes metrics, recording, configuration and plots."""
     from leglab.base.scenario import get_scenario
@@ -64,23 +37,23 @@ def run(
     from leglab.runs.run import run_scenario
 
     folder = out or Path("runs") / f"{scenario}-{controller}-{Path(model).stem}-{seed}"
-    settings = settings_of(context)
+    settings = options.settings_of(context)
     check_folder(folder, overwrite=overwrite)
     length = get_scenario(scenario, duration=duration).duration
-    with progress(f"{scenario} · {controller}", length) as show:
+    with terminal.progress(f"{scenario} · {controller}", length) as show:
         result = run_scenario(settings, lambda now: show(completed=now))
         show(description="writing", completed=length)
         write_run(result, folder, overwrite=overwrite, draw=draw_run if figures else None)
     if as_json:
-        print_json(result.metrics)
+        terminal.print_json(result.metrics)
     else:
-        output.print(metrics_table(result.metrics))
-        output.print(f"written to {folder}")
+        terminal.output.print(terminal.metrics_table(result.metrics))
+        terminal.output.print(f"written to {folder}")
     failure = result.history.failure
     if failure:
         interrupted = failure.startswith("interrupted")
-        errors.print(f"[red]error:[/red] {failure}; what was recorded is in {folder}")
-        raise typer.Exit(INTERRUPTED if interrupted else BAD_INPUT)
+        terminal.errors.print(f"[red]error:[/red] {failure}; what was recorded is in {folder}")
+        raise typer.Exit(terminal.INTERRUPTED if interrupted else terminal.BAD_INPUT)
 
 
 def compare(
@@ -88,20 +61,20 @@ def compare(
     controllers: Annotated[
         str, typer.Option(help="Names, separated by commas; ratios refer to the first.")
     ] = "pd,static_feedforward",
-    model: Model = "leg",
+    model: options.Model = "leg",
     seeds: Annotated[int, typer.Option(help="Number of seeds, from 0 on.")] = 3,
-    duration: Duration = None,
-    severity: Severity = None,
-    ramp: Ramp = 0.0,
-    reference: Reference = None,
-    tolerance: Tolerance = 0.0,
-    jobs: Jobs = -1,
+    duration: options.Duration = None,
+    severity: options.Severity = None,
+    ramp: options.Ramp = 0.0,
+    reference: options.Reference = None,
+    tolerance: options.Tolerance = 0.0,
+    jobs: options.Jobs = -1,
     out: Annotated[Path, typer.Option(help="Output folder.")] = Path("runs/compare"),
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Repeat runs that are there.")
     ] = False,
     figures: Annotated[bool, typer.Option(help="Draw a figure a scenario.")] = True,
-    as_json: Json = False,
+    as_json: options.Json = False,
 ) -> None:
     """Runs scenarios with several controllers and seeds and compares the tracking errors.
 
@@ -112,7 +85,7 @@ def compare(
     from leglab.runs.sweep import Comparison, run_all
     from leglab.runs.sweep import compare as summarise
 
-    check_jobs(jobs)
+    options.check_jobs(jobs)
     comparison = Comparison(
         scenarios=tuple(scenarios),
         controllers=tuple(name.strip() for name in controllers.split(",") if name.strip()),
@@ -126,33 +99,33 @@ def compare(
     )
     runs = comparison.runs()
     make = partial(run_all, runs, out / "runs", jobs=jobs, overwrite=overwrite)
-    results = make_many("comparing", len(runs), make)
+    results = terminal.make_many("comparing", len(runs), make)
     summary = summarise(comparison, results)
     (out / "compare.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n")
     if figures:
-        with progress("drawing"):
+        with terminal.progress("drawing"):
             for name in comparison.scenarios:
                 shown = [r for r in results if r["metrics"]["scenario"] == name]
                 title = f"{name}, {Path(model).stem}, {seeds} seed{'s' * (seeds > 1)}"
                 save_comparison_figure(shown, out / f"{name}.png", title=title)
     if as_json:
-        print_json(summary)
+        terminal.print_json(summary)
     else:
-        print_wide(comparison_table(summary))
-        output.print(f"written to {out}")
+        terminal.print_wide(terminal.comparison_table(summary))
+        terminal.output.print(f"written to {out}")
 
 
 def view(
     context: typer.Context,
-    scenario: Scenario,
-    controller: Controller = "bsnn_arx",
-    model: Model = "leg",
-    duration: Duration = None,
-    seed: Seed = 0,
-    severity: Severity = None,
-    ramp: Ramp = 0.0,
-    reference: Reference = None,
-    tolerance: Tolerance = 0.0,
+    scenario: options.Scenario,
+    controller: options.Controller = "bsnn_arx",
+    model: options.Model = "leg",
+    duration: options.Duration = None,
+    seed: options.Seed = 0,
+    severity: options.Severity = None,
+    ramp: options.Ramp = 0.0,
+    reference: options.Reference = None,
+    tolerance: options.Tolerance = 0.0,
 ) -> None:
     """Opens MuJoCo's viewer: the controller lives, and sliders wear, heat and load the leg.
 
@@ -162,13 +135,13 @@ def view(
     from leglab.viewer.window import HELP, Window, check_display
 
     check_display()
-    session = Session(settings_of(context))
-    output.print(HELP)
+    session = Session(options.settings_of(context))
+    terminal.output.print(HELP)
     window = Window(session, model)
     try:
         window.run()
     finally:
         window.close()
     if session.failure:
-        errors.print(f"[red]error:[/red] {session.failure}")
-        raise typer.Exit(BAD_INPUT)
+        terminal.errors.print(f"[red]error:[/red] {session.failure}")
+        raise typer.Exit(terminal.BAD_INPUT)

@@ -41,22 +41,15 @@ def progress(label: str, total: float | None = None) -> Iterator[Callable[..., N
     Yields:
         Moves the bar; takes `completed`, `total` and `description` by name.
     """
-    # Help and completion do without it.
-    from rich.progress import (
-        BarColumn,
-        Progress,
-        TaskProgressColumn,
-        TextColumn,
-        TimeRemainingColumn,
-    )
+    from rich import progress as rich  # help and completion do without it
 
-    class Bar(Progress):
+    class Bar(rich.Progress):
         def stop(self) -> None:
             # The library prints an empty line here where there is no terminal.
             self.live.stop()
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
-    with Bar(*columns, TimeRemainingColumn(), console=errors, transient=True) as bar:
+    columns = (rich.TextColumn("{task.description}"), rich.BarColumn(), rich.TaskProgressColumn())
+    with Bar(*columns, rich.TimeRemainingColumn(), console=errors, transient=True) as bar:
         yield partial(bar.update, bar.add_task(label, total=total))
 
 
@@ -126,15 +119,17 @@ def comparison_table(summary: dict[str, Any]) -> Table:
         table.add_column(name, justify="right", no_wrap=True)
     for scenario, controllers in summary["results"].items():
         table.add_row(f"[bold]{scenario}[/bold]")
-        for i, (controller, cell) in enumerate(controllers.items()):
+        for controller, cell in controllers.items():
+            failed, runs = len(cell["failures"]), cell["runs"]
+            early = f", failed {failed}/{runs}" if failed else ""
             table.add_row(
                 f"  {controller}",
                 _interval(cell["rms_before_rad"], 1e3, 2),
-                _interval(cell["rms_after_rad"], 1e3, 2) + _early(cell),
+                _interval(cell["rms_after_rad"], 1e3, 2) + early,
                 _interval(cell["ratio"], 1.0, 3),
                 _readaptation(cell),
-                end_section=i == len(controllers) - 1,
             )
+        table.add_section()
     return table
 
 
@@ -154,8 +149,3 @@ def _readaptation(cell: dict[str, Any]) -> str:
         return text
     of_all = f"never {never}/{cell['runs']}"
     return of_all if text == "-" else f"{text}, {of_all}"
-
-
-def _early(cell: dict[str, Any]) -> str:
-    failed = len(cell["failures"])
-    return f", failed {failed}/{cell['runs']}" if failed else ""

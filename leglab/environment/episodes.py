@@ -105,8 +105,8 @@ def _checked_range(name: str, value: Any) -> tuple[float, float]:
         raise unknown_name("random quantity of an episode", name, RANDOM)
     try:
         low, high = (float(end) for end in value)
+        if not -math.inf < low <= high < math.inf:
+            raise ValueError
     except (TypeError, ValueError):
         raise LeglabError(f"randomize {name!r}: {value!r} is no range (low, high)") from None
-    if not (math.isfinite(low) and math.isfinite(high) and low <= high):
-        raise LeglabError(f"randomize {name!r}: {value!r} is no range (low, high)")
     return low, high

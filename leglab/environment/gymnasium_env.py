@@ -15,10 +15,7 @@ class LegEnv(DmControlCompatibilityV0):
     """
 
     def __init__(
-        self,
-        env: Any,
-        render_mode: str | None = None,
-        render_kwargs: dict[str, Any] | None = None,
+        self, env: Any, render_mode: str | None = None, render_kwargs: dict[str, Any] | None = None
     ) -> None:
         super().__init__(env, render_mode, render_kwargs)
         rate = round(1.0 / env.control_timestep())

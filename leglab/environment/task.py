@@ -8,7 +8,6 @@ from dm_control.rl.control import FLAT_OBSERVATION_KEY, Task
 from dm_env import specs
 
 from leglab.base.errors import LeglabError
-from leglab.control import Measurement, ReferencePoint
 from leglab.environment.episodes import Episode, Episodes
 from leglab.environment.physics import LegPhysics
 from leglab.environment.rewards import Reward, Transition
@@ -55,7 +54,6 @@ class TrackingTask(Task):
         self._preview = np.array([round(ahead / period) for ahead in preview], dtype=np.intp)
         self._joints = reference_joints(preparation.nominal)
         self._zero = np.zeros(len(self._joints))
-        self._loop: Loop | None = None
         self._command = self._previous = self._action = self._zero
         self.episode: Episode | None = None
         self._first: Episode | None = self._episodes.next()
@@ -80,7 +78,7 @@ class TrackingTask(Task):
         # The first episode was begun for its specifications; the reset of the data undid that.
         self._begin(self._first or self._episodes.next())
         self._first = None
-        physics.drive(self._running.advance)
+        physics.drive(self._loop.advance)
 
     def before_step(self, action: np.ndarray, physics: LegPhysics) -> None:
         """Sets the valve commands.
@@ -92,7 +90,7 @@ class TrackingTask(Task):
         wish = self._action if self._scale is None else self._wish + self._scale * self._action
         self._previous = self._command
         self._command = wish.clip(-1.0, 1.0)
-        self._running.act(self._command)
+        self._loop.act(self._command)
 
     def after_step(self, physics: LegPhysics) -> None:
         """Measures, unless the simulation blew up: then the last observation stays."""
@@ -139,7 +137,7 @@ class TrackingTask(Task):
 
     def observation_spec(self, physics: LegPhysics) -> Mapping[str, specs.Array]:
         """Bounds where they are known: of references by the joints, of commands by the valves."""
-        low, high = (np.array([getattr(j, end) for j in self._joints]) for end in _ENDS)
+        low, high = np.array([(joint.lower, joint.upper) for joint in self._joints]).T
         speed = np.array([joint.velocity_limit for joint in self._joints])
         bounds: dict[str, _Bounds] = {
             "reference_position": (low, high),
@@ -148,24 +146,17 @@ class TrackingTask(Task):
             "previous_command": (-1.0, 1.0),
             "controller_command": (-1.0, 1.0),
         }
-        named = collections.OrderedDict(
-            (name, _spec(name, value, bounds.get(name)))
-            for name, value in self._observation.items()
-        )
+        observed = self._observation.items()
+        named = collections.OrderedDict((k, _spec(k, v, bounds.get(k))) for k, v in observed)
         return _flat_spec(named) if self._flat else named
 
-    @property
-    def _running(self) -> Loop:
-        assert self._loop is not None
-        return self._loop
-
     def _begin(self, episode: Episode) -> None:
-        if self._loop is not None and episode == self.episode:
+        if episode == self.episode:
             self._loop.reset()
         else:
-            if self._loop is not None:
+            if self.episode is not None:
                 self._loop.close()
-            self._loop = Loop(
+            self._loop: Loop = Loop(
                 episode.settings,
                 preparation=self._preparation,
                 scenario=episode.scenario(),
@@ -180,22 +171,11 @@ class TrackingTask(Task):
         self._measure()
 
     def _measure(self) -> None:
-        self._period = period = self._running.observe()
-        observation = self._observed(period.measurement, period.reference)
-        if period.command is not None:
-            self._wish = self._running.checked(period.command)
-            observation["controller_command"] = self._wish.clip(-1.0, 1.0)
-            feedforward = self._running.diagnostics().get("feedforward")
-            if feedforward is not None:
-                observation["feedforward"] = feedforward.copy()
-        self._observation = observation
-
-    def _observed(
-        self, measurement: Measurement, point: ReferencePoint
-    ) -> collections.OrderedDict[str, np.ndarray]:
+        self._period = period = self._loop.observe()
+        measurement, point = period.measurement, period.reference
         assert measurement.pressure_a is not None
         assert measurement.pressure_b is not None
-        return collections.OrderedDict(
+        observation = collections.OrderedDict(
             position=measurement.position.copy(),
             velocity=measurement.velocity.copy(),
             pressure_a=measurement.pressure_a.copy(),
@@ -204,12 +184,16 @@ class TrackingTask(Task):
             reference_position=point.position.copy(),
             reference_velocity=point.velocity.copy(),
             reference_acceleration=point.acceleration.copy(),
-            reference_preview=self._running.reference_ahead(self._preview),
+            reference_preview=self._loop.reference_ahead(self._preview),
             previous_command=self._command.copy(),
         )
-
-
-_ENDS = ("lower", "upper")
+        if period.command is not None:
+            self._wish = self._loop.checked(period.command)
+            observation["controller_command"] = self._wish.clip(-1.0, 1.0)
+            feedforward = self._loop.diagnostics().get("feedforward")
+            if feedforward is not None:
+                observation["feedforward"] = feedforward.copy()
+        self._observation = observation
 
 
 _Bounds = tuple[np.ndarray | float, np.ndarray | float]

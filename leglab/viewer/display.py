@@ -113,25 +113,17 @@ class Display:
         worst = int(np.argmax(np.abs(errors).mean(axis=0)))
         command = np.array([moment.command[worst] for moment in moments])
         feedforward = np.array([moment.feedforward[worst] for moment in moments])
-        error_figure = _figure("RMS error [mrad], last 10 s", {"error": (ages, rms)})
         joint = self._session.joints[worst].replace("_", " ")
         lines = {"command": (ages, command)}
         if np.isfinite(feedforward).all():
             lines["feed-forward"] = ages, feedforward
-        width, height = (
-            min(max(round(share * size), least), size)
-            for share, size, least in zip(
-                _SHARE, (viewport.width, viewport.height), _LEAST, strict=True
-            )
-        )
-        left = viewport.left
-        return [
-            (mujoco.MjrRect(left, viewport.bottom + height, width, height), error_figure),
-            (
-                mujoco.MjrRect(left, viewport.bottom, width, height),
-                _figure(f"valve of {joint}", lines),
-            ),
-        ]
+        sizes = zip(_SHARE, (viewport.width, viewport.height), _LEAST, strict=True)
+        width, height = (min(max(round(share * size), least), size) for share, size, least in sizes)
+        left, bottom = viewport.left, viewport.bottom
+        upper = mujoco.MjrRect(left, bottom + height, width, height)
+        lower = mujoco.MjrRect(left, bottom, width, height)
+        error_figure = _figure("RMS error [mrad], last 10 s", {"error": (ages, rms)})
+        return [(upper, error_figure), (lower, _figure(f"valve of {joint}", lines))]
 
     def texts(self, *, paused: bool) -> tuple[str, str]:
         """Two columns: what is shown, and its values."""

@@ -107,7 +107,7 @@ class Session:
             self.failure = str(error)
 
     def move(self, name: str, value: float) -> None:
-        """Moves a slider.
+        """Moves a slider, to the nearest value of its range.
 
         Raises:
             LeglabError: If there is none of this name.
@@ -115,7 +115,7 @@ class Session:
         if name not in self.sliders:
             raise unknown_name("slider", name, self.sliders)
         slider = self.sliders[name]
-        value = slider.clip(value)
+        value = min(max(value, slider.lowest), slider.highest)
         if value == self.values[name]:
             return
         self.values[name] = value
@@ -143,7 +143,6 @@ class Session:
 
     def _show(self, number: int) -> None:
         """Keeps the present period for the figures."""
-        del number
         self.point = self._loop.present.reference
         error = self.simulation.position() - self.point.position
         feedforward = self._loop.diagnostics().get("feedforward", np.full_like(error, np.nan))

@@ -11,7 +11,7 @@ from leglab.machine.simulation import Simulation
 _LOADED = "shank"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Slider:
     """A slider of the control panel.
 
@@ -31,14 +31,10 @@ class Slider:
     initial: float
     change: Callable[[float, float], ParameterChange]
 
-    def clip(self, value: float) -> float:
-        """The nearest value of the range: the panel's "Clear all" asks for 0."""
-        return min(max(value, self.lowest), self.highest)
-
 
 def sliders(simulation: Simulation, bodies: Bodies) -> tuple[Slider, ...]:
     """The sliders of a machine: seal_wear, oil_temperature and payload."""
-    temperature = simulation.parameter(simulation.actuators[0], "oil_temperature")
+    warm = simulation.parameter(simulation.actuators[0], "oil_temperature")
     loaded = _LOADED if _LOADED in bodies.elements else bodies.elements[-1]
 
     def change(
@@ -49,28 +45,11 @@ def sliders(simulation: Simulation, bodies: Bodies) -> tuple[Slider, ...]:
         )
 
     return (
+        Slider("seal_wear", "x leakage", 1.0, 50.0, 1.0, change("internal_leakage", "*", "scale")),
         Slider(
-            name="seal_wear",
-            unit="x leakage",
-            lowest=1.0,
-            highest=50.0,
-            initial=1.0,
-            change=change("internal_leakage", "*", "scale"),
+            "oil_temperature", "deg C", -10.0, 120.0, warm, change("oil_temperature", "*", "set")
         ),
         Slider(
-            name="oil_temperature",
-            unit="deg C",
-            lowest=-10.0,
-            highest=120.0,
-            initial=temperature,
-            change=change("oil_temperature", "*", "set"),
-        ),
-        Slider(
-            name="payload",
-            unit=f"kg on {loaded}",
-            lowest=0.0,
-            highest=30.0,
-            initial=0.0,
-            change=change(ADDED_MASS.name, loaded, "set"),
+            "payload", f"kg on {loaded}", 0.0, 30.0, 0.0, change(ADDED_MASS.name, loaded, "set")
         ),
     )

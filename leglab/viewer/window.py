@@ -56,10 +56,7 @@ class Window:
         threads = set(threading.enumerate())
         # The callback comes from the window's thread.
         self.handle = mujoco.viewer.launch_passive(
-            self.display.model,
-            self.display.data,
-            key_callback=self._keys.put,
-            show_left_ui=False,
+            self.display.model, self.display.data, key_callback=self._keys.put, show_left_ui=False
         )
         self._threads = set(threading.enumerate()) - threads
         camera = mujoco.mj_name2id(self.display.model, mujoco.mjtObj.mjOBJ_CAMERA, "three_quarter")
@@ -140,19 +137,18 @@ def check_display() -> None:
         LeglabError: Names DISPLAY and the way without a window.
     """
     without = "without a display: leglab run, then leglab video"
-    if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    where = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if not where:
         raise LeglabError(f"the viewer needs a display, but DISPLAY is not set; {without}")
     import glfw
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        ready = glfw.init()
         window = None
-        if ready:
+        if glfw.init():
             glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
             window = glfw.create_window(16, 16, "leglab", None, None)
             glfw.default_window_hints()
     if not window:
-        where = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
         raise LeglabError(f"the viewer cannot open a window on DISPLAY={where}; {without}")
     glfw.destroy_window(window)

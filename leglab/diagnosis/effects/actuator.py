@@ -7,6 +7,9 @@ from leglab.diagnosis.effects.joints import JointEffect, JointRow
 from leglab.diagnosis.effects.spring import insert_spring
 from leglab.diagnosis.model import Change, Machine
 
+_GAIN = EffectParameter(
+    "gain", "1", nominal=1.0, lower=0.05, upper=5.0, trials=(0.6, 0.9, 1.1, 1.5), tolerance=0.02
+)
 _LINEAR_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
 _LINEAR_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
 
@@ -34,18 +37,7 @@ class ActuatorGain(Effect):
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """The factor."""
-        del machine, element
-        return (
-            EffectParameter(
-                name="gain",
-                unit="1",
-                nominal=1.0,
-                lower=0.05,
-                upper=5.0,
-                trials=(0.6, 0.9, 1.1, 1.5),
-                tolerance=0.02,
-            ),
-        )
+        return (_GAIN,)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Scales gain and bias of the actuator."""
@@ -69,11 +61,7 @@ class ForceOffset(JointEffect):
     physics = "constant generalised force"
     source = "offset of a torque loop, pull of a cable or hose"
     excitation = "any motion; rest under little friction"
-    rows = (
-        JointRow(
-            name="force", unit="{force}", trials=(-0.1, -0.02, 0.02, 0.1), lower=-2.0, upper=2.0
-        ),
-    )
+    rows = (JointRow("force", "{force}", (-0.1, -0.02, 0.02, 0.1), lower=-2.0, upper=2.0),)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts a spring-damper that has nothing but the constant force."""

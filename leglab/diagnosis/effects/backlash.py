@@ -40,28 +40,25 @@ class Backlash(Effect):
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """Joints with native motor, position or velocity actuators."""
         model = machine.base.model
-        drives = {joint: _drives(model, joint) for joint in machine.joints}
         return tuple(
             joint
-            for joint, found in drives.items()
-            if found and all(_followed(model, i) for i in found)
+            for joint in machine.joints
+            if (drives := _drives(model, joint)) and all(_followed(model, i) for i in drives)
         )
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """Width of the play and inertia of the motor."""
-        small = 1.0 if joints.unit(machine, element) == "rad" else 0.1
+        unit = joints.unit(machine, element)
+        small = 1.0 if unit == "rad" else 0.1
         own = joints.native(machine, element, "armature")
         motor = own or _MOTOR_SHARE * joints.inertia(machine, element)
         return (
             EffectParameter(
-                name="width",
-                unit=joints.unit(machine, element),
-                upper=0.5 * small,
-                trials=(0.004 * small, 0.02 * small, 0.08 * small),
+                "width", unit, upper=0.5 * small, trials=(0.004 * small, 0.02 * small, 0.08 * small)
             ),
             EffectParameter(
-                name="motor_inertia",
-                unit=joints.unit_of(machine, element, "{inertia}"),
+                "motor_inertia",
+                joints.unit_of(machine, element, "{inertia}"),
                 nominal=motor,
                 lower=0.1 * motor,
                 upper=own or 10.0 * motor,
@@ -111,17 +108,14 @@ def motor_states(
     h, half = measured.period, 0.5 * width
     velocity = measured.velocity[joint]
     acceleration = np.gradient(velocity, h)
-    index = measured.samples[:, None] + np.arange(-round(_HISTORY / h), 1)
-    index = index.clip(0)
+    index = (measured.samples[:, None] + np.arange(-round(_HISTORY / h), 1)).clip(0)
     drives = [(model.actuator(i).name, _force(model, i)) for i in _drives(model, joint)]
 
     def torque(k: np.ndarray, offset: np.ndarray, slip: np.ndarray) -> np.ndarray:
         theta = measured.position[joint][k] + offset
         omega = velocity[k] + slip
-        return sum(
-            (drive(measured.command[name][k], theta, omega) for name, drive in drives),
-            np.zeros(k.size),
-        )
+        forces = (drive(measured.command[name][k], theta, omega) for name, drive in drives)
+        return sum(forces, np.zeros(k.size))
 
     k = index[:, 0]
     zero = np.zeros(k.size)
@@ -150,9 +144,8 @@ def _force(model: mujoco.MjModel, i: int) -> Drive:
     """Force of an actuator; that of one with activation as if it had settled."""
     gear, gain = float(model.actuator_gear[i, 0]), float(model.actuator_gainprm[i, 0])
     bias = model.actuator_biasprm[i, :3].copy()
-    low, high = (
-        model.actuator_forcerange[i] if model.actuator_forcelimited[i] else (-np.inf, np.inf)
-    )
+    limited = model.actuator_forcelimited[i]
+    low, high = model.actuator_forcerange[i] if limited else (-np.inf, np.inf)
 
     def drive(command: np.ndarray, theta: np.ndarray, omega: np.ndarray) -> np.ndarray:
         force = gain * command + bias[0] + gear * (bias[1] * theta + bias[2] * omega)
@@ -163,12 +156,8 @@ def _force(model: mujoco.MjModel, i: int) -> Drive:
 
 def _drives(model: mujoco.MjModel, joint: str) -> list[int]:
     """Actuators of a joint."""
-    return [
-        i
-        for i in range(model.nu)
-        if model.actuator_trntype[i] in _JOINT
-        and model.actuator_trnid[i, 0] == model.joint(joint).id
-    ]
+    on_joint = np.isin(model.actuator_trntype, _JOINT)
+    return np.flatnonzero(on_joint & (model.actuator_trnid[:, 0] == model.joint(joint).id)).tolist()
 
 
 def _followed(model: mujoco.MjModel, i: int) -> bool:

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import ClassVar, Literal, TypeVar
 
 import mujoco
@@ -16,7 +16,7 @@ Values = Mapping[str, float]
 T = TypeVar("T")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class EffectParameter:
     """One physical parameter of an effect on one element.
 
@@ -37,6 +37,7 @@ class EffectParameter:
 
     name: str
     unit: str
+    _: KW_ONLY
     nominal: float = 0.0
     lower: float = 0.0
     upper: float
@@ -134,6 +135,4 @@ def register_effect(effect: type[Effect]) -> type[Effect]:
 
 def all_effects() -> tuple[Effect, ...]:
     """All effects, ordered by name."""
-    import leglab.diagnosis.effects  # noqa: F401  # its modules register what they define
-
     return tuple(effect for _, effect in sorted(_REGISTRY.items()))

@@ -1,6 +1,5 @@
 """Faults of a command on its way to an actuator: delay, dead band, play, lag, bias."""
 
-from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import ClassVar
@@ -11,7 +10,7 @@ import numpy as np
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import Effect, EffectParameter, Values, register_effect
 from leglab.diagnosis.model import Change, Machine
-from leglab.diagnosis.paths import COMMAND_PATH, CommandPath, dead_band, lagged, late, play
+from leglab.diagnosis.paths import COMMAND_PATH, dead_band, delayed, lagged, play
 
 # A command path keeps at least this much history.
 _SHORTEST_HISTORY = 0.05  # s
@@ -26,28 +25,19 @@ def write_command_path(spec: mujoco.MjSpec, actuator: str, values: Mapping[str, 
     joints.insert(spec, COMMAND_PATH, f"{actuator}_path", {"actuator": actuator, **values})
 
 
-def command_scale(machine: Machine, actuator: str) -> float:
-    """Size of commands that matters: half the range, 1 where there is none."""
-    model = machine.base.model
-    i = model.actuator(actuator).id
-    if not model.actuator_ctrllimited[i]:
-        return 1.0
-    return 0.5 * float(np.ptp(model.actuator_ctrlrange[i]))
-
-
 class CommandEffect(Effect):
     """Base of effects that one parameter of `leglab.command_path` describes.
 
     Attributes:
-        parameter: Of the plugin. Trials and bounds count in command scales if its unit is "ctrl".
+        parameter: Of the plugin. If its unit is "ctrl", trials and bounds are shares of half the
+            actuator's range, values where it has none.
+        arrives: What the actuator gets, (n,): of commands (n,), a value of the parameter and the
+            sampling period [s].
     """
 
     group = "valve and command"
     parameter: ClassVar[EffectParameter]
-
-    @abstractmethod
-    def path(self, value: float) -> CommandPath:
-        """Function from commands to what arrives, for a value of the parameter."""
+    arrives: ClassVar["staticmethod[[np.ndarray, float, float], np.ndarray]"]
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """Native actuators."""
@@ -56,21 +46,21 @@ class CommandEffect(Effect):
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """The one parameter, scaled to the actuator's commands."""
         one = self.parameter
-        size = command_scale(machine, element) if one.unit == "ctrl" else 1.0
+        actuator = machine.base.model.actuator(element)
+        scaled = one.unit == "ctrl" and actuator.ctrllimited[0]
+        size = 0.5 * float(np.ptp(actuator.ctrlrange)) if scaled else 1.0
         trials = tuple(trial * size for trial in one.trials)
         return (replace(one, lower=one.lower * size, upper=one.upper * size, trials=trials),)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Passes the measured command through the path."""
         if value := values[self.parameter.name]:
-            change.command(element, self.path(value))
+            change.command(element, lambda samples, period: self.arrives(samples, value, period))
 
     def write(self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Values) -> None:
         """Writes the parameter into the actuator's command path."""
-        del machine
-        name = self.parameter.name
-        if values[name]:
-            write_command_path(spec, element, {name: values[name]})
+        if values[self.parameter.name]:
+            write_command_path(spec, element, values)
 
 
 @register_effect
@@ -81,13 +71,8 @@ class CommandDelay(CommandEffect):
     physics = "u_actuator(t) = u(t - delay)"
     source = "fieldbus and controller cycles: 1 to 40 ms"
     excitation = "commands that change faster than the delay lasts"
-    parameter = EffectParameter(
-        name="delay", unit="s", upper=0.06, trials=(0.001, 0.004, 0.012, 0.03)
-    )
-
-    def path(self, value: float) -> CommandPath:
-        """Shifts commands."""
-        return late(value)
+    parameter = EffectParameter("delay", "s", upper=0.06, trials=(0.001, 0.004, 0.012, 0.03))
+    arrives = staticmethod(delayed)
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """All actuators."""
@@ -119,11 +104,8 @@ class CommandDeadband(CommandEffect):
     )
     source = "Tao and Kokotovic 1996"
     excitation = "commands through zero"
-    parameter = EffectParameter(name="dead_band", unit="ctrl", upper=0.5, trials=(0.01, 0.05, 0.2))
-
-    def path(self, value: float) -> CommandPath:
-        """Takes the band off."""
-        return lambda samples, period: dead_band(samples, value)
+    parameter = EffectParameter("dead_band", "ctrl", upper=0.5, trials=(0.01, 0.05, 0.2))
+    arrives = staticmethod(lambda samples, value, _: dead_band(samples, value))
 
 
 @register_effect
@@ -134,11 +116,8 @@ class CommandHysteresis(CommandEffect):
     physics = "play of full width h between command and what arrives"
     source = "Krasnosel'skii and Pokrovskii 1989"
     excitation = "commands that reverse"
-    parameter = EffectParameter(name="hysteresis", unit="ctrl", upper=1.0, trials=(0.02, 0.1, 0.3))
-
-    def path(self, value: float) -> CommandPath:
-        """Drags commands along."""
-        return lambda samples, period: play(samples, value)
+    parameter = EffectParameter("hysteresis", "ctrl", upper=1.0, trials=(0.02, 0.1, 0.3))
+    arrives = staticmethod(lambda samples, value, _: play(samples, value))
 
 
 @register_effect
@@ -149,13 +128,8 @@ class CommandBandwidth(CommandEffect):
     physics = "first-order lag of time constant T; bandwidth 1/(2 pi T)"
     source = "current loops of drives: 100 to 1000 Hz"
     excitation = "commands that change within the time constant"
-    parameter = EffectParameter(
-        name="time_constant", unit="s", upper=0.5, trials=(0.003, 0.015, 0.06)
-    )
-
-    def path(self, value: float) -> CommandPath:
-        """Mean over each period of the exact response to held commands."""
-        return lambda samples, period: lagged(samples, value, period)
+    parameter = EffectParameter("time_constant", "s", upper=0.5, trials=(0.003, 0.015, 0.06))
+    arrives = staticmethod(lagged)
 
 
 @register_effect
@@ -167,20 +141,16 @@ class CommandBias(CommandEffect):
     source = "offsets of analogue command inputs: within 1 % of full scale"
     excitation = "motion under different loads"
     parameter = EffectParameter(
-        name="bias", unit="ctrl", lower=-0.5, upper=0.5, trials=(-0.1, -0.02, 0.02, 0.1)
+        "bias", "ctrl", lower=-0.5, upper=0.5, trials=(-0.1, -0.02, 0.02, 0.1)
     )
-
-    def path(self, value: float) -> CommandPath:
-        """Adds the bias."""
-        return lambda samples, period: samples + value
+    arrives = staticmethod(lambda samples, value, _: samples + value)
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """Native actuators whose bias is not a constant force."""
-        model = machine.base.model
-        found = []
-        for name in machine.native_actuators():
-            i = model.actuator(name).id
-            integrates = model.actuator_dyntype[i] == int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
-            if integrates or model.actuator_gaintype[i] == int(mujoco.mjtGain.mjGAIN_AFFINE):
-                found.append(name)
-        return tuple(found)
+        integrator, affine = int(mujoco.mjtDyn.mjDYN_INTEGRATOR), int(mujoco.mjtGain.mjGAIN_AFFINE)
+        actuators = {name: machine.base.model.actuator(name) for name in machine.native_actuators()}
+        return tuple(
+            name
+            for name, actuator in actuators.items()
+            if actuator.dyntype[0] == integrator or actuator.gaintype[0] == affine
+        )

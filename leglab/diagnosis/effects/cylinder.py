@@ -1,6 +1,6 @@
 """Effects on hydraulic cylinders, their oil and valves: a table of changed parameters."""
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import ClassVar
 
 from leglab.diagnosis.effects.base import Effect, EffectParameter, Group, Values, register_effect
@@ -10,7 +10,7 @@ HYQ = "HyQ leg parameters (Ledezma 2016)"
 VALVE = "tolerances of small servovalves (type 30 data sheets)"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class CylinderRow:
     """One parameter of `leglab.cylinder` as an effect's parameter.
 
@@ -26,6 +26,7 @@ class CylinderRow:
 
     name: str
     trials: tuple[float, ...]
+    _: KW_ONLY
     tolerance: float = 0.0
     lower: float = 0.0
     upper: float
@@ -38,8 +39,8 @@ class CylinderRow:
         table = machine.base.elements[cylinder][1].parameters[self.name]
         unit = nominal if self.relative else 1.0
         return EffectParameter(
-            name=self.name,
-            unit=table.unit,
+            self.name,
+            table.unit,
             nominal=nominal,
             lower=max(self.lower * unit, table.minimum),
             upper=min(self.upper * unit, table.maximum),
@@ -64,8 +65,7 @@ class CylinderEffect(Effect):
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Shifts the plugin parameters by the difference from nominal."""
         for row in self.rows:
-            nominal = change.machine.parameter(element, row.name)
-            difference = values[row.name] - nominal
+            difference = values[row.name] - change.machine.parameter(element, row.name)
             for name in (row.name, *row.follows):
                 change.add_parameter(element, name, difference)
 
@@ -84,8 +84,7 @@ def define(
         "__doc__": physics,
         "__module__": __name__,
     }
-    title = "".join(part.title() for part in name.split("_"))
-    register_effect(type(title, (CylinderEffect,), body))
+    register_effect(type(name.title().replace("_", ""), (CylinderEffect,), body))
 
 
 define(
@@ -94,7 +93,7 @@ define(
     "Flow past the piston seal, C_i (p_A - p_B); grows with the cube of the clearance.",
     f"{HYQ}; seal wear up to x50",
     "a pressure difference across the piston while the valve opens little",
-    CylinderRow(name="internal_leakage", trials=(3.0, 10.0, 35.0), tolerance=0.15, upper=300.0),
+    CylinderRow("internal_leakage", (3.0, 10.0, 35.0), tolerance=0.15, upper=300.0),
 )
 
 define(
@@ -103,8 +102,8 @@ define(
     "Flow from the chambers to the outside, C_e p: rod seal, fittings, hoses.",
     "ASME FPMC 2014: detectable at 0.07 to 0.25 l/min",
     "chamber pressures well above the tank's",
-    CylinderRow(name="external_leakage_a", trials=(2e-13, 1.5e-12), upper=3e-11, relative=False),
-    CylinderRow(name="external_leakage_b", trials=(2e-13, 1.5e-12), upper=3e-11, relative=False),
+    CylinderRow("external_leakage_a", (2e-13, 1.5e-12), upper=3e-11, relative=False),
+    CylinderRow("external_leakage_b", (2e-13, 1.5e-12), upper=3e-11, relative=False),
 )
 
 define(
@@ -113,7 +112,7 @@ define(
     "Air in the oil makes it soft at low pressure: beta = (g + l)/(g/(n p) + l/beta_l).",
     "docs/physics.md; 0.5 % is normal, foaming oil holds several per cent",
     "pressures that change quickly",
-    CylinderRow(name="entrained_air", trials=(0.3, 3.0, 10.0), tolerance=0.2, upper=40.0),
+    CylinderRow("entrained_air", (0.3, 3.0, 10.0), tolerance=0.2, upper=40.0),
 )
 
 define(
@@ -122,9 +121,7 @@ define(
     "The supply holds another pressure than the model says.",
     "HyQ class machines run at 160 bar; relief valves drift by some per cent",
     "valve openings in both directions",
-    CylinderRow(
-        name="supply_pressure", trials=(0.8, 0.94, 1.1), tolerance=0.01, lower=0.2, upper=1.6
-    ),
+    CylinderRow("supply_pressure", (0.8, 0.94, 1.1), tolerance=0.01, lower=0.2, upper=1.6),
 )
 
 
@@ -143,8 +140,8 @@ class OilViscosity(CylinderEffect):
         nominal = machine.parameter(element, "oil_temperature")
         return (
             EffectParameter(
-                name="oil_temperature",
-                unit="degC",
+                "oil_temperature",
+                "degC",
                 nominal=nominal,
                 lower=min(-20.0, nominal),
                 upper=max(110.0, nominal),
@@ -163,7 +160,7 @@ define(
     "b v, of the oil film under the seals.",
     HYQ,
     "fast sliding",
-    CylinderRow(name="viscous", trials=(0.3, 2.0, 5.0), tolerance=0.06, upper=30.0),
+    CylinderRow("viscous", (0.3, 2.0, 5.0), tolerance=0.06, upper=30.0),
 )
 
 define(
@@ -172,9 +169,7 @@ define(
     "F_c sgn(v); breakaway friction moves along with it.",
     HYQ,
     "sliding in both directions",
-    CylinderRow(
-        name="coulomb", trials=(0.3, 2.0, 4.0), tolerance=0.06, upper=30.0, follows=("static",)
-    ),
+    CylinderRow("coulomb", (0.3, 2.0, 4.0), tolerance=0.06, upper=30.0, follows=("static",)),
 )
 
 define(
@@ -183,7 +178,7 @@ define(
     "(F_s - F_c) exp(-(v/v_s)^2): breakaway above Coulomb friction.",
     f"{HYQ}; docs/physics.md",
     "slow motion and standstill",
-    CylinderRow(name="static", trials=(1.6, 3.0, 5.0), lower=0.67, upper=30.0),
+    CylinderRow("static", (1.6, 3.0, 5.0), lower=0.67, upper=30.0),
 )
 
 define(
@@ -192,7 +187,7 @@ define(
     "k_p (p_A + p_B): seals that are pressed on by the oil.",
     "lip and step seals",
     "sliding at different pressures",
-    CylinderRow(name="pressure_coefficient", trials=(2e-6, 1e-5, 3e-5), upper=1e-3, relative=False),
+    CylinderRow("pressure_coefficient", (2e-6, 1e-5, 3e-5), upper=1e-3, relative=False),
 )
 
 
@@ -202,9 +197,7 @@ define(
     "Overlap of the metering edges: no flow while |x_s| < lap.",
     f"{VALVE}; overlapped spools up to 10 %",
     "commands through zero",
-    CylinderRow(
-        name="lap", trials=(-0.03, 0.012, 0.04, 0.09), lower=-0.2, upper=0.4, relative=False
-    ),
+    CylinderRow("lap", (-0.03, 0.012, 0.04, 0.09), lower=-0.2, upper=0.4, relative=False),
 )
 
 define(
@@ -214,8 +207,8 @@ define(
     f"{VALVE}: null shift within 2 %",
     "any motion; small openings show it best",
     CylinderRow(
-        name="null_bias",
-        trials=(-0.04, -0.012, 0.012, 0.04),
+        "null_bias",
+        (-0.04, -0.012, 0.012, 0.04),
         tolerance=0.002,
         lower=-0.3,
         upper=0.3,
@@ -229,9 +222,7 @@ define(
     "Another flow at the same opening, in both directions: Q_n of the orifice equation.",
     f"{VALVE}: flow within 10 %",
     "large openings",
-    CylinderRow(
-        name="rated_flow", trials=(0.6, 0.85, 1.15, 1.5), tolerance=0.02, lower=0.2, upper=3.0
-    ),
+    CylinderRow("rated_flow", (0.6, 0.85, 1.15, 1.5), tolerance=0.02, lower=0.2, upper=3.0),
 )
 
 define(
@@ -241,11 +232,7 @@ define(
     f"{VALVE}: symmetry of flow within 10 %",
     "large openings in both directions",
     CylinderRow(
-        name="flow_asymmetry",
-        trials=(-0.25, -0.06, 0.06, 0.25),
-        lower=-0.8,
-        upper=0.8,
-        relative=False,
+        "flow_asymmetry", (-0.25, -0.06, 0.06, 0.25), lower=-0.8, upper=0.8, relative=False
     ),
 )
 
@@ -255,7 +242,7 @@ define(
     "Play of full width h between command and spool: friction of the spool, magnet of the motor.",
     f"{VALVE}: hysteresis below 3 %",
     "commands that reverse",
-    CylinderRow(name="hysteresis", trials=(0.008, 0.03, 0.08), upper=0.5, relative=False),
+    CylinderRow("hysteresis", (0.008, 0.03, 0.08), upper=0.5, relative=False),
 )
 
 define(
@@ -264,5 +251,5 @@ define(
     "A slow spool: x_s'' = w^2 (u - x_s) - 2 zeta w x_s'.",
     "servovalves of the E024 class: 250 Hz; clogged first stages fall to a tenth",
     "commands that change within some hundredths of a second",
-    CylinderRow(name="bandwidth_hz", trials=(0.05, 0.12, 0.35), lower=0.015, upper=2.0),
+    CylinderRow("bandwidth_hz", (0.05, 0.12, 0.35), lower=0.015, upper=2.0),
 )

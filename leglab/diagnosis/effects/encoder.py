@@ -1,4 +1,4 @@
-"""Faults of a joint's position sensor."""
+"""Faults of a joint's position sensor, put beside the model as `machine.sensors` reads them."""
 
 import mujoco
 import numpy as np
@@ -11,28 +11,20 @@ from leglab.diagnosis.paths import number_of, undo_delay, undo_offset, undo_scal
 from leglab.machine.sensors import ENCODER_OFFSET, ENCODER_SCALE, delayed_sensor
 
 
-class EncoderEffect(JointEffect):
-    """Base of faults of a joint's encoder; `write` puts them beside the model.
-
-    See `leglab.machine.sensors`.
-    """
-
-    group = "sensing"
-
-
 @register_effect
-class EncoderOffset(EncoderEffect):
+class EncoderOffset(JointEffect):
     """The encoder's zero has shifted."""
 
     name = "encoder_offset"
+    group = "sensing"
     physics = "measured = true + offset"
     source = "mounting error of an encoder"
     excitation = "positions over a range in which gravity, lever or springs change"
     rows = (
         JointRow(
-            name="offset",
-            unit="{length}",
-            trials=(-0.06, -0.01, 0.01, 0.06),
+            "offset",
+            "{length}",
+            (-0.06, -0.01, 0.01, 0.06),
             lower=-0.5,
             upper=0.5,
             size=joints.travel,
@@ -46,35 +38,31 @@ class EncoderOffset(EncoderEffect):
 
     def write(self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Values) -> None:
         """Adds the numeric, to one that is there: measured = scale x (true + offset) + old."""
-        del machine
         name = ENCODER_OFFSET.format(joint=element)
         scale = number_of(spec, ENCODER_SCALE.format(joint=element), 1.0)
         _set_numeric(spec, name, number_of(spec, name, 0.0) + scale * values["offset"])
 
 
 @register_effect
-class EncoderScale(EncoderEffect):
+class EncoderScale(JointEffect):
     """The encoder counts too much or too little."""
 
     name = "encoder_scale"
+    group = "sensing"
     physics = "measured = scale x true, from the joint's zero"
     source = "gear ratio, magnet or potentiometer nonlinearity: some per cent"
     excitation = "large and fast motion"
     rows = (
         JointRow(
-            name="scale",
-            unit="1",
-            trials=(-0.1, -0.02, 0.02, 0.1),
+            "scale",
+            "1",
+            (-0.1, -0.02, 0.02, 0.1),
+            nominal=1.0,
             lower=0.5,
             upper=1.0,
             size=joints.one,
         ),
     )
-
-    def own(self, machine: Machine, joint: str, row: JointRow) -> float:
-        """A factor of 1."""
-        del machine, joint, row
-        return 1.0
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Divides what was measured by the factor."""
@@ -84,22 +72,20 @@ class EncoderScale(EncoderEffect):
 
     def write(self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Values) -> None:
         """Adds the numeric, times one that is there."""
-        del machine
         name = ENCODER_SCALE.format(joint=element)
         _set_numeric(spec, name, number_of(spec, name, 1.0) * values["scale"])
 
 
 @register_effect
-class SensorDelay(EncoderEffect):
+class SensorDelay(JointEffect):
     """Positions are shown late."""
 
     name = "sensor_delay"
+    group = "sensing"
     physics = "measured(t) = true(t - delay); commands and pressures are on time"
     source = "fieldbus cycles and filters of encoders: 1 to 20 ms"
     excitation = "fast motion"
-    rows = (
-        JointRow(name="delay", unit="s", trials=(0.001, 0.004, 0.016), upper=0.06, size=joints.one),
-    )
+    rows = (JointRow("delay", "s", (0.001, 0.004, 0.016), upper=0.06, size=joints.one),)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Brings the measured positions forward, interpolating between samples."""
@@ -108,7 +94,6 @@ class SensorDelay(EncoderEffect):
 
     def write(self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Values) -> None:
         """Adds a `jointpos` sensor with MuJoCo's own delay, or to that of one that is there."""
-        del machine
         delay = values["delay"]
         if not delay:
             return

@@ -1,5 +1,6 @@
 """Friction of joints: viscous, Coulomb and stiction, with the load, by direction."""
 
+import math
 from dataclasses import replace
 
 import mujoco
@@ -8,8 +9,11 @@ import numpy as np
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import EffectParameter, Values, latest_only, register_effect
 from leglab.diagnosis.effects.joints import JointEffect, JointRow
-from leglab.diagnosis.model import CYLINDER, FRICTION, Change, Machine, Measured, Variant
+from leglab.diagnosis.model import CHAMBERS, CYLINDER, FRICTION, Change, Machine, Measured, Variant
 from leglab.diagnosis.starts import bristle
+
+# LuGre bristle that is stiff for a joint and stable at 1 ms: 100 Hz, half damped.
+_BRISTLE = 2.0 * math.pi * 100.0  # rad/s
 
 
 class FrictionEffect(JointEffect):
@@ -19,7 +23,8 @@ class FrictionEffect(JointEffect):
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """Joints without a cylinder."""
-        return joints.plain_joints(machine)
+        driven = {j for cylinder in machine.instances(CYLINDER) for j in machine.driven[cylinder]}
+        return tuple(joint for joint in machine.joints if joint not in driven)
 
 
 @register_effect
@@ -30,17 +35,7 @@ class JointViscousFriction(FrictionEffect):
     physics = "b v: lubricated bearings, grease, eddy currents."
     source = "Armstrong-Helouvry et al. 1994; 10 % between good machines"
     excitation = "fast motion"
-    rows = (
-        JointRow(
-            name="damping",
-            unit="{force} s/{length}",
-            trials=(0.02, 0.15),
-            upper=10.0,
-            field="damping",
-            half_above=0.0,
-            tolerance=0.1,
-        ),
-    )
+    rows = (JointRow("damping", "{force} s/{length}", (0.02, 0.15), upper=10.0, field="damping"),)
 
 
 @register_effect
@@ -51,23 +46,14 @@ class JointCoulombFriction(FrictionEffect):
     physics = "F_c sgn(v); at rest it holds up to F_c."
     source = "Armstrong-Helouvry et al. 1994"
     excitation = "slow motion in both directions, and rest"
-    rows = (
-        JointRow(
-            name="coulomb",
-            unit="{force}",
-            trials=(0.01, 0.08),
-            upper=1.0,
-            field="frictionloss",
-            half_above=0.0,
-            tolerance=0.1,
-        ),
-    )
+    rows = (JointRow("coulomb", "{force}", (0.01, 0.08), upper=1.0, field="frictionloss"),)
 
 
 def insert_friction(change: Change, joint: str, effect: str) -> str:
     """Inserts a neutral `leglab.joint_friction` for one effect and returns its name."""
-    name = f"{joint}_{effect}"
-    joints.insert_on_joint(change, FRICTION, name, joint, joints.bristle(change.machine, joint))
+    name, inertia = f"{joint}_{effect}", joints.inertia(change.machine, joint)
+    neutral = {"sigma_0": inertia * _BRISTLE**2, "sigma_1": inertia * _BRISTLE}
+    joints.insert_on_joint(change, FRICTION, name, joint, neutral)
     return name
 
 
@@ -79,18 +65,15 @@ class JointStiction(FrictionEffect):
     physics = "(F_s - F_c) exp(-(v/v_s)^2) sgn(v), LuGre bristle before sliding."
     source = "Canudas de Wit et al. 1995"
     excitation = "slow motion, reversals and rest"
-    rows = (JointRow(name="breakaway", unit="{force}", trials=(0.02, 0.1), upper=1.0),)
+    rows = (JointRow("breakaway", "{force}", (0.02, 0.1), upper=1.0),)
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """Breakaway above Coulomb friction, and the Stribeck velocity."""
         hinge = joints.unit(machine, element) == "rad"
+        nominal, lower, upper = (0.05, 0.005, 1.0) if hinge else (0.01, 0.001, 0.2)
+        unit = joints.unit_of(machine, element, "{length}/s")
         stribeck = EffectParameter(
-            name="stribeck_velocity",
-            unit=joints.unit_of(machine, element, "{length}/s"),
-            nominal=0.05 if hinge else 0.01,
-            lower=0.005 if hinge else 0.001,
-            upper=1.0 if hinge else 0.2,
-            role="shape",
+            "stribeck_velocity", unit, nominal=nominal, lower=lower, upper=upper, role="shape"
         )
         return (*super().parameters(machine, element), stribeck)
 
@@ -123,7 +106,7 @@ class LoadDependentFriction(JointEffect):
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """Shares of the actuator's force and of gravity, Coriolis and centrifugal force."""
         return tuple(
-            EffectParameter(name=name, unit="1", upper=1.0, trials=(0.03, 0.15))
+            EffectParameter(name, "1", upper=1.0, trials=(0.03, 0.15))
             for name in _loads(machine, element)
         )
 
@@ -171,10 +154,8 @@ def carried_load(
 ) -> np.ndarray:
     """|k_a qfrc_actuator + k_b qfrc_bias| of `leglab.joint_friction` along a recording, (n,)."""
     count = measured.velocity[joint].size
-    actuator, bias = (
-        change.parameters.get((instance, f"{kind}_load_coefficient"), 0.0)
-        for kind in ("actuator", "bias")
-    )
+    actuator = change.parameters.get((instance, "actuator_load_coefficient"), 0.0)
+    bias = change.parameters.get((instance, "bias_load_coefficient"), 0.0)
     if actuator == 0.0 and bias == 0.0:
         return np.zeros(count)
     model, data = variant.model, mujoco.MjData(variant.model)
@@ -200,13 +181,12 @@ def _chambers(
     machine: Machine, measured: Measured, variant: Variant
 ) -> list[tuple[int, np.ndarray]]:
     """Slots of the chamber pressures in `plugin_state` with what was measured."""
-    found = []
-    for cylinder in machine.instances(CYLINDER):
-        for chamber in ("pressure_a", "pressure_b"):
-            column = f"{machine.driven[cylinder][0]}_{chamber}"
-            if column in measured.pressure:
-                found.append((variant.slot(cylinder, chamber), measured.pressure[column]))
-    return found
+    return [
+        (variant.slot(cylinder, chamber), measured.pressure[column])
+        for cylinder in machine.instances(CYLINDER)
+        for chamber in CHAMBERS
+        if (column := f"{machine.driven[cylinder][0]}_{chamber}") in measured.pressure
+    ]
 
 
 @register_effect
@@ -220,7 +200,7 @@ class AsymmetricFriction(JointEffect):
     excitation = "motion in both directions at several speeds; reversals"
 
     rows = tuple(
-        JointRow(name=f"{kind}_{side}", unit=unit, trials=(trial,), upper=upper)
+        JointRow(f"{kind}_{side}", unit, (trial,), upper=upper)
         for kind, unit, trial, upper in (
             ("viscous", "{force} s/{length}", 0.1, 10.0),
             ("coulomb", "{force}", 0.05, 1.0),

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from functools import lru_cache
 from typing import ClassVar
 
@@ -13,8 +13,9 @@ from leglab.diagnosis.effects.base import Effect, EffectParameter, Values
 from leglab.diagnosis.model import CYLINDER, Change, Machine
 from leglab.machine.simulation import actuator_moments
 
+# Standard deviation of a native field between good machines, a share of its value.
+_TOLERANCE = 0.1
 _POSES = 12
-_BRISTLE_HZ = 100.0
 
 
 def unit(machine: Machine, joint: str) -> str:
@@ -85,7 +86,6 @@ def travel(machine: Machine, joint: str) -> float:
 
 def one(machine: Machine, joint: str) -> float:
     """1 at every joint: the size of trials that count as they are."""
-    del machine, joint
     return 1.0
 
 
@@ -107,20 +107,11 @@ def set_native(change: Change, joint: str, field: str, value: float) -> None:
         change.edit((field, joint, value), edit)
 
 
-def plain_joints(machine: Machine) -> tuple[str, ...]:
-    """Joints without a cylinder, whose friction is that of the cylinder."""
-    driven = {j for cylinder in machine.instances(CYLINDER) for j in machine.driven[cylinder]}
-    return tuple(joint for joint in machine.joints if joint not in driven)
-
-
-def insert(
-    spec: mujoco.MjSpec, plugin: str, name: str, config: Mapping[str, float | str]
-) -> mujoco.MjsPlugin:
+def insert(spec: mujoco.MjSpec, plugin: str, name: str, config: Mapping[str, float | str]) -> None:
     """Adds a plugin instance to a specification."""
     spec.activate_plugin(plugin)
-    instance = spec.add_plugin(name=name, plugin_name=plugin)
-    instance.config = {key: _text(value) for key, value in config.items()}
-    return instance
+    text = {k: v if isinstance(v, str) else repr(float(v)) for k, v in config.items()}
+    spec.add_plugin(name=name, plugin_name=plugin).config = text
 
 
 def insert_on_joint(
@@ -129,62 +120,53 @@ def insert_on_joint(
     """Lets a change insert a neutral plugin instance on a joint, compiled once for all values."""
     full: dict[str, float | str] = {"joint": joint, **config}
     key = ("insert", plugin, name, *sorted(full.items(), key=str))
-
-    def edit(spec: mujoco.MjSpec) -> None:
-        insert(spec, plugin, name, full)
-
-    change.edit(key, edit)
+    change.edit(key, lambda spec: insert(spec, plugin, name, full))
 
 
-def bristle(machine: Machine, joint: str) -> dict[str, float]:
-    """LuGre bristle that is stiff for the joint and stable at 1 ms: 100 Hz, half damped."""
-    mass = inertia(machine, joint)
-    frequency = 2.0 * math.pi * _BRISTLE_HZ
-    return {"sigma_0": mass * frequency**2, "sigma_1": mass * frequency}
-
-
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class JointRow:
     """One parameter of an effect on joints; the joint's size decides how far it goes.
 
     Attributes:
         name: Of the parameter.
         unit: SI unit, as a pattern of `unit_of`.
-        trials: To screen; shares of the size, added to the joint's own value.
+        trials: To screen; shares of the size, added to the joint's own value. Half of that value is
+            tried too if the row has a `field` and the value is above `half_above` sizes.
         lower: Smallest value in sizes, absolute.
         upper: Largest value in sizes, added to the joint's own value.
         size: Of a joint; `force_scale`, `inertia`, `travel` or `one`.
         slide: Factor on the size for slide joints, which move decimetres instead of radians.
         field: MuJoCo's own field that holds the value, see `native`; empty where there is none.
-        half_above: Half of the joint's own value is tried too if that is above this many sizes.
-        tolerance: Standard deviation between good machines; a share of the joint's own value.
+        nominal: The joint's own value where there is no field.
+        half_above: See `trials`.
     """
 
     name: str
     unit: str
     trials: tuple[float, ...]
+    _: KW_ONLY
     lower: float = 0.0
     upper: float
     size: Callable[[Machine, str], float] = force_scale
     slide: float = 1.0
     field: str = ""
-    half_above: float = math.inf
-    tolerance: float = 0.0
+    nominal: float = 0.0
+    half_above: float = 0.0
 
     def parameter(self, machine: Machine, joint: str, own: float) -> EffectParameter:
         """The parameter on a joint that has a value of its own, 0 where it has none."""
         size = self.size(machine, joint)
         if unit(machine, joint) == "m":
             size *= self.slide
-        trials = tuple(own + share * size for share in self.trials)
+        half = (0.5 * own,) if self.field and own > self.half_above * size else ()
         return EffectParameter(
-            name=self.name,
-            unit=unit_of(machine, joint, self.unit),
+            self.name,
+            unit_of(machine, joint, self.unit),
             nominal=own,
             lower=self.lower * size,
             upper=own + self.upper * size,
-            trials=(0.5 * own, *trials) if own > self.half_above * size else trials,
-            tolerance=self.tolerance * own,
+            trials=(*half, *(own + share * size for share in self.trials)),
+            tolerance=_TOLERANCE * own if self.field else 0.0,
         )
 
 
@@ -202,7 +184,7 @@ class JointEffect(Effect):
 
     def own(self, machine: Machine, joint: str, row: JointRow) -> float:
         """Value of a row's parameter that the joint has in the unmodified model."""
-        return native(machine, joint, row.field) if row.field else 0.0
+        return native(machine, joint, row.field) if row.field else row.nominal
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """The rows about the joint's own values."""
@@ -214,7 +196,3 @@ class JointEffect(Effect):
         """Sets MuJoCo's own fields."""
         for row in self.rows:
             set_native(change, element, row.field, values[row.name])
-
-
-def _text(value: float | str) -> str:
-    return value if isinstance(value, str) else repr(float(value))

@@ -27,14 +27,13 @@ class Armature(JointEffect):
     excitation = "accelerations of different size"
     rows = (
         JointRow(
-            name="inertia",
-            unit="{inertia}",
-            trials=(0.05, 0.4),
+            "inertia",
+            "{inertia}",
+            (0.05, 0.4),
             upper=10.0,
             size=joints.inertia,
             field="armature",
             half_above=0.02,
-            tolerance=0.1,
         ),
     )
 
@@ -55,17 +54,13 @@ class BaseTilt(Effect):
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """Angles about the axes that matter."""
-        del element
         return tuple(
-            EffectParameter(
-                name=axis, unit="rad", lower=-0.6, upper=0.6, trials=(-0.15, -0.03, 0.03, 0.15)
-            )
+            EffectParameter(axis, "rad", lower=-0.6, upper=0.6, trials=(-0.15, -0.03, 0.03, 0.15))
             for axis in self._axes(machine)
         )
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Turns the gravity vector."""
-        del element
         if not any(values.values()):
             return
         turned = change.machine.base.model.opt.gravity.copy()
@@ -82,8 +77,8 @@ class BaseTilt(Effect):
 
         Where it changes it by a constant, as on a level slide, that is a force offset.
         """
-        model = machine.base.model
-        data = mujoco.MjData(model)
+        model, zero = machine.base.model, np.zeros(3)
+        data, gravity = mujoco.MjData(model), model.opt.gravity
         scale = np.array([joints.force_scale(machine, joint) for joint in machine.joints])
         forces: dict[str, list[np.ndarray]] = {axis: [] for axis in _AXES}
         for shift in (0.0, 0.4, -0.7):
@@ -91,15 +86,11 @@ class BaseTilt(Effect):
             mujoco.mj_fwdPosition(model, data)
             for axis, found in forces.items():
                 # Linear in gravity, and the model itself stays as it is.
-                turn = _turn(model.opt.gravity, axis, _PROBE) - _turn(
-                    model.opt.gravity, axis, -_PROBE
-                )
+                turn = _turn(gravity, axis, _PROBE) - _turn(gravity, axis, -_PROBE)
                 force = np.zeros(model.nv)
                 for body in range(1, model.nbody):
                     weight = model.body_mass[body] * turn
-                    mujoco.mj_applyFT(
-                        model, data, weight, np.zeros(3), data.xipos[body], body, force
-                    )
+                    mujoco.mj_applyFT(model, data, weight, zero, data.xipos[body], body, force)
                 found.append(force / scale / (2.0 * _PROBE))
         return tuple(axis for axis, found in forces.items() if np.ptp(found, axis=0).max() > _SEEN)
 

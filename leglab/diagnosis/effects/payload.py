@@ -29,21 +29,12 @@ class Payload(Effect):
         """Mass and distance."""
         body = machine.base.model.body(element)
         own, reach = float(body.mass[0]), float((body.ipos**2).sum() ** 0.5)
-        mass = EffectParameter(
-            name="mass", unit="kg", upper=5.0 * own, trials=(0.05 * own, 0.4 * own)
-        )
+        mass = EffectParameter("mass", "kg", upper=5.0 * own, trials=(0.05 * own, 0.4 * own))
         if reach == 0.0:  # nowhere along the line: at the centre itself
             return (mass,)
-        return (
-            mass,
-            EffectParameter(
-                name="distance",
-                unit="m",
-                nominal=1.5 * reach,
-                lower=0.1 * reach,
-                upper=3.0 * reach,
-                role="shape",
-            ),
+        nominal, lower, upper = 1.5 * reach, 0.1 * reach, 3.0 * reach
+        return mass, EffectParameter(
+            "distance", "m", nominal=nominal, lower=lower, upper=upper, role="shape"
         )
 
     def apply(self, change: Change, element: str, values: Values) -> None:

@@ -53,16 +53,13 @@ class SpringStiffness(JointEffect):
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """The stiffness."""
         spring = machine.spring_of(element)
-        own = (
-            machine.parameter(spring, "k1")
-            if spring
-            else joints.native(machine, element, "stiffness")
-        )
+        native = joints.native(machine, element, "stiffness")
+        own = machine.parameter(spring, "k1") if spring else native
         size = joints.force_scale(machine, element)
         return (
             EffectParameter(
-                name="stiffness",
-                unit=joints.unit_of(machine, element, "{force}/{length}"),
+                "stiffness",
+                joints.unit_of(machine, element, "{force}/{length}"),
                 nominal=own,
                 upper=4.0 * own + 20.0 * size,
                 trials=(0.5 * own, 0.85 * own, 1.3 * own) if own > 0 else (0.05 * size, 0.5 * size),
@@ -96,8 +93,8 @@ class SpringHardening(JointEffect):
             size *= 100.0  # a slide moves some decimetres
         return (
             EffectParameter(
-                name="k2" if machine.spring_of(element) else "k3",
-                unit=joints.unit_of(machine, element, "{force}/{length}^3"),
+                "k2" if machine.spring_of(element) else "k3",
+                joints.unit_of(machine, element, "{force}/{length}^3"),
                 nominal=own,
                 lower=min(0.0, own) - (0.0 if own else 5.0 * size),
                 upper=10.0 * own + 50.0 * size,
@@ -123,12 +120,7 @@ class SpringOffset(JointEffect):
     excitation = "positions over a range, so that it differs from a constant force"
     rows = (
         JointRow(
-            name="shift",
-            unit="{length}",
-            trials=(-0.2, -0.04, 0.04, 0.2),
-            lower=-1.0,
-            upper=1.0,
-            size=joints.travel,
+            "shift", "{length}", (-0.2, -0.04, 0.04, 0.2), lower=-1.0, upper=1.0, size=joints.travel
         ),
     )
 
@@ -168,18 +160,11 @@ class QuadraticDamping(JointEffect):
     source = "turbulent flow (Bernoulli); Folgheraiter's damper, physics.md"
     excitation = "slow and fast motion, which tell it from viscous friction"
     rows = (
-        JointRow(
-            name="damping",
-            unit="{force} s^2/{length}^2",
-            trials=(0.01, 0.06, 0.3),
-            upper=10.0,
-            slide=10.0,
-        ),
+        JointRow("damping", "{force} s^2/{length}^2", (0.01, 0.06, 0.3), upper=10.0, slide=10.0),
     )
 
     def own(self, machine: Machine, joint: str, row: JointRow) -> float:
         """The coefficient of the spring-damper element that is there."""
-        del row
         return _of_spring(machine, joint, "quadratic_damping")
 
     def apply(self, change: Change, element: str, values: Values) -> None:

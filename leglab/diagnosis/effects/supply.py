@@ -5,17 +5,11 @@ import numpy as np
 from scipy.signal import lfilter
 
 from leglab.diagnosis.effects import joints
-from leglab.diagnosis.effects.base import (
-    Effect,
-    EffectParameter,
-    Values,
-    register_effect,
-)
+from leglab.diagnosis.effects.base import Effect, EffectParameter, Values, register_effect
 from leglab.diagnosis.model import CYLINDER, Change, Machine, Measured, Variant
 from leglab.machine.parameters import plugin_tables
 
 SUPPLY = "leglab.supply"
-_NAME = "supply"
 _ATMOSPHERE = 101325.0  # Pa
 
 
@@ -35,22 +29,15 @@ class SupplyDroop(Effect):
         cylinders = machine.instances(CYLINDER)
         spec = machine.spec()
         named = any(spec.actuator(c).plugin.config.get("supply") for c in cylinders)
-        return () if named or not cylinders else (_NAME,)
+        return () if named or not cylinders else ("supply",)
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """Droop, and gas volume of the accumulator at its precharge."""
-        del machine, element
-        return (
-            EffectParameter(name="droop", unit="Pa s/m^3", upper=3e12, trials=(1e10, 1e11, 5e11)),
-            EffectParameter(
-                name="accumulator_volume",
-                unit="m^3",
-                nominal=4e-5,
-                lower=1e-6,
-                upper=1e-3,
-                role="shape",
-            ),
+        droop = EffectParameter("droop", "Pa s/m^3", upper=3e12, trials=(1e10, 1e11, 5e11))
+        volume = EffectParameter(
+            "accumulator_volume", "m^3", nominal=4e-5, lower=1e-6, upper=1e-3, role="shape"
         )
+        return droop, volume
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts a supply unit that all cylinders draw from."""
@@ -73,7 +60,6 @@ class SupplyDroop(Effect):
         change.set_parameter(element, "pump_flow", 0.1)  # the compensator limits, not the pump
 
         def start(measured: Measured, variant: Variant, state: np.ndarray) -> np.ndarray:
-            del variant
             fall = _fall(change.machine, measured, pressure, droop, volume)
             return np.full(len(state), pressure) - fall
 
