@@ -4,6 +4,7 @@ import html
 import json
 import os
 import re
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -20,19 +21,8 @@ State = Literal["whole", "stopped", "broken"]
 _RUN_FILES = ("metrics.json", "run.json", "recording.parquet")
 # Title and first heading lie there; what follows are scripts and data.
 _HEAD_LENGTH = 200_000
-_HEAD = (
-    "where",
-    "kind",
-    "scenario",
-    "controller",
-    "model",
-    "seed",
-    "RMS before [mrad]",
-    "RMS after [mrad]",
-    "outcome",
-    "written, UTC",
-)
 _NUMBERS = ("seed", "RMS before [mrad]", "RMS after [mrad]")
+_HEAD = ("where", "kind", "scenario", "controller", "model", *_NUMBERS, "outcome", "written, UTC")
 _OURS = '<meta name="generator" content="leglab index"'
 
 
@@ -99,10 +89,8 @@ def write_index(folder: Path, path: Path) -> tuple[list[Entry], Path]:
 
 def _page(entries: list[Entry], name: str) -> str:
     """Returns the page of a folder of this name."""
-    counts: dict[str, int] = {}
-    for entry in entries:
-        counts[entry.kind] = counts.get(entry.kind, 0) + 1
-    parts = [f"{count} {kind}{'s' * (count > 1)}" for kind, count in sorted(counts.items())]
+    counts = sorted(Counter(entry.kind for entry in entries).items())
+    parts = [f"{count} {kind}{'s' * (count > 1)}" for kind, count in counts]
     summary = ", ".join(parts).replace("diagnosiss", "diagnoses") or "Nothing was found"
     for state, told in (("stopped", "stopped half way"), ("broken", "cannot be read")):
         count = sum(entry.state == state for entry in entries)
@@ -120,14 +108,11 @@ def _page(entries: list[Entry], name: str) -> str:
 
 
 def _find_entries(folder: Path, base: Path) -> list[Entry]:
-    """Looks for everything below a folder; links to folders are not followed.
-
-    Returns entries in the order of their paths; their links are relative to the folder `base`.
-    """
+    """Returns what lies below a folder by its path, with links relative to the folder `base`."""
     if not folder.is_dir():
         raise LeglabError(f"{str(folder)!r} is not a folder")
     found: list[Entry] = []
-    for place, folders, files in os.walk(folder):
+    for place, folders, files in os.walk(folder):  # links to folders are not followed
         folders.sort()
         found += _entries(Path(place), set(files), folder, base)
         # Folders that are being written, or were when the power went.
@@ -139,13 +124,8 @@ def _entries(place: Path, files: set[str], folder: Path, base: Path) -> Iterator
     name = "." if place == folder else place.relative_to(folder).as_posix()
 
     def entry(kind: str, mark: str, link: str, **told: Any) -> Entry:
-        return Entry(
-            name=name,
-            link=_link(place / link, base) if link else "",
-            kind=kind,
-            written=_written(place / mark),
-            **told,
-        )
+        target = _link(place / link, base) if link else ""
+        return Entry(name=name, link=target, kind=kind, written=_written(place / mark), **told)
 
     if "compare.json" in files:
         link = next((f for f in sorted(files) if f.endswith(".png")), "compare.json")
@@ -182,7 +162,8 @@ def _run(place: Path, files: set[str]) -> dict[str, Any]:
         "after": _mrad(last) if last is not first else None,
     }
     if metrics.completed:
-        return {**told, "told": _readapted(metrics.readaptation.time_s, last is not first)}
+        outcome = _readapted(metrics.readaptation.time_s) if last is not first else ""
+        return {**told, "told": outcome}
     reason = metrics.failure or "no reason was stored"
     return {**told, "state": "stopped", "told": f"stopped at {metrics.duration:.2f} s: {reason}"}
 
@@ -192,9 +173,7 @@ def _mrad(phase: PhaseMetrics) -> float | None:
     return None if value is None else 1e3 * value
 
 
-def _readapted(time: float | None, changed: bool) -> str:
-    if not changed:
-        return ""
+def _readapted(time: float | None) -> str:
     if time is None:
         return "not re-adapted"
     return f"re-adapted after {time:.2f} s" if time > 0.0 else "never above 1.25 times before"
@@ -203,10 +182,9 @@ def _readapted(time: float | None, changed: bool) -> str:
 def _comparison(path: Path) -> dict[str, Any]:
     content = _content(path)
     try:
-        scenarios, controllers = content["scenarios"], content["controllers"]
         return {
-            "scenario": ", ".join(map(str, scenarios)),
-            "controller": ", ".join(map(str, controllers)),
+            "scenario": ", ".join(map(str, content["scenarios"])),
+            "controller": ", ".join(map(str, content["controllers"])),
             "model": str(content["model"]),
             "told": f"{int(content['seeds'])} seeds",
         }

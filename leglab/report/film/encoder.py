@@ -6,7 +6,6 @@ import subprocess
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from leglab.base.errors import LeglabError
@@ -16,6 +15,7 @@ _TELLING = ("No space left", "Unknown encoder", "")
 # Share of the wanted size that is aimed at: one pass meets a bit rate roughly.
 _AIM = 0.85
 _ATTEMPTS = 3
+_CODING = ("-an", "-c:v", "libx264", "-preset", "fast", "-pix_fmt", "yuv420p")
 _STILL_WIDTH = 960  # at most [px]: as wide as a page shows a film on most screens
 
 
@@ -80,12 +80,7 @@ class Encoder:
             self._process.wait()
             raise self._failure() from None
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         try:
             if error is not None:
                 self._process.kill()
@@ -133,11 +128,7 @@ def _ffmpeg() -> str:
 
 
 def film_bytes(film: Path, most: int) -> bytes:
-    """The film, encoded anew with fewer bits where it is too large.
-
-    Args:
-        film: MP4 file.
-        most: Size that it may have [byte].
+    """The film, encoded anew with fewer bits where it has more than `most` bytes.
 
     Raises:
         LeglabError: It cannot be read or encoded.
@@ -153,7 +144,10 @@ def film_bytes(film: Path, most: int) -> bytes:
     _, seconds = imageio_ffmpeg.count_frames_and_secs(film)
     rate = _AIM * 8 * most / max(seconds, 1e-3)
     for _ in range(_ATTEMPTS):
-        content = _encoded(film, round(rate))
+        bits = round(rate)
+        rates = ("-b:v", f"{bits}", "-maxrate", f"{2 * bits}", "-bufsize", f"{4 * bits}")
+        options = (*_CODING, *rates, "-movflags", "+faststart")
+        content = _made(film, f".{film.stem}.small.mp4", after=options)
         if len(content) <= most:
             break
         rate *= _AIM * most / len(content)
@@ -162,9 +156,6 @@ def film_bytes(film: Path, most: int) -> bytes:
 
 def still_bytes(film: Path) -> bytes:
     """One picture of the film, a JPEG from soon after its middle: seen before it is played.
-
-    Args:
-        film: MP4 file.
 
     Raises:
         LeglabError: It cannot be read.
@@ -178,13 +169,6 @@ def still_bytes(film: Path) -> bytes:
         before=("-ss", f"{0.6 * seconds:.3f}"),
         after=("-frames:v", "1", "-vf", f"scale='min({_STILL_WIDTH},iw)':-2", "-q:v", "4"),
     )
-
-
-def _encoded(film: Path, rate: int) -> bytes:
-    coding = ("-an", "-c:v", "libx264", "-preset", "fast", "-pix_fmt", "yuv420p")
-    rates = ("-b:v", str(rate), "-maxrate", str(2 * rate), "-bufsize", str(4 * rate))
-    options = (*coding, *rates, "-movflags", "+faststart")
-    return _made(film, f".{film.stem}.small.mp4", after=options)
 
 
 def _made(film: Path, name: str, *, before: Sequence[str] = (), after: Sequence[str]) -> bytes:

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 
 from leglab.base.errors import unknown_name
+from leglab.report.film.look import Rect
 
 FIELD_OF_VIEW = 24.0  # vertical [degrees]; narrow, so that panels beside each other look alike
 DEFAULT_CAMERA = "three_quarter"
@@ -23,40 +24,23 @@ class Direction:
     def axes(self) -> np.ndarray:
         """Right, up and forward of the picture as rows, (3, 3)."""
         azimuth, elevation = math.radians(self.azimuth), math.radians(self.elevation)
-        forward = np.array(
-            [
-                math.cos(elevation) * math.cos(azimuth),
-                math.cos(elevation) * math.sin(azimuth),
-                math.sin(elevation),
-            ]
-        )
         right = np.array([math.sin(azimuth), -math.cos(azimuth), 0.0])
+        level = math.cos(elevation)
+        forward = np.array(
+            [level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)]
+        )
         return np.stack([right, np.cross(right, forward), forward])
 
 
-@dataclass(frozen=True)
-class Crop:
-    """A part of a picture, right and bottom not included [px]."""
-
-    left: int
-    top: int
-    right: int
-    bottom: int
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height [px]."""
-        return self.right - self.left, self.bottom - self.top
-
-    def apply(self, scene: mujoco.MjvScene, size: tuple[int, int]) -> None:
-        """Narrows the view of a scene to this part of a picture of `size` [px]."""
-        width, height = size
-        for eye in scene.camera:
-            pixel = (eye.frustum_top - eye.frustum_bottom) / height
-            top = eye.frustum_top
-            eye.frustum_center += pixel * 0.5 * (self.left + self.right - width)
-            eye.frustum_top = top - pixel * self.top
-            eye.frustum_bottom = top - pixel * self.bottom
+def narrow(scene: mujoco.MjvScene, part: Rect, size: tuple[int, int]) -> None:
+    """Narrows the view of a scene to a part of its picture, which has this size [px]."""
+    width, height = size
+    for eye in scene.camera:
+        pixel = (eye.frustum_top - eye.frustum_bottom) / height
+        top = eye.frustum_top
+        eye.frustum_center += pixel * 0.5 * (part.left + part.right - width)
+        eye.frustum_top = top - pixel * part.top
+        eye.frustum_bottom = top - pixel * part.bottom
 
 
 def direction(model: mujoco.MjModel, data: mujoco.MjData, camera: str) -> Direction:
@@ -91,7 +75,7 @@ def corners(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray) -> np
     return (turned + data.geom_xpos[geoms][:, None]).reshape(-1, 3)
 
 
-def crop(points: np.ndarray, camera: mujoco.MjvCamera, size: tuple[int, int]) -> Crop:
+def crop(points: np.ndarray, camera: mujoco.MjvCamera, size: tuple[int, int]) -> Rect:
     """The part of a camera's picture in which points appear, with a margin.
 
     Args:
@@ -105,7 +89,7 @@ def crop(points: np.ndarray, camera: mujoco.MjvCamera, size: tuple[int, int]) ->
     scale = 0.5 * height / math.tan(math.radians(FIELD_OF_VIEW) / 2)
     columns, rows = 0.5 * width + scale * x / z, 0.5 * height - scale * y / z
     # Even edges, for the larger picture it is made of to end with a whole pixel as well.
-    return Crop(
+    return Rect(
         left=max(2 * (math.floor(columns.min() - _MARGIN) // 2), 0),
         top=max(2 * (math.floor(rows.min() - _MARGIN) // 2), 0),
         right=min(-2 * (-math.ceil(columns.max() + _MARGIN) // 2), width),

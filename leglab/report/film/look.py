@@ -30,14 +30,19 @@ class Rect:
     bottom: int
 
     @property
+    def size(self) -> tuple[int, int]:
+        """Width and height [px]."""
+        return self.right - self.left, self.bottom - self.top
+
+    @property
     def width(self) -> int:
         """[px]."""
-        return self.right - self.left
+        return self.size[0]
 
     @property
     def height(self) -> int:
         """[px]."""
-        return self.bottom - self.top
+        return self.size[1]
 
 
 def panels(count: int) -> list[Rect]:

@@ -8,7 +8,7 @@ from PIL import Image
 
 from leglab.machine.simulation import Simulation, load_model
 from leglab.report.film import framing
-from leglab.report.film.look import GHOST, UNKNOWN, pressure_color
+from leglab.report.film.look import GHOST, UNKNOWN, Rect, pressure_color
 from leglab.report.film.track import Track
 
 # Rendered half again as large and averaged; twice as large takes an eighth longer and looks alike.
@@ -77,7 +77,7 @@ class DrawnMachine:
     def look(self, camera: mujoco.MjvCamera) -> None:
         """Chooses the view, and draws what stands still."""
         self._camera = camera
-        self._whole = framing.Crop(0, 0, *self._size)
+        self._whole = Rect(0, 0, *self._size)
         data = self.simulation.data
         self._start_scene(data, self._whole, mujoco.mjtCatBit.mjCAT_STATIC)
         self._background = self._render(data, self._whole)
@@ -117,12 +117,12 @@ class DrawnMachine:
         return picture
 
     def _start_scene(
-        self, data: mujoco.MjData, crop: framing.Crop, categories: mujoco.mjtCatBit
+        self, data: mujoco.MjData, crop: Rect, categories: mujoco.mjtCatBit
     ) -> mujoco.MjvScene:
         scene = self._scene
         scene.ngeom = 0
         mujoco.mjv_updateCamera(self.model, data, self._camera, scene)
-        crop.apply(scene, self._size)
+        framing.narrow(scene, crop, self._size)
         # Not mjv_updateScene: the plugins would add hundreds of shapes of their own.
         mujoco.mjv_addGeoms(
             self.model, data, self._option, self._perturbation, int(categories), scene
@@ -137,7 +137,7 @@ class DrawnMachine:
         for geom in scene.geoms[first : scene.ngeom]:
             geom.pos[:] += _GHOST_SHIFT * (geom.pos - eye)
 
-    def _render(self, data: mujoco.MjData, crop: framing.Crop) -> Image.Image:
+    def _render(self, data: mujoco.MjData, crop: Rect) -> Image.Image:
         mujoco.mjv_makeLights(self.model, data, self._scene)
         width, height = _larger(crop.size)
         place = mujoco.MjrRect(0, 0, width, height)

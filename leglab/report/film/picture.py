@@ -7,21 +7,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from leglab.report.film import framing, look
-from leglab.report.film.look import (
-    ALARM,
-    FAINT,
-    GHOST,
-    INK,
-    PAPER,
-    SOFT,
-    TIMES,
-    Rect,
-    Rgb,
-    fitted,
-    font,
-    pressure_color,
-    write,
-)
+from leglab.report.film.look import ALARM, INK, PAPER, SOFT, Rect, Rgb, fitted, font, write
 from leglab.report.film.machine import DrawnMachine, DrawnRun
 from leglab.report.film.traces import CommandTrace, ErrorTrace
 from leglab.report.film.track import Track, details, load_track
@@ -58,7 +44,7 @@ class Picture:
         names = [str(track.settings["controller"]) for track in tracks]
         colors = look.RUNS[: len(tracks)]
         self._panels = look.panels(len(tracks))
-        size = (self._panels[0].width, self._panels[0].height)
+        size = self._panels[0].size
         supplies = [track.column("supply_pressure") for track in tracks]
         highest = max((float(np.nanmax(s)) for s in supplies if s is not None), default=160e5)
         scale = _BAR_STEP * np.ceil(highest / _BAR_STEP - 0.05)
@@ -118,14 +104,14 @@ def _draw_title(image: Image.Image, title: str, subtitle: str, scale: float) -> 
     write(draw, (16, 23), text, 22, INK, bold=True, anchor="lm")
     write(draw, (16, 42), fitted(subtitle, 13, 390), 13, SOFT, anchor="lm")
     x = 424
-    tint = tuple(round(255 * (0.45 + 0.55 * c)) for c in GHOST[:3])
+    tint = tuple(round(255 * (0.45 + 0.55 * c)) for c in look.GHOST[:3])
     draw.rounded_rectangle(
-        (x, 17, x + 26, 35), 5, fill=tint, outline=tuple(round(200 * c) for c in GHOST[:3])
+        (x, 17, x + 26, 35), 5, fill=tint, outline=tuple(round(200 * c) for c in look.GHOST[:3])
     )
     write(draw, (x + 34, 26), "see-through leg: the reference", 15, INK, anchor="lm")
     left, width = 872, 150
     write(draw, (left - 10, 26), "cylinder pressure", 15, INK, anchor="rm")
-    colors = (255 * pressure_color(np.linspace(0, 1, width))).astype(np.uint8)
+    colors = (255 * look.pressure_color(np.linspace(0, 1, width))).astype(np.uint8)
     image.paste(Image.fromarray(np.repeat(colors[None], 14, axis=0)), (left, 11))
     for value in (0.0, 0.5, 1.0):
         place = left + value * width
@@ -272,7 +258,7 @@ class _Gauges:
             write(draw, (left, top + 2), name, 13, SOFT)
             write(draw, (left, top + 17), text, 16, ink, bold=True)
             end = left + width * float(np.clip(np.nan_to_num(share), 0.0, 1.0))
-            draw.rectangle((left, top + 36, left + width, top + 39), fill=FAINT)
+            draw.rectangle((left, top + 36, left + width, top + 39), fill=look.FAINT)
             draw.rectangle((left, top + 36, end, top + 39), fill=ink)
             top += _STEP
         if self._pressures:
@@ -290,7 +276,7 @@ class _Gauges:
         if self._leakage is not None:
             worst = float(self._leakage[row].max())
             share = float(np.log10(max(worst, 1.0)) / np.log10(_MOST_LEAKAGE))
-            text = f"{worst:.{1 if worst < 9.95 else 0}f}{TIMES} new"
+            text = f"{worst:.{1 if worst < 9.95 else 0}f}{look.TIMES} new"
             found.append(("seal leakage", text, share, worst > 1.05))
         return found
 
@@ -309,8 +295,8 @@ class _Gauges:
             for i, value in enumerate((float(cap[row]), float(rod[row]))):
                 y = top + 17 + 12 * i
                 level = float(np.clip(np.nan_to_num(value / self._scale), 0.0, 1.0))
-                color = tuple(int(255 * c) for c in pressure_color(level))
-                draw.rectangle((left, y, left + _LEVEL_LENGTH, y + 8), fill=FAINT)
+                color = tuple(int(255 * c) for c in look.pressure_color(level))
+                draw.rectangle((left, y, left + _LEVEL_LENGTH, y + 8), fill=look.FAINT)
                 draw.rectangle((left, y, left + _LEVEL_LENGTH * level, y + 8), fill=color)
                 text = f"{value / _BAR:.0f}" if np.isfinite(value) else "-"
                 write(draw, (right, y + 4), text, 13, INK, anchor="rm")

@@ -62,29 +62,15 @@ def render(template: str, *, scripts: Sequence[str] = (), **content: Any) -> str
         scripts: JavaScript to be inlined, in this order; nothing else on the page can run.
         content: What the template shows; all text is escaped.
     """
-    return (
-        _environment()
-        .get_template(template)
-        .render(
-            css=Markup(_colors() + asset("page.css")),
-            policy=_policy(scripts),
-            scripts=[Markup(script) for script in scripts],
-            **content,
-        )
-    )
+    page = _environment().get_template(template)
+    css, inlined = Markup(_colors() + asset("page.css")), [Markup(script) for script in scripts]
+    return page.render(css=css, policy=_policy(scripts), scripts=inlined, **content)
 
 
 @functools.cache
 def asset(name: str) -> str:
     """Text of a style sheet or script of this package."""
     return resources.files(_PACKAGE).joinpath("assets", name).read_text(encoding="utf-8")
-
-
-def plotly() -> str:
-    """The plotting library, as one script."""
-    from plotly.offline import get_plotlyjs
-
-    return get_plotlyjs()
 
 
 def inline_json(content: Any) -> Markup:

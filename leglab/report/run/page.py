@@ -6,7 +6,6 @@ import shutil
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 from markupsafe import Markup
@@ -14,7 +13,7 @@ from markupsafe import Markup
 from leglab.base.errors import LeglabError
 from leglab.data import write_atomically
 from leglab.report.film.encoder import film_bytes, still_bytes
-from leglab.report.page.shell import asset, plotly, render
+from leglab.report.page.shell import asset, render
 from leglab.report.page.wording import listed
 from leglab.report.run import tables, words
 from leglab.report.run.plots import plot_data
@@ -53,10 +52,6 @@ class FilmPart:
     text: str
     data: Markup | None = None
     still: str = ""
-    name: str = FILM
-    link: str = FILM
-    width: int = 1280
-    height: int = 720
 
 
 def check_out(folder: Path, *, overwrite: bool) -> None:
@@ -107,9 +102,7 @@ def write_report(runs: Sequence[ReportedRun], folder: Path, *, filmer: Filmer | 
     finally:
         shutil.rmtree(workplace, ignore_errors=True)
     return Report(
-        page=folder / PAGE,
-        film=None if film is None else folder / FILM,
-        why_no_film=why_no_film,
+        page=folder / PAGE, film=None if film is None else folder / FILM, why_no_film=why_no_film
     )
 
 
@@ -124,14 +117,18 @@ def page(runs: Sequence[ReportedRun], *, film: Path | None = None, no_film: str 
     joints = tuple(dict.fromkeys(joint for run in runs for joint in run.joints))
     # The joint with the largest error is what one looks for.
     shared = [joint for joint in joints if all(joint in run.joints for run in runs)] or joints
-    first = joints.index(max(shared, key=partial(_worst, runs)))
+    worst = {j: max(run.last.rms_rad.get(j, 0.0) for run in runs) for j in shared}
+    first = joints.index(max(shared, key=worst.__getitem__))
     data = plot_data(runs, joints, first)
+    from plotly.offline import get_plotlyjs  # slow to import
+
+    scripts = (get_plotlyjs(), asset("report.js"))
 
     def fill(film: FilmPart) -> str:
         return render(
             "report.html",
             kind="report",
-            scripts=(plotly(), asset("report.js")),
+            scripts=scripts,
             title=words.title(runs),
             headline=words.headline(runs),
             sections=words.sections(runs),
@@ -147,6 +144,7 @@ def page(runs: Sequence[ReportedRun], *, film: Path | None = None, no_film: str 
             plots=data["plots"],
             plot_data=data,
             film=film,
+            film_file=FILM,
         )
 
     if film is None:
@@ -158,19 +156,12 @@ def page(runs: Sequence[ReportedRun], *, film: Path | None = None, no_film: str 
     return fill(replace(empty, data=Markup(content)))
 
 
-def _worst(runs: Sequence[ReportedRun], joint: str) -> float:
-    return max(run.last.rms_rad.get(joint, 0.0) for run in runs)
-
-
 def _description(runs: Sequence[ReportedRun]) -> str:
     """Describes the film for those who do not see it."""
     run = runs[0]
-    labels = tuple(run.label for run in runs)
-    places = f"{listed(labels)}, side by side" if len(runs) > 1 else labels[0]
+    places = listed(tuple(run.label for run in runs)) + ", side by side" * (len(runs) > 1)
     changes = listed(tuple(words.change_words(c) for c in run.configuration.changes))
-    what = (
-        f" What happens to the machine is written into the picture: {changes}." if changes else ""
-    )
+    what = f" What happens to the machine is written into the picture: {changes}." * bool(changes)
     return (
         f"The {run.metrics.model} follows {run.setting('reference')} under {places}; a curve below "
         f"the picture shows the RMS tracking error up to each moment.{what} It has no sound."

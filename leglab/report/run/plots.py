@@ -28,40 +28,25 @@ _CLOSE_UP = 2.0
 _STEADY = 0.1
 # Above this ratio of the largest to the smallest error, a linear axis shows one of them alone.
 _LOG_RATIO = 8.0
+_PLAIN = {"by_joint": True, "labelled": False, "scale": "linear", "ticks": None, "range": None}
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Quantity:
-    """A plot of one quantity with a choice of joints.
-
-    Attributes:
-        name: Of the plot.
-        title: Heading.
-        axis: Of the values, with unit.
-        unit: For what is shown at the mouse.
-        caption: What one sees.
-        curves: Endings of columns with a name each, for all but the first a dash.
-        factor: To the shown unit.
-        shared: Ending of a column that is drawn once, from the longest run.
-    """
+    """A plot of one quantity with a choice of joints."""
 
     name: str
     title: str
     axis: str
     unit: str
     caption: str
-    curves: tuple[tuple[str, str], ...]
-    factor: float = 1.0
-    shared: str = ""
+    curves: tuple[tuple[str, str], ...]  # endings of columns, with names; all but the first dashed
+    factor: float = 1.0  # to the shown unit
+    shared: str = ""  # ending of a column that is drawn once, from the longest run
 
 
 def plot_data(runs: Sequence[ReportedRun], joints: Sequence[str], first: int) -> dict[str, Any]:
-    """All plots with their curves.
-
-    Args:
-        runs: Of the report.
-        joints: Whose curves can be chosen.
-        first: Number of the joint that is shown at first.
+    """All plots with their curves, `first` being the number of the joint that is shown at first.
 
     Returns:
         Content for `assets/report.js`: plain types, arrays as base64 of float32.
@@ -139,13 +124,9 @@ def _quantities(runs: Sequence[ReportedRun], joints: Sequence[str]) -> tuple[_Qu
             curves=(("oil_temperature", ""),),
         ),
     )
-    return quantities if _warms(runs, joints) else quantities[:-1]
-
-
-def _warms(runs: Sequence[ReportedRun], joints: Sequence[str]) -> bool:
     samples = [_samples(run, joint, "oil_temperature")[1] for run in runs for joint in joints]
     values = np.concatenate(samples)
-    return bool(values.size) and float(np.ptp(values)) > _STEADY
+    return quantities if values.size and np.ptp(values) > _STEADY else quantities[:-1]
 
 
 def _changes(runs: Sequence[ReportedRun], end: float) -> list[dict[str, Any]]:
@@ -208,19 +189,8 @@ def _joint_plot(
     by_joint = [_joint_traces(quantity, runs, joint, count) for joint in joints]
     if not any(by_joint):
         return None
-    return {
-        "name": quantity.name,
-        "title": quantity.title,
-        "axis": quantity.axis,
-        "unit": quantity.unit,
-        "caption": quantity.caption,
-        "by_joint": True,
-        "labelled": False,
-        "scale": "linear",
-        "ticks": None,
-        "range": None,
-        "traces": by_joint,
-    }
+    heading = {n: getattr(quantity, n) for n in ("name", "title", "axis", "unit", "caption")}
+    return {**heading, **_PLAIN, "traces": by_joint}
 
 
 def _joint_traces(
@@ -231,7 +201,8 @@ def _joint_traces(
         source = max(runs, key=lambda run: len(run.recording))
         time, values = _samples(source, joint, quantity.shared)
         name = "reference"
-        if not all(_agree(values, _samples(run, joint, quantity.shared)[1]) for run in runs):
+        others = (_samples(run, joint, quantity.shared)[1] for run in runs)
+        if not all(np.array_equal(values[: len(other)], other) for other in others):
             name = f"reference of {source.label}"
         if len(time) > 1:
             traces.append(_trace(name, -1, time, quantity.factor * values, count, width=5.0))
@@ -241,14 +212,9 @@ def _joint_traces(
             if len(time) < 2:
                 continue
             label = f"{run.label} {name}".strip()
-            dash = "dot" if k else "solid"
             drawn = _trace(label, i, time, quantity.factor * values, count, width=1.3)
-            traces.append({**drawn, "dash": dash} if k else drawn)
+            traces.append({**drawn, "dash": "dot"} if k else drawn)
     return traces
-
-
-def _agree(longer: np.ndarray, shorter: np.ndarray) -> bool:
-    return np.array_equal(longer[: len(shorter)], shorter)
 
 
 def _samples(run: ReportedRun, joint: str, ending: str) -> tuple[np.ndarray, np.ndarray]:
@@ -273,9 +239,8 @@ def _trace(
     if len(time) > count:
         from tsdownsample import MinMaxLTTBDownsampler
 
-        kept = MinMaxLTTBDownsampler().downsample(
-            np.ascontiguousarray(time), np.ascontiguousarray(values), n_out=count
-        )
+        curve = map(np.ascontiguousarray, (time, values))
+        kept = MinMaxLTTBDownsampler().downsample(*curve, n_out=count)
         time, values = time[kept], values[kept]
     return {
         "name": _text(name),
@@ -304,27 +269,14 @@ def _position_name(run: ReportedRun) -> str:
     return "truth" if whole else "position"
 
 
-def _tracking_error(run: ReportedRun) -> tuple[np.ndarray, np.ndarray]:
-    """Position less reference.
-
-    Returns:
-        Times [s], (n,), and errors [rad], (n, joints), of the samples that are whole.
-    """
+def _moving_error(run: ReportedRun) -> tuple[np.ndarray, np.ndarray]:
+    """Times [s] from the first full stride on, and RMS error of all joints over it [rad]."""
     positions = run.recording.stack(run.joints, _position_name(run))
     error = positions - run.recording.stack(run.joints, "reference")
     whole = np.isfinite(error).all(axis=1)
-    return run.recording.time[whole], error[whole]
-
-
-def _moving_error(run: ReportedRun) -> tuple[np.ndarray, np.ndarray]:
-    """RMS error of all joints over one stride that ends at each time.
-
-    Returns:
-        Times [s] and errors [rad], both (n,), from the first full window on.
-    """
-    time, error = _tracking_error(run)
-    if not len(time):
-        return time, time
-    windowed = sliding_rms(time, error, run.configuration.window)
+    if not whole.any():
+        return np.empty(0), np.empty(0)
+    time = run.recording.time[whole]
+    windowed = sliding_rms(time, error[whole], run.configuration.window)
     full = np.isfinite(windowed)
     return time[full], windowed[full]

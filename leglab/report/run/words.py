@@ -90,15 +90,13 @@ def sections(runs: Sequence[ReportedRun]) -> tuple[Section, ...]:
     """Questions a reader has, in the order in which they are asked."""
     names = tuple(f"{run.label}:" for run in runs) if len(runs) > 1 else ()
     happened = tuple(_happened(run) for run in runs)
-    parts = [
+    parts = (
         Section(title="What was tested", lines=_tested(runs)),
         Section(title="What happened", lines=happened, names=names),
-    ]
-    verdict = _verdict(runs)
-    if verdict:
-        parts.append(Section(title="Verdict", lines=verdict))
-    parts.append(Section(title="What this does not show", lines=_limits(runs)))
-    return tuple(parts)
+        Section(title="Verdict", lines=_verdict(runs)),
+        Section(title="What this does not show", lines=_limits(runs)),
+    )
+    return tuple(part for part in parts if part.lines)
 
 
 def different(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
@@ -109,9 +107,8 @@ def different(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
 def change_words(change: Change) -> str:
     """One change, for instance "internal leakage of all elements = 2" or with a factor."""
     where = "all elements" if change.element == "*" else change.element
-    name = readable(change.parameter)
     sign = _TIMES if change.kind == "scale" else "="
-    return f"{name} of {where} {sign} {change.value:g}"
+    return f"{readable(change.parameter)} of {where} {sign} {change.value:g}"
 
 
 def _error(run: ReportedRun) -> float:
@@ -153,7 +150,13 @@ def _change(change: Change) -> str:
 
 
 def _happened(run: ReportedRun) -> str:
-    parts = [] if run.metrics.completed else [_stopped(run)]
+    parts = []
+    if not run.metrics.completed:
+        reason = (run.metrics.failure or "no reason was stored").rstrip(".")
+        parts.append(
+            f"Stopped at {run.metrics.duration:.2f} s of {run.planned:g} s: {reason}. What follows "
+            "holds as far as it came."
+        )
     last, joint = run.last, max(run.joints, key=lambda name: run.last.peak_rad[name])
     peak = f"at most {mrad(last.peak_rad[joint])} (at {joint})"
     if run.before is not None and last is not run.before:
@@ -169,22 +172,10 @@ def _happened(run: ReportedRun) -> str:
     share = _saturation(run)
     if share > _RARE:
         parts.append(f"A valve was at its limit {number(100 * share, 2)} % of the time.")
-    energy, seconds = last.energy_j.get("all"), _reached(run)
+    energy, seconds = last.energy_j.get("all"), min(last.end, run.metrics.duration) - last.start
     if energy is not None and seconds > 0:
         parts.append(f"Hydraulic power drawn: {number(energy / seconds)} W.")
     return " ".join(parts)
-
-
-def _reached(run: ReportedRun) -> float:
-    return min(run.last.end, run.metrics.duration) - run.last.start
-
-
-def _stopped(run: ReportedRun) -> str:
-    reason = (run.metrics.failure or "no reason was stored").rstrip(".")
-    return (
-        f"Stopped at {run.metrics.duration:.2f} s of {run.planned:g} s: {reason}. What follows "
-        "holds as far as it came."
-    )
 
 
 def _readapted(run: ReportedRun) -> list[str]:
@@ -202,18 +193,23 @@ def _readapted(run: ReportedRun) -> list[str]:
 
 
 def _fallback(run: ReportedRun) -> list[str]:
-    shares = _fallback_shares(run)
-    if shares is None:
+    """Tells which share of the time the nominal map stood in for the adapted, by phase."""
+    if not all(f"{joint}_fallback" in run.recording for joint in run.joints):
         return []
-    told = []
-    for phase, by_joint in shares.items():
-        mean = math.fsum(by_joint.values()) / len(by_joint)
-        worst = max(by_joint, key=lambda name: by_joint[name])
+    values = run.recording.stack(run.joints, "fallback")
+    time, told = run.recording.time, []
+    for phase in run.metrics.phases:
+        part = (time >= phase.start) & (time <= phase.end)
+        if not part.any():
+            continue
+        shares = np.nanmean(values[part] > 0.5, axis=0).tolist()
+        mean = math.fsum(shares) / len(shares)
         if mean > _RARE:
-            place = "in all" if phase == "whole" else f"{phase} the change"
+            place = "in all" if phase.name == "whole" else f"{phase.name} the change"
             text = f"{100 * mean:.1f} % of the time {place}"
-            if len(by_joint) > 1:
-                text += f" (most at {worst}: {100 * by_joint[worst]:.0f} %)"
+            if len(shares) > 1:
+                worst = run.joints[int(np.argmax(shares))]
+                text += f" (most at {worst}: {100 * max(shares):.0f} %)"
             told.append(text)
     if not told:
         return ["It never fell back to the static feed-forward."]
@@ -242,9 +238,8 @@ def _verdict(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
         )
         if run.before and ratio < 1 and _growth(run) > max(_HURT, _growth(first)):
             text += (
-                f" In proportion the change cost it more: its error grew "
-                f"{number(_growth(run))} times, that of {first.label} "
-                f"{number(_growth(first))} times."
+                f" In proportion the change cost it more: its error grew {number(_growth(run))} "
+                f"times, that of {first.label} {number(_growth(first))} times."
             )
         lines.append(text)
     return tuple(lines)
@@ -265,24 +260,6 @@ def _limits(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
     if any(run.label and run.metrics.controller == "oracle" for run in runs):
         lines.append("oracle knows the changed machine beforehand: it is a bound, no rival.")
     return tuple(lines)
-
-
-def _fallback_shares(run: ReportedRun) -> dict[str, dict[str, float]] | None:
-    """Returns by phase and joint which share of the time the nominal map stood in for the adapted.
-
-    None where the controller has no such state.
-    """
-    if not all(f"{joint}_fallback" in run.recording for joint in run.joints):
-        return None
-    values = run.recording.stack(run.joints, "fallback")
-    time = run.recording.time
-    shares = {}
-    for phase in run.metrics.phases:
-        part = (time >= phase.start) & (time <= phase.end)
-        if part.any():
-            mean = np.nanmean(values[part] > 0.5, axis=0)
-            shares[phase.name] = dict(zip(run.joints, mean.tolist(), strict=True))
-    return shares
 
 
 def _saturation(run: ReportedRun) -> float:
