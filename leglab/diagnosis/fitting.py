@@ -8,13 +8,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
 from leglab.diagnosis.hypothesis import Hypothesis, Key
-from leglab.diagnosis.residual import (
-    Linearisation,
-    Problem,
-    departures,
-    robust_cost,
-    robust_weight,
-)
+from leglab.diagnosis.residual import Linearisation, Problem, departures, robust_cost, robust_weight
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
 

@@ -115,11 +115,7 @@ class Library:
     """
 
     def __init__(
-        self,
-        machine: Machine,
-        *,
-        names: Iterable[str] | None = None,
-        excluded: Iterable[str] = (),
+        self, machine: Machine, *, names: Iterable[str] | None = None, excluded: Iterable[str] = ()
     ) -> None:
         self.machine = machine
         wanted = None if names is None else set(names)

@@ -144,10 +144,7 @@ def _region(residual: np.ndarray, regressors: Mapping[str, np.ndarray]) -> str:
 
 
 def _static_share(
-    residual: np.ndarray,
-    regressors: Mapping[str, np.ndarray],
-    noise: float,
-    thresholds: Thresholds,
+    residual: np.ndarray, regressors: Mapping[str, np.ndarray], noise: float, thresholds: Thresholds
 ) -> float:
     """Share of the excess variance that additive cubic B-splines of the regressors explain."""
     columns = [np.ones((residual.size, 1))]

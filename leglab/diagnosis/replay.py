@@ -10,14 +10,7 @@ from mujoco import rollout
 
 from leglab.base.errors import LeglabError
 from leglab.diagnosis.model import CYLINDER, Change, Machine, Measured, Variant
-from leglab.diagnosis.starts import (
-    PLUGIN,
-    Nudge,
-    measure,
-    offset,
-    pressure_slots,
-    start_states,
-)
+from leglab.diagnosis.starts import PLUGIN, Nudge, measure, offset, pressure_slots, start_states
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 from leglab.diagnosis.windows import Channel, Cut, UniformSeries, cut_series
 from leglab.machine.plugin import headless

@@ -12,15 +12,7 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
-from leglab.diagnosis.model import (
-    CHAMBERS,
-    CYLINDER,
-    FRICTION,
-    Change,
-    Machine,
-    Measured,
-    Variant,
-)
+from leglab.diagnosis.model import CHAMBERS, CYLINDER, FRICTION, Change, Machine, Measured, Variant
 from leglab.diagnosis.paths import play
 from leglab.diagnosis.windows import Channel, Cut, derivative, smoothed
 

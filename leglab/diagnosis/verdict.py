@@ -78,11 +78,7 @@ def assemble(found: Search, settings: Settings, *, seconds: float) -> Diagnosis:
     baseline, final = found.baseline.hypothesis, found.fit.hypothesis
     squares = {
         name: np.mean(problem.residual(hypothesis) ** 2, axis=1)
-        for name, hypothesis in (
-            ("before", Hypothesis()),
-            ("baseline", baseline),
-            ("after", final),
-        )
+        for name, hypothesis in (("before", Hypothesis()), ("baseline", baseline), ("after", final))
     }
     start = float(problem.window_cost(baseline).mean())
     end = float(problem.window_cost(final).mean())
