@@ -10,7 +10,7 @@ from mujoco import rollout
 
 from leglab.base.errors import LeglabError
 from leglab.diagnosis.model import CYLINDER, Change, Machine, Measured, Variant
-from leglab.diagnosis.starts import PLUGIN, Nudge, measure, offset, pressure_slots, start_states
+from leglab.diagnosis.starts import Nudge, measure, plugin_offset, pressure_slots, start_states
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 from leglab.diagnosis.windows import Channel, Cut, UniformSeries, cut_series
 from leglab.machine.plugin import headless
@@ -209,7 +209,7 @@ class Replay:
         warm = self._roll(
             change.variant, states(self._lead, None, unknown), np.concatenate(controls)
         )
-        slots = offset(change.variant.model, PLUGIN) + pressure_slots(change)
+        slots = plugin_offset(change.variant.model) + pressure_slots(change)
         counts = np.cumsum([cut.firsts.size for cut, _, _ in parts])[:-1]
         return states(0, nudge, np.split(warm[:, -1][:, slots], counts))
 
@@ -252,7 +252,7 @@ class Replay:
     def _predicted(self, variant: Variant, states: np.ndarray) -> np.ndarray:
         """Predictions at the samples of all windows, shape (windows, channels, samples)."""
         model = variant.model
-        plugin = offset(model, PLUGIN)
+        plugin = plugin_offset(model)
         index = [
             plugin + variant.slot(c.cylinder, c.chamber)
             if c.chamber and c.cylinder

@@ -35,13 +35,7 @@ class Candidate:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trial:
-    """Values of an effect that were replayed.
-
-    Attributes:
-        values: Of its parameters, (parameters,).
-        gain: Cost saved against the baseline.
-        step: Whitened change of the errors, (chosen windows, size).
-    """
+    """Values of an effect that were replayed; as those of its `Candidate`."""
 
     values: np.ndarray
     gain: float

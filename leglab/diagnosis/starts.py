@@ -17,7 +17,6 @@ from leglab.diagnosis.paths import play
 from leglab.diagnosis.windows import Channel, Cut, derivative, smoothed
 
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
-PLUGIN = mujoco.mjtState.mjSTATE_PLUGIN
 # A bristle forgets over some tenths of a millimetre; this much history is enough.
 _BRISTLE_HISTORY = 0.5  # s
 
@@ -27,14 +26,12 @@ class Nudge:
     """Departure from the reconstructed start states, to see how predictions depend on them.
 
     Attributes:
-        joint: Whose position or velocity moves.
-        cylinder: Whose pressure or bristle moves.
+        element: Joint or cylinder.
         quantity: "position", "velocity", "pressure_a", "pressure_b" or "bristle".
         size: rad, rad/s, Pa or m.
     """
 
-    joint: str = ""
-    cylinder: str = ""
+    element: str
     quantity: str
     size: float
 
@@ -382,13 +379,13 @@ def start_states(
     instances.balance(rest_time)
     if nudge is not None:
         if nudge.quantity == "position":
-            qpos[:, model.joint(nudge.joint).qposadr[0]] += nudge.size
+            qpos[:, model.joint(nudge.element).qposadr[0]] += nudge.size
         elif nudge.quantity == "velocity":
-            qvel[:, model.joint(nudge.joint).dofadr[0]] += nudge.size
+            qvel[:, model.joint(nudge.element).dofadr[0]] += nudge.size
         else:
-            plugin[:, variant.slot(nudge.cylinder, nudge.quantity)] += nudge.size
+            plugin[:, variant.slot(nudge.element, nudge.quantity)] += nudge.size
     states = np.zeros((firsts.size, mujoco.mj_stateSize(model, STATE)))
-    start = offset(model, PLUGIN)
+    start = plugin_offset(model)
     states[:, 0] = cut.series.time[firsts]
     states[:, 1 : 1 + model.nq] = qpos
     states[:, 1 + model.nq : 1 + model.nq + model.nv] = qvel
@@ -408,7 +405,6 @@ def pressure_slots(change: Change) -> np.ndarray:
     )
 
 
-def offset(model: mujoco.MjModel, part: mujoco.mjtState) -> int:
-    """Place of a part in the full physics state: parts follow in the order of their bits."""
-    below = int(STATE) & (int(part) - 1)
-    return mujoco.mj_stateSize(model, below) if below else 0
+def plugin_offset(model: mujoco.MjModel) -> int:
+    """Place of the plugins in the full physics state: parts follow in the order of their bits."""
+    return mujoco.mj_stateSize(model, int(STATE) & (int(mujoco.mjtState.mjSTATE_PLUGIN) - 1))

@@ -76,10 +76,8 @@ def assemble(found: Search, settings: Settings, *, seconds: float) -> Diagnosis:
     problem, limits = found.problem, found.problem.thresholds
     rng = np.random.default_rng(settings.seed + 1)
     baseline, final = found.baseline.hypothesis, found.fit.hypothesis
-    squares = {
-        name: np.mean(problem.residual(hypothesis) ** 2, axis=1)
-        for name, hypothesis in (("before", Hypothesis()), ("baseline", baseline), ("after", final))
-    }
+    models = {"before": Hypothesis(), "baseline": baseline, "after": final}
+    squares = {k: np.mean(problem.residual(h) ** 2, axis=1) for k, h in models.items()}
     start = float(problem.window_cost(baseline).mean())
     end = float(problem.window_cost(final).mean())
     rivals = tuple(
@@ -187,8 +185,8 @@ def _effects(
 def _ties(found: Search, key: Key, rng: np.random.Generator) -> tuple[tuple[str, ...], float]:
     """Rivals that explain the recordings as well, and the name's confidence against all."""
     limits = found.problem.thresholds
-    twins = exact_twins(found.problem.channels, key[0])
-    twins = tuple(t for t in twins if t in found.problem.library.names)
+    names = found.problem.library.names
+    twins = tuple(t for t in exact_twins(found.problem.channels, key[0]) if t in names)
     if twins:
         return twins, 1.0 / (1 + len(twins))
     fits = [(c, one) for one in found.rounds for c in one.contenders if c.key == key]
