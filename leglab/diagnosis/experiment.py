@@ -28,14 +28,7 @@ def propose(problem: Problem, rivals: dict[str, Hypothesis]) -> Proposal | None:
 
     Both rivals, with the parameters that fit the present recordings, answer every excitation of
     the catalogue from a calm moment of those recordings; the one in which they differ most, in
-    noise levels, is proposed.
-
-    Args:
-        problem: With the present recordings.
-        rivals: Fitted hypotheses by name, two or more.
-
-    Returns:
-        The proposal; None where no excitation separates them.
+    noise levels, is proposed; None where no excitation separates them.
     """
     (one, first), (other, second) = list(rivals.items())[:2]
     replay, limits = problem.replay, problem.thresholds

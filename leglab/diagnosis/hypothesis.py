@@ -123,9 +123,8 @@ class Library:
             if effect.name in barred or (wanted is not None and effect.name not in wanted):
                 continue
             for element in effect.elements(machine):
-                site = Site(
-                    effect=effect, element=element, parameters=effect.parameters(machine, element)
-                )
+                own = effect.parameters(machine, element)
+                site = Site(effect=effect, element=element, parameters=own)
                 self.sites[site.key] = site
 
     @property

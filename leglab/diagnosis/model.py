@@ -34,14 +34,12 @@ class Variant:
         elements: Place in `plugin_state` and table of every plugin instance, by name.
         joint_of: Joint that a passive instance acts on, by instance.
         plugin_state: After a reset, shape (npluginstate,): parameters and initial states.
-        qpos: Positions after a reset, shape (nq,).
     """
 
     model: mujoco.MjModel
     elements: dict[str, tuple[int, PluginTable]]
     joint_of: dict[str, str]
     plugin_state: np.ndarray
-    qpos: np.ndarray
 
     def slot(self, element: str, name: str) -> int:
         """Index in `plugin_state` of a parameter or state.
@@ -165,7 +163,7 @@ class Machine:
             if not (model.geom_contype.any() or model.geom_conaffinity.any() or model.npair):
                 # Nothing can touch: a fifth of the time of a replay is saved by not looking.
                 model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-            data = mujoco.MjData(model)
+            plugin_state = mujoco.MjData(model).plugin_state.copy()
         except (ValueError, mujoco.FatalError) as error:
             raise leglab.machine.plugin.load_error(error, self.path.name, spec) from error
         variant = Variant(
@@ -176,8 +174,7 @@ class Machine:
                 for plugin in spec.plugins
                 if plugin.name and "joint" in plugin.config
             },
-            plugin_state=data.plugin_state.copy(),
-            qpos=data.qpos.copy(),
+            plugin_state=plugin_state,
         )
         self._variants[key] = variant
         if len(self._variants) > _CACHED_VARIANTS:

@@ -96,8 +96,7 @@ def summary_lines(result: Diagnosis) -> list[str]:
     """Lines for the terminal beside the tables: onsets, rivals, balances, notes."""
     lines = []
     for effect in result.effects:
-        for recording, time in effect.onset:
-            lines.append(f"{effect.name} begins at {time:.2f} s of {recording}")
+        lines += [f"{effect.name} begins at {time:.2f} s of {name}" for name, time in effect.onset]
         if effect.indistinguishable_from:
             rivals = ", ".join(effect.indistinguishable_from)
             lines.append(f"{effect.name} is not told apart from {rivals}")

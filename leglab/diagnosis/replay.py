@@ -131,13 +131,10 @@ class Replay:
         states = self._roll(change.variant, starts, np.concatenate(controls))
         errors = np.concatenate(targets) - self._predicted(change.variant, states)
         binned = errors.reshape((*errors.shape[:2], self.bins, -1)).mean(axis=3)
-        gains = [
-            np.prod([gain for _, gain in change.corrections.get(c.column, ())])
-            for c in self.channels
-        ]
+        undone = [change.corrections.get(c.column, ()) for c in self.channels]
         return ReplayErrors(
             values=np.nan_to_num(binned, nan=1e12, posinf=1e12, neginf=-1e12),
-            noise_gain=np.array(gains),
+            noise_gain=np.array([np.prod([gain for _, gain in found]) for found in undone]),
         )
 
     def respond(self, change: Change, window: int, commands: np.ndarray) -> np.ndarray:
@@ -206,9 +203,8 @@ class Replay:
             self._controls(m, cut.firsts[:, None] - self._lead + np.arange(self._lead))
             for cut, m, _ in parts
         ]
-        warm = self._roll(
-            change.variant, states(self._lead, None, unknown), np.concatenate(controls)
-        )
+        before = states(self._lead, None, unknown)
+        warm = self._roll(change.variant, before, np.concatenate(controls))
         slots = plugin_offset(change.variant.model) + pressure_slots(change)
         counts = np.cumsum([cut.firsts.size for cut, _, _ in parts])[:-1]
         return states(0, nudge, np.split(warm[:, -1][:, slots], counts))

@@ -159,12 +159,8 @@ class Problem:
 
         The covariance of a window's errors is N + S P S': sensor noise of the bins, and start-state
         errors of covariance P carried on by the sensitivity S of the predictions, from replays with
-        nudged starts.
-
-        Args:
-            change: What the hypothesis changes.
-            reference: Errors under it, shape (windows, channels, bins).
-            finer: What half the time step changes in them.
+        nudged starts. `reference` are the errors under the change, shape (windows, channels, bins),
+        and `finer` is what half the time step changes in them.
         """
         replay, limits = self.replay, self.thresholds
         per_bin = replay.samples // replay.bins
@@ -301,14 +297,7 @@ class Problem:
         *,
         share: float = 0.5,
     ) -> Linearisation:
-        """Tangents of all nuisances but those of free effects, by differences.
-
-        Args:
-            base: About which hypothesis.
-            chosen: Mask of windows.
-            free: Effects that are fitted freely.
-            share: Size of the differences in tolerances.
-        """
+        """Tangents of all nuisances but those of free effects, by a share of their tolerances."""
         nuisances = self.active_nuisances(free)
         residual = self.residual(base, chosen)
         tangents = np.zeros((*residual.shape, len(nuisances)))
@@ -318,9 +307,8 @@ class Problem:
             if n.value(base) + step > site.upper[n.index]:
                 step = -step
             moved = base.get(n.key, site.nominal).copy()
-            moved[n.index] = np.clip(
-                moved[n.index] + step, site.lower[n.index], site.upper[n.index]
-            )
+            value = moved[n.index] + step
+            moved[n.index] = np.clip(value, site.lower[n.index], site.upper[n.index])
             other = self.residual(base.with_values(n.key, moved), chosen)
             tangents[:, :, i] = (other - residual) * (n.tolerance / step)
         return Linearisation(

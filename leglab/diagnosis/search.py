@@ -185,13 +185,7 @@ def search_round(
 def pair_search(
     problem: Problem, last: Round, chosen: np.ndarray, progress: Progress
 ) -> tuple[Problem, Contender | None]:
-    """Fits the most promising two effects at once: greedy search may start with an impostor.
-
-    Args:
-        problem: Recordings and machine.
-        last: The round whose effects are paired.
-        chosen: Mask of windows.
-        progress: Called with what is being done.
+    """Fits two effects of the last round at once: greedy search may start with an impostor.
 
     Returns:
         The problem with its noise model about the best pair, and that pair: its `key` is the effect

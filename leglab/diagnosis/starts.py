@@ -291,18 +291,14 @@ def measure(
 ) -> tuple[Measured, dict[str, np.ndarray]]:
     """Smoothed series under the sensor and command faults of a change, and corrected columns."""
     machine, series, period = change.machine, cut.series, cut.series.period
-    corrected = {}
+    corrected, position, velocity, pressure = {}, {}, {}, {}
     for channel in channels:
-        samples = series.columns[channel.column]
-        for function, _ in change.corrections.get(channel.column, ()):
+        column, samples = channel.column, series.columns[channel.column]
+        for function, _ in change.corrections.get(column, ()):
             samples = function(samples, period)
-        corrected[channel.column] = samples
-    position, velocity, pressure = {}, {}, {}
-    for channel in channels:
-        column, known = channel.column, cut.smooth.get(channel.column)
+        corrected[column], known = samples, cut.smooth.get(column)
         if known is None or column in change.corrections:
-            smooth = smoothed(corrected[column], channel.filter)
-            known = (smooth, derivative(corrected[column], channel.filter, period))
+            known = smoothed(samples, channel.filter), derivative(samples, channel.filter, period)
             if column not in change.corrections:
                 cut.smooth[column] = known
         if channel.chamber:
@@ -357,7 +353,7 @@ def start_states(
     plugin = np.tile(variant.plugin_state, (firsts.size, 1))
     for (element, name), value in change.parameters.items():
         plugin[:, variant.slot(element, name)] = value
-    qpos = np.tile(variant.qpos, (firsts.size, 1))
+    qpos = np.tile(model.qpos0, (firsts.size, 1))
     qvel = np.zeros((firsts.size, model.nv))
     lag = 0.5 * machine.timestep
     for joint in machine.joints:

@@ -258,14 +258,8 @@ def nuisance_estimates(problem: Problem, fit: Fit) -> tuple[Estimate, ...]:
     )
 
 
-def _estimate(parameter: EffectParameter, value: float, low: float, high: float) -> Estimate:
-    return Estimate(
-        name=parameter.name,
-        unit=parameter.unit,
-        value=value,
-        nominal=parameter.nominal,
-        interval=(low, high),
-    )
+def _estimate(p: EffectParameter, value: float, low: float, high: float) -> Estimate:
+    return Estimate(name=p.name, unit=p.unit, value=value, nominal=p.nominal, interval=(low, high))
 
 
 def notes(problem: Problem) -> tuple[str, ...]:
@@ -299,8 +293,7 @@ def traces(problem: Problem, final: Hypothesis) -> tuple[ResidualTrace, ...]:
         index = np.minimum((first[:, None] + middle).astype(int), series.time.size - 1).ravel()
         for k, channel in enumerate(problem.channels):
             q = series.columns[f"{channel.joint}_position"]
-            chambers = [series.columns.get(f"{channel.joint}_pressure_{c}") for c in "ab"]
-            a, b = chambers
+            a, b = (series.columns.get(f"{channel.joint}_pressure_{c}") for c in "ab")
             rows.append(
                 ResidualTrace(
                     recording=series.name,
