@@ -92,11 +92,8 @@ class Sums:
         """Robust least-squares step within bounds, shape (unknowns,).
 
         Minimises sum_w rho(|r_w + J_w x|^2) + sum prior (now + x)^2 by iteratively reweighted
-        least squares (Holland and Welsch 1977).
-
-        Args:
-            unknowns: Their priors and bounds.
-            damping: Levenberg-Marquardt damping, relative to the diagonal.
+        least squares (Holland and Welsch 1977), with a Levenberg-Marquardt damping relative to the
+        diagonal.
         """
         count = unknowns.now.size
         diagonal = np.diag_indices(count)

@@ -212,11 +212,7 @@ Start = Callable[[Measured, Variant, np.ndarray], np.ndarray]
 
 
 class Change:
-    """Changes that effects make to a machine: a builder that they write to, in order.
-
-    Args:
-        machine: The unmodified machine.
-    """
+    """Changes of effects to an unmodified machine: a builder that they write to, in order."""
 
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
