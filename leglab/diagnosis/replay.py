@@ -180,19 +180,16 @@ class Replay:
 
     def _starts(self, change: Change, parts: list[Part], nudge: Nudge | None = None) -> np.ndarray:
         """Full physics states at window starts, (windows, nstate)."""
+        rest = self.thresholds.rest_time
 
         def states(
             earlier: int, nudge: Nudge | None, pressures: Sequence[np.ndarray | None]
         ) -> np.ndarray:
-            rows = []
-            for (cut, measured, _), known in zip(parts, pressures, strict=True):
-                then = replace(measured, samples=measured.samples - earlier)
-                rest = self.thresholds.rest_time
-                rows.append(
-                    start_states(
-                        cut, change, then, self.channels, rest, pressures=known, nudge=nudge
-                    )
-                )
+            then = [(cut, replace(m, samples=m.samples - earlier)) for cut, m, _ in parts]
+            rows = [
+                start_states(cut, change, m, self.channels, rest, pressures=known, nudge=nudge)
+                for (cut, m), known in zip(then, pressures, strict=True)
+            ]
             return np.concatenate(rows)
 
         unknown = [None] * len(parts)
