@@ -1,5 +1,7 @@
 """All effects as Markdown: `python -m leglab.diagnosis.catalogue > docs/effect_table.md`."""
 
+from itertools import groupby
+
 from leglab.diagnosis.effects import all_effects
 
 
@@ -11,20 +13,13 @@ def markdown_table() -> str:
         "Made by `python -m leglab.diagnosis.catalogue > docs/effect_table.md`.",
     ]
     rows = sorted(all_effects(), key=lambda effect: (effect.group, effect.name, effect.physics))
-    group = ""
-    for effect in rows:
-        if effect.group != group:
-            group = effect.group
-            lines += [
-                "",
-                f"## {group}",
-                "",
-                "| name | physics | shown by | source |",
-                "|---|---|---|---|",
-            ]
-        cells = (effect.physics, effect.excitation, effect.source)
-        text = " | ".join(" ".join(cell.split()).replace("|", "\\|") for cell in cells)
-        lines.append(f"| `{effect.name}` | {text} |")
+    for group, effects in groupby(rows, key=lambda effect: effect.group):
+        lines += ["", f"## {group}", ""]
+        lines += ["| name | physics | shown by | source |", "|---|---|---|---|"]
+        for effect in effects:
+            cells = (effect.physics, effect.excitation, effect.source)
+            text = " | ".join(" ".join(cell.split()).replace("|", "\\|") for cell in cells)
+            lines.append(f"| `{effect.name}` | {text} |")
     return "\n".join(lines) + "\n"
 
 

@@ -28,14 +28,7 @@ def propose(problem: Problem, rivals: dict[str, Hypothesis]) -> Proposal | None:
 
     Both rivals, with the parameters that fit the present recordings, answer every excitation of
     the catalogue from a calm moment of those recordings; the one in which they differ most, in
-    noise levels, is proposed.
-
-    Args:
-        problem: With the present recordings.
-        rivals: Fitted hypotheses by name, two or more.
-
-    Returns:
-        The proposal; None where no excitation separates them.
+    noise levels, is proposed; None where no excitation separates them.
     """
     (one, first), (other, second) = list(rivals.items())[:2]
     replay, limits = problem.replay, problem.thresholds
@@ -50,14 +43,14 @@ def propose(problem: Problem, rivals: dict[str, Hypothesis]) -> Proposal | None:
     )
     middle = np.median(commands, axis=0)
     reach = np.ptp(np.quantile(commands, [0.02, 0.98], axis=0), axis=0) / 2.0
-    names, series = [], []
-    for name, wave in catalogue(samples, period, limits.experiment_tones).items():
-        for amplitude in limits.experiment_amplitudes:
-            names.append((name, amplitude))
-            series.append(middle + amplitude * reach * wave[:, None])
+    waves = catalogue(samples, period, limits.experiment_tones)
+    tried = [(name, amplitude) for name in waves for amplitude in limits.experiment_amplitudes]
+    series = [middle + amplitude * reach * waves[name][:, None] for name, amplitude in tried]
+    speeds = replay.measured()[:, 0, :10]
+    calm = int(np.argmin(np.abs(speeds[:, -1] - speeds[:, 0])))
     noise = np.median(problem.sensor_noise, axis=0)[None, :, None]
     answers = [
-        replay.respond(problem.library.change(h, problem.machine), _calm(problem), np.stack(series))
+        replay.respond(problem.library.change(h, problem.machine), calm, np.stack(series))
         for h in (first, second)
     ]
     distance = np.nan_to_num((answers[0] - answers[1]) / noise, nan=0.0)
@@ -66,7 +59,7 @@ def propose(problem: Problem, rivals: dict[str, Hypothesis]) -> Proposal | None:
     if separation[best] <= 0.0:
         return None
     now = (problem.residual(first) - problem.residual(second)) ** 2
-    name, amplitude = names[best]
+    name, amplitude = tried[best]
     return Proposal(
         name=name,
         description=f"command {name} with {amplitude:.0%} of the present range about its middle",
@@ -74,9 +67,3 @@ def propose(problem: Problem, rivals: dict[str, Hypothesis]) -> Proposal | None:
         separation=float(separation[best]),
         separation_now=float(now.sum()),
     )
-
-
-def _calm(problem: Problem) -> int:
-    """Window that starts with the slowest motion."""
-    speeds = problem.replay.measured()[:, 0, :10]
-    return int(np.argmin(np.abs(speeds[:, -1] - speeds[:, 0])))

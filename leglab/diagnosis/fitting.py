@@ -8,13 +8,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
 from leglab.diagnosis.hypothesis import Hypothesis, Key
-from leglab.diagnosis.residual import (
-    Linearisation,
-    Problem,
-    departures,
-    robust_cost,
-    robust_weight,
-)
+from leglab.diagnosis.residual import Linearisation, Problem, departures, robust_cost, robust_weight
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
 
@@ -98,11 +92,8 @@ class Sums:
         """Robust least-squares step within bounds, shape (unknowns,).
 
         Minimises sum_w rho(|r_w + J_w x|^2) + sum prior (now + x)^2 by iteratively reweighted
-        least squares (Holland and Welsch 1977).
-
-        Args:
-            unknowns: Their priors and bounds.
-            damping: Levenberg-Marquardt damping, relative to the diagonal.
+        least squares (Holland and Welsch 1977), with a Levenberg-Marquardt damping relative to the
+        diagonal.
         """
         count = unknowns.now.size
         diagonal = np.diag_indices(count)
@@ -114,21 +105,14 @@ class Sums:
             ridge = 1e-12 * np.trace(matrix) / max(count, 1)
             matrix[diagonal] += unknowns.prior + ridge
             right = -(weight @ self.gradients + unknowns.prior * unknowns.now)
-            x = _bounded(matrix, right, unknowns.lower, unknowns.upper)
+            x = np.linalg.solve(matrix, right)
+            bounds = unknowns.lower, unknowns.upper
+            if not ((bounds[0] <= x) & (x <= bounds[1])).all():
+                root = np.linalg.cholesky(matrix)
+                target = solve_triangular(root, right, lower=True)
+                # Stark and Parker 1995; unknowns at a bound may come back beyond it by rounding.
+                x = np.clip(lsq_linear(root.T, target, bounds, method="bvls").x, *bounds)
         return x
-
-
-def _bounded(
-    matrix: np.ndarray, right: np.ndarray, lower: np.ndarray, upper: np.ndarray
-) -> np.ndarray:
-    """Minimises x'Mx/2 - right'x within bounds (Stark and Parker 1995)."""
-    x = np.linalg.solve(matrix, right)
-    if ((lower <= x) & (x <= upper)).all():
-        return x
-    root = np.linalg.cholesky(matrix)
-    target = solve_triangular(root, right, lower=True)
-    # Unknowns at a bound may come back beyond it by rounding.
-    return np.clip(lsq_linear(root.T, target, (lower, upper), method="bvls").x, lower, upper)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -233,7 +217,7 @@ def refit(
     at = at.without(free)
     sites = [problem.library.sites[key] for key in sorted(free)]
     ends = np.cumsum([len(site.parameters) for site in sites])[:-1]
-    scale = _joined([[p.scale for p in site.parameters] for site in sites])
+    scale = np.array([p.scale for site in sites for p in site.parameters])
 
     def placed(theta: np.ndarray, eta: np.ndarray, base: Hypothesis) -> Hypothesis:
         for site, values in zip(sites, np.split(theta, ends) if sites else (), strict=True):
@@ -241,7 +225,7 @@ def refit(
         return problem.moved(base, at.nuisances, eta)
 
     base = at.base if start is None else start
-    theta = _joined([base.get(site.key, site.nominal) for site in sites])
+    theta = np.concatenate([np.zeros(0), *(base.get(site.key, site.nominal) for site in sites)])
     eta = departures(base, at.nuisances)
     base = placed(theta, eta, base)
     residual = at.residual if start is None else problem.residual(base, at.chosen)
@@ -272,7 +256,3 @@ def refit(
         if gained < tolerance * cost:
             break
     return Fit(free=free, cost=cost, at=at)
-
-
-def _joined(parts: Sequence[Sequence[float] | np.ndarray]) -> np.ndarray:
-    return np.concatenate([*parts, np.zeros(0)])

@@ -40,10 +40,9 @@ class Site:
         """Bounds, (parameters,)."""
         return np.array([p.upper for p in self.parameters])
 
-    @property
-    def tolerance(self) -> np.ndarray:
-        """Spread between good machines, (parameters,); 0 where there is none."""
-        return np.array([p.tolerance for p in self.parameters])
+    def named(self, values: np.ndarray) -> dict[str, float]:
+        """Values, shape (parameters,), by the names of the parameters."""
+        return {p.name: float(v) for p, v in zip(self.parameters, values, strict=True)}
 
     def trials(self) -> list[np.ndarray]:
         """Values to screen, each (parameters,): one strength off its nominal value."""
@@ -115,13 +114,8 @@ class Library:
     """
 
     def __init__(
-        self,
-        machine: Machine,
-        *,
-        names: Iterable[str] | None = None,
-        excluded: Iterable[str] = (),
+        self, machine: Machine, *, names: Iterable[str] | None = None, excluded: Iterable[str] = ()
     ) -> None:
-        self.machine = machine
         wanted = None if names is None else set(names)
         barred = set(excluded)
         self.sites: dict[Key, Site] = {}
@@ -129,9 +123,8 @@ class Library:
             if effect.name in barred or (wanted is not None and effect.name not in wanted):
                 continue
             for element in effect.elements(machine):
-                site = Site(
-                    effect=effect, element=element, parameters=effect.parameters(machine, element)
-                )
+                own = effect.parameters(machine, element)
+                site = Site(effect=effect, element=element, parameters=own)
                 self.sites[site.key] = site
 
     @property
@@ -144,8 +137,5 @@ class Library:
         change = Change(machine)
         for key in sorted(hypothesis, key=lambda k: (self.sites[k].effect.order, k)):
             site = self.sites[key]
-            values = {
-                p.name: float(v) for p, v in zip(site.parameters, hypothesis[key], strict=True)
-            }
-            site.effect.apply(change, site.element, values)
+            site.effect.apply(change, site.element, site.named(hypothesis[key]))
         return change

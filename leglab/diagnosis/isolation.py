@@ -44,9 +44,8 @@ def isolate(problem: Problem) -> tuple[tuple[Where, ...], float | None]:
             noise = float(np.median([_noise(t[kind]) for t in tables]))
             residual = table[kind]
             level = 1.4826 * float(np.median(np.abs(residual))) / noise if noise > 0 else 0.0
-            where = Where(
-                residual=kind, element=element, level=level, region=_region(residual, regressors)
-            )
+            region = _region(residual, regressors)
+            where = Where(residual=kind, element=element, level=level, region=region)
             found.append((where, _static_share(residual, regressors, noise, problem.thresholds)))
     found.sort(key=lambda entry: -entry[0].level)
     return tuple(w for w, _ in found), (found[0][1] if found else None)
@@ -113,13 +112,8 @@ def _balances(
         out["hydraulic"][i] = (rates[0][k] - rate[4]) - (rates[1][k] - rate[5])
     q, v, _ = motion[joint]
     difference = smooth[f"{joint}_pressure_a"] - smooth[f"{joint}_pressure_b"]
-    return {
-        **out,
-        "position": q[at],
-        "velocity": v[at],
-        "pressure": difference[at],
-        "command": command[at],
-    }
+    along = {"position": q, "velocity": v, "pressure": difference, "command": command}
+    return out | {name: values[at] for name, values in along.items()}
 
 
 def _noise(residual: np.ndarray) -> float:
@@ -144,10 +138,7 @@ def _region(residual: np.ndarray, regressors: Mapping[str, np.ndarray]) -> str:
 
 
 def _static_share(
-    residual: np.ndarray,
-    regressors: Mapping[str, np.ndarray],
-    noise: float,
-    thresholds: Thresholds,
+    residual: np.ndarray, regressors: Mapping[str, np.ndarray], noise: float, thresholds: Thresholds
 ) -> float:
     """Share of the excess variance that additive cubic B-splines of the regressors explain."""
     columns = [np.ones((residual.size, 1))]

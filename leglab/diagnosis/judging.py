@@ -53,9 +53,8 @@ def rarely_but_surely(saved: np.ndarray, thresholds: Thresholds = DEFAULT) -> bo
         thresholds: Of the windows that count.
     """
     changed = saved[np.abs(saved) > thresholds.changed_cost]
-    if changed.size < thresholds.changed_windows:
-        return False
-    return bool(np.mean(changed > 0) >= thresholds.changed_for_better)
+    enough = changed.size >= thresholds.changed_windows
+    return bool(enough and np.mean(changed > 0) >= thresholds.changed_for_better)
 
 
 def preferences(

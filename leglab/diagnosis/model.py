@@ -34,14 +34,12 @@ class Variant:
         elements: Place in `plugin_state` and table of every plugin instance, by name.
         joint_of: Joint that a passive instance acts on, by instance.
         plugin_state: After a reset, shape (npluginstate,): parameters and initial states.
-        qpos: Positions after a reset, shape (nq,).
     """
 
     model: mujoco.MjModel
     elements: dict[str, tuple[int, PluginTable]]
     joint_of: dict[str, str]
     plugin_state: np.ndarray
-    qpos: np.ndarray
 
     def slot(self, element: str, name: str) -> int:
         """Index in `plugin_state` of a parameter or state.
@@ -63,6 +61,7 @@ class Machine:
         timestep: Of the replays [s]; None for the file's own.
 
     Attributes:
+        timestep: Of the replays [s].
         base: The model as it is.
         joints: Names of the hinge and slide joints.
         actuators: Names of the actuators.
@@ -84,7 +83,7 @@ class Machine:
         except ValueError as error:
             raise leglab.machine.plugin.load_error(error, self.path.name) from error
         self.file_timestep = float(self._spec.option.timestep)
-        self._timestep = timestep or self.file_timestep
+        self.timestep = timestep or self.file_timestep
         self.carried = take_out(self._spec)
         self._variants: OrderedDict[Hashable, Variant] = OrderedDict()
         self.base = self.variant(())
@@ -97,18 +96,20 @@ class Machine:
                 )
         self.joints = tuple(model.joint(i).name for i in range(model.njnt))
         self.actuators = tuple(model.actuator(i).name for i in range(model.nu))
-        self.driven = self._driven_joints()
+        data = mujoco.MjData(model)
+        # A singular qpos0 (a straight linkage) must not hide a moment.
+        data.qpos[:] = model.qpos0 + 0.1
+        mujoco.mj_forward(model, data)
+        self.driven = {
+            name: tuple(self.joints[int(model.dof_jntid[k])] for k in np.flatnonzero(row))
+            for name, row in zip(self.actuators, actuator_moments(model, data), strict=True)
+        }
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Columns that a recording of it must have."""
         positions = tuple(f"{joint}_position" for joint in self.joints)
         return positions + tuple(f"{actuator}_command" for actuator in self.actuators)
-
-    @property
-    def timestep(self) -> float:
-        """Time step of the replays [s]."""
-        return self._timestep
 
     def at_timestep(self, timestep: float) -> "Machine":
         """The same machine with another time step [s]."""
@@ -151,7 +152,7 @@ class Machine:
             return self._variants[key]
         spec = self.spec()
         take_out(spec)
-        spec.option.timestep = self._timestep
+        spec.option.timestep = self.timestep
         spec.compiler.discardvisual = True
         spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
@@ -162,7 +163,7 @@ class Machine:
             if not (model.geom_contype.any() or model.geom_conaffinity.any() or model.npair):
                 # Nothing can touch: a fifth of the time of a replay is saved by not looking.
                 model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-            data = mujoco.MjData(model)
+            plugin_state = mujoco.MjData(model).plugin_state.copy()
         except (ValueError, mujoco.FatalError) as error:
             raise leglab.machine.plugin.load_error(error, self.path.name, spec) from error
         variant = Variant(
@@ -173,24 +174,12 @@ class Machine:
                 for plugin in spec.plugins
                 if plugin.name and "joint" in plugin.config
             },
-            plugin_state=data.plugin_state.copy(),
-            qpos=data.qpos.copy(),
+            plugin_state=plugin_state,
         )
         self._variants[key] = variant
         if len(self._variants) > _CACHED_VARIANTS:
             self._variants.popitem(last=False)
         return variant
-
-    def _driven_joints(self) -> dict[str, tuple[str, ...]]:
-        model = self.base.model
-        data = mujoco.MjData(model)
-        # A singular qpos0 (a straight linkage) must not hide a moment.
-        data.qpos[:] = model.qpos0 + 0.1
-        mujoco.mj_forward(model, data)
-        return {
-            name: tuple(self.joints[int(model.dof_jntid[k])] for k in np.flatnonzero(row))
-            for name, row in zip(self.actuators, actuator_moments(model, data), strict=True)
-        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -223,23 +212,15 @@ Start = Callable[[Measured, Variant, np.ndarray], np.ndarray]
 
 
 class Change:
-    """Changes that effects make to a machine: a builder that they write to, in order.
-
-    Args:
-        machine: The unmodified machine.
-    """
+    """Changes of effects to an unmodified machine: a builder that they write to, in order."""
 
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
         self.edits: list[Edit] = []
         self.parameters: dict[tuple[str, str], float] = {}
         # What the model file says of these paths comes first.
-        self.commands: dict[str, list[CommandPath]] = {
-            actuator: list(paths) for actuator, paths in machine.carried.commands.items()
-        }
-        self.corrections: dict[str, list[tuple[Correction, float]]] = {
-            column: list(undone) for column, undone in machine.carried.corrections.items()
-        }
+        self.commands = {a: list(paths) for a, paths in machine.carried.commands.items()}
+        self.corrections = {c: list(undone) for c, undone in machine.carried.corrections.items()}
         self.starts: dict[tuple[str, str], Start] = {}
 
     @property

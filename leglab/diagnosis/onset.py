@@ -44,13 +44,8 @@ def suspected_onset(problem: Problem, chosen: np.ndarray) -> tuple[np.ndarray, F
     healthy = thinned(before, max(1, round(before.sum() / max(chosen.sum(), 1))))
     base = baseline(problem, healthy).hypothesis
     residual = problem.residual(base, chosen)
-    at = Linearisation(
-        base=base,
-        residual=residual,
-        tangents=np.zeros((*residual.shape, 0)),
-        nuisances=(),
-        chosen=chosen,
-    )
+    none = np.zeros((*residual.shape, 0))
+    at = Linearisation(base=base, residual=residual, tangents=none, nuisances=(), chosen=chosen)
     cost_now = problem.cost(residual, problem.prior_cost(base, ()))
     return onsets, Fit(free=frozenset(), cost=cost_now, at=at)
 

@@ -8,7 +8,6 @@ import mujoco
 from rich.table import Table
 
 import leglab.machine.plugin
-from leglab.base.errors import LeglabError
 from leglab.data import write_atomically
 from leglab.diagnosis.result import Diagnosis
 from leglab.diagnosis.workflow import Search
@@ -35,12 +34,13 @@ def write_improved(found: Search, folder: Path) -> Path:
     change = problem.library.change(hypothesis, machine)
     for _, edit in change.edits:
         edit(spec)
+    plugins = {actuator.name: actuator.plugin for actuator in spec.actuators}
+    plugins |= {plugin.name: plugin for plugin in spec.plugins}
     for (element, name), value in change.parameters.items():
-        _configure(spec, element, name, value)
+        plugins[element].config = {**plugins[element].config, name: repr(value)}
     for key, values in sorted(hypothesis.items()):
         site = problem.library.sites[key]
-        named = {p.name: float(v) for p, v in zip(site.parameters, values, strict=True)}
-        site.effect.write(spec, machine, site.element, named)
+        site.effect.write(spec, machine, site.element, site.named(values))
     path = folder / "improved.xml"
     try:
         spec.compile()
@@ -50,19 +50,6 @@ def write_improved(found: Search, folder: Path) -> Path:
         raise leglab.machine.plugin.load_error(error, path.name, spec) from error
     write_atomically(path, lambda stream: stream.write(text.encode()))
     return path
-
-
-def _configure(spec: mujoco.MjSpec, element: str, name: str, value: float) -> None:
-    """Writes a plugin parameter into the configuration of an actuator or named instance."""
-    for plugin in spec.plugins:
-        if plugin.name == element:
-            plugin.config = {**plugin.config, name: repr(value)}
-            return
-    for actuator in spec.actuators:
-        if actuator.name == element:
-            actuator.plugin.config = {**actuator.plugin.config, name: repr(value)}
-            return
-    raise LeglabError(f"the model has no plugin element {element!r}")
 
 
 def _absolute_files(spec: mujoco.MjSpec, folder: Path) -> None:
@@ -109,8 +96,7 @@ def summary_lines(result: Diagnosis) -> list[str]:
     """Lines for the terminal beside the tables: onsets, rivals, balances, notes."""
     lines = []
     for effect in result.effects:
-        for recording, time in effect.onset:
-            lines.append(f"{effect.name} begins at {time:.2f} s of {recording}")
+        lines += [f"{effect.name} begins at {time:.2f} s of {name}" for name, time in effect.onset]
         if effect.indistinguishable_from:
             rivals = ", ".join(effect.indistinguishable_from)
             lines.append(f"{effect.name} is not told apart from {rivals}")

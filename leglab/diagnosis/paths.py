@@ -108,11 +108,8 @@ def delayed(samples: np.ndarray, delay: float, period: float) -> np.ndarray:
         period: Sampling period [s].
     """
     whole, share = divmod(delay / period, 1.0)
-    shift = int(whole)
-    padded = np.concatenate([np.full(shift + 1, samples[0]), samples])
-    late = padded[1 : 1 + samples.size]
-    later = padded[: samples.size]
-    return (1.0 - share) * late + share * later
+    padded = np.concatenate([np.full(int(whole) + 1, samples[0]), samples])
+    return (1.0 - share) * padded[1 : 1 + samples.size] + share * padded[: samples.size]
 
 
 def play(samples: np.ndarray, width: float) -> np.ndarray:
@@ -154,9 +151,6 @@ def undo_scale(scale: float) -> Correction:
 
 def undo_delay(delay: float) -> Correction:
     """Brings measured samples forward by a delay [s], interpolating."""
-
-    def undo(samples: np.ndarray, period: float) -> np.ndarray:
-        index = np.arange(samples.size)
-        return np.interp(index + delay / period, index, samples)
-
-    return undo
+    return lambda samples, period: np.interp(
+        np.arange(samples.size) + delay / period, np.arange(samples.size), samples
+    )

@@ -62,11 +62,11 @@ def _check_pressures(machine: Machine, name: str, recording: Recording, least: f
         supply = machine.parameter(cylinder, "supply_pressure")
         for chamber in CHAMBERS:
             column = f"{joint}_{chamber}"
-            if column in recording and np.nanmax(np.abs(recording[column])) < least:
+            highest = np.nanmax(np.abs(recording[column])) if column in recording else least
+            if highest < least:
                 raise LeglabError(
-                    f"{name}: column {column!r} stays below "
-                    f"{np.nanmax(np.abs(recording[column])):.4g}, the supply of {cylinder!r} "
-                    f"is {supply:.4g} Pa; is it in bar? allowed: Pa"
+                    f"{name}: column {column!r} stays below {highest:.4g}, the supply of "
+                    f"{cylinder!r} is {supply:.4g} Pa; is it in bar? allowed: Pa"
                 )
 
 
@@ -183,11 +183,7 @@ def held_out_choice(recordings: Mapping[str, Recording], machine: Machine) -> tu
 
     def features(recording: Recording) -> np.ndarray:
         rows = [recording[c] for c in machine.columns]
-        rows += [
-            np.gradient(recording[c], recording.time)
-            for c in machine.columns
-            if c.endswith("_position")
-        ]
+        rows += [np.gradient(recording[f"{j}_position"], recording.time) for j in machine.joints]
         return np.stack(rows)[:, :: max(1, len(recording) // 2000)]
 
     tables = {name: features(recording) for name, recording in recordings.items()}

@@ -10,14 +10,7 @@ from mujoco import rollout
 
 from leglab.base.errors import LeglabError
 from leglab.diagnosis.model import CYLINDER, Change, Machine, Measured, Variant
-from leglab.diagnosis.starts import (
-    PLUGIN,
-    Nudge,
-    measure,
-    offset,
-    pressure_slots,
-    start_states,
-)
+from leglab.diagnosis.starts import Nudge, measure, plugin_offset, pressure_slots, start_states
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 from leglab.diagnosis.windows import Channel, Cut, UniformSeries, cut_series
 from leglab.machine.plugin import headless
@@ -138,13 +131,10 @@ class Replay:
         states = self._roll(change.variant, starts, np.concatenate(controls))
         errors = np.concatenate(targets) - self._predicted(change.variant, states)
         binned = errors.reshape((*errors.shape[:2], self.bins, -1)).mean(axis=3)
-        gains = [
-            np.prod([gain for _, gain in change.corrections.get(c.column, ())])
-            for c in self.channels
-        ]
+        undone = [change.corrections.get(c.column, ()) for c in self.channels]
         return ReplayErrors(
             values=np.nan_to_num(binned, nan=1e12, posinf=1e12, neginf=-1e12),
-            noise_gain=np.array(gains),
+            noise_gain=np.array([np.prod([gain for _, gain in found]) for found in undone]),
         )
 
     def respond(self, change: Change, window: int, commands: np.ndarray) -> np.ndarray:
@@ -190,19 +180,16 @@ class Replay:
 
     def _starts(self, change: Change, parts: list[Part], nudge: Nudge | None = None) -> np.ndarray:
         """Full physics states at window starts, (windows, nstate)."""
+        rest = self.thresholds.rest_time
 
         def states(
             earlier: int, nudge: Nudge | None, pressures: Sequence[np.ndarray | None]
         ) -> np.ndarray:
-            rows = []
-            for (cut, measured, _), known in zip(parts, pressures, strict=True):
-                then = replace(measured, samples=measured.samples - earlier)
-                rest = self.thresholds.rest_time
-                rows.append(
-                    start_states(
-                        cut, change, then, self.channels, rest, pressures=known, nudge=nudge
-                    )
-                )
+            then = [(cut, replace(m, samples=m.samples - earlier)) for cut, m, _ in parts]
+            rows = [
+                start_states(cut, change, m, self.channels, rest, pressures=known, nudge=nudge)
+                for (cut, m), known in zip(then, pressures, strict=True)
+            ]
             return np.concatenate(rows)
 
         unknown = [None] * len(parts)
@@ -213,10 +200,9 @@ class Replay:
             self._controls(m, cut.firsts[:, None] - self._lead + np.arange(self._lead))
             for cut, m, _ in parts
         ]
-        warm = self._roll(
-            change.variant, states(self._lead, None, unknown), np.concatenate(controls)
-        )
-        slots = offset(change.variant.model, PLUGIN) + pressure_slots(change)
+        before = states(self._lead, None, unknown)
+        warm = self._roll(change.variant, before, np.concatenate(controls))
+        slots = plugin_offset(change.variant.model) + pressure_slots(change)
         counts = np.cumsum([cut.firsts.size for cut, _, _ in parts])[:-1]
         return states(0, nudge, np.split(warm[:, -1][:, slots], counts))
 
@@ -259,7 +245,7 @@ class Replay:
     def _predicted(self, variant: Variant, states: np.ndarray) -> np.ndarray:
         """Predictions at the samples of all windows, shape (windows, channels, samples)."""
         model = variant.model
-        plugin = offset(model, PLUGIN)
+        plugin = plugin_offset(model)
         index = [
             plugin + variant.slot(c.cylinder, c.chamber)
             if c.chamber and c.cylinder

@@ -28,12 +28,6 @@ class NoiseModel:
     defect: np.ndarray
     whitening: np.ndarray
 
-    def whitened(self, errors: np.ndarray, chosen: np.ndarray | None = None) -> np.ndarray:
-        """Whitened errors of the chosen windows, shape (chosen windows, size)."""
-        whitening = self.whitening if chosen is None else self.whitening[chosen]
-        # Applied hundreds of times: a product of all windows at once beats triangular solves.
-        return (whitening @ errors.reshape(len(errors), -1, 1))[:, :, 0]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Nuisance:
@@ -165,12 +159,8 @@ class Problem:
 
         The covariance of a window's errors is N + S P S': sensor noise of the bins, and start-state
         errors of covariance P carried on by the sensitivity S of the predictions, from replays with
-        nudged starts.
-
-        Args:
-            change: What the hypothesis changes.
-            reference: Errors under it, shape (windows, channels, bins).
-            finer: What half the time step changes in them.
+        nudged starts. `reference` are the errors under the change, shape (windows, channels, bins),
+        and `finer` is what half the time step changes in them.
         """
         replay, limits = self.replay, self.thresholds
         per_bin = replay.samples // replay.bins
@@ -201,46 +191,45 @@ class Problem:
         """Nudges and the spread of each start state, shape (windows,)."""
         found: list[tuple[Nudge, np.ndarray]] = []
         replay, machine, limits = self.replay, self.machine, self.thresholds
-        period = self.series[0].period
 
         def spread(k: int, channel: Channel, derivative: float | None) -> np.ndarray:
             rule = {} if derivative is None else {"deriv": 1, "delta": derivative}
             kernel = float(np.sqrt((savgol_coeffs(*channel.filter, **rule) ** 2).sum()))
             # What another filter makes of the same samples tells where smoothing is biased.
-            rough = replay.at_starts(
-                [
-                    filter_difference(s.columns[channel.column], channel.filter, derivative)
-                    for s in self.series
-                ]
-            )
+            samples = (s.columns[channel.column] for s in self.series)
+            rough = [filter_difference(x, channel.filter, derivative) for x in samples]
             sigma = self.sensor_noise[replay.recording, k]
-            return limits.start_spread * np.hypot(kernel * sigma, rough)
+            return limits.start_spread * np.hypot(kernel * sigma, replay.at_starts(rough))
 
         for k, channel in enumerate(self.channels):
             if channel.chamber and channel.cylinder:
-                nudge = Nudge(cylinder=channel.cylinder, quantity=channel.chamber, size=2e4)
+                nudge = Nudge(element=channel.cylinder, quantity=channel.chamber, size=2e4)
                 found.append((nudge, spread(k, channel, None)))
                 continue
-            for quantity, derivative in (("position", None), ("velocity", period)):
+            for quantity, derivative in (("position", None), ("velocity", self.series[0].period)):
                 free = spread(k, channel, derivative)
                 size = float(np.median(free))
-                found.append((Nudge(joint=channel.joint, quantity=quantity, size=size), free))
+                found.append((Nudge(element=channel.joint, quantity=quantity, size=size), free))
         for cylinder in machine.instances(CYLINDER):
             for chamber in CHAMBERS if replay.blind else ():
-                nudge = Nudge(cylinder=cylinder, quantity=chamber, size=1e5)
+                nudge = Nudge(element=cylinder, quantity=chamber, size=1e5)
                 found.append((nudge, np.full(replay.windows, limits.unseen_pressure)))
             stiffness = machine.parameter(cylinder, "sigma_0")
             if stiffness > 0.0:
                 size = limits.bristle_share * machine.parameter(cylinder, "static") / stiffness
-                nudge = Nudge(cylinder=cylinder, quantity="bristle", size=size)
+                nudge = Nudge(element=cylinder, quantity="bristle", size=size)
                 found.append((nudge, np.full(replay.windows, size)))
         return found
 
     def residual(self, hypothesis: Hypothesis, chosen: np.ndarray | None = None) -> np.ndarray:
         """Whitened errors, shape (chosen windows, size); 0 in windows where an effect begins."""
         errors, certain = self._errors(self.replay, hypothesis, chosen)
-        defect = self.noise.defect if chosen is None else self.noise.defect[chosen]
-        white = self.noise.whitened((errors + defect) * certain[:, None, None], chosen)
+        defect, whitening = self.noise.defect, self.noise.whitening
+        if chosen is not None:
+            defect, whitening = defect[chosen], whitening[chosen]
+        errors = (errors + defect) * certain[:, None, None]
+        # Applied hundreds of times: a product of all windows at once beats triangular solves.
+        white = (whitening @ errors.reshape(len(errors), -1, 1))[:, :, 0]
         return np.clip(white, -self.thresholds.clip, self.thresholds.clip)
 
     def raw_errors(self, hypothesis: Hypothesis) -> np.ndarray:
@@ -308,14 +297,7 @@ class Problem:
         *,
         share: float = 0.5,
     ) -> Linearisation:
-        """Tangents of all nuisances but those of free effects, by differences.
-
-        Args:
-            base: About which hypothesis.
-            chosen: Mask of windows.
-            free: Effects that are fitted freely.
-            share: Size of the differences in tolerances.
-        """
+        """Tangents of all nuisances but those of free effects, by a share of their tolerances."""
         nuisances = self.active_nuisances(free)
         residual = self.residual(base, chosen)
         tangents = np.zeros((*residual.shape, len(nuisances)))
@@ -325,9 +307,8 @@ class Problem:
             if n.value(base) + step > site.upper[n.index]:
                 step = -step
             moved = base.get(n.key, site.nominal).copy()
-            moved[n.index] = np.clip(
-                moved[n.index] + step, site.lower[n.index], site.upper[n.index]
-            )
+            value = moved[n.index] + step
+            moved[n.index] = np.clip(value, site.lower[n.index], site.upper[n.index])
             other = self.residual(base.with_values(n.key, moved), chosen)
             tangents[:, :, i] = (other - residual) * (n.tolerance / step)
         return Linearisation(

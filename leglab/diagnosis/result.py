@@ -11,21 +11,17 @@ Verdict = Literal["named", "confusion_set", "partial", "unexplained", "nothing_m
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """A fitted parameter.
+    """A fitted parameter of an effect in SI units, with its value in the model as it was.
 
     Attributes:
-        name: Of the effect's parameter.
-        unit: SI.
-        value: Fitted.
-        nominal: In the model as it was.
         interval: 95 % confidence.
     """
 
     name: str
-    unit: str
     value: float
-    nominal: float
+    unit: str
     interval: tuple[float, float]
+    nominal: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +29,6 @@ class NamedEffect:
     """An effect that the simulation lacks.
 
     Attributes:
-        name: Of design.md.
         element: Where it sits.
         group: Heading.
         physics: One sentence.
@@ -42,7 +37,6 @@ class NamedEffect:
         confidence: In [0, 1]: share of resampled data sets that prefer it to every rival, times how
             much of the misfit the verdict explains.
         contribution: Share of the gap that it closes when it is added last.
-        parameters: With intervals.
         indistinguishable_from: Effects that explain these recordings as well.
     """
 
@@ -80,9 +74,8 @@ class RecordingGap:
     """Normalised replay error of one recording: RMS of whitened errors; noise alone gives 1.
 
     Attributes:
-        name: Of the recording.
         held_out: Whether it was kept from all fits.
-        before: Model as it was.
+        before: Of the model as it was.
         baseline: With nuisance parameters refitted within their tolerance.
         after: With the named effects.
     """
@@ -96,23 +89,19 @@ class RecordingGap:
 
 @dataclass(frozen=True, kw_only=True)
 class Gap:
-    """Gap on the held-out recordings.
+    """Gap on the held-out recordings, as in `RecordingGap`.
 
     Attributes:
-        before: Normalised replay error of the model as it was.
-        baseline: With nuisance parameters refitted within their tolerance.
-        after: With the named effects.
         noise_floor: What noise alone gives.
         held_out: Names of the recordings.
-        metric: What is measured.
     """
 
+    metric: str = "normalised replay error"
+    noise_floor: float = 1.0
     before: float
     baseline: float
     after: float
-    noise_floor: float = 1.0
     held_out: tuple[str, ...]
-    metric: str = "normalised replay error"
 
     @property
     def closed_fraction(self) -> float | None:
@@ -126,8 +115,6 @@ class Rank:
     """One effect of the screening.
 
     Attributes:
-        name: Effect.
-        element: Where.
         round: Of the search, from 1.
         gain: Chi-square saved.
         threshold: What the best of all effects gains by chance in 1 of 100 cases.
@@ -162,7 +149,6 @@ class ResidualTrace:
     """Replay errors of one channel over one recording, a point a bin; arrays of shape (bins,).
 
     Attributes:
-        recording: Its name.
         channel: Column.
         unit: Of the errors.
         time: s.
@@ -200,7 +186,6 @@ class Proposal:
     Attributes:
         name: Of the catalogue.
         description: What to command.
-        rivals: That it separates.
         separation: Expected chi-square between them there.
         separation_now: The same in the present recordings.
     """
@@ -217,12 +202,9 @@ class Diagnosis:
     """The verdict and its evidence.
 
     Attributes:
-        verdict: named, confusion_set, partial, unexplained or nothing_missing.
         effects: Ordered by what each contributes.
         where: Where simulation and data disagree, worst first.
         not_testable: Effects on which the recordings say nothing.
-        gap: On held-out recordings.
-        recordings: Gap of every recording.
         ceiling: Share of the baseline's misfit that any static function of position, velocity,
             load and pressure could explain; None where it was not computed.
         ranking: Screening of all rounds.
@@ -259,56 +241,36 @@ class Diagnosis:
 
     def to_json(self) -> dict[str, Any]:
         """The content of diagnosis.json; keys are fixed, readers rely on them."""
-        gap = self.gap
         content = {
             "verdict": self.verdict,
             "effects": [
                 {
-                    "name": e.name,
-                    "element": e.element,
+                    **_fields(e, "group", "physics"),
                     "onset": dict(e.onset) or None,
-                    "confidence": e.confidence,
-                    "contribution": e.contribution,
-                    "parameters": {
-                        p.name: {
-                            "value": p.value,
-                            "unit": p.unit,
-                            "interval": p.interval,
-                            "nominal": p.nominal,
-                        }
-                        for p in e.parameters
-                    },
-                    "indistinguishable_from": e.indistinguishable_from,
+                    "parameters": {p.name: _fields(p, "name") for p in e.parameters},
                 }
                 for e in self.effects
             ],
             "where": [asdict(where) for where in self.where],
             "not_testable": sorted({n.name for n in self.not_testable}),
             "gap": {
-                "metric": gap.metric,
-                "noise_floor": gap.noise_floor,
-                "before": gap.before,
-                "recalibrated": gap.baseline,
-                "after": gap.after,
-                "closed_fraction": gap.closed_fraction,
-                "held_out": gap.held_out,
+                **_fields(self.gap, "held_out"),
+                "closed_fraction": self.gap.closed_fraction,
+                "held_out": self.gap.held_out,
             },
-            "recordings": [
-                {
-                    "name": r.name,
-                    "held_out": r.held_out,
-                    "before": r.before,
-                    "recalibrated": r.baseline,
-                    "after": r.after,
-                }
-                for r in self.recordings
-            ],
+            "recordings": [_fields(recording) for recording in self.recordings],
             "ceiling": self.ceiling,
             "next_experiment": self.next_experiment and asdict(self.next_experiment),
             "notes": self.notes,
             "model": self.model or None,
         }
         return {key: _plain(value) for key, value in content.items()}
+
+
+def _fields(row: Estimate | NamedEffect | Gap | RecordingGap, *left_out: str) -> dict[str, Any]:
+    """Fields in their order, a baseline under the name that diagnosis.json gives it."""
+    names = {"baseline": "recalibrated"}
+    return {names.get(k, k): v for k, v in asdict(row).items() if k not in left_out}
 
 
 def _plain(value: Any) -> Any:

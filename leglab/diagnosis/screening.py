@@ -35,13 +35,7 @@ class Candidate:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trial:
-    """Values of an effect that were replayed.
-
-    Attributes:
-        values: Of its parameters, (parameters,).
-        gain: Cost saved against the baseline.
-        step: Whitened change of the errors, (chosen windows, size).
-    """
+    """Values of an effect that were replayed; as those of its `Candidate`."""
 
     values: np.ndarray
     gain: float
@@ -106,7 +100,7 @@ def _screened(
             leaders[strength] = trial
     # Strengths together, and sizes between and beyond the trials, to first order; the
     # prediction is believed after a replay only.
-    together = _combined(problem, at, named, list(leaders.values()), site, now)
+    together = _combined(problem, at, named, list(leaders.values()), site)
     if together is not None:
         trials.append(tried(together))
     best = max(trials, key=lambda trial: trial.gain)
@@ -122,14 +116,10 @@ def _screened(
 
 
 def _combined(
-    problem: Problem,
-    at: Linearisation,
-    named: FreeTangents,
-    leaders: list[Trial],
-    site: Site,
-    now: np.ndarray,
+    problem: Problem, at: Linearisation, named: FreeTangents, leaders: list[Trial], site: Site
 ) -> np.ndarray | None:
     """Values to try next: multiples of the best trials that fit best to first order."""
+    now = at.base.get(site.key, site.nominal)
     steps = np.stack([trial.step for trial in leaders], axis=2)
     furthest = np.full(len(leaders), problem.thresholds.furthest)
     own = FreeTangents(

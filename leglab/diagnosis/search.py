@@ -75,9 +75,8 @@ def chance_gain(
     rng: np.random.Generator,
     *,
     draws: int = 2000,
-    quantile: float = 0.99,
 ) -> float:
-    """Gain that the best of all effects reaches by chance: parametric bootstrap of the maximum.
+    """Gain that the best effect reaches by chance in 1 of 100 cases: bootstrap of the maximum.
 
     Under the null the gain of an effect is the square of the projection of white noise on its
     direction, nuisances projected out; directions of different effects are correlated.
@@ -88,7 +87,6 @@ def chance_gain(
         overdispersion: Mean square of the residuals when nothing is missing.
         rng: Draws the noise.
         draws: Bootstrap samples.
-        quantile: Of the maximum.
     """
     directions = np.stack([c.direction.ravel() for c in candidates], axis=1)
     matrix = beyond_tangents(directions, tangents)
@@ -99,7 +97,7 @@ def chance_gain(
     values, vectors = np.linalg.eigh(matrix.T @ matrix)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     scores = rng.standard_normal((draws, root.shape[1])) @ root.T
-    return float(overdispersion * np.quantile((scores**2).max(axis=1), quantile))
+    return float(overdispersion * np.quantile((scores**2).max(axis=1), 0.99))
 
 
 def search_round(
@@ -141,12 +139,11 @@ def search_round(
     hopeful = candidates and candidates[0].gain > limits.hopeful_gain * noise
     rough: list[tuple[Key, Fit]] = []
     for candidate in candidates[: limits.refitted] if hopeful else ():
-        key = candidate.key
+        key, values = candidate.key, candidate.values
         progress(f"fitting {key[0]}")
 
-        def fitted(base: Hypothesis, candidate: Candidate = candidate) -> Fit:
-            key = candidate.key
-            begun = base.with_values(key, candidate.values).with_onset(key, onset)
+        def fitted(base: Hypothesis, key: Key = key, values: np.ndarray = values) -> Fit:
+            begun = base.with_values(key, values).with_onset(key, onset)
             return refit(problem, at, named | {key}, start=begun, iterations=4)
 
         fit = fitted(start)
@@ -185,13 +182,7 @@ def search_round(
 def pair_search(
     problem: Problem, last: Round, chosen: np.ndarray, progress: Progress
 ) -> tuple[Problem, Contender | None]:
-    """Fits the most promising two effects at once: greedy search may start with an impostor.
-
-    Args:
-        problem: Recordings and machine.
-        last: The round whose effects are paired.
-        chosen: Mask of windows.
-        progress: Called with what is being done.
+    """Fits two effects of the last round at once: greedy search may start with an impostor.
 
     Returns:
         The problem with its noise model about the best pair, and that pair: its `key` is the effect

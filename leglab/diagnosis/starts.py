@@ -11,20 +11,11 @@ import mujoco
 import numpy as np
 
 from leglab._native import hydraulics as native
-from leglab.diagnosis.model import (
-    CHAMBERS,
-    CYLINDER,
-    FRICTION,
-    Change,
-    Machine,
-    Measured,
-    Variant,
-)
+from leglab.diagnosis.model import CHAMBERS, CYLINDER, FRICTION, Change, Machine, Measured, Variant
 from leglab.diagnosis.paths import play
 from leglab.diagnosis.windows import Channel, Cut, derivative, smoothed
 
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
-PLUGIN = mujoco.mjtState.mjSTATE_PLUGIN
 # A bristle forgets over some tenths of a millimetre; this much history is enough.
 _BRISTLE_HISTORY = 0.5  # s
 
@@ -34,14 +25,12 @@ class Nudge:
     """Departure from the reconstructed start states, to see how predictions depend on them.
 
     Attributes:
-        joint: Whose position or velocity moves.
-        cylinder: Whose pressure or bristle moves.
+        element: Joint or cylinder.
         quantity: "position", "velocity", "pressure_a", "pressure_b" or "bristle".
         size: rad, rad/s, Pa or m.
     """
 
-    joint: str = ""
-    cylinder: str = ""
+    element: str
     quantity: str
     size: float
 
@@ -283,18 +272,14 @@ def measure(
 ) -> tuple[Measured, dict[str, np.ndarray]]:
     """Smoothed series under the sensor and command faults of a change, and corrected columns."""
     machine, series, period = change.machine, cut.series, cut.series.period
-    corrected = {}
+    corrected, position, velocity, pressure = {}, {}, {}, {}
     for channel in channels:
-        samples = series.columns[channel.column]
-        for function, _ in change.corrections.get(channel.column, ()):
+        column, samples = channel.column, series.columns[channel.column]
+        for function, _ in change.corrections.get(column, ()):
             samples = function(samples, period)
-        corrected[channel.column] = samples
-    position, velocity, pressure = {}, {}, {}
-    for channel in channels:
-        column, known = channel.column, cut.smooth.get(channel.column)
+        corrected[column], known = samples, cut.smooth.get(column)
         if known is None or column in change.corrections:
-            smooth = smoothed(corrected[column], channel.filter)
-            known = (smooth, derivative(corrected[column], channel.filter, period))
+            known = smoothed(samples, channel.filter), derivative(samples, channel.filter, period)
             if column not in change.corrections:
                 cut.smooth[column] = known
         if channel.chamber:
@@ -349,7 +334,7 @@ def start_states(
     plugin = np.tile(variant.plugin_state, (firsts.size, 1))
     for (element, name), value in change.parameters.items():
         plugin[:, variant.slot(element, name)] = value
-    qpos = np.tile(variant.qpos, (firsts.size, 1))
+    qpos = np.tile(model.qpos0, (firsts.size, 1))
     qvel = np.zeros((firsts.size, model.nv))
     lag = 0.5 * machine.timestep
     for joint in machine.joints:
@@ -371,13 +356,13 @@ def start_states(
     instances.balance(rest_time)
     if nudge is not None:
         if nudge.quantity == "position":
-            qpos[:, model.joint(nudge.joint).qposadr[0]] += nudge.size
+            qpos[:, model.joint(nudge.element).qposadr[0]] += nudge.size
         elif nudge.quantity == "velocity":
-            qvel[:, model.joint(nudge.joint).dofadr[0]] += nudge.size
+            qvel[:, model.joint(nudge.element).dofadr[0]] += nudge.size
         else:
-            plugin[:, variant.slot(nudge.cylinder, nudge.quantity)] += nudge.size
+            plugin[:, variant.slot(nudge.element, nudge.quantity)] += nudge.size
     states = np.zeros((firsts.size, mujoco.mj_stateSize(model, STATE)))
-    start = offset(model, PLUGIN)
+    start = plugin_offset(model)
     states[:, 0] = cut.series.time[firsts]
     states[:, 1 : 1 + model.nq] = qpos
     states[:, 1 + model.nq : 1 + model.nq + model.nv] = qvel
@@ -397,7 +382,6 @@ def pressure_slots(change: Change) -> np.ndarray:
     )
 
 
-def offset(model: mujoco.MjModel, part: mujoco.mjtState) -> int:
-    """Place of a part in the full physics state: parts follow in the order of their bits."""
-    below = int(STATE) & (int(part) - 1)
-    return mujoco.mj_stateSize(model, below) if below else 0
+def plugin_offset(model: mujoco.MjModel) -> int:
+    """Place of the plugins in the full physics state: parts follow in the order of their bits."""
+    return mujoco.mj_stateSize(model, int(STATE) & (int(mujoco.mjtState.mjSTATE_PLUGIN) - 1))

@@ -76,14 +76,8 @@ def assemble(found: Search, settings: Settings, *, seconds: float) -> Diagnosis:
     problem, limits = found.problem, found.problem.thresholds
     rng = np.random.default_rng(settings.seed + 1)
     baseline, final = found.baseline.hypothesis, found.fit.hypothesis
-    squares = {
-        name: np.mean(problem.residual(hypothesis) ** 2, axis=1)
-        for name, hypothesis in (
-            ("before", Hypothesis()),
-            ("baseline", baseline),
-            ("after", final),
-        )
-    }
+    models = {"before": Hypothesis(), "baseline": baseline, "after": final}
+    squares = {k: np.mean(problem.residual(h) ** 2, axis=1) for k, h in models.items()}
     start = float(problem.window_cost(baseline).mean())
     end = float(problem.window_cost(final).mean())
     rivals = tuple(
@@ -191,8 +185,8 @@ def _effects(
 def _ties(found: Search, key: Key, rng: np.random.Generator) -> tuple[tuple[str, ...], float]:
     """Rivals that explain the recordings as well, and the name's confidence against all."""
     limits = found.problem.thresholds
-    twins = exact_twins(found.problem.channels, key[0])
-    twins = tuple(t for t in twins if t in found.problem.library.names)
+    names = found.problem.library.names
+    twins = tuple(t for t in exact_twins(found.problem.channels, key[0]) if t in names)
     if twins:
         return twins, 1.0 / (1 + len(twins))
     fits = [(c, one) for one in found.rounds for c in one.contenders if c.key == key]
@@ -264,14 +258,8 @@ def nuisance_estimates(problem: Problem, fit: Fit) -> tuple[Estimate, ...]:
     )
 
 
-def _estimate(parameter: EffectParameter, value: float, low: float, high: float) -> Estimate:
-    return Estimate(
-        name=parameter.name,
-        unit=parameter.unit,
-        value=value,
-        nominal=parameter.nominal,
-        interval=(low, high),
-    )
+def _estimate(p: EffectParameter, value: float, low: float, high: float) -> Estimate:
+    return Estimate(name=p.name, unit=p.unit, value=value, nominal=p.nominal, interval=(low, high))
 
 
 def notes(problem: Problem) -> tuple[str, ...]:
@@ -305,8 +293,7 @@ def traces(problem: Problem, final: Hypothesis) -> tuple[ResidualTrace, ...]:
         index = np.minimum((first[:, None] + middle).astype(int), series.time.size - 1).ravel()
         for k, channel in enumerate(problem.channels):
             q = series.columns[f"{channel.joint}_position"]
-            chambers = [series.columns.get(f"{channel.joint}_pressure_{c}") for c in "ab"]
-            a, b = chambers
+            a, b = (series.columns.get(f"{channel.joint}_pressure_{c}") for c in "ab")
             rows.append(
                 ResidualTrace(
                     recording=series.name,

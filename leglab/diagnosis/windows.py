@@ -129,22 +129,14 @@ def channels(
     period = sampling_period(recordings)
     position = _filter(thresholds.position_filter, period)
     pressure = _filter(thresholds.pressure_filter, period)
-    found = [
-        Channel(column=f"{joint}_position", joint=joint, filter=position)
-        for joint in machine.joints
-    ]
+    found = [Channel(column=f"{j}_position", joint=j, filter=position) for j in machine.joints]
     for cylinder in machine.instances(CYLINDER):
         joint = machine.driven[cylinder][0]
+        columns = {f"{joint}_{chamber}": chamber for chamber in CHAMBERS}
         found += [
-            Channel(
-                column=f"{joint}_{chamber}",
-                joint=joint,
-                cylinder=cylinder,
-                chamber=chamber,
-                filter=pressure,
-            )
-            for chamber in CHAMBERS
-            if f"{joint}_{chamber}" in shared
+            Channel(column=name, joint=joint, cylinder=cylinder, chamber=chamber, filter=pressure)
+            for name, chamber in columns.items()
+            if name in shared
         ]
     return tuple(found)
 
@@ -208,7 +200,7 @@ class Cut:
 
     series: UniformSeries
     firsts: np.ndarray
-    levers: dict[str, np.ndarray] = field(default_factory=dict)
+    levers: dict[str, np.ndarray]
     smooth: dict[str, tuple[np.ndarray, ...]] = field(default_factory=dict)
 
 

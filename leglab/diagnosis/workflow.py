@@ -67,14 +67,6 @@ class Search:
     rounds: tuple[Round, ...]
 
 
-def replay_timestep(machine: Machine, period: float) -> float:
-    """Longest time step that divides the sampling period and is at most twice the model's own.
-
-    The error that it makes is measured and taken off (`Problem`).
-    """
-    return period / max(1, int(np.ceil(period / (2.0 * machine.file_timestep) - 1e-9)))
-
-
 def set_up(
     model: str | Path,
     recordings: Mapping[str, Recording],
@@ -89,7 +81,11 @@ def set_up(
     machine, limits = Machine(model), settings.thresholds
     found = channels(machine, recordings, limits)
     check_recordings(machine, recordings, limits)  # Before anything is replayed with wrong units.
-    machine = machine.at_timestep(replay_timestep(machine, sampling_period(recordings)))
+    # The longest step that divides the period and is at most twice the model's own: `Problem` takes
+    # its error off.
+    period = sampling_period(recordings)
+    steps = max(1, int(np.ceil(period / (2.0 * machine.file_timestep) - 1e-9)))
+    machine = machine.at_timestep(period / steps)
     needed = tuple(dict.fromkeys([*(c.column for c in found), *machine.columns]))
     held = set(held_out)
     return Problem(
