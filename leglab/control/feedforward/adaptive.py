@@ -191,7 +191,7 @@ class AdaptiveFeedforward:
     def reset(self) -> None:
         """Forgets everything learned: the feed-forward is the calibration's."""
         self.learner = self._map.learner()
-        self._core.reset(self.learner.bank)
+        self._core.reset(self.learner._bank)
         self._out[:] = 0.0
 
     def step(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
