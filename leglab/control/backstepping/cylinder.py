@@ -116,11 +116,7 @@ class CylinderModel:
         return 0.5 * (d + root), 0.5 * (1.0 + d / root)
 
     def rate_for(
-        self,
-        speed: np.ndarray,
-        pressure: np.ndarray,
-        leakage: np.ndarray,
-        chambers: Chambers,
+        self, speed: np.ndarray, pressure: np.ndarray, leakage: np.ndarray, chambers: Chambers
     ) -> np.ndarray:
         """Force rate that valve flow must give for a piston speed at constant force [N/s].
 
