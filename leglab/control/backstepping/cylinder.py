@@ -36,11 +36,7 @@ class Chambers(NamedTuple):
 
 
 class CylinderModel:
-    """The hydraulics of all joints as their data sheets tell.
-
-    Args:
-        data: The data sheets.
-    """
+    """The hydraulics of all joints as their data sheets tell."""
 
     def __init__(self, data: NominalCylinders) -> None:
         self.data = data
@@ -173,9 +169,6 @@ class Bristles:
     1995, IEEE Trans. Autom. Control 40(3), 419). Model-based compensation of hydraulic actuators
     with it: Yao, Deng and Jiao 2015, IEEE Trans. Ind. Electron. 62(10), 6469. After a reversal the
     force builds up over some tens of micrometres, which a function of speed cannot tell.
-
-    Args:
-        data: Nominal cylinders.
     """
 
     def __init__(self, data: NominalCylinders) -> None:
