@@ -103,7 +103,7 @@ def drawn_curves(page, plot):
 
 
 def shown_span(page, plot):
-    return page.evaluate(f"document.getElementById('plot-{plot}').look.xaxis.range")
+    return page.evaluate(f"document.getElementById('plot-{plot}').layout.xaxis.range")
 
 
 @pytest.fixture(scope="module")
@@ -138,12 +138,12 @@ def test_the_dark_page_is_dark_in_its_plots_as_well(browser, pages):
             return page.evaluate(
                 """() => [getComputedStyle(document.body).backgroundColor,
                 document.getElementById("plot-error").data[0].line.color,
-                document.getElementById("plot-error").look.font.color]"""
+                document.getElementById("plot-error").layout.font.color]"""
             )
 
         assert look() == ["rgb(26, 26, 26)", "#F2F2F2", "#e8e8e8"]
         page.emulate_media(color_scheme="light")
-        until(page, "document.getElementById('plot-error').look.font.color === '#1b1b1b'")
+        until(page, "document.getElementById('plot-error').layout.font.color === '#1b1b1b'")
         assert look() == ["rgb(255, 255, 255)", "#000000", "#1b1b1b"]
 
 
@@ -209,14 +209,14 @@ def test_dragging_over_one_plot_zooms_all_and_the_buttons_bring_time_back(report
     page.mouse.down()
     page.mouse.move(box["x"] + 0.4 * box["width"], y, steps=5)
     page.mouse.up()
-    until(page, "document.getElementById('plot-command').look.xaxis.range[1] < 5")
+    until(page, "document.getElementById('plot-command').layout.xaxis.range[1] < 5")
     for plot in ("error", "deviation", "angle", "command", "pressure"):
         assert shown_span(page, plot) == pytest.approx([2.0, 4.0], abs=0.1)
     page.get_by_role("button", name="Around the change").click()
-    until(page, "document.getElementById('plot-error').look.xaxis.range[0] === 3")
+    until(page, "document.getElementById('plot-error').layout.xaxis.range[0] === 3")
     assert shown_span(page, "pressure") == [3, 7]
     page.get_by_role("button", name="Whole time").click()
-    until(page, "document.getElementById('plot-error').look.xaxis.range[0] === 0")
+    until(page, "document.getElementById('plot-error').layout.xaxis.range[0] === 0")
 
 
 def test_hovering_tells_the_values_of_all_runs(report):

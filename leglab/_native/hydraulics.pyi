@@ -8,6 +8,18 @@ def parameter_tables() -> dict[
         list[tuple[str, str, float, float, float, bool, str]], list[tuple[str, str, str]], list[str]
     ],
 ]: ...
+def bristle(
+    velocity: np.ndarray,
+    level: np.ndarray,
+    sigma_0: float,
+    timestep: float,
+    samples: np.ndarray,
+    history: int,
+    out: np.ndarray,
+) -> None: ...
+def spool(
+    command: np.ndarray, frequency: float, damping: float, timestep: float, out: np.ndarray
+) -> None: ...
 
 class CylinderModel:
     def __init__(self, parameters: np.ndarray) -> None: ...

@@ -11,7 +11,7 @@ from leglab.commissioning.backstepping_gains import backstepping_gains
 from leglab.commissioning.calibration import ValveMap, directions, valve_maps
 from leglab.commissioning.nominal import NominalDynamics, nominal_cylinders
 from leglab.commissioning.pd_gains import stored_gains, tuned_gains
-from leglab.control import NominalMachine
+from leglab.control import ControllerSetup, NominalMachine
 from leglab.control.backstepping.data import BacksteppingGains, NominalCylinders
 from leglab.machine.sensors import SensorConfiguration, position_uncertainty, velocity_delay
 from leglab.machine.simulation import Simulation
@@ -74,6 +74,17 @@ class CommissionedMachine(NominalMachine):
     def _own(self) -> Simulation:
         """A machine for calibration, which moves it through its whole range."""
         return Simulation(copy.copy(self._simulation.model))
+
+
+def controller_setup(
+    simulation: Simulation, model: str, sensors: SensorConfiguration
+) -> ControllerSetup:
+    """Returns what a controller is made from; arguments as `CommissionedMachine`."""
+    return ControllerSetup(
+        joints=simulation.joints,
+        control_period=sensors.control_period,
+        machine=CommissionedMachine(simulation, model, sensors),
+    )
 
 
 _calibrations: dict[bytes, tuple[ValveMap, ...]] = {}

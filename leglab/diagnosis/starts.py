@@ -9,9 +9,8 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from scipy.linalg import expm
-from scipy.signal import lfilter
 
+from leglab._native import hydraulics as native
 from leglab.diagnosis.model import (
     CHAMBERS,
     CYLINDER,
@@ -61,18 +60,10 @@ def bristle(
         period: s.
         samples: Where it is wanted.
     """
-    if sigma <= 0.0:
-        return np.zeros(samples.size)
-    decay = sigma * np.abs(velocity) / level * period
-    gain = np.sign(velocity) * level / sigma * -np.expm1(-decay)
-    history = np.arange(-round(_BRISTLE_HISTORY / period), 0)
-    index = samples[:, None] + history
-    before = index < 0
-    index = index.clip(0)
-    passed = np.where(before, 0.0, decay[index])
-    # Everything that fades after sample j, exclusive of j itself.
-    later = np.cumsum(passed[:, ::-1], axis=1)[:, ::-1] - passed
-    return np.sum(np.where(before, 0.0, gain[index]) * np.exp(-later), axis=1)
+    out = np.zeros(samples.size)
+    history = round(_BRISTLE_HISTORY / period)
+    native.bristle(velocity, level, max(sigma, 0.0), period, samples, history, out)
+    return out
 
 
 def spool(command: np.ndarray, frequency: float, damping: float, period: float) -> np.ndarray:
@@ -84,19 +75,9 @@ def spool(command: np.ndarray, frequency: float, damping: float, period: float) 
         damping: Damping ratio.
         period: s.
     """
-    w, z = frequency, damping
-    transition = expm(np.array([[0.0, 1.0], [-w * w, -2.0 * z * w]]) * period)
-    drive = (np.eye(2) - transition) @ np.array([1.0, 0.0])
-    # x[k+1] = A x[k] + b u[k] as two filters with the characteristic polynomial of A.
-    trace, determinant = np.trace(transition), np.linalg.det(transition)
-    first = command[0]
-    out = []
-    for row in (0, 1):
-        other = 1 - row
-        cross = transition[row, other] * drive[other] - transition[other, other] * drive[row]
-        numerator = [0.0, drive[row], cross]
-        out.append(lfilter(numerator, [1.0, -trace, determinant], command - first))
-    return np.stack([out[0] + first, out[1]], axis=1)
+    out = np.empty((command.size, 2))
+    native.spool(command, frequency, damping, period, out)
+    return out
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -3,7 +3,7 @@
 import copy
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import leglab.controllers
@@ -12,7 +12,7 @@ from leglab.base.errors import LeglabError
 from leglab.base.scenario import Scenario, get_scenario
 from leglab.base.settings import validate_configuration
 from leglab.commissioning.calibration import settle, speed_limits
-from leglab.commissioning.setup import CommissionedMachine
+from leglab.commissioning.setup import controller_setup
 from leglab.control import ControllerSetup, Foreknowledge
 from leglab.machine.changes import check_tolerance, vary_bodies, vary_parameters
 from leglab.machine.sensors import SensorConfiguration
@@ -92,7 +92,7 @@ class Preparation:
         self._tolerance = settings.tolerance
         self.sensors = validate_configuration(SensorConfiguration, settings.sensors, "sensors")
         self.nominal = Simulation(self._load(visual=False))
-        self._known = CommissionedMachine(self.nominal, settings.model, self.sensors)
+        self._setup = controller_setup(self.nominal, settings.model, self.sensors)
 
     def setup(self, scenario: Scenario, bench_runs: Callable[[], Any]) -> ControllerSetup:
         """Returns what the controller of a run is made from.
@@ -101,16 +101,12 @@ class Preparation:
             scenario: Of the run.
             bench_runs: Makes recordings of the machine before and after its changes.
         """
-        return ControllerSetup(
-            joints=self.nominal.joints,
-            control_period=self.sensors.control_period,
-            machine=self._known,
-            foreknowledge=Foreknowledge(
-                first_change=min(scenario.breakpoints, default=math.inf),
-                last_change=max(scenario.breakpoints, default=math.inf),
-                bench_runs=bench_runs,
-            ),
+        foreknowledge = Foreknowledge(
+            first_change=min(scenario.breakpoints, default=math.inf),
+            last_change=max(scenario.breakpoints, default=math.inf),
+            bench_runs=bench_runs,
         )
+        return replace(self._setup, foreknowledge=foreknowledge)
 
     def reference(self, settings: RunSettings, scenario: Scenario) -> Reference:
         """The trajectory of a run, of the nominal machine's joints."""

@@ -1,5 +1,5 @@
-// nanobind module of the hydraulics core: parameter tables, fluid laws, the continuous model and
-// the fixed-step scheme on a free mass.
+// nanobind module of the hydraulics core: parameter tables, fluid laws, bristle and spool along a
+// known motion, the continuous model and the fixed-step scheme on a free mass.
 #include <cstring>
 #include <span>
 
@@ -19,6 +19,7 @@ using namespace leglab::hydraulics;
 
 using Vector = nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using ConstVector = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Index = nb::ndarray<const std::int64_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Matrix = nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using SpecRow = std::tuple<std::string, std::string, double, double, double, bool, std::string>;
 
@@ -42,6 +43,36 @@ void require(std::size_t got, std::size_t wanted, const char* what) {
   if (got != wanted) {
     throw nb::value_error((std::string(what) + " needs " + std::to_string(wanted) + " values, got " +
                            std::to_string(got)).c_str());
+  }
+}
+
+// LuGre bristle before each of some samples of a sliding motion: unloaded `history` samples earlier,
+// velocity and steady friction held over each sample since.
+void bristle(ConstVector velocity, ConstVector level, double sigma_0, double dt, Index samples,
+             std::int64_t history, Vector out) {
+  require(level.shape(0), velocity.shape(0), "level");
+  require(out.shape(0), samples.shape(0), "out");
+  for (std::size_t i = 0; i < samples.shape(0); ++i) {
+    const std::int64_t end = samples.data()[i];
+    if (end < 0 || end > std::int64_t(velocity.shape(0))) throw nb::index_error("no such sample");
+    double z = 0;
+    for (std::int64_t k = std::max<std::int64_t>(end - history, 0); k < end; ++k) {
+      z = advance_bristle(z, velocity.data()[k], level.data()[k], sigma_0, dt);
+    }
+    out.data()[i] = z;
+  }
+}
+
+// Spool position and velocity at every sample of held commands, starting at rest at the first.
+void spool(ConstVector command, double natural_frequency, double damping_ratio, double dt, Matrix out) {
+  require(out.shape(0), command.shape(0), "out rows");
+  require(out.shape(1), 2, "out columns");
+  const auto transition = SpoolTransition::over(dt, natural_frequency, damping_ratio);
+  double x = command.shape(0) > 0 ? command.data()[0] : 0.0, v = 0;
+  for (std::size_t k = 0; k < command.shape(0); ++k) {
+    out.data()[2 * k] = x;
+    out.data()[2 * k + 1] = v;
+    transition.advance(command.data()[k], x, v);
   }
 }
 
@@ -140,6 +171,8 @@ NB_MODULE(hydraulics, m) {
     }
     return tables;
   });
+  m.def("bristle", &bristle);
+  m.def("spool", &spool);
   nb::class_<CylinderModel>(m, "CylinderModel")
       .def(nb::init<ConstVector>(), nb::arg("parameters"))
       .def("derivative", &CylinderModel::derivative, nb::arg("state"), nb::arg("command"),
