@@ -8,6 +8,7 @@ docs/adaptive_backstepping.md.
 """
 
 import math
+from dataclasses import fields
 
 import numpy as np
 from pydantic import Field
@@ -22,7 +23,7 @@ from leglab.control.backstepping.feedback import Feedback, no_load_speed
 from leglab.control.feedforward.motion import ReferenceMotion
 
 _NAME = "adaptive_backstepping"
-_GAINS = ("position_gain", "force_damping", "force_drift", "flow_drift")
+_FLOW = ("internal_leakage", "external_leakage_a", "external_leakage_b", "null", "lap")
 
 
 class BacksteppingConfiguration(Configuration):
@@ -127,7 +128,7 @@ class AdaptiveBackstepping:
         position, pressure, supply = self._read(measurement)
         if self._adapt:
             self.adaptation.take(position, pressure, supply, self._sent)
-        leakage, null, lap = self.adaptation.leakage, self.adaptation.null, self.adaptation.lap
+        leakage, (null, lap) = np.split(self.adaptation.flow.values, [3])
 
         motion, seen = self._motion.take(reference)
         lever, piston = model.geometry(motion[0])
@@ -142,9 +143,8 @@ class AdaptiveBackstepping:
             law.observer.start(error, force_error)
             self._unknown_force = law.unknown_force
         wish = law(error, force_error)
-        self._unknown_force = self._unknown_force + self._force_smoothing * (
-            law.unknown_force - self._unknown_force
-        )
+        change = law.unknown_force - self._unknown_force
+        self._unknown_force = self._unknown_force + self._force_smoothing * change
         expected = self._expected_pressure(force + self._unknown_force, supply, piston)
         chambers = model.chambers(expected, supply, piston)
         known = rate + model.rate_for(speed, expected, leakage, chambers)
@@ -176,10 +176,7 @@ class AdaptiveBackstepping:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Load force for the reference when the command acts, its rate, and the one measured now.
 
-        Args:
-            motion: Reference when the command acts, (4, joints).
-            lever: There [m/rad], (joints,).
-            speed: Of the pistons [m/s], (joints,).
+        `motion` is that reference, (4, joints), with levers and piston speeds there, (joints,).
         """
         needed = self._torque(motion[0], motion[1], motion[2]) / lever
         bristles = self._bristles.advance(speed, self._period)
@@ -220,11 +217,7 @@ class AdaptiveBackstepping:
             "feedback": self._feedback,
             "unknown_force": self._unknown_force,
             "unknown_flow": self._law.observer.state[:, 4],
-            "internal_leakage": self.adaptation.leakage[0],
-            "external_leakage_a": self.adaptation.leakage[1],
-            "external_leakage_b": self.adaptation.leakage[2],
-            "null": self.adaptation.null,
-            "lap": self.adaptation.lap,
+            **dict(zip(_FLOW, self.adaptation.flow.values, strict=True)),
             "viscous": viscous,
             "coulomb": coulomb,
         }
@@ -238,14 +231,12 @@ def _stacked(measurement: Measurement) -> np.ndarray:
 
 
 def _gains(setup: ControllerSetup, config: BacksteppingConfiguration) -> BacksteppingGains:
-    given = {name: getattr(config, name) for name in _GAINS}
-    if any(values is None for values in given.values()):
-        tuned = setup.machine.backstepping_gains
-        given = {
-            name: getattr(tuned, name) if values is None else values
-            for name, values in given.items()
-        }
-    for name, values in given.items():
+    gains = {}
+    for name in (field.name for field in fields(BacksteppingGains)):
+        values = getattr(config, name)
+        if values is None:
+            values = getattr(setup.machine.backstepping_gains, name)
         if len(values) != len(setup.joints):
             raise setup.wrong_length(name, values, _NAME)
-    return BacksteppingGains(**{name: np.asarray(v, dtype=float) for name, v in given.items()})
+        gains[name] = np.asarray(values, dtype=float)
+    return BacksteppingGains(**gains)

@@ -35,12 +35,7 @@ def test_spool_moves_by_its_exact_transition(zeta, step):
         {**IDEAL, "bandwidth_hz": bandwidth, "damping_ratio": zeta, "substeps": 1.0}
     )
     out = cylinder.simulate(
-        np.full(8, command),
-        step,
-        mass=1e9,
-        position=0.04,
-        pressure_a=6e6,
-        pressure_b=9e6,
+        np.full(8, command), step, mass=1e9, position=0.04, pressure_a=6e6, pressure_b=9e6
     )
     w = 2 * math.pi * bandwidth
     transition = expm(np.array([[0, 1], [-w * w, -2 * zeta * w]]) * step)

@@ -150,10 +150,7 @@ def test_two_layer_network_agrees(samples):
     outside = ("clamp", "linear")
     bases = tuple(Basis(knots=tuple(k), outside=o) for k, o in zip(knots, outside, strict=True))
     network = Bsnn(
-        basis=bases,
-        learning_constant=(0.05, 0.02),
-        two_layers=True,
-        output_learning_constant=0.01,
+        basis=bases, learning_constant=(0.05, 0.02), two_layers=True, output_learning_constant=0.01
     )
     settings = BsnnArxSettings(
         na=2, nb=4, nk=0, network=network, rls=Rls.adaptive(), opening=3.0, fading=500.0

@@ -64,14 +64,8 @@ def sensor(actuator, quantity):
             slides(valve("v"), sensor=sensor("v", "presure_a")),
             ["'gauge'", "presure_a", "pressure_b, piston_position"],
         ),
-        (
-            slides(valve("v", joint="rodd")),
-            ["'v'", "'rodd'"],
-        ),
-        (
-            slides(valve("v").replace('joint="rod"', 'tendon="knee"')),
-            ["'v'", "'knee'"],
-        ),
+        (slides(valve("v", joint="rodd")), ["'v'", "'rodd'"]),
+        (slides(valve("v").replace('joint="rod"', 'tendon="knee"')), ["'v'", "'knee'"]),
         (
             slides(
                 valve("v"),
@@ -103,10 +97,7 @@ def sensor(actuator, quantity):
             slides(valve("v"), timestep=2e-3),
             ["'v'", "0.002 s", "allowed 1", "use at most 0.00155 s"],
         ),
-        (
-            slides(valve("v"), mass=2.0, timestep=5e-4),
-            ["'v'", "w_h h = 1.02", "allowed 1"],
-        ),
+        (slides(valve("v"), mass=2.0, timestep=5e-4), ["'v'", "w_h h = 1.02", "allowed 1"]),
     ],
 )
 def test_wrong_model(xml, words):

@@ -144,8 +144,7 @@ def refusal(xml):
         (pendulum(command_path(max_delay=-1)), ["'max_delay' = -1", "[0, 1] s"]),
         (
             pendulum(
-                command_path(),
-                actuator='<muscle name="drive" joint="hinge" lengthrange="-1 1"/>',
+                command_path(), actuator='<muscle name="drive" joint="hinge" lengthrange="-1 1"/>'
             ),
             ["actuator 'drive' has", "fixed nor affine", "allowed: motor"],
         ),

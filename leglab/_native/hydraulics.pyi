@@ -5,9 +5,7 @@ import numpy as np
 def parameter_tables() -> dict[
     str,
     tuple[
-        list[tuple[str, str, float, float, float, bool, str]],
-        list[tuple[str, str, str]],
-        list[str],
+        list[tuple[str, str, float, float, float, bool, str]], list[tuple[str, str, str]], list[str]
     ],
 ]: ...
 def bristle(

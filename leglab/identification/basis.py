@@ -1,9 +1,8 @@
 """Quadratic B-spline bases: knots, kind and what happens outside them."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +20,7 @@ DEGREE = 2
 
 
 @dataclass(frozen=True, kw_only=True)
-class Basis:
+class Basis(checks.Settings):
     """Quadratic B-splines over increasing knots (Eq. 9 of Folgheraiter).
 
     Attributes:
@@ -37,16 +36,15 @@ class Basis:
         LeglabError: The knots do not increase, are too few, or a choice is unknown.
     """
 
+    owner: ClassVar = "basis"
     knots: tuple[float, ...]
     kind: Kind = "full"
     outside: Outside = "clamp"
     middle_piece: MiddlePiece = "corrected"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         object.__setattr__(self, "knots", tuple(float(k) for k in self.knots))
-        checks.choice("basis kind", self.kind, get_args(Kind))
-        checks.choice("basis outside", self.outside, get_args(Outside))
-        checks.choice("basis middle_piece", self.middle_piece, get_args(MiddlePiece))
         least = 2 if self.kind == "full" else 6
         if len(self.knots) < least:
             raise LeglabError(
@@ -145,12 +143,6 @@ class Basis:
         return BSpline(self.extended_knots, w + bias, DEGREE, extrapolate=True)
 
 
-def bases(value: "Basis | Sequence[Basis]") -> tuple[Basis, ...]:
-    """Returns one or several bases as a tuple."""
-    return (value,) if isinstance(value, Basis) else tuple(value)
-
-
 def _knots_for(splines: int, kind: Kind) -> int:
-    checks.choice("basis kind", kind, get_args(Kind))
     checks.whole("basis splines", splines, least=3)
     return splines - 1 if kind == "full" else splines + 3

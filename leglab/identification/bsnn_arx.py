@@ -1,7 +1,7 @@
 """The paper's model: B-spline network and ARX model learning together (Algorithm 1)."""
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar, get_args
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.random import Generator
@@ -11,6 +11,7 @@ from leglab._native import identification as native
 from leglab.base.errors import LeglabError
 from leglab.identification import checks, linear
 from leglab.identification.basis import Basis
+from leglab.identification.checks import a_number, a_whole
 from leglab.identification.front import Array, Identifier
 from leglab.identification.settings import Guard, Rls, Scalar
 
@@ -22,7 +23,7 @@ MAX_NETWORK_INPUTS = 8  # as in the core (bsnn.h)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bsnn:
+class Bsnn(checks.Settings):
     """B-spline network, Eqs. 10 to 15.
 
     Attributes:
@@ -34,10 +35,11 @@ class Bsnn:
         saturation: Whether steps carry the factor (1 - |w|).
     """
 
+    owner: ClassVar = "bsnn"
     basis: tuple[Basis, ...]
     learning_constant: tuple[float, ...] = (0.14,)
     two_layers: bool = False
-    output_learning_constant: float = 0.0
+    output_learning_constant: float = a_number(0.0, least=0.0)
     bias: bool = True
     saturation: bool = True
 
@@ -52,7 +54,7 @@ class Bsnn:
             )
         for eta in self.learning_constant:
             checks.number("bsnn learning_constant", eta, least=0.0)
-        checks.number("bsnn output_learning_constant", self.output_learning_constant, least=0.0)
+        super().__post_init__()
 
     @property
     def neurons(self) -> int:
@@ -61,7 +63,7 @@ class Bsnn:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BsnnArxSettings:
+class BsnnArxSettings(checks.Settings):
     """Structure and constants of a `BsnnArx`.
 
     Attributes:
@@ -78,25 +80,19 @@ class BsnnArxSettings:
         scalar: Arithmetic of the core.
     """
 
-    na: int = 3
-    nb: int = 3
-    nk: int = 1
+    na: int = a_whole(3, least=0, most=1000)
+    nb: int = a_whole(3, least=1, most=1000)
+    nk: int = a_whole(1, least=0, most=1000)
     network: Bsnn
     rls: Rls = field(default_factory=Rls)
     guard: Guard = field(default_factory=Guard)
-    output_limit: float = 0.0
-    opening: float = 0.0
-    fading: float = 300.0
+    output_limit: float = a_number(0.0, least=0.0)
+    opening: float = a_number(0.0, least=0.0)
+    fading: float = a_number(300.0, least=1.0)
     scalar: Scalar = "float64"
 
     def __post_init__(self) -> None:
-        checks.whole("na", self.na, least=0, most=1000)
-        checks.whole("nb", self.nb, least=1, most=1000)
-        checks.whole("nk", self.nk, least=0, most=1000)
-        checks.number("output_limit", self.output_limit, least=0.0)
-        checks.number("opening", self.opening, least=0.0)
-        checks.number("fading", self.fading, least=1.0)
-        checks.choice("scalar", self.scalar, get_args(Scalar))
+        super().__post_init__()
         self.guard.check_inputs(len(self.network.basis))
 
     @classmethod

@@ -2,8 +2,36 @@
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, fields
+from functools import partial
+from typing import Any, ClassVar, Literal, get_args, get_origin
 
 from leglab.base.errors import LeglabError, unknown_name
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Base of all settings: checks literal types, and fields made by `a_number` or `a_whole`."""
+
+    owner: ClassVar[str] = ""  # stands before a field's name in messages
+
+    def __post_init__(self) -> None:
+        for part in fields(self):
+            where, value = f"{self.owner} {part.name}".lstrip(), getattr(self, part.name)
+            if get_origin(part.type) is Literal:
+                choice(where, value, get_args(part.type))
+            elif "check" in part.metadata:
+                part.metadata["check"](where, value)
+
+
+def a_number(default: float, **limits: Any) -> Any:
+    """Field of a `Settings` that holds a `number`."""
+    return field(default=default, metadata={"check": partial(number, **limits)})
+
+
+def a_whole(default: int, **limits: Any) -> Any:
+    """Field of a `Settings` that holds a `whole` number."""
+    return field(default=default, metadata={"check": partial(whole, **limits)})
 
 
 def number(

@@ -1,13 +1,15 @@
 """Feature blocks of the deployed identifier's regressor, and the signals they are made of."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from leglab.identification import checks
 from leglab.identification.basis import Basis
+from leglab.identification.checks import a_number
 
 
 @dataclass(frozen=True, kw_only=True)
-class Signal:
+class Signal(checks.Settings):
     """A signal and its declared range, which is scaled to [-1, 1] (never from data seen later).
 
     Attributes:
@@ -35,7 +37,7 @@ class Signal:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lags:
+class Lags(checks.Settings):
     """Linear features x(t - first), ..., x(t - first - count + 1).
 
     Attributes:
@@ -54,12 +56,12 @@ class Lags:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Constant:
+class Constant(checks.Settings):
     """The feature 1."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Spline:
+class Spline(checks.Settings):
     """Features N_i(x(t - lag)), each with its own parameter, learned by least squares.
 
     Attributes:
@@ -81,7 +83,7 @@ class Spline:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Hammerstein:
+class Hammerstein(checks.Settings):
     """Features n(t - first), ... of n = sum_i w_i N_i(x); w learns through their sensitivity.
 
     The weights start as the identity and follow the gradient of the squared error with
@@ -96,40 +98,17 @@ class Hammerstein:
         learning_constant: mu in [0, 2) of the gradient step.
     """
 
+    owner: ClassVar = "hammerstein"
     signal: str
     first: int = 1
     count: int = 3
     basis: Basis
-    learning_constant: float = 0.1
+    learning_constant: float = a_number(0.1, least=0.0, most=2.0)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         checks.whole(f"first lag of {self.signal!r}", self.first, least=0, most=1000)
         checks.whole(f"count of lags of {self.signal!r}", self.count, least=1, most=1000)
-        checks.number("hammerstein learning_constant", self.learning_constant, least=0.0, most=2.0)
 
 
 Feature = Lags | Constant | Spline | Hammerstein
-
-
-@dataclass(frozen=True)
-class Block:
-    """A feature as the core reads it: signals by number, knots scaled."""
-
-    feature: str
-    signal: int = 0
-    lag: int = 0
-    lags: int = 1
-    basis: Basis | None = None
-    factor_signal: int = -1
-    factor_lag: int = 0
-    learning_constant: float = 0.0
-
-    @property
-    def count(self) -> int:
-        """Parameters in theta."""
-        return self.basis.count if self.feature == "spline" and self.basis else self.lags
-
-    @property
-    def weights(self) -> int:
-        """Weights of a hammerstein block."""
-        return self.basis.count if self.feature == "hammerstein" and self.basis else 0

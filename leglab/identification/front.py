@@ -120,11 +120,6 @@ class Identifier:
         self._bank.run_recorded(u_array, y_array, prediction, trajectory)
         return self._drop_joints(prediction), self._drop_joints(trajectory)
 
-    @property
-    def bank(self) -> Any:
-        """The core's object, for other parts of the core that let it learn."""
-        return self._bank
-
     def freeze(self, frozen: bool = True) -> None:
         """Switches adaptation off (on with False); `update` then only predicts."""
         self._bank.freeze(frozen)

@@ -23,11 +23,8 @@ def transfer_function(
 
     a, b = np.asarray(output, dtype=float), np.asarray(inputs, dtype=float)
     order = max(len(a), len(b) - 1)
-    denominator = np.zeros(order + 1)
-    denominator[0] = 1.0
-    denominator[1 : len(a) + 1] = -a
-    numerator = np.zeros(order + 1)
-    numerator[: len(b)] = b
+    denominator = np.concatenate(([1.0], -a, np.zeros(order - len(a))))
+    numerator = np.concatenate((b, np.zeros(order + 1 - len(b))))
     return control.TransferFunction(numerator, denominator, timestep)
 
 

@@ -1,10 +1,11 @@
 """Settings that both identifiers share: forgetting, change detection and sample guards."""
 
-from dataclasses import dataclass, field
-from typing import Literal, get_args
+from dataclasses import dataclass
+from typing import ClassVar, Literal
 
 from leglab.base.errors import LeglabError
 from leglab.identification import checks
+from leglab.identification.checks import a_number, a_whole
 
 Forgetting = Literal["none", "exponential", "directional", "variable"]
 ChangeAction = Literal["reset", "inflate"]
@@ -13,7 +14,7 @@ MAX_INPUTS = 32  # of any identifier, as in the core (guard.h)
 
 
 @dataclass(frozen=True, kw_only=True)
-class ChangeDetection:
+class ChangeDetection(checks.Settings):
     """Opens the gain when the a-priori error grows: fast at first, slow later.
 
     A change is seen where the mean squared error over about `fast_window` samples exceeds `ratio`
@@ -28,24 +29,21 @@ class ChangeDetection:
         gain: See action.
     """
 
-    fast_window: int = 20
+    owner: ClassVar = "change"
+    fast_window: int = a_whole(20, least=1)
     slow_window: int = 500
-    ratio: float = 3.0
-    hold_off: int = 200
+    ratio: float = a_number(3.0, above=1.0)
+    hold_off: int = a_whole(200, least=0)
     action: ChangeAction = "reset"
-    gain: float = 1e4
+    gain: float = a_number(1e4, above=0.0)
 
     def __post_init__(self) -> None:
-        checks.whole("change fast_window", self.fast_window, least=1)
+        super().__post_init__()
         checks.whole("change slow_window", self.slow_window, least=self.fast_window + 1)
-        checks.number("change ratio", self.ratio, above=1.0)
-        checks.whole("change hold_off", self.hold_off, least=0)
-        checks.choice("change action", self.action, get_args(ChangeAction))
-        checks.number("change gain", self.gain, above=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rls:
+class Rls(checks.Settings):
     """Recursive least squares (Eqs. 6 to 8) and how it forgets.
 
     Attributes:
@@ -66,23 +64,19 @@ class Rls:
         change: Change detection, or None.
     """
 
-    initial_gain: float = 1e4
+    owner: ClassVar = "rls"
+    initial_gain: float = a_number(1e4, above=0.0)
     forgetting: Forgetting = "none"
-    forgetting_factor: float = 1.0
-    memory: float = 400.0
-    noise_variance: float = 0.0
+    forgetting_factor: float = a_number(1.0, least=0.5, most=1.0)
+    memory: float = a_number(400.0, least=1.0)
+    noise_variance: float = a_number(0.0, least=0.0)
     gain_bound: float | None = None
-    restore_interval: int = 0
+    restore_interval: int = a_whole(0, least=0)
     restore_gain: float | None = None
     change: ChangeDetection | None = None
 
     def __post_init__(self) -> None:
-        checks.number("rls initial_gain", self.initial_gain, above=0.0)
-        checks.choice("rls forgetting", self.forgetting, get_args(Forgetting))
-        checks.number("rls forgetting_factor", self.forgetting_factor, least=0.5, most=1.0)
-        checks.number("rls memory", self.memory, least=1.0)
-        checks.number("rls noise_variance", self.noise_variance, least=0.0)
-        checks.whole("rls restore_interval", self.restore_interval, least=0)
+        super().__post_init__()
         gain = self.initial_gain if self.restore_gain is None else self.restore_gain
         object.__setattr__(self, "restore_gain", gain)
         checks.number("rls restore_gain", gain, above=0.0)
@@ -106,7 +100,7 @@ class Rls:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Guard:
+class Guard(checks.Settings):
     """Which samples teach nothing. They are counted, and the last good value stands in.
 
     NaN and infinite values are always refused. After a bad sample learning waits until the
@@ -119,11 +113,12 @@ class Guard:
             saturated. Empty for none.
     """
 
-    stuck_samples: int = 0
-    input_limits: tuple[tuple[float, float], ...] = field(default=())
+    owner: ClassVar = "guard"
+    stuck_samples: int = a_whole(0, least=0)
+    input_limits: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
-        checks.whole("guard stuck_samples", self.stuck_samples, least=0)
+        super().__post_init__()
         limits = tuple((float(low), float(high)) for low, high in self.input_limits)
         object.__setattr__(self, "input_limits", limits)
         for j, limit in enumerate(limits):

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar, get_args
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,15 +12,8 @@ from leglab._native import identification as native
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.identification import checks, linear
 from leglab.identification.basis import Basis
-from leglab.identification.features import (
-    Block,
-    Constant,
-    Feature,
-    Hammerstein,
-    Lags,
-    Signal,
-    Spline,
-)
+from leglab.identification.checks import a_number, a_whole
+from leglab.identification.features import Constant, Feature, Hammerstein, Lags, Signal, Spline
 from leglab.identification.front import Array, Identifier
 from leglab.identification.settings import MAX_INPUTS, Guard, Rls, Scalar
 
@@ -29,8 +22,32 @@ if TYPE_CHECKING:
     from scipy.interpolate import BSpline
 
 
+@dataclass(frozen=True)
+class Block:
+    """A feature as the core reads it: signals by number, knots scaled."""
+
+    feature: str
+    signal: int = 0
+    lag: int = 0
+    lags: int = 1
+    basis: Basis | None = None
+    factor_signal: int = -1
+    factor_lag: int = 0
+    learning_constant: float = 0.0
+
+    @property
+    def count(self) -> int:
+        """Parameters in theta."""
+        return self.basis.count if self.feature == "spline" and self.basis else self.lags
+
+    @property
+    def weights(self) -> int:
+        """Weights of a hammerstein block."""
+        return self.basis.count if self.feature == "hammerstein" and self.basis else 0
+
+
 @dataclass(frozen=True, kw_only=True)
-class SplineNarxSettings:
+class SplineNarxSettings(checks.Settings):
     """Structure and constants of a `SplineNarx`.
 
     Attributes:
@@ -56,27 +73,24 @@ class SplineNarxSettings:
     features: tuple[Feature, ...]
     rls: Rls = field(default_factory=Rls.adaptive)
     guard: Guard = field(default_factory=Guard)
-    plausible_range: float = 5.0
-    output_error_after: int = 0
+    plausible_range: float = a_number(5.0, least=0.0)
+    output_error_after: int = a_whole(0, least=0)
     resynchronise_above: float | None = None
-    pole_limit: float = 0.0
+    pole_limit: float = a_number(0.0, least=0.0, most=1.0)
     scalar: Scalar = "float64"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         checks.whole("number of inputs", len(self.inputs), least=1, most=MAX_INPUTS)
         names = self.names
         if len(set(names)) != len(names):
             raise LeglabError(f"signal names are {', '.join(names)}: must differ")
         if not self.features:
             raise LeglabError("features is empty: the model needs at least one")
-        checks.number("plausible_range", self.plausible_range, least=0.0)
-        checks.whole("output_error_after", self.output_error_after, least=0)
         threshold = self.resynchronise_above
         threshold = self.output.half_range / 2 if threshold is None else threshold
         object.__setattr__(self, "resynchronise_above", threshold)
         checks.number("resynchronise_above", threshold, above=0.0)
-        checks.number("pole_limit", self.pole_limit, least=0.0, most=1.0)
-        checks.choice("scalar", self.scalar, get_args(Scalar))
         self.guard.check_inputs(len(self.inputs))
         for block in self.blocks:
             self._check(block)

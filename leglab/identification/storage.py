@@ -14,32 +14,15 @@ from typing import Any
 
 from leglab._native import identification as native
 from leglab.base.errors import LeglabError, unknown_name
-from leglab.identification import basis, bsnn_arx, features, settings, spline_narx
+from leglab.identification.bsnn_arx import BsnnArx
+from leglab.identification.checks import Settings
 from leglab.identification.front import Identifier
+from leglab.identification.spline_narx import SplineNarx
 
 VERSION = 1
 MAGIC = b"leglab-identifier"
-_MODELS: dict[str, type[Identifier]] = {
-    "BsnnArx": bsnn_arx.BsnnArx,
-    "SplineNarx": spline_narx.SplineNarx,
-}
-_PARTS: dict[str, Any] = {
-    part.__name__: part
-    for part in (
-        basis.Basis,
-        bsnn_arx.Bsnn,
-        bsnn_arx.BsnnArxSettings,
-        features.Constant,
-        features.Hammerstein,
-        features.Lags,
-        features.Signal,
-        features.Spline,
-        settings.ChangeDetection,
-        settings.Guard,
-        settings.Rls,
-        spline_narx.SplineNarxSettings,
-    )
-}
+_MODELS: dict[str, type[Identifier]] = {"BsnnArx": BsnnArx, "SplineNarx": SplineNarx}
+_PARTS: dict[str, Any] = {part.__name__: part for part in Settings.__subclasses__()}
 
 
 def save(identifier: Identifier, path: str | Path) -> None:

@@ -119,12 +119,7 @@ class Schedule:
 
 
 ADDED_MASS = Parameter(
-    name="added_mass",
-    unit="kg",
-    nominal=0.0,
-    minimum=0.0,
-    maximum=1000.0,
-    description="point mass fixed at the body's centre of mass",
+    "added_mass", "kg", 0.0, 0.0, 1000.0, True, "point mass fixed at the body's centre of mass"
 )
 
 

@@ -17,9 +17,9 @@ from leglab._native import hydraulics as _native
 from leglab.base.errors import LeglabError, unknown_name
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Parameter:
-    """One physical parameter of a plugin instance.
+    """One physical parameter of a plugin instance: a row of its table.
 
     Attributes:
         name: Attribute name in MJCF and in `Simulation.set_parameter`.
@@ -37,7 +37,7 @@ class Parameter:
     nominal: float
     minimum: float
     maximum: float
-    minimum_allowed: bool = True
+    minimum_allowed: bool
     description: str
     offset: int = 0
 
@@ -60,7 +60,7 @@ class Parameter:
         return number
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class State:
     """One dynamic state of a plugin instance: `name`, `unit`, `description`, `offset`."""
 
@@ -118,23 +118,8 @@ def plugin_tables() -> Mapping[str, PluginTable]:
     for plugin, (parameters, states, _) in _native.parameter_tables().items():
         if not parameters:
             continue
-        rows = [
-            Parameter(
-                name=name,
-                unit=unit,
-                nominal=nominal,
-                minimum=low,
-                maximum=high,
-                minimum_allowed=closed,
-                description=text,
-                offset=offset,
-            )
-            for offset, (name, unit, nominal, low, high, closed, text) in enumerate(parameters)
-        ]
-        dynamic = [
-            State(name=name, unit=unit, description=text, offset=len(rows) + offset)
-            for offset, (name, unit, text) in enumerate(states)
-        ]
+        rows = [Parameter(*row, offset) for offset, row in enumerate(parameters)]
+        dynamic = [State(*row, offset) for offset, row in enumerate(states, len(rows))]
         tables[plugin] = PluginTable(
             plugin=plugin,
             parameters=MappingProxyType({row.name: row for row in rows}),

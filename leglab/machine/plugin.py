@@ -192,12 +192,8 @@ def _swap_warnings(handler: Any) -> Any:
     return True
 
 
-_without_warnings, _without_clock = _Suspension(_swap_warnings), _Suspension(_swap_clock)
-
-
-def without_warnings() -> contextlib.AbstractContextManager[None]:
-    """Suppresses MuJoCo's warnings, which go to a log file: the caller checks what they warn of."""
-    return _without_warnings()
+# MuJoCo's warnings go to a log file: whoever suppresses them checks what they warn of.
+without_warnings, _without_clock = _Suspension(_swap_warnings), _Suspension(_swap_clock)
 
 
 @contextlib.contextmanager
@@ -207,7 +203,7 @@ def headless(model: mujoco.MjModel) -> Iterator[None]:
     The motion is the same, to the bit, in about four fifths of the time.
     """
     flags = model.opt.disableflags
-    with _without_warnings(), _without_clock():
+    with without_warnings(), _without_clock():
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
         try:
             yield

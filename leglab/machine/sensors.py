@@ -174,27 +174,11 @@ class EncoderFaults:
         return self.scale * (early + (at - before) * (later - early)) + self.offset
 
 
+_SLIP = "added to every reading, as after a slip of the encoder on its shaft"
+_LOSS = "share of readings that are lost; the last one is repeated"
 _FAULTS = {
-    row.name: row
-    for row in (
-        Parameter(
-            name="encoder_offset",
-            unit="rad",
-            nominal=0.0,
-            minimum=-math.pi,
-            maximum=math.pi,
-            description="added to every reading, as after a slip of the encoder on its shaft",
-        ),
-        Parameter(
-            name="encoder_dropout",
-            unit="1",
-            nominal=0.0,
-            minimum=0.0,
-            maximum=1.0,
-            description="share of readings that are lost; the last one is repeated",
-            offset=1,
-        ),
-    )
+    "encoder_offset": Parameter("encoder_offset", "rad", 0.0, -math.pi, math.pi, True, _SLIP),
+    "encoder_dropout": Parameter("encoder_dropout", "1", 0.0, 0.0, 1.0, True, _LOSS, offset=1),
 }
 
 

@@ -47,7 +47,8 @@ class Adaptation:
         dead_zone: Residuals up to so many times the noise teach nothing.
 
     Attributes:
-        flow: Estimator of (C_i, C_A, C_B, null, lap).
+        flow: Estimator of (C_i, C_A, C_B, null, lap): leakage [m^3/s/Pa], shift of the valves'
+            nulls and overlap of the metering edges, of full spool travel.
         force: Estimator of (b, F_c, s, d_0, d_1, d_2).
     """
 
@@ -75,44 +76,29 @@ class Adaptation:
         # The command before a measurement held, on average, half a period before it was followed.
         self._shift = period / 2 - latency - valve_delay
         self._least_speed = _LEAST_SPEED * speed
-        ones = np.ones(joints)
+        ones, zero = np.ones(joints), np.zeros(joints)
         flow = data.orifice_gain * np.sqrt(data.supply_pressure)
         leak = 0.01 * flow / data.supply_pressure
         push = data.area[0] * data.supply_pressure
         self.flow = BoundedLeastSquares(
-            start=np.stack([data.internal_leakage, 0 * ones, 0 * ones, 0 * ones, data.lap]),
+            start=np.stack([data.internal_leakage, zero, zero, zero, data.lap]),
             scale=np.stack([leak, leak, leak, 0.005 * ones, 0.01 * ones]),
-            lower=np.stack([0 * ones, 0 * ones, 0 * ones, -0.1 * ones, 0 * ones]),
+            lower=np.stack([zero, zero, zero, -0.1 * ones, zero]),
             upper=np.stack([100 * leak, 100 * leak, 100 * leak, 0.1 * ones, 0.15 * ones]),
             forgetting_factor=math.exp(-_INTERVAL * period / flow_memory),
             noise=_FLOW_NOISE * flow,
             dead_zone=dead_zone,
         )
         self.force = BoundedLeastSquares(
-            start=np.stack([data.viscous, data.coulomb, *[0 * ones] * 4]),
+            start=np.stack([data.viscous, data.coulomb, *[zero] * 4]),
             scale=np.stack([data.viscous, data.coulomb, 0.2 * ones, *[0.2 * push] * 3]),
-            lower=np.stack([0 * ones, 0 * ones, -0.5 * ones, *[-push] * 3]),
+            lower=np.stack([zero, zero, -0.5 * ones, *[-push] * 3]),
             upper=np.stack([30 * data.viscous, 10 * data.coulomb, 2 * ones, *[push] * 3]),
             forgetting_factor=math.exp(-_INTERVAL * period / force_memory),
             noise=_FORCE_NOISE * push,
             dead_zone=dead_zone,
         )
         self.reset()
-
-    @property
-    def leakage(self) -> np.ndarray:
-        """C_i, C_A and C_B [m^3/s/Pa], (3, joints)."""
-        return self.flow.values[:3]
-
-    @property
-    def null(self) -> np.ndarray:
-        """Shift of the valves' nulls, of full spool travel, (joints,)."""
-        return self.flow.values[3]
-
-    @property
-    def lap(self) -> np.ndarray:
-        """Overlap of the metering edges, of full spool travel, (joints,)."""
-        return self.flow.values[4]
 
     def reset(self) -> None:
         """Forgets everything learned."""

@@ -36,11 +36,7 @@ class Chambers(NamedTuple):
 
 
 class CylinderModel:
-    """The hydraulics of all joints as their data sheets tell.
-
-    Args:
-        data: The data sheets.
-    """
+    """The hydraulics of all joints as their data sheets tell."""
 
     def __init__(self, data: NominalCylinders) -> None:
         self.data = data
@@ -116,11 +112,7 @@ class CylinderModel:
         return 0.5 * (d + root), 0.5 * (1.0 + d / root)
 
     def rate_for(
-        self,
-        speed: np.ndarray,
-        pressure: np.ndarray,
-        leakage: np.ndarray,
-        chambers: Chambers,
+        self, speed: np.ndarray, pressure: np.ndarray, leakage: np.ndarray, chambers: Chambers
     ) -> np.ndarray:
         """Force rate that valve flow must give for a piston speed at constant force [N/s].
 
@@ -177,9 +169,6 @@ class Bristles:
     1995, IEEE Trans. Autom. Control 40(3), 419). Model-based compensation of hydraulic actuators
     with it: Yao, Deng and Jiao 2015, IEEE Trans. Ind. Electron. 62(10), 6469. After a reversal the
     force builds up over some tens of micrometres, which a function of speed cannot tell.
-
-    Args:
-        data: Nominal cylinders.
     """
 
     def __init__(self, data: NominalCylinders) -> None:

@@ -67,11 +67,10 @@ class NominalCylinders:
 
     def joint(self, index: int) -> "NominalCylinders":
         """The data of one joint alone, arrays keeping their axes."""
-        values = {}
-        for field in fields(self):
-            value = getattr(self, field.name)
-            last = field.name not in ("position", "lever", "piston")
-            values[field.name] = value[..., index : index + 1] if last else value[index : index + 1]
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        for name, value in values.items():
+            axis = 0 if name in ("position", "lever", "piston") else -1
+            values[name] = value.take([index], axis)
         return NominalCylinders(**values)
 
 

@@ -73,12 +73,8 @@ class ErrorObserver:
         self._newer = early_input
         # To the middle of the time over which the command holds.
         self._ahead, self._ahead_input = _sampled(a, b, delay + period / 2)
-        self._gain = np.stack(
-            [
-                self._kalman(whole[i], period, noise[:, i], drift[:, i], frequency[i])
-                for i in range(n)
-            ]
-        )
+        rows = zip(whole, noise.T, drift.T, frequency, strict=True)
+        self._gain = np.stack([self._kalman(a, period, *row) for a, *row in rows])
         self.state = np.zeros((n, _STATES))
         self.clear()
 

@@ -67,20 +67,16 @@ class Feedback:
         self.valve_delay = float(np.max(2 * data.valve_damping / data.valve_frequency))
         force = data.area[0] * data.supply_pressure
         speed = no_load_speed(data)
-        noise = np.stack(
-            [
-                np.abs(data.lever[:, middle]) * max(position_noise, _LEAST_NOISE[0]),
-                np.sqrt((data.area**2).sum(axis=0))
-                * max(pressure_noise, _LEAST_NOISE[1])
-                / self.stiffness,
-            ]
-        )
+        position_noise = max(position_noise, _LEAST_NOISE[0])
+        pressure_noise = max(pressure_noise, _LEAST_NOISE[1])
+        force_noise = np.sqrt((data.area**2).sum(axis=0)) * pressure_noise
+        noise = [np.abs(data.lever[:, middle]) * position_noise, force_noise / self.stiffness]
         self.observer = ErrorObserver(
             frequency=w,
             damping=data.viscous / data.mass,
             period=period,
             delay=latency + self.valve_delay,
-            noise=noise,
+            noise=np.stack(noise),
             drift=np.stack([gains.force_drift * force / self.stiffness, gains.flow_drift * speed]),
         )
         k, zeta = gains.position_gain, gains.force_damping

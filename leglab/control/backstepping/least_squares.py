@@ -38,14 +38,13 @@ class BoundedLeastSquares:
         self._lower, self._upper = lower, upper
         self._factor, self._noise = forgetting_factor, noise
         self._dead, self._largest = dead_zone, 40.0
+        self._identity = np.eye(len(start))
         self.reset()
 
     def reset(self) -> None:
         """Forgets everything learned."""
-        parameters, joints = self._start.shape
         self.values = self._start.copy()
-        self._identity = np.eye(parameters)
-        self._information = np.tile(self._identity, (joints, 1, 1))
+        self._information = np.tile(self._identity, (self._start.shape[1], 1, 1))
 
     def update(self, regressor: np.ndarray, residual: np.ndarray, usable: np.ndarray) -> None:
         """Takes one equation a joint: residual = regressor . (true - present parameters).

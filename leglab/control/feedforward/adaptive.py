@@ -23,7 +23,6 @@ _NOISE = 0.2e-3
 # Readings that bend more [rad/s^2] are no motion: some fifteen times the walking stride's knee.
 _GREATEST_ACCELERATION = 1000.0
 
-
 # Time constant of the errors by which the learned and the calibrated map are judged [s]; the
 # calibrated one takes over where the learned one's RMS error is so many times its own.
 _TRUST_TIME, _MARGIN = 0.5, 1.05
@@ -184,14 +183,13 @@ class AdaptiveFeedforward:
             }
         )
         self._out = np.zeros((1 + len(_REPORTED), inverse_map.joints))
-        self._command = self._out[0]
         self.report = dict(zip(_REPORTED, self._out[1:], strict=True))
         self.reset()
 
     def reset(self) -> None:
         """Forgets everything learned: the feed-forward is the calibration's."""
         self.learner = self._map.learner()
-        self._core.reset(self.learner.bank)
+        self._core.reset(self.learner._bank)
         self._out[:] = 0.0
 
     def step(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
@@ -199,18 +197,11 @@ class AdaptiveFeedforward:
 
         Feedback holds the reference against the measurement at the time it was taken. Where a
         measurement is NaN the command is the feed-forward alone. What is sent counts as clipped to
-        [-1, 1].
-
-        Args:
-            measurement: Of now.
-            reference: Of now.
-
-        Returns:
-            Shape (joints,); the array changes with the next period.
+        [-1, 1]. The array (joints,) changes with the next period.
         """
         time, position, velocity, *_ = measurement
         self._core.step(time, position, velocity, *reference, self._out)
-        return self._command
+        return self._out[0]
 
     def sent(self, command: np.ndarray) -> None:
         """Takes the commands (joints,) that were sent, where they are not what `step` gave."""

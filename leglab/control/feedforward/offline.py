@@ -27,23 +27,13 @@ class BenchRun:
     def identify(self, learning: AdaptiveFeedforward) -> np.ndarray:
         """Parameters that a feed-forward learns from the recording as if it had been there.
 
-        Args:
-            learning: It is reset and learns; with plain least squares the result is that of a
-                batch.
-
-        Returns:
-            Parameters of its learner, (joints, parameters) or (parameters,) of one joint.
+        It is reset first; with plain least squares the result, (joints, parameters) or, of one
+        joint, (parameters,), is that of a batch.
         """
         learning.reset()
         still = np.zeros_like(self.position[0])  # velocities are the feedback's business alone
-        rows = zip(
-            self.time.tolist(),
-            np.ascontiguousarray(self.position),
-            np.ascontiguousarray(self.command),
-            map(ReferencePoint, *map(np.ascontiguousarray, self.reference)),
-            strict=True,
-        )
-        for time, position, command, reference in rows:
-            learning.step(Measurement(time, position, still), reference)
+        arrays = map(np.ascontiguousarray, (self.position, self.command, *self.reference))
+        for time, position, command, *reference in zip(self.time.tolist(), *arrays, strict=True):
+            learning.step(Measurement(time, position, still), ReferencePoint(*reference))
             learning.sent(command)
         return learning.learner.parameters

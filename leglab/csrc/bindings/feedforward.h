@@ -2,7 +2,7 @@
 #pragma once
 
 #include "bindings/identification_bank.h"
-#include "feedforward/controller.h"
+#include "feedforward/adaptive.h"
 
 namespace leglab::bindings {
 
@@ -48,9 +48,8 @@ class ValveMaps {
 
   void command(Input position, Input velocity, Output out) const {
     const auto& tables = tables_.tables();
-    if (position.size() != tables.size() || velocity.size() != tables.size() ||
-        out.size() != tables.size()) {
-      throw nb::value_error("wrong number of values");
+    for (const std::size_t size : {position.size(), velocity.size(), out.size()}) {
+      if (size != tables.size()) throw nb::value_error("wrong number of values");
     }
     for (std::size_t j = 0; j < tables.size(); ++j) {
       const double share = std::clamp(velocity.data()[j] / full_speed_[j], -1.0, 1.0);
@@ -70,6 +69,7 @@ inline ff::AdaptiveSettings read_adaptive(const nb::dict& settings) {
   LEGLAB_READ_2(forward, supervised)
   LEGLAB_READ_3(trust_time, margin, noise)
   LEGLAB_READ_3(learn_lower, learn_upper, bandwidth)
+  LEGLAB_READ_2(position_gain, velocity_gain)
   return out;
 }
 
@@ -86,13 +86,11 @@ class Feedforward {
  public:
   explicit Feedforward(const nb::dict& parts)
       : tables_(parts),
-        core_({read_adaptive(parts),
-               {read_motion_scale(parts), get<bool>(parts, "products")},
-               {tables_.joints(), get<Numbers>(parts, "kernel")},
-               {tables_.joints(), get<double>(parts, "control_period"), get<double>(parts, "lead"),
-                get<double>(parts, "position_delay"), get<double>(parts, "velocity_delay")},
-               tables_.tables()},
-              {get<Numbers>(parts, "position_gain"), get<Numbers>(parts, "velocity_gain")}) {}
+        core_(read_adaptive(parts), {read_motion_scale(parts), get<bool>(parts, "products")},
+              {tables_.joints(), get<Numbers>(parts, "kernel")},
+              {tables_.joints(), get<double>(parts, "control_period"), get<double>(parts, "lead"),
+               get<double>(parts, "position_delay"), get<double>(parts, "velocity_delay")},
+              tables_.tables()) {}
 
   Feedforward(const Feedforward&) = delete;
   Feedforward& operator=(const Feedforward&) = delete;
@@ -125,7 +123,7 @@ class Feedforward {
 
  private:
   ValveTables tables_;  // the core's point into them
-  ff::Controller core_;
+  ff::AdaptiveFeedforward core_;
 };
 
 inline void bind_feedforward(nb::module_& module) {

@@ -9,7 +9,6 @@
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
-#include "hydraulics/checks.h"
 #include "hydraulics/continuous.h"
 #include "hydraulics/supply.h"
 #include "plugin/tables.h"
@@ -174,21 +173,16 @@ NB_MODULE(hydraulics, m) {
   m.def("bristle", &bristle);
   m.def("spool", &spool);
   nb::class_<CylinderModel>(m, "CylinderModel")
-      .def(nb::init<ConstVector>(), nb::arg("parameters"))
-      .def("derivative", &CylinderModel::derivative, nb::arg("state"), nb::arg("command"),
-           nb::arg("supply_pressure"), nb::arg("mass"), nb::arg("load"), nb::arg("ideal_valve"),
-           nb::arg("blocked"), nb::arg("out"))
-      .def("simulate", &CylinderModel::simulate, nb::arg("commands"), nb::arg("timestep"),
-           nb::arg("supply_pressure"), nb::arg("mass"), nb::arg("load"), nb::arg("x0"), nb::arg("v0"),
-           nb::arg("pa0"), nb::arg("pb0"), nb::arg("out"))
-      .def("flows", &CylinderModel::flows, nb::arg("spool"), nb::arg("supply_pressure"), nb::arg("pa"),
-           nb::arg("pb"))
+      .def(nb::init<ConstVector>())
+      .def("derivative", &CylinderModel::derivative)
+      .def("simulate", &CylinderModel::simulate)
+      .def("flows", &CylinderModel::flows)
       .def("areas", &CylinderModel::areas)
-      .def("volumes", &CylinderModel::volumes, nb::arg("x"))
-      .def("bulk_modulus", &CylinderModel::bulk_modulus, nb::arg("gauge"))
-      .def("relative_volume", &CylinderModel::relative_volume, nb::arg("gauge"))
-      .def("pressure_at", &CylinderModel::pressure_at, nb::arg("relative_volume"), nb::arg("guess"))
-      .def("kinematic_viscosity", &CylinderModel::kinematic_viscosity, nb::arg("celsius"))
+      .def("volumes", &CylinderModel::volumes)
+      .def("bulk_modulus", &CylinderModel::bulk_modulus)
+      .def("relative_volume", &CylinderModel::relative_volume)
+      .def("pressure_at", &CylinderModel::pressure_at)
+      .def("kinematic_viscosity", &CylinderModel::kinematic_viscosity)
       .def("condition", &CylinderModel::condition)
-      .def("steady_friction", &CylinderModel::steady_friction, nb::arg("v"), nb::arg("pa"), nb::arg("pb"));
+      .def("steady_friction", &CylinderModel::steady_friction);
 }

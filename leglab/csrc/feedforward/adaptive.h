@@ -1,4 +1,4 @@
-// Feed-forward of all joints from a map learned while the machine moves.
+// Feed-forward of all joints from a map learned while the machine moves, beside a PD loop.
 #pragma once
 
 #include <algorithm>
@@ -28,12 +28,21 @@ struct AdaptiveSettings {
   double noise = 0.0;           // tracking errors below this are no reason to distrust [rad]
   std::vector<double> learn_lower, learn_upper;  // positions between which it learns [rad]
   std::vector<double> bandwidth;                 // crossover of the feedback loops [rad/s]
+  std::vector<double> position_gain, velocity_gain;  // [1/rad], [s/rad], with the valve's sign
 };
 
 struct Reference {
   const double *position, *velocity, *acceleration;  // [rad], [rad/s], [rad/s^2]
 };
 
+// What one control period gives; arrays of one value a joint.
+struct Period {
+  double *command, *feedforward, *feedback;
+  double* error;     // of the model at its last sample [share of full speed]
+  double* fallback;  // 1 where the calibration stands in
+};
+
+// u = feed-forward + PD on the reference as old as the measurement it is held against.
 // The learned part is the flow beyond that of the motion itself, as a share of full speed: what
 // leaks, is compressed or is lost to load. The calibrated valve map turns flow into command and
 // back, so a model that says zero is the calibration, and an error of the model is an error of
@@ -50,6 +59,7 @@ class AdaptiveFeedforward {
     motion_.resize(4 * n);
     feedforward_ = error_ = sent_ = flow_ = learned_ = calibrated_ = std::vector<double>(n);
     applied_ = withheld_ = fallback_ = last_ = before_last_ = feedforward_;
+    seen_position_ = seen_velocity_ = feedforward_;
   }
 
   void reset(std::vector<Learner*> learners) {
@@ -63,16 +73,13 @@ class AdaptiveFeedforward {
     count_ = 0;
   }
 
-  const std::vector<double>& error() const { return error_; }
-  const std::vector<double>& fallback() const { return fallback_; }
-
-  // Takes the positions measured now, NaN where there is none, and a reference of now.
-  // out: valve commands; seen: the reference as the sensors show it.
-  void step(double time, const double* measured, const Reference& reference, double* out,
-            double* seen_position, double* seen_velocity) {
+  // Takes positions and velocities measured now, NaN where there are none, and a reference of now:
+  // without a measurement the command is the feed-forward alone.
+  void step(double time, const double* measured, const double* measured_velocity,
+            const Reference& reference, const Period& out) {
     learn(time, measured);
     reference_.take(reference.position, reference.velocity, reference.acceleration,
-                    motion_.data(), seen_position, seen_velocity);
+                    motion_.data(), seen_position_.data(), seen_velocity_.data());
     map_.take(motion_.data());
     const double most = settings_.rate_limit * settings_.control_period;
     for (int i = 0; i < map_.joints(); ++i) {
@@ -82,16 +89,25 @@ class AdaptiveFeedforward {
       const double learned = allowed(table.command(motion_[j], wanted_flow(i, share)));
       const double calibrated = allowed(table.command(motion_[j], share));
       if (settings_.supervised) {
-        supervise(j, measured[j] - seen_position[j],
+        supervise(j, measured[j] - seen_position_[j],
                   table.share(motion_[j], learned) - table.share(motion_[j], calibrated));
       }
       double wish = fallback_[j] > 0.0 ? calibrated : learned;
       if (count_ > 1) wish = std::clamp(wish, feedforward_[j] - most, feedforward_[j] + most);
-      out[j] = feedforward_[j] = wish;
+      out.feedforward[j] = feedforward_[j] = wish;
+      const double proportional = settings_.position_gain[j] * (seen_position_[j] - measured[j]);
+      const double derivative =
+          settings_.velocity_gain[j] * (seen_velocity_[j] - measured_velocity[j]);
+      out.feedback[j] = proportional + derivative;
+      const double sum = wish + out.feedback[j];
+      out.command[j] = std::isfinite(sum) ? sum : wish;
+      out.error[j] = error_[j];
+      out.fallback[j] = fallback_[j];
     }
+    sent(out.command);
   }
 
-  // Takes the command that is sent now; values beyond [-1, 1] are clipped.
+  // Takes the command that is sent, where it is not what `step` gave; clipped to [-1, 1].
   void sent(const double* command) {
     for (std::size_t j = 0; j < sent_.size(); ++j) sent_[j] = std::clamp(command[j], -1.0, 1.0);
   }
@@ -183,6 +199,7 @@ class AdaptiveFeedforward {
   std::vector<double> applied_, withheld_;
   std::vector<double> fallback_;  // 1 where the calibration stands in
   std::vector<double> last_, before_last_;  // readings [rad]
+  std::vector<double> seen_position_, seen_velocity_;  // the reference as the sensors show it
   double inputs_[identification::GuardSettings<double>::max_inputs] = {};
   long count_ = 0;
 };

@@ -18,7 +18,7 @@ struct LocalBasis {
   int first;
   int clipped;  // 1 where the input was outside the knots
   T value[3];
-  T slope[3] = {};  // d value / d input; filled by evaluate_with_slope
+  T slope[3] = {};  // d value / d input; filled by evaluate<true>
 };
 
 // Basis over p knots. The full basis (offset 0, p + 1 splines) extends the knots by two on each
@@ -38,21 +38,15 @@ struct QuadraticBasis {
   T upper() const { return knots[knot_count + 1]; }
 
   // Abscissa at which weight i makes the network the identity (Greville; full basis).
-  T greville(int i) const {
-    return (knots[i + offset + 1] + knots[i + offset + 2]) / T(2);
-  }
+  T greville(int i) const { return (knots[i + offset + 1] + knots[i + offset + 2]) / T(2); }
 
   // Places of an array of weights with `offset` unused ones at each end; see evaluate_padded.
   int padded() const { return count + 2 * offset; }
 
+  template <bool Slope = false>
   LocalBasis<T> evaluate(T u) const {
-    LocalBasis<T> local = locate<false>(u);
-    if (offset != 0) fold<false>(local);
-    return local;
-  }
-  LocalBasis<T> evaluate_with_slope(T u) const {
-    LocalBasis<T> local = locate<true>(u);
-    if (offset != 0) fold<true>(local);
+    LocalBasis<T> local = locate<Slope>(u);
+    if (offset != 0) fold<Slope>(local);
     return local;
   }
 

@@ -26,10 +26,6 @@ struct BsnnArxSettings {
 template <class T>
 class BsnnArx {
  public:
-  struct State {
-    T openness;  // g of the settings
-  };
-
   void layout(Workspace& workspace, const BsnnArxSettings<T>& settings) {
     settings_ = settings;
     settings_.guard.inputs = settings.network.inputs;
@@ -40,13 +36,13 @@ class BsnnArx {
     rls_.layout(workspace, parameters_);
     guard_.layout(workspace);
     guard_.configure(settings_.guard);
-    state_ = workspace.take<State>(1);
+    openness_ = workspace.take<T>(1);
     phi_ = workspace.take<T>(parameters_);
     delayed_ = workspace.take<T>(settings.nk + settings.nb);
     poles_ = workspace.take<T>(3 * settings.na);
     if (workspace.measuring()) return;
     rls_.start(settings_.rls);
-    state_->openness = T(1);
+    *openness_ = T(1);
   }
 
   const BsnnArxSettings<T>& settings() const { return settings_; }
@@ -55,7 +51,7 @@ class BsnnArx {
   Guard<T>& guard() { return guard_; }
   int parameters() const { return parameters_; }
   int inputs() const { return settings_.network.inputs; }
-  T openness() const { return state_->openness; }
+  T openness() const { return *openness_; }
 
   // Takes the sample (u(t), y(t)); returns the a-priori prediction of y(t). NaN in y is fine
   // where only a prediction is wanted: the sample then teaches nothing.
@@ -77,9 +73,7 @@ class BsnnArx {
   // As update() with adaptation switched off and y taken as it is; for validation and free run
   // on a copy of the workspace.
   T predict_next(const T* u) { return predict(network_.output(u)); }
-  void remember(T y) {
-    push(phi_, settings_.na - 1, -y);
-  }
+  void remember(T y) { push(phi_, settings_.na - 1, -y); }
 
   // Prediction of the next output for an input that is not taken; changes nothing.
   T peek(const T* u) {
@@ -111,7 +105,7 @@ class BsnnArx {
   }
 
   void schedule(bool changed) {
-    T& g = state_->openness;
+    T& g = *openness_;
     g = changed ? T(1) : g * (T(1) - T(1) / settings_.fading);
     network_.scale_learning(T(1) + settings_.opening * g);
   }
@@ -121,7 +115,7 @@ class BsnnArx {
   Bsnn<T> network_;
   Rls<T> rls_;
   Guard<T> guard_;
-  State* state_ = nullptr;
+  T* openness_ = nullptr;  // g of the settings
   T* phi_ = nullptr;
   T* delayed_ = nullptr;  // n(t), n(t-1), ...
   T* poles_ = nullptr;    // scratch

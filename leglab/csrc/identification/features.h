@@ -75,7 +75,6 @@ struct History {
   }
 };
 
-
 template <class T>
 class Features {
  public:
@@ -108,8 +107,7 @@ class Features {
           break;
         case Feature::spline: {
           for (int i = 0; i < 3; ++i) phi_[at + local->first + i] = T(0);
-          *local = Slopes ? basis.evaluate_with_slope(past.at(block.signal, block.lag))
-                          : basis.evaluate(past.at(block.signal, block.lag));
+          *local = basis.template evaluate<Slopes>(past.at(block.signal, block.lag));
           clipped_ += local->clipped;
           const T factor =
               block.factor_signal < 0 ? T(1) : past.at(block.factor_signal, block.factor_lag);

@@ -43,13 +43,14 @@ class UdFactor {
   // Computes f = U^T phi and v = D f; returns phi^T F phi.
   T project(const T* phi, Support support) {
     first_ = 0;
-    if (support.index == nullptr) return dispatch_project(phi);
-    if (support.count == 0) {
-      first_ = n_;
-      return T(0);
-    }
-    first_ = support.index[0];
     T power = T(0);
+    if (support.index == nullptr) {
+      if (n_ == 6) fixed_project<6, 0>(phi, power);
+      else if (n_ == 7) fixed_project<7, 0>(phi, power);
+      else project_columns(phi, power);
+      return power;
+    }
+    first_ = support.count > 0 ? support.index[0] : n_;
     int below = 0;  // nonzero regressors with an index below j
     for (int j = first_; j < n_; ++j) {
       const T* column = u_ + j * (j - 1) / 2;
@@ -135,16 +136,6 @@ class UdFactor {
       T* column = u_ + j * (j - 1) / 2;
       for (int i = 0; i < j; ++i) column[i] = T(0);
     }
-  }
-
-  T dispatch_project(const T* phi) {
-    T power = T(0);
-    switch (n_) {
-      case 6: fixed_project<6, 0>(phi, power); break;
-      case 7: fixed_project<7, 0>(phi, power); break;
-      default: project_columns(phi, power);
-    }
-    return power;
   }
 
   void project_columns(const T* phi, T& power) {

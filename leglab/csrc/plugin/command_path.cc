@@ -117,7 +117,7 @@ void CommandPath::advance(const mjModel* m, mjData* d) {
   s.started_ = 1.0;
 }
 
-void register_command_path() {
+mjPLUGIN_LIB_INIT(leglab_command_path) {
   register_plugin<CommandPath>(mjPLUGIN_ACTUATOR, [](mjpPlugin& plugin) {
     plugin.nstate = +[](const mjModel* m, int instance) {
       return CommandPath::state_count(m, instance);

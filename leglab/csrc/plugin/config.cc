@@ -36,14 +36,14 @@ void refuse(const mjModel* m, int instance, const std::string& message) {
   if (name && *name) {
     where += std::string(" '") + name + "'";
   } else {
-    for (int i = 0; i < m->nu; ++i) {
-      const char* actuator = mj_id2name(m, mjOBJ_ACTUATOR, i);
-      if (m->actuator_plugin[i] == instance && actuator) where += std::string(" '") + actuator + "'";
-    }
-    for (int i = 0; i < m->nsensor; ++i) {
-      const char* sensor = mj_id2name(m, mjOBJ_SENSOR, i);
-      if (m->sensor_plugin[i] == instance && sensor) where += std::string(" '") + sensor + "'";
-    }
+    const auto add = [&](mjtObj kind, int count, const int* plugins) {
+      for (int i = 0; i < count; ++i) {
+        const char* user = mj_id2name(m, kind, i);
+        if (plugins[i] == instance && user) where += std::string(" '") + user + "'";
+      }
+    };
+    add(mjOBJ_ACTUATOR, m->nu, m->actuator_plugin);
+    add(mjOBJ_SENSOR, m->nsensor, m->sensor_plugin);
   }
   mju_error("%s: %s", where.c_str(), message.c_str());
   std::abort();

@@ -3,7 +3,6 @@
 #include <cstdio>
 #include <cstring>
 
-#include "hydraulics/checks.h"
 #include "plugin/drawing.h"
 #include "plugin/supply.h"
 
@@ -171,6 +170,6 @@ void Cylinder::visualize(const mjModel* m, mjData* d, mjvScene* scene) {
   draw_cylinder(scene, base, end, p.bore_, p.rod_, p.stroke_ + 0.02, level);
 }
 
-void register_cylinder() { register_plugin<Cylinder>(mjPLUGIN_ACTUATOR); }
+mjPLUGIN_LIB_INIT(leglab_cylinder) { register_plugin<Cylinder>(mjPLUGIN_ACTUATOR); }
 
 }  // namespace leglab::plugin

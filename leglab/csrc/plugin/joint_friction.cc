@@ -73,6 +73,6 @@ class JointFriction : public Instance<FrictionTable> {
 
 }  // namespace
 
-void register_joint_friction() { register_plugin<JointFriction>(mjPLUGIN_PASSIVE); }
+mjPLUGIN_LIB_INIT(leglab_joint_friction) { register_plugin<JointFriction>(mjPLUGIN_PASSIVE); }
 
 }  // namespace leglab::plugin

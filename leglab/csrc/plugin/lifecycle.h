@@ -61,7 +61,7 @@ bool is_instance(const mjModel* m, int instance) {
   return std::strcmp(mjp_getPluginAtSlot(m->plugin[instance])->name, T::Table::plugin) == 0;
 }
 
-// Registers an `Instance` T: constructor (m, instance), compute, and, where they exist, advance and
+// Registers an `Instance` T when the library is loaded: constructor (m, instance), compute, and, where they exist, advance and
 // visualize.
 template <class T>
 void register_plugin(int capability, void (*customise)(mjpPlugin&) = nullptr) {
@@ -110,13 +110,5 @@ void register_plugin(int capability, void (*customise)(mjpPlugin&) = nullptr) {
   if (customise) customise(plugin);
   mjp_registerPlugin(&plugin);
 }
-
-void register_backlash();
-void register_command_path();
-void register_cylinder();
-void register_joint_friction();
-void register_sensor();
-void register_spring_damper();
-void register_supply();
 
 }  // namespace leglab::plugin

@@ -94,7 +94,7 @@ class Sensor : public Instance<SensorTable> {
 
 }  // namespace
 
-void register_sensor() {
+mjPLUGIN_LIB_INIT(leglab_sensor) {
   register_plugin<Sensor>(mjPLUGIN_SENSOR, [](mjpPlugin& plugin) {
     // Lengths are known by then; a later stage would make MuJoCo compute accelerations of bodies.
     plugin.needstage = mjSTAGE_VEL;

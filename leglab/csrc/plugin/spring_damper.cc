@@ -49,6 +49,6 @@ class SpringDamper : public Instance<SpringTable> {
 
 }  // namespace
 
-void register_spring_damper() { register_plugin<SpringDamper>(mjPLUGIN_PASSIVE); }
+mjPLUGIN_LIB_INIT(leglab_spring_damper) { register_plugin<SpringDamper>(mjPLUGIN_PASSIVE); }
 
 }  // namespace leglab::plugin

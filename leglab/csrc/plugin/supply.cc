@@ -33,6 +33,6 @@ void Supply::advance(const mjModel* m, mjData* d) {
   advance_supply(p, demand, m->opt.timestep, s);
 }
 
-void register_supply() { register_plugin<Supply>(mjPLUGIN_PASSIVE); }
+mjPLUGIN_LIB_INIT(leglab_supply) { register_plugin<Supply>(mjPLUGIN_PASSIVE); }
 
 }  // namespace leglab::plugin
