@@ -40,9 +40,8 @@ def stride(phase: np.ndarray) -> np.ndarray:
     for times, angles in STRIDE.values():
         knots = np.array([*times, 1.0]), np.array([*angles, angles[0]])
         splines.append(CubicSpline(*knots, bc_type="periodic"))
-    return np.array([[spline(phase, order) for spline in splines] for order in range(3)]).swapaxes(
-        1, 2
-    )
+    motion = np.array([[spline(phase, order) for spline in splines] for order in range(3)])
+    return motion.swapaxes(1, 2)
 
 
 def torques(
@@ -132,8 +131,7 @@ def squat_table() -> list[str]:
 def stride_table() -> list[str]:
     """Torques and speeds of the stride, margins and supply flow as Markdown."""
     tau, margin, flow = walk(load_with_motors("leg_motor"))
-    lines = ["| joint | torque, N m | peak rad/s | force margin | speed margin |"]
-    lines.append("|---|---|---|---|---|")
+    lines = ["| joint | torque, N m | peak rad/s | force margin | speed margin |", "|---" * 5 + "|"]
     peak = abs(stride(np.linspace(0, 1, 1000))[1]).max(0)
     for i, j in enumerate(JOINTS):
         row = [j, f"{tau[:, i].min():.0f} to {tau[:, i].max():.0f}", f"{peak[i]:.1f}"]

@@ -63,9 +63,8 @@ class CylinderSize:
         """Stiffness of the locked oil, N/m: beta (A_A^2 / V_A + A_B^2 / V_B)."""
         (piston, annulus), x = self.areas, self.position(length)
         cap = piston**2 / (self.dead_volume_a + piston * x)
-        return BULK_MODULUS * (
-            cap + annulus**2 / (self.dead_volume_b + annulus * (self.stroke - x))
-        )
+        ring = annulus**2 / (self.dead_volume_b + annulus * (self.stroke - x))
+        return BULK_MODULUS * (cap + ring)
 
     def speed(self, load: float, direction: int) -> float:
         """Steady speed, m/s, with a fully open ideal valve against a load, N, that opposes it."""

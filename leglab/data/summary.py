@@ -89,9 +89,8 @@ def summarise(table: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> S
     for name, samples in table.items():
         if name != "time":
             finite = samples[np.isfinite(samples)]
-            least, most = (
-                (float(finite.min()), float(finite.max())) if finite.size else (None, None)
-            )
+            least = float(finite.min()) if finite.size else None
+            most = float(finite.max()) if finite.size else None
             missing = int(samples.size - finite.size)
             columns.append(ColumnSummary(name, unit_of(name, metadata), least, most, missing))
     return Summary(

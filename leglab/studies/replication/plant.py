@@ -127,8 +127,7 @@ def exact_free_run(u: Array, plant: Plant | None = None, *, sampling_time: float
         sampling_time: Sampling time of u [s].
     """
     acceleration = _acceleration(plant or Plant())
-    y, v = np.zeros(len(u)), np.zeros(len(u))
-    outputs = np.zeros_like(u)
+    y, v, outputs = np.zeros(len(u)), np.zeros(len(u)), np.zeros_like(u)
     steps = 2 * SUBSTEPS
     for k in range(u.shape[1] - 1):
         slope = (u[:, k + 1] - u[:, k]) / steps

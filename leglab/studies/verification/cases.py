@@ -97,11 +97,7 @@ def _case(
 ) -> Callable[[Comparer], Comparer]:
     """Registers a comparison of one solver with closed forms, to be run for each of `solvers`.
 
-    Args:
-        name: Key in `CASES`.
-        tolerance: Largest allowed deviation.
-        solvers: Those to compare.
-        label: `Check.case`; the first word of the name if empty.
+    `label` is `Check.case`; the first word of the name if empty.
     """
 
     def add(compare: Comparer) -> Comparer:

@@ -19,14 +19,7 @@ _ROUNDING = 1e-11
 
 
 def _table(title: str, head: str, rows: Iterable[tuple[bool, Iterable[str]]], right: str) -> Table:
-    """A table of (passed, cells), failures in red.
-
-    Args:
-        title: Above the table.
-        head: Headings with commas between.
-        rows: Whether the row passed, and its cells.
-        right: Headings of the columns that are aligned right.
-    """
+    """A table of (passed, cells), failures in red; commas between headings, `right` aligned so."""
     grid = Table(title=title, title_justify="left")
     for heading in head.split(", "):
         grid.add_column(heading, justify="right" if heading in right.split(", ") else "left")
