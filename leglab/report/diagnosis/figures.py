@@ -29,6 +29,13 @@ _MOST_RECORDINGS = 30
 _MOST_RANKS = 12
 _LONGEST = 28  # characters of a label
 _LEGEND: dict[str, Any] = {"columnspacing": 1.4, "handletextpad": 0.5}
+_VALUE: dict[str, Any] = {
+    "textcoords": "offset points",
+    "va": "center",
+    "fontsize": 8,
+    "color": DARK_GREY,
+    "bbox": {"facecolor": "white", "edgecolor": "none", "pad": 0.6},
+}
 # Residuals: at most so many channels, recordings of a channel, points of a cloud.
 _MOST_CHANNELS, _MOST_ROWS = 6, 6
 _MOST_POINTS = 3000
@@ -42,14 +49,7 @@ _ALIKE = 4.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CaptionedFigure:
-    """A figure with the words that belong to it.
-
-    Attributes:
-        name: Of the file, without suffix.
-        figure: As drawn.
-        caption: One sentence.
-        alt: What one would see.
-    """
+    """A figure with its caption, its name as a file without suffix, and what one would see."""
 
     name: str
     figure: Figure
@@ -94,29 +94,13 @@ def gap_picture(result: Diagnosis) -> CaptionedFigure | None:
             axes.plot(row.after, i, "o", color=BLUE, markersize=7, zorder=5)
             sides = (6, -6) if row.before >= row.after else (-6, 6)
             for value, side in zip((row.before, row.after), sides, strict=True):
-                axes.annotate(
-                    number(value),
-                    (value, i),
-                    xytext=(side, 0),
-                    textcoords="offset points",
-                    ha="left" if side > 0 else "right",
-                    va="center",
-                    fontsize=8,
-                    color=DARK_GREY,
-                    bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6},
-                )
+                beside = "left" if side > 0 else "right"
+                axes.annotate(number(value), (value, i), xytext=(side, 0), ha=beside, **_VALUE)
         axes.set_xlabel("replay error [noise levels]")
-        add_head(
-            figure,
-            "Gap between simulation and recording",
-            [
-                _mark("as it was", VERMILION),
-                _mark("recalibrated", DARK_GREY, "d"),
-                _mark("with what was found", BLUE),
-                Line2D([], [], color=DARK_GREY, linestyle="--", label="noise alone"),
-            ],
-            **_LEGEND,
-        )
+        marks = [_mark("as it was", VERMILION), _mark("recalibrated", DARK_GREY, "d")]
+        noise = Line2D([], [], color=DARK_GREY, linestyle="--", label="noise alone")
+        lines = [*marks, _mark("with what was found", BLUE), noise]
+        add_head(figure, "Gap between simulation and recording", lines, **_LEGEND)
     held = "; * was kept from all fits" if any(r.held_out for r in rows) else ""
     return CaptionedFigure(
         name="gap",
@@ -129,11 +113,10 @@ def gap_picture(result: Diagnosis) -> CaptionedFigure | None:
 
 def ranking_picture(result: Diagnosis) -> CaptionedFigure | None:
     """Draws the chi-square that each effect and chance save, a panel a round; None if none does."""
-    rounds = [
-        (number_, [r for r in result.ranking if r.round == number_])
-        for number_ in sorted({r.round for r in result.ranking})
-    ]
-    shown = [(n, _best(ranks)) for n, ranks in rounds if _best(ranks)]
+    rounds: dict[int, list[Rank]] = {}
+    for rank in sorted(result.ranking, key=lambda r: r.round):
+        rounds.setdefault(rank.round, []).append(rank)
+    shown = [(n, best) for n, ranks in rounds.items() if (best := _best(ranks))]
     if not shown:
         return None
     named = {(e.name, e.element) for e in result.effects}
@@ -148,8 +131,8 @@ def ranking_picture(result: Diagnosis) -> CaptionedFigure | None:
         for (round_, ranks), height in zip(shown, heights, strict=True):
             axes = _axes(figure, (left, top - height, _WIDTH - left - 0.35, height))
             _draw_ranks(axes, ranks, named, tied)
-            rest = len(dict(rounds)[round_]) - len(ranks)
-            axes.set_title(f"round {round_}" + (f", best {len(ranks)}" if rest else ""))
+            cut = f", best {len(ranks)}" if len(ranks) < len(rounds[round_]) else ""
+            axes.set_title(f"round {round_}{cut}")
             axes.set_xlabel("chi-square saved on first trial")
             top -= height + 0.3 + _FOOT
         others = [_mark("not told apart", ORANGE)] * bool(tied) + [_mark("other", LIGHT_GREY)]
@@ -235,11 +218,9 @@ def _draw_rivals(axes: Axes, rivals: Rivals) -> None:
     np.fill_diagonal(share, np.nan)
     colors = LinearSegmentedColormap.from_list("preference", ["#FFFFFF", BLUE])
     axes.imshow(share, cmap=colors, vmin=0.0, vmax=100.0, aspect="auto")
-    for i in range(count):
-        for j in range(count):
-            if i != j and np.isfinite(share[i, j]):
-                ink = "white" if share[i, j] > 60.0 else "black"
-                axes.text(j, i, f"{share[i, j]:.0f}", ha="center", va="center", color=ink)
+    for i, j in np.argwhere(np.isfinite(share)):
+        ink = "white" if share[i, j] > 60.0 else "black"
+        axes.text(j, i, f"{share[i, j]:.0f}", ha="center", va="center", color=ink)
     axes.set_xticks(np.arange(-0.5, count), minor=True)
     axes.set_yticks(np.arange(-0.5, count), minor=True)
     axes.set_facecolor(GRID)  # the diagonal
@@ -311,14 +292,13 @@ def residual_pictures(result: Diagnosis) -> tuple[CaptionedFigure, ...]:
         for trace in result.traces
         if trace.channel.endswith("_position")
     }
+    held = {r.name for r in result.recordings if r.held_out}
     pictures = []
     for i, traces in enumerate(chosen, start=1):
         name = f"{i}_{re.sub(r'[^A-Za-z0-9]+', '_', traces[0].channel)[:40].strip('_')}"
         joint = re.sub(r"_(position|pressure_[ab])$", "", traces[0].channel)
-        pictures += [
-            _over_state(traces, name, lengths.get(joint, "SI")),
-            _over_time(traces, name, {r.name for r in result.recordings if r.held_out}),
-        ]
+        pictures.append(_over_state(traces, name, lengths.get(joint, "SI")))
+        pictures.append(_over_time(traces, name, held))
     return tuple(pictures)
 
 
@@ -362,15 +342,14 @@ def _over_state(traces: Sequence[ResidualTrace], name: str, length: str) -> Capt
             row[0].set_ylabel(f"error [{unit}]")
         for axes, (label, _) in zip(grid[1], states, strict=True):
             axes.set_xlabel(label)
-        _rms_titles(grid[0][0], grid[1][0], before, after, unit, limits)
-        _finish(figure, f"{short(readable(traces[0].channel))}: error over state")
+        alt = _finish(figure, [*grid[:, 0]], traces[0].channel, "state", (before, after), unit)
     return CaptionedFigure(
         name=f"residual_state_{name}",
         figure=figure,
         caption=f"Replay error of {traces[0].channel} in all recordings against the state, before "
         "(top) and after (bottom); black lines are medians, the outermost 1 % is cut off, and what "
         "is left over should show no shape.",
-        alt=_alt(traces[0].channel, before, after, unit),
+        alt=alt,
     )
 
 
@@ -396,15 +375,14 @@ def _over_time(traces: Sequence[ResidualTrace], name: str, held: set[str]) -> Ca
             row[0].set_ylabel(f"[{unit}]")
         for axes in grid[-1]:
             axes.set_xlabel("time [s]")
-        _rms_titles(grid[0][0], grid[0][1], before, after, unit, limits)
-        _finish(figure, f"{short(readable(traces[0].channel))}: error over time")
+        alt = _finish(figure, [*grid[0]], traces[0].channel, "time", (before, after), unit)
     return CaptionedFigure(
         name=f"residual_time_{name}",
         figure=figure,
         caption=f"Replay error of {traces[0].channel} over time, before (left) and after (right); "
         "every replay starts anew from the measured state after a fraction of a second, hence the "
         "teeth" + ("; * was kept from all fits." if held else "."),
-        alt=_alt(traces[0].channel, before, after, unit),
+        alt=alt,
     )
 
 
@@ -435,16 +413,8 @@ def _cloud(axes: Axes, state: np.ndarray, values: np.ndarray, color: str) -> Non
     finite = np.isfinite(state) & np.isfinite(values)
     state, values = state[finite], values[finite]
     step = max(1, math.ceil(state.size / _MOST_POINTS))
-    axes.plot(
-        state[::step],
-        values[::step],
-        ".",
-        color=color,
-        markersize=2,
-        alpha=0.35,
-        markeredgewidth=0,
-        rasterized=True,
-    )
+    dots: dict[str, Any] = {"markersize": 2, "alpha": 0.35, "markeredgewidth": 0}
+    axes.plot(state[::step], values[::step], ".", color=color, rasterized=True, **dots)
     axes.axhline(0.0, color=DARK_GREY, linewidth=0.6)
     parts = np.array_split(np.argsort(state, kind="stable"), _BINS)
     parts = [part for part in parts if part.size >= _FEWEST]
@@ -456,30 +426,21 @@ def _cloud(axes: Axes, state: np.ndarray, values: np.ndarray, color: str) -> Non
         axes.set_xlim(low - room, high + room)
 
 
-def _rms_titles(
-    first: Axes,
-    second: Axes,
-    before: np.ndarray,
-    after: np.ndarray,
+def _finish(
+    figure: Figure,
+    pair: Sequence[Axes],
+    channel: str,
+    over: str,
+    errors: tuple[np.ndarray, np.ndarray],
     unit: str,
-    limits: tuple[float, float],
-) -> None:
-    first.set_title(f"before: {number(rms([before]))} {unit} RMS", color=VERMILION, fontsize=9)
-    text = f"after: {number(rms([after]))} {unit} RMS"
-    finer = limits[0] / limits[1]
-    if finer > 1.0:
-        text += f", scale {number(finer, 2)} times finer"
-    second.set_title(text, color=BLUE, fontsize=9)
-
-
-def _alt(channel: str, before: np.ndarray, after: np.ndarray, unit: str) -> str:
-    return (
-        f"Errors of {channel}: {number(rms([before]))} {unit} RMS before, "
-        f"{number(rms([after]))} {unit} after."
-    )
-
-
-def _finish(figure: Figure, title: str) -> None:
-    add_head(figure, title, ())
+) -> str:
+    """Writes the titles of the figure and of the axes before and after; returns its alt text."""
+    before, after = (f"{number(rms([values]))} {unit}" for values in errors)
+    (_, high), (_, low) = (axes.get_ylim() for axes in pair)
+    finer = f", scale {number(high / low, 2)} times finer" if high > low else ""
+    pair[0].set_title(f"before: {before} RMS", color=VERMILION, fontsize=9)
+    pair[1].set_title(f"after: {after} RMS{finer}", color=BLUE, fontsize=9)
+    add_head(figure, f"{short(readable(channel))}: error over {over}", ())
     figure.tight_layout(rect=(0, 0, 1, 1 - 0.3 / figure.get_figheight()))
     figure.align_ylabels()
+    return f"Errors of {channel}: {before} RMS before, {after} after."

@@ -79,31 +79,22 @@ def _effects_table(result: Diagnosis) -> Table:
     for effect in result.effects:
         told = [percent(effect.confidence), percent(effect.contribution)]
         for i, parameter in enumerate(effect.parameters):
-            head = [effect.name, effect.element] if i == 0 else ["", ""]
-            tail = told if i == 0 else ["", ""]
-            rows.append([*head, parameter.name, *parameter_words(parameter), *tail])
+            first = [effect.name, effect.element] if i == 0 else ["", ""]
+            last = told if i == 0 else ["", ""]
+            rows.append([*first, parameter.name, *parameter_words(parameter), *last])
         if not effect.parameters:
             rows.append([effect.name, effect.element, "", "", "", "", *told])
     names = ("effect", "element", "parameter", "value", "95 % interval", "in the model")
+    head = (*names, "confidence", "contribution")
     # A further parameter of an effect has an empty first cell, which heads no row.
-    return Table(
-        caption="Missing effects",
-        head=(*names, "confidence", "contribution"),
-        rows=rows,
-        words=3,
-        heads=False,
-    )
+    return Table(caption="Missing effects", head=head, rows=rows, words=3, heads=False)
 
 
 def _gap_table(result: Diagnosis) -> Table:
-    rows = [
-        [
-            r.name,
-            "held out" if r.held_out else "fitted",
-            *(number(v) for v in (r.before, r.baseline, r.after)),
-        ]
-        for r in result.recordings
-    ]
+    rows = []
+    for r in result.recordings:
+        errors = map(number, (r.before, r.baseline, r.after))
+        rows.append([r.name, "held out" if r.held_out else "fitted", *errors])
     caption = f"{result.gap.metric} (noise alone gives {number(result.gap.noise_floor)})"
     head = ("recording", "use", "before", "recalibrated", "after")
     return Table(caption=capital(caption), head=head, rows=rows, words=2)

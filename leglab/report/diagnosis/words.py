@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from leglab.diagnosis.result import Diagnosis, Estimate, NamedEffect
+from leglab.diagnosis.result import Diagnosis, Estimate
 from leglab.report.page.shell import Section
 from leglab.report.page.wording import capital, listed, number, readable
 
@@ -45,7 +45,12 @@ def headline(result: Diagnosis) -> str:
     if result.verdict == "named":
         return f"The simulation is missing: {found}."
     if result.verdict == "confusion_set":
-        return f"Something is missing that these recordings do not pin down: {_sets(result)}."
+        sets = []
+        for effect in result.effects:
+            names = (effect.name, *effect.indistinguishable_from)
+            sets.append(f"{listed(tuple(map(readable, names)), 'or')} at {effect.element}")
+        told = "; and ".join(sets)
+        return f"Something is missing that these recordings do not pin down: {told}."
     if result.verdict == "partial":
         return f"The simulation is missing {found}, and more that has no name yet."
     if result.verdict == "unexplained":
@@ -55,12 +60,7 @@ def headline(result: Diagnosis) -> str:
 
 
 def sections(result: Diagnosis, model: str) -> tuple[Section, ...]:
-    """Questions a reader has, in the order in which they are asked.
-
-    Args:
-        result: The diagnosis.
-        model: Name of the model that was diagnosed.
-    """
+    """Questions a reader has about the diagnosis of a model, in the order in which they ask."""
     return (
         Section(title="What was looked at", lines=_looked_at(result, model)),
         Section(title="What is missing", lines=_missing(result)),
@@ -85,14 +85,6 @@ def parameter_words(p: Estimate) -> tuple[str, str, str]:
         digits = min(max(math.ceil(math.log10(size / half)) + 1, 3), 6)
     ends = f"{number(low, digits)} to {number(high, digits)}"
     return f"{number(p.value, digits)}{unit}", f"{ends}{unit}", f"{number(p.nominal)}{unit}"
-
-
-def _sets(result: Diagnosis) -> str:
-    sets = []
-    for effect in result.effects:
-        names = (effect.name, *effect.indistinguishable_from)
-        sets.append(f"{listed(tuple(readable(n) for n in names), 'or')} at {effect.element}")
-    return "; and ".join(sets)
 
 
 def _looked_at(result: Diagnosis, model: str) -> tuple[str, ...]:
@@ -121,16 +113,13 @@ def _missing(result: Diagnosis) -> tuple[str, ...]:
         for p in effect.parameters:
             value, interval, nominal = parameter_words(p)
             told.append(f"{readable(p.name)} {value} (95 %: {interval}), in the model {nominal}")
-        text = f"{capital(readable(effect.name))} at {effect.element}. {_sentence(effect)}"
+        physics = f"{effect.physics.rstrip('.')}." if effect.physics else ""
+        text = f"{capital(readable(effect.name))} at {effect.element}. {physics}"
         lines.append(f"{text} Fitted: {'; '.join(told)}." if told else text)
         if effect.onset:
             times = listed(tuple(f"{time:.2f} s of {name}" for name, time in effect.onset))
             lines.append(f"{capital(readable(effect.name))} begins at {times}.")
     return tuple(lines)
-
-
-def _sentence(effect: NamedEffect) -> str:
-    return f"{effect.physics.rstrip('.')}." if effect.physics else ""
 
 
 def _sure(result: Diagnosis) -> tuple[str, ...]:
@@ -144,14 +133,13 @@ def _sure(result: Diagnosis) -> tuple[str, ...]:
         if effect.indistinguishable_from:
             others = listed(tuple(readable(n) for n in effect.indistinguishable_from), "or")
             lines.append(f"{name} is not told apart from {others}.")
-    if result.effects:
-        lines.append(
-            "Confidence is the share of resampled data that prefers the name to every rival, "
-            "times the quality of the fit."
-        )
-    else:
-        lines.append("No effect is named, so there is no confidence to state.")
-    return tuple(lines)
+    if not lines:
+        return ("No effect is named, so there is no confidence to state.",)
+    return (
+        *lines,
+        "Confidence is the share of resampled data that prefers the name to every rival, "
+        "times the quality of the fit.",
+    )
 
 
 def _costs(result: Diagnosis) -> tuple[str, ...]:
