@@ -342,7 +342,7 @@ def _over_state(traces: Sequence[ResidualTrace], name: str, length: str) -> Capt
             row[0].set_ylabel(f"error [{unit}]")
         for axes, (label, _) in zip(grid[1], states, strict=True):
             axes.set_xlabel(label)
-        alt = _finish(figure, grid[:, 0], traces[0].channel, "state", (before, after), unit)
+        alt = _finish(figure, [*grid[:, 0]], traces[0].channel, "state", (before, after), unit)
     return CaptionedFigure(
         name=f"residual_state_{name}",
         figure=figure,
@@ -375,7 +375,7 @@ def _over_time(traces: Sequence[ResidualTrace], name: str, held: set[str]) -> Ca
             row[0].set_ylabel(f"[{unit}]")
         for axes in grid[-1]:
             axes.set_xlabel("time [s]")
-        alt = _finish(figure, grid[0], traces[0].channel, "time", (before, after), unit)
+        alt = _finish(figure, [*grid[0]], traces[0].channel, "time", (before, after), unit)
     return CaptionedFigure(
         name=f"residual_time_{name}",
         figure=figure,

@@ -79,9 +79,9 @@ def _effects_table(result: Diagnosis) -> Table:
     for effect in result.effects:
         told = [percent(effect.confidence), percent(effect.contribution)]
         for i, parameter in enumerate(effect.parameters):
-            head = [effect.name, effect.element] if i == 0 else ["", ""]
-            tail = told if i == 0 else ["", ""]
-            rows.append([*head, parameter.name, *parameter_words(parameter), *tail])
+            first = [effect.name, effect.element] if i == 0 else ["", ""]
+            last = told if i == 0 else ["", ""]
+            rows.append([*first, parameter.name, *parameter_words(parameter), *last])
         if not effect.parameters:
             rows.append([effect.name, effect.element, "", "", "", "", *told])
     names = ("effect", "element", "parameter", "value", "95 % interval", "in the model")

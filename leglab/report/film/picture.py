@@ -56,12 +56,8 @@ class Picture:
         left, right = look.traces()
         self._error = ErrorTrace(tracks, colors, left, span)
         self._command = CommandTrace(tracks, colors, names, right, span)
-        self._writers = [
-            _PanelWriter(*row, scale)
-            for row in zip(
-                tracks, details(tracks), colors, self._panels, self._error.errors, strict=True
-            )
-        ]
+        columns = (tracks, details(tracks), colors, self._panels, self._error.errors)
+        self._writers = [_PanelWriter(*row, scale) for row in zip(*columns, strict=True)]
         self._base = Image.new("RGB", look.SIZE, PAPER)
         _draw_title(self._base, *_title_of(tracks), scale)
         self._error.draw_static(self._base)
@@ -103,12 +99,10 @@ def _draw_title(image: Image.Image, title: str, subtitle: str, scale: float) -> 
     text = fitted(title, 22, 390, bold=True)
     write(draw, (16, 23), text, 22, INK, bold=True, anchor="lm")
     write(draw, (16, 42), fitted(subtitle, 13, 390), 13, SOFT, anchor="lm")
-    x = 424
     tint = tuple(round(255 * (0.45 + 0.55 * c)) for c in look.GHOST[:3])
-    draw.rounded_rectangle(
-        (x, 17, x + 26, 35), 5, fill=tint, outline=tuple(round(200 * c) for c in look.GHOST[:3])
-    )
-    write(draw, (x + 34, 26), "see-through leg: the reference", 15, INK, anchor="lm")
+    edge = tuple(round(200 * c) for c in look.GHOST[:3])
+    draw.rounded_rectangle((424, 17, 450, 35), 5, fill=tint, outline=edge)
+    write(draw, (458, 26), "see-through leg: the reference", 15, INK, anchor="lm")
     left, width = 872, 150
     write(draw, (left - 10, 26), "cylinder pressure", 15, INK, anchor="rm")
     colors = (255 * look.pressure_color(np.linspace(0, 1, width))).astype(np.uint8)
@@ -123,13 +117,8 @@ def _draw_title(image: Image.Image, title: str, subtitle: str, scale: float) -> 
 class _PanelWriter:
     """Writes heading, changes, gauges and the end into the panel of one run.
 
-    Args:
-        track: The run.
-        detail: What tells it from runs with the same controller.
-        color: Its colour in the traces.
-        panel: Its place.
-        error: Moving error [mrad], (n,).
-        scale: Pressure at the end of the colour bar [Pa].
+    `detail` tells it from runs with the same controller, `color` is that of its traces, `error` its
+    moving error [mrad], `scale` the pressure at the end of the colour bar [Pa].
     """
 
     def __init__(
@@ -237,13 +226,11 @@ class _Gauges:
         self._oil = track.oil_temperature()
         self._supply = track.column("supply_pressure")
         self._pressures = []
-        if look.has_pressures(panel):
-            for joint in track.joints:
-                sides = [track.column(f"{joint}_pressure_{side}") for side in "ab"]
-                if sides[0] is not None and sides[1] is not None:
-                    self._pressures.append((joint, sides[0], sides[1]))
-        most = (panel.height - 60) // _ROW
-        self._pressures = self._pressures[:most]
+        for joint in track.joints if look.has_pressures(panel) else ():
+            cap, rod = (track.column(f"{joint}_pressure_{side}") for side in "ab")
+            if cap is not None and rod is not None:
+                self._pressures.append((joint, cap, rod))
+        del self._pressures[(panel.height - 60) // _ROW :]
 
     def draw(self, draw: ImageDraw.ImageDraw, row: int) -> None:
         """Draws the values of a row of the recording."""

@@ -1,5 +1,6 @@
 """From the folders of runs to a film."""
 
+import contextlib
 import os
 from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
@@ -51,7 +52,7 @@ def render_film(
             encoder is there (the message holds the line that installs one), or the film cannot be
             written.
     """
-    folders = [Path(folder) for folder in folders]
+    folders, out = [Path(folder) for folder in folders], Path(out)
     if not 1 <= len(folders) <= MAX_RUNS:
         raise LeglabError(f"{len(folders)} runs side by side; allowed: 1 to {MAX_RUNS}")
     first, last = _span([load_track(folder) for folder in folders], start, duration)
@@ -67,18 +68,15 @@ def render_film(
     frames = _frames(job)
     # The first frame shows whether a film comes about at all, before any file is touched.
     head = next(frames)
-    try:
-        with Encoder(Path(out), SIZE, FRAME_RATE) as encoder:
-            encoder.write(head)
-            for i, frame in enumerate(frames, start=2):
-                encoder.write(frame)
-                if progress:
-                    progress(i / count)
+    with contextlib.closing(frames), Encoder(out, SIZE, FRAME_RATE) as encoder:
+        encoder.write(head)
+        for i, frame in enumerate(frames, start=2):
+            encoder.write(frame)
             if progress:
-                progress(1.0)
-    finally:
-        frames.close()
-    return Path(out)
+                progress(i / count)
+        if progress:
+            progress(1.0)
+    return out
 
 
 def _frames(job: dict[str, Any]) -> Generator[bytearray, None, None]:

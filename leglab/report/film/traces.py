@@ -69,9 +69,8 @@ class ErrorTrace:
                     wide = factor == 1 or self._high - self._low < 1.7
                     ticks.append((rect.top + float(self.y(value)), f"{value:g}" if wide else ""))
         _draw_frame(draw, rect, "tracking error", ticks, self._note)
-        times = _nice_ticks(*self._span, 9)
-        labels = [(rect.left + float(self.x(t)), f"{t:g} s") for t in times]
-        _draw_time_labels(draw, rect, labels)
+        for time in _nice_ticks(*self._span, 9):
+            _draw_time(draw, rect, rect.left + float(self.x(time)), time)
         for start in _change_starts(self._tracks, self._span):
             x = rect.left + float(self.x(start))
             draw.line((x, rect.top, x, rect.bottom), fill=_ALARM_LIGHT, width=1)
@@ -172,9 +171,10 @@ class CommandTrace:
             return rect.width - (time - np.asarray(t)) * per_second
 
         span = (time - self._window, time)
-        ticks = [(rect.left + float(x(t)), f"{t:g} s") for t in _nice_ticks(*span, 5)]
-        near = [(p, text) for p, text in ticks if rect.left + 14 < p < rect.right - 10]
-        _draw_time_labels(draw, rect, near)
+        for tick in _nice_ticks(*span, 5):
+            place = rect.left + float(x(tick))
+            if rect.left + 14 < place < rect.right - 10:
+                _draw_time(draw, rect, place, tick)
         _mark_changes(draw, rect, self._tracks, span, time, x)
         for track, signal, color in zip(self._tracks, self._signals, self._colors, strict=True):
             if signal is not None and time <= track.end + 1e-9:
@@ -191,22 +191,18 @@ class CommandTrace:
         if index not in self._tiles:
             for old in [key for key in self._tiles if abs(key - index) > 3]:
                 del self._tiles[old]
-            self._tiles[index] = _smooth_lines((_TILE, self._rect.height), self._painter(index))
+            paint = functools.partial(self._paint, index)
+            self._tiles[index] = _smooth_lines((_TILE, self._rect.height), paint)
         return self._tiles[index]
 
-    def _painter(self, index: int) -> Callable[[ImageDraw.ImageDraw, int], None]:
+    def _paint(self, index: int, draw: ImageDraw.ImageDraw, scale: int) -> None:
         per_second = self._rect.width / self._window
-
-        def paint(draw: ImageDraw.ImageDraw, scale: int) -> None:
-            for track, signal, color in zip(self._tracks, self._signals, self._colors, strict=True):
-                if signal is None:
-                    continue
+        for track, signal, color in zip(self._tracks, self._signals, self._colors, strict=True):
+            if signal is not None:
                 x = (track.recording.time - self._origin) * per_second - index * _TILE
                 near = np.flatnonzero((x > -20) & (x < _TILE + 20))
                 if near.size > 1:
                     _polyline(draw, x[near], self._y(signal[near]), color, scale)
-
-        return paint
 
 
 def _change_starts(tracks: Sequence[Track], span: tuple[float, float]) -> list[float]:
@@ -227,10 +223,8 @@ def _mark_changes(
         if span[0] <= start <= now:
             place = rect.left + round(float(x(start)))
             draw.line((place, rect.top - 6, place, rect.bottom), fill=ALARM, width=2)
-            draw.polygon(
-                [(place - 5, rect.top - 12), (place + 6, rect.top - 12), (place, rect.top - 4)],
-                fill=ALARM,
-            )
+            top = rect.top - 12
+            draw.polygon([(place - 5, top), (place + 6, top), (place, top + 8)], fill=ALARM)
 
 
 def _dot(image: Image.Image, x: float, y: float, color: Rgb) -> None:
@@ -287,13 +281,10 @@ def _draw_frame(
     draw.line((rect.left, rect.bottom, rect.right, rect.bottom), fill=SOFT, width=1)
 
 
-def _draw_time_labels(
-    draw: ImageDraw.ImageDraw, rect: Rect, ticks: list[tuple[float, str]]
-) -> None:
-    """Labels of the time axis, at x [px], below the axes."""
-    for x, label in ticks:
-        draw.line((x, rect.bottom, x, rect.bottom + 4), fill=SOFT, width=1)
-        draw.text((x, rect.bottom + 7), label, font=font(_LABEL), fill=SOFT, anchor="mt")
+def _draw_time(draw: ImageDraw.ImageDraw, rect: Rect, x: float, time: float) -> None:
+    """Writes a time [s] below the axes at x [px]."""
+    draw.line((x, rect.bottom, x, rect.bottom + 4), fill=SOFT, width=1)
+    draw.text((x, rect.bottom + 7), f"{time:g} s", font=font(_LABEL), fill=SOFT, anchor="mt")
 
 
 def _smooth_lines(
@@ -320,12 +311,8 @@ def _polyline(
         keep = _thinned(x[start:stop], y[start:stop])
         points = np.column_stack([x[start:stop][keep], y[start:stop][keep]]) * scale
         if len(points) > 1:
-            draw.line(
-                [tuple(p) for p in points.tolist()],
-                fill=(*color, 255),
-                width=round(_LINE_WIDTH * scale),
-                joint="curve",
-            )
+            corners, width = [tuple(p) for p in points.tolist()], round(_LINE_WIDTH * scale)
+            draw.line(corners, fill=(*color, 255), width=width, joint="curve")
 
 
 def _thinned(x: np.ndarray, y: np.ndarray) -> np.ndarray:

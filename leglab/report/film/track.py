@@ -21,13 +21,7 @@ _TOLERANCE = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class ShownChange:
-    """A change of the machine as the film tells it.
-
-    Attributes:
-        start: When it begins [s].
-        end: When it is complete [s].
-        text: What changes, for instance "internal leakage x 10".
-    """
+    """A change of the machine from start to end [s], told as "internal leakage x 10"."""
 
     start: float
     end: float
@@ -147,10 +141,14 @@ def load_track(folder: Path) -> Track:
             f"{folder / 'run.json'}: it has no settings with model, scenario, controller"
         )
     recording = data.read(folder / "recording.parquet")
-    elements = run.get("elements", {})
     joints = tuple(joint for joint in recording.joints if f"{joint}_reference" in recording)
     if not joints:
         raise LeglabError(f"{str(folder)!r}: no joint of the recording has a reference")
+    # The actuators of our models are called after their joints.
+    actuators = (
+        next((n for n in recording.actuators if n in (joint, f"{joint}_valve")), joint)
+        for joint in joints
+    )
     metrics_file = folder / "metrics.json"
     failure = _read_json(metrics_file).get("failure") or "" if metrics_file.exists() else ""
     window = float(run.get("window") or 1.0)
@@ -159,9 +157,9 @@ def load_track(folder: Path) -> Track:
         settings=settings,
         recording=recording,
         joints=joints,
-        actuators=_actuators(joints, recording),
+        actuators=tuple(actuators),
         changes=_changes(run.get("changes", []), recording),
-        elements=elements,
+        elements=run.get("elements", {}),
         window=min(window, max(0.25 * recording.duration, 1e-3)),
         failure=failure,
     )
@@ -207,16 +205,13 @@ def _read_json(path: Path) -> dict[str, Any]:
     return content
 
 
-def _actuators(joints: tuple[str, ...], recording: Recording) -> tuple[str, ...]:
-    """The actuator of each joint: those of our models are called after their joints."""
-    names = recording.actuators
-    return tuple(
-        next((n for n in names if n in (joint, f"{joint}_valve")), joint) for joint in joints
-    )
-
-
 def _changes(changes: list[dict[str, Any]], recording: Recording) -> tuple[ShownChange, ...]:
-    units = _units()
+    from leglab.machine.parameters import plugin_tables
+
+    units = {"added_mass": "kg", "encoder_offset": "rad"}
+    for table in plugin_tables().values():
+        for name, entry in table.parameters.items():
+            units.setdefault(name, {"1": "", "degC": "°C"}.get(entry.unit, entry.unit))
     told: dict[tuple[float, str], ShownChange] = {}
     for change in changes:
         name, start = change["parameter"], float(change["start"])
@@ -230,13 +225,3 @@ def _changes(changes: list[dict[str, Any]], recording: Recording) -> tuple[Shown
             end = start + float(change.get("ramp_duration", 0.0))
             told.setdefault((start, text), ShownChange(start=start, end=end, text=text))
     return tuple(sorted(told.values(), key=lambda change: change.start))
-
-
-def _units() -> dict[str, str]:
-    from leglab.machine.parameters import plugin_tables
-
-    found = {"added_mass": "kg", "encoder_offset": "rad"}
-    for table in plugin_tables().values():
-        for name, entry in table.parameters.items():
-            found.setdefault(name, {"1": "", "degC": "°C"}.get(entry.unit, entry.unit))
-    return found
