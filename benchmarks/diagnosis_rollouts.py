@@ -22,7 +22,7 @@ from leglab.diagnosis.model import Change
 from leglab.diagnosis.recordings import read_recordings, split_held_out
 from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.starts import measure, start_states
-from leglab.diagnosis.workflow import Settings, set_up
+from leglab.diagnosis.workflow import DiagnosisSettings, set_up
 from leglab.studies.shared_data import shared_data
 
 KEY = ("valve_gain", "knee_valve")
@@ -108,7 +108,7 @@ def replays(options: argparse.Namespace) -> dict[str, Any]:
     logging.set_verbosity(logging.ERROR)  # it warns that not all sensors of the model are used
     recordings = read_recordings(sorted(shared_data("knee_bench/nominal").glob("*.parquet")))
     recordings, held = split_held_out("knee_bench", recordings, [])
-    problem = set_up("knee_bench", recordings, held, Settings(threads=options.threads))
+    problem = set_up("knee_bench", recordings, held, DiagnosisSettings(threads=options.threads))
     runs = {
         "leglab diagnose": lambda v: problem.residual(Hypothesis({KEY: np.array([v])})),
         "mujoco.sysid, recordings whole": peer(problem, options.threads, windows=False),

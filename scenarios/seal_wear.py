@@ -1,6 +1,6 @@
 """The piston seals wear out half way.
 
-Leakage grows with the cube of the seal's clearance (physics.md, "Values"): x2, x10 and x50 stand
+Leakage grows with the cube of the seal's clearance (docs/parameters.md): x2, x10 and x50 stand
 for 1.26, 2.15 and 3.68 times the clearance.
 """
 

@@ -1,6 +1,6 @@
 """Dirt and wear give all valves a wider dead band and hysteresis from half time on.
 
-A new small servovalve has an overlap of 2 % and less than 3 % of hysteresis (physics.md, "Values").
+A new small servovalve has an overlap of 2 % and less than 3 % of hysteresis (docs/parameters.md).
 """
 
 from leglab.base.scenario import Options, ParameterChange, Severity, register_scenario

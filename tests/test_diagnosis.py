@@ -25,7 +25,7 @@ from leglab.diagnosis.recordings import (
 from leglab.diagnosis.thresholds import Thresholds
 from leglab.diagnosis.verdict import diagnose, exact_twins
 from leglab.diagnosis.windows import Channel
-from leglab.diagnosis.workflow import Settings, set_up
+from leglab.diagnosis.workflow import DiagnosisSettings, set_up
 from tests.patched_models import reloaded_error
 
 FOLDER = Path(__file__).parent / "data" / "diagnosis"
@@ -47,13 +47,13 @@ def deadband():
         "knee_bench",
         recordings("d2"),
         held_out=("walk",),
-        settings=Settings(effects=EFFECTS, threads=1),
+        settings=DiagnosisSettings(effects=EFFECTS, threads=1),
     )
 
 
 @pytest.fixture(scope="module")
 def problem():
-    settings = Settings(effects=EFFECTS, threads=1)
+    settings = DiagnosisSettings(effects=EFFECTS, threads=1)
     return set_up("knee_bench", recordings("nominal"), ("walk",), settings)
 
 
@@ -100,7 +100,7 @@ def test_same_seed_same_verdict(deadband):
         "knee_bench",
         recordings("d2"),
         held_out=("walk",),
-        settings=Settings(effects=EFFECTS, threads=2),
+        settings=DiagnosisSettings(effects=EFFECTS, threads=2),
     )
     assert again.to_json() == deadband[0].to_json()
 
@@ -110,7 +110,7 @@ def test_nothing_is_missing_on_the_nominal_bench():
         "knee_bench",
         recordings("nominal"),
         held_out=("walk",),
-        settings=Settings(effects=EFFECTS, threads=1),
+        settings=DiagnosisSettings(effects=EFFECTS, threads=1),
     )
     assert result.verdict == "nothing_missing"
     assert result.effects == ()
@@ -122,7 +122,9 @@ def test_an_effect_that_the_library_lacks_is_not_called_for_sure():
         "knee_bench",
         recordings("d2"),
         held_out=("walk",),
-        settings=Settings(effects=("payload", "entrained_air", "command_delay"), threads=1),
+        settings=DiagnosisSettings(
+            effects=("payload", "entrained_air", "command_delay"), threads=1
+        ),
     )
     assert result.verdict in ("unexplained", "partial")
     assert all(e.confidence < 0.5 for e in result.effects)
@@ -155,7 +157,7 @@ def test_every_effect_at_its_nominal_values_changes_nothing():
 
 def test_thresholds_can_be_varied(problem):
     shorter = replace(Thresholds(), window=0.2, robust_limit=1e9)
-    settings = Settings(effects=EFFECTS, threads=1, thresholds=shorter)
+    settings = DiagnosisSettings(effects=EFFECTS, threads=1, thresholds=shorter)
     other = set_up("knee_bench", recordings("nominal"), ("walk",), settings)
     assert (problem.replay.samples, other.replay.samples) == (300, 200)
     squares = np.mean(other.residual(Hypothesis()) ** 2, axis=1)
@@ -175,7 +177,7 @@ def test_windows_before_an_onset_replay_without_the_effect(problem):
 
 
 def test_threads_do_not_change_a_bit(problem):
-    settings = Settings(effects=EFFECTS, threads=2)
+    settings = DiagnosisSettings(effects=EFFECTS, threads=2)
     other = set_up("knee_bench", recordings("nominal"), ("walk",), settings)
     hypothesis = Hypothesis({DELAY: np.array([0.0035])})
     np.testing.assert_array_equal(problem.residual(hypothesis), other.residual(hypothesis))
@@ -196,7 +198,7 @@ def test_a_single_recording_keeps_its_end_for_the_judgement():
 def test_recordings_of_another_machine_list_both_sides():
     stranger = {"a": recordings("nominal")["walk"].select(["knee_position"])}
     with pytest.raises(LeglabError, match=r"knee_valve_command.*all recordings have knee_position"):
-        set_up("knee_bench", stranger, (), Settings())
+        set_up("knee_bench", stranger, (), DiagnosisSettings())
 
 
 def test_unknown_held_out_recording_is_an_error():
@@ -209,7 +211,7 @@ def test_recordings_of_different_periods_are_refused():
     slow = mixed["slow"]
     mixed["slow"] = type(slow)(time=2.0 * slow.time, columns=slow.columns)
     with pytest.raises(LeglabError, match="slow is sampled every 0.002 s"):
-        set_up("knee_bench", mixed, (), Settings())
+        set_up("knee_bench", mixed, (), DiagnosisSettings())
 
 
 def test_gaps_leave_out_windows_only(problem):
@@ -218,7 +220,7 @@ def test_gaps_leave_out_windows_only(problem):
     position = walk["knee_position"].copy()
     position[1000:1050] = np.nan
     broken["walk"] = walk.with_columns({"knee_position": position})
-    other = set_up("knee_bench", broken, ("walk",), Settings(effects=EFFECTS, threads=1))
+    other = set_up("knee_bench", broken, ("walk",), DiagnosisSettings(effects=EFFECTS, threads=1))
     lost = problem.replay.windows - other.replay.windows
     assert 1 <= lost <= 3
     assert other.window_cost(Hypothesis()).mean() < 1.3
@@ -273,7 +275,7 @@ def test_saturation_and_gaps_are_noted():
 def test_too_short_recordings_are_refused():
     short = {n: r.between(0.0, 0.25) for n, r in recordings("nominal").items()}
     with pytest.raises(LeglabError, match="no window of 0.3 s fits"):
-        set_up("knee_bench", short, (), Settings())
+        set_up("knee_bench", short, (), DiagnosisSettings())
 
 
 def test_a_column_map_renames_and_converts(tmp_path):

@@ -14,7 +14,7 @@ from leglab.diagnosis.model import Machine
 from leglab.diagnosis.output import write_improved
 from leglab.diagnosis.paths import take_out
 from leglab.diagnosis.verdict import diagnose
-from leglab.diagnosis.workflow import Settings, set_up
+from leglab.diagnosis.workflow import DiagnosisSettings, set_up
 from leglab.machine.sensors import EncoderFaults
 from tests.patched_models import reloaded_error
 
@@ -35,7 +35,7 @@ def recordings():
 
 @pytest.fixture(scope="module")
 def problem():
-    settings = Settings(effects=tuple(name for name, _ in FAULTS), threads=1)
+    settings = DiagnosisSettings(effects=tuple(name for name, _ in FAULTS), threads=1)
     return set_up("knee_bench", recordings(), ("walk",), settings)
 
 
@@ -46,7 +46,7 @@ def shifted():
         name: recording.with_columns({"knee_position": recording["knee_position"] + OFFSET})
         for name, recording in recordings().items()
     }
-    settings = Settings(effects=("encoder_offset", "valve_bias"), threads=1)
+    settings = DiagnosisSettings(effects=("encoder_offset", "valve_bias"), threads=1)
     return slipped, *diagnose("knee_bench", slipped, held_out=("walk",), settings=settings)
 
 
@@ -70,7 +70,7 @@ def test_a_patched_model_is_patched_once_more(problem, tmp_path):
     once.mkdir()
     twice.mkdir()
     path = write_improved(found(problem, FAULTS), once)
-    settings = Settings(effects=tuple(name for name, _ in FAULTS), threads=1)
+    settings = DiagnosisSettings(effects=tuple(name for name, _ in FAULTS), threads=1)
     again = set_up(path, recordings(), ("walk",), settings)
     # Whole samples: two linear interpolations are not one.
     search = found(again, {**FAULTS, ("command_delay", "knee_valve"): np.array([0.006])})
@@ -88,7 +88,9 @@ def test_the_patched_model_reproduces_the_claimed_gap(shifted, tmp_path):
     assert result.effects[0].parameters[0].value == pytest.approx(OFFSET, abs=2e-3)
     assert result.gap.before > 20.0 * result.gap.after
     path = write_improved(search, tmp_path)
-    patched = set_up(path, slipped, ("walk",), Settings(effects=("valve_bias",), threads=1))
+    patched = set_up(
+        path, slipped, ("walk",), DiagnosisSettings(effects=("valve_bias",), threads=1)
+    )
     gap = np.sqrt(np.mean(patched.residual(Hypothesis())[patched.held] ** 2))
     assert gap == pytest.approx(result.gap.after, rel=0.05)
 

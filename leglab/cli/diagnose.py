@@ -54,7 +54,7 @@ def diagnose(
     from leglab.diagnosis import output as results
     from leglab.diagnosis.recordings import read_recordings, split_held_out
     from leglab.diagnosis.verdict import diagnose as run_diagnosis
-    from leglab.diagnosis.workflow import Settings
+    from leglab.diagnosis.workflow import DiagnosisSettings
     from leglab.report.diagnosis.page import write_page
     from leglab.report.diagnosis.words import headline
     from leglab.runs.folder import check_folder
@@ -62,7 +62,7 @@ def diagnose(
     check_folder(out, overwrite=overwrite, mark="diagnosis.json")
     named = read_recordings(recordings, columns)
     named, held = split_held_out(model, named, held_out or [])
-    settings = Settings(effects=tuple(effect) if effect else None, seed=seed)
+    settings = DiagnosisSettings(effects=tuple(effect) if effect else None, seed=seed)
     with progress("diagnosis") as show:
         result, found = run_diagnosis(
             model,

@@ -32,7 +32,7 @@ from leglab.diagnosis.result import (
     Verdict,
 )
 from leglab.diagnosis.windows import Channel
-from leglab.diagnosis.workflow import Search, Settings, search, set_up
+from leglab.diagnosis.workflow import DiagnosisSettings, Search, search, set_up
 
 _DELAYS = frozenset({"command_delay", "sensor_delay"})
 
@@ -42,7 +42,7 @@ def diagnose(
     recordings: Mapping[str, Recording],
     *,
     held_out: Iterable[str],
-    settings: Settings | None = None,
+    settings: DiagnosisSettings | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[Diagnosis, Search]:
     """Diagnoses a model on recordings.
@@ -61,7 +61,7 @@ def diagnose(
         LeglabError: Model or recordings cannot be used.
     """
     began = perf_counter()
-    settings = settings or Settings()
+    settings = settings or DiagnosisSettings()
     progress("reading the machine")
     problem = set_up(model, recordings, held_out, settings)
     remarks = check_recordings(problem.machine, recordings, settings.thresholds)
@@ -71,7 +71,7 @@ def diagnose(
     return replace(result, notes=(*remarks, *result.notes)), found
 
 
-def assemble(found: Search, settings: Settings, *, seconds: float) -> Diagnosis:
+def assemble(found: Search, settings: DiagnosisSettings, *, seconds: float) -> Diagnosis:
     """Builds the verdict of a finished search."""
     problem, limits = found.problem, found.problem.thresholds
     rng = np.random.default_rng(settings.seed + 1)

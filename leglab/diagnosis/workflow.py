@@ -28,7 +28,7 @@ from leglab.diagnosis.windows import UniformSeries, channels, sampling_period
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class DiagnosisSettings:
     """Settings of a diagnosis.
 
     Attributes:
@@ -71,7 +71,7 @@ def set_up(
     model: str | Path,
     recordings: Mapping[str, Recording],
     held_out: Iterable[str],
-    settings: Settings,
+    settings: DiagnosisSettings,
 ) -> Problem:
     """Builds the fit problem.
 
@@ -99,7 +99,9 @@ def set_up(
     )
 
 
-def search(problem: Problem, settings: Settings, progress: Progress = lambda _: None) -> Search:
+def search(
+    problem: Problem, settings: DiagnosisSettings, progress: Progress = lambda _: None
+) -> Search:
     """Finds the effects that are missing, one a round."""
     limits = problem.thresholds
     rng = np.random.default_rng(settings.seed)

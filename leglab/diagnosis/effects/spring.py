@@ -157,7 +157,7 @@ class QuadraticDamping(JointEffect):
     name = "quadratic_damping"
     group = "mechanics"
     physics = "-d |v| v: orifice dampers, drag."
-    source = "turbulent flow (Bernoulli); Folgheraiter's damper, physics.md"
+    source = "turbulent flow (Bernoulli); Folgheraiter's damper, docs/physics.md"
     excitation = "slow and fast motion, which tell it from viscous friction"
     rows = (
         JointRow("damping", "{force} s^2/{length}^2", (0.01, 0.06, 0.3), upper=10.0, slide=10.0),

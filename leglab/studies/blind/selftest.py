@@ -18,7 +18,7 @@ from leglab.diagnosis.hypothesis import Library
 from leglab.diagnosis.model import Machine
 from leglab.diagnosis.recordings import held_out_choice
 from leglab.diagnosis.verdict import diagnose
-from leglab.diagnosis.workflow import Settings
+from leglab.diagnosis.workflow import DiagnosisSettings
 from leglab.studies.blind.faulty_bench import (
     FAULTS,
     SUDDEN,
@@ -202,7 +202,7 @@ def run_case(case: Case, seed: int) -> Outcome:
     """Makes a case and diagnoses it on one thread."""
     recordings, severities = make(case, seed)
     excluded = case.effects if case.kind == "removed" else ()
-    settings = Settings(excluded=excluded, threads=1, seed=seed)
+    settings = DiagnosisSettings(excluded=excluded, threads=1, seed=seed)
     began = perf_counter()
     result, _ = diagnose(
         MODEL, recordings, held_out=held_out_choice(recordings, Machine(MODEL)), settings=settings

@@ -11,12 +11,12 @@ from scipy.integrate import solve_ivp
 from leglab.machine import plugin
 from leglab.machine.cylinder import CONTINUOUS_STATES, Cylinder
 
-CYLINDER = {"bore": 0.016, "rod": 0.010, "stroke": 0.080}  # m, physics.md "Values"
+CYLINDER = {"bore": 0.016, "rod": 0.010, "stroke": 0.080}  # m, docs/parameters.md
 SUPPLY_PRESSURE = 16e6  # Pa
 MASS = 20.0  # kg
 MID_POSITION = 0.040  # m
 HELD = 1e12  # kg: a piston that nothing moves
-# Ideal valve, oil without air, no leakage, no friction: the rows of physics.md unless they say so.
+# Ideal valve, oil without air, no leakage, no friction: the cases unless they say so.
 IDEAL: Mapping[str, float] = {
     **CYLINDER,
     **dict.fromkeys(("lap", "edge_rounding", "entrained_air", "internal_leakage"), 0.0),
