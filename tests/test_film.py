@@ -226,9 +226,10 @@ def test_damaged_folders_are_named(runs, tmp_path):
         ("run.json", b"{", r"run\.json: cannot be read"),
         (
             "run.json",
-            b'{"settings": {}}',
+            b'{"settings": {}, "window": 1.0}',
             r"run\.json: it has no settings with model, scenario, controller",
         ),
+        ("run.json", b'{"settings": {}}', r"run\.json: window: field required"),
         ("recording.parquet", b"PAR1", r"recording\.parquet"),
     ):
         folder = tmp_path / "run"

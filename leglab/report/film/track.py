@@ -1,7 +1,6 @@
 """One run as a film shows it: its recording, its changes and what follows from them."""
 
-import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.report.film.look import TIMES
 from leglab.report.page.wording import readable
-from leglab.runs import metrics
+from leglab.runs import metrics, record
 
 # A run counts as stopped early where it lacks more than this [s].
 _TOLERANCE = 0.05
@@ -131,16 +130,15 @@ def load_track(folder: Path) -> Track:
     Raises:
         LeglabError: It is no such folder, or one of its files is damaged; names folder and file.
     """
-    for name in ("run.json", "recording.parquet"):
+    for name in (record.CONFIGURATION, record.RECORDING):
         if not (folder / name).exists():
             raise LeglabError(f"{str(folder)!r} is not the folder of a run: it has no {name}")
-    run = _read_json(folder / "run.json")
-    settings = run.get("settings")
-    if not isinstance(settings, dict) or not {"model", "scenario", "controller"} <= set(settings):
-        raise LeglabError(
-            f"{folder / 'run.json'}: it has no settings with model, scenario, controller"
-        )
-    recording = data.read(folder / "recording.parquet")
+    path = folder / record.CONFIGURATION
+    run = record.read(record.RunConfiguration, path)
+    settings = run.settings
+    if not {"model", "scenario", "controller"} <= set(settings):
+        raise LeglabError(f"{path}: it has no settings with model, scenario, controller")
+    recording = data.read(folder / record.RECORDING)
     joints = tuple(joint for joint in recording.joints if f"{joint}_reference" in recording)
     if not joints:
         raise LeglabError(f"{str(folder)!r}: no joint of the recording has a reference")
@@ -149,19 +147,19 @@ def load_track(folder: Path) -> Track:
         next((n for n in recording.actuators if n in (joint, f"{joint}_valve")), joint)
         for joint in joints
     )
-    metrics_file = folder / "metrics.json"
-    failure = _read_json(metrics_file).get("failure") or "" if metrics_file.exists() else ""
-    window = float(run.get("window") or 1.0)
+    metrics_file = folder / record.METRICS
+    known = metrics_file.exists()
+    failure = record.read(record.RunMetrics, metrics_file).failure if known else None
     return Track(
         folder=folder,
         settings=settings,
         recording=recording,
         joints=joints,
         actuators=tuple(actuators),
-        changes=_changes(run.get("changes", []), recording),
-        elements=run.get("elements", {}),
-        window=min(window, max(0.25 * recording.duration, 1e-3)),
-        failure=failure,
+        changes=_changes(run.changes, recording),
+        elements=run.elements,
+        window=min(run.window, max(0.25 * recording.duration, 1e-3)),
+        failure=failure or "",
     )
 
 
@@ -195,17 +193,9 @@ def _filled(values: np.ndarray) -> np.ndarray:
     return filled
 
 
-def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise LeglabError(f"{path}: cannot be read: {error}") from error
-    if not isinstance(content, dict):
-        raise LeglabError(f"{path}: a JSON object was expected")
-    return content
-
-
-def _changes(changes: list[dict[str, Any]], recording: Recording) -> tuple[ShownChange, ...]:
+def _changes(
+    changes: Sequence[record.ChangeRecord], recording: Recording
+) -> tuple[ShownChange, ...]:
     from leglab.machine.parameters import plugin_tables
 
     units = {"added_mass": "kg", "encoder_offset": "rad"}
@@ -214,14 +204,14 @@ def _changes(changes: list[dict[str, Any]], recording: Recording) -> tuple[Shown
             units.setdefault(name, {"1": "", "degC": "°C"}.get(entry.unit, entry.unit))
     told: dict[tuple[float, str], ShownChange] = {}
     for change in changes:
-        name, start = change["parameter"], float(change["start"])
-        if change["kind"] == "scale":
-            amount = f"{TIMES}{change['value']:.4g}"
+        name, start = change.parameter, change.start
+        if change.kind == "scale":
+            amount = f"{TIMES}{change.value:.4g}"
         else:
-            amount = f"{change['value']:.4g} {units.get(name, '')}".strip()
-        where = "" if change["element"] == "*" else f" ({change['element']})"
+            amount = f"{change.value:.4g} {units.get(name, '')}".strip()
+        where = "" if change.element == "*" else f" ({change.element})"
         text = f"{readable(name)} {amount}{where}"
         if start <= recording.time[-1]:
-            end = start + float(change.get("ramp_duration", 0.0))
+            end = start + change.ramp_duration
             told.setdefault((start, text), ShownChange(start=start, end=end, text=text))
     return tuple(sorted(told.values(), key=lambda change: change.start))

@@ -4,10 +4,10 @@ import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 
-import joblib
 import numpy as np
 from pydantic import TypeAdapter
 from rich.table import Table
@@ -19,6 +19,7 @@ from leglab.diagnosis.model import Machine
 from leglab.diagnosis.recordings import held_out_choice
 from leglab.diagnosis.verdict import diagnose
 from leglab.diagnosis.workflow import DiagnosisSettings
+from leglab.runs.parallel import in_processes
 from leglab.studies.blind.faulty_bench import (
     FAULTS,
     SUDDEN,
@@ -188,9 +189,8 @@ def self_test(
     # All kinds side by side, so that an interrupted test says something about each.
     rest.sort(key=lambda c: (c.number + 0.5) / counts[c.kind])
     progress("", len(done), len(todo))
-    parallel = joblib.Parallel(n_jobs=processes, return_as="generator_unordered")
     with path.open("a") as stream:
-        for outcome in parallel(joblib.delayed(run_case)(case, seed) for case in rest):
+        for outcome in in_processes(partial(run_case, seed=seed), rest, jobs=processes):
             stream.write(json.dumps(asdict(outcome)) + "\n")
             stream.flush()
             done[outcome.kind, outcome.number] = outcome
