@@ -27,7 +27,7 @@ default_role = "literal"
 # type variables and aliases.
 nitpick_ignore_regex = [
     ("py:.*", r"(?!leglab\.).*"),
-    ("py:.*", r"leglab\.((.*\.)?_.*|.*\.(Model|Entry|Item|Result|Factory))"),
+    ("py:.*", r"leglab\.((.*\.)?_.*|.*\.(Model|Entry|Item|Result|Factory|T))"),
 ]
 
 # Pages are read on their own as well, so headings are linked to by their text.
