@@ -316,7 +316,7 @@ class Loop:
         return {} if self.controller is None else self.controller.diagnostics()
 
     def reference_now(self) -> ReferencePoint:
-        """Where the joints should be in the next period."""
+        """Returns where the joints should be in the next period, before it is observed."""
         row = self._next - self._first
         return ReferencePoint(*(part[row] for part in self._wanted))
 
