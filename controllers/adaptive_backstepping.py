@@ -104,7 +104,7 @@ class AdaptiveBackstepping:
         self._bristles = Bristles(data)
         self._smoothing = -math.expm1(-PRESSURE_CUTOFF * period)
         self._force_smoothing = -math.expm1(-FORCE_CUTOFF * period)
-        self._limit, self._adapt = config.limit, config.adapt
+        self._limit, self._adapts = config.limit, config.adapt
         self._supply = data.supply_pressure
         self._zeros = np.zeros(len(setup.joints))
 
@@ -115,12 +115,20 @@ class AdaptiveBackstepping:
             LeglabError: There are no pressures among the measurements.
         """
         self.adaptation.reset()
+        self._adapt = self._adapts
         self._bristles.reset()
         self._motion.clear()
         self._readings = np.nan_to_num(_stacked(measurement))
         self._pressure = self._readings[1:]
         self._sent = self._rate = self._feedback = self._zeros
         self._forces: list[np.ndarray] = []
+
+    def freeze(self) -> None:
+        """Stops adapting leakage, valve and friction until the next `reset`.
+
+        The estimates of the lumped disturbances go on: they are part of the feedback.
+        """
+        self._adapt = False
 
     def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
         """Valve commands, (joints,)."""

@@ -63,6 +63,10 @@ class AdaptiveController:
         """Valve commands, (joints,)."""
         return self.adaptation.step(measurement, reference)
 
+    def freeze(self) -> None:
+        """Stops adapting until the next `reset`."""
+        self.adaptation.freeze()
+
     def diagnostics(self) -> dict[str, np.ndarray]:
         """Feed-forward, feedback, error of the model, and 1 where the nominal map stands in."""
         return self.adaptation.report

@@ -80,6 +80,10 @@ class BsnnArxPaper:
         self._driver.freeze()
         self._sent = self._feedforward = np.zeros(self._joints)
 
+    def freeze(self) -> None:
+        """Stops adapting until the next `reset`."""
+        self._learner.freeze()
+
     def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
         """Valve commands, (joints,)."""
         self._window.push(measurement.position, self._sent)

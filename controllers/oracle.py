@@ -49,3 +49,7 @@ class Oracle(AdaptiveController):
             self.adaptation.learner.parameters = self._maps[1]
             self._changed = True
         return super().command(measurement, reference)
+
+    def freeze(self) -> None:
+        """Keeps the map of the machine before its change until the next `reset`."""
+        self._changed = True

@@ -211,6 +211,20 @@ class Scenario:
         changes = tuple(replace(c, start=0.0, ramp_duration=0.0) for c in self.changes)
         return replace(self, changes=changes)
 
+    def shifted(self, share: float) -> "Scenario":
+        """Returns the scenario with its changes at another time.
+
+        Args:
+            share: By how much, in [-1, 1] of what is possible: a tenth of the duration, less where
+                a change would leave the run; to a millisecond. A machine that is changed from the
+                start stays so.
+        """
+        if not self.changes or self.breakpoints[0] == 0:
+            return self
+        room = (self.breakpoints[0], self.duration - self.breakpoints[-1])
+        shift = round(share * min(self.duration / 10, room[share > 0]), 3)
+        return replace(self, changes=tuple(replace(c, start=c.start + shift) for c in self.changes))
+
     def value_at(self, time: float, parameter: str, element: str, nominal: float) -> float:
         """Returns the value of a parameter of one element.
 

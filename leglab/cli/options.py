@@ -20,7 +20,7 @@ Scenario = Annotated[str, typer.Argument(help="What happens to the machine.")]
 Controller = Annotated[str, typer.Option(help="What drives it.")]
 Model = Annotated[str, typer.Option(help="Machine.")]
 Duration = Annotated[float | None, typer.Option(help="Seconds; default: the scenario's.")]
-Seed = Annotated[int, typer.Option(help="Seed of sensor noise.")]
+Seed = Annotated[int, typer.Option(help="Seed of sensor noise and of everything drawn.")]
 Severity = Annotated[
     float | None, typer.Option(help="How bad the change is, in the scenario's own unit.")
 ]
@@ -31,6 +31,14 @@ Tolerance = Annotated[
     typer.Option(
         help="Relative standard deviation of the machine's parameters about those that controllers "
         "know; the seed picks the specimen."
+    ),
+]
+Vary = Annotated[
+    bool,
+    typer.Option(
+        "--vary",
+        help="The seed also draws when the machine changes (a tenth of the run about its own "
+        "time) and the motion's phase.",
     ),
 ]
 Camera = Annotated[str, typer.Option(help="Camera of the model.")]

@@ -47,6 +47,12 @@ def report(
     severity: Annotated[
         float | None, typer.Option(help="With --scenario: how bad the change is, in its own unit.")
     ] = None,
+    tolerance: Annotated[
+        float | None, typer.Option(help="With --scenario: of the machine, as for run; default: 0.")
+    ] = None,
+    vary: Annotated[
+        bool, typer.Option("--vary", help="With --scenario: the seed draws time and phase.")
+    ] = False,
     jobs: Jobs = -1,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace a report; with --scenario repeat its runs.")
@@ -69,6 +75,8 @@ def report(
         "--reference": reference,
         "--seed": seed,
         "--severity": severity,
+        "--tolerance": tolerance,
+        "--vary": vary or None,
     }
     if scenario is None:
         given = [name for name, value in own.items() if value is not None]
@@ -92,6 +100,8 @@ def report(
             seed=seed or 0,
             severity=severity,
             duration=duration,
+            tolerance=tolerance or 0.0,
+            vary=vary,
         )
         names = (controllers or "pd,static_feedforward").split(",")
         settings = [replace(common, controller=name.strip()) for name in names if name.strip()]
@@ -138,7 +148,7 @@ def _tell(runs: Sequence["ReportedRun"], written: "Report", *, as_json: bool) ->
                     "label": run.label,
                     "completed": run.metrics.completed,
                     "rms_rad": {p.name: p.rms_rad["all"] for p in run.metrics.phases},
-                    "readaptation_s": run.metrics.readaptation.time_s,
+                    "adaptation": run.metrics.adaptation.model_dump(),
                 }
                 for run in runs
             ],

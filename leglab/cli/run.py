@@ -22,6 +22,7 @@ def run(
     reference: options.Reference = None,
     timestep: Annotated[float | None, typer.Option(help=r"Simulation step \[s].")] = None,
     tolerance: options.Tolerance = 0.0,
+    vary: options.Vary = False,
     out: Annotated[
         Path | None,
         typer.Option(help="Output folder; default runs/SCENARIO-CONTROLLER-MODEL-SEED."),
@@ -68,6 +69,7 @@ def compare(
     ramp: options.Ramp = 0.0,
     reference: options.Reference = None,
     tolerance: options.Tolerance = 0.0,
+    vary: options.Vary = False,
     jobs: options.Jobs = -1,
     out: Annotated[Path, typer.Option(help="Output folder.")] = Path("runs/compare"),
     overwrite: Annotated[
@@ -96,6 +98,7 @@ def compare(
         ramp_duration=ramp,
         reference=reference,
         tolerance=tolerance,
+        vary=vary,
     )
     runs = comparison.runs()
     make = partial(run_all, runs, out / "runs", jobs=jobs, overwrite=overwrite)
@@ -126,6 +129,7 @@ def view(
     ramp: options.Ramp = 0.0,
     reference: options.Reference = None,
     tolerance: options.Tolerance = 0.0,
+    vary: options.Vary = False,
 ) -> None:
     """Opens MuJoCo's viewer: the controller lives, and sliders wear, heat and load the leg.
 

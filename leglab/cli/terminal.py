@@ -85,6 +85,9 @@ def make_many(label: str, total: int, make: Callable[..., _Made]) -> _Made:
 
 def metrics_table(metrics: dict[str, Any]) -> Table:
     """Tracking error of one run by joint and phase, from the content of `metrics.json`."""
+    from leglab.report.run.outcome import mrad, outcome
+    from leglab.runs.record import AdaptationMetrics
+
     phases = metrics["phases"]
     joints = [name for name in phases[0]["rms_rad"] if name != "all"]
     table = Table(title="tracking error, RMS / peak, mrad", title_justify="left", min_width=46)
@@ -97,10 +100,13 @@ def metrics_table(metrics: dict[str, Any]) -> Table:
             for phase in phases
         )
         table.add_row(name, *cells)
-    found = metrics["readaptation"]
-    if found["threshold"] is not None:
-        time = "never" if found["time_s"] is None else f"{found['time_s']:.2f} s"
-        table.caption = f"re-adaptation: {time}, threshold {1e3 * found['threshold']:.1f} mrad"
+    found = AdaptationMetrics.model_validate(metrics["adaptation"])
+    if found.before_rad and found.end_rad:
+        table.caption = (
+            f"RMS of all joints: {mrad(found.before_rad['all'])} in the {found.span_s:g} s before "
+            f"the change, {mrad(found.end_rad['all'])} in the last {found.span_s:g} s\n"
+            f"{outcome(found)}"
+        )
         table.caption_justify = "left"
     return table
 
@@ -108,14 +114,15 @@ def metrics_table(metrics: dict[str, Any]) -> Table:
 def comparison_table(summary: dict[str, Any]) -> Table:
     """Error and re-adaptation by scenario and controller, from the content of `compare.json`."""
     table = Table(
-        title="RMS tracking error of all joints, mean and half of the 95 % interval, "
-        f"{summary['seeds']} seeds",
+        title="RMS tracking error of all joints [mrad], mean and half of the 95 % interval, "
+        f"{summary['seeds']} seeds: {_drawn(summary)}",
         title_justify="left",
         box=SIMPLE_HEAD,
     )
     table.add_column("", no_wrap=True)
     first = summary["controllers"][0]
-    for name in ("before [mrad]", "after [mrad]", f"after / {first}", "re-adapted [s]"):
+    heads = ("before", "after", f"after / {first}", "end", "undone [%]", "90 % undone [s]")
+    for name in heads:
         table.add_column(name, justify="right", no_wrap=True)
     for scenario, controllers in summary["results"].items():
         table.add_row(f"[bold]{scenario}[/bold]")
@@ -124,13 +131,25 @@ def comparison_table(summary: dict[str, Any]) -> Table:
             early = f", failed {failed}/{runs}" if failed else ""
             table.add_row(
                 f"  {controller}",
-                _interval(cell["rms_before_rad"], 1e3, 2),
-                _interval(cell["rms_after_rad"], 1e3, 2) + early,
+                _interval(cell["before_rad"], 1e3, 2),
+                _interval(cell["after_rad"], 1e3, 2) + early,
                 _interval(cell["ratio"], 1.0, 3),
-                _readaptation(cell),
+                _interval(cell["end_rad"], 1e3, 2),
+                _interval(cell["recovered"], 100.0, 0),
+                _undone(cell),
             )
         table.add_section()
     return table
+
+
+def _drawn(summary: dict[str, Any]) -> str:
+    """What seeds differ in."""
+    tolerance = summary["tolerance"]
+    drawn = [f"machine (tolerance {tolerance:g})"] if tolerance else []
+    drawn += ["time of the change and phase"] if summary["vary"] else []
+    if not drawn:
+        return "sensor noise alone (--tolerance 0.1 --vary draws machine, time and phase)"
+    return ", ".join([*drawn, "sensor noise"])
 
 
 def _interval(estimate: dict[str, Any], unit: float, digits: int) -> str:
@@ -142,9 +161,9 @@ def _interval(estimate: dict[str, Any], unit: float, digits: int) -> str:
     return text
 
 
-def _readaptation(cell: dict[str, Any]) -> str:
-    text = _interval(cell["readaptation_s"], 1.0, 2)
-    never = cell["not_readapted"]
+def _undone(cell: dict[str, Any]) -> str:
+    text = _interval(cell["t90_s"], 1.0, 2)
+    never = cell["never_undone"]
     if not never:
         return text
     of_all = f"never {never}/{cell['runs']}"

@@ -56,7 +56,14 @@ class ReferencePoint(NamedTuple):
 
 
 class Controller(Protocol):
-    """Turns measurements and references into valve commands."""
+    """Turns measurements and references into valve commands.
+
+    A controller that adapts has a further method, `freeze()`: it stops adapting until the next
+    `reset`, and its last parameters stay in use. The runner calls it in a second run, the frozen
+    twin, just before the machine changes: what adapting on gained is told from there.
+
+    A controller that measures pressures sets `uses_pressures = True`.
+    """
 
     def reset(self, measurement: Measurement) -> None:
         """Starts a run: forgets everything, adapted parameters included.

@@ -11,6 +11,7 @@ from leglab.references.base import (
     Samples,
     make_reference,
     reference_names,
+    reference_settings,
     reference_summary,
     register_reference,
 )
@@ -31,6 +32,7 @@ __all__ = [
     "WalkingStride",
     "make_reference",
     "reference_names",
+    "reference_settings",
     "reference_summary",
     "register_reference",
 ]

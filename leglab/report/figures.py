@@ -246,7 +246,10 @@ def _change(phases: Sequence[Phase]) -> tuple[float, float] | None:
 
 
 def _rms_by_phase(table: list[dict], joint: str) -> str:
-    parts = [f"{row['name']} {_MILLI * row['rms_rad'][joint]:.3g}" for row in table]
+    parts = [
+        f"{row['start']:.4g} to {row['end']:.4g} s {_MILLI * row['rms_rad'][joint]:.3g}"
+        for row in table
+    ]
     return f"RMS [mrad]: {', '.join(parts)}"
 
 

@@ -15,6 +15,7 @@ from urllib.parse import quote
 from leglab.base.errors import LeglabError
 from leglab.data import write_atomically
 from leglab.report.page.shell import asset, render
+from leglab.report.run.outcome import outcome
 from leglab.runs.folder import PhaseMetrics, read_metrics
 
 State = Literal["whole", "stopped", "broken"]
@@ -162,8 +163,7 @@ def _run(place: Path, files: set[str]) -> dict[str, Any]:
         "after": _mrad(last) if last is not first else None,
     }
     if metrics.completed:
-        outcome = _readapted(metrics.readaptation.time_s) if last is not first else ""
-        return {**told, "told": outcome}
+        return {**told, "told": outcome(metrics.adaptation) if last is not first else ""}
     reason = metrics.failure or "no reason was stored"
     return {**told, "state": "stopped", "told": f"stopped at {metrics.duration:.2f} s: {reason}"}
 
@@ -171,12 +171,6 @@ def _run(place: Path, files: set[str]) -> dict[str, Any]:
 def _mrad(phase: PhaseMetrics) -> float | None:
     value = phase.rms_rad.get("all")
     return None if value is None else 1e3 * value
-
-
-def _readapted(time: float | None) -> str:
-    if time is None:
-        return "not re-adapted"
-    return f"re-adapted after {time:.2f} s" if time > 0.0 else "never above 1.25 times before"
 
 
 def _comparison(path: Path) -> dict[str, Any]:

@@ -128,6 +128,22 @@ class ReportedRun:
         first = self.metrics.phases[0]
         return first if first.name == "before" else None
 
+    @property
+    def error(self) -> float:
+        """RMS error by which the run is judged: its end, or `last` where it is too short [rad]."""
+        end = self.metrics.adaptation.end_rad
+        return self.last.rms_rad["all"] if end is None else end["all"]
+
+    @property
+    def judged_over(self) -> str:
+        """The time of `error` in words."""
+        found = self.metrics.adaptation
+        if found.end_rad is not None:
+            return f"in the last {found.span_s:g} s"
+        return f"over {self.last.end - self.last.start:.3g} s" + (
+            f" {self.last.name} the change" if self.before else ""
+        )
+
     def setting(self, name: str) -> Any:
         """A setting as it was stored; None where it was not."""
         return self.configuration.settings.get(name)
@@ -204,7 +220,7 @@ def _labels(runs: Sequence[ReportedRun]) -> list[str]:
     """The controllers' names with every setting in which runs of one controller differ."""
     labels = [run.metrics.controller for run in runs]
     told = ("scenario", "model", "reference", "severity", "duration", "ramp_duration")
-    for name in (*told, "tolerance", "seed"):
+    for name in (*told, "tolerance", "vary", "seed"):
         values = [str(run.setting(name)) for run in runs]
         if len(set(labels)) == len(labels):
             return labels

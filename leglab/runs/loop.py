@@ -1,5 +1,6 @@
 """The closed loop: machine, sensors, controller and a scenario's changes, one period a step."""
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -324,7 +325,7 @@ class Loop:
         """Reference positions [rad] so many periods after the present one, (periods, joints)."""
         return self._wanted.position[self.present.number - self._first + periods]
 
-    def run(self, progress: Progress | None = None) -> "History":
+    def run(self, progress: Progress | None = None, *, freeze: bool = False) -> "History":
         """Runs the scenario headless, from the present state to its end.
 
         It ends early, and keeps what was recorded, if the simulation blows up, the controller gives
@@ -332,6 +333,7 @@ class Loop:
 
         Args:
             progress: Called now and then with the simulated time [s].
+            freeze: Whether the controller stops adapting just before the machine changes.
 
         Raises:
             LeglabError: If not even one period could be recorded.
@@ -340,11 +342,15 @@ class Loop:
         times = np.arange(self.count) * self.period
         wanted = self._wanted
         failure = ""
+        change = min(self.scenario.breakpoints, default=math.inf)
+        frozen = int(np.searchsorted(times, change)) if freeze else self.count
         self.watch, step = records.take, self.step
         start = time.perf_counter()
         try:
             with headless(simulation.model):
                 for k in range(self.count):
+                    if k == frozen:
+                        self.controller.freeze()  # type: ignore[union-attr]
                     step()
                     if k % _CHECK_INTERVAL == 0:
                         simulation.check()

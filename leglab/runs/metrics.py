@@ -1,38 +1,16 @@
 """How well a run tracked its reference. Pure functions of arrays; errors in rad, times in s."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from leglab.base.errors import LeglabError
-from leglab.base.scenario import Phase, Scenario
-from leglab.runs.loop import History
-
-# Re-adapted means: no worse than this many times the error before the change.
-READAPTATION_RATIO = 1.25
+from leglab.base.scenario import Phase
 
 # Share of a sampling period by which time stamps may be off through rounding.
 _ROUNDING = 1e-6
-
-
-@dataclass(frozen=True, kw_only=True)
-class Readaptation:
-    """How soon a run was good again after a change.
-
-    Attributes:
-        time: Time from the change until the windowed error stays below the threshold [s]; None
-            where it never does, or nothing can be said.
-        threshold: The windowed error that may not be exceeded [rad]; None where nothing can be
-            said.
-        reason: Why nothing can be said; empty otherwise.
-    """
-
-    time: float | None
-    threshold: float | None
-    reason: str = ""
 
 
 def rms(error: np.ndarray) -> np.ndarray:
@@ -189,42 +167,6 @@ def sliding_rms(time: np.ndarray, error: np.ndarray, window: float) -> np.ndarra
     return result
 
 
-def readaptation(
-    time: np.ndarray,
-    error: np.ndarray,
-    change: float,
-    window: float,
-    ratio: float = READAPTATION_RATIO,
-) -> Readaptation:
-    """Measures how soon the error is back near its value before a change.
-
-    The error is the RMS over a sliding window (`sliding_rms`); its value before the change is that
-    of the last window without a sample from the change on. Re-adapted from a time on means: no
-    window that begins then or later exceeds the threshold.
-
-    Args:
-        time: Sample times [s], increasing. Shape (n,).
-        error: Tracking error [rad]. Shape (n, joints).
-        change: When the machine starts to change [s].
-        window: One stride [s], so that every window holds the same motion.
-        ratio: Threshold as a multiple of the error before the change.
-
-    Returns:
-        The re-adaptation time, 0 where the error never exceeds the threshold, and the threshold.
-    """
-    windowed = sliding_rms(time, error, window)
-    first = int(np.searchsorted(time, change))
-    if first == 0 or np.isnan(windowed[first - 1]):
-        reason = f"the change at {change:g} s leaves no full window of {window:g} s before it"
-        return Readaptation(time=None, threshold=None, reason=reason)
-    threshold = float(ratio * windowed[first - 1])
-    if first == len(time) or time[-1] - change < _span(time, window):
-        reason = f"the run ends less than a window of {window:g} s after the change"
-        return Readaptation(time=None, threshold=threshold, reason=reason)
-    found = settling_time(time, windowed, change, window, threshold)
-    return Readaptation(time=found, threshold=threshold)
-
-
 def settling_time(
     time: np.ndarray, windowed: np.ndarray, change: float, window: float, threshold: float
 ) -> float | None:
@@ -294,52 +236,3 @@ def _samples(error: np.ndarray) -> np.ndarray:
         row, column = np.argwhere(~finite)[0]
         raise LeglabError(f"error, row {row}, joint {column}: {error[row, column]} is not finite")
     return error
-
-
-def summary(
-    scenario: Scenario, window: float, history: History, joints: tuple[str, ...]
-) -> dict[str, Any]:
-    """Summarises a run, as far as it came.
-
-    Args:
-        scenario: What happened to the machine, and when.
-        window: One stride [s], over which the moving error is taken.
-        history: What the loop left behind.
-        joints: Names of the driven joints.
-
-    Returns:
-        Real-time factor, completion, tracking error and its costs by phase (`phase_table`,
-        `usage_table`), RMS error of the controller's model where it has one, by joint and
-        in its own unit, re-adaptation and the area of the excess error; plain Python types.
-    """
-    finite = np.isfinite(history.error).all(axis=1)
-    error, time = history.error[finite], history.time[finite]
-    energy = np.column_stack([history.states[f"{joint}_energy_supply"] for joint in joints])
-    errors = phase_table(time, error, joints, scenario.phases)
-    usage = usage_table(time, history.command[finite], energy[finite], joints, scenario.phases)
-    for row, costs in zip(errors, usage, strict=True):
-        row.update(costs)
-        if "model_error" in history.diagnostics:
-            part = (history.time >= row["start"]) & (history.time <= row["end"])
-            values = rms(history.diagnostics["model_error"][part & finite])
-            row["model_error"] = dict(zip(joints, values.tolist(), strict=True))
-    result: dict[str, Any] = {
-        "duration": float(history.time[-1]),
-        "severity": scenario.severity,
-        "real_time_factor": float(history.time[-1] / max(history.wall_time, 1e-9)),
-        "completed": not history.failure,
-        "failure": history.failure or None,
-        "phases": errors,
-        "readaptation": {"time_s": None, "threshold": None, "reason": "nothing changes"},
-        "excess_error_area_rad_s": None,
-    }
-    if scenario.changes:
-        change = scenario.changes[0].start
-        found = readaptation(time, error, change, window)
-        result["readaptation"] = {
-            "time_s": found.time,
-            "threshold": found.threshold,
-            "reason": found.reason or None,
-        }
-        result["excess_error_area_rad_s"] = excess_error_area(time, error, change, window)
-    return result

@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
 import leglab.controllers
 import leglab.scenarios  # noqa: F401  registers the scenarios
 from leglab.base.errors import LeglabError, unknown_name
@@ -17,7 +19,7 @@ from leglab.control import ControllerSetup, Foreknowledge, controller_names
 from leglab.machine.changes import check_tolerance, vary_bodies, vary_parameters
 from leglab.machine.sensors import SensorConfiguration
 from leglab.machine.simulation import Simulation, load_model
-from leglab.references import Joint, Reference, make_reference
+from leglab.references import Joint, Reference, make_reference, reference_settings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,6 +41,9 @@ class RunSettings:
         timestep: Of the simulation [s]; None for the model's own.
         tolerance: Relative standard deviation of the machine's parameters about those that the
             controller knows [1]; the seed picks the specimen.
+        vary: Whether the seed also draws when the machine changes, within a tenth of the duration
+            about the scenario's own time, and the motion: the phase of `walking_stride`, the
+            strides of `random_stride`.
     """
 
     scenario: str
@@ -54,6 +59,7 @@ class RunSettings:
     sensors: Mapping[str, Any] = field(default_factory=dict)
     timestep: float | None = None
     tolerance: float = 0.0
+    vary: bool = False
 
 
 def scenario_of(settings: RunSettings) -> Scenario:
@@ -64,12 +70,19 @@ def scenario_of(settings: RunSettings) -> Scenario:
     """
     if settings.seed < 0:
         raise LeglabError(f"seed {settings.seed} is negative; allowed: 0 or more")
-    return get_scenario(
+    scenario = get_scenario(
         settings.scenario,
         duration=settings.duration,
         severity=settings.severity,
         ramp_duration=settings.ramp_duration,
     )
+    return scenario.shifted(2 * _draws(settings.seed)[0] - 1) if settings.vary else scenario
+
+
+def _draws(seed: int) -> tuple[float, float]:
+    """What a seed draws of time and phase, in [0, 1) each, apart from noise and specimen."""
+    time, phase = np.random.default_rng([seed, 3]).random(2).tolist()
+    return time, phase
 
 
 def check_controllers(names: Sequence[str]) -> None:
@@ -163,9 +176,16 @@ class Preparation:
 
 
 def reference_config(settings: RunSettings, scenario: Scenario) -> dict[str, Any]:
-    """Settings of the reference: the scenario's, for its own reference, below the user's."""
+    """Settings of the reference: the scenario's, for its own reference, below the user's.
+
+    Where the settings say so, the phase is the seed's.
+    """
     own = settings.reference in (None, scenario.reference)
-    return {**(scenario.reference_config if own else {}), **settings.reference_config}
+    drawn = {}
+    if settings.vary and "phase" in reference_settings(settings.reference or scenario.reference):
+        drawn["phase"] = _draws(settings.seed)[1]
+    known = scenario.reference_config if own else {}
+    return {**drawn, **known, **settings.reference_config}
 
 
 def reference_joints(simulation: Simulation) -> tuple[Joint, ...]:

@@ -43,11 +43,38 @@ class PhaseMetrics(BaseModel):
     model_error: ByJoint = {}
 
 
-class ReadaptationMetrics(BaseModel):
-    """Re-adaptation in `metrics.json`; see `leglab.runs.metrics.Readaptation`."""
+class AdaptationMetrics(BaseModel):
+    """How a run took its change, in `metrics.json`; see `leglab.runs.clock`.
 
-    time_s: FiniteFloat | None = None
-    threshold: FiniteFloat | None = None
+    Errors are RMS over joints and time, of the true positions; that after the change is the phase
+    "after". A figure that cannot be told is None.
+
+    Attributes:
+        span_s: The whole strides that a quarter of the run has [s].
+        stride_s: Period of the reference [s].
+        before_rad: Error over `span_s` before the change [rad], by joint and under "all".
+        end_rad: Error over the last `span_s` [rad], by joint and under "all".
+        damage_rad: What the change costs: error of the frozen twin after the change less
+            `before_rad` [rad]. The frozen twin is the same run with adaptation stopped just
+            before the change; for a controller that has none, the worst stride of the run itself.
+        damage_of: "frozen twin" or "own peak".
+        recovered: Share of the damage that is undone at the end: 1 where `end_rad` is
+            `before_rad`.
+        t90_s: From the change until no stride that begins later has an error above `level_rad`
+            [s]; None where the last one still has.
+        level_rad: `before_rad` and a tenth of the damage [rad].
+        reason: Why `recovered` and `t90_s` cannot be told.
+    """
+
+    span_s: FiniteFloat | None = None
+    stride_s: FiniteFloat | None = None
+    before_rad: ByJoint | None = None
+    end_rad: ByJoint | None = None
+    damage_rad: FiniteFloat | None = None
+    damage_of: str | None = None
+    recovered: FiniteFloat | None = None
+    t90_s: FiniteFloat | None = None
+    level_rad: FiniteFloat | None = None
     reason: str | None = None
 
 
@@ -65,7 +92,7 @@ class RunMetrics(BaseModel):
         completed: Whether the run came to its end.
         failure: Why it ended early.
         phases: Errors and costs by phase.
-        readaptation: How soon it was good again.
+        adaptation: What the change cost, and how much of it was undone how soon.
         excess_error_area_rad_s: Area of the moving error above its value before [rad s].
     """
 
@@ -79,7 +106,7 @@ class RunMetrics(BaseModel):
     completed: bool
     failure: str | None = None
     phases: Annotated[list[PhaseMetrics], Field(min_length=1)]
-    readaptation: ReadaptationMetrics
+    adaptation: AdaptationMetrics = AdaptationMetrics(reason="it was not stored")
     excess_error_area_rad_s: FiniteFloat | None = None
 
 

@@ -1,15 +1,18 @@
 """One scenario from settings to results: closed loop, recording, metrics."""
 
 import platform
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from typing import Any
+
+import numpy as np
 
 from leglab import __version__
 from leglab.base.recording import Recording
 from leglab.base.scenario import Scenario
+from leglab.runs.clock import adaptation
 from leglab.runs.loop import History, Loop, Progress, recorded_positions, recording_noise
-from leglab.runs.metrics import summary
+from leglab.runs.metrics import excess_error_area, phase_table, rms, usage_table
 from leglab.runs.preparation import RunSettings, reference_config
 from leglab.runs.record import ChangeRecord, RunConfiguration, RunMetrics, as_json
 
@@ -49,7 +52,8 @@ def run_scenario(settings: RunSettings, progress: Progress | None = None) -> Run
 
     Args:
         settings: What to run.
-        progress: Called now and then with the simulated time [s].
+        progress: Called now and then with the simulated time [s]; half of it while the frozen
+            twin of an adaptive controller is still to be run.
 
     Raises:
         LeglabError: If a name, a setting or the machine does not fit. A run that fails half way
@@ -57,22 +61,82 @@ def run_scenario(settings: RunSettings, progress: Progress | None = None) -> Run
     """
     loop = Loop(settings)
     configuration = _configuration(loop)
-    history = loop.run(progress)
-    scenario, joints, window = loop.scenario, loop.simulation.joints, loop.reference.period
+    twin = _has_twin(loop)
+    history = loop.run(_share(progress, 2 if twin else 1))
     names = {name: str(getattr(settings, name)) for name in ("scenario", "controller", "model")}
     metadata = {**names, "seed": settings.seed}
+    recording = _recording(loop, history, metadata)
+    twin_error = None
+    if twin and not history.failure:
+        twin_history = _twin(loop, progress)
+        if twin_history.failure.startswith("interrupted"):
+            history = replace(history, failure="interrupted in the run of the frozen twin")
+        elif not twin_history.failure:
+            twin_error = twin_history.error
     return Run(
         settings=settings,
-        scenario=scenario,
-        recording=_recording(loop, history, metadata),
+        scenario=loop.scenario,
+        recording=recording,
         history=history,
-        record=RunMetrics.model_validate(
-            {**metadata, **summary(scenario, window, history, joints)}
-        ),
+        record=RunMetrics.model_validate({**metadata, **_metrics(loop, history, twin_error)}),
         configuration=configuration,
-        window=window,
-        joints=joints,
+        window=loop.reference.period,
+        joints=loop.simulation.joints,
     )
+
+
+def _has_twin(loop: Loop) -> bool:
+    """Whether the controller adapts and can be told to stop, and there is something to adapt to."""
+    return bool(loop.scenario.changes) and callable(getattr(loop.controller, "freeze", None))
+
+
+def _twin(loop: Loop, progress: Progress | None) -> History:
+    """The same run with adaptation stopped just before the first change."""
+    half = loop.scenario.duration / 2
+    loop.reset()
+    show = None if progress is None else lambda now: progress(half + now / 2)
+    return loop.run(show, freeze=True)
+
+
+def _share(progress: Progress | None, parts: int) -> Progress | None:
+    return None if progress is None else lambda now: progress(now / parts)
+
+
+def _metrics(loop: Loop, history: History, twin: np.ndarray | None) -> dict[str, Any]:
+    """What `metrics.json` holds beside the names: a summary of a run, as far as it came.
+
+    Args:
+        loop: The loop that was run.
+        history: What it left behind.
+        twin: Tracking error of the frozen twin [rad], (n, joints); None without one.
+    """
+    scenario, joints, stride = loop.scenario, loop.simulation.joints, loop.reference.period
+    finite = np.isfinite(history.error).all(axis=1)
+    error, time = history.error[finite], history.time[finite]
+    energy = np.column_stack([history.states[f"{joint}_energy_supply"] for joint in joints])
+    errors = phase_table(time, error, joints, scenario.phases)
+    usage = usage_table(time, history.command[finite], energy[finite], joints, scenario.phases)
+    for row, costs in zip(errors, usage, strict=True):
+        row.update(costs)
+        if "model_error" in history.diagnostics:
+            part = (history.time >= row["start"]) & (history.time <= row["end"])
+            values = rms(history.diagnostics["model_error"][part & finite])
+            row["model_error"] = dict(zip(joints, values.tolist(), strict=True))
+    change = min(scenario.breakpoints, default=None)
+    return {
+        "duration": float(history.time[-1]),
+        "severity": scenario.severity,
+        "real_time_factor": float(history.time[-1] / max(history.wall_time, 1e-9)),
+        "completed": not history.failure,
+        "failure": history.failure or None,
+        "phases": errors,
+        "adaptation": adaptation(
+            scenario, stride, time, error, joints, twin=twin, failure=history.failure
+        ).model_dump(),
+        "excess_error_area_rad_s": None
+        if change is None
+        else excess_error_area(time, error, change, stride),
+    }
 
 
 def _recording(loop: Loop, history: History, metadata: dict[str, Any]) -> Recording:

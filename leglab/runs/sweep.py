@@ -20,7 +20,7 @@ from leglab import __version__
 from leglab.base.errors import LeglabError
 from leglab.data import write_atomically
 from leglab.machine.changes import check_tolerance
-from leglab.runs.metrics import rms, sliding_rms
+from leglab.runs.metrics import sliding_rms
 from leglab.runs.parallel import Progress, make_missing
 from leglab.runs.preparation import RunSettings, check_controllers, scenario_of
 from leglab.runs.run import Run, run_scenario
@@ -28,9 +28,8 @@ from leglab.runs.run import Run, run_scenario
 # Distance of the stored samples of the windowed error [s].
 _TRACE_PERIOD = 0.02
 
-# Window of the error that adaptation must not make worse, when a run counts as settled, and the
-# part of a run that counts as its end [s].
-_SAFETY_WINDOW, _SETTLED, _END = 2.0, 5.0, 5.0
+# Window of the error that adaptation must not make worse [s].
+_SAFETY_WINDOW = 2.0
 
 
 # Settings in which the runs of a comparison differ.
@@ -51,6 +50,7 @@ class Comparison:
         ramp_duration: How long the changes take [s].
         reference: Name of the reference; None for each scenario's own.
         tolerance: Of the machines about the one that controllers know [1]; a specimen a seed.
+        vary: Whether seeds also draw time of the change and phase of the motion.
     """
 
     scenarios: tuple[str, ...]
@@ -62,6 +62,7 @@ class Comparison:
     ramp_duration: float = 0.0
     reference: str | None = None
     tolerance: float = 0.0
+    vary: bool = False
 
     def __post_init__(self) -> None:
         if self.seeds < 1:
@@ -113,8 +114,7 @@ def run_all(
     Returns:
         The results in the order of the runs: `settings`, `metrics`, `changes` [s], `window` [s],
         `time` [s] with `windowed_error_rad` over one stride and `safety_error_rad` over 2 s, None
-        until a first window is full; `settled_rms_rad` and `end_rms_rad`, by joint, from 5 s to
-        the first change and over the last 5 s; `travel_rad` of the reference, by joint.
+        until a first window is full; `travel_rad` of the reference, by joint.
 
     Raises:
         LeglabError: A run cannot be set up, or the folder cannot be written to.
@@ -189,25 +189,16 @@ def _result(run: Run) -> dict[str, Any]:
         windowed = sliding_rms(time, error, window)[::step].tolist()
         return [None if math.isnan(value) else value for value in windowed]
 
-    def by_joint(values: np.ndarray) -> dict[str, float]:
-        return dict(zip(run.joints, values.tolist(), strict=True))
-
-    def rms_between(start: float, end: float) -> dict[str, float] | None:
-        part = error[(time >= start) & (time < end)]
-        return by_joint(rms(part)) if len(part) else None
-
-    changes = run.scenario.breakpoints
+    travel = np.ptp(history.reference.position, axis=0)
     return {
         "settings": asdict(run.settings),
         "metrics": run.metrics,
-        "changes": list(changes),
+        "changes": list(run.scenario.breakpoints),
         "window": run.window,
         "time": time[::step].tolist(),
         "windowed_error_rad": trace(run.window),
         "safety_error_rad": trace(_SAFETY_WINDOW),
-        "settled_rms_rad": rms_between(_SETTLED, min(changes, default=math.inf)),
-        "end_rms_rad": rms_between(run.scenario.duration - _END, math.inf),
-        "travel_rad": by_joint(np.ptp(history.reference.position, axis=0)),
+        "travel_rad": dict(zip(run.joints, travel.tolist(), strict=True)),
     }
 
 
@@ -222,11 +213,13 @@ def compare(comparison: Comparison, results: Iterable[dict[str, Any]]) -> dict[s
         results: From `run_all`.
 
     Returns:
-        By scenario and controller: `rms_before_rad`, `rms_after_rad`, `readaptation_s` (of the runs
-        that did re-adapt), `excess_error_area_rad_s` and `ratio` of the error after the change to
-        the first controller's with the same seed, each an estimate (`estimate`); `not_readapted`,
-        the number of runs that never did; `failures`, the reasons of runs that ended early, which
-        are left out of all estimates.
+        By scenario and controller, each an estimate (`estimate`): the errors `before_rad`,
+        `after_rad` (of nominal runs the whole) and `end_rad`, `damage_rad`, `recovered`, `t90_s`
+        (of the runs that came so far), all as `leglab.runs.clock` has them;
+        `excess_error_area_rad_s`; and `ratio` of the error after the change to the first
+        controller's with the same seed. `never_undone` is the number of runs that never undid nine
+        tenths of their damage; `failures` has the reasons of runs that ended early, which are left
+        out of all estimates.
     """
     cells: dict[tuple[str, str], dict[int, dict[str, Any]]] = {}
     for result in results:
@@ -271,18 +264,25 @@ def estimate(values: Iterable[float | None]) -> dict[str, Any]:
 def _summary(cell: dict[int, dict], first: dict[int, dict]) -> dict[str, Any]:
     whole = {seed: metrics for seed, metrics in cell.items() if metrics["completed"]}
     after = {seed: _rms(metrics, "after", "whole") for seed, metrics in whole.items()}
-    found = [m["readaptation"] for m in whole.values()]
+    found = [metrics["adaptation"] for metrics in whole.values()]
+
+    def pooled(key: str) -> dict[str, Any]:
+        return estimate(entry[key]["all"] if entry[key] else None for entry in found)
+
     ratios = []
     for seed, value in after.items():
         base = _rms(first[seed], "after", "whole") if seed in first else None
         if value is not None and base and first[seed]["completed"]:
             ratios.append(value / base)
     return {
-        "rms_before_rad": estimate(_rms(m, "before") for m in whole.values()),
-        "rms_after_rad": estimate(after.values()),
+        "before_rad": pooled("before_rad"),
+        "after_rad": estimate(after.values()),
+        "end_rad": pooled("end_rad"),
         "ratio": estimate(ratios),
-        "readaptation_s": estimate(entry["time_s"] for entry in found),
-        "not_readapted": sum(e["time_s"] is None and e["reason"] is None for e in found),
+        "damage_rad": estimate(entry["damage_rad"] for entry in found),
+        "recovered": estimate(entry["recovered"] for entry in found),
+        "t90_s": estimate(entry["t90_s"] for entry in found),
+        "never_undone": sum(e["t90_s"] is None and e["reason"] is None for e in found),
         "excess_error_area_rad_s": estimate(m["excess_error_area_rad_s"] for m in whole.values()),
         "runs": len(cell),
         "failures": [m["failure"] for m in cell.values() if not m["completed"]],

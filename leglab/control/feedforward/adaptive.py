@@ -192,6 +192,10 @@ class AdaptiveFeedforward:
         self._core.reset(self.learner._bank)
         self._out[:] = 0.0
 
+    def freeze(self) -> None:
+        """Stops learning until the next `reset`."""
+        self._core.freeze()
+
     def step(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
         """Learns from a measurement and gives the valve commands; call it once a period.
 

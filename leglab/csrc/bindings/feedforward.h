@@ -116,6 +116,8 @@ class Feedforward {
                {row, row + n, row + 2 * n, row + 3 * n, row + 4 * n});
   }
 
+  void freeze() { core_.freeze(); }
+
   void sent(Input command) {
     if (command.size() != tables_.tables().size()) throw nb::value_error("wrong number of values");
     core_.sent(command.data());
@@ -131,7 +133,8 @@ inline void bind_feedforward(nb::module_& module) {
       .def(nb::init<nb::dict>(), nb::arg("parts"))
       .def("reset", &Feedforward::reset, nb::keep_alive<1, 2>())
       .def("step", &Feedforward::step)
-      .def("sent", &Feedforward::sent);
+      .def("sent", &Feedforward::sent)
+      .def("freeze", &Feedforward::freeze);
   nb::class_<ValveMaps>(module, "ValveMaps")
       .def(nb::init<nb::dict>(), nb::arg("parts"))
       .def("command", &ValveMaps::command);

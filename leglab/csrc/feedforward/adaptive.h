@@ -71,7 +71,11 @@ class AdaptiveFeedforward {
       std::fill(values->begin(), values->end(), 0.0);
     }
     count_ = 0;
+    frozen_ = false;
   }
+
+  // Nothing is learned from now on, until `reset`.
+  void freeze() { frozen_ = true; }
 
   // Takes positions and velocities measured now, NaN where there are none, and a reference of now:
   // without a measurement the command is the feed-forward alone.
@@ -135,7 +139,8 @@ class AdaptiveFeedforward {
     if (jumps(position)) window_.clear();
     window_.push(position, flow_.data(), sent_.data());
     ++count_;
-    if (count_ % settings_.interval || time >= settings_.stop_time || !window_.full()) return;
+    const bool stopped = frozen_ || time >= settings_.stop_time;
+    if (count_ % settings_.interval || stopped || !window_.full()) return;
     window_.middle(motion_.data(), flow_.data());
     map_.take(motion_.data());
     if (!(map_.largest_share() >= settings_.least_speed)) return;  // also for NaN
@@ -202,6 +207,7 @@ class AdaptiveFeedforward {
   std::vector<double> seen_position_, seen_velocity_;  // the reference as the sensors show it
   double inputs_[identification::GuardSettings<double>::max_inputs] = {};
   long count_ = 0;
+  bool frozen_ = false;
 };
 
 }  // namespace leglab::feedforward

@@ -178,6 +178,8 @@ class _PanelWriter:
             if change.start <= time < change.end:
                 text += f", {100 * (time - change.start) / (change.end - change.start):.0f} %"
             tag(text, 15, PAPER, (*ALARM, 255))
+        if self._track.undone and time >= self._track.undone[0]:
+            tag(self._track.undone[1], 14, INK, _TAG_CARD)
 
     def _end(self, draw: ImageDraw.ImageDraw) -> None:
         track, panel = self._track, self._panel

@@ -12,6 +12,7 @@ from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.report.film.look import TIMES
 from leglab.report.page.wording import readable
+from leglab.report.run.outcome import t90
 from leglab.runs import metrics, record
 
 # A run counts as stopped early where it lacks more than this [s].
@@ -41,6 +42,8 @@ class Track:
         elements: Parameters of each actuator at the start.
         window: Of the moving error [s].
         failure: Why the run stopped early; empty if it did not, or nobody knows.
+        undone: From when on the film tells that nine tenths of the damage are undone [s], and how;
+            None where they never were.
     """
 
     folder: Path
@@ -52,6 +55,7 @@ class Track:
     elements: Mapping[str, Mapping[str, float]]
     window: float
     failure: str
+    undone: tuple[float, str] | None = None
 
     @property
     def start(self) -> float:
@@ -149,7 +153,7 @@ def load_track(folder: Path) -> Track:
     )
     metrics_file = folder / record.METRICS
     known = metrics_file.exists()
-    failure = record.read(record.RunMetrics, metrics_file).failure if known else None
+    told = record.read(record.RunMetrics, metrics_file) if known else None
     return Track(
         folder=folder,
         settings=settings,
@@ -159,8 +163,19 @@ def load_track(folder: Path) -> Track:
         changes=_changes(run.changes, recording),
         elements=run.elements,
         window=min(run.window, max(0.25 * recording.duration, 1e-3)),
-        failure=failure or "",
+        failure=(told and told.failure) or "",
+        undone=None if told is None else _undone(told.adaptation, run.changes),
     )
+
+
+def _undone(
+    found: record.AdaptationMetrics, changes: Sequence[record.ChangeRecord]
+) -> tuple[float, str] | None:
+    """When the stride is over by which nine tenths of the damage are undone, and that they are."""
+    if found.t90_s is None or found.stride_s is None or not changes:
+        return None
+    over = min(change.start for change in changes) + found.t90_s + found.stride_s
+    return over, t90(found)
 
 
 def details(tracks: list[Track]) -> list[str]:

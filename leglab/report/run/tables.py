@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from leglab.report.page.shell import Table
-from leglab.report.page.wording import number, readable
+from leglab.report.page.wording import listed, number, readable
 from leglab.report.run.words import change_words, different
-from leglab.runs.folder import PhaseMetrics, ReportedRun
+from leglab.runs.folder import ReportedRun
 
 _NONE = "-"
 # Not settings that one reads in a table of a line each.
@@ -36,7 +36,7 @@ def error_bars(runs: Sequence[ReportedRun], colors: int) -> Bars | None:
     """Error of each run in its last phase, against the first run; None for a single one."""
     if len(runs) < 2:
         return None
-    values = [run.last.rms_rad["all"] for run in runs]
+    values = [run.error for run in runs]
     most = max(values) or 1.0
     comparable = not different(runs)
     rows = []
@@ -49,50 +49,56 @@ def error_bars(runs: Sequence[ReportedRun], colors: int) -> Bars | None:
         rows.append(
             Bar(name=run.label, width=round(100.0 * value / most, 2), value=text, color=i % colors)
         )
-    when = "after the change" if runs[0].last.name == "after" else "of all joints"
+    over = tuple(dict.fromkeys(run.judged_over for run in runs))
     against = f", in brackets against {runs[0].label}" if comparable else ""
-    return Bars(caption=f"RMS tracking error {when}{against}", rows=tuple(rows))
+    caption = f"RMS tracking error of all joints {listed(over, 'or')}{against}"
+    return Bars(caption=caption, rows=tuple(rows))
 
 
 def run_table(runs: Sequence[ReportedRun]) -> Table:
     """One line a run."""
     changed = any(run.before for run in runs)
-    phases = ["before", "after"] if changed else [runs[0].last.name]
-    head = ["run"]
-    for name in phases:
-        head += [f"RMS {name} [mrad]", f"peak {name} [mrad]"]
-    head += ["re-adapted [s]"] * changed
+    spans = {run.metrics.adaptation.span_s for run in runs}
+    span = f"{spans.pop():g} s" if len(spans) == 1 and None not in spans else "strides"
+    last = runs[0].last.name
+    head = ["run", *[f"before, {span} [mrad]"] * changed, f"{last} [mrad]", f"last {span} [mrad]"]
+    head += ["peak [mrad]", *["damage [mrad]", "undone [%]", "90 % undone [s]"] * changed]
     head += ["RMS command", "energy [J]", "came to [s]"]
     rows = []
     for run in runs:
-        row = [run.label]
-        for name in phases:
-            phase = next((p for p in run.metrics.phases if p.name == name), None)
-            for values in (phase.rms_rad, phase.peak_rad) if phase else (None, None):
-                row.append(_NONE if values is None else number(1e3 * values["all"]))
+        found = run.metrics.adaptation
+        row = [run.label, *[_mrad(found.before_rad)] * changed]
+        row += [_mrad(run.last.rms_rad), _mrad(found.end_rad), _mrad(run.last.peak_rad)]
         if changed:
-            row.append(_readapted(run))
+            row += _damage(run)
         row.append(number(run.last.effort["all"]) if "all" in run.last.effort else _NONE)
         energies = [p.energy_j["all"] for p in run.metrics.phases if "all" in p.energy_j]
         row.append(number(sum(energies)) if energies else _NONE)
         row.append(f"{run.metrics.duration:g} of {run.planned:g}")
         rows.append(row)
-    return Table(caption="Tracking error of all joints and its costs", head=head, rows=rows)
+    return Table(caption="RMS tracking error of all joints and its costs", head=head, rows=rows)
 
 
 def joint_tables(runs: Sequence[ReportedRun]) -> tuple[Table, ...]:
     """One table a run, one line a joint."""
     tables = []
     for run in runs:
-        head = ["joint"]
-        for phase in run.metrics.phases:
-            name = phase.name
-            head += [f"RMS {name}", f"95 % {name}", f"peak {name}"]
+        found, last = run.metrics.adaptation, run.last
+        span = f"{found.span_s or 0:g} s"
+        columns = {
+            f"RMS before, {span}": found.before_rad,
+            f"RMS {last.name}": last.rms_rad,
+            f"RMS last {span}": found.end_rad,
+            f"95 % {last.name}": last.p95_rad,
+            f"peak {last.name}": last.peak_rad,
+        }
+        shown = {name: values for name, values in columns.items() if values}
         rows = [
-            [joint, *(cell for phase in run.metrics.phases for cell in _cells(phase, joint))]
+            [joint, *(number(1e3 * v[joint]) if joint in v else _NONE for v in shown.values())]
             for joint in run.joints
         ]
-        tables.append(Table(caption=f"{run.label}: tracking error [mrad]", head=head, rows=rows))
+        caption = f"{run.label}: tracking error [mrad]"
+        tables.append(Table(caption=caption, head=["joint", *shown], rows=rows))
     return tuple(tables)
 
 
@@ -147,13 +153,15 @@ def _flat(settings: dict, prefix: str = "") -> dict[str, str]:
     return found
 
 
-def _cells(phase: PhaseMetrics, joint: str) -> list[str]:
-    values = (phase.rms_rad, phase.p95_rad, phase.peak_rad)
-    return [number(1e3 * v[joint]) if joint in v else _NONE for v in values]
+def _mrad(errors: dict[str, float] | None) -> str:
+    return _NONE if errors is None else number(1e3 * errors["all"])
 
 
-def _readapted(run: ReportedRun) -> str:
-    found = run.metrics.readaptation
-    if found.time_s is not None:
-        return f"{found.time_s:.2f}"
-    return _NONE if found.reason or found.threshold is None else "never"
+def _damage(run: ReportedRun) -> list[str]:
+    """Damage, share undone and time to nine tenths of it."""
+    found = run.metrics.adaptation
+    damage = _NONE if found.damage_rad is None else number(1e3 * found.damage_rad)
+    if found.recovered is None:
+        return [damage, _NONE, _NONE]
+    undone = "never" if found.t90_s is None else f"{found.t90_s:.2f}"
+    return [damage, f"{100 * found.recovered:.0f}", undone]

@@ -7,6 +7,7 @@ import numpy as np
 
 from leglab.report.page.shell import Section
 from leglab.report.page.wording import capital, listed, number, readable
+from leglab.report.run.outcome import mrad, sentence
 from leglab.runs.folder import ReportedRun
 from leglab.runs.record import ChangeRecord as Change
 
@@ -23,21 +24,15 @@ _DECISIVE = (
     "sensors",
     "timestep",
     "tolerance",
+    "vary",
 )
 # Differences below this share are none that one would speak of.
 _ALIKE = 0.05
 _TIMES = "\u00d7"
-# An error that grew by less is no growth that one would speak of.
-_HURT = 1.25
 # More rivals than this make no headline.
 _MOST_TOLD = 3
 # Below this share of the time, a fallback or a saturated valve is not worth a sentence.
 _RARE = 0.001
-
-
-def mrad(value: float) -> str:
-    """An error in rad, told in mrad."""
-    return f"{number(1e3 * value)} mrad"
 
 
 def relative(value: float, base: float) -> str:
@@ -72,18 +67,20 @@ def headline(runs: Sequence[ReportedRun]) -> str:
     if different(runs):
         return f"{len(runs)} runs that differ in more than their controllers{ending}."
     best = min(whole, key=_error)
-    when = "After the change, " if best.before else ""
+    when = best.judged_over
     if len(whole) == 1:
-        text = f"only {best.label} came to the end: {mrad(_error(best))} RMS error"
-    elif max(map(_error, whole)) <= (1 + _ALIKE) * _error(best):
-        text = f"no controller is clearly better: all within {100 * _ALIKE:.0f} % in RMS error"
+        text = f"only {best.label} came to the end: {mrad(best.error)} RMS error {when}"
+    elif max(map(_error, whole)) <= (1 + _ALIKE) * best.error:
+        text = (
+            f"no controller is clearly better: all within {100 * _ALIKE:.0f} % in RMS error {when}"
+        )
     else:
         others = sorted((run for run in whole if run is not best), key=_error)
         if len(others) > _MOST_TOLD:
             others = [runs[0] if runs[0] in others else others[0]]
-        told = listed(tuple(f"{run.label} {mrad(_error(run))}" for run in others))
-        text = f"{best.label} tracked best: {mrad(_error(best))} RMS error; {told}"
-    return capital(f"{when}{text}{ending}.")
+        told = listed(tuple(f"{run.label} {mrad(run.error)}" for run in others))
+        text = f"{best.label} tracked best: {mrad(best.error)} RMS error {when}; {told}"
+    return capital(f"{text}{ending}.")
 
 
 def sections(runs: Sequence[ReportedRun]) -> tuple[Section, ...]:
@@ -112,16 +109,19 @@ def change_words(change: Change) -> str:
 
 
 def _error(run: ReportedRun) -> float:
-    return run.last.rms_rad["all"]
+    return run.error
 
 
 def _single(run: ReportedRun) -> str:
     if not run.metrics.completed:
         return f"{run.label} stopped at {run.metrics.duration:.2f} s of {run.planned:g} s."
-    if run.before is None or run.last is run.before:
-        return f"{run.label} tracked to {mrad(_error(run))} RMS over {run.metrics.duration:g} s."
-    before = run.before.rms_rad["all"]
-    return f"{run.label}: {mrad(before)} RMS error before the change, {mrad(_error(run))} after it."
+    found = run.metrics.adaptation
+    if found.before_rad is not None:
+        return (
+            f"{run.label}: {mrad(found.before_rad['all'])} RMS error in the {found.span_s:g} s "
+            f"before the change, {mrad(run.error)} {run.judged_over}."
+        )
+    return f"{run.label} tracked to {mrad(run.error)} RMS {run.judged_over}."
 
 
 def _tested(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
@@ -160,14 +160,19 @@ def _happened(run: ReportedRun) -> str:
     last, joint = run.last, max(run.joints, key=lambda name: run.last.peak_rad[name])
     peak = f"at most {mrad(last.peak_rad[joint])} (at {joint})"
     if run.before is not None and last is not run.before:
-        before = run.before.rms_rad["all"]
-        parts.append(
-            f"RMS error {mrad(before)} before the change, {mrad(_error(run))} {last.name} it "
-            f"({relative(_error(run), before)}), {peak}."
+        found, told = run.metrics.adaptation, []
+        if found.before_rad is not None:
+            before = found.before_rad["all"]
+            told.append(f"{mrad(before)} in the {found.span_s:g} s before the change")
+        told.append(
+            f"{mrad(last.rms_rad['all'])} in the {number(last.end - last.start)} s after it"
         )
-        parts += _readapted(run)
+        if found.end_rad is not None:
+            told.append(f"{mrad(run.error)} {run.judged_over}")
+        parts.append(f"RMS error {', '.join(told)}, {peak}.")
+        parts.append(sentence(found))
     else:
-        parts.append(f"RMS error {mrad(_error(run))}, {peak}.")
+        parts.append(f"RMS error {mrad(run.error)} {run.judged_over}, {peak}.")
     parts += _fallback(run)
     share = _saturation(run)
     if share > _RARE:
@@ -176,20 +181,6 @@ def _happened(run: ReportedRun) -> str:
     if energy is not None and seconds > 0:
         parts.append(f"Hydraulic power drawn: {number(energy / seconds)} W.")
     return " ".join(parts)
-
-
-def _readapted(run: ReportedRun) -> list[str]:
-    found = run.metrics.readaptation
-    if found.reason:
-        return [f"Re-adaptation cannot be told: {found.reason.rstrip('.')}."]
-    if found.threshold is None:
-        return []
-    limit = f"1.25 times the error before ({mrad(found.threshold)})"
-    if found.time_s is None:
-        return [f"Not re-adapted by the end, that is, not back to {limit}."]
-    if found.time_s == 0.0:
-        return [f"No stride after the change was worse than {limit}."]
-    return [f"Re-adapted after {found.time_s:.2f} s, that is, back to {limit}."]
 
 
 def _fallback(run: ReportedRun) -> list[str]:
@@ -231,23 +222,12 @@ def _verdict(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
             word = "is about as good as"
         else:
             word = "tracks better than" if ratio < 1 else "tracks worse than"
-        when = f" {run.last.name} the change" if run.before else ""
         text = (
             f"{run.label} {word} {first.label}: {relative(_error(run), _error(first))} RMS "
-            f"error{when}."
+            f"error {run.judged_over}."
         )
-        if run.before and ratio < 1 and _growth(run) > max(_HURT, _growth(first)):
-            text += (
-                f" In proportion the change cost it more: its error grew {number(_growth(run))} "
-                f"times, that of {first.label} {number(_growth(first))} times."
-            )
         lines.append(text)
     return tuple(lines)
-
-
-def _growth(run: ReportedRun) -> float:
-    before = run.before.rms_rad["all"] if run.before else 0.0
-    return _error(run) / before if before > 0 else math.inf
 
 
 def _limits(runs: Sequence[ReportedRun]) -> tuple[str, ...]:

@@ -1,0 +1,61 @@
+"""What a change did to a run, in a few words: for terminals, lists of runs and pages."""
+
+from leglab.report.page.wording import number
+from leglab.runs.clock import TWIN
+from leglab.runs.record import AdaptationMetrics
+
+# Shares of the damage below which nothing, and from which everything, counts as undone.
+_NOTHING, _ALL = 0.05, 0.995
+
+
+def outcome(found: AdaptationMetrics) -> str:
+    """The clock's figures in one line; the reason where there are none."""
+    if found.recovered is None or found.damage_rad is None:
+        return found.reason or ""
+    damage = f"damage {mrad(found.damage_rad)} ({found.damage_of})"
+    return f"{damage}; {share(found)} undone in the last {found.span_s:g} s; {t90(found)}"
+
+
+def sentence(found: AdaptationMetrics) -> str:
+    """The same as a sentence."""
+    if found.recovered is None or found.damage_rad is None:
+        return f"What was undone cannot be told: {(found.reason or 'no reason').rstrip('.')}."
+    if found.damage_of == TWIN:
+        text = (
+            "With adaptation stopped just before it, the change would raise the error by "
+            f"{mrad(found.damage_rad)}"
+        )
+    else:
+        text = f"The change raises the error by {mrad(found.damage_rad)} in the worst stride"
+    undone = f"{share(found)} of that is undone in the last {found.span_s:g} s"
+    if found.recovered < _NOTHING:
+        return f"{text}; {undone}."
+    if found.t90_s is None:
+        soon = "90 % never, within the run"
+    elif found.t90_s == 0.0:
+        soon = "and no stride lost more than a tenth of it"
+    else:
+        soon = f"90 % of it {found.t90_s:.2f} s after the change"
+    return f"{text}; {undone}, {soon}."
+
+
+def mrad(value: float) -> str:
+    """An error in rad, told in mrad."""
+    return f"{number(1e3 * value)} mrad"
+
+
+def share(found: AdaptationMetrics) -> str:
+    """How much of the damage is undone in the last strides: "95 %"."""
+    assert found.recovered is not None
+    if found.recovered >= _ALL:
+        return "all"
+    return "nothing" if found.recovered < _NOTHING else f"{100 * found.recovered:.0f} %"
+
+
+def t90(found: AdaptationMetrics) -> str:
+    """How soon nine tenths of the damage were undone."""
+    if found.t90_s is None:
+        return "90 % never undone"
+    if found.t90_s == 0.0:
+        return "no stride lost more than a tenth"
+    return f"90 % undone after {found.t90_s:.2f} s"

@@ -1,0 +1,120 @@
+"""The clock of adaptation: what a change cost, what share of it was undone, and how soon.
+
+Every place that tells of adaptation takes it from here: metrics.json, comparisons, pages, tables.
+Errors are RMS over the driven joints and over time, of the true positions, in rad. How soon is
+counted in strides, since the error within one depends on where in it one looks: a stride counts
+from its beginning on.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from leglab.base.scenario import Scenario
+from leglab.runs.metrics import rms, settling_time, sliding_rms
+from leglab.runs.record import AdaptationMetrics
+
+# Errors before the change and at the end are taken over the whole strides in this share of the run.
+QUARTER = 0.25
+
+# Share of the damage that is undone at `t90_s`.
+UNDONE = 0.9
+
+# An error that a change raises by less than this factor is no damage: strides differ by as much.
+HURT = 1.25
+
+# Slack by which sums of floating-point times may be off [s, or strides].
+_ROUNDING = 1e-9
+
+TWIN, OWN_PEAK = "frozen twin", "own peak"
+
+
+def adaptation(
+    scenario: Scenario,
+    stride: float,
+    time: np.ndarray,
+    error: np.ndarray,
+    joints: Sequence[str],
+    *,
+    twin: np.ndarray | None = None,
+    failure: str = "",
+) -> AdaptationMetrics:
+    """Measures how a run took its change.
+
+    Args:
+        scenario: What happened to the machine, and when.
+        stride: Period of the reference [s].
+        time: Sample times [s], increasing. Shape (n,).
+        error: Tracking error [rad]. Shape (n, joints).
+        joints: Names of the columns.
+        twin: Tracking error of the same run with adaptation stopped just before the change, at
+            the same times; None where there is none, and the run's own worst stride stands for it.
+        failure: Why the run ended early; empty if it did not.
+
+    Returns:
+        Figures as `AdaptationMetrics` defines them; where one cannot be told it is None, and
+        `reason` says why.
+    """
+    quarter = QUARTER * scenario.duration
+    span = _whole(quarter, stride)
+    figures: dict[str, Any] = dict.fromkeys(AdaptationMetrics.model_fields)
+    figures.update(span_s=span, stride_s=stride)
+
+    def error_of(values: np.ndarray, start: float, end: float) -> dict[str, float]:
+        first, last = np.searchsorted(time, [start - _ROUNDING, end - _ROUNDING])
+        part = values[first:last]
+        by_joint = dict(zip(joints, rms(part).tolist(), strict=True))
+        return {**by_joint, "all": float(rms(part.reshape(-1, 1))[0])}
+
+    if failure:
+        figures["reason"] = f"the run stopped early: {failure}"
+    elif not span:
+        figures["reason"] = (
+            f"a quarter of the run, {quarter:g} s, is less than a stride, {stride:g} s"
+        )
+    else:
+        figures["end_rad"] = error_of(error, scenario.duration - span, math.inf)
+    if figures["reason"]:
+        return AdaptationMetrics(**figures)
+
+    change = min(scenario.breakpoints, default=0.0)
+    done = max(scenario.breakpoints, default=0.0)
+    if not scenario.changes:
+        figures["reason"] = "nothing changes"
+    elif change < span:
+        figures["reason"] = f"the change at {change:g} s leaves less than {span:g} s before it"
+    elif done > scenario.duration - span:
+        figures["reason"] = f"the machine still changes in the last {span:g} s"
+    if figures["reason"]:
+        return AdaptationMetrics(**figures)
+
+    before = error_of(error, change - span, change)
+    strides = sliding_rms(time, error, stride)
+    if twin is None:
+        hurt = float(np.max(strides[time >= change + stride]))
+    else:
+        hurt = error_of(twin, done, math.inf)["all"]
+    damage = hurt - before["all"]
+    figures.update(
+        before_rad=before,
+        damage_rad=damage,
+        damage_of=OWN_PEAK if twin is None else TWIN,
+    )
+    if hurt < HURT * before["all"]:
+        figures["reason"] = "the change does no damage: it raises the error by less than a quarter"
+        return AdaptationMetrics(**figures)
+    level = before["all"] + (1 - UNDONE) * damage
+    undone = settling_time(time, strides, change, stride, level)
+    figures.update(
+        recovered=1.0 - (figures["end_rad"]["all"] - before["all"]) / damage,
+        t90_s=None if undone is None else round(undone, 6),
+        level_rad=level,
+    )
+    return AdaptationMetrics(**figures)
+
+
+def _whole(length: float, stride: float) -> float:
+    """As many whole strides as fit into a length [s]."""
+    return math.floor(length / stride + _ROUNDING) * stride
