@@ -17,7 +17,8 @@ def write_folder(
     *,
     before=0.020,
     after=0.030,
-    readaptation=None,
+    damage=None,
+    t90=None,
     stopped=None,
     fallback=None,
     scenario="seal_wear",
@@ -30,7 +31,11 @@ def write_folder(
     """Writes a run whose errors are sines with these RMS values [rad] before and after the change.
 
     A run that is `stopped` at a time [s] is cut off there. `fallback` is the share of the time.
+    With a `damage` [rad] there is a frozen twin, without one the run's own peak.
     """
+    levels = {name: dict.fromkeys([*joints, "all"], v) for name, v in (("b", before), ("a", after))}
+    lost = after - before if damage is None else damage
+    told = change >= 2.0 and stopped is None
     end = duration if stopped is None else stopped
     time = np.arange(0.0, end, 0.004)
     columns = {}
@@ -71,7 +76,18 @@ def write_folder(
             for name, start, stop, level in parts
             if start < end
         ],
-        "readaptation": {"time_s": readaptation, "threshold": 1.25 * before, "reason": None},
+        "adaptation": {
+            "span_s": 2.0,
+            "stride_s": 1.0,
+            "before_rad": levels["b"] if told else None,
+            "end_rad": levels["a"] if told else None,
+            "damage_rad": lost if told else None,
+            "damage_of": "own peak" if damage is None else "frozen twin",
+            "recovered": 1.0 - (after - before) / lost if told else None,
+            "t90_s": t90,
+            "level_rad": before + 0.1 * lost if told else None,
+            "reason": None if told else "it is made up",
+        },
         "excess_error_area_rad_s": 0.01,
     }
     run = {

@@ -13,6 +13,7 @@ import leglab.models as leglab_models
 from leglab import data
 from leglab.cli import main
 from leglab.controllers.pd import Pd
+from leglab.runs.record import AdaptationMetrics
 
 RUN = ["run", "seal_wear", "--model", "knee_bench", "--duration", "4", "--no-figures"]
 
@@ -47,7 +48,7 @@ def test_run_writes_everything(tmp_path, capsys):
     for name in ("rms_rad", "peak_rad", "p95_rad", "effort", "valve_activity_per_s", "energy_j"):
         assert set(metrics["phases"][0][name]) == {"knee", "all"}
     assert metrics["excess_error_area_rad_s"] >= 0
-    assert set(metrics["readaptation"]) == {"time_s", "threshold", "reason"}
+    assert set(metrics["adaptation"]) == set(AdaptationMetrics.model_fields)
     run = json.loads((out / "run.json").read_text())
     assert run["settings"]["seed"] == 7
     assert run["versions"]["mujoco"]

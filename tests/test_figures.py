@@ -56,7 +56,7 @@ def test_tracking_draws_reference_measurement_and_error():
     np.testing.assert_allclose(moving.get_ydata()[[150, -1]], [10, 30])
     assert (top.get_ylabel(), bottom.get_ylabel()) == ("position [rad]", "error [mrad]")
     assert bottom.get_xlabel() == "time [s]"
-    assert top.get_title("right") == "RMS [mrad]: before 10, after 30"
+    assert top.get_title("right") == "RMS [mrad]: 0 to 2 s 10, 2 to 4 s 30"
     assert [text.get_text() for text in figure.texts] == ["seal_wear"]
 
 
@@ -79,7 +79,7 @@ def test_a_span_shows_its_samples_alone():
         for line in curves(axes):
             assert (line.get_xdata()[0], line.get_xdata()[-1]) == (1.5, 2.49)
     # The numbers are those of whole phases, and the moving RMS looks back before the span.
-    assert "before 10, after 30" in figure.axes[0].get_title("right")
+    assert "0 to 2 s 10, 2 to 4 s 30" in figure.axes[0].get_title("right")
     assert not np.isnan(curves(figure.axes[1])[1].get_ydata()).any()
     with pytest.raises(LeglabError, match="no sample in"):
         tracking_figure(run(), span=(7, 8))

@@ -43,7 +43,7 @@ def pages(tmp_path_factory):
     root = tmp_path_factory.mktemp("pages")
     folders = [
         write_folder(root / "pd", "pd", before=0.02, after=0.04),
-        write_folder(root / "arx", "arx", before=0.002, after=0.01, readaptation=1.5),
+        write_folder(root / "arx", "arx", before=0.002, after=0.01, damage=0.02, t90=1.5),
     ]
     report = write_report(read_runs(folders), root / "report", filmer=_film).page
     bad = write_folder(root / "bad", HOSTILE, scenario=HOSTILE, joints=(HOSTILE, "knee"))

@@ -135,7 +135,7 @@ def test_the_fingerprint_covers_controllers_models_and_the_compiled_core(tmp_pat
     sweep.fingerprint.cache_clear()
 
 
-def fake(controller, seed, after, *, readaptation=0.5, completed=True):
+def fake(controller, seed, after, *, t90=0.5, completed=True):
     return {
         "metrics": {
             "scenario": "seal_wear",
@@ -147,7 +147,14 @@ def fake(controller, seed, after, *, readaptation=0.5, completed=True):
                 {"name": "before", "rms_rad": {"all": 1.0}},
                 {"name": "after", "rms_rad": {"all": after}},
             ],
-            "readaptation": {"time_s": readaptation, "threshold": 1.25, "reason": None},
+            "adaptation": {
+                "before_rad": {"all": 0.5},
+                "end_rad": {"all": after / 2},
+                "damage_rad": 4.0,
+                "recovered": 0.9,
+                "t90_s": t90,
+                "reason": None,
+            },
             "excess_error_area_rad_s": 2.0,
         }
     }
@@ -158,7 +165,7 @@ def test_ratios_are_taken_seed_by_seed_and_failures_are_left_out():
         fake("pd", 0, 2.0),
         fake("pd", 1, 4.0),
         fake("pd", 2, 8.0),
-        fake("static_feedforward", 0, 1.0, readaptation=None),
+        fake("static_feedforward", 0, 1.0, t90=None),
         fake("static_feedforward", 1, 1.0),
         fake("static_feedforward", 2, 9.0, completed=False),
     ]
@@ -166,9 +173,11 @@ def test_ratios_are_taken_seed_by_seed_and_failures_are_left_out():
     summary = compare(comparison, results)
     cell = summary["results"]["seal_wear"]["static_feedforward"]
     assert cell["ratio"]["values"] == [0.5, 0.25]
-    assert cell["rms_after_rad"]["values"] == [1.0, 1.0]
-    assert (cell["not_readapted"], cell["failures"], cell["runs"]) == (1, ["blew up"], 3)
-    assert cell["readaptation_s"]["values"] == [0.5]
+    assert cell["after_rad"]["values"] == [1.0, 1.0]
+    assert cell["end_rad"]["values"] == [0.5, 0.5]
+    assert cell["before_rad"]["mean"] == 0.5
+    assert (cell["never_undone"], cell["failures"], cell["runs"]) == (1, ["blew up"], 3)
+    assert cell["t90_s"]["values"] == [0.5]
     assert summary["results"]["seal_wear"]["pd"]["ratio"]["values"] == [1.0] * 3
     assert summary["controllers"] == asdict(comparison)["controllers"]
     json.dumps(summary, allow_nan=False)
@@ -210,7 +219,7 @@ def test_the_command_writes_table_figures_and_json(tmp_path, capsys):
     summary = json.loads((out / "compare.json").read_text())
     cell = summary["results"]["seal_wear"]["static_feedforward"]
     assert cell["ratio"]["mean"] < 0.5
-    assert summary["results"]["nominal"]["pd"]["rms_before_rad"]["mean"] is None
+    assert summary["results"]["nominal"]["pd"]["before_rad"]["mean"] is None
     status, printed, _ = command_line(*arguments, str(out), "--json", capsys=capsys)
     assert json.loads(printed) == summary
     assert command_line("compare", "nominal", "--jobs", "0", capsys=capsys)[0] == 2

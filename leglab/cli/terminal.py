@@ -85,7 +85,7 @@ def make_many(label: str, total: int, make: Callable[..., _Made]) -> _Made:
 
 def metrics_table(metrics: dict[str, Any]) -> Table:
     """Tracking error of one run by joint and phase, from the content of `metrics.json`."""
-    from leglab.report.run.outcome import mrad, outcome
+    from leglab.report.page.outcome import mrad, outcome
     from leglab.runs.record import AdaptationMetrics
 
     phases = metrics["phases"]

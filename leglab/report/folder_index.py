@@ -14,8 +14,8 @@ from urllib.parse import quote
 
 from leglab.base.errors import LeglabError
 from leglab.data import write_atomically
+from leglab.report.page.outcome import outcome
 from leglab.report.page.shell import asset, render
-from leglab.report.run.outcome import outcome
 from leglab.runs.folder import PhaseMetrics, read_metrics
 
 State = Literal["whole", "stopped", "broken"]

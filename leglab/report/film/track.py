@@ -11,8 +11,8 @@ from leglab import data
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.report.film.look import TIMES
+from leglab.report.page.outcome import t90
 from leglab.report.page.wording import readable
-from leglab.report.run.outcome import t90
 from leglab.runs import metrics, record
 
 # A run counts as stopped early where it lacks more than this [s].

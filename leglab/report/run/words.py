@@ -5,9 +5,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from leglab.report.page.outcome import mrad, sentence, share
 from leglab.report.page.shell import Section
 from leglab.report.page.wording import capital, listed, number, readable
-from leglab.report.run.outcome import mrad, sentence
 from leglab.runs.folder import ReportedRun
 from leglab.runs.record import ChangeRecord as Change
 
@@ -67,20 +67,17 @@ def headline(runs: Sequence[ReportedRun]) -> str:
     if different(runs):
         return f"{len(runs)} runs that differ in more than their controllers{ending}."
     best = min(whole, key=_error)
-    when = best.judged_over
     if len(whole) == 1:
-        text = f"only {best.label} came to the end: {mrad(best.error)} RMS error {when}"
+        text = f"only {best.label} came to the end: {mrad(best.error)} RMS error"
     elif max(map(_error, whole)) <= (1 + _ALIKE) * best.error:
-        text = (
-            f"no controller is clearly better: all within {100 * _ALIKE:.0f} % in RMS error {when}"
-        )
+        text = f"no controller is clearly better: all within {100 * _ALIKE:.0f} % in RMS error"
     else:
         others = sorted((run for run in whole if run is not best), key=_error)
         if len(others) > _MOST_TOLD:
             others = [runs[0] if runs[0] in others else others[0]]
         told = listed(tuple(f"{run.label} {mrad(run.error)}" for run in others))
-        text = f"{best.label} tracked best: {mrad(best.error)} RMS error {when}; {told}"
-    return capital(f"{text}{ending}.")
+        text = f"{best.label} tracked best: {mrad(best.error)} RMS error; {told}"
+    return f"{capital(best.judged_over)}, {text}{ending}."
 
 
 def sections(runs: Sequence[ReportedRun]) -> tuple[Section, ...]:
@@ -174,9 +171,9 @@ def _happened(run: ReportedRun) -> str:
     else:
         parts.append(f"RMS error {mrad(run.error)} {run.judged_over}, {peak}.")
     parts += _fallback(run)
-    share = _saturation(run)
-    if share > _RARE:
-        parts.append(f"A valve was at its limit {number(100 * share, 2)} % of the time.")
+    saturated = _saturation(run)
+    if saturated > _RARE:
+        parts.append(f"A valve was at its limit {number(100 * saturated, 2)} % of the time.")
     energy, seconds = last.energy_j.get("all"), min(last.end, run.metrics.duration) - last.start
     if energy is not None and seconds > 0:
         parts.append(f"Hydraulic power drawn: {number(energy / seconds)} W.")
@@ -226,6 +223,11 @@ def _verdict(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
             f"{run.label} {word} {first.label}: {relative(_error(run), _error(first))} RMS "
             f"error {run.judged_over}."
         )
+        ours, theirs = run.metrics.adaptation, first.metrics.adaptation
+        if ours.recovered is not None and theirs.recovered is not None:
+            text += (
+                f" Of what the change did it undoes {share(ours)}, {first.label} {share(theirs)}."
+            )
         lines.append(text)
     return tuple(lines)
 
