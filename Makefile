@@ -8,7 +8,7 @@ PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n au
 INSTALL := $(BIN)/python -m pip install --quiet --no-compile
 SOURCES := pyproject.toml CMakeLists.txt $(shell find leglab/csrc -type f)
 
-.PHONY: demo test soak lint docs clean
+.PHONY: demo test soak lint docs results clean
 
 demo: $(STAMP)
 	$(BIN)/leglab report --scenario seal_wear --controllers pd,static_feedforward,bsnn_arx --out out/demo
@@ -31,6 +31,12 @@ docs: $(STAMP)
 	rm -rf docs/api/generated  # pages of modules that are gone
 	$(BIN)/python -m sphinx -W --keep-going -n -q -j auto docs out/docs
 	@echo "open out/docs/index.html"
+
+# Hours: docs/data anew, then the tables of README.md and docs. Interrupted, the long ones go on.
+# Minutes of each: .venv/bin/python benchmarks/make_results.py --list
+results: $(STAMP)
+	$(INSTALL) --group benchmarks
+	$(BIN)/python benchmarks/make_results.py
 
 $(STAMP): $(SOURCES)
 	@$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11)' || { echo "leglab needs Python 3.11 or newer: make PYTHON=/path/to/python3.11"; exit 2; }

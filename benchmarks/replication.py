@@ -1,5 +1,7 @@
 """Table 1 of the paper, as `leglab replicate` finds it: `python benchmarks/replication.py`.
 
+Below it what the learning constant that the paper prints does to the order of its models.
+
 Page and figures of the same run go to docs/replication.
 """
 
@@ -10,6 +12,8 @@ from typing import Any
 import results
 
 from leglab.studies.replication import paper, replicate
+from leglab.studies.replication.experiments import Order
+from leglab.studies.replication.page import order_table
 from leglab.studies.replication.run import REALISATIONS
 
 
@@ -20,7 +24,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def tables(found: dict[str, Any]) -> str:
-    """Table 1, validation set."""
+    """Table 1, validation set; order of the models by learning constant and F(0)."""
     rows = []
     for model in paper.MODELS:
         got, printed = found["scores"]["validation"][model], paper.TABLE_1["validation"][model]
@@ -34,7 +38,8 @@ def tables(found: dict[str, Any]) -> str:
             )
         )
     last = f"RMS, mean and standard deviation over {REALISATIONS} noise realisations"
-    return results.table(("model", "RMS mean", "R² mean", last), rows)
+    table_1 = results.table(("model", "RMS mean", "R² mean", last), rows)
+    return f"{table_1}\n{order_table([Order(**row) for row in found['orders']], REALISATIONS)}"
 
 
 def main() -> None:

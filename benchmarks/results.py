@@ -3,12 +3,16 @@
 For benchmarks that take long, depend on the machine's speed, or need data or packages that a test
 has not: `--write FILE` keeps what was measured with where it comes from, `--render` prints its
 tables from there without measuring, which is how a test keeps page and data together.
+
+A benchmark with a `main` of its own keeps the same record: `origin_of` before it measures, `kept`
+afterwards, `origin_line` below its tables.
 """
 
 import argparse
 import json
 import os
 import shlex
+import subprocess
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from datetime import date
@@ -20,7 +24,12 @@ import numpy as np
 
 from leglab.data import write_atomically
 
-DATA = Path(__file__).parent.parent / "docs" / "data"
+ROOT = Path(__file__).parent.parent
+DATA = ROOT / "docs" / "data"
+# What a file of docs/data says of itself, beside its results.
+RECORD = ("command", "date", "commit", "versions", "machine")
+# Folders whose changes can change a result.
+_CODE = ("leglab", "benchmarks", "controllers", "models", "scenarios")
 _DIGITS = 6  # significant; tables show at most four
 
 
@@ -48,17 +57,75 @@ def main(
     )
     options = parser.parse_args()
     if options.render:
-        kept = json.loads(options.render.read_text())
+        record = json.loads(options.render.read_text())
     else:
+        origin = origin_of(_command(script.name))
         results = measure(options)
         if results is None:
             return
-        kept = json.loads(json.dumps(_kept(script.name, results), allow_nan=False))
-    print(f"{tables(kept['results']).rstrip()}\n\n{_origin(kept)}")
+        record = json.loads(json.dumps(kept(origin, results), allow_nan=False))
+    print(f"{tables(record['results']).rstrip()}\n\n{origin_line(record)}")
     if options.write:
-        text = json.dumps(kept, indent=1, ensure_ascii=False) + "\n"
+        text = json.dumps(record, indent=1, ensure_ascii=False) + "\n"
         options.write.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(options.write, lambda file: file.write(text.encode()))
+
+
+def origin_of(command: str) -> dict[str, Any]:
+    """Where results come from, to be called before they are measured; JSON can hold it.
+
+    Args:
+        command: What makes them, without `--write FILE`.
+
+    Returns:
+        The entries of `RECORD`; `machine` has the load of the last minute, to which `kept` adds
+        the one after measuring.
+    """
+    return {
+        "command": command,
+        "date": date.today().isoformat(),
+        "commit": commit(),
+        "versions": {name: metadata.version(name) for name in ("leglab", "mujoco", "numpy")},
+        "machine": f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} before",
+    }
+
+
+def kept(origin: dict[str, Any], results: Any) -> dict[str, Any]:
+    """Results with where they come from, to be called after they are measured.
+
+    Args:
+        origin: From `origin_of`.
+        results: As JSON holds them; they are rounded.
+    """
+    machine = f"{origin['machine']}, {os.getloadavg()[0]:.1f} after"
+    return {**origin, "machine": machine, "results": rounded(results)}
+
+
+def origin_line(record: dict[str, Any]) -> str:
+    """The line below the tables: the command and what it ran on."""
+    parts = [f"`{record['command']}`", record["date"]]
+    if "commit" in record:
+        parts.append(f"commit {record['commit']}")
+    parts += [f"{name} {version}" for name, version in record["versions"].items()]
+    return ", ".join(parts) + f"; {record['machine']}."
+
+
+def commit(root: Path = ROOT) -> str:
+    """Short hash of the checkout, with "+" if code in it was changed; "unknown" outside git."""
+
+    def git(*words: str) -> str:
+        done = subprocess.run(
+            ["git", "-C", str(root), *words], capture_output=True, text=True, check=True
+        )
+        return done.stdout.strip()
+
+    try:
+        if Path(git("rev-parse", "--show-toplevel")).resolve() != root.resolve():
+            return "unknown"  # unpacked within somebody else's checkout
+        changed = git("status", "--porcelain", "--", *_CODE)
+        return git("rev-parse", "--short=10", "HEAD") + ("+" if changed else "")
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
 
 
 def load(name: str) -> Any:
@@ -91,23 +158,10 @@ def number(value: float | None, digits: int = 3) -> str:
     return f"{value:.0f}" if abs(value) >= 10**digits else f"{value:#.{digits}g}".rstrip(".")
 
 
-def _kept(script: str, results: Any) -> dict[str, Any]:
-    """Results with where they come from."""
+def _command(script: str) -> str:
+    """The command of this process, without where it writes to."""
     words = [word for word in sys.argv[1:] if not word.startswith("--write=")]
     if "--write" in words:
         at = words.index("--write")
         del words[at : at + 2]
-    return {
-        "command": shlex.join(["python", f"benchmarks/{script}", *words]),
-        "date": date.today().isoformat(),
-        "versions": {name: metadata.version(name) for name in ("leglab", "mujoco", "numpy")},
-        "machine": f"{os.cpu_count()} cores, load {os.getloadavg()[1]:.1f}",
-        "results": rounded(results),
-    }
-
-
-def _origin(kept: dict[str, Any]) -> str:
-    """The line below the tables: the command and what it ran on."""
-    parts = [f"`{kept['command']}`", kept["date"]]
-    parts += [f"{name} {version}" for name, version in kept["versions"].items()]
-    return ", ".join(parts) + f"; {kept['machine']}."
+    return shlex.join(["python", f"benchmarks/{script}", *words])

@@ -8,7 +8,15 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import approx_fprime
 
 from leglab.base.errors import LeglabError
-from leglab.studies.replication import deployed, experiments, networks, paper, replicate, run
+from leglab.studies.replication import (
+    deployed,
+    experiments,
+    networks,
+    page,
+    paper,
+    replicate,
+    run,
+)
 from leglab.studies.replication.experiments import compare, multiplications
 from leglab.studies.replication.online import OnlineSettings, run_online
 from leglab.studies.replication.paper import score, table_1, worst_deviation
@@ -119,6 +127,29 @@ def test_paper_s_advantage_reverses_with_the_initial_gain(signals):
     assert rms["ARX"] < rms["BSNN-ARX"]
 
 
+def test_printed_learning_constant_reverses_the_order():
+    rows = experiments.orders(*simulate(range(10), paper.N_SAMPLES), 5, 0)
+    assert len(rows) == 2 * len(experiments.INITIAL_GAINS)
+    for row in rows:
+        if row.learning_constant == paper.PRINTED_LEARNING_CONSTANT:
+            assert row.arx < row.bsnn_arx
+            assert row.better <= 1
+        elif row.initial_gain <= 10:
+            assert row.bsnn_arx < row.arx
+
+
+def test_page_says_what_the_printed_constant_does(tmp_path, signals):
+    rows = experiments.orders(*simulate(range(2), paper.N_SAMPLES), 2, 0)
+    readings = experiments.readings(*signals, 2, 0)
+    sheet = page.Page(tmp_path, "a page")
+    page.printed_constant(sheet, rows, readings, 2)
+    text = sheet.write().read_text()
+    assert "gamma_2 = 0.004" in text
+    assert "is reversed: on the noise" in text
+    assert f"BSNN-ARX has {readings[2][4]:.4f}, ARX {readings[2][3]:.4f}" in text
+    assert sum(line.startswith("| ") for line in text.splitlines()) == 10
+
+
 def test_same_seed_same_bits(signals):
     first, second = (run_online(*signals, 5, 11) for _ in range(2))
     for model in experiments.ONLINE:
@@ -178,4 +209,5 @@ def test_page_has_all_figures(tmp_path, monkeypatch):
     assert stored["worst_deviation"] == result.worst_deviation
     scores = stored["scores"]["validation"]["BSNN-ARX"]
     assert scores["instances"] == 3
+    assert len(stored["orders"]) == len(result.orders)
     assert scores["rms_mean"] == result.comparison.scores["validation"]["BSNN-ARX"].rms.mean()

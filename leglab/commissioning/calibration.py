@@ -1,6 +1,5 @@
 """What a bench calibration of the nominal machine tells a controller: signs, speeds, valve maps."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import mujoco
@@ -100,26 +99,33 @@ def valve_maps(simulation: Simulation) -> tuple[ValveMap, ...]:
     pose; loads are gravity, springs and dampers, friction and leakage those of the cylinder. The
     leg hangs free, as on a stand: contact with the ground is off.
     """
+    limits, ranges = speed_limits(simulation), simulation.joint_range()
+    maps = []
+    for joint, (low, high) in enumerate(ranges):
+        velocity = SPEED_FRACTIONS * limits[joint]
+        position = low + POSITION_FRACTIONS * (high - low)
+        command = steady_commands(simulation, joint, position, velocity)
+        maps.append(ValveMap(position=position, velocity=velocity, command=command))
+    return tuple(maps)
+
+
+def steady_commands(
+    simulation: Simulation, joint: int, position: np.ndarray, velocity: np.ndarray
+) -> np.ndarray:
+    """Valve commands at which a joint runs steadily, (p, v); +-1 beyond what the valve can give.
+
+    Args:
+        simulation: The machine, in the pose of the other joints; it is left in it.
+        joint: Index of the joint.
+        position: Of the joint [rad], (p,).
+        velocity: Of the joint [rad/s], (v,).
+    """
     model, data = simulation.model, simulation.data
-    flags = model.opt.disableflags
+    cylinder = Cylinder(simulation.cylinder_parameters(simulation.actuators[joint]))
+    pose, flags = data.qpos.copy(), model.opt.disableflags
+    command = np.empty((len(position), len(velocity)))
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     try:
-        return tuple(_hanging_valve_maps(simulation))
-    finally:
-        model.opt.disableflags = flags
-        mujoco.mj_forward(model, data)
-
-
-def _hanging_valve_maps(simulation: Simulation) -> Iterator[ValveMap]:
-    model, data = simulation.model, simulation.data
-    pose = data.qpos.copy()
-    limits, ranges = speed_limits(simulation), simulation.joint_range()
-    for joint, actuator in enumerate(simulation.actuators):
-        cylinder = Cylinder(simulation.cylinder_parameters(actuator))
-        velocity = SPEED_FRACTIONS * limits[joint]
-        low, high = ranges[joint]
-        position = low + POSITION_FRACTIONS * (high - low)
-        command = np.empty((len(position), len(velocity)))
         for i, q in enumerate(position):
             for j, speed in enumerate(velocity):
                 data.qpos[:], data.qvel[:] = pose, 0.0
@@ -133,5 +139,8 @@ def _hanging_valve_maps(simulation: Simulation) -> Iterator[ValveMap]:
                     command[i, j] = cylinder.steady_state(lever * speed, force).spool
                 except LeglabError:
                     command[i, j] = np.sign(lever * speed)  # beyond what the valve can give
+    finally:
+        model.opt.disableflags = flags
         data.qpos[:], data.qvel[:] = pose, 0.0
-        yield ValveMap(position=position, velocity=velocity, command=command)
+        mujoco.mj_forward(model, data)
+    return command

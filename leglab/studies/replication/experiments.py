@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from timeit import timeit
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +18,16 @@ from leglab.studies.replication.online import (
     run_online,
     static_alone,
 )
-from leglab.studies.replication.paper import INSTANCES, MODELS, N_TRAINING, Array, Scores, score
+from leglab.studies.replication.paper import (
+    INSTANCES,
+    LEARNING_CONSTANT,
+    MODELS,
+    N_TRAINING,
+    PRINTED_LEARNING_CONSTANT,
+    Array,
+    Scores,
+    score,
+)
 from leglab.studies.replication.plant import Excitation, simulate
 
 
@@ -154,7 +164,7 @@ Errors = tuple[str, float, float, float, float]
 
 ONLINE = ("BSNN", "ARX", "BSNN-ARX")
 INITIAL_GAINS = (1.0, 2.0, 5.6, 10.0, 20.0, 50.0, 100.0, 1e3, 1e4)
-LEARNING_CONSTANTS = (0.004, 0.01, 0.02, 0.05, 0.1, 0.14, 0.2)
+LEARNING_CONSTANTS = (PRINTED_LEARNING_CONSTANT, 0.01, 0.02, 0.05, 0.1, LEARNING_CONSTANT, 0.2)
 VARIANCES = (0.07**2, 0.02, 0.035, 0.07, 0.14)
 """Of the noise before the filter; the first reads the paper's 0.07 as a standard deviation."""
 DIVERGED = 1.0
@@ -176,7 +186,10 @@ def readings(u: Array, y: Array, instances: int, seed: int) -> list[Errors]:
     cases = (
         ("paper mode", OnlineSettings()),
         ("Eq. 9 as printed", OnlineSettings(middle_piece="printed")),
-        ("learning constant .004 as printed", OnlineSettings(learning_constant=0.004)),
+        (
+            f"learning constant {PRINTED_LEARNING_CONSTANT} as printed",
+            OnlineSettings(learning_constant=PRINTED_LEARNING_CONSTANT),
+        ),
         ("F(0) = 1e4 I", OnlineSettings(initial_gain=1e4)),
     )
     return [_row(name, u, y, instances, seed, settings) for name, settings in cases]
@@ -234,6 +247,44 @@ def learning_constant(u: Array, y: Array, instances: int, seed: int) -> dict[str
         for model in ("BSNN", "BSNN-ARX"):
             curves.setdefault(model, []).append(float(np.mean(_errors(runs, y[None], model)[0])))
     return curves
+
+
+class Order(NamedTuple):
+    """ARX and BSNN-ARX with one learning constant and one F(0), over noise realisations.
+
+    Attributes:
+        learning_constant: Of BSNN-ARX; ARX has none.
+        initial_gain: F(0) of both is this times the identity.
+        arx: Validation RMS (one step), mean over realisations and instances.
+        bsnn_arx: The same of BSNN-ARX.
+        better: Realisations in which the mean of BSNN-ARX is the smaller one.
+    """
+
+    learning_constant: float
+    initial_gain: float
+    arx: float
+    bsnn_arx: float
+    better: int
+
+
+def orders(u: Array, y: Array, instances: int, seed: int) -> list[Order]:
+    """Whether BSNN-ARX beats ARX, for `INITIAL_GAINS`: paper mode's constant and the printed one.
+
+    Args:
+        u: Inputs of several realisations, shape (R, n).
+        y: Outputs, shape (R, n).
+        instances: Instances a model on each.
+        seed: Of the initial parameters.
+    """
+    rows = []
+    for constant in (LEARNING_CONSTANT, PRINTED_LEARNING_CONSTANT):
+        for gain in INITIAL_GAINS:
+            settings = OnlineSettings(initial_gain=gain, learning_constant=constant)
+            runs = [run_online(a, b, instances, seed, settings) for a, b in zip(u, y, strict=True)]
+            arx, both = (_errors(runs, y, model)[0] for model in ("ARX", "BSNN-ARX"))
+            means = float(np.mean(arx)), float(np.mean(both))
+            rows.append(Order(constant, gain, *means, int(np.sum(both < arx))))
+    return rows
 
 
 def spread(u: Array, y: Array, instances: int, seed: int) -> list[Errors]:

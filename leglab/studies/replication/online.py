@@ -10,7 +10,13 @@ from typing import Literal
 import numpy as np
 
 from leglab.identification import BsnnArx, BsnnArxSettings, Rls
-from leglab.studies.replication.paper import N_TRAINING, Array, Scores, score
+from leglab.studies.replication.paper import (
+    LEARNING_CONSTANT,
+    N_TRAINING,
+    Array,
+    Scores,
+    score,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,13 +25,13 @@ class OnlineSettings:
 
     Attributes:
         initial_gain: F(0) of both ARX models is this times the identity.
-        learning_constant: Of the weights and the bias (Eq. 12); the paper prints 0.004.
+        learning_constant: Of the weights and the bias (Eq. 12).
         middle_piece: "corrected" or "printed" Eq. 9.
         spread: All parameters start uniformly in +- this (Sec. 3.1 has it for the network).
     """
 
     initial_gain: float = 5.6
-    learning_constant: float = 0.14
+    learning_constant: float = LEARNING_CONSTANT
     middle_piece: Literal["corrected", "printed"] = "corrected"
     spread: float = 0.25
 

@@ -22,6 +22,11 @@ INSTANCES = 100
 SEED = 63
 """Noise realisation of paper mode: picked, because its Table 1 is near the printed one."""
 
+LEARNING_CONSTANT = 0.14
+"""Of paper mode, picked likewise."""
+PRINTED_LEARNING_CONSTANT = 0.004
+"""gamma_2 of Sec. 3.1, a symbol that occurs nowhere else in the paper; Eq. 12 has eta."""
+
 
 class Printed(NamedTuple):
     """Mean and variance over the instances; None where the table has NS (non significant)."""

@@ -26,6 +26,7 @@ class Replication:
         recoveries: Re-adaptation by forgetting mode and changed constant.
         free_runs: Rows of the deployed identifier's comparison with the floor.
         floor: RMS of the exact plant on the sampled input [units of y].
+        orders: ARX against BSNN-ARX, with paper mode's learning constant and the printed one.
         spread: Mean, standard deviation, least and largest RMS of each model over realisations.
         online_seconds: For the three online models of Table 1, 100 instances, on one core.
         page: The page written.
@@ -36,6 +37,7 @@ class Replication:
     recoveries: dict[str, dict[str, deployed.Recovery]]
     free_runs: list[tuple[str, int, float, float, float, float]]
     floor: float
+    orders: list[experiments.Order]
     spread: list[experiments.Errors]
     online_seconds: float
     page: Path
@@ -62,6 +64,7 @@ class Replication:
             "spread": {
                 model: {"rms_mean": mean, "rms_std": std} for model, mean, std, *_ in self.spread
             },
+            "orders": [order._asdict() for order in self.orders],
             "online_seconds": self.online_seconds,
             "page": str(self.page),
             "figures": [str(figure) for figure in self.figures],
@@ -102,14 +105,17 @@ def replicate(
 
     say("sensitivity")
     all_u, all_y = simulate(range(REALISATIONS), paper.N_SAMPLES)
+    readings = experiments.readings(u, y, instances, seed)
     page.sensitivities(
         sheet,
-        experiments.readings(u, y, instances, seed),
+        readings,
         experiments.input_variance(instances, seed),
         experiments.initial_gain(all_u, all_y, 10, seed),
         experiments.learning_constant(u, y, instances, seed),
         comparison.online.free_run_scores(y),
     )
+    orders = experiments.orders(all_u, all_y, 10, seed)
+    page.printed_constant(sheet, orders, readings, REALISATIONS)
     spread = experiments.spread(all_u, all_y, 5, seed)
     page.spread(sheet, spread, REALISATIONS)
     near, settings = BETTER_FIT
@@ -131,6 +137,7 @@ def replicate(
         recoveries=recoveries,
         free_runs=rows,
         floor=floor,
+        orders=orders,
         spread=spread,
         online_seconds=seconds,
         page=sheet.write(),

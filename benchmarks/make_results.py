@@ -1,0 +1,102 @@
+"""Makes all of docs/data anew, then the tables of README.md and docs: `make results`.
+
+One command after the other, so that times are not disturbed by each other, the long ones last;
+`python benchmarks/make_results.py NAME...` makes only some. Needs the benchmarks group
+(`pip install --group benchmarks`) and the recordings in $LEGLAB_DATA or ../shared/data.
+"""
+
+import argparse
+import shlex
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+
+import results
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """A file of docs/data.
+
+    Attributes:
+        name: Its stem.
+        command: What makes it.
+        minutes: How long that takes on two cores that do nothing else.
+    """
+
+    name: str
+    command: str
+    minutes: float
+
+
+def _job(name: str, minutes: float, script: str = "", options: str = "") -> Job:
+    words = ["python", f"benchmarks/{script or name}.py", *shlex.split(options)]
+    command = shlex.join([*words, "--write", f"docs/data/{name}.json"])
+    return Job(name=name, command=command, minutes=minutes)
+
+
+JOBS = (
+    _job("speed", 1),
+    _job("leg_speed", 1),
+    _job("environment_speed", 1),
+    _job("identification_peers", 1),
+    _job("integration_accuracy", 1),
+    _job("diagnosis_rollouts", 1),
+    _job("readaptation_limit", 1),
+    _job("long_run", 2),
+    _job("replication", 3),
+    _job("two_routes", 2),
+    _job("squat_limits", 3),
+    _job("real_data", 3),
+    _job("diagnosis_bench", 3),
+    _job("diagnosis_bench_without_pressures", 3, "diagnosis_bench", "--without-pressures"),
+    _job("diagnosis_self_test", 60, options="--out runs/self_test"),
+    Job(
+        name="adaptation_results",
+        command="python benchmarks/adaptation_claims.py --write docs/adaptation_results.md",
+        minutes=180,
+    ),
+)
+
+
+def make(job: Job) -> bool:
+    """Runs a command in the repository's root; says whether it ended well."""
+    print(f"{job.name}: about {job.minutes:g} min: {job.command}", flush=True)
+    began = time.monotonic()
+    words = shlex.split(job.command)
+    done = subprocess.run([sys.executable, *words[1:]], cwd=results.ROOT, stdout=subprocess.DEVNULL)
+    spent = (time.monotonic() - began) / 60
+    print(f"{job.name}: {'made' if done.returncode == 0 else 'FAILED'} in {spent:.1f} min")
+    return done.returncode == 0
+
+
+def listing() -> str:
+    """All jobs, as Markdown."""
+    rows = [(f"`docs/data/{j.name}.json`", f"`{j.command}`", f"{j.minutes:g}") for j in JOBS]
+    return results.table(("file", "command", "minutes"), rows)
+
+
+def main() -> None:
+    """Makes all, or those that are named; everything else is tried if one fails."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    known = [job.name for job in JOBS]
+    parser.add_argument("names", nargs="*", metavar="NAME", help="of docs/data; default: all")
+    parser.add_argument("--list", action="store_true", help="print the commands with their minutes")
+    options = parser.parse_args()
+    if unknown := [name for name in options.names if name not in known]:
+        parser.error(f"{', '.join(unknown)}: allowed are {', '.join(known)}")
+    if options.list:
+        print(listing(), end="")
+        return
+    jobs = [job for job in JOBS if job.name in (options.names or known)]
+    failed = [job.name for job in jobs if not make(job)]
+    print("tables of README.md and docs", flush=True)
+    tables = subprocess.run([sys.executable, "-m", "tests.tables", "--write"], cwd=results.ROOT)
+    if failed:
+        raise SystemExit(f"error: not made: {', '.join(failed)}")
+    raise SystemExit(tables.returncode)
+
+
+if __name__ == "__main__":
+    main()
