@@ -6,18 +6,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from results import DATA as FOLDER
-from results import rounded
+import results
 
 from leglab import RunSettings
 from leglab.data import write_atomically
-from leglab.runs.metrics import READAPTATION_RATIO, settling_time
 
 # Results by scenario, severity (None for the default) and controller, one a seed.
 Cells = dict[tuple[str, float | None, str], list[dict[str, Any]]]
 
-DATA = FOLDER / "adaptation_results.json"
-ADAPTIVE, _CALIBRATED = "bsnn_arx", "static_feedforward"
+DATA = results.DATA / "adaptation_results.json"
+ADAPTIVE, CALIBRATED = "bsnn_arx", "static_feedforward"
 # The first windows see the start of learning; from here on a window counts [s].
 _SAFE_FROM = 7.0
 
@@ -25,90 +23,89 @@ _SAFE_FROM = 7.0
 def condense(cells: Cells) -> Cells:
     """Reduces the results of `leglab.runs.sweep.run_all` to numbers, one dictionary a run.
 
-    Each has `seed`, `completed`, `settled_rms_rad` and `end_rms_rad` by joint, `after_rms_rad`;
-    nominal ones `travel_rad`; those of `bsnn_arx` also `readaptation_s` to 1.25 of the error before
-    the change ("strict") and of the worse of that and the oracle's end ("fair"), None for never,
-    and `safety`: the worst ratio to `static_feedforward` in a 2 s window, its time
-    [s], and both errors [mrad].
+    Each has `seed`, `completed` and, as `leglab.runs.clock` defines them, `before`, `after`, `end`,
+    `damage`, `twin_end` [rad], `recovered` and `t90` [s], None where they cannot be told; `told`
+    says whether `recovered` can. Nominal ones have `end_by_joint` and `travel` [rad]; those of
+    `bsnn_arx` have `safety`: the worst ratio to `static_feedforward` in a 2 s window, its time [s],
+    and both errors [mrad].
     """
     small: Cells = {}
     for (name, severity, controller), runs in cells.items():
         for run in runs:
+            metrics, found = run["metrics"], run["metrics"]["adaptation"]
+            before, end = found["before_rad"], found["end_rad"]
             entry = {
                 "seed": run["settings"]["seed"],
-                "completed": run["metrics"]["completed"],
-                "settled_rms_rad": run["settled_rms_rad"],
-                "end_rms_rad": run["end_rms_rad"],
-                "after_rms_rad": run["metrics"]["phases"][-1]["rms_rad"]["all"],
+                "completed": metrics["completed"],
+                "before": before and before["all"],
+                "after": metrics["phases"][-1]["rms_rad"]["all"],
+                "end": end and end["all"],
+                "damage": found["damage_rad"],
+                "twin_end": found["twin_end_rad"],
+                "recovered": found["recovered"],
+                "t90": found["t90_s"],
+                "told": found["reason"] is None,
             }
             if name == "nominal":
-                entry["travel_rad"] = run["travel_rad"]
+                entry["end_by_joint"], entry["travel"] = end, run["travel_rad"]
             if controller == ADAPTIVE:
-                others = {c: cells.get((name, severity, c), []) for c in ("oracle", _CALIBRATED)}
-                if run["changes"]:
-                    entry["readaptation_s"] = _readaptation(run, others["oracle"])
-                entry["safety"] = _safety(run, others[_CALIBRATED])
-            small.setdefault((name, severity, controller), []).append(rounded(entry))
+                entry["safety"] = _safety(run, cells.get((name, severity, CALIBRATED), []))
+            small.setdefault((name, severity, controller), []).append(results.rounded(entry))
     return small
 
 
-def pooled(runs: list[dict[str, Any]], key: str) -> np.ndarray:
-    """RMS over joints of every run that has it [mrad]; failed runs count as infinite."""
-    values = []
-    for run in runs:
-        if not run["completed"]:
-            values.append(np.inf)
-        elif run[key] is not None:
-            values.append(1e3 * np.sqrt(np.mean(np.square(list(run[key].values())))))
+def mrad(runs: list[dict[str, Any]], key: str) -> np.ndarray:
+    """An error of every run that has it [mrad]; failed runs count as infinite."""
+    values = [
+        np.inf if not run["completed"] else 1e3 * run[key]
+        for run in runs
+        if not run["completed"] or run[key] is not None
+    ]
     return np.array(values) if values else np.array([np.nan])
 
 
 def stored(runs: list[RunSettings], folder: Path) -> list[dict[str, Any]]:
     """Results with these settings that a folder holds, whatever code they were made with."""
-    results = [json.loads(path.read_text()) for path in sorted(folder.glob("*.json"))]
+    found = [json.loads(path.read_text()) for path in sorted(folder.glob("*.json"))]
     wanted = [json.loads(json.dumps(asdict(run))) for run in runs]
-    return [result for result in results if result["settings"] in wanted]
+    return [result for result in found if result["settings"] in wanted]
 
 
-def save(rigs: dict[str, Cells], command: str, path: Path = DATA) -> None:
-    """Writes condensed results, a line a run."""
+def save(record: dict[str, Any], path: Path = DATA) -> None:
+    """Writes results with where they come from, a line a run."""
+    head = {name: record[name] for name in results.RECORD}
     lines = []
-    for rig, cells in rigs.items():
-        rows = [
-            json.dumps({"scenario": n, "severity": s, "controller": c, **run}, allow_nan=False)
-            for (n, s, c), runs in cells.items()
-            for run in runs
-        ]
-        lines.append(f"{json.dumps(rig)}: [\n" + ",\n".join(rows) + "\n]")
-    text = f'{{"made_by": {json.dumps(command)},\n"rigs": {{\n' + ",\n".join(lines) + "\n}}\n"
-    path.parent.mkdir(parents=True, exist_ok=True)
+    for rig, cells in record["results"].items():
+        rows = ",\n".join(json.dumps(row, allow_nan=False) for row in cells)
+        lines.append(f"{json.dumps(rig)}: [\n{rows}\n]")
+    body = ",\n".join(lines)
+    text = (
+        json.dumps(head, indent=1, ensure_ascii=False)[:-2] + f',\n "results": {{\n{body}\n}}}}\n'
+    )
     write_atomically(path, lambda file: file.write(text.encode()))
 
 
-def read(path: Path = DATA) -> tuple[str, dict[str, Cells]]:
-    """The command that made the committed results, and the results by rig."""
-    content = json.loads(path.read_text())
-    rigs: dict[str, Cells] = {}
-    for rig, rows in content["rigs"].items():
-        cells = rigs.setdefault(rig, {})
-        for row in rows:
-            key = row["scenario"], row["severity"], row["controller"]
-            cells.setdefault(key, []).append(row)
-    return content["made_by"], rigs
-
-
-def _readaptation(run: dict[str, Any], oracle: list[dict[str, Any]]) -> dict[str, float | None]:
-    time = np.array(run["time"])
-    error = np.array([np.nan if e is None else e for e in run["windowed_error_rad"]])
-    change, window = run["changes"][0], run["window"]
-    before = error[np.searchsorted(time, change) - 1]
-    runs = [{**r, "completed": r["metrics"]["completed"]} for r in oracle]
-    bound = np.mean(pooled(runs, "end_rms_rad")) / 1e3
-    levels = {"strict": before, "fair": np.fmax(before, bound)}  # no oracle: as strict
+def rows(rigs: dict[str, Cells]) -> dict[str, list[dict[str, Any]]]:
+    """The results as JSON holds them: by rig, a dictionary a run."""
     return {
-        kind: settling_time(time, error, change, window, READAPTATION_RATIO * level)
-        for kind, level in levels.items()
+        rig: [
+            {"scenario": n, "severity": s, "controller": c, **run}
+            for (n, s, c), runs in cells.items()
+            for run in runs
+        ]
+        for rig, cells in rigs.items()
     }
+
+
+def read(path: Path = DATA) -> tuple[dict[str, Any], dict[str, Cells]]:
+    """The committed record, and its results by rig."""
+    record = json.loads(path.read_text())
+    rigs: dict[str, Cells] = {}
+    for rig, found in record["results"].items():
+        cells = rigs.setdefault(rig, {})
+        for row in found:
+            cells.setdefault((row["scenario"], row["severity"], row["controller"]), []).append(row)
+    return record, rigs
 
 
 def _safety(run: dict[str, Any], statics: list[dict[str, Any]]) -> tuple[float, ...]:

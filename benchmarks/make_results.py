@@ -52,11 +52,7 @@ JOBS = (
     _job("diagnosis_bench", 3),
     _job("diagnosis_bench_without_pressures", 3, "diagnosis_bench", "--without-pressures"),
     _job("diagnosis_self_test", 60, options="--out runs/self_test"),
-    Job(
-        name="adaptation_results",
-        command="python benchmarks/adaptation_claims.py --write docs/adaptation_results.md",
-        minutes=180,
-    ),
+    _job("adaptation_results", 90, "adaptation_claims"),
 )
 
 

@@ -59,7 +59,7 @@ def main(
     if options.render:
         record = json.loads(options.render.read_text())
     else:
-        origin = origin_of(_command(script.name))
+        origin = origin_of(command(script.name))
         results = measure(options)
         if results is None:
             return
@@ -158,7 +158,7 @@ def number(value: float | None, digits: int = 3) -> str:
     return f"{value:.0f}" if abs(value) >= 10**digits else f"{value:#.{digits}g}".rstrip(".")
 
 
-def _command(script: str) -> str:
+def command(script: str) -> str:
     """The command of this process, without where it writes to."""
     words = [word for word in sys.argv[1:] if not word.startswith("--write=")]
     if "--write" in words:

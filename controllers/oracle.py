@@ -24,6 +24,7 @@ class Oracle(AdaptiveController):
     """
 
     name = "oracle"
+    freeze = None  # type: ignore[assignment]  # it does not adapt: it has no frozen twin
 
     def __init__(self, setup: ControllerSetup, config: AdaptiveConfiguration) -> None:
         config = config.model_copy(update={"supervised": False, "stop_time": 0.0})
@@ -49,7 +50,3 @@ class Oracle(AdaptiveController):
             self.adaptation.learner.parameters = self._maps[1]
             self._changed = True
         return super().command(measurement, reference)
-
-    def freeze(self) -> None:
-        """Keeps the map of the machine before its change until the next `reset`."""
-        self._changed = True

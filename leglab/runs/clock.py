@@ -96,6 +96,7 @@ def adaptation(
         hurt = float(np.max(strides[time >= change + stride]))
     else:
         hurt = error_of(twin, done, math.inf)["all"]
+        figures["twin_end_rad"] = error_of(twin, scenario.duration - span, math.inf)["all"]
     damage = hurt - before["all"]
     figures.update(
         before_rad=before,

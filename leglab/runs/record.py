@@ -58,6 +58,7 @@ class AdaptationMetrics(BaseModel):
             `before_rad` [rad]. The frozen twin is the same run with adaptation stopped just
             before the change; for a controller that has none, the worst stride of the run itself.
         damage_of: "frozen twin" or "own peak".
+        twin_end_rad: Error of the frozen twin over the last `span_s` [rad]; None without one.
         recovered: Share of the damage that is undone at the end: 1 where `end_rad` is
             `before_rad`.
         t90_s: From the change until no stride that begins later has an error above `level_rad`
@@ -72,6 +73,7 @@ class AdaptationMetrics(BaseModel):
     end_rad: ByJoint | None = None
     damage_rad: FiniteFloat | None = None
     damage_of: str | None = None
+    twin_end_rad: FiniteFloat | None = None
     recovered: FiniteFloat | None = None
     t90_s: FiniteFloat | None = None
     level_rad: FiniteFloat | None = None
