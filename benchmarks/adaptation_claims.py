@@ -32,14 +32,18 @@ HEADER = """# What adapting gains
 Made by `python benchmarks/adaptation_claims.py --render > docs/adaptation_results.md`
 from docs/data/adaptation_results.json; not to be edited.
 
-A seed draws the specimen (every parameter off the drawing by a factor of standard deviation 10 %), the phase of the stride,
-the time of the change (8 to 12 s of 20) and the sensor noise; the exact machine is a chapter of its own. Controllers know the
-drawing, never the specimen ([what the calibration knows](calibration.md)).
-Errors are RMS over joints and time in mrad, of the true positions; 95 % intervals over seeds. `before` is the whole strides
-of the 5 s before the change, `end` those of the last 5 s. `frozen` is `bsnn_arx` with adaptation stopped just before the
-change; its error after the change less `before` is the damage, `undone` the share of it that is gone at the end, and
-`90 % after` the time from the change until no stride that begins later exceeds `before` by more than a tenth of it. `bound`
-is `exact_inverse`: what sensors and valves leave with the true machine known.
+A seed draws the specimen (every parameter off the drawing by a factor of standard deviation 10 %),
+the phase of the stride, the time of the change (8 to 12 s of 20) and the sensor noise; the exact
+machine is a chapter of its own. Controllers know the drawing, never the specimen
+([what the calibration knows](calibration.md)). Errors are RMS over joints and time in mrad, of the
+true positions; 95 % intervals over seeds.
+
+- `before` is the whole strides of the 5 s before the change, `end` those of the last 5 s.
+- `frozen` is `bsnn_arx` with adaptation stopped just before the change. Its error after the change
+  less `before` is the damage; `undone` is the share of it that is gone at the end.
+- `90 % after` is the time from the change until no stride that begins later exceeds `before` by
+  more than a tenth of the damage.
+- `bound` is `exact_inverse`: what sensors and valves leave with the true machine known.
 
 {origin}
 

@@ -113,16 +113,18 @@ def metrics_table(metrics: dict[str, Any]) -> Table:
 
 def comparison_table(summary: dict[str, Any]) -> Table:
     """Error and re-adaptation by scenario and controller, from the content of `compare.json`."""
+    first = summary["controllers"][0]
     table = Table(
-        title="RMS tracking error of all joints [mrad], mean and half of the 95 % interval, "
+        title="RMS tracking error of all joints in mrad, mean and half of the 95 % interval, "
         f"{summary['seeds']} seeds: {_drawn(summary)}",
+        caption=f"ratio: error after the change, of {first}'s; end: the last whole strides of "
+        "a quarter of the run; undone: share of the damage at the end, and when 90 % were",
         title_justify="left",
+        caption_justify="left",
         box=SIMPLE_HEAD,
     )
-    table.add_column("", no_wrap=True)
-    first = summary["controllers"][0]
-    heads = ("before", "after", f"after / {first}", "end", "undone [%]", "90 % undone [s]")
-    for name in heads:
+    table.add_column("", no_wrap=True, min_width=max(map(len, summary["controllers"])) + 2)
+    for name in ("before", "after", "ratio", "end", "undone, %", "90 % undone, s"):
         table.add_column(name, justify="right", no_wrap=True)
     for scenario, controllers in summary["results"].items():
         table.add_row(f"[bold]{scenario}[/bold]")
