@@ -72,10 +72,10 @@ def test_a_worse_controller_is_called_worse(tmp_path):
     )
     assert headline(runs).startswith("In the last 2 s, pd tracked best")
     assert story(runs, "Verdict") == [
-        "arx tracks worse than pd: 50 % more RMS error in the last 2 s. Of what the change did it "
-        "undoes nothing, pd nothing.",
-        "frozen is about as good as pd: 2 % more RMS error in the last 2 s. Of what the change did "
-        "it undoes nothing, pd nothing.",
+        "arx tracks worse than pd: 50 % more RMS error in the last 2 s. Neither undoes anything "
+        "of what the change did.",
+        "frozen is about as good as pd: 2 % more RMS error in the last 2 s. Neither undoes anything "
+        "of what the change did.",
     ]
     alike = (runs[0], runs[2])
     assert "no controller is clearly better" in headline(alike)

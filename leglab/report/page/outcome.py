@@ -5,7 +5,8 @@ from leglab.runs.clock import TWIN
 from leglab.runs.record import AdaptationMetrics
 
 # Shares of the damage below which nothing, and from which everything, counts as undone.
-_NOTHING, _ALL = 0.05, 0.995
+_LEAST, _MOST = 0.05, 0.995
+NOTHING = "nothing"
 
 
 def outcome(found: AdaptationMetrics) -> str:
@@ -28,7 +29,7 @@ def sentence(found: AdaptationMetrics) -> str:
     else:
         text = f"The change raises the error by {mrad(found.damage_rad)} in the worst stride"
     undone = f"{share(found)} of that is undone in the last {found.span_s:g} s"
-    if found.recovered < _NOTHING:
+    if found.recovered < _LEAST:
         return f"{text}; {undone}."
     if found.t90_s is None:
         soon = "90 % never, within the run"
@@ -47,9 +48,9 @@ def mrad(value: float) -> str:
 def share(found: AdaptationMetrics) -> str:
     """How much of the damage is undone in the last strides: "95 %"."""
     assert found.recovered is not None
-    if found.recovered >= _ALL:
+    if found.recovered >= _MOST:
         return "all"
-    return "nothing" if found.recovered < _NOTHING else f"{100 * found.recovered:.0f} %"
+    return NOTHING if found.recovered < _LEAST else f"{100 * found.recovered:.0f} %"
 
 
 def t90(found: AdaptationMetrics) -> str:
