@@ -74,8 +74,8 @@ def test_a_worse_controller_is_called_worse(tmp_path):
     assert story(runs, "Verdict") == [
         "arx tracks worse than pd: 50 % more RMS error in the last 2 s. Neither undoes anything "
         "of what the change did.",
-        "frozen is about as good as pd: 2 % more RMS error in the last 2 s. Neither undoes anything "
-        "of what the change did.",
+        "frozen is about as good as pd: 2 % more RMS error in the last 2 s. Neither undoes "
+        "anything of what the change did.",
     ]
     alike = (runs[0], runs[2])
     assert "no controller is clearly better" in headline(alike)

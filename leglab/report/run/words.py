@@ -225,9 +225,12 @@ def _verdict(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
         )
         ours, theirs = run.metrics.adaptation, first.metrics.adaptation
         if ours.recovered is not None and theirs.recovered is not None:
-            text += (
-                f" Of what the change did it undoes {share(ours)}, {first.label} {share(theirs)}."
+            undone = (
+                f"Of what the change did it undoes {share(ours)}, {first.label} {share(theirs)}"
             )
+            if share(ours) == share(theirs) == NOTHING:
+                undone = "Neither undoes anything of what the change did"
+            text += f" {undone}."
         lines.append(text)
     return tuple(lines)
 
