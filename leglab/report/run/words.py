@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from leglab.report.page.outcome import mrad, sentence, share
+from leglab.report.page.outcome import NOTHING, mrad, sentence, share
 from leglab.report.page.shell import Section
 from leglab.report.page.wording import capital, listed, number, readable
 from leglab.runs.folder import ReportedRun
