@@ -15,7 +15,7 @@ from pathlib import Path
 
 import results
 from adaptation_data import DATA, Cells, condense, read, rows, save, stored
-from adaptation_tables import BOUND, claims
+from adaptation_tables import claims
 from rich.console import Console
 from rich.progress import Progress
 
@@ -24,7 +24,7 @@ from leglab.base.errors import LeglabError
 from leglab.base.scenario import get_scenario, scenario_names
 from leglab.runs.sweep import run_all
 
-PEERS = ("pid", "arx", "bsnn_arx_paper", "adaptive_backstepping", BOUND)
+PEERS = ("pid", "arx", "bsnn_arx_paper", "adaptive_backstepping")
 NEEDED = ("static_feedforward", "bsnn_arx", "oracle")
 SAFETY = ("static_feedforward", "bsnn_arx")
 HEADER = """# What adapting gains
@@ -43,7 +43,6 @@ true positions; 95 % intervals over seeds.
   less `before` is the damage; `undone` is the share of it that is gone at the end.
 - `90 % after` is the time from the change until no stride that begins later exceeds `before` by
   more than a tenth of the damage.
-- `bound` is `exact_inverse`: what sensors and valves leave with the true machine known.
 
 {origin}
 

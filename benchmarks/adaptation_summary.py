@@ -18,7 +18,7 @@ from leglab.cli.catalogue import severity_text
 from leglab.control import controller_summary
 
 RIG, EXACT = "leg, walking", "leg, walking, exact machine"
-SHOWN = ("static_feedforward", "frozen", ADAPTIVE, "oracle", "exact_inverse")
+SHOWN = ("static_feedforward", "frozen", ADAPTIVE, "oracle")
 # The table of README.md: what a reader asks first.
 FEW = ("nominal", "seal_wear", "cold_oil", "supply_drop", "friction_rise", "encoder_shift")
 COMPARED = ("static_feedforward", "frozen", ADAPTIVE, "adaptive_backstepping")

@@ -11,7 +11,6 @@ from rich.table import Table as RichTable
 from scipy import stats
 
 MOVING = 0.1  # rad: joints that travel more count in the nominal claim
-BOUND = "exact_inverse"
 
 
 @dataclass
@@ -54,7 +53,7 @@ def claims(cells: Cells, rig: str) -> Iterator[Table]:
 
 def nominal(cells: Cells, rig: str) -> Table:
     """Each joint of a machine that does not change, in the last strides."""
-    names = ("pd", "pid", CALIBRATED, ADAPTIVE, "oracle", BOUND)
+    names = ("pd", "pid", CALIBRATED, ADAPTIVE, "oracle")
     runs = {name: cells.get(("nominal", None, name), []) for name in names}
     shown = [name for name in names if runs[name]]
     table = Table(
@@ -81,11 +80,10 @@ def nominal(cells: Cells, rig: str) -> Table:
 def degraded(cells: Cells, rig: str) -> Table:
     """Before a change and in the last strides."""
     columns = ("scenario", "before", "static end", "frozen end", "bsnn_arx end", "oracle end")
-    table = Table(f"After each change: {rig}", (*columns, "bound", "of frozen", "of oracle"))
+    table = Table(f"After each change: {rig}", (*columns, "of frozen", "of oracle"))
     failing = []
     for name, severity in cases(cells):
         ours, oracle = cells[name, severity, ADAPTIVE], cells[name, severity, "oracle"]
-        bound = mrad(cells.get((name, severity, BOUND), []), "end")
         before, frozen, end = (mrad(ours, key) for key in ("before", "twin_end", "end"))
         hurt = np.mean(frozen) >= 2 * np.mean(before)
         of_frozen, of_oracle = np.mean(end) / np.mean(frozen), _of(ours, oracle)
@@ -100,7 +98,6 @@ def degraded(cells: Cells, rig: str) -> Table:
                 interval(frozen),
                 interval(end),
                 interval(mrad(oracle, "end")),
-                interval(bound),
                 f"{of_frozen:.2f}{'' if hurt else ' (not doubled)'}" if told else "",
                 f"{of_oracle:.2f}",
             )

@@ -1,13 +1,18 @@
 """What adaptive control is measured against: the oracle, and machines off their drawing."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from leglab import Run, RunSettings, run_scenario
 from leglab.base.errors import LeglabError
 from leglab.base.scenario import get_scenario
+from leglab.control import make_controller
 from leglab.machine.changes import vary_bodies, vary_parameters
-from leglab.machine.simulation import Simulation, load_model
+from leglab.machine.simulation import Simulation, SimulationError, load_model
+from leglab.runs.loop import Loop
 
 
 def run(controller: str, **settings) -> Run:
@@ -26,6 +31,56 @@ def test_oracle_knows_both_machines_from_the_first_stride_on():
     assert rms(oracle, 7, 12) < rms(frozen, 7, 12) / 10
     # Nothing is learned: the second stride on a machine is like the fourth.
     assert rms(oracle, 7.2, 8.4) == pytest.approx(rms(oracle, 9.6, 10.8), rel=0.05)
+
+
+def end_error(history) -> float:
+    """RMS in the last four strides [mrad]."""
+    time = history.time
+    return 1e3 * float(np.sqrt(np.mean(history.error[time > time[-1] - 4.8] ** 2)))
+
+
+@pytest.mark.parametrize("model", ["knee_bench", "leg"])
+def test_the_oracle_learns_from_what_its_controller_measured(model):
+    """Recordings a latency older or younger give it a worse map: nothing is left to align."""
+    settings = RunSettings(scenario="supply_drop", controller="oracle", model=model)
+    loop = Loop(settings)
+    setup = loop._setup
+    latency = setup.machine.latency
+    runs = setup.foreknowledge.bench_runs()
+
+    def error(shift: float) -> float:
+        def shifted():
+            return [
+                replace(run, position=CubicSpline(run.time, run.position)(run.time + shift))
+                for run in runs
+            ]
+
+        knowing = replace(setup.foreknowledge, bench_runs=shifted)
+        oracle = make_controller("oracle", replace(setup, foreknowledge=knowing), {})
+        return end_error(Loop(settings, controller=oracle).run())
+
+    aligned = error(0.0)
+    assert aligned == end_error(loop.run())
+    assert error(latency) > 1.5 * aligned
+    assert error(-latency) > 1.5 * aligned
+
+
+@pytest.mark.parametrize("scenario", ["nominal", "supply_drop", "friction_rise", "hot_oil"])
+def test_the_oracle_is_a_bound_for_the_map_that_is_learned(scenario):
+    bounds, learned = (
+        end_error(run(name, scenario=scenario, duration=20.0).history)
+        for name in ("oracle", "bsnn_arx")
+    )
+    assert bounds <= learned
+
+
+def test_a_bench_that_fails_is_said(monkeypatch):
+    def fails(self, *_):
+        raise SimulationError("the knee blew up")
+
+    monkeypatch.setattr(Simulation, "check", fails)
+    with pytest.raises(LeglabError, match="the knee blew up"):
+        Loop(RunSettings(scenario="seal_wear", controller="oracle", model="knee_bench", seed=91))
 
 
 def test_scenario_of_a_machine_that_has_changed_before():
