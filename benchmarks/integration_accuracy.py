@@ -39,7 +39,7 @@ def commands() -> np.ndarray:
 
 
 def reference(cylinder: Cylinder, method: str, rtol: float) -> tuple[np.ndarray, float]:
-    """x, pA, pB after every millisecond, shape (n, 3), and processor seconds of the fastest pass."""
+    """x, pA, pB after each millisecond, shape (n, 3), and processor seconds of the fastest pass."""
     passes = [_reference(cylinder, method, rtol) for _ in range(PASSES)]
     return passes[0][0], min(seconds for _, seconds in passes)
 
