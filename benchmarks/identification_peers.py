@@ -2,8 +2,8 @@
 
 Every linear model gets the same regressor [y(t-1..t-3), u(t-1..t-3), 1], scaled by the same
 declared ranges, and the same F(0) = 1e4 I. All are free-run tested on samples they have not seen.
-Times are the best of `REPEATS` passes over the training part, construction included, with one
-thread: where other work takes the second core, linear algebra with two waits for it.
+Times are processor times of one thread, the best of `REPEATS` passes over the training part,
+construction included: other work on the machine, which peers would wait for, counts for nobody.
 RMSE in the unit of the data (Silverbox: mV). Measuring needs padasip and sysidentpy.
 """
 
@@ -48,9 +48,9 @@ def best_time(work: Callable[[], object], samples: int) -> tuple[float, object]:
     """Nanoseconds a sample of the fastest of `REPEATS` calls, and what the last returned."""
     times = []
     for _ in range(REPEATS):
-        start = time.perf_counter()
+        start = time.process_time()
         result = work()
-        times.append(time.perf_counter() - start)
+        times.append(time.process_time() - start)
     return min(times) / samples * 1e9, result
 
 

@@ -63,7 +63,12 @@ def asked() -> str:
             f"{worst:.1f} % at worst, RMS within {rms:.0f} %",
             REPLICATE,
         ),
-        ("order of the online models", "BSNN-ARX < ARX < BSNN", online, REPLICATE),
+        (
+            f"order of the online models, learning constant {paper.LEARNING_CONSTANT}",
+            "BSNN-ARX < ARX < BSNN",
+            online,
+            REPLICATE,
+        ),
         (
             "three online models, 100 instances",
             "2 s",

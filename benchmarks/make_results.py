@@ -22,7 +22,7 @@ class Job:
     Attributes:
         name: Its stem.
         command: What makes it.
-        minutes: How long that takes on two cores that do nothing else.
+        minutes: About how long that takes on two cores.
     """
 
     name: str
@@ -37,20 +37,20 @@ def _job(name: str, minutes: float, script: str = "", options: str = "") -> Job:
 
 
 JOBS = (
-    _job("speed", 1),
-    _job("leg_speed", 1),
-    _job("environment_speed", 1),
-    _job("identification_peers", 1),
-    _job("integration_accuracy", 1),
-    _job("diagnosis_rollouts", 1),
-    _job("readaptation_limit", 1),
-    _job("long_run", 2),
-    _job("replication", 3),
-    _job("two_routes", 2),
-    _job("squat_limits", 3),
-    _job("real_data", 3),
+    _job("speed", 0.2),
+    _job("leg_speed", 0.4),
+    _job("environment_speed", 0.2),
+    _job("identification_peers", 1.5),
+    _job("integration_accuracy", 0.7),
+    _job("diagnosis_rollouts", 0.4),
+    _job("readaptation_limit", 0.4),
+    _job("two_routes", 0.5),
+    _job("real_data", 0.2),
+    _job("replication", 1),
+    _job("squat_limits", 1),
+    _job("long_run", 2.5),
     _job("diagnosis_bench", 3),
-    _job("diagnosis_bench_without_pressures", 3, "diagnosis_bench", "--without-pressures"),
+    _job("diagnosis_bench_without_pressures", 4, "diagnosis_bench", "--without-pressures"),
     _job("diagnosis_self_test", 60, options="--out runs/self_test"),
     _job("adaptation_results", 90, "adaptation_claims"),
 )
