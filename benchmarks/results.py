@@ -78,8 +78,8 @@ def origin_of(command: str) -> dict[str, Any]:
         command: What makes them, without `--write FILE`.
 
     Returns:
-        The entries of `RECORD`; `machine` has the load of the last minute, to which `kept` adds
-        the one after measuring.
+        The entries of `RECORD`; `machine` has the load of the last minute, to which `kept` and
+        `ended` add the one after measuring.
     """
     return {
         "command": command,
@@ -97,8 +97,16 @@ def kept(origin: dict[str, Any], results: Any) -> dict[str, Any]:
         origin: From `origin_of`.
         results: As JSON holds them; they are rounded.
     """
-    machine = f"{origin['machine']}, {os.getloadavg()[0]:.1f} after"
-    return {**origin, "machine": machine, "results": rounded(results)}
+    return {**ended(origin), "results": rounded(results)}
+
+
+def ended(origin: dict[str, Any]) -> dict[str, Any]:
+    """The record with the load after measuring, for a file that keeps its results in its own way.
+
+    Args:
+        origin: From `origin_of`.
+    """
+    return {**origin, "machine": f"{origin['machine']}, {os.getloadavg()[0]:.1f} after"}
 
 
 def origin_line(record: dict[str, Any]) -> str:
