@@ -18,6 +18,7 @@ from adaptation_data import DATA, Cells, condense, read, rows, save, stored
 from adaptation_tables import claims
 from rich.console import Console
 from rich.progress import Progress
+from specimens import TOLERANCE
 
 from leglab import RunSettings
 from leglab.base.errors import LeglabError
@@ -50,10 +51,6 @@ true positions; 95 % intervals over seeds.
 
 # Beside the defaults, as the scenario's documentation names them.
 SEVERITIES = {"seal_wear": (2.0, 50.0)}
-
-
-# Of the machines about the drawing.
-TOLERANCE = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)

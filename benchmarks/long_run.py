@@ -1,6 +1,6 @@
 """Adaptation that never stops: `python benchmarks/long_run.py [--minutes 30]`.
 
-The nominal leg walks on, and nothing changes. Gains that stay open too far, or directions that are
+A specimen of the leg walks on, and nothing changes. Gains that stay open too far, or directions that are
 forgotten and never excited, would show as errors that grow or burst. RMS errors in mrad.
 """
 
@@ -8,8 +8,8 @@ import argparse
 
 import numpy as np
 import results
+from specimens import run_specimen
 
-from leglab import RunSettings, run_scenario
 from leglab.runs.metrics import sliding_rms
 
 START, WINDOW = 5.0, 2.0  # s
@@ -18,8 +18,8 @@ CONTROLLERS = ("static_feedforward", "bsnn_arx")
 
 def measured(controller: str, minutes: float) -> list[float]:
     """First and last minute, and the best and the worst window after the start."""
-    run = run_scenario(
-        RunSettings(scenario="nominal", controller=controller, duration=60.0 * minutes)
+    run = run_specimen(
+        0, scenario="nominal", controller=controller, duration=60.0 * minutes
     ).history
     after = run.time >= START
     times, errors = run.time[after], run.error[after]

@@ -1,0 +1,26 @@
+"""The machines of the published tables: specimens off the drawing, their phases and their times."""
+
+from typing import Any
+
+from leglab import Run, RunSettings, run_scenario
+
+# Standard deviation of the logarithm of every parameter about the drawing.
+TOLERANCE = 0.1
+
+# Seeds of tables whose point is not the scatter.
+FEW = range(3)
+
+
+def specimen(seed: int, **settings: Any) -> RunSettings:
+    """Settings of a run in which the seed draws machine, motion, time of the change and noise."""
+    return RunSettings(seed=seed, tolerance=TOLERANCE, vary=True, **settings)
+
+
+def run_specimen(seed: int, **settings: Any) -> Run:
+    """The run of these settings."""
+    return run_scenario(specimen(seed, **settings))
+
+
+def first_change(run: Run) -> float:
+    """When the machine begins to change [s]."""
+    return run.scenario.breakpoints[0]
