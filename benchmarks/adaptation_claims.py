@@ -71,7 +71,7 @@ class Rig:
     reference: str | None
     controllers: tuple[str, ...]
     seeds: int = 3
-    peer_seeds: int = 3
+    peer_seeds: int = 2
     exact: bool = False
 
     def runs(self) -> dict[tuple[str, float | None], list[RunSettings]]:
