@@ -1,7 +1,7 @@
 """Adaptation that never stops: `python benchmarks/long_run.py [--minutes 30]`.
 
-A specimen of the leg walks on, and nothing changes. Gains that stay open too far, or directions that
-are forgotten and never excited, would show as errors that grow or burst. RMS errors in mrad.
+A specimen of the leg walks on, and nothing changes. Gains that stay open too far, or directions
+that are forgotten and never excited, would show as errors that grow or burst. RMS errors in mrad.
 """
 
 import argparse
