@@ -113,8 +113,8 @@ RIGS = {
     "leg, walking, exact machine": Rig(
         model="leg", reference=None, controllers=FULL, seeds=1, peer_seeds=1, exact=True
     ),
-    "leg, squat": Rig(model="leg", reference="squat", controllers=FULL, seeds=5, peer_seeds=1),
-    "knee_bench, walking": Rig(model="knee_bench", reference=None, controllers=FULL, seeds=5),
+    "leg, squat": Rig(model="leg", reference="squat", controllers=FULL, peer_seeds=1),
+    "knee_bench, walking": Rig(model="knee_bench", reference=None, controllers=FULL),
     "leg_rail, squat": Rig(model="leg_rail", reference="squat", controllers=SAFETY),
     "leg, random stride": Rig(model="leg", reference="random_stride", controllers=NEEDED),
 }
