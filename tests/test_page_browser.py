@@ -15,6 +15,7 @@ from leglab.report.diagnosis.page import write_page
 from leglab.report.folder_index import write_index
 from leglab.report.run.page import write_report
 from leglab.runs.folder import read_runs
+from tests import page_watch
 from tests.report_folders import HOSTILE, write_folder
 from tests.test_diagnosis_page import diagnosis
 
@@ -71,20 +72,13 @@ def _film(path):
 @contextlib.contextmanager
 def opened(browser, path, *, size=DESKTOP, scheme="light", **options):
     """A page that has complained of nothing and asked the network for nothing."""
-    context = browser.new_context(viewport=size, color_scheme=scheme, **options)
-    page = context.new_page()
-    complaints, requests = [], []
-    page.on("console", lambda m: complaints.append(m.text) if m.type != "log" else None)
-    page.on("pageerror", lambda error: complaints.append(str(error)))
-    page.on("request", lambda request: requests.append(request.url))
-    page.goto(path.as_uri())
-    if page.locator("#plot-data").count():
-        page.wait_for_selector("html[data-ready=yes]", state="attached")
-    yield page
-    context.close()
-    assert complaints == []
-    assert [url for url in requests if not url.startswith(("file:", "data:", "blob:"))] == []
-    assert sum(url.startswith("file:") for url in requests) == 1
+    look = {"viewport": size, "color_scheme": scheme}
+    with page_watch.watched(browser, **look, **options) as (page, watch):
+        page_watch.load(page, path)
+        yield page
+    assert watch.complaints == []
+    assert watch.outward() == []
+    assert sum(url.startswith("file:") for url in watch.requests) == 1
 
 
 def until(page, condition, seconds=20.0):
@@ -152,6 +146,7 @@ def test_the_film_plays_from_the_page_alone(browser, pages, tmp_path):
     shutil.copy(pages.report, alone)
     with opened(browser, alone) as page:
         video = page.locator("video")
+        assert video.evaluate("film => film.disableRemotePlayback")
         assert video.get_attribute("aria-describedby") == "film-text"
         assert "pd and arx, side by side" in page.locator("#film-text").inner_text()
         # A still from the film stands there before it is played.
@@ -279,3 +274,83 @@ def test_the_page_prints_with_its_folded_tables(report):
     assert not page.locator("#controls").is_visible()
     assert not page.locator("video").is_visible()
     assert page.locator("h1").is_visible()
+
+
+TOOLS = ["download plot as a png", "zoom", "pan", "zoom in", "zoom out", "reset axes"]
+FOCUSABLE = "a[href], button, input, select, summary, video, [tabindex='0']"
+
+
+def test_the_toolbar_of_a_plot_holds_what_it_was_given(browser, pages):
+    with opened(browser, pages.report) as page:
+        bars = page.locator(".modebar")
+        assert bars.count() == page.locator(".canvas").count() == 6
+        for bar in bars.all():
+            tools = bar.locator(".modebar-btn").evaluate_all("all => all.map(b => b.dataset.title)")
+            assert [tool.lower() for tool in tools] == TOOLS
+            assert bar.locator("[href]").count() == 0
+
+
+@pytest.mark.parametrize("name", ["report", "diagnosis", "index"])
+def test_nothing_that_can_be_pressed_sends_anything(browser, pages, name):
+    path = getattr(pages, name)
+    with page_watch.watched(browser, viewport=DESKTOP) as (page, watch):
+        page_watch.load(page, path)
+        pressed = page_watch.press_by_mouse(page)
+        film = page_watch.press_film_controls(page) if name == "report" else ()
+        page_watch.choose_everything(page)
+        focusable = page.locator(FOCUSABLE).filter(visible=True).count()
+        reached = page_watch.press_by_keys(page)
+    assert watch.outward() == []
+    assert [url for url in watch.requests if url.startswith("file:")] == [path.as_uri()]
+    # The library warns of a format where the ends of an axis are pressed to one place.
+    assert [told for told in watch.complaints if not told.startswith("WARN: ")] == []
+    links = re.findall(r"link:(\S+)", " ".join(pressed))
+    assert [link for link in links if not link.startswith(f"{path.as_uri()}#")] == []
+    assert len(pressed) >= {"report": 120, "diagnosis": 4, "index": 12}[name]
+    assert reached >= focusable
+    if name == "report":
+        assert any("download" in part for part in film)
+        assert any("legendtoggle" in part for part in pressed)
+        tools = " ".join(part.lower() for part in pressed if "modebar-btn" in part)
+        assert all(tool in tools for tool in TOOLS)
+        assert len(watch.downloads) >= 6  # pictures of the plots, saved from the page
+
+
+@pytest.mark.parametrize("name", ["report", "diagnosis", "index"])
+def test_links_lead_to_files_beside_the_page(browser, pages, name):
+    path = getattr(pages, name)
+    with page_watch.watched(browser) as (page, watch):
+        page_watch.load(page, path)
+        links = page_watch.linked_files(page)
+        for i, link in enumerate(links):
+            assert link.startswith(path.parent.as_uri())
+            page.locator("a[href]:not([href^='#'])").nth(i).click()
+            page.wait_for_timeout(300)
+            page_watch.load(page, path)
+    assert links
+    assert watch.outward() == []
+
+
+def test_what_a_page_without_a_policy_tries_is_seen(browser, tmp_path):
+    bare = tmp_path / "bare.html"
+    bare.write_text("<!DOCTYPE html><title>bare</title><p>bare</p>")
+    tried = [*page_watch.STAYING, *page_watch.LEAVING]
+    with page_watch.watched(browser) as (page, watch):
+        page_watch.load(page, bare)
+        page_watch.attempt(page, tried)
+    hosts = re.findall(r"[/ ]([\w-]+)\.example", " ".join(watch.wire))
+    assert set(tried) - set(hosts) == set()
+    assert len(watch.windows) == 4
+
+
+@pytest.mark.parametrize("name", ["report", "diagnosis", "index"])
+def test_nothing_that_a_page_tries_comes_out(browser, pages, name):
+    # No script runs on the page of a diagnosis, so that none can lead away from it.
+    ways = page_watch.FORMS if name == "diagnosis" else page_watch.LEAVING
+    with page_watch.watched(browser) as (page, watch):
+        page_watch.load(page, getattr(pages, name))
+        page_watch.attempt(page, [*page_watch.STAYING, *ways])
+        assert page.evaluate("document.baseURI") == getattr(pages, name).as_uri()
+    assert watch.sent() == []
+    # The window of a form opens before what was to be sent there is blocked.
+    assert len(watch.windows) == 1

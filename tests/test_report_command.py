@@ -155,5 +155,5 @@ def test_the_index_escapes_names_of_folders(tmp_path, capsys):
     assert leglab("index", tmp_path, capsys=capsys)[0] == 0
     elements = Elements((tmp_path / "index.html").read_text())
     assert not elements.all("img")
-    assert len(elements.all("script")) == 1
+    assert len(elements.all("script")) == 2
     assert any(name in text for text in elements.texts)

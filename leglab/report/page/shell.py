@@ -19,6 +19,21 @@ _PACKAGE = "leglab.report.page"
 # SERIES for a dark background: as bright as they must be to be seen there.
 _SERIES_IN_THE_DARK = ("#F2F2F2", "#4DA6E0", ORANGE, "#1DBF91", "#D98DB7", "#A5D8F5")
 
+# What no page may do. Bases and forms do not fall under the default; the others are named so that
+# they stay forbidden where the default is loosened.
+_FORBIDDEN = (
+    "default-src",
+    "connect-src",
+    "form-action",
+    "base-uri",
+    "frame-src",
+    "child-src",
+    "worker-src",
+    "object-src",
+    "font-src",
+    "manifest-src",
+)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
@@ -59,10 +74,12 @@ def render(template: str, *, scripts: Sequence[str] = (), **content: Any) -> str
 
     Args:
         template: File name in `templates`.
-        scripts: JavaScript to be inlined, in this order; nothing else on the page can run.
+        scripts: JavaScript to be inlined, in this order, behind a guard that keeps it on the page;
+            nothing else can run, and without scripts nothing at all.
         content: What the template shows; all text is escaped.
     """
     page = _environment().get_template(template)
+    scripts = (asset("guard.js"), *scripts) if scripts else ()
     css, inlined = Markup(_colors() + asset("page.css")), [Markup(script) for script in scripts]
     return page.render(css=css, policy=_policy(scripts), scripts=inlined, **content)
 
@@ -106,13 +123,16 @@ def _finished(value: Any) -> Any:
 
 
 def _policy(scripts: Sequence[str]) -> str:
-    """A policy by which browsers run these scripts alone and load nothing."""
+    """A policy by which browsers run these scripts alone, load nothing and send nothing."""
     digests = (base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts)
-    allowed = " ".join(f"'sha256-{digest}'" for digest in digests) or "'none'"
-    return (
-        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; "
-        "img-src data: blob:; media-src blob:"
-    )
+    allowed = {
+        "script-src": " ".join(f"'sha256-{digest}'" for digest in digests) or "'none'",
+        "style-src": "'unsafe-inline'",
+        "img-src": "data: blob:",
+        "media-src": "blob:",
+    }
+    rules = dict.fromkeys(_FORBIDDEN, "'none'") | allowed
+    return "; ".join(f"{name} {sources}" for name, sources in rules.items())
 
 
 def _colors() -> str:

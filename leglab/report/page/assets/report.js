@@ -6,7 +6,11 @@
   const jointChoice = document.getElementById("joint");
   const boxes = [...document.querySelectorAll("#controls .run")];
   const canvases = content.plots.map((plot) => document.getElementById("plot-" + plot.name));
-  const config = { displaylogo: false, responsive: true, modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"] };
+  const config = {
+    responsive: true, displaylogo: false, showSendToCloud: false, plotlyServerURL: "",
+    // These and no others, whatever a new version of the library brings: some of its buttons send the data away.
+    modeBarButtons: [["toImage"], ["zoom2d", "pan2d"], ["zoomIn2d", "zoomOut2d", "resetScale2d"]],
+  };
   let span = null; // seconds shown, in all plots alike; null shows all
   let drawing = false;
 
