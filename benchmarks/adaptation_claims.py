@@ -63,6 +63,7 @@ class Rig:
         controllers: Which ones run in every scenario.
         seeds: Number of them.
         peer_seeds: Number of them for controllers that no claim but the comparison needs.
+        only: Scenarios; None for all.
         exact: Whether the machine is the one that controllers know, and no seed draws more than
             sensor noise.
     """
@@ -72,14 +73,16 @@ class Rig:
     controllers: tuple[str, ...]
     seeds: int = 3
     peer_seeds: int = 2
+    only: tuple[str, ...] | None = None
     exact: bool = False
 
     def runs(self) -> dict[tuple[str, float | None], list[RunSettings]]:
         """Settings of all runs, by scenario and severity (None for its own)."""
         cases: list[tuple[str, float | None]] = [
-            (name, None) for name in scenario_names() if self._has(name)
+            (name, None) for name in self.only or scenario_names() if self._has(name)
         ]
-        cases += [(name, value) for name, values in SEVERITIES.items() for value in values]
+        if self.only is None:
+            cases += [(name, value) for name, values in SEVERITIES.items() for value in values]
         return {
             (name, severity): [
                 RunSettings(
@@ -108,15 +111,16 @@ class Rig:
 
 
 FULL = (*NEEDED, *PEERS)
+EXACT = ("nominal", "seal_wear", "cold_oil", "supply_drop")
 RIGS = {
     "leg, walking": Rig(model="leg", reference=None, controllers=FULL, seeds=10),
     "leg, walking, exact machine": Rig(
-        model="leg", reference=None, controllers=FULL, seeds=1, peer_seeds=1, exact=True
+        model="leg", reference=None, controllers=FULL, seeds=1, peer_seeds=1, exact=True, only=EXACT
     ),
-    "leg, squat": Rig(model="leg", reference="squat", controllers=FULL, peer_seeds=1),
-    "knee_bench, walking": Rig(model="knee_bench", reference=None, controllers=FULL),
-    "leg_rail, squat": Rig(model="leg_rail", reference="squat", controllers=SAFETY),
-    "leg, random stride": Rig(model="leg", reference="random_stride", controllers=NEEDED),
+    "knee_bench, walking": Rig(model="knee_bench", reference=None, controllers=FULL, peer_seeds=1),
+    "leg, squat": Rig(model="leg", reference="squat", controllers=NEEDED, seeds=2),
+    "leg, random stride": Rig(model="leg", reference="random_stride", controllers=NEEDED, seeds=2),
+    "leg_rail, squat": Rig(model="leg_rail", reference="squat", controllers=SAFETY, seeds=2),
 }
 
 
