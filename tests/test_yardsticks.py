@@ -12,6 +12,7 @@ from leglab.base.scenario import get_scenario
 from leglab.control import make_controller
 from leglab.machine.changes import vary_bodies, vary_parameters
 from leglab.machine.simulation import Simulation, SimulationError, load_model
+from leglab.runs.inversion import exact_commands
 from leglab.runs.loop import Loop
 
 
@@ -72,6 +73,41 @@ def test_the_oracle_is_a_bound_for_the_map_that_is_learned(scenario):
         for name in ("oracle", "bsnn_arx")
     )
     assert bounds <= learned
+
+
+def test_the_exact_inverse_leaves_what_sensors_and_valves_do():
+    errors = {
+        name: end_error(run(name, duration=20.0).history) for name in ("exact_inverse", "oracle")
+    }
+    assert errors["exact_inverse"] < errors["oracle"] / 5
+    assert errors["exact_inverse"] < 0.1
+
+
+def test_commands_are_found_for_a_plant_known_in_closed_form():
+    """A gain with a lag and a feedback: the commands are those of the plant turned round."""
+    period, lag, gain, feedback = 0.002, 0.01, 3.0, 5.0
+    time = np.arange(5000) * period
+    wanted = np.column_stack([np.sin(2 * time) + 0.3 * np.sin(7 * time), np.cos(3 * time)])
+    wanted *= 0.4 * (1 - np.exp(-(time**2)))[:, None]
+
+    def try_out(commands):
+        position, speed = np.zeros(2), np.zeros(2)
+        errors, feedbacks = np.empty_like(wanted), np.empty_like(wanted)
+        for k in range(len(time)):
+            errors[k] = wanted[k] - position
+            feedbacks[k] = feedback * errors[k]
+            speed += period / lag * (gain * (commands[k] + feedbacks[k]) - speed)
+            position = position + period * speed
+        return errors, feedbacks
+
+    slope = np.full_like(wanted, 1 / gain)
+    found = exact_commands(try_out, slope, np.zeros_like(wanted), period)
+    error, back = try_out(found)
+    inside = slice(250, -250)
+    assert np.sqrt(np.mean(error[inside] ** 2)) < 1e-4
+    rate = np.gradient(wanted, period, axis=0)
+    exact = (rate + lag * np.gradient(rate, period, axis=0)) / gain
+    np.testing.assert_allclose((found + back)[inside], exact[inside], atol=0.02)
 
 
 def test_a_bench_that_fails_is_said(monkeypatch):

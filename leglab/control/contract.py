@@ -180,11 +180,14 @@ class Foreknowledge:
         last_change: When its last change begins [s].
         bench_runs: Makes recordings of the machine before and after its changes; None without a
             machine that could be recorded.
+        exact_commands: Finds the valve commands that the machine of the run needs for its
+            reference, (periods, joints); None as above.
     """
 
     first_change: float = math.inf
     last_change: float = math.inf
     bench_runs: Callable[[], Any] | None = None
+    exact_commands: Callable[[], np.ndarray] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

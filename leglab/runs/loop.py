@@ -13,6 +13,7 @@ from leglab.base.errors import LeglabError
 from leglab.base.scenario import Scenario
 from leglab.control import Controller, Measurement, ReferencePoint, check_command, make_controller
 from leglab.control.feedforward.offline import BenchRun
+from leglab.controllers.static_feedforward import ValveMapTable
 from leglab.machine.changes import Bodies, Schedule
 from leglab.machine.plugin import headless
 from leglab.machine.sensors import (
@@ -25,6 +26,7 @@ from leglab.machine.sensors import (
 )
 from leglab.machine.simulation import Simulation, SimulationError
 from leglab.references import Samples
+from leglab.runs.inversion import exact_commands, valve_slopes
 from leglab.runs.preparation import Preparation, RunSettings, scenario_of
 
 # Periods between two looks at the clock, the blow-up check and the progress report.
@@ -47,6 +49,9 @@ _PIECE = 1.0
 # is near the reference [s].
 BENCH_SEED = 1_000_003
 _BENCH_DURATION, _BENCH_SETTLED = 40.0, 10.0
+
+# Sensors without noise and resolution; their latency stays.
+_EXACT_SENSORS = {"position_noise": 0.0, "encoder_counts": 0}
 
 Progress = Callable[[float], None]
 
@@ -220,7 +225,7 @@ class Loop:
         self.settings = settings
         self.scenario = scenario = scenario or scenario_of(settings)
         self.preparation = preparation = preparation or Preparation(settings)
-        self._setup = preparation.setup(scenario, self._bench_runs)
+        self._setup = preparation.setup(scenario, self._bench_runs, self._exact_commands)
         self.controller = controller
         if controlled and controller is None:
             self.controller = make_controller(
@@ -401,6 +406,33 @@ class Loop:
             _bench_run(settings, before, self.preparation),
             _bench_run(settings, after, self.preparation),
         )
+
+    def _exact_commands(self) -> np.ndarray:
+        """Valve commands that this machine needs for its reference, with exact sensors."""
+        settings = self.settings
+        exact = replace(settings, sensors={**settings.sensors, **_EXACT_SENSORS})
+        controller = make_controller(settings.controller, self._setup, settings.controller_config)
+        wanted = self.reference.sample(np.arange(self.count) * self.period)
+        maps = self._setup.machine.valve_maps
+        start, slope = valve_slopes(
+            ValveMapTable(maps),
+            np.array([valve_map.velocity[-1] for valve_map in maps]),
+            wanted.position,
+            wanted.velocity,
+        )
+        changes = [math.ceil(time / self.period) for time in self.scenario.breakpoints if time > 0]
+        controller.commands = start  # type: ignore[attr-defined]
+        trial = Loop(exact, scenario=self.scenario, controller=controller)
+
+        def try_out(commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            controller.commands = commands  # type: ignore[attr-defined]
+            trial.reset()
+            history = trial.run()
+            if history.failure:
+                raise LeglabError(f"no exact commands were found: {history.failure}")
+            return -history.error, history.diagnostics["feedback"]
+
+        return exact_commands(try_out, slope, start, self.period, changes)
 
 
 _bench_cache: dict[str, BenchRun] = {}

@@ -120,17 +120,24 @@ class Preparation:
         self.nominal = Simulation(self._load(visual=False))
         self._setup = controller_setup(self.nominal, settings.model, self.sensors)
 
-    def setup(self, scenario: Scenario, bench_runs: Callable[[], Any]) -> ControllerSetup:
+    def setup(
+        self,
+        scenario: Scenario,
+        bench_runs: Callable[[], Any],
+        exact_commands: Callable[[], np.ndarray],
+    ) -> ControllerSetup:
         """Returns what the controller of a run is made from.
 
         Args:
             scenario: Of the run.
             bench_runs: Makes recordings of the machine before and after its changes.
+            exact_commands: Finds the valve commands that the machine needs for its reference.
         """
         foreknowledge = Foreknowledge(
             first_change=min(scenario.breakpoints, default=math.inf),
             last_change=max(scenario.breakpoints, default=math.inf),
             bench_runs=bench_runs,
+            exact_commands=exact_commands,
         )
         return replace(self._setup, foreknowledge=foreknowledge)
 

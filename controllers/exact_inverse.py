@@ -1,0 +1,66 @@
+"""Valve commands that the true machine needs, known beforehand: what can be tracked at best."""
+
+import numpy as np
+
+from leglab.base.errors import LeglabError
+from leglab.control import ControllerSetup, Measurement, ReferencePoint, register_controller
+from leglab.control.feedforward.motion import ReferenceMotion
+from leglab.controllers.pd import Pd, PdConfiguration
+
+
+@register_controller(
+    "exact_inverse",
+    summary="the commands that the true machine needs, found on it beforehand, beside PD: a bound",
+    configuration=PdConfiguration,
+)
+class ExactInverse:
+    """u = commands found by iterating on the very machine of the run, changes included, + PD.
+
+    With exact sensors the machine would follow its reference as closely as its valves let it. So
+    its tracking error is what noise, resolution and latency of the sensors and the limits of the
+    valves leave to any controller with this feedback. PD sees the reference as old as its
+    measurements.
+
+    Attributes:
+        commands: Valve commands, one row a period, (periods, joints); None before the first run.
+    """
+
+    def __init__(self, setup: ControllerSetup, config: PdConfiguration) -> None:
+        self._pd = Pd(setup, config)
+        machine, period = setup.machine, setup.control_period
+        self._motion = ReferenceMotion(
+            len(setup.joints),
+            period,
+            lead=period,
+            position_delay=machine.latency,
+            velocity_delay=machine.latency + machine.velocity_delay,
+        )
+        self._find = setup.foreknowledge.exact_commands
+        self.commands: np.ndarray | None = None
+        self._feedforward = np.zeros(len(setup.joints))
+
+    def reset(self, measurement: Measurement) -> None:
+        """Starts a run with the first command.
+
+        Raises:
+            LeglabError: There is no machine on which commands could be found.
+        """
+        if self.commands is None:
+            if self._find is None:
+                raise LeglabError("controller 'exact_inverse' needs the machine of the run")
+            self.commands = self._find()
+        self._pd.reset(measurement)
+        self._motion.clear()
+        self._row = 0
+
+    def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
+        """Valve commands, (joints,)."""
+        assert self.commands is not None
+        self._feedforward = self.commands[min(self._row, len(self.commands) - 1)]
+        self._row += 1
+        _, seen = self._motion.take(reference)
+        return self._feedforward + self._pd.command(measurement, seen)
+
+    def diagnostics(self) -> dict[str, np.ndarray]:
+        """Feed-forward and feedback parts of the command, each (joints,)."""
+        return {"feedforward": self._feedforward, **self._pd.diagnostics()}

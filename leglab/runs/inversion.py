@@ -1,0 +1,130 @@
+"""Valve commands under which the true machine follows its reference, found by iterating on it.
+
+Iterative learning control with an inverse of the plant that is measured on it (Bristow, Tharayil
+and Alleyne 2006, IEEE Control Systems Magazine 26(3), 96): from one trial to the next the commands
+change by what an inverse model makes of the last error, filtered without phase shift. The inverse
+model says what command a small change of the motion takes, by the slope of the nominal valve map
+times a linear function of position, velocity, acceleration and jerk of all joints; its coefficients
+come from the difference of two trials, of which the second has small random commands added.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
+# Low pass of errors and corrections, and of the random commands [Hz]; their RMS.
+_CUTOFF, _EXCITATION, _AMPLITUDE = 20.0, 8.0, 0.02
+# Share of the correction that is taken; trials in all; trials without a gain of this share that
+# end the search.
+_GAIN, _TRIALS, _PATIENCE, _LEAST_GAIN = 0.8, 30, 5, 0.03
+_DERIVATIVES = 3
+# Speed over which the slope of the valve maps is taken, as a share of full speed.
+_SLOPE = 0.05
+
+# Runs the machine with commands (n, joints) beside its feedback; returns the error, reference less
+# true position [rad], and the feedback's part of the command, (n, joints) each.
+Trial = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+def exact_commands(
+    try_out: Trial,
+    slope: np.ndarray,
+    start: np.ndarray,
+    period: float,
+    changes: Sequence[int] = (),
+) -> np.ndarray:
+    """Iterates on the commands until the machine follows its reference.
+
+    Args:
+        try_out: Runs the machine with exact sensors.
+        slope: Nominal valve command per joint speed along the reference [s/rad], (n, joints).
+        start: First commands, (n, joints).
+        period: From one row to the next [s].
+        changes: Rows from which on the machine is another: each part has its own inverse.
+
+    Returns:
+        The commands of the trial with the least RMS error, in [-1, 1], (n, joints).
+    """
+    low_pass = _filter(4, _CUTOFF, period)
+    error, feedback = try_out(start)
+    noise = np.random.default_rng(0).standard_normal(start.shape)
+    noise = _filter(1, _EXCITATION, period)(noise)
+    excited = np.clip(start + _AMPLITUDE * noise / noise.std(), -1.0, 1.0)
+    other, answer = try_out(excited)
+    more = low_pass(excited + answer - start - feedback)
+    edges = [0, *changes, len(start)]
+    parts = [slice(a, b) for a, b in pairwise(edges) if b - a > 1 / period]
+    motion = _derivatives(low_pass(error - other), period)
+    inverses = [_fit(motion[:, part], slope[part], more[part]) for part in parts]
+
+    commands = best = start
+    least, waited = np.inf, 0
+    for _ in range(_TRIALS):
+        found = float(np.sqrt(np.mean(error**2)))
+        waited = 0 if found < (1 - _LEAST_GAIN) * least else waited + 1
+        if found < least:
+            best, least = commands, found
+        if waited == _PATIENCE:
+            break
+        missing = _derivatives(low_pass(error), period)
+        step = low_pass(feedback)
+        for part, inverse in zip(parts, inverses, strict=True):
+            step[part] += slope[part] * np.einsum("dnj,dji->ni", missing[:, part], inverse)
+        commands = np.clip(commands + _GAIN * step, -1.0, 1.0)
+        error, feedback = try_out(commands)
+    return best
+
+
+def valve_slopes(
+    command: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    full_speed: np.ndarray,
+    position: np.ndarray,
+    velocity: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Commands of calibrated valve maps along a motion, and their slope over speed.
+
+    Args:
+        command: Valve commands (joints,) at positions [rad] and velocities [rad/s], (joints,) each.
+        full_speed: Of the joints [rad/s], (joints,).
+        position: [rad], (n, joints).
+        velocity: [rad/s], (n, joints).
+
+    Returns:
+        Commands, and command per speed [s/rad], each (n, joints).
+    """
+    width = _SLOPE * full_speed
+
+    def along(shift: np.ndarray) -> np.ndarray:
+        shifted = np.ascontiguousarray(velocity + shift)
+        return np.array([command(q, v) for q, v in zip(position, shifted, strict=True)])
+
+    return along(0.0 * width), (along(width) - along(-width)) / (2 * width)
+
+
+def _filter(order: int, cutoff: float, period: float) -> Callable[[np.ndarray], np.ndarray]:
+    return partial(sosfiltfilt, butter(order, 2 * cutoff * period, output="sos"), axis=0)
+
+
+def _derivatives(signal: np.ndarray, period: float) -> np.ndarray:
+    """The signal (n, joints) and its derivatives, (1 + derivatives, n, joints)."""
+    found = [signal]
+    for _ in range(_DERIVATIVES):
+        found.append(np.gradient(found[-1], period, axis=0))
+    return np.stack(found)
+
+
+def _fit(motion: np.ndarray, slope: np.ndarray, command: np.ndarray) -> np.ndarray:
+    """Coefficients of the inverse model by least squares, (derivatives, joints, joints)."""
+    orders, _, joints = motion.shape
+    inverse = np.empty((orders, joints, joints))
+    features = np.moveaxis(motion, 1, 0).reshape(len(command), -1)
+    for i in range(joints):
+        weighted = features * slope[:, [i]]
+        scale = np.sqrt(np.mean(weighted**2, axis=0))
+        scale[scale == 0] = 1.0
+        solved = np.linalg.lstsq(weighted / scale, command[:, i], rcond=1e-6)[0] / scale
+        inverse[:, :, i] = solved.reshape(orders, joints)
+    return inverse
