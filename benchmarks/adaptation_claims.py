@@ -112,14 +112,15 @@ class Rig:
 
 FULL = (*NEEDED, *PEERS)
 EXACT = ("nominal", "seal_wear", "cold_oil", "supply_drop")
+FEW = (*EXACT, "friction_rise", "valve_wear")
 RIGS = {
     "leg, walking": Rig(model="leg", reference=None, controllers=FULL, seeds=10),
     "leg, walking, exact machine": Rig(
         model="leg", reference=None, controllers=FULL, seeds=1, peer_seeds=1, exact=True, only=EXACT
     ),
-    "knee_bench, walking": Rig(model="knee_bench", reference=None, controllers=FULL, peer_seeds=1),
+    "knee_bench, walking": Rig(model="knee_bench", reference=None, controllers=NEEDED),
     "leg, squat": Rig(model="leg", reference="squat", controllers=NEEDED, seeds=2),
-    "leg, random stride": Rig(model="leg", reference="random_stride", controllers=NEEDED, seeds=2),
+    "leg, random stride": Rig(model="leg", reference="random_stride", controllers=NEEDED, only=FEW),
     "leg_rail, squat": Rig(model="leg_rail", reference="squat", controllers=SAFETY, seeds=2),
 }
 
