@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.diagnosis.fitting import Fit, refit
 from leglab.diagnosis.hypothesis import Hypothesis, Key, Library
@@ -81,11 +82,7 @@ def set_up(
     machine, limits = Machine(model), settings.thresholds
     found = channels(machine, recordings, limits)
     check_recordings(machine, recordings, limits)  # Before anything is replayed with wrong units.
-    # The longest step that divides the period and is at most twice the model's own: `Problem` takes
-    # its error off.
-    period = sampling_period(recordings)
-    steps = max(1, int(np.ceil(period / (2.0 * machine.file_timestep) - 1e-9)))
-    machine = machine.at_timestep(period / steps)
+    machine = at_replay_step(machine, sampling_period(recordings))
     needed = tuple(dict.fromkeys([*(c.column for c in found), *machine.columns]))
     held = set(held_out)
     return Problem(
@@ -97,6 +94,26 @@ def set_up(
         threads=settings.threads,
         thresholds=limits,
     )
+
+
+def at_replay_step(machine: Machine, period: float) -> Machine:
+    """The machine at the step of its replays, whose error `Problem` takes off.
+
+    The longest that divides the sampling period [s], is at most twice the model's own and that the
+    model accepts: a plugin may refuse a long one. Below the model's own there is nothing to accept.
+
+    Raises:
+        LeglabError: The model refuses its own step as well.
+    """
+    own = machine.file_timestep
+    fewest = max(1, int(np.ceil(period / (2.0 * own) - 1e-9)))
+    most = max(fewest, int(np.ceil(period / own - 1e-9)))
+    for steps in range(fewest, most):
+        try:
+            return machine.at_timestep(period / steps)
+        except LeglabError:
+            continue
+    return machine.at_timestep(period / most)
 
 
 def search(
