@@ -10,7 +10,7 @@ from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.diagnosis.fitting import Fit, refit
 from leglab.diagnosis.hypothesis import Hypothesis, Key, Library
-from leglab.diagnosis.judging import accepted, t_value
+from leglab.diagnosis.judging import accepted, simplest_first, t_value
 from leglab.diagnosis.model import Machine
 from leglab.diagnosis.onset import checked_onsets, suspected_onset
 from leglab.diagnosis.recordings import check_recordings
@@ -141,6 +141,7 @@ def search(
             start = current.hypothesis
     while len(rounds) < settings.rounds:
         problem, tried = search_round(problem, start, current, rng, progress, onset)
+        tried = replace(tried, contenders=simplest_first(problem, tried.contenders))
         rounds.append(tried)
         winner = next((c for c in tried.contenders if accepted(problem, tried, c)), None)
         best = min((c.cost.mean() for c in tried.contenders), default=np.inf)
