@@ -145,7 +145,7 @@ class Problem:
             replay.error(Change(replay.machine)).values
             for replay in (self.replay, self._fine, self._at(0.25))
         )
-        self._beyond_half = _extrapolation(half - errors, quarter - half)
+        self._beyond_half = extrapolation(half - errors, quarter - half)
         self.noise = self._noise_model(change, errors, half - errors)
 
     def _at(self, share: float) -> Replay:
@@ -338,7 +338,7 @@ class Problem:
         )
 
 
-def _extrapolation(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def extrapolation(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Factor from what half the time step changes to what no step at all would, (channels,).
 
     The error of a step h is c_1 h + c_2 h^2: a scheme that is of second order for forces of the

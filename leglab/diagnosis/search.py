@@ -161,18 +161,19 @@ def search_round(
         special = any(problem.library.contains(c.key, key) for c in contenders)
         if place >= limits.sharpened and not special:
             continue
-        if fit.cost - noise > limits.hopeless_factor * max(lead, 0.2 * noise):
+        behind = fit.cost - noise > limits.hopeless_factor * max(lead, 0.2 * noise)
+        if behind and fit.cost >= limits.close_cost * noise:
             continue
         progress(f"sharpening {key[0]}")
         one = _contender(problem, key, sharpen(problem, fit))
         # A rival that comes near is fitted to the end, or a tie would pass for a victory; and so
         # is the first one, if a rival has overtaken it.
         if contenders and one.fit.cost < limits.close_cost * noise:
-            one = _finished(problem, one)
+            one = finished(problem, one)
         lead = min(lead, one.fit.cost - noise)
         contenders.append(one)
     if contenders and lead + noise < contenders[0].fit.cost < limits.close_cost * noise:
-        contenders[0] = _finished(problem, contenders[0])
+        contenders[0] = finished(problem, contenders[0])
     return problem, Round(
         base=problem.window_cost(best.hypothesis),
         candidates=tuple(candidates),
@@ -185,7 +186,7 @@ def _contender(problem: Problem, key: Key, fit: Fit) -> Contender:
     return Contender(key=key, fit=fit, cost=problem.window_cost(fit.hypothesis))
 
 
-def _finished(problem: Problem, rival: Contender) -> Contender:
+def finished(problem: Problem, rival: Contender) -> Contender:
     """A contender fitted to the end, with the defect of the time step that is its own."""
     fit = rival.fit
     for _ in range(problem.thresholds.patience):

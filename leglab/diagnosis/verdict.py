@@ -192,12 +192,15 @@ def _ties(found: Search, key: Key, rng: np.random.Generator) -> tuple[tuple[str,
     twins = tuple(t for t in _twins(found.problem, key) if t in names)
     if twins:
         return twins, 1.0 / (1 + len(twins))
-    fits = [(c, one) for one in found.rounds for c in one.contenders if c.key == key]
+    # Rivals of an early round that lacked the other effects say little: where an effect was checked
+    # beside all others, that counts.
+    sets = [found.checks[key]] if key in found.checks else [r.contenders for r in found.rounds]
+    fits = [(c, tried) for tried in sets for c in tried if c.key == key]
     if not fits:
         return (), 1.0
     own, tried = min(fits, key=lambda entry: entry[0].cost.mean())
     tied, confidence = [], 1.0
-    for rival in tried.contenders:
+    for rival in tried:
         if rival.key == key or rival.key in found.named:
             continue
         if found.problem.library.contains(rival.key, key) and not earns(found.problem, rival, own):
@@ -251,8 +254,8 @@ def _next_experiment(found: Search, effects: Sequence[NamedEffect]) -> Proposal 
     for effect in effects:
         if _twins(found.problem, (effect.name, effect.element)):
             continue  # No excitation tells them apart, only a further sensor.
-        for one in found.rounds:
-            fits = {c.key[0]: c.fit.hypothesis for c in one.contenders}
+        for tried in (*found.checks.values(), *(one.contenders for one in found.rounds)):
+            fits = {c.key[0]: c.fit.hypothesis for c in tried}
             tied = [name for name in effect.indistinguishable_from if name in fits]
             if effect.name in fits and tied:
                 rivals = {effect.name: fits[effect.name], tied[0]: fits[tied[0]]}

@@ -1,6 +1,6 @@
 """Rigs without hydraulics, and independent simulators of what their models lack."""
 
-from tests.rigs.linkages import GANTRY, MOTOR_ARM, SERVO_ARM, Hidden, record_linkage
+from tests.rigs.linkages import GANTRY, MOTOR_ARM, SERVO_ARM, SERVO_JOINT, Hidden, record_linkage
 from tests.rigs.simulator import PENDULUM, SLIDE_AXIS, Truth, record
 
 __all__ = [
@@ -8,6 +8,7 @@ __all__ = [
     "MOTOR_ARM",
     "PENDULUM",
     "SERVO_ARM",
+    "SERVO_JOINT",
     "SLIDE_AXIS",
     "Hidden",
     "Truth",

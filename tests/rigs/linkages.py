@@ -1,8 +1,8 @@
-"""Recordings of machines with two joints from Lagrange's equations, free of MuJoCo and leglab.
+"""Recordings of machines with one or two joints from Lagrange's equations.
 
-Runge and Kutta's fourth order at 0.2 ms; forces are functions of time, position and velocity, and
-commands are held over a sample. A PD loop at 1 kHz, or the drives' own servos, follow a reference
-of their own in each joint.
+Knows neither MuJoCo nor leglab. Runge and Kutta's fourth order at 0.2 ms; forces are functions of
+position and velocity, commands are held over a sample. A PD loop at 1 kHz, or the drives' own
+servos, follow a reference of their own in each joint.
 """
 
 import math
@@ -55,11 +55,11 @@ Mechanism = Callable[[Pair, Pair, Pair], tuple[float, float, float, float, float
 
 @dataclass(frozen=True, kw_only=True)
 class Linkage:
-    """A machine with two joints as its maker knows it; SI units.
+    """A machine with one or two joints as its maker knows it; SI units.
 
     Attributes:
         model: MJCF of the same machine.
-        joints: Their names.
+        joints: Their names; one alone where the second is not there.
         drives: Names of the drives of the first joints.
         mechanism: Inertia and weight under a payload.
         damping: Of the joints.
@@ -71,7 +71,7 @@ class Linkage:
     """
 
     model: Path
-    joints: tuple[str, str]
+    joints: tuple[str, ...]
     drives: tuple[str, ...]
     mechanism: Mechanism
     damping: Pair
@@ -102,6 +102,15 @@ def _arm(q: Pair, v: Pair, payload: Pair) -> tuple[float, float, float, float, f
     return m11, m12, m22, c1 + g1, c2 + g2
 
 
+def _pendulum(q: Pair, v: Pair, payload: Pair) -> tuple[float, float, float, float, float]:
+    """One link, hanging down at zero; the second joint never moves."""
+    m11, g1, s = 0.02, 0.0, math.sin(q[0])
+    for mass, at, own in ((1.0, 0.3, 0.01), (payload[0], payload[1], 0.0)):
+        m11 += own + mass * at**2
+        g1 += mass * _GRAVITY * at * s
+    return m11, 0.0, 1.0, g1, 0.0
+
+
 def _gantry(q: Pair, v: Pair, payload: Pair) -> tuple[float, float, float, float, float]:
     """A trolley on a bridge and what swings below it; the swing has no drive."""
     m11, m12, m22, c1, g2 = 8.0, 0.0, 0.0, 0.0, 0.0
@@ -130,6 +139,17 @@ SERVO_ARM = replace(
     model=_FOLDER / "servo_arm.xml",
     gains=((150.0, 8.0), (60.0, 3.0)),
     limits=(math.inf, math.inf),
+    servo=True,
+)
+SERVO_JOINT = Linkage(
+    model=_FOLDER / "servo_joint.xml",
+    joints=("hinge",),
+    drives=("servo",),
+    mechanism=_pendulum,
+    damping=(0.08, 0.0),
+    reach=(1.0, 0.0),
+    gains=((120.0, 4.0),),
+    limits=(math.inf,),
     servo=True,
 )
 GANTRY = Linkage(
