@@ -141,11 +141,14 @@ class Problem:
         floor = np.array([_resolution(series, c.column) for c in channels])
         self.sensor_noise = np.maximum(np.array(level), floor)
         change = Change(machine)
-        errors, half, quarter = (
-            replay.error(Change(replay.machine)).values
-            for replay in (self.replay, self._fine, self._at(0.25))
+        errors, half = (
+            replay.error(Change(replay.machine)).values for replay in (self.replay, self._fine)
         )
-        self._beyond_half = extrapolation(half - errors, quarter - half)
+        some = np.zeros(self.replay.windows, dtype=bool)
+        some[:: max(1, self.replay.windows // thresholds.order_windows)] = True
+        finest = self._at(0.25)
+        quarter = finest.error(Change(finest.machine), chosen=some).values
+        self._beyond_half = extrapolation((half - errors)[some], quarter - half[some])
         self.noise = self._noise_model(change, errors, half - errors)
 
     def _at(self, share: float) -> Replay:
