@@ -9,7 +9,7 @@ from leglab.diagnosis.fitting import Sums, Unknowns
 from leglab.diagnosis.judging import preferences, t_value
 from leglab.diagnosis.onset import change_point
 from leglab.diagnosis.paths import delayed, play
-from leglab.diagnosis.residual import robust_cost
+from leglab.diagnosis.residual import extrapolation, robust_cost
 from leglab.diagnosis.screening import Candidate
 from leglab.diagnosis.search import chance_gain
 from leglab.diagnosis.starts import bristle, spool
@@ -251,3 +251,21 @@ def test_sums_over_windows_say_what_a_step_of_some_unknowns_costs():
     step = part.step(Unknowns(now=free[0], prior=free[1], lower=free[2], upper=free[3]))
     np.testing.assert_allclose(step, solve_step(residual, jacobian[:, :, some], *free))
     assert part.cost(step) < part.cost(x)
+
+
+def test_the_order_of_the_step_error_is_measured():
+    """Errors of c_1 h + c_2 h^2 + noise; one channel of each order, and one of both."""
+    rng = np.random.default_rng(4)
+    first, second = rng.normal(size=(2, 40, 1, 30))
+
+    def error(h):
+        return np.concatenate([first * h, second * h**2, first * h + second * h**2], axis=1)
+
+    half, quarter = error(0.5) - error(1.0), error(0.25) - error(0.5)
+    factors = extrapolation(half, quarter)
+    assert factors[:2] == pytest.approx([2.0, 4.0 / 3.0])
+    assert 4.0 / 3.0 < factors[2] < 2.0
+    np.testing.assert_allclose(half[:, 0] * factors[0], -error(1.0)[:, 0])
+    # A window beside a jump, where differences have no order, does not count.
+    half[7], quarter[7] = 100.0 * rng.normal(size=(2, 3, 30))
+    assert extrapolation(half, quarter)[:2] == pytest.approx([2.0, 4.0 / 3.0], abs=1e-6)

@@ -20,6 +20,16 @@ def bristle(
 def spool(
     command: np.ndarray, frequency: float, damping: float, timestep: float, out: np.ndarray
 ) -> None: ...
+def supply_pressure(
+    supply: np.ndarray,
+    parameters: np.ndarray,
+    spools: np.ndarray,
+    caps: np.ndarray,
+    rods: np.ndarray,
+    timestep: float,
+    substeps: int,
+    out: np.ndarray,
+) -> None: ...
 
 class CylinderModel:
     def __init__(self, parameters: np.ndarray) -> None: ...

@@ -118,6 +118,7 @@ class Library:
     ) -> None:
         wanted = None if names is None else set(names)
         barred = set(excluded)
+        self._driven = machine.driven
         self.sites: dict[Key, Site] = {}
         for effect in all_effects():
             if effect.name in barred or (wanted is not None and effect.name not in wanted):
@@ -131,6 +132,12 @@ class Library:
     def names(self) -> tuple[str, ...]:
         """Names of the effects."""
         return tuple(sorted({name for name, _ in self.sites}))
+
+    def contains(self, larger: Key, simpler: Key) -> bool:
+        """Whether an effect has another, at the same joint, as a special case."""
+        (_, one), (name, other) = larger, simpler
+        joints = (self._driven.get(element, (element,)) for element in (one, other))
+        return name in self.sites[larger].effect.contains and len({j[0] for j in joints}) == 1
 
     def change(self, hypothesis: Mapping[Key, np.ndarray], machine: Machine) -> Change:
         """The change that a hypothesis makes; effects apply by their order, then by name."""

@@ -18,11 +18,14 @@ from leglab.machine.simulation import actuator_moments
 CYLINDER = "leglab.cylinder"
 FRICTION = "leglab.joint_friction"
 SPRING = "leglab.spring_damper"
+SUPPLY = "leglab.supply"
 CHAMBERS = ("pressure_a", "pressure_b")
 
 Edit = tuple[Hashable, Callable[[mujoco.MjSpec], None]]
 _SIMPLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _CACHED_VARIANTS = 64
+# Share of an actuator's largest moment below which another is rounding, see `moved`.
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,12 +36,14 @@ class Variant:
         model: Compiled at the replay's time step.
         elements: Place in `plugin_state` and table of every plugin instance, by name.
         joint_of: Joint that a passive instance acts on, by instance.
+        drawn_by: Cylinders that draw from each supply, by its instance.
         plugin_state: After a reset, shape (npluginstate,): parameters and initial states.
     """
 
     model: mujoco.MjModel
     elements: dict[str, tuple[int, PluginTable]]
     joint_of: dict[str, str]
+    drawn_by: dict[str, tuple[str, ...]]
     plugin_state: np.ndarray
 
     def slot(self, element: str, name: str) -> int:
@@ -65,7 +70,7 @@ class Machine:
         base: The model as it is.
         joints: Names of the hinge and slide joints.
         actuators: Names of the actuators.
-        driven: Joints that each actuator moves, by actuator: those of its moment at qpos0.
+        driven: Joints that each actuator moves, by actuator: those of its moment near qpos0.
         carried: Faults of command and sensor paths in the file; variants are free of them.
 
     Raises:
@@ -101,7 +106,7 @@ class Machine:
         data.qpos[:] = model.qpos0 + 0.1
         mujoco.mj_forward(model, data)
         self.driven = {
-            name: tuple(self.joints[int(model.dof_jntid[k])] for k in np.flatnonzero(row))
+            name: tuple(self.joints[int(model.dof_jntid[k])] for k in moved(row))
             for name, row in zip(self.actuators, actuator_moments(model, data), strict=True)
         }
 
@@ -166,13 +171,20 @@ class Machine:
             plugin_state = mujoco.MjData(model).plugin_state.copy()
         except (ValueError, mujoco.FatalError) as error:
             raise leglab.machine.plugin.load_error(error, self.path.name, spec) from error
+        elements = leglab.machine.plugin.elements(model)
+        fed = {a.name: a.plugin.config.get("supply") for a in spec.actuators if a.name in elements}
         variant = Variant(
             model=model,
-            elements=leglab.machine.plugin.elements(model),
+            elements=elements,
             joint_of={
                 plugin.name: plugin.config["joint"]
                 for plugin in spec.plugins
                 if plugin.name and "joint" in plugin.config
+            },
+            drawn_by={
+                name: tuple(cylinder for cylinder, source in fed.items() if source == name)
+                for name, (_, table) in elements.items()
+                if table.plugin == SUPPLY
             },
             plugin_state=plugin_state,
         )
@@ -180,6 +192,17 @@ class Machine:
         if len(self._variants) > _CACHED_VARIANTS:
             self._variants.popitem(last=False)
         return variant
+
+
+def moved(moments: np.ndarray) -> np.ndarray:
+    """Degrees of freedom that an actuator moves, from its moments on all, shape (nv,).
+
+    A tendon's moments are differences of lengths of the machine's size, so that joints which it
+    does not cross keep rounding errors: 1e-16 of the largest moment, or 1e-13 where a lever is a
+    thousandth of the machine. A joint that is moved has a share that somebody built.
+    """
+    size = np.abs(moments)
+    return np.flatnonzero(size > _ROUNDING * size.max())
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,5 +1,6 @@
 """Recordings for a diagnosis: read, checked before anything is fitted, and one held out."""
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -104,21 +105,28 @@ def _longest_run(mask: np.ndarray) -> int:
 
 
 def read_recordings(paths: Sequence[Path], columns: Path | None = None) -> dict[str, Recording]:
-    """Reads recordings by file name.
+    """Reads recordings by file name, or by folder and file name where file names are the same.
 
     Args:
         paths: Of the files.
         columns: A column map for all of them, see `leglab.data.read_column_map`.
 
     Raises:
-        LeglabError: A file cannot be read, or two have one name, or the map is wrong.
+        LeglabError: A file cannot be read, or is given twice, or the map is wrong.
     """
     column_map = data.read_column_map(columns) if columns else None
+    plain = Counter(path.name for path in paths)
     found: dict[str, Recording] = {}
     for path in paths:
-        if path.name in found:
-            raise LeglabError(f"two recordings are called {path.name!r}; allowed: different names")
-        found[path.name] = data.read(path, columns=column_map)
+        # Every `leglab run` calls its recording the same, in a folder of its own.
+        whole = path.resolve()
+        name = path.name if plain[path.name] == 1 else f"{whole.parent.name}/{path.name}"
+        if name in found:
+            raise LeglabError(
+                f"two recordings are called {name!r}; allowed: different names, or names of "
+                "their folders"
+            )
+        found[name] = data.read(path, columns=column_map)
     return found
 
 
@@ -141,13 +149,12 @@ def split_held_out(
     """
     recordings = dict(recordings)
     if wanted:
-        by_stem = {Path(name).stem: name for name in recordings}
         held = []
         for entry in wanted:
-            name = Path(entry).name
-            if name not in recordings and name not in by_stem:
+            meant = [name for name in recordings if _names(entry, name)]
+            if len(meant) != 1:
                 raise unknown_name("recording", entry, recordings)
-            held.append(name if name in recordings else by_stem[name])
+            held += meant
         if len(set(held)) == len(recordings):
             raise LeglabError("every recording is held out; allowed: at least one to fit")
         return recordings, tuple(held)
@@ -170,6 +177,13 @@ def split_held_out(
                 f"{', '.join(recording.columns)}. Measured under other names? Give a column map"
             )
     return recordings, held_out_choice(recordings, machine)
+
+
+def _names(entry: str, name: str) -> bool:
+    """Whether what a user wrote means a recording: its path or the end of it, or its folder."""
+    parts, wanted = Path(name).parts, Path(entry).parts
+    ends = {parts, (*parts[:-1], Path(name).stem), *([parts[:1]] if len(parts) > 1 else [])}
+    return any(wanted[-len(end) :] == end for end in ends)
 
 
 def held_out_choice(recordings: Mapping[str, Recording], machine: Machine) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from mujoco import rollout
 
 from leglab.base.errors import LeglabError
 from leglab.diagnosis.model import CYLINDER, Change, Machine, Measured, Variant
-from leglab.diagnosis.starts import Nudge, measure, plugin_offset, pressure_slots, start_states
+from leglab.diagnosis.starts import Nudge, hidden_slots, measure, plugin_offset, start_states
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 from leglab.diagnosis.windows import Channel, Cut, UniformSeries, cut_series
 from leglab.machine.plugin import headless
@@ -195,14 +195,14 @@ class Replay:
         unknown = [None] * len(parts)
         if not self.blind:
             return states(0, nudge, unknown)
-        # Chamber pressures at window starts come from a replay before them.
+        # Pressures at window starts come from a replay before them.
         controls = [
             self._controls(m, cut.firsts[:, None] - self._lead + np.arange(self._lead))
             for cut, m, _ in parts
         ]
         before = states(self._lead, None, unknown)
         warm = self._roll(change.variant, before, np.concatenate(controls))
-        slots = plugin_offset(change.variant.model) + pressure_slots(change)
+        slots = plugin_offset(change.variant.model) + hidden_slots(change)
         counts = np.cumsum([cut.firsts.size for cut, _, _ in parts])[:-1]
         return states(0, nudge, np.split(warm[:, -1][:, slots], counts))
 

@@ -138,7 +138,7 @@ def search_round(
     noise = problem.size * chosen.sum()  # chi-square of noise alone
     hopeful = candidates and candidates[0].gain > limits.hopeful_gain * noise
     rough: list[tuple[Key, Fit]] = []
-    for candidate in candidates[: limits.refitted] if hopeful else ():
+    for candidate in _refitted(problem, candidates) if hopeful else ():
         key, values = candidate.key, candidate.values
         progress(f"fitting {key[0]}")
 
@@ -157,26 +157,53 @@ def search_round(
         problem = problem.about(rough[0][1].hypothesis)
     contenders: list[Contender] = []
     lead = np.inf
-    for key, fit in rough[: limits.sharpened]:
-        if fit.cost - noise > limits.hopeless_factor * max(lead, 0.2 * noise):
+    for place, (key, fit) in enumerate(rough):
+        special = any(problem.library.contains(c.key, key) for c in contenders)
+        if place >= limits.sharpened and not special:
+            continue
+        behind = fit.cost - noise > limits.hopeless_factor * max(lead, 0.2 * noise)
+        if behind and fit.cost >= limits.close_cost * noise:
             continue
         progress(f"sharpening {key[0]}")
-        fit = sharpen(problem, fit)
-        # A rival that comes near is fitted to the end, or a tie would pass for a victory.
-        for _ in range(limits.patience if contenders else 0):
-            if fit.cost >= limits.close_cost * noise:
-                break
-            before, fit = fit.cost, sharpen(problem, fit)
-            if fit.cost >= 0.98 * before:
-                break
-        lead = min(lead, fit.cost - noise)
-        contenders.append(Contender(key=key, fit=fit, cost=problem.window_cost(fit.hypothesis)))
+        one = _contender(problem, key, sharpen(problem, fit))
+        # A rival that comes near is fitted to the end, or a tie would pass for a victory; and so
+        # is the first one, if a rival has overtaken it.
+        if contenders and one.fit.cost < limits.close_cost * noise:
+            one = finished(problem, one)
+        lead = min(lead, one.fit.cost - noise)
+        contenders.append(one)
+    if contenders and lead + noise < contenders[0].fit.cost < limits.close_cost * noise:
+        contenders[0] = finished(problem, contenders[0])
     return problem, Round(
         base=problem.window_cost(best.hypothesis),
         candidates=tuple(candidates),
         contenders=tuple(sorted(contenders, key=lambda c: c.fit.cost)),
         threshold=threshold,
     )
+
+
+def _contender(problem: Problem, key: Key, fit: Fit) -> Contender:
+    return Contender(key=key, fit=fit, cost=problem.window_cost(fit.hypothesis))
+
+
+def finished(problem: Problem, rival: Contender) -> Contender:
+    """A contender fitted to the end, with the defect of the time step that is its own."""
+    fit = rival.fit
+    for _ in range(problem.thresholds.patience):
+        problem = problem.with_defect_of(fit.hypothesis)
+        before, fit = fit.cost, sharpen(problem, fit)
+        if fit.cost >= 0.98 * before:
+            break
+    return _contender(problem, rival.key, fit)
+
+
+def _refitted(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """The best candidates, and special cases of them, which may do as well."""
+    best = list(candidates[: problem.thresholds.refitted])
+    contains = problem.library.contains
+    return best + [
+        c for c in candidates[len(best) :] if any(contains(larger.key, c.key) for larger in best)
+    ]
 
 
 def pair_search(

@@ -1,23 +1,33 @@
 """Start states of windows: measured motion, and hidden states that follow from it.
 
-Valve spools and sliding bristles follow from the measured series. At rest the measured motion is
-all noise, and the balance of forces says what dry friction carries; where several bristles rest on
-one joint (a cylinder's seals, a bearing) they share it by their limits.
+Valve spools, sliding bristles and the pressure of a supply follow from the measured series. At rest
+the measured motion is all noise, and the balance of forces says what dry friction carries; where
+several bristles rest on one joint (a cylinder's seals, a bearing) they share it by their limits.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
 
 from leglab._native import hydraulics as native
-from leglab.diagnosis.model import CHAMBERS, CYLINDER, FRICTION, Change, Machine, Measured, Variant
+from leglab.diagnosis.model import (
+    CHAMBERS,
+    CYLINDER,
+    FRICTION,
+    Change,
+    Machine,
+    Measured,
+    Variant,
+)
 from leglab.diagnosis.paths import play
 from leglab.diagnosis.windows import Channel, Cut, derivative, smoothed
 
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 # A bristle forgets over some tenths of a millimetre; this much history is enough.
 _BRISTLE_HISTORY = 0.5  # s
+# Longest step at which the pressure of a supply is followed, some hundredths of its time constant.
+_SUPPLY_STEP = 5e-4  # s
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,12 +88,14 @@ class Instances:
         measured: Series of one recording.
         variant: Compiled model.
         state: Parameters and states at window starts, shape (windows, npluginstate).
+        spools: Spool positions by cylinder, each (n,), as far as they are reconstructed.
     """
 
     machine: Machine
     measured: Measured
     variant: Variant
     state: np.ndarray
+    spools: dict[str, np.ndarray] = field(default_factory=dict)
 
     def get(self, element: str, name: str) -> np.ndarray:
         """A parameter or state at window starts, shape (windows,); a view."""
@@ -103,12 +115,17 @@ class Instances:
         return [self.measured.pressure[c] for c in columns if c in self.measured.pressure]
 
     def reconstruct(self) -> None:
-        """Sets the hidden states of cylinders and of joint friction that follow from the motion."""
+        """Sets the hidden states of cylinders, joint friction and supplies: they follow the motion.
+
+        A supply whose cylinders have no measured pressures is left as it is.
+        """
         for element, (_, table) in self.variant.elements.items():
             if table.plugin == CYLINDER:
                 self._cylinder(element)
             elif table.plugin == FRICTION:
                 self._joint_friction(element)
+        for supply, cylinders in self.variant.drawn_by.items():
+            self._supply(supply, cylinders)
 
     def _cylinder(self, element: str) -> None:
         measured, samples = self.measured, self.measured.samples
@@ -120,6 +137,7 @@ class Instances:
             self.value(element, "damping_ratio"),
             measured.period,
         )
+        self.spools[element] = moved[:, 0]
         self.put(element, "play_output", behind[np.maximum(samples - 1, 0)])
         self.put(element, "spool_position", np.clip(moved[samples, 0], -1.0, 1.0))
         self.put(element, "spool_velocity", moved[samples, 1])
@@ -127,6 +145,31 @@ class Instances:
         pressures = sum(self.pressures(self.machine.driven[element][0]), np.zeros(1))
         seal = self.value(element, "pressure_coefficient") * np.maximum(pressures, 0.0)
         self._slide(element, velocity, self._stribeck(element, velocity, seal))
+
+    def _supply(self, element: str, cylinders: tuple[str, ...]) -> None:
+        """Sets a supply's pressure, which falls with what its cylinders draw."""
+        chambers = [self.pressures(self.machine.driven[c][0]) for c in cylinders]
+        if not cylinders or any(len(pair) < len(CHAMBERS) for pair in chambers):
+            return
+        period, samples = self.measured.period, self.measured.samples
+        pressure = np.empty(chambers[0][0].size)
+        native.supply_pressure(
+            self._parameters(element),
+            np.stack([self._parameters(c) for c in cylinders]),
+            np.stack([self.spools[c] for c in cylinders]),
+            np.stack([a for a, _ in chambers]),
+            np.stack([b for _, b in chambers]),
+            period,
+            max(1, int(np.ceil(period / _SUPPLY_STEP - 1e-9))),
+            pressure,
+        )
+        self.put(element, "pressure", pressure[samples])
+        self.put(element, "started", np.ones(samples.size))
+
+    def _parameters(self, element: str) -> np.ndarray:
+        """All parameters of an element in the order of its table."""
+        start, table = self.variant.elements[element]
+        return self.state[0, start : start + len(table.parameters)].copy()
 
     def _joint_friction(self, element: str) -> None:
         velocity = self.measured.velocity[self.variant.joint_of[element]]
@@ -326,7 +369,7 @@ def start_states(
         measured: Smoothed series; its samples say where windows start.
         channels: Measured outputs.
         rest_time: A bristle that slid less than twice its deflection in this time [s] rests.
-        pressures: Of the chambers where none are measured, (windows, 2 cylinders).
+        pressures: Values of `hidden_slots` where pressures are not measured, (windows, slots).
         nudge: Departure from these states.
     """
     machine, variant = change.machine, change.variant
@@ -348,7 +391,7 @@ def start_states(
             slot = variant.slot(channel.cylinder, channel.chamber)
             plugin[:, slot] = measured.pressure[channel.column][firsts]
     if pressures is not None:
-        plugin[:, pressure_slots(change)] = pressures
+        plugin[:, hidden_slots(change)] = pressures
     instances = Instances(machine=machine, measured=measured, variant=variant, state=plugin)
     instances.reconstruct()
     for (element, name), function in change.starts.items():
@@ -370,16 +413,15 @@ def start_states(
     return states
 
 
-def pressure_slots(change: Change) -> np.ndarray:
-    """Places of all chamber pressures in the plugin state: A and B of each cylinder in turn."""
-    return np.array(
-        [
-            change.variant.slot(cylinder, chamber)
-            for cylinder in change.machine.instances(CYLINDER)
-            for chamber in CHAMBERS
-        ],
-        dtype=int,
-    )
+def hidden_slots(change: Change) -> np.ndarray:
+    """Places in the plugin state of what follows from pressures that are not measured.
+
+    Chamber pressures A and B of each cylinder in turn, then those of the supplies.
+    """
+    variant = change.variant
+    cylinders = [(c, name) for c in change.machine.instances(CYLINDER) for name in CHAMBERS]
+    supplies = [(s, name) for s in variant.drawn_by for name in ("pressure", "started")]
+    return np.array([variant.slot(*place) for place in (*cylinders, *supplies)], dtype=int)
 
 
 def plugin_offset(model: mujoco.MjModel) -> int:

@@ -47,6 +47,9 @@ class Thresholds:
     rest_time: float = 0.03
 
     # Noise model.
+    # So many windows tell of which order the error of the replays' time step is: each channel's
+    # factor lies between 4/3 and 2, and the median of so many is good to some per cent.
+    order_windows: int = 20
     # Start states are free within this many standard deviations of what smoothing leaves: a start
     # that is a little off must not speak for or against an effect.
     start_spread: float = 3.0

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 
+import mujoco
 import numpy as np
 
 from leglab.base.recording import Recording
@@ -14,8 +15,8 @@ from leglab.diagnosis.experiment import propose
 from leglab.diagnosis.fitting import Fit
 from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.isolation import isolate
-from leglab.diagnosis.judging import intervals, preferences
-from leglab.diagnosis.model import CYLINDER
+from leglab.diagnosis.judging import earns, intervals, preferences
+from leglab.diagnosis.model import CYLINDER, Machine
 from leglab.diagnosis.recordings import check_recordings
 from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.result import (
@@ -35,6 +36,8 @@ from leglab.diagnosis.windows import Channel
 from leglab.diagnosis.workflow import DiagnosisSettings, Search, search, set_up
 
 _DELAYS = frozenset({"command_delay", "sensor_delay"})
+# Correlation in the mass matrix below which two joints do not feel each other: rounding.
+_COUPLED = 1e-9
 
 
 def diagnose(
@@ -186,23 +189,53 @@ def _ties(found: Search, key: Key, rng: np.random.Generator) -> tuple[tuple[str,
     """Rivals that explain the recordings as well, and the name's confidence against all."""
     limits = found.problem.thresholds
     names = found.problem.library.names
-    twins = tuple(t for t in exact_twins(found.problem.channels, key[0]) if t in names)
+    twins = tuple(t for t in _twins(found.problem, key) if t in names)
     if twins:
         return twins, 1.0 / (1 + len(twins))
-    fits = [(c, one) for one in found.rounds for c in one.contenders if c.key == key]
+    # Rivals of an early round that lacked the other effects say little: where an effect was checked
+    # beside all others, that counts.
+    sets = [found.checks[key]] if key in found.checks else [r.contenders for r in found.rounds]
+    fits = [(c, tried) for tried in sets for c in tried if c.key == key]
     if not fits:
         return (), 1.0
     own, tried = min(fits, key=lambda entry: entry[0].cost.mean())
     tied, confidence = [], 1.0
-    for rival in tried.contenders:
+    for rival in tried:
         if rival.key == key or rival.key in found.named:
             continue
+        if found.problem.library.contains(rival.key, key) and not earns(found.problem, rival, own):
+            continue  # The rival says the same with more parameters.
         preferred = preferences([own.cost, rival.cost], rng, limits.resamples)[0, 1]
         near = rival.cost.mean() - own.cost.mean() < limits.distance
         if preferred < limits.preference or near:
             tied.append(rival.key[0])
         confidence = min(confidence, min(preferred, 0.5) if near else preferred)
     return tuple(tied), float(confidence)
+
+
+def _twins(problem: Problem, key: Key) -> tuple[str, ...]:
+    """Exact twins of an effect on an element of this machine."""
+    machine = problem.machine
+    joints = machine.driven.get(key[1], (key[1],))
+    if set(joints) & set(coupled_joints(machine)):
+        return ()  # Another joint feels when this one moves, and its position is the third signal.
+    return exact_twins(problem.channels, key[0])
+
+
+def coupled_joints(machine: Machine) -> tuple[str, ...]:
+    """Joints whose acceleration acts on another joint, by the mass matrix at some poses."""
+    model = machine.base.model
+    data = mujoco.MjData(model)
+    found: set[int] = set()
+    for shift in (0.0, 0.4, -0.7):
+        data.qpos[:] = model.qpos0 + shift
+        mujoco.mj_forward(model, data)
+        mass = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, mass)
+        own = np.sqrt(np.diag(mass))
+        share = np.abs(mass) / np.outer(own, own) - np.eye(model.nv)
+        found |= set(np.flatnonzero((share > _COUPLED).any(axis=1)).tolist())
+    return tuple(machine.joints[int(model.dof_jntid[k])] for k in sorted(found))
 
 
 def exact_twins(channels: Sequence[Channel], name: str) -> tuple[str, ...]:
@@ -219,10 +252,10 @@ def exact_twins(channels: Sequence[Channel], name: str) -> tuple[str, ...]:
 def _next_experiment(found: Search, effects: Sequence[NamedEffect]) -> Proposal | None:
     """Experiment that would tell the first effect that is tied from its rival."""
     for effect in effects:
-        if exact_twins(found.problem.channels, effect.name):
+        if _twins(found.problem, (effect.name, effect.element)):
             continue  # No excitation tells them apart, only a further sensor.
-        for one in found.rounds:
-            fits = {c.key[0]: c.fit.hypothesis for c in one.contenders}
+        for tried in (*found.checks.values(), *(one.contenders for one in found.rounds)):
+            fits = {c.key[0]: c.fit.hypothesis for c in tried}
             tied = [name for name in effect.indistinguishable_from if name in fits]
             if effect.name in fits and tied:
                 rivals = {effect.name: fits[effect.name], tied[0]: fits[tied[0]]}

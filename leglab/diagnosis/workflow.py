@@ -1,23 +1,26 @@
 """The search for missing effects, from recordings to the final fit."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
+from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.diagnosis.fitting import Fit, refit
 from leglab.diagnosis.hypothesis import Hypothesis, Key, Library
-from leglab.diagnosis.judging import accepted, t_value
+from leglab.diagnosis.judging import accepted, simplest_first, t_value
 from leglab.diagnosis.model import Machine
 from leglab.diagnosis.onset import checked_onsets, suspected_onset
 from leglab.diagnosis.recordings import check_recordings
 from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.search import (
+    Contender,
     Progress,
     Round,
     baseline,
+    finished,
     pair_search,
     search_round,
     sharpen,
@@ -58,6 +61,8 @@ class Search:
         fit: The final fit.
         named: Effects in the order of discovery.
         rounds: All rounds, the last one included that found nothing.
+        checks: Of several named effects, by effect: the final fit, and what became of it with a
+            rival in the effect's place.
     """
 
     problem: Problem
@@ -65,6 +70,7 @@ class Search:
     fit: Fit
     named: tuple[Key, ...]
     rounds: tuple[Round, ...]
+    checks: Mapping[Key, tuple[Contender, ...]] = field(default_factory=dict)
 
 
 def set_up(
@@ -81,11 +87,7 @@ def set_up(
     machine, limits = Machine(model), settings.thresholds
     found = channels(machine, recordings, limits)
     check_recordings(machine, recordings, limits)  # Before anything is replayed with wrong units.
-    # The longest step that divides the period and is at most twice the model's own: `Problem` takes
-    # its error off.
-    period = sampling_period(recordings)
-    steps = max(1, int(np.ceil(period / (2.0 * machine.file_timestep) - 1e-9)))
-    machine = machine.at_timestep(period / steps)
+    machine = at_replay_step(machine, sampling_period(recordings))
     needed = tuple(dict.fromkeys([*(c.column for c in found), *machine.columns]))
     held = set(held_out)
     return Problem(
@@ -97,6 +99,26 @@ def set_up(
         threads=settings.threads,
         thresholds=limits,
     )
+
+
+def at_replay_step(machine: Machine, period: float) -> Machine:
+    """The machine at the step of its replays, whose error `Problem` takes off.
+
+    The longest that divides the sampling period [s], is at most twice the model's own and that the
+    model accepts: a plugin may refuse a long one. Below the model's own there is nothing to accept.
+
+    Raises:
+        LeglabError: The model refuses its own step as well.
+    """
+    own = machine.file_timestep
+    fewest = max(1, int(np.ceil(period / (2.0 * own) - 1e-9)))
+    most = max(fewest, int(np.ceil(period / own - 1e-9)))
+    for steps in range(fewest, most):
+        try:
+            return machine.at_timestep(period / steps)
+        except LeglabError:
+            continue
+    return machine.at_timestep(period / most)
 
 
 def search(
@@ -124,6 +146,7 @@ def search(
             start = current.hypothesis
     while len(rounds) < settings.rounds:
         problem, tried = search_round(problem, start, current, rng, progress, onset)
+        tried = replace(tried, contenders=simplest_first(problem, tried.contenders))
         rounds.append(tried)
         winner = next((c for c in tried.contenders if accepted(problem, tried, c)), None)
         best = min((c.cost.mean() for c in tried.contenders), default=np.inf)
@@ -151,16 +174,22 @@ def search(
         start = current.hypothesis
         if left > limits.explained:
             start = start.only(current.free)
+    checks: dict[Key, tuple[Contender, ...]] = {}
     if len(named) > 1:
         progress("checking each effect against the others")
-        current, named = _pruned(problem, current, named, rounds)
+        current, named, checks = _pruned(problem, current, named, rounds)
     if named:
         progress("last refinement")
         chosen = thinned(problem.fitted, max(1, every // 2))
         problem, current = _settled(problem, current, chosen)
         current = checked_onsets(problem, current, named)
     return Search(
-        problem=problem, baseline=floor, fit=current, named=tuple(named), rounds=tuple(rounds)
+        problem=problem,
+        baseline=floor,
+        fit=current,
+        named=tuple(named),
+        rounds=tuple(rounds),
+        checks=checks,
     )
 
 
@@ -179,10 +208,16 @@ def _settled(problem: Problem, fit: Fit, chosen: np.ndarray) -> tuple[Problem, F
 
 def _pruned(
     problem: Problem, current: Fit, named: list[Key], rounds: list[Round]
-) -> tuple[Fit, list[Key]]:
-    """Drops effects that later ones made needless, and swaps early impostors for their rivals."""
+) -> tuple[Fit, list[Key], dict[Key, tuple[Contender, ...]]]:
+    """Drops effects that later ones made needless, and swaps early impostors for their rivals.
+
+    Returns:
+        The fit, the effects that stay, and the `checks` of a search.
+    """
     limits, at = problem.thresholds, current.at
     best = problem.window_cost(current.hypothesis)
+    checks: dict[Key, tuple[Contender, ...]] = {}
+    noise = problem.size * at.chosen.sum()
 
     def fitted(free: frozenset[Key], start: Hypothesis) -> tuple[Fit, np.ndarray]:
         fit = refit(problem, at, free, start=start, iterations=3, fine=0.3)
@@ -192,18 +227,24 @@ def _pruned(
         others = frozenset(named) - {key}
         without, cost = fitted(others, current.hypothesis.without(key))
         if (cost - best).mean() < limits.worthwhile * max(1.0, cost.mean() - 1.0):
-            return without, [k for k in named if k in others]
+            return without, [k for k in named if k in others], {}
         contenders = (r.contenders for r in rounds)
         rivals = next((cs for cs in contenders if any(c.key == key for c in cs)), ())
         limit = limits.near_factor * min((c.cost.mean() for c in rivals if c.key == key), default=0)
+        tried = [Contender(key=key, fit=current, cost=best)]
         for rival in rivals:
             if rival.key in named or rival.cost.mean() > limit:
                 continue
             start = current.hypothesis.without(key)
             start = start.with_values(rival.key, rival.fit.hypothesis[rival.key])
             swapped, cost = fitted(others | {rival.key}, start)
-            if t_value(best - cost) > limits.significant:
-                current, best = swapped, cost
+            swap = Contender(key=rival.key, fit=swapped, cost=cost)
+            if swapped.cost < limits.close_cost * noise:
+                swap = finished(problem, swap)
+            tried.append(swap)
+            if t_value(best - swap.cost) > limits.significant:
+                current, best = swap.fit, swap.cost
                 named = [rival.key if k == key else k for k in named]
                 break
-    return current, named
+        checks[tried[0].key if current is tried[0].fit else tried[-1].key] = tuple(tried)
+    return current, named, checks

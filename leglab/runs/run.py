@@ -165,6 +165,11 @@ def _recording(loop: Loop, history: History, metadata: dict[str, Any]) -> Record
         pressure = name.endswith(("_pressure_a", "_pressure_b"))
         extra = noise.normal(0.0, sensors.pressure_noise, len(values)) if pressure else 0.0
         columns[name] = values + extra
+    # Encoders of joints that nothing drives, as linear scales of the same noise, rad or m.
+    for name, values in history.passive.items():
+        columns[f"{name}_position"] = values + noise.normal(
+            0.0, sensors.position_noise, len(values)
+        )
     return Recording(time=history.time, columns=columns, metadata=metadata)
 
 

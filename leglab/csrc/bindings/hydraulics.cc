@@ -1,5 +1,5 @@
-// nanobind module of the hydraulics core: parameter tables, fluid laws, bristle and spool along a
-// known motion, the continuous model and the fixed-step scheme on a free mass.
+// nanobind module of the hydraulics core: parameter tables, fluid laws, bristle, spool and supply
+// along a known motion, the continuous model and the fixed-step scheme on a free mass.
 #include <cstring>
 #include <span>
 
@@ -20,6 +20,7 @@ using Vector = nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using ConstVector = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Index = nb::ndarray<const std::int64_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Matrix = nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using ConstMatrix = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using SpecRow = std::tuple<std::string, std::string, double, double, double, bool, std::string>;
 
 namespace {
@@ -72,6 +73,51 @@ void spool(ConstVector command, double natural_frequency, double damping_ratio, 
     out.data()[2 * k] = x;
     out.data()[2 * k + 1] = v;
     transition.advance(command.data()[k], x, v);
+  }
+}
+
+// Supply pressure at every sample of a known motion, from what the compensator holds at the first.
+// Rows of `parameters`, `spools`, `caps` and `rods` are the cylinders that draw from it; between
+// samples spool and gauge pressures are drawn linearly.
+void supply_pressure(ConstVector supply, ConstMatrix parameters, ConstMatrix spools, ConstMatrix caps,
+                     ConstMatrix rods, double dt, std::int64_t substeps, Vector out) {
+  const std::size_t cylinders = parameters.shape(0), samples = out.shape(0);
+  require(supply.shape(0), SupplyTable::parameter_count, "supply");
+  require(parameters.shape(1), CylinderTable::parameter_count, "parameters");
+  for (const ConstMatrix& series : {spools, caps, rods}) {
+    require(series.shape(0), cylinders, "rows of series");
+    require(series.shape(1), samples, "columns of series");
+  }
+  if (substeps < 1) throw nb::value_error("substeps must be at least 1");
+  SupplyParameters p;
+  std::memcpy(&p, supply.data(), sizeof p);
+  std::vector<CylinderParameters> own(cylinders);
+  std::vector<CylinderCoefficients> coefficients;
+  for (std::size_t i = 0; i < cylinders; ++i) {
+    std::memcpy(&own[i], parameters.data() + i * CylinderTable::parameter_count, sizeof own[i]);
+    coefficients.push_back(CylinderCoefficients::from(own[i]));
+  }
+  SupplyState s{};
+  s.pressure_ = p.supply_pressure_;
+  s.started_ = 1.0;
+  const double step = dt / double(substeps);
+  for (std::size_t k = 0; k < samples; ++k) {
+    out.data()[k] = supply_pressure_now(p, s);
+    if (k + 1 == samples) break;
+    for (std::int64_t j = 0; j < substeps; ++j) {
+      const double share = (double(j) + 0.5) / double(substeps);
+      double demand = 0;
+      for (std::size_t i = 0; i < cylinders; ++i) {
+        const auto now = [&](const ConstMatrix& series) {
+          const double* row = series.data() + i * samples;
+          return row[k] + share * (row[k + 1] - row[k]);
+        };
+        const CylinderCoefficients& c = coefficients[i];
+        demand += flows_at(c, {}, Edges::at(own[i], c, now(spools)), supply_pressure_now(p, s),
+                           own[i].tank_pressure_, now(caps), now(rods)).supply;
+      }
+      advance_supply(p, demand, step, s);
+    }
   }
 }
 
@@ -172,6 +218,7 @@ NB_MODULE(hydraulics, m) {
   });
   m.def("bristle", &bristle);
   m.def("spool", &spool);
+  m.def("supply_pressure", &supply_pressure);
   nb::class_<CylinderModel>(m, "CylinderModel")
       .def(nb::init<ConstVector>())
       .def("derivative", &CylinderModel::derivative)

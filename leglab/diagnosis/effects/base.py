@@ -75,6 +75,8 @@ class Effect(ABC):
         excitation: Motion that a recording must contain to show it.
         order: Effects are applied by rising order, then by name: one that builds on parameters
             which others change comes later.
+        contains: Names of simpler effects that are special cases of it. Where one of them at the
+            same joint does as well, it is that one.
     """
 
     name: ClassVar[str]
@@ -83,6 +85,7 @@ class Effect(ABC):
     source: ClassVar[str]
     excitation: ClassVar[str]
     order: ClassVar[int] = 0
+    contains: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def elements(self, machine: Machine) -> tuple[str, ...]:

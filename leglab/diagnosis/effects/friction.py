@@ -198,6 +198,7 @@ class AsymmetricFriction(JointEffect):
     physics = "(F_1 + b_1 |v|) for v > 0, (F_2 + b_2 |v|) for v < 0, against the motion."
     source = "Armstrong-Helouvry et al. 1994: one-sided seals and preloaded gears"
     excitation = "motion in both directions at several speeds; reversals"
+    contains = ("viscous_friction", "coulomb_friction")
 
     rows = tuple(
         JointRow(f"{kind}_{side}", unit, (trial,), upper=upper)

@@ -1,16 +1,10 @@
 """Supply whose pressure falls with the flow drawn from it."""
 
 import mujoco
-import numpy as np
-from scipy.signal import lfilter
 
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import Effect, EffectParameter, Values, register_effect
-from leglab.diagnosis.model import CYLINDER, Change, Machine, Measured, Variant
-from leglab.machine.parameters import plugin_tables
-
-SUPPLY = "leglab.supply"
-_ATMOSPHERE = 101325.0  # Pa
+from leglab.diagnosis.model import CYLINDER, SUPPLY, Change, Machine
 
 
 @register_effect
@@ -58,39 +52,3 @@ class SupplyDroop(Effect):
         change.set_parameter(element, "accumulator_volume", volume)
         change.set_parameter(element, "compensator_gain", 1.0 / droop)
         change.set_parameter(element, "pump_flow", 0.1)  # the compensator limits, not the pump
-
-        def start(measured: Measured, variant: Variant, state: np.ndarray) -> np.ndarray:
-            fall = _fall(change.machine, measured, pressure, droop, volume)
-            return np.full(len(state), pressure) - fall
-
-        change.start(element, "pressure", start)
-        change.start(element, "started", lambda measured, variant, state: np.ones(len(state)))
-
-
-def _fall(
-    machine: Machine, measured: Measured, pressure: float, droop: float, volume: float
-) -> np.ndarray:
-    """Fall of the supply pressure at window starts [Pa], (windows,), from measured openings.
-
-    Linear about the set pressure: a first-order lag of the demand with the accumulator's
-    capacity V_gas/(n p).
-    """
-    demand = np.zeros(next(iter(measured.command.values())).size)
-    for cylinder in machine.instances(CYLINDER):
-        joint = machine.driven[cylinder][0]
-        gain = machine.parameter(cylinder, "rated_flow") / np.sqrt(
-            0.5 * machine.parameter(cylinder, "rated_pressure_drop")
-        )
-        lap = machine.parameter(cylinder, "lap")
-        rounding = machine.parameter(cylinder, "edge_rounding")
-        for chamber, sign in (("a", 1.0), ("b", -1.0)):
-            edge = sign * measured.command[cylinder] - lap
-            opening = 0.5 * (edge + np.sqrt(edge**2 + rounding**2))
-            load = measured.pressure.get(f"{joint}_pressure_{chamber}", 0.5 * pressure)
-            demand += gain * opening * np.sqrt(np.maximum(pressure - load, 0.0))
-    precharge = plugin_tables()[SUPPLY].parameters["accumulator_precharge"].nominal
-    gas = volume * ((precharge + _ATMOSPHERE) / (pressure + _ATMOSPHERE)) ** (1.0 / 1.4)
-    lag = droop * gas / (1.4 * (pressure + _ATMOSPHERE))
-    decay = np.exp(-measured.period / lag)
-    slow = lfilter([1.0 - decay], [1.0, -decay], demand)
-    return np.minimum(droop * slow[measured.samples], 0.9 * pressure)

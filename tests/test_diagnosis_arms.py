@@ -1,0 +1,136 @@
+"""Machines with more than one joint, and servos: what Lagrange's equations hid in them is named."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from leglab.diagnosis.model import Machine
+from leglab.diagnosis.output import write_improved
+from leglab.diagnosis.verdict import coupled_joints, diagnose
+from tests.patched_models import reloaded_error
+from tests.rigs import (
+    GANTRY,
+    MOTOR_ARM,
+    PENDULUM,
+    SERVO_ARM,
+    SERVO_JOINT,
+    Hidden,
+    record_linkage,
+)
+
+RIGS = {r.model.stem: r for r in (MOTOR_ARM, SERVO_ARM, GANTRY, SERVO_JOINT)}
+KINDS = ("multisine", "fast", "slow", "stairs")
+
+# By rig: what is hidden, and the names, elements and values that must come out.
+ONE = {
+    "motor_arm": [
+        ({"quadratic": (0.0, 0.4)}, ("quadratic_damping", "elbow", "damping", 0.4)),
+        ({"delay": (0.0, 0.006)}, ("command_delay", "elbow_drive", "delay", 0.006)),
+    ],
+    "servo_arm": [
+        ({"viscous": (0.0, 1.0)}, ("viscous_friction", "elbow", "damping", 1.3)),
+        ({"payload": (0.6, 0.35)}, ("payload", "forearm", "mass", 0.6)),
+    ],
+    "gantry": [({"viscous": (15.0, 0.0)}, ("viscous_friction", "trolley", "damping", 30.0))],
+    "servo_joint": [({"stiffness": (3.0, 0.0)}, ("spring_stiffness", "hinge", "stiffness", 3.0))],
+}
+TWO = {
+    "motor_arm": (
+        {"viscous": (1.5, 0.0), "delay": (0.0, 0.006)},
+        {("viscous_friction", "shoulder"): 2.1, ("command_delay", "elbow_drive"): 0.006},
+    ),
+    "servo_arm": (
+        {"stiffness": (8.0, 0.0), "quadratic": (0.0, 0.4)},
+        {("spring_stiffness", "shoulder"): 8.0, ("quadratic_damping", "elbow"): 0.4},
+    ),
+    "gantry": (
+        {"gain": (0.8, 1.0), "quadratic": (0.0, 0.3)},
+        {("actuator_gain", "trolley_drive"): 0.8, ("quadratic_damping", "swing"): 0.3},
+    ),
+    "servo_joint": (
+        {"stiffness": (3.0, 0.0), "quadratic": (0.3, 0.0)},
+        {("spring_stiffness", "hinge"): 3.0, ("quadratic_damping", "hinge"): 0.3},
+    ),
+}
+
+
+def verdict(rig, hidden):
+    recordings = {
+        kind: record_linkage(rig, kind, Hidden(**hidden), seed=seed, seconds=4.0)
+        for seed, kind in enumerate(KINDS)
+    }
+    return diagnose(rig.model, recordings, held_out=("multisine",))
+
+
+def named(result):
+    return {(e.name, e.element): e for e in result.effects}
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_the_independent_simulator_agrees_with_the_nominal_models(name):
+    """Free of leglab altogether: the recorded commands drive the bare model along the recording."""
+    rig = RIGS[name]
+    quiet = record_linkage(rig, "fast", Hidden(), seed=0, seconds=1.0)
+    model = mujoco.MjModel.from_xml_path(str(rig.model))
+    model.opt.timestep = 2e-5
+    data = mujoco.MjData(model)
+    positions = np.stack([quiet[f"{joint}_position"] for joint in rig.joints], axis=1)
+    commands = np.stack([quiet[f"{drive}_command"] for drive in rig.drives], axis=1)
+    data.qpos[:] = positions[0]
+    off = []
+    for measured, command in zip(positions, commands, strict=True):
+        off.append(measured - data.qpos)
+        data.ctrl[:] = command
+        mujoco.mj_step(model, data, 50)
+    assert np.sqrt(np.mean(np.square(off))) < 5e-4  # rad and m, of 0.5 to 1.5
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_a_perfect_model_lacks_nothing(name):
+    result, _ = verdict(RIGS[name], {})
+    assert result.verdict == "nothing_missing"
+    assert result.effects == ()
+    assert result.gap.before < 1.1  # the step of the replays is no misfit
+    assert result.gap.after < 1.1
+
+
+@pytest.mark.parametrize(
+    ("name", "hidden", "expected"),
+    [(name, hidden, expected) for name, cases in ONE.items() for hidden, expected in cases],
+)
+def test_one_fault_is_named_on_its_joint(name, hidden, expected, tmp_path):
+    effect, element, parameter, value = expected
+    result, found = verdict(RIGS[name], hidden)
+    assert result.verdict == "named"
+    assert list(named(result)) == [(effect, element)]
+    assert result.effects[0].confidence > 0.8
+    fitted = {p.name: p.value for p in result.effects[0].parameters}
+    assert fitted[parameter] == pytest.approx(value, rel=0.01)
+    assert result.gap.after < 1.1
+    assert reloaded_error(found, write_improved(found, tmp_path)) < 0.1
+
+
+@pytest.mark.parametrize("name", TWO)
+def test_two_faults_on_different_joints_are_both_named(name):
+    hidden, expected = TWO[name]
+    result, _ = verdict(RIGS[name], hidden)
+    assert result.verdict == "named"
+    effects = named(result)
+    assert set(effects) == set(expected)
+    for key, value in expected.items():
+        assert effects[key].confidence > 0.8
+        assert effects[key].parameters[0].value == pytest.approx(value, rel=0.01)
+
+
+def test_joints_feel_each_other_by_the_mass_matrix():
+    assert coupled_joints(Machine(MOTOR_ARM.model)) == ("shoulder", "elbow")
+    assert coupled_joints(Machine(GANTRY.model)) == ("trolley", "swing")
+    assert coupled_joints(Machine(PENDULUM.model)) == ()
+
+
+def test_a_payload_that_a_servo_joint_feels_as_a_weak_drive_is_not_called_for_sure():
+    """Weight and damping of a stiff servo scale alike; inertia hardly counts at these speeds."""
+    result, _ = verdict(SERVO_JOINT, {"payload": (0.4, 0.35)})
+    (effect,) = result.effects
+    assert {effect.name, *effect.indistinguishable_from} == {"payload", "actuator_gain"}
+    assert effect.confidence <= 0.5

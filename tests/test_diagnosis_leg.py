@@ -1,0 +1,129 @@
+"""Diagnosis of leglab's own legs: recordings of `leglab run`, 500 Hz, truth columns in them."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from leglab.base.errors import LeglabError
+from leglab.diagnosis.hypothesis import Hypothesis
+from leglab.diagnosis.model import Machine, moved
+from leglab.diagnosis.recordings import read_recordings, split_held_out
+from leglab.diagnosis.windows import channels
+from leglab.diagnosis.workflow import DiagnosisSettings, at_replay_step, set_up
+from leglab.runs.preparation import RunSettings
+from leglab.runs.run import run_scenario
+
+LEGS = {"leg": "random_stride", "leg_rail": "squat"}
+# Few effects keep the tests short, one of each kind.
+EFFECTS = ("internal_leakage", "payload", "command_delay", "viscous_friction", "encoder_offset")
+
+
+@cache
+def recording(model, seed, *, duration=4.0, timestep=None, reference=None):
+    settings = RunSettings(
+        scenario="nominal",
+        controller="pd",
+        model=model,
+        reference=reference or LEGS[model],
+        duration=duration,
+        seed=seed,
+        timestep=timestep,
+    )
+    return run_scenario(settings).recording
+
+
+def problem(model, recordings):
+    return set_up(model, recordings, (), DiagnosisSettings(effects=EFFECTS, threads=1))
+
+
+@pytest.mark.parametrize("model", ["leg", "leg_rail", "leg_motor"])
+def test_rounding_of_moments_drives_no_joint(model):
+    machine = Machine(model)
+    for actuator, joints in machine.driven.items():
+        assert joints == (actuator.removesuffix("_valve"),)
+
+
+def test_an_actuator_across_two_joints_drives_both():
+    assert moved(np.array([0.03, -1e-17, 0.0, 2e-4])).tolist() == [0, 3]
+    assert moved(np.zeros(3)).tolist() == []
+
+
+@pytest.mark.parametrize("model", LEGS)
+def test_every_cylinder_is_compared_with_its_own_pressures(model):
+    found = channels(Machine(model), {"one": recording(model, 1)})
+    for channel in found:
+        if channel.cylinder:
+            assert channel.column.startswith(channel.cylinder.removesuffix("_valve"))
+
+
+def test_replays_take_the_longest_step_that_the_model_accepts():
+    leg = Machine("leg")
+    with pytest.raises(LeglabError, match="too long"):
+        leg.at_timestep(2e-3)
+    assert at_replay_step(leg, 2e-3).timestep == pytest.approx(1e-3)
+    bench = Machine("knee_bench")  # whose step is 0.5 ms
+    assert at_replay_step(bench, 1e-3).timestep == pytest.approx(1e-3)
+    assert at_replay_step(bench, 4e-3).timestep == pytest.approx(1e-3)
+
+
+@pytest.mark.parametrize(("model", "timestep"), [("leg", None), ("leg", 1e-4), ("leg_rail", None)])
+def test_the_unmodified_leg_explains_its_recordings(model, timestep):
+    """At the model's own step, as a user records it, and at a tenth, as a machine would."""
+    found = problem(model, {"one": recording(model, 1, timestep=timestep)})
+    cost = found.window_cost(Hypothesis())
+    assert 0.7 < np.median(cost) < 1.3
+    assert cost.mean() < 2.0
+
+
+def test_windows_start_at_the_supply_pressure_of_that_moment():
+    """Six valves on one pump: it falls by several bar, which no column of the diagnosis says."""
+    one = recording("leg", 1)
+    found = problem("leg", {"one": one})
+    replay = found.replay
+    change = found.library.change({}, found.machine)
+    starts = replay._starts(change, list(replay._parts(change, None)))
+    slot = starts.shape[1] - change.variant.model.npluginstate
+    slot += change.variant.slot("supply", "pressure")
+    true = np.interp(replay.start, one.time, one["supply_pressure"])
+    assert np.ptp(true) > 3e5
+    np.testing.assert_allclose(starts[:, slot], true, atol=0.1 * np.ptp(true))
+
+
+def test_columns_of_the_truth_are_not_used():
+    def falsified(one):
+        machine = Machine("leg")
+        used = {c.column for c in channels(machine, {"one": one})} | set(machine.columns)
+        rng = np.random.default_rng(5)
+        others = {name: rng.normal(size=len(one)) for name in one.columns if name not in used}
+        assert {"knee_truth", "knee_truth_velocity", "knee_spool", "supply_pressure"} <= set(others)
+        return one.with_columns(others)
+
+    one = recording("leg", 1, duration=2.0)
+    honest, lied_to = (
+        problem("leg", {"one": r}).residual(Hypothesis()) for r in (one, falsified(one))
+    )
+    np.testing.assert_array_equal(honest, lied_to)
+
+
+def test_recordings_of_several_runs_go_by_their_folders(tmp_path):
+    from leglab import data
+
+    for seed in (1, 2):
+        (tmp_path / f"seed{seed}").mkdir()
+        data.write(recording("leg", seed), tmp_path / f"seed{seed}" / "recording.parquet")
+    paths = [tmp_path / f"seed{seed}" / "recording.parquet" for seed in (1, 2)]
+    found = read_recordings(paths)
+    assert list(found) == ["seed1/recording.parquet", "seed2/recording.parquet"]
+    for wanted in (str(paths[1]), "seed2", "seed2/recording", "seed2/recording.parquet"):
+        assert split_held_out("leg", found, [wanted])[1] == ("seed2/recording.parquet",)
+    with pytest.raises(LeglabError, match="unknown recording 'recording'"):
+        split_held_out("leg", found, ["recording"])
+    with pytest.raises(LeglabError, match="two recordings are called"):
+        read_recordings([paths[0], paths[0]])
+
+
+def test_joints_that_nothing_drives_are_recorded_as_they_are_measured():
+    one = recording("leg_rail", 1)
+    off = one["rail_position"] - one["rail_truth"]
+    assert 1e-5 < off.std() < 4e-5
