@@ -236,7 +236,10 @@ def times(values: list[float | None], unit: str = "") -> str:
     missing = sum(value is None for value in values)
     text = _time(float(np.median([np.inf if value is None else value for value in values])))
     text += unit if text != "never" else ""
-    return text + (f" ({missing} of {len(values)} never)" if missing else "")
+    if not missing:
+        return text
+    share = f"{missing} of {len(values)}"
+    return f"never ({share})" if text == "never" else f"{text} (never {share})"
 
 
 def _time(seconds: float) -> str:
