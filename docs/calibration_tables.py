@@ -82,7 +82,10 @@ def made(name: str) -> tuple[Controller, set[str]]:
     setup = controller_setup(simulation, "knee_bench", SensorConfiguration())
     asked: set[str] = set()
     known = Foreknowledge(
-        first_change=1e3, last_change=1e3, bench_runs=lambda: [BenchRun(), BenchRun()]
+        first_change=1e3,
+        last_change=1e3,
+        bench_runs=lambda: [BenchRun(), BenchRun()],
+        exact_commands=lambda: np.zeros((PERIODS, 1)),
     )
     witness = ControllerSetup(
         joints=setup.joints,

@@ -11,7 +11,7 @@ from leglab.control import Foreknowledge, Measurement, NominalMachine, controlle
 from leglab.control.contract import CONTROLLERS
 from tests.tables import ROOT
 
-YARDSTICKS = {"frozen", "oracle"}
+YARDSTICKS = {"exact_inverse", "frozen", "oracle"}
 CHANGES = {field.name for field in fields(Foreknowledge)}
 
 
