@@ -165,3 +165,16 @@ def test_a_scenario_runs_as_a_script(tmp_path):
     )
     metrics = json.loads((Path(tmp_path) / "run" / "metrics.json").read_text())
     assert metrics["scenario"] == "seal_wear"
+
+
+@pytest.mark.parametrize("model", ["knee_bench", "leg", "leg_rail"])
+def test_every_hydraulic_model_runs_reports_and_converts(model, tmp_path, capsys):
+    """Also the one with a joint that nothing drives and that follows no reference."""
+    folder = tmp_path / "run"
+    arguments = ["nominal", "--model", model, "--reference", "squat", "--duration", "1"]
+    main(["run", *arguments, "--out", str(folder)])
+    assert (folder / "tracking.png").stat().st_size > 0
+    main(["report", str(folder), "--no-video"])
+    assert (folder / "report.html").stat().st_size > 0
+    main(["convert", str(folder / "recording.parquet"), str(tmp_path / "run.mcap")])
+    assert ("rail_position" in data.read(folder / "recording.parquet")) == (model == "leg_rail")

@@ -124,6 +124,11 @@ class Recording:
         return self._owners("_position")
 
     @property
+    def tracked(self) -> tuple[str, ...]:
+        """Joints with a position and a reference; a joint that nothing drives has no reference."""
+        return tuple(joint for joint in self.joints if f"{joint}_reference" in self)
+
+    @property
     def actuators(self) -> tuple[str, ...]:
         """Actuators with an `<actuator>_command` column, in column order."""
         return self._owners("_command")

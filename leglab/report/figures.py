@@ -55,18 +55,19 @@ def tracking_figure(
     """Draws reference and measured position of every joint, and the tracking error below.
 
     Args:
-        recording: With `<joint>_position` [rad] and `<joint>_reference` [rad] of every joint.
+        recording: With `<joint>_position` [rad] and `<joint>_reference` [rad] of every joint that
+            is to be shown.
         phases: Parts of the run; the change is marked where "before" ends.
         window: Length of the window of the moving RMS error [s]; None leaves it out.
         span: First and last time shown [s]; None shows all.
         title: What was run.
 
     Raises:
-        LeglabError: A column is missing, no joint was recorded, or nothing lies in the span.
+        LeglabError: No joint has both columns, or nothing lies in the span.
     """
-    joints = recording.joints
+    joints = recording.tracked
     if not joints:
-        raise LeglabError("no tracking to draw: no column ends in '_position'")
+        raise LeglabError("no tracking to draw: no joint has '_position' and '_reference'")
     error = recording.stack(joints, "reference") - recording.stack(joints, "position")
     table = phase_table(recording.time, error, joints, phases) if phases else []
     shown = recording if span is None else recording.between(*span)
@@ -207,7 +208,7 @@ def save_run_figures(
         `commands.png`, as far as they were drawn.
 
     Raises:
-        LeglabError: A joint has no reference column, or the folder cannot be written to.
+        LeglabError: No joint has position and reference, or the folder cannot be written to.
     """
     tracking = partial(tracking_figure, recording, phases=phases, window=window, title=title)
     figures = {"tracking": tracking()}

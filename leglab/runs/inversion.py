@@ -21,6 +21,8 @@ _CUTOFF, _EXCITATION, _AMPLITUDE = 20.0, 8.0, 0.02
 # end the search.
 _GAIN, _TRIALS, _PATIENCE, _LEAST_GAIN = 0.8, 30, 5, 0.03
 _DERIVATIVES = 3
+# A part of the run that is shorter tells too little of its machine [s].
+_SHORTEST = 1.0
 # Speed over which the slope of the valve maps is taken, as a share of full speed.
 _SLOPE = 0.05
 
@@ -43,7 +45,8 @@ def exact_commands(
         slope: Nominal valve command per joint speed along the reference [s/rad], (n, joints).
         start: First commands, (n, joints).
         period: From one row to the next [s].
-        changes: Rows from which on the machine is another: each part has its own inverse.
+        changes: Rows from which on the machine is another: each part has its own inverse, and one
+            of less than a second only its feedback's corrections.
 
     Returns:
         The commands of the trial with the least RMS error, in [-1, 1], (n, joints).
@@ -56,7 +59,7 @@ def exact_commands(
     other, answer = try_out(excited)
     more = low_pass(excited + answer - start - feedback)
     edges = [0, *changes, len(start)]
-    parts = [slice(a, b) for a, b in pairwise(edges) if b - a > 1 / period]
+    parts = [slice(a, b) for a, b in pairwise(edges) if (b - a) * period >= _SHORTEST]
     motion = _derivatives(low_pass(error - other), period)
     inverses = [_fit(motion[:, part], slope[part], more[part]) for part in parts]
 
@@ -75,7 +78,7 @@ def exact_commands(
             step[part] += slope[part] * np.einsum("dnj,dji->ni", missing[:, part], inverse)
         commands = np.clip(commands + _GAIN * step, -1.0, 1.0)
         error, feedback = try_out(commands)
-    return best
+    return commands if np.sqrt(np.mean(error**2)) < least else best
 
 
 def valve_slopes(

@@ -13,6 +13,8 @@ from leglab.base.errors import LeglabError
 from leglab.base.scenario import Scenario
 from leglab.control import Controller, Measurement, ReferencePoint, check_command, make_controller
 from leglab.control.feedforward.offline import BenchRun
+from leglab.controllers.exact_inverse import ExactInverse
+from leglab.controllers.pd import PdConfiguration
 from leglab.controllers.static_feedforward import ValveMapTable
 from leglab.machine.changes import Bodies, Schedule
 from leglab.machine.plugin import headless
@@ -411,7 +413,7 @@ class Loop:
         """Valve commands that this machine needs for its reference, with exact sensors."""
         settings = self.settings
         exact = replace(settings, sensors={**settings.sensors, **_EXACT_SENSORS})
-        controller = make_controller(settings.controller, self._setup, settings.controller_config)
+        controller = ExactInverse(self._setup, PdConfiguration())
         wanted = self.reference.sample(np.arange(self.count) * self.period)
         maps = self._setup.machine.valve_maps
         start, slope = valve_slopes(
@@ -421,11 +423,10 @@ class Loop:
             wanted.velocity,
         )
         changes = [math.ceil(time / self.period) for time in self.scenario.breakpoints if time > 0]
-        controller.commands = start  # type: ignore[attr-defined]
         trial = Loop(exact, scenario=self.scenario, controller=controller)
 
         def try_out(commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            controller.commands = commands  # type: ignore[attr-defined]
+            controller.commands = commands
             trial.reset()
             history = trial.run()
             if history.failure:

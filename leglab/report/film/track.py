@@ -143,7 +143,7 @@ def load_track(folder: Path) -> Track:
     if not {"model", "scenario", "controller"} <= set(settings):
         raise LeglabError(f"{path}: it has no settings with model, scenario, controller")
     recording = data.read(folder / record.RECORDING)
-    joints = tuple(joint for joint in recording.joints if f"{joint}_reference" in recording)
+    joints = recording.tracked
     if not joints:
         raise LeglabError(f"{str(folder)!r}: no joint of the recording has a reference")
     # The actuators of our models are called after their joints.

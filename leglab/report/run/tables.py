@@ -33,7 +33,7 @@ class Bars:
 
 
 def error_bars(runs: Sequence[ReportedRun], colors: int) -> Bars | None:
-    """Error of each run in its last phase, against the first run; None for a single one."""
+    """Error by which each run is judged, against the first run's; None for a single run."""
     if len(runs) < 2:
         return None
     values = [run.error for run in runs]

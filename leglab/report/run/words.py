@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from operator import attrgetter
 
 import numpy as np
 
@@ -66,13 +67,13 @@ def headline(runs: Sequence[ReportedRun]) -> str:
         return "All runs stopped early."
     if different(runs):
         return f"{len(runs)} runs that differ in more than their controllers{ending}."
-    best = min(whole, key=_error)
+    best = min(whole, key=attrgetter("error"))
     if len(whole) == 1:
         text = f"only {best.label} came to the end: {mrad(best.error)} RMS error"
-    elif max(map(_error, whole)) <= (1 + _ALIKE) * best.error:
+    elif max(run.error for run in whole) <= (1 + _ALIKE) * best.error:
         text = f"no controller is clearly better: all within {100 * _ALIKE:.0f} % in RMS error"
     else:
-        others = sorted((run for run in whole if run is not best), key=_error)
+        others = sorted((run for run in whole if run is not best), key=attrgetter("error"))
         if len(others) > _MOST_TOLD:
             others = [runs[0] if runs[0] in others else others[0]]
         told = listed(tuple(f"{run.label} {mrad(run.error)}" for run in others))
@@ -103,10 +104,6 @@ def change_words(change: Change) -> str:
     where = "all elements" if change.element == "*" else change.element
     sign = _TIMES if change.kind == "scale" else "="
     return f"{readable(change.parameter)} of {where} {sign} {change.value:g}"
-
-
-def _error(run: ReportedRun) -> float:
-    return run.error
 
 
 def _single(run: ReportedRun) -> str:
@@ -214,13 +211,13 @@ def _verdict(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
         if not run.metrics.completed:
             lines.append(f"{run.label} stopped early, so it is not compared.")
             continue
-        ratio = _error(run) / _error(first) if _error(first) > 0 else math.nan
+        ratio = run.error / first.error if first.error > 0 else math.nan
         if abs(ratio - 1.0) < _ALIKE:
             word = "is about as good as"
         else:
             word = "tracks better than" if ratio < 1 else "tracks worse than"
         text = (
-            f"{run.label} {word} {first.label}: {relative(_error(run), _error(first))} RMS "
+            f"{run.label} {word} {first.label}: {relative(run.error, first.error)} RMS "
             f"error {run.judged_over}."
         )
         ours, theirs = run.metrics.adaptation, first.metrics.adaptation
