@@ -9,6 +9,7 @@ from leglab.base.errors import LeglabError
 from leglab.diagnosis.hypothesis import Hypothesis
 from leglab.diagnosis.model import Machine, moved
 from leglab.diagnosis.recordings import read_recordings, split_held_out
+from leglab.diagnosis.verdict import notes, touching_share
 from leglab.diagnosis.windows import channels
 from leglab.diagnosis.workflow import DiagnosisSettings, at_replay_step, set_up
 from leglab.runs.preparation import RunSettings
@@ -127,3 +128,11 @@ def test_joints_that_nothing_drives_are_recorded_as_they_are_measured():
     one = recording("leg_rail", 1)
     off = one["rail_position"] - one["rail_truth"]
     assert 1e-5 < off.std() < 4e-5
+
+
+@pytest.mark.parametrize(("model", "share"), [("leg", 0.0), ("leg_rail", 1.0)])
+def test_contacts_are_noted(model, share):
+    one = recording(model, 1)
+    found = problem(model, {"one": one})
+    assert touching_share(found.machine, found.series) == pytest.approx(share, abs=0.1)
+    assert any("touches something" in note for note in notes(found)) == bool(share)

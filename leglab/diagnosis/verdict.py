@@ -32,10 +32,12 @@ from leglab.diagnosis.result import (
     Rivals,
     Verdict,
 )
-from leglab.diagnosis.windows import Channel
+from leglab.diagnosis.windows import Channel, UniformSeries
 from leglab.diagnosis.workflow import DiagnosisSettings, Search, search, set_up
 
 _DELAYS = frozenset({"command_delay", "sensor_delay"})
+# Poses of a recording that are looked at for contacts.
+_POSES = 50
 # Correlation in the mass matrix below which two joints do not feel each other: rounding.
 _COUPLED = 1e-9
 
@@ -296,8 +298,14 @@ def _estimate(p: EffectParameter, value: float, low: float, high: float) -> Esti
 
 
 def notes(problem: Problem) -> tuple[str, ...]:
-    """Remarks on missing pressures and samples."""
+    """Remarks on missing pressures and samples, and on contacts."""
     found = []
+    touching = touching_share(problem.machine, problem.series)
+    if touching:
+        found.append(
+            f"the machine touches something {100 * touching:.0f} % of the time and no sensor tells "
+            "with what force: a friction or a force that is named may be the contact's"
+        )
     hydraulic = problem.machine.instances(CYLINDER)
     if hydraulic and not any(c.chamber for c in problem.channels):
         found.append(
@@ -311,6 +319,22 @@ def notes(problem: Problem) -> tuple[str, ...]:
                 f"{series.name}: {lost} samples are missing; windows over them are skipped"
             )
     return tuple(found)
+
+
+def touching_share(machine: Machine, series: Sequence[UniformSeries]) -> float:
+    """Share of the measured poses in which bodies of the model touch."""
+    model = machine.base.model
+    data = mujoco.MjData(model)
+    places = {f"{joint}_position": int(model.joint(joint).qposadr[0]) for joint in machine.joints}
+    touched = []
+    for one in series:
+        rows = np.linspace(0, one.time.size - 1, _POSES).astype(int)
+        for row in rows:
+            for column, place in places.items():
+                data.qpos[place] = one.columns[column][row]
+            mujoco.mj_fwdPosition(model, data)
+            touched.append(data.ncon > 0)
+    return float(np.mean(touched))
 
 
 def traces(problem: Problem, final: Hypothesis) -> tuple[ResidualTrace, ...]:
