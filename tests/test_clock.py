@@ -13,6 +13,7 @@ from leglab.cli import main
 from leglab.cli.terminal import metrics_table
 from leglab.controllers.bsnn_arx import AdaptiveController
 from leglab.report.film.track import load_track
+from leglab.report.folder_index import write_index
 from leglab.report.page.outcome import outcome
 from leglab.report.page.wording import number
 from leglab.report.run.tables import run_table
@@ -268,6 +269,12 @@ def test_all_places_tell_the_same_figures(tmp_path, capsys):
     text = " ".join(page.split())
     assert f"the change would raise the error by {damage} mrad; {recovered} % of that" in text
     assert f"90 % of it {t90} s after the change" in text
+    entries, _ = write_index(tmp_path, tmp_path / "index.html")
+    (listed,) = [entry for entry in entries if entry.name == "run"]
+    errors = [wanted["before_rad"]["all"], alone["phases"][-1]["rms_rad"]["all"]]
+    errors.append(wanted["end_rad"]["all"])
+    assert [listed.before, listed.after, listed.end] == pytest.approx([1e3 * e for e in errors])
+    assert f"90 % undone after {t90} s" in listed.told
     over, told = load_track(folder).undone
     assert told == f"90 % undone after {t90} s"
     change = runs[0].configuration.changes[0].start

@@ -5,7 +5,7 @@ import json
 import os
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,13 +16,13 @@ from leglab.base.errors import LeglabError
 from leglab.data import write_atomically
 from leglab.report.page.outcome import outcome
 from leglab.report.page.shell import asset, render
-from leglab.runs.folder import PhaseMetrics, read_metrics
+from leglab.runs.folder import read_metrics
 
 State = Literal["whole", "stopped", "broken"]
 _RUN_FILES = ("metrics.json", "run.json", "recording.parquet")
 # Title and first heading lie there; what follows are scripts and data.
 _HEAD_LENGTH = 200_000
-_NUMBERS = ("seed", "RMS before [mrad]", "RMS after [mrad]")
+_NUMBERS = ("seed", "RMS before [mrad]", "RMS after [mrad]", "RMS end [mrad]")
 _HEAD = ("where", "kind", "scenario", "controller", "model", *_NUMBERS, "outcome", "written, UTC")
 _OURS = '<meta name="generator" content="leglab index"'
 
@@ -42,8 +42,9 @@ class Entry:
         controller: Of a run, or the controllers of a comparison.
         model: Of a run, comparison or diagnosis.
         seed: Of a run.
-        before: RMS error of a run before the change, or of the whole run [mrad].
-        after: RMS error of a run after the change [mrad].
+        before: RMS error of a run in the strides before its change [mrad].
+        after: RMS error of a run after its change, or of the whole run [mrad].
+        end: RMS error of a run in its last strides [mrad].
     """
 
     name: str
@@ -58,6 +59,7 @@ class Entry:
     seed: int | None = None
     before: float | None = None
     after: float | None = None
+    end: float | None = None
 
 
 def write_index(folder: Path, path: Path) -> tuple[list[Entry], Path]:
@@ -159,8 +161,9 @@ def _run(place: Path, files: set[str]) -> dict[str, Any]:
         "controller": metrics.controller,
         "model": metrics.model,
         "seed": metrics.seed,
-        "before": _mrad(first),
-        "after": _mrad(last) if last is not first else None,
+        "before": _mrad(metrics.adaptation.before_rad),
+        "after": _mrad(last.rms_rad) if last.name != "before" else None,
+        "end": _mrad(metrics.adaptation.end_rad),
     }
     if metrics.completed:
         return {**told, "told": outcome(metrics.adaptation) if last is not first else ""}
@@ -168,8 +171,8 @@ def _run(place: Path, files: set[str]) -> dict[str, Any]:
     return {**told, "state": "stopped", "told": f"stopped at {metrics.duration:.2f} s: {reason}"}
 
 
-def _mrad(phase: PhaseMetrics) -> float | None:
-    value = phase.rms_rad.get("all")
+def _mrad(errors: Mapping[str, float] | None) -> float | None:
+    value = (errors or {}).get("all")
     return None if value is None else 1e3 * value
 
 
