@@ -14,11 +14,17 @@ Key = tuple[str, str]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Site:
-    """An effect on one element of a machine, with its parameters there."""
+    """An effect on one element of a machine, with its parameters there.
+
+    Attributes:
+        own: Values in the specimen at hand, where its calibration has found others than the
+            model's, shape (parameters,); None for the model's.
+    """
 
     effect: Effect
     element: str
     parameters: tuple[EffectParameter, ...]
+    own: np.ndarray | None = None
 
     @property
     def key(self) -> Key:
@@ -28,6 +34,11 @@ class Site:
     @property
     def nominal(self) -> np.ndarray:
         """Values that change nothing, (parameters,)."""
+        return self.model if self.own is None else self.own.copy()
+
+    @property
+    def model(self) -> np.ndarray:
+        """Values of the model as it is, (parameters,)."""
         return np.array([p.nominal for p in self.parameters])
 
     @property
@@ -50,8 +61,12 @@ class Site:
         for i, parameter in enumerate(self.parameters):
             for trial in parameter.trials:
                 values = self.nominal
-                values[i] = np.clip(trial, parameter.lower, parameter.upper)
-                if values[i] != parameter.nominal:
+                now = values[i]
+                # As far from the specimen's value as from the model's.
+                values[i] = np.clip(
+                    now + trial - parameter.nominal, parameter.lower, parameter.upper
+                )
+                if values[i] != now:
                     found.append(values)
         return found
 
@@ -108,30 +123,45 @@ class Library:
         machine: The unmodified machine.
         names: Effects to use; None for all.
         excluded: Effects to leave out.
+        specimen: Values of the specimen at hand; what it does not say is as in the model.
 
     Attributes:
-        sites: By effect and element.
+        sites: By effect and element: the effects to use, and those that tell of the specimen.
+        searched: Those to use.
+        specimen: As given.
     """
 
     def __init__(
-        self, machine: Machine, *, names: Iterable[str] | None = None, excluded: Iterable[str] = ()
+        self,
+        machine: Machine,
+        *,
+        names: Iterable[str] | None = None,
+        excluded: Iterable[str] = (),
+        specimen: Mapping[Key, np.ndarray] | None = None,
     ) -> None:
         wanted = None if names is None else set(names)
         barred = set(excluded)
         self._driven = machine.driven
+        self.specimen = dict(specimen or {})
         self.sites: dict[Key, Site] = {}
+        searched: set[Key] = set()
         for effect in all_effects():
-            if effect.name in barred or (wanted is not None and effect.name not in wanted):
-                continue
+            used = effect.name not in barred and (wanted is None or effect.name in wanted)
             for element in effect.elements(machine):
-                own = effect.parameters(machine, element)
-                site = Site(effect=effect, element=element, parameters=own)
-                self.sites[site.key] = site
+                key = effect.name, element
+                if used or key in self.specimen:
+                    own = effect.parameters(machine, element)
+                    self.sites[key] = Site(
+                        effect=effect, element=element, parameters=own, own=self.specimen.get(key)
+                    )
+                if used:
+                    searched.add(key)
+        self.searched = frozenset(searched)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the effects."""
-        return tuple(sorted({name for name, _ in self.sites}))
+        return tuple(sorted({name for name, _ in self.searched}))
 
     def contains(self, larger: Key, simpler: Key) -> bool:
         """Whether an effect has another, at the same joint, as a special case."""
@@ -139,10 +169,15 @@ class Library:
         joints = (self._driven.get(element, (element,)) for element in (one, other))
         return name in self.sites[larger].effect.contains and len({j[0] for j in joints}) == 1
 
+    def whole(self, hypothesis: Mapping[Key, np.ndarray]) -> dict[Key, np.ndarray]:
+        """Values of a hypothesis, and of the specimen where it says nothing."""
+        return {**self.specimen, **hypothesis}
+
     def change(self, hypothesis: Mapping[Key, np.ndarray], machine: Machine) -> Change:
         """The change that a hypothesis makes; effects apply by their order, then by name."""
         change = Change(machine)
-        for key in sorted(hypothesis, key=lambda k: (self.sites[k].effect.order, k)):
+        whole = self.whole(hypothesis)
+        for key in sorted(whole, key=lambda k: (self.sites[k].effect.order, k)):
             site = self.sites[key]
-            site.effect.apply(change, site.element, site.named(hypothesis[key]))
+            site.effect.apply(change, site.element, site.named(whole[key]))
         return change

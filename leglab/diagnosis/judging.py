@@ -60,9 +60,10 @@ def simplest_first(problem: Problem, contenders: Sequence[Contender]) -> tuple[C
 
 def noticeable(problem: Problem, key: Key, hypothesis: Mapping[Key, np.ndarray]) -> bool:
     """Whether a strength departs from nominal by a share of its smallest trial that matters."""
+    site = problem.library.sites[key]
     return any(
-        abs(value - p.nominal) > problem.thresholds.noticeable * p.scale
-        for value, p in zip(hypothesis[key], problem.library.sites[key].parameters, strict=True)
+        abs(value - nominal) > problem.thresholds.noticeable * p.scale
+        for value, nominal, p in zip(hypothesis[key], site.nominal, site.parameters, strict=True)
         if p.role == "strength"
     )
 

@@ -38,7 +38,7 @@ def write_improved(found: Search, folder: Path) -> Path:
     plugins |= {plugin.name: plugin for plugin in spec.plugins}
     for (element, name), value in change.parameters.items():
         plugins[element].config = {**plugins[element].config, name: repr(value)}
-    for key, values in sorted(hypothesis.items()):
+    for key, values in sorted(problem.library.whole(hypothesis).items()):
         site = problem.library.sites[key]
         site.effect.write(spec, machine, site.element, site.named(values))
     path = folder / "improved.xml"

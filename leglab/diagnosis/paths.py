@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 from scipy.signal import lfilter
 
+from leglab._native import hydraulics as native
 from leglab.machine.sensors import ENCODER_OFFSET, ENCODER_SCALE, delayed_sensor
 
 COMMAND_PATH = "leglab.command_path"
@@ -116,12 +117,8 @@ def play(samples: np.ndarray, width: float) -> np.ndarray:
     """Output of a play (hysteresis) of full width, shape (n,), from the middle at the start."""
     if width <= 0.0:
         return samples
-    half = 0.5 * width
-    out = np.empty_like(samples)
-    value = samples[0]
-    for i, sample in enumerate(samples.tolist()):
-        value = min(max(value, sample - half), sample + half)
-        out[i] = value
+    out = np.empty(samples.size)
+    native.play(np.ascontiguousarray(samples), width, out)
     return out
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.signal import savgol_coeffs
 
+from leglab.diagnosis.discrepancy import Discrepancy, from_errors
 from leglab.diagnosis.hypothesis import Hypothesis, Key, Library
 from leglab.diagnosis.model import CHAMBERS, CYLINDER, Change, Machine
 from leglab.diagnosis.replay import Replay
@@ -23,10 +24,24 @@ class NoiseModel:
         defect: Error of the replays' time step, shape (windows, channels, bins).
         whitening: Inverse Cholesky factors of the windows' covariances, which turn errors into
             numbers of unit variance, shape (windows, size, size).
+        sensors: The same where the model is taken for exact: errors in noise levels of the sensors.
+        covariance: Of the windows' errors in that case, same shape.
+        discrepancy: Of the model, which `whitening` counts in; None for an exact one.
     """
 
     defect: np.ndarray
     whitening: np.ndarray
+    sensors: np.ndarray
+    covariance: np.ndarray
+    discrepancy: Discrepancy | None = None
+
+    def trusting(self, discrepancy: Discrepancy | None, recording: np.ndarray) -> "NoiseModel":
+        """The same with another discrepancy of the model; `recording` that of each window."""
+        if discrepancy is None:
+            return replace(self, whitening=self.sensors, discrepancy=None)
+        covariance = self.covariance + discrepancy.covariance(recording)
+        whitening = np.linalg.inv(np.linalg.cholesky(covariance))
+        return replace(self, whitening=whitening, discrepancy=discrepancy)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +68,40 @@ class Nuisance:
 def departures(hypothesis: Mapping[Key, np.ndarray], nuisances: Sequence[Nuisance]) -> np.ndarray:
     """Departures of nuisances from their expected values, in tolerances, (nuisances,)."""
     return np.array([(n.value(hypothesis) - n.nominal) / n.tolerance for n in nuisances])
+
+
+def within_tolerance(library: Library, share: float = 1.0) -> tuple[Nuisance, ...]:
+    """Parameters that differ between good machines, by a share of their tolerances."""
+    return tuple(
+        Nuisance(key=key, index=i, nominal=float(nominal), tolerance=share * p.tolerance)
+        for key, site in library.sites.items()
+        for i, (p, nominal) in enumerate(zip(site.parameters, site.nominal, strict=True))
+        if p.tolerance > 0.0
+    )
+
+
+def wide(
+    library: Library, share: float, thresholds: Thresholds = DEFAULT
+) -> tuple[Nuisance, ...]:
+    """All strengths of a machine that differs from its model everywhere a little.
+
+    Args:
+        library: Effects.
+        share: Standard deviations as a share of what is barely noticeable, where tolerances are
+            smaller.
+        thresholds: Say how many times wider than between good machines those are.
+    """
+    return tuple(
+        Nuisance(
+            key=key,
+            index=i,
+            nominal=float(nominal),
+            tolerance=max(thresholds.rough_tolerance * p.tolerance, share * p.scale),
+        )
+        for key, site in library.sites.items()
+        for i, (p, nominal) in enumerate(zip(site.parameters, site.nominal, strict=True))
+        if p.role == "strength"
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -131,23 +180,21 @@ class Problem:
         self.size = len(channels) * self.replay.bins
         self.fitted = np.isin(self.replay.recording, list(fit))
         self.held = ~self.fitted
-        self.nuisances = tuple(
-            Nuisance(key=key, index=i, nominal=p.nominal, tolerance=p.tolerance)
-            for key, site in library.sites.items()
-            for i, p in enumerate(site.parameters)
-            if p.tolerance > 0.0
-        )
+        self.nuisances = within_tolerance(library)
         level = [[noise_level(s.columns[c.column], c.filter) for c in channels] for s in series]
         floor = np.array([_resolution(series, c.column) for c in channels])
         self.sensor_noise = np.maximum(np.array(level), floor)
-        change = Change(machine)
+        change = library.change(Hypothesis(), machine)
         errors, half = (
-            replay.error(Change(replay.machine)).values for replay in (self.replay, self._fine)
+            replay.error(library.change(Hypothesis(), replay.machine)).values
+            for replay in (self.replay, self._fine)
         )
         some = np.zeros(self.replay.windows, dtype=bool)
         some[:: max(1, self.replay.windows // thresholds.order_windows)] = True
         finest = self._at(0.25)
-        quarter = finest.error(Change(finest.machine), chosen=some).values
+        quarter = finest.error(
+            library.change(Hypothesis(), finest.machine), chosen=some
+        ).values
         self._beyond_half = extrapolation((half - errors)[some], quarter - half[some])
         self.noise = self._noise_model(change, errors, half - errors)
 
@@ -161,8 +208,55 @@ class Problem:
         fine, _ = self._errors(self._fine, hypothesis, None)
         change = self.library.change(hypothesis, self.machine)
         other = copy(self)
-        other.noise = self._noise_model(change, self.replay.error(change).values, fine - errors)
+        noise = self._noise_model(change, self.replay.error(change).values, fine - errors)
+        other.noise = noise.trusting(self.noise.discrepancy, self.replay.recording)
         return other
+
+    def trusting(self, discrepancy: Discrepancy | None) -> "Problem":
+        """The same problem with another discrepancy of the model."""
+        other = copy(self)
+        other.noise = self.noise.trusting(discrepancy, self.replay.recording)
+        return other
+
+    def with_nuisances(self, nuisances: Sequence[Nuisance]) -> "Problem":
+        """The same problem with other parameters that follow every fit."""
+        other = copy(self)
+        other.nuisances = tuple(nuisances)
+        return other
+
+    def rewhitened(self, at: Linearisation, before: "Problem") -> Linearisation:
+        """A linearisation that was taken under another discrepancy of the model."""
+        chosen = at.chosen
+        turn = self.noise.whitening[chosen] @ np.linalg.inv(before.noise.whitening[chosen])
+        residual = (turn @ at.residual[:, :, None])[:, :, 0]
+        return replace(at, residual=residual, tangents=turn @ at.tangents)
+
+    def discrepancy(self, hypothesis: Hypothesis) -> Discrepancy:
+        """The discrepancy of the model under a hypothesis: what its errors show beyond noise.
+
+        Its size is that which gives the errors themselves the usual cost in the middle of windows.
+        """
+        errors, certain = self._errors(self.replay, hypothesis, None)
+        errors = errors + self.noise.defect
+        use = certain > 0.0
+        recording = self.replay.recording
+        white = (self.noise.sensors @ errors.reshape(len(errors), -1, 1))[:, :, 0]
+        squares = (white.reshape(errors.shape) ** 2).mean(axis=2)
+        level = np.ones((len(self.series), len(self.channels)))
+        for number in np.unique(recording[use]):
+            level[number] = np.median(squares[use & (recording == number)], axis=0)
+        excess = np.clip(1.0 - 1.0 / np.maximum(level, 1e-12), 0.0, 1.0)
+        rows = np.unique(recording[use])
+        found = from_errors(errors[use], recording[use], excess[rows])
+        variance = np.zeros(level.shape)
+        variance[rows] = found.variance
+        found = replace(found, variance=variance)
+        if not variance.any():
+            return found
+        for _ in range(3):
+            cost = np.median(np.mean(self.trusting(found).residual(hypothesis) ** 2, axis=1))
+            found = found.scaled(float(cost) / self.thresholds.usual_cost)
+        return found
 
     def with_defect_of(self, hypothesis: Hypothesis) -> "Problem":
         """The same problem with the defect of the time step about a hypothesis, nothing else.
@@ -210,7 +304,9 @@ class Problem:
         direction = defect.reshape(replay.windows, self.size)
         covariance += direction[:, :, None] * direction[:, None, :]
         whitening = np.linalg.inv(np.linalg.cholesky(covariance))
-        return NoiseModel(defect=defect, whitening=whitening)
+        return NoiseModel(
+            defect=defect, whitening=whitening, sensors=whitening, covariance=covariance
+        )
 
     def _nudges(self) -> list[tuple[Nudge, np.ndarray]]:
         """Nudges and the spread of each start state, shape (windows,)."""
@@ -256,6 +352,13 @@ class Problem:
         # Applied hundreds of times: a product of all windows at once beats triangular solves.
         white = (whitening @ errors.reshape(len(errors), -1, 1))[:, :, 0]
         return np.clip(white, -self.thresholds.clip, self.thresholds.clip)
+
+    def noise_levels(self, hypothesis: Hypothesis) -> np.ndarray:
+        """Mean square of the errors in noise levels of the sensors, whatever the discrepancy."""
+        errors, certain = self._errors(self.replay, hypothesis, None)
+        errors = (errors + self.noise.defect) * certain[:, None, None]
+        white = (self.noise.sensors @ errors.reshape(len(errors), -1, 1))[:, :, 0]
+        return np.mean(np.clip(white, -self.thresholds.clip, self.thresholds.clip) ** 2, axis=1)
 
     def raw_errors(self, hypothesis: Hypothesis) -> np.ndarray:
         """Measured less predicted in SI units, shape (windows, channels, bins)."""

@@ -50,6 +50,7 @@ def screen(
     *,
     skip: frozenset[Key] = frozenset(),
     onset: np.ndarray | None = None,
+    started_best: bool = False,
 ) -> list[Candidate]:
     """Tries every effect of the library on top of a baseline, best first.
 
@@ -60,13 +61,16 @@ def screen(
         floor: Cost of the best fit without a further effect, which gains are counted from.
         skip: Effects that the baseline has already.
         onset: Time at which the effect begins, shape (recordings,); None: throughout.
+        started_best: Whether the baseline is that best fit.
     """
-    # Where screening does not start from the best fit, that is counted to first order as well.
-    floor = max(floor, profiled(problem, at, named)[1])
+    # Steps of the nuisances alone are no effect's gain; where screening does not start from the
+    # best fit, they say to first order what that costs.
+    alone = profiled(problem, at, named)[1]
+    floor = alone if started_best else max(floor, alone)
     found = [
         _screened(problem, at.without({key}), named, floor, site, onset)
         for key, site in problem.library.sites.items()
-        if key not in skip and site.trials()
+        if key not in skip and key in problem.library.searched and site.trials()
     ]
     return sorted(found, key=lambda c: -c.gain)
 

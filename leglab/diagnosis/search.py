@@ -132,7 +132,7 @@ def search_round(
         at.residual if same else problem.residual(best.hypothesis, chosen),
         problem.prior_cost(best.hypothesis, named),
     )
-    candidates = screen(problem, at, own, floor, skip=named, onset=onset)
+    candidates = screen(problem, at, own, floor, skip=named, onset=onset, started_best=same)
     settled = float(np.median(np.mean(best.at.residual**2, axis=1)))
     threshold = chance_gain(candidates, at.tangents, float(np.clip(settled, 1.0, 2.0)), rng)
     noise = problem.size * chosen.sum()  # chi-square of noise alone

@@ -71,6 +71,21 @@ class Thresholds:
     reweightings: int = 3
     # A nuisance parameter stays within this many tolerances: beyond, it is an effect.
     nuisance_box: float = 4.0
+    # Median over windows of the mean square of errors whose mean is 1 and that go together.
+    usual_cost: float = 0.7
+    # A machine that differs from its model everywhere: tolerances are so many times as wide.
+    rough_tolerance: float = 3.0
+    # ... and every other strength is off by this share of what is barely noticeable. Wider, it
+    # would hide faults; healthy recordings, which have none, allow all of it.
+    rough_share: float = 0.3
+    # The same machine on another day stays within this share of them.
+    drift_share: float = 0.5
+    # So many windows of healthy recordings calibrate a specimen.
+    calibration_windows: int = 80
+    # Discrepancy of the model and fit are made anew, so often at most, until the error's level in
+    # noise levels squared stays above this share of the last.
+    annealings: int = 4
+    annealed: float = 0.9
     # Finite differences of the last fits, as a share of those of the first.
     fine_differences: float = 0.1
 
@@ -98,6 +113,8 @@ class Thresholds:
     pair_share: float = 0.6
     # Above this cost more is certainly missing, and finishing the present fit can wait.
     much_missing: float = 8.0
+    # Above this cost, some fifty noise levels squared, no set of effects will explain it down to noise.
+    hardly_explained: float = 12.0
     # The noise model is taken about the fit and the fit made anew, this often at most.
     settling: int = 3
     # An early effect may be swapped for a rival that cost at most this factor more.

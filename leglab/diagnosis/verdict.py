@@ -32,6 +32,7 @@ from leglab.diagnosis.result import (
     Rivals,
     Verdict,
 )
+from leglab.diagnosis.specimen import calibrate
 from leglab.diagnosis.windows import Channel, UniformSeries
 from leglab.diagnosis.workflow import DiagnosisSettings, Search, search, set_up
 
@@ -47,6 +48,7 @@ def diagnose(
     recordings: Mapping[str, Recording],
     *,
     held_out: Iterable[str],
+    healthy: Mapping[str, Recording] | None = None,
     settings: DiagnosisSettings | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[Diagnosis, Search]:
@@ -56,6 +58,8 @@ def diagnose(
         model: MJCF file, or the name of a model that ships with leglab.
         recordings: By name.
         held_out: Names of the recordings on which the verdict is judged.
+        healthy: Recordings of the same specimen before it changed, by name: what is named is what
+            changed since.
         settings: How.
         progress: Called with a line on what is being done.
 
@@ -68,9 +72,14 @@ def diagnose(
     began = perf_counter()
     settings = settings or DiagnosisSettings()
     progress("reading the machine")
-    problem = set_up(model, recordings, held_out, settings)
+    specimen = None
+    if healthy:
+        every = replace(settings, effects=None, excluded=())
+        specimen = calibrate(set_up(model, healthy, (), every, beside=recordings), progress)
+    values = specimen.values if specimen else None
+    problem = set_up(model, recordings, held_out, settings, specimen=values, beside=healthy)
     remarks = check_recordings(problem.machine, recordings, settings.thresholds)
-    found = search(problem, settings, progress)
+    found = search(problem, settings, progress, specimen)
     progress("verdict")
     result = assemble(found, settings, seconds=perf_counter() - began)
     return replace(result, notes=(*remarks, *result.notes)), found

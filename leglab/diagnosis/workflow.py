@@ -8,6 +8,7 @@ import numpy as np
 
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
+from leglab.diagnosis.discrepancy import Discrepancy
 from leglab.diagnosis.fitting import Fit, refit
 from leglab.diagnosis.hypothesis import Hypothesis, Key, Library
 from leglab.diagnosis.judging import accepted, simplest_first, t_value
@@ -15,6 +16,7 @@ from leglab.diagnosis.model import Machine
 from leglab.diagnosis.onset import checked_onsets, suspected_onset
 from leglab.diagnosis.recordings import check_recordings
 from leglab.diagnosis.residual import Problem
+from leglab.diagnosis.rough import rough_search
 from leglab.diagnosis.search import (
     Contender,
     Progress,
@@ -26,6 +28,7 @@ from leglab.diagnosis.search import (
     sharpen,
     thinned,
 )
+from leglab.diagnosis.specimen import Specimen
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 from leglab.diagnosis.windows import UniformSeries, channels, sampling_period
 
@@ -63,6 +66,7 @@ class Search:
         rounds: All rounds, the last one included that found nothing.
         checks: Of several named effects, by effect: the final fit, and what became of it with a
             rival in the effect's place.
+        specimen: What healthy recordings said; None without any.
     """
 
     problem: Problem
@@ -71,6 +75,12 @@ class Search:
     named: tuple[Key, ...]
     rounds: tuple[Round, ...]
     checks: Mapping[Key, tuple[Contender, ...]] = field(default_factory=dict)
+    specimen: Specimen | None = None
+
+    @property
+    def rough(self) -> bool:
+        """Whether the machine differs from its model beyond any effect, and was judged so."""
+        return self.problem.noise.discrepancy is not None
 
 
 def set_up(
@@ -78,21 +88,34 @@ def set_up(
     recordings: Mapping[str, Recording],
     held_out: Iterable[str],
     settings: DiagnosisSettings,
+    *,
+    specimen: Mapping[Key, np.ndarray] | None = None,
+    beside: Mapping[str, Recording] | None = None,
 ) -> Problem:
     """Builds the fit problem.
+
+    Args:
+        model: MJCF file, or the name of a model that ships with leglab.
+        recordings: By name.
+        held_out: Names of the recordings that are not fitted.
+        settings: Of the diagnosis.
+        specimen: Values of the specimen that was recorded; None for the model's.
+        beside: Further recordings that must be predicted alike: only columns that all share count.
 
     Raises:
         LeglabError: Model or recordings do not fit each other, or are too short.
     """
     machine, limits = Machine(model), settings.thresholds
-    found = channels(machine, recordings, limits)
+    found = channels(machine, {**(beside or {}), **recordings}, limits)
     check_recordings(machine, recordings, limits)  # Before anything is replayed with wrong units.
     machine = at_replay_step(machine, sampling_period(recordings))
     needed = tuple(dict.fromkeys([*(c.column for c in found), *machine.columns]))
     held = set(held_out)
     return Problem(
         machine,
-        Library(machine, names=settings.effects, excluded=settings.excluded),
+        Library(
+            machine, names=settings.effects, excluded=settings.excluded, specimen=specimen
+        ),
         [UniformSeries.from_recording(r, name, needed, limits) for name, r in recordings.items()],
         found,
         [i for i, name in enumerate(recordings) if name not in held],
@@ -122,9 +145,60 @@ def at_replay_step(machine: Machine, period: float) -> Machine:
 
 
 def search(
-    problem: Problem, settings: DiagnosisSettings, progress: Progress = lambda _: None
+    problem: Problem,
+    settings: DiagnosisSettings,
+    progress: Progress = lambda _: None,
+    specimen: Specimen | None = None,
 ) -> Search:
-    """Finds the effects that are missing, one a round."""
+    """Finds the effects that are missing, one a round.
+
+    The model is taken for exact first. Where the effects then leave more than noise, or healthy
+    recordings of the specimen have shown that it is not, its own errors are counted in.
+
+    Args:
+        problem: About the values of the specimen, where there is one.
+        settings: How.
+        progress: Called with what is being done.
+        specimen: What healthy recordings said.
+    """
+    floor = specimen.discrepancy_of(problem.series) if specimen else None
+    if floor is None:
+        found = _exact_search(problem, settings, progress)
+        limits = problem.thresholds
+        left = float(found.problem.window_cost(found.fit.hypothesis).mean())
+        if left <= limits.explained:
+            return replace(found, specimen=specimen)
+    return replace(_rough_search(problem, settings, progress, specimen, floor), specimen=specimen)
+
+
+def _rough_search(
+    problem: Problem,
+    settings: DiagnosisSettings,
+    progress: Progress,
+    specimen: Specimen | None,
+    floor: Discrepancy | None,
+) -> Search:
+    """The search on a machine that differs from its model everywhere a little."""
+    rng = np.random.default_rng(settings.seed)
+    problem, start, fit, named, rounds = rough_search(
+        problem, settings.rounds, rng, progress, floor=floor, calibrated=specimen is not None
+    )
+    checks: dict[Key, tuple[Contender, ...]] = {}
+    if len(named) > 1:
+        progress("checking each effect against the others")
+        fit, named, checks = _pruned(problem, fit, named, rounds)
+    return Search(
+        problem=problem,
+        baseline=start,
+        fit=fit,
+        named=tuple(named),
+        rounds=tuple(rounds),
+        checks=checks,
+    )
+
+
+def _exact_search(problem: Problem, settings: DiagnosisSettings, progress: Progress) -> Search:
+    """The search on a machine that the right effects explain down to the sensors' noise."""
     limits = problem.thresholds
     rng = np.random.default_rng(settings.seed)
     every = max(1, round(problem.fitted.sum() / limits.screened_windows))
@@ -158,6 +232,8 @@ def search(
                 rounds.append(replace(tried, contenders=(pair,)))
                 named = sorted(pair.fit.free - {pair.key})
                 winner = pair
+            elif most > limits.hardly_explained:
+                break  # No two effects explain it: the model is not exact.
         if winner is None:
             break
         named.append(winner.key)

@@ -76,6 +76,19 @@ void spool(ConstVector command, double natural_frequency, double damping_ratio, 
   }
 }
 
+// Output of a play of full width `width`, from the middle at the start (Krasnosel'skii and Pokrovskii
+// 1989).
+void play(ConstVector samples, double width, Vector out) {
+  require(out.shape(0), samples.shape(0), "out");
+  const double half = 0.5 * width;
+  double value = out.shape(0) > 0 ? samples.data()[0] : 0.0;
+  for (std::size_t k = 0; k < out.shape(0); ++k) {
+    const double sample = samples.data()[k];
+    value = std::min(std::max(value, sample - half), sample + half);
+    out.data()[k] = value;
+  }
+}
+
 // Supply pressure at every sample of a known motion, from what the compensator holds at the first.
 // Rows of `parameters`, `spools`, `caps` and `rods` are the cylinders that draw from it; between
 // samples spool and gauge pressures are drawn linearly.
@@ -217,6 +230,7 @@ NB_MODULE(hydraulics, m) {
     return tables;
   });
   m.def("bristle", &bristle);
+  m.def("play", &play);
   m.def("spool", &spool);
   m.def("supply_pressure", &supply_pressure);
   nb::class_<CylinderModel>(m, "CylinderModel")

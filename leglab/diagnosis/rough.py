@@ -1,0 +1,143 @@
+"""The search on machines that differ from their model everywhere a little.
+
+Sensor noise alone would call every explanation of such a machine wrong. So the discrepancy of the
+model is estimated about the best explanation so far and estimated anew when that gets better, until
+both stay: a simulated annealing of a variance whose end the data set (Kennedy and O'Hagan 2001). All
+other strengths follow each fit within what is barely noticeable, or, where healthy recordings said
+what this specimen is like, within what changes from one day to the next.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from leglab.diagnosis.discrepancy import Discrepancy
+from leglab.diagnosis.fitting import Fit, refit
+from leglab.diagnosis.hypothesis import Hypothesis, Key
+from leglab.diagnosis.judging import accepted, simplest_first
+from leglab.diagnosis.residual import Problem, within_tolerance, wide
+from leglab.diagnosis.search import Contender, Progress, Round, search_round, thinned
+
+
+
+def at_least(discrepancy: Discrepancy, floor: Discrepancy | None) -> Discrepancy:
+    """The discrepancy, in no recording and channel below a floor's."""
+    if floor is None:
+        return discrepancy
+    return replace(discrepancy, variance=np.maximum(discrepancy.variance, floor.variance))
+
+
+def settled_baseline(
+    problem: Problem, chosen: np.ndarray, floor: Discrepancy | None = None
+) -> tuple[Problem, Fit]:
+    """Nuisances and discrepancy of the model, fitted in turn until they stay.
+
+    Returns:
+        The problem under that discrepancy, and the fit.
+    """
+    limits = problem.thresholds
+    hypothesis, level = Hypothesis(), np.inf
+    for _ in range(limits.annealings):
+        problem = problem.trusting(at_least(problem.discrepancy(hypothesis), floor))
+        at = problem.linearise(hypothesis, chosen)
+        fit = refit(problem, at, frozenset(), iterations=3)
+        hypothesis = fit.hypothesis
+        now = float(np.median(problem.noise_levels(hypothesis)))
+        if now > limits.annealed * level:
+            break
+        level = now
+    return problem, fit
+
+
+def rough_search(
+    problem: Problem,
+    rounds: int,
+    rng: np.random.Generator,
+    progress: Progress,
+    *,
+    floor: Discrepancy | None = None,
+    calibrated: bool = False,
+) -> tuple[Problem, Fit, Fit, list[Key], list[Round]]:
+    """Finds the effects that a rough machine shows, one a round.
+
+    Args:
+        problem: Recordings and machine.
+        rounds: How many effects may be named.
+        rng: For the null.
+        progress: Called with what is being done.
+        floor: Discrepancy that healthy recordings of this specimen show.
+        calibrated: Whether `problem` is about the values of this specimen.
+
+    Returns:
+        The problem under the last discrepancy, the fit without any effect, that with all, the
+        effects in the order of discovery, and all rounds.
+    """
+    limits = problem.thresholds
+    every = max(1, round(problem.fitted.sum() / limits.screened_windows))
+    chosen = thinned(problem.fitted, every)
+    progress("how far the model is to be trusted")
+    if calibrated:
+        nuisances = within_tolerance(problem.library, limits.drift_share)
+    else:
+        nuisances = wide(problem.library, limits.rough_share, limits)
+    problem = problem.with_nuisances(nuisances)
+    problem, current = settled_baseline(problem, chosen, floor)
+    baseline = current
+    named: list[Key] = []
+    found: list[Round] = []
+    while len(named) < rounds:
+        trusted = at_least(problem.discrepancy(current.hypothesis), floor)
+        problem = problem.trusting(trusted)
+        # Strengths that a missing effect has pulled along would mislead the screening.
+        start = current.hypothesis if calibrated else current.hypothesis.only(named)
+        problem, tried = search_round(problem, start, current, rng, progress)
+        if not tried.contenders:
+            found.append(tried)
+            break
+        progress("how far the model with the effect is to be trusted")
+        problem, tried = annealed(problem, current, tried, floor)
+        found.append(tried)
+        winner = next((c for c in tried.contenders if accepted(problem, tried, c)), None)
+        if winner is None:
+            break
+        named.append(winner.key)
+        current = winner.fit
+    return problem, baseline, current, named, found
+
+
+def annealed(
+    problem: Problem, base: Fit, tried: Round, floor: Discrepancy | None
+) -> tuple[Problem, Round]:
+    """The contenders of a round under the discrepancy that the best of them leaves."""
+    limits = problem.thresholds
+    contenders = list(tried.contenders)
+    level, leader = np.inf, None
+    for _ in range(limits.annealings):
+        best = contenders[0]
+        now = float(np.median(problem.noise_levels(best.fit.hypothesis)))
+        if best.key == leader and now > limits.annealed * level:
+            break
+        leader, level = best.key, now
+        before = problem
+        trusted = problem.discrepancy(best.fit.hypothesis)
+        problem = problem.trusting(at_least(trusted, floor))
+        contenders = sorted(
+            (_under(problem, before, c) for c in contenders), key=lambda c: c.cost.mean()
+        )
+    ordered = simplest_first(problem, contenders)
+    return problem, replace(tried, base=total_cost(problem, base), contenders=ordered)
+
+
+def _under(problem: Problem, before: Problem, contender: Contender) -> Contender:
+    """A contender that was fitted under another discrepancy."""
+    fit = contender.fit
+    at = problem.rewhitened(fit.at, before)
+    fine = problem.thresholds.fine_differences
+    fit = refit(problem, at, fit.free, start=fit.hypothesis, iterations=3, fine=fine)
+    return Contender(key=contender.key, fit=fit, cost=total_cost(problem, fit))
+
+
+def total_cost(problem: Problem, fit: Fit) -> np.ndarray:
+    """Robust mean square of every window and its share of the priors' cost, shape (windows,)."""
+    prior = problem.prior_cost(fit.hypothesis, fit.free)
+    return problem.window_cost(fit.hypothesis) + prior / (problem.size * fit.at.chosen.sum())
