@@ -23,6 +23,13 @@ def diagnose(
             help="Recording kept from all fits, repeatable; default: chosen by excitation."
         ),
     ] = None,
+    healthy: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Recording of the same machine while it was healthy, repeatable: names what "
+            "changed since."
+        ),
+    ] = None,
     columns: Annotated[
         Path | None,
         typer.Option(
@@ -62,17 +69,21 @@ def diagnose(
     check_folder(out, overwrite=overwrite, mark="diagnosis.json")
     named = read_recordings(recordings, columns)
     named, held = split_held_out(model, named, held_out or [])
+    before = read_recordings(healthy, columns) if healthy else None
     settings = DiagnosisSettings(effects=tuple(effect) if effect else None, seed=seed)
     with progress("diagnosis") as show:
         result, found = run_diagnosis(
             model,
             named,
             held_out=held,
+            healthy=before,
             settings=settings,
             progress=lambda line: show(description=line),
         )
     out.mkdir(parents=True, exist_ok=True)
-    result = result.with_model(results.write_improved(found, out).name)
+    patch = results.improved(found, result)
+    if patch is not None:
+        result = result.with_model(results.write_improved(found, out, patch).name)
     results.write_diagnosis(result, out)
     write_page(result, out, model=Path(model).stem)
     if as_json:

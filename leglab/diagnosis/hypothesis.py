@@ -169,6 +169,10 @@ class Library:
         joints = (self._driven.get(element, (element,)) for element in (one, other))
         return name in self.sites[larger].effect.contains and len({j[0] for j in joints}) == 1
 
+    def neutral(self) -> Hypothesis:
+        """The hypothesis that the machine is as its model, whatever the specimen."""
+        return Hypothesis({key: self.sites[key].model for key in self.specimen})
+
     def whole(self, hypothesis: Mapping[Key, np.ndarray]) -> dict[Key, np.ndarray]:
         """Values of a hypothesis, and of the specimen where it says nothing."""
         return {**self.specimen, **hypothesis}

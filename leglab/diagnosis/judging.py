@@ -110,6 +110,22 @@ def preferences(
     return wins + 0.5 * ties
 
 
+def posterior(costs: Sequence[float], numbers: float) -> np.ndarray:
+    """Probability of each explanation among some, whose model errors have an unknown size.
+
+    With the size of a Gaussian error replaced by its estimate, n numbers of mean square c have the
+    likelihood c^(-n/2) (concentrated likelihood; Seber and Wild 1989, Sec. 2.2). Errors of a model
+    go together in time and across channels, so that they are few numbers.
+
+    Args:
+        costs: Mean square of each explanation.
+        numbers: How many independent numbers the errors are worth.
+    """
+    log = -0.5 * numbers * np.log(np.maximum(np.asarray(costs, dtype=float), 1e-300))
+    weights = np.exp(log - log.max())
+    return weights / weights.sum()
+
+
 def intervals(problem: Problem, fit: Fit) -> dict[Key, np.ndarray]:
     """Half the width of the 95 % intervals of each free effect's parameters, in their units.
 

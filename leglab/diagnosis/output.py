@@ -9,7 +9,8 @@ from rich.table import Table
 
 import leglab.machine.plugin
 from leglab.data import write_atomically
-from leglab.diagnosis.result import Diagnosis
+from leglab.diagnosis.hypothesis import Hypothesis
+from leglab.diagnosis.result import Diagnosis, shown_unit
 from leglab.diagnosis.workflow import Search
 
 
@@ -21,14 +22,36 @@ def write_diagnosis(result: Diagnosis, folder: Path) -> Path:
     return path
 
 
-def write_improved(found: Search, folder: Path) -> Path:
-    """Writes DIR/improved.xml: the model with what was found, checked by loading it.
+def improved(found: Search, result: Diagnosis) -> Hypothesis | None:
+    """What the improved model holds: named effects and refitted tolerances, if they pay.
+
+    An effect without a name is no improvement, however well it fits. None where the held-out
+    recordings are not met better than by the model as it was.
+    """
+    hypothesis = found.fit.hypothesis if result.effects else found.baseline.hypothesis
+    if result.verdict == "unexplained":
+        hypothesis = found.baseline.hypothesis
+    problem = found.problem
+    held = problem.held if problem.held.any() else problem.fitted
+    unmodified = problem.library.neutral()
+    before, after = (problem.noise_levels(h)[held].mean() for h in (unmodified, hypothesis))
+    return hypothesis if after < problem.thresholds.improvement**2 * before else None
+
+
+def write_improved(found: Search, folder: Path, hypothesis: Hypothesis | None = None) -> Path:
+    """Writes DIR/improved.xml: the model under a hypothesis, checked by loading it.
+
+    Args:
+        found: The search.
+        folder: Where the file goes.
+        hypothesis: None for the final fit.
 
     Raises:
         LeglabError: MuJoCo refuses the patched model.
     """
     problem = found.problem
-    machine, hypothesis = problem.machine, found.fit.hypothesis
+    machine = problem.machine
+    hypothesis = found.fit.hypothesis if hypothesis is None else hypothesis
     spec = machine.spec()
     _absolute_files(spec, machine.path.parent)
     change = problem.library.change(hypothesis, machine)
@@ -68,10 +91,11 @@ def summary_tables(result: Diagnosis) -> list[Table]:
     head = Table(title=f"verdict: {result.verdict}", title_justify="left")
     for name in ("effect", "parameter", "value", "95 % interval", "nominal", "sure"):
         head.add_column(name, no_wrap=name != "effect")
-    for effect in result.effects:
+    rows = [(e, "") for e in result.effects] + [(e, "smaller: ") for e in result.smaller]
+    for effect, word in rows:
         for i, p in enumerate(effect.parameters):
             head.add_row(
-                "" if i else f"[bold]{effect.name}[/bold] at {effect.element}",
+                "" if i else f"{word}[bold]{effect.name}[/bold] at {effect.element}",
                 f"{p.name} \\[{p.unit}]",
                 f"{p.value:.4g}",
                 f"{p.interval[0]:.4g} … {p.interval[1]:.4g}",
@@ -89,12 +113,33 @@ def summary_tables(result: Diagnosis) -> list[Table]:
             f"{row.after:.2f}",
             "held out" if row.held_out else "",
         )
-    return [head, gaps]
+    left = Table(title="error of a replay at its end, held-out recordings", title_justify="left")
+    for name in ("measured", "before", "after", "after, in noise levels"):
+        left.add_column(name, justify="left" if name == "measured" else "right")
+    for one in result.remaining:
+        factor, unit = shown_unit(one.unit)
+        left.add_row(
+            one.channel,
+            f"{factor * one.before:.3g} {unit}",
+            f"{factor * one.after:.3g} {unit}",
+            f"{one.after / one.noise:.1f}" if one.noise > 0.0 else "",
+        )
+    left.title = f"error {result.remaining[0].horizon:g} s after a measured start, held out"
+    return [head, gaps, left]
 
 
 def summary_lines(result: Diagnosis) -> list[str]:
     """Lines for the terminal beside the tables: onsets, rivals, balances, notes."""
     lines = []
+    explained = result.gap.explained
+    if explained is not None:
+        lines.append(f"what is named closes {100.0 * explained:.0f} % of the gap it opens")
+    if result.calibration is not None:
+        before, after = ([row[i] for row in result.calibration.recordings] for i in (1, 2))
+        lines.append(
+            f"healthy recordings: {max(before):.3g} noise levels by the model as it was, at most "
+            f"{max(after):.3g} by the calibrated specimen"
+        )
     for effect in result.effects:
         lines += [f"{effect.name} begins at {time:.2f} s of {name}" for name, time in effect.onset]
         if effect.indistinguishable_from:

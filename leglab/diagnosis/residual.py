@@ -80,9 +80,7 @@ def within_tolerance(library: Library, share: float = 1.0) -> tuple[Nuisance, ..
     )
 
 
-def wide(
-    library: Library, share: float, thresholds: Thresholds = DEFAULT
-) -> tuple[Nuisance, ...]:
+def wide(library: Library, share: float, thresholds: Thresholds = DEFAULT) -> tuple[Nuisance, ...]:
     """All strengths of a machine that differs from its model everywhere a little.
 
     Args:
@@ -192,9 +190,7 @@ class Problem:
         some = np.zeros(self.replay.windows, dtype=bool)
         some[:: max(1, self.replay.windows // thresholds.order_windows)] = True
         finest = self._at(0.25)
-        quarter = finest.error(
-            library.change(Hypothesis(), finest.machine), chosen=some
-        ).values
+        quarter = finest.error(library.change(Hypothesis(), finest.machine), chosen=some).values
         self._beyond_half = extrapolation((half - errors)[some], quarter - half[some])
         self.noise = self._noise_model(change, errors, half - errors)
 

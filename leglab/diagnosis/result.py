@@ -34,8 +34,7 @@ class NamedEffect:
         physics: One sentence.
         onset: Recording and time [s] at which it begins, for every recording in which it does;
             empty where it is there throughout.
-        confidence: In [0, 1]: share of resampled data sets that prefer it to every rival, times how
-            much of the misfit the verdict explains.
+        confidence: Probability that the name is right against every rival, in [0, 1].
         contribution: Share of the gap that it closes when it is added last.
         indistinguishable_from: Effects that explain these recordings as well.
     """
@@ -49,6 +48,41 @@ class NamedEffect:
     contribution: float
     parameters: tuple[Estimate, ...]
     indistinguishable_from: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Remaining:
+    """Error at the end of a replay window, on the held-out recordings, in one channel.
+
+    Attributes:
+        channel: Column of the recordings.
+        unit: "rad", "m" or "Pa".
+        horizon: Time from the measured start of a replay to its end [s].
+        before: Root mean square error of the model as it was.
+        after: The same with what was named.
+        noise: Standard deviation of the sensor's samples.
+    """
+
+    channel: str
+    unit: str
+    horizon: float
+    before: float
+    after: float
+    noise: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibration:
+    """A specimen as its healthy recordings show it.
+
+    Attributes:
+        recordings: Names, normalised error of the model as it was, and of the calibrated one.
+        estimates: Strengths that departed by a share of what is barely noticeable, with effect and
+            element, largest departure first.
+    """
+
+    recordings: tuple[tuple[str, float, float], ...]
+    estimates: tuple[tuple[str, str, Estimate], ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,6 +127,8 @@ class Gap:
 
     Attributes:
         noise_floor: What noise alone gives.
+        healthy: Error that the calibrated specimen had in its healthy recordings; None without any.
+        unnamed: Error of the final fit without the named effects; NaN where there are none.
         held_out: Names of the recordings.
     """
 
@@ -101,7 +137,20 @@ class Gap:
     before: float
     baseline: float
     after: float
+    healthy: float | None = None
+    unnamed: float = math.nan
     held_out: tuple[str, ...]
+
+    @property
+    def explained(self) -> float | None:
+        """Share of the named effects' gap that they close; None where nothing is named.
+
+        What was off before the machine changed, or noise, is no part of the gap.
+        """
+        room = self.unnamed - (self.healthy or self.noise_floor)
+        if not room > 0.05:
+            return None
+        return min(max((self.unnamed - self.after) / room, 0.0), 1.0)
 
     @property
     def closed_fraction(self) -> float | None:
@@ -212,6 +261,11 @@ class Diagnosis:
         traces: Residual series.
         nuisances: Refitted parameters within their tolerance.
         next_experiment: Where rivals remain.
+        smaller: Effects that are there and close less than a tenth of the gap each: differences, not
+            the cause.
+        remaining: Errors that are left, in units of the channels.
+        calibration: Of the specimen, where healthy recordings were given.
+        rough: Whether the model's own error was counted in, beside the sensors' noise.
         notes: What the reader should know: repairs, missing pressures, bounds that were hit.
         model: Path of the patched model; empty before it is written.
         rollouts: Replays of all windows that it took.
@@ -231,6 +285,10 @@ class Diagnosis:
     nuisances: tuple[Estimate, ...]
     next_experiment: Proposal | None
     notes: tuple[str, ...]
+    smaller: tuple[NamedEffect, ...] = ()
+    remaining: tuple[Remaining, ...] = ()
+    calibration: Calibration | None = None
+    rough: bool = False
     model: str = ""
     rollouts: float = 0.0
     seconds: float = 0.0
@@ -243,28 +301,50 @@ class Diagnosis:
         """The content of diagnosis.json; keys are fixed, readers rely on them."""
         content = {
             "verdict": self.verdict,
-            "effects": [
-                {
-                    **_fields(e, "group", "physics"),
-                    "onset": dict(e.onset) or None,
-                    "parameters": {p.name: _fields(p, "name") for p in e.parameters},
-                }
-                for e in self.effects
-            ],
+            "explained": self.gap.explained,
+            "effects": [_effect(e) for e in self.effects],
+            "smaller": [_effect(e) for e in self.smaller],
             "where": [asdict(where) for where in self.where],
             "not_testable": sorted({n.name for n in self.not_testable}),
             "gap": {
-                **_fields(self.gap, "held_out"),
+                **_fields(self.gap, "held_out", "unnamed"),
                 "closed_fraction": self.gap.closed_fraction,
                 "held_out": self.gap.held_out,
             },
             "recordings": [_fields(recording) for recording in self.recordings],
+            "remaining": [asdict(one) for one in self.remaining],
+            "calibration": self.calibration
+            and {
+                "recordings": [
+                    {"name": name, "before": before, "after": after}
+                    for name, before, after in self.calibration.recordings
+                ],
+                "parameters": [
+                    {"effect": effect, "element": element, **asdict(estimate)}
+                    for effect, element, estimate in self.calibration.estimates
+                ],
+            },
             "ceiling": self.ceiling,
             "next_experiment": self.next_experiment and asdict(self.next_experiment),
             "notes": self.notes,
             "model": self.model or None,
         }
         return {key: _plain(value) for key, value in content.items()}
+
+
+def shown_unit(unit: str) -> tuple[float, str]:
+    """Factor and name of the unit in which errors are shown: mrad, mm, bar."""
+    if unit == "Pa":
+        return 1e-5, "bar"
+    return {"rad": (1e3, "mrad"), "m": (1e3, "mm")}.get(unit, (1.0, unit))
+
+
+def _effect(effect: NamedEffect) -> dict[str, Any]:
+    return {
+        **_fields(effect, "group", "physics"),
+        "onset": dict(effect.onset) or None,
+        "parameters": {p.name: _fields(p, "name") for p in effect.parameters},
+    }
 
 
 def _fields(row: Estimate | NamedEffect | Gap | RecordingGap, *left_out: str) -> dict[str, Any]:

@@ -19,7 +19,6 @@ from leglab.diagnosis.residual import Problem, within_tolerance, wide
 from leglab.diagnosis.search import Contender, Progress, Round, search_round, thinned
 
 
-
 def at_least(discrepancy: Discrepancy, floor: Discrepancy | None) -> Discrepancy:
     """The discrepancy, in no recording and channel below a floor's."""
     if floor is None:

@@ -42,14 +42,14 @@ class Specimen:
         """The discrepancy to expect in other recordings: that of the most similar motion each."""
         if self.discrepancy is None:
             return None
+        variance = self.discrepancy.variance[self.nearest(series)]
+        return Discrepancy(pattern=self.discrepancy.pattern, variance=variance)
+
+    def nearest(self, series: Sequence[UniformSeries]) -> list[int]:
+        """The healthy recording of the most similar motion to each of others."""
         columns = self.problem.machine.columns
         known = np.stack([motion(one, columns) for one in self.problem.series])
-        nearest = [
-            int(np.argmin(((known - motion(one, columns)) ** 2).sum(axis=1))) for one in series
-        ]
-        return Discrepancy(
-            pattern=self.discrepancy.pattern, variance=self.discrepancy.variance[nearest]
-        )
+        return [int(np.argmin(((known - motion(one, columns)) ** 2).sum(axis=1))) for one in series]
 
 
 def motion(series: UniformSeries, columns: Sequence[str]) -> np.ndarray:

@@ -155,6 +155,15 @@ class Thresholds:
     departed_factor: float = 6.0
 
     # Verdict and confidence.
+    # Independent numbers that the errors of a rough machine are worth: calibrated by the self-test
+    # on rough specimens, docs/diagnosis.md.
+    rough_numbers: float = 30.0
+    # A rival this many times less probable is not told apart.
+    rough_tie: float = 4.0
+    # An effect of a rough machine that closes less of the gap is a smaller difference.
+    smaller_share: float = 0.1
+    # Strengths of a calibrated specimen that are listed depart by this share of barely noticeable.
+    calibration_share: float = 0.25
     # Resamples of the bootstrap of windows.
     resamples: int = 1000
     # A rival is told apart if resampling prefers the named effect at least this often and it
@@ -165,6 +174,9 @@ class Thresholds:
     explanation_share: float = 0.5
     # An effect whose smallest trial moves whitened errors less than this was not excited.
     detectable: float = 8.0
+
+    # An improved model errs by less than this share of the model as it was, where held out.
+    improvement: float = 0.97
 
     # Balances of torque and oil.
     # Time between samples [s], knots of the splines, and their relative ridge.

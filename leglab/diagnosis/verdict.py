@@ -15,11 +15,12 @@ from leglab.diagnosis.experiment import propose
 from leglab.diagnosis.fitting import Fit
 from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.isolation import isolate
-from leglab.diagnosis.judging import earns, intervals, preferences
+from leglab.diagnosis.judging import earns, intervals, posterior, preferences
 from leglab.diagnosis.model import CYLINDER, Machine
 from leglab.diagnosis.recordings import check_recordings
 from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.result import (
+    Calibration,
     Diagnosis,
     Estimate,
     Gap,
@@ -28,11 +29,13 @@ from leglab.diagnosis.result import (
     Proposal,
     Rank,
     RecordingGap,
+    Remaining,
     ResidualTrace,
     Rivals,
     Verdict,
 )
-from leglab.diagnosis.specimen import calibrate
+from leglab.diagnosis.search import Contender
+from leglab.diagnosis.specimen import Specimen, calibrate
 from leglab.diagnosis.windows import Channel, UniformSeries
 from leglab.diagnosis.workflow import DiagnosisSettings, Search, search, set_up
 
@@ -91,9 +94,19 @@ def assemble(found: Search, settings: DiagnosisSettings, *, seconds: float) -> D
     rng = np.random.default_rng(settings.seed + 1)
     baseline, final = found.baseline.hypothesis, found.fit.hypothesis
     models = {"before": Hypothesis(), "baseline": baseline, "after": final}
-    squares = {k: np.mean(problem.residual(h) ** 2, axis=1) for k, h in models.items()}
-    start = float(problem.window_cost(baseline).mean())
-    end = float(problem.window_cost(final).mean())
+    if found.named:
+        models["unnamed"] = final.without(*found.named)
+    squares = {k: problem.noise_levels(h) for k, h in models.items()}
+    windows = [problem.replay.recording == i for i in range(len(problem.series))]
+    held = problem.held if problem.held.any() else np.ones_like(problem.held)
+    names = [s.name for s in problem.series]
+    judged = [bool(problem.held[own].any()) for own in windows]
+    specimen = found.specimen
+    gap = Gap(
+        held_out=tuple(name for name, held_out in zip(names, judged, strict=True) if held_out),
+        **{k: _rms(squares[k][held]) for k in squares},
+        healthy=_healthy_level(found, held) if specimen else None,
+    )
     rivals = tuple(
         Rivals(
             round=i,
@@ -104,31 +117,27 @@ def assemble(found: Search, settings: DiagnosisSettings, *, seconds: float) -> D
         for i, one in enumerate(found.rounds, 1)
         if one.contenders
     )
-    # Share of the robust misfit of the baseline that the final fit takes away.
-    share = (start - end) / max(start - 1.0, 1e-3)
-    effects = _effects(found, end, share, rng)
+    judge = _judge_rough if found.rough else _judge_exact
+    verdict, effects, smaller = judge(found, gap, held, rng)
     where, ceiling = isolate(problem)
-    windows = [problem.replay.recording == i for i in range(len(problem.series))]
-    held = problem.held if problem.held.any() else np.ones_like(problem.held)
-    names = [s.name for s in problem.series]
-    judged = [bool(problem.held[own].any()) for own in windows]
     return Diagnosis(
-        verdict=_verdict(found, effects, start, end, share),
+        verdict=verdict,
         effects=effects,
+        smaller=smaller,
+        rough=found.rough,
         where=where,
         not_testable=_not_testable(found),
-        gap=Gap(
-            held_out=tuple(name for name, held_out in zip(names, judged, strict=True) if held_out),
-            before=_rms(squares["before"][held]),
-            baseline=_rms(squares["baseline"][held]),
-            after=_rms(squares["after"][held]),
-        ),
+        gap=gap,
         recordings=tuple(
             RecordingGap(
-                name=name, held_out=held_out, **{k: _rms(v[own]) for k, v in squares.items()}
+                name=name,
+                held_out=held_out,
+                **{k: _rms(squares[k][own]) for k in ("before", "baseline", "after")},
             )
             for name, held_out, own in zip(names, judged, windows, strict=True)
         ),
+        remaining=_remaining(problem, final, held),
+        calibration=_calibration(specimen) if specimen else None,
         ceiling=ceiling,
         ranking=tuple(
             Rank(name=c.key[0], element=c.key[1], round=i, gain=c.gain, threshold=one.threshold)
@@ -145,33 +154,132 @@ def assemble(found: Search, settings: DiagnosisSettings, *, seconds: float) -> D
     )
 
 
-def _verdict(
-    found: Search, effects: Sequence[NamedEffect], start: float, end: float, share: float
-) -> Verdict:
-    """The word, from costs of baseline and final fit and the share that the fit explains."""
-    limits = found.problem.thresholds
-    if not effects:
-        return "nothing_missing" if start <= limits.explained else "unexplained"
+# Verdict, named effects and smaller differences.
+Judged = tuple[Verdict, tuple[NamedEffect, ...], tuple[NamedEffect, ...]]
+
+
+def _judge_exact(found: Search, gap: Gap, held: np.ndarray, rng: np.random.Generator) -> Judged:
+    """The verdict on a model that is taken for exact: the right effects leave noise."""
+    problem, limits = found.problem, found.problem.thresholds
+    start = float(problem.window_cost(found.baseline.hypothesis).mean())
+    end = float(problem.window_cost(found.fit.hypothesis).mean())
+    # Share of the robust misfit of the baseline that the final fit takes away.
+    share = (start - end) / max(start - 1.0, 1e-3)
+    quality = 1.0
     if end > limits.explained:
-        return "partial" if share >= limits.explanation_share else "unexplained"
-    return "confusion_set" if any(e.indistinguishable_from for e in effects) else "named"
+        quality = limits.explained / end * float(np.clip(share, 0.0, 1.0))
+
+    def contribution(key: Key) -> float:
+        lost = float(problem.window_cost(found.fit.hypothesis.without(key)).mean())
+        return (lost - end) / max(lost - 1.0, 1e-3)
+
+    def ties(key: Key) -> tuple[tuple[str, ...], float]:
+        tied, certainty = _ties(found, key, rng)
+        return tied, certainty * quality
+
+    effects = _effects(found, contribution, ties)
+    if not effects:
+        return ("nothing_missing" if start <= limits.explained else "unexplained"), (), ()
+    if end > limits.explained:
+        partial = share >= limits.explanation_share
+        return ("partial" if partial else "unexplained"), effects, ()
+    tied = any(e.indistinguishable_from for e in effects)
+    return ("confusion_set" if tied else "named"), effects, ()
+
+
+def _judge_rough(found: Search, gap: Gap, held: np.ndarray, rng: np.random.Generator) -> Judged:
+    """The verdict on a machine that differs from its model everywhere a little.
+
+    An effect is named as the probable cause, whatever the model's own error leaves; how much it
+    explains is another number.
+    """
+    del rng
+    problem, limits = found.problem, found.problem.thresholds
+    final = found.fit.hypothesis
+    room = max(gap.unnamed - (gap.healthy or gap.noise_floor), 1e-9)
+
+    def contribution(key: Key) -> float:
+        return (_rms(problem.noise_levels(final.without(key))[held]) - gap.after) / room
+
+    effects = _effects(found, contribution, lambda key: _rough_ties(found, key))
+    causes = tuple(e for e in effects if e.contribution >= limits.smaller_share)
+    smaller = tuple(e for e in effects if e.contribution < limits.smaller_share)
+    if not causes:
+        healthy = found.specimen is not None
+        return ("nothing_missing" if healthy and _as_healthy(found) else "unexplained"), (), smaller
+    if (gap.explained or 0.0) < limits.explanation_share:
+        return "partial", causes, smaller
+    tied = any(e.indistinguishable_from for e in causes)
+    return ("confusion_set" if tied else "named"), causes, smaller
+
+
+def _as_healthy(found: Search) -> bool:
+    """Whether the specimen errs as it did in its healthy recordings."""
+    problem, specimen = found.problem, found.specimen
+    floor = specimen.discrepancy_of(problem.series) if specimen else None
+    cost = problem.trusting(floor).window_cost(found.baseline.hypothesis)
+    return float(cost.mean()) <= problem.thresholds.explained
+
+
+def _healthy_level(found: Search, held: np.ndarray) -> float:
+    """Error to expect of the healthy specimen in the held-out recordings, in noise levels."""
+    specimen = found.specimen
+    if specimen is None:
+        return 1.0
+    nearest = specimen.nearest(found.problem.series)
+    levels = np.array([specimen.after[i] for i in nearest])
+    return _rms(levels[found.problem.replay.recording[held]] ** 2)
+
+
+def _remaining(problem: Problem, final: Hypothesis, held: np.ndarray) -> tuple[Remaining, ...]:
+    """Errors at the end of held-out windows before and after."""
+    before, after = (problem.raw_errors(h)[held][:, :, -1] for h in (Hypothesis(), final))
+    noise = np.median(problem.sensor_noise, axis=0)
+    return tuple(
+        Remaining(
+            channel=channel.column,
+            unit="Pa" if channel.chamber else unit(problem.machine, channel.joint),
+            horizon=problem.thresholds.window,
+            before=_rms(before[:, k] ** 2),
+            after=_rms(after[:, k] ** 2),
+            noise=float(noise[k]),
+        )
+        for k, channel in enumerate(problem.channels)
+    )
+
+
+def _calibration(specimen: Specimen) -> Calibration:
+    """The calibration for the page: what departed most."""
+    problem, fit = specimen.problem, specimen.fit
+    limits = problem.thresholds
+    rows = []
+    for n in problem.active_nuisances(fit.free):
+        value = n.value(fit.hypothesis)
+        away = abs(value - n.nominal) / n.tolerance
+        if away >= limits.calibration_share:
+            p = problem.library.sites[n.key].parameters[n.index]
+            estimate = _estimate(p, n.nominal, value, value, value)
+            rows.append((away, (*n.key, estimate)))
+    rows.sort(key=lambda row: -row[0])
+    names = (series.name for series in problem.series)
+    return Calibration(
+        recordings=tuple(zip(names, specimen.before, specimen.after, strict=True)),
+        estimates=tuple(row for _, row in rows),
+    )
 
 
 def _effects(
-    found: Search, end: float, share: float, rng: np.random.Generator
+    found: Search,
+    contribution: Callable[[Key], float],
+    ties: Callable[[Key], tuple[tuple[str, ...], float]],
 ) -> tuple[NamedEffect, ...]:
     """Named effects, the largest contribution first, with their confidence."""
     problem, final = found.problem, found.fit.hypothesis
-    explained = problem.thresholds.explained
     half = intervals(problem, found.fit) if found.named else {}
-    quality = 1.0
-    if end > explained:
-        quality = explained / end * float(np.clip(share, 0.0, 1.0))
     effects = []
     for key in found.named:
         site = problem.library.sites[key]
-        tied, certainty = _ties(found, key, rng)
-        lost = float(problem.window_cost(final.without(key)).mean())
+        tied, confidence = ties(key)
         onsets = zip(problem.series, final.onsets.get(key, ()), strict=False)
         effects.append(
             NamedEffect(
@@ -184,16 +292,55 @@ def _effects(
                     for series, time in onsets
                     if np.isfinite(time)
                 ),
-                confidence=certainty * quality,
-                contribution=float(np.clip((lost - end) / max(lost - 1.0, 1e-3), 0.0, 1.0)),
+                confidence=confidence,
+                contribution=float(np.clip(contribution(key), 0.0, 1.0)),
                 parameters=tuple(
-                    _estimate(p, float(v), max(p.lower, float(v - h)), min(p.upper, float(v + h)))
-                    for p, v, h in zip(site.parameters, final[key], half[key], strict=True)
+                    _estimate(
+                        p, n, float(v), max(p.lower, float(v - h)), min(p.upper, float(v + h))
+                    )
+                    for p, n, v, h in zip(
+                        site.parameters, site.nominal, final[key], half[key], strict=True
+                    )
                 ),
                 indistinguishable_from=tied,
             )
         )
     return tuple(sorted(effects, key=lambda e: -e.contribution))
+
+
+def _rough_ties(found: Search, key: Key) -> tuple[tuple[str, ...], float]:
+    """Rivals on a rough machine that are hardly less probable, and the name's probability."""
+    limits = found.problem.thresholds
+    names = found.problem.library.names
+    twins = tuple(t for t in _twins(found.problem, key) if t in names)
+    if twins:
+        return twins, 1.0 / (1 + len(twins))
+    own, tried = _contest(found, key)
+    if own is None:
+        return (), 1.0
+    rivals = [c for c in tried if c.key != key and c.key not in found.named]
+    rivals = [
+        c
+        for c in rivals
+        if not found.problem.library.contains(c.key, key) or earns(found.problem, c, own)
+    ]
+    costs = [float(c.cost.mean()) for c in (own, *rivals)]
+    share = posterior(costs, limits.rough_numbers)
+    tied = [
+        c.key[0] for c, p in zip(rivals, share[1:], strict=True) if p * limits.rough_tie > share[0]
+    ]
+    return tuple(tied), float(share[0])
+
+
+def _contest(found: Search, key: Key) -> tuple[Contender | None, tuple[Contender, ...]]:
+    """The fit that an effect was named for, and all that were tried in its place.
+
+    Rivals of an early round that lacked the other effects say little: where an effect was checked
+    beside all others, that counts.
+    """
+    sets = [found.checks[key]] if key in found.checks else [r.contenders for r in found.rounds]
+    fits = [(c, tried) for tried in sets for c in tried if c.key == key]
+    return min(fits, key=lambda entry: entry[0].cost.mean()) if fits else (None, ())
 
 
 def _ties(found: Search, key: Key, rng: np.random.Generator) -> tuple[tuple[str, ...], float]:
@@ -203,13 +350,9 @@ def _ties(found: Search, key: Key, rng: np.random.Generator) -> tuple[tuple[str,
     twins = tuple(t for t in _twins(found.problem, key) if t in names)
     if twins:
         return twins, 1.0 / (1 + len(twins))
-    # Rivals of an early round that lacked the other effects say little: where an effect was checked
-    # beside all others, that counts.
-    sets = [found.checks[key]] if key in found.checks else [r.contenders for r in found.rounds]
-    fits = [(c, tried) for tried in sets for c in tried if c.key == key]
-    if not fits:
+    own, tried = _contest(found, key)
+    if own is None:
         return (), 1.0
-    own, tried = min(fits, key=lambda entry: entry[0].cost.mean())
     tied, confidence = [], 1.0
     for rival in tried:
         if rival.key == key or rival.key in found.named:
@@ -294,6 +437,7 @@ def nuisance_estimates(problem: Problem, fit: Fit) -> tuple[Estimate, ...]:
     return tuple(
         _estimate(
             problem.library.sites[n.key].parameters[n.index],
+            n.nominal,
             float(n.value(fit.hypothesis)),
             n.nominal - 1.96 * n.tolerance,
             n.nominal + 1.96 * n.tolerance,
@@ -302,8 +446,12 @@ def nuisance_estimates(problem: Problem, fit: Fit) -> tuple[Estimate, ...]:
     )
 
 
-def _estimate(p: EffectParameter, value: float, low: float, high: float) -> Estimate:
-    return Estimate(name=p.name, unit=p.unit, value=value, nominal=p.nominal, interval=(low, high))
+def _estimate(
+    p: EffectParameter, nominal: float, value: float, low: float, high: float
+) -> Estimate:
+    return Estimate(
+        name=p.name, unit=p.unit, value=value, nominal=float(nominal), interval=(low, high)
+    )
 
 
 def notes(problem: Problem) -> tuple[str, ...]:

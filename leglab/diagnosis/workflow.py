@@ -113,9 +113,7 @@ def set_up(
     held = set(held_out)
     return Problem(
         machine,
-        Library(
-            machine, names=settings.effects, excluded=settings.excluded, specimen=specimen
-        ),
+        Library(machine, names=settings.effects, excluded=settings.excluded, specimen=specimen),
         [UniformSeries.from_recording(r, name, needed, limits) for name, r in recordings.items()],
         found,
         [i for i, name in enumerate(recordings) if name not in held],

@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-from leglab.diagnosis.result import Diagnosis, Rank, ResidualTrace, Rivals
-from leglab.report.diagnosis.words import rms, shown_unit
+from leglab.diagnosis.result import Diagnosis, Rank, ResidualTrace, Rivals, shown_unit
+from leglab.report.diagnosis.words import rms
 from leglab.report.figures import add_head
 from leglab.report.page.shell import printable
 from leglab.report.page.wording import number, readable, shortened

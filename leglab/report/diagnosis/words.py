@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from leglab.diagnosis.result import Diagnosis, Estimate
+from leglab.diagnosis.result import Diagnosis, Estimate, shown_unit
 from leglab.report.page.shell import Section
 from leglab.report.page.wording import capital, listed, number, readable
 
@@ -23,13 +23,6 @@ def percent(share: float) -> str:
     if not math.isfinite(share):
         return "unknown"
     return "over 99 %" if share > 0.99 else f"{100.0 * share:.0f} %"
-
-
-def shown_unit(unit: str) -> tuple[float, str]:
-    """Factor and name of the unit in which errors are shown: mrad, mm, bar."""
-    if unit == "Pa":
-        return 1e-5, "bar"
-    return {"rad": (1e3, "mrad"), "m": (1e3, "mm")}.get(unit, (1.0, unit))
 
 
 def rms(arrays: Sequence[np.ndarray]) -> float:
