@@ -12,7 +12,10 @@ from leglab.diagnosis.model import CHAMBERS, CYLINDER, Change, Machine
 from leglab.diagnosis.replay import Replay
 from leglab.diagnosis.starts import Nudge
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
-from leglab.diagnosis.windows import Channel, UniformSeries, filter_difference, noise_level
+from leglab.diagnosis.windows import Channel, UniformSeries, channel_noise, filter_difference
+
+# Step of columns that rest on one count in every recording: pressures [Pa], positions [rad or m].
+_UNSEEN_STEP = (1e4, 1e-3)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -137,7 +140,7 @@ class Problem:
             for i, p in enumerate(site.parameters)
             if p.tolerance > 0.0
         )
-        level = [[noise_level(s.columns[c.column], c.filter) for c in channels] for s in series]
+        level = [[channel_noise(s, c) for c in channels] for s in series]
         floor = np.array([_resolution(series, c.column) for c in channels])
         self.sensor_noise = np.maximum(np.array(level), floor)
         change = Change(machine)
@@ -362,7 +365,13 @@ def extrapolation(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def _resolution(series: Sequence[UniformSeries], column: str) -> float:
-    """Rounding error of a quantised column: its smallest step over sqrt(12)."""
-    steps = [np.abs(np.diff(s.columns[column])) for s in series]
-    steps = [s[s > 0].min() for s in steps if (s > 0).any()]
-    return float(min(steps)) / np.sqrt(12.0) if steps else 0.0
+    """Rounding error of a column: its least step in any recording over sqrt(12).
+
+    A recording that rests on one count has no step of its own, and one of the others counts. Of a
+    column that never moves at all nobody knows the step.
+    """
+    if all(np.ptp(s.columns[column]) == 0.0 for s in series):
+        return _UNSEEN_STEP[column.endswith("_position")] / np.sqrt(12.0)
+    steps = [s.steps[column] for s in series if s.steps.get(column, 0.0) > 0.0]
+    largest = max(float(np.abs(s.columns[column]).max()) for s in series)
+    return max(min(steps, default=0.0) / np.sqrt(12.0), 1e-9 * largest, 1e-12)

@@ -18,12 +18,27 @@ class Thresholds:
     no_pressure: float = 1e4
     # So many equal samples at a limit in a row look like a saturated sensor.
     saturated_samples: int = 20
+    # A recording is too slow for the others if its period is longer than this [s], and this many
+    # times theirs.
+    slowest_period: float = 0.02
+    slowest_factor: float = 5.0
+    # Share of a period by which stamps may jitter before it is worth a note.
+    even_clock: float = 0.02
     # Share of a single recording that is held out, at its end.
     held_out_share: float = 0.3
 
     # Series on a uniform grid.
-    # Further than this many periods from a true sample, a value on the grid is not measured.
-    gap_periods: float = 1.5
+    # Clocks that differ by less than this share were meant to be the same.
+    same_period: float = 0.02
+    # A log that has lost more than this share of its rows is averaged, not bridged.
+    lost_share: float = 0.02
+    # Between samples at most so many periods apart a value on the grid is measured ...
+    gap_periods: float = 3.5
+    # ... and between samples up to so many periods or this time [s] (a bin's) apart, where their
+    # neighbours lie on one parabola to so many standard deviations of noise.
+    bridged_periods: float = 6.5
+    bridged_time: float = 0.01
+    bridged_misfit: float = 3.0
     # Savitzky-Golay filters as (length [s], fewest samples, order): they pass the motion of a leg
     # and, at 1 kHz, take noise to a third.
     position_filter: tuple[float, int, int] = (0.021, 7, 4)

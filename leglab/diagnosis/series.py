@@ -1,0 +1,412 @@
+"""Recordings on one uniform grid: what a replay needs of a log as loggers write it.
+
+Stamps are believed: a log with jitter, lost rows or a clock of its own is brought onto the grid by
+the times at which its rows were measured. A measured value on the grid is the mean of the samples
+nearest to it, moved there along a parabola through their neighbours: noise stays white, motion
+keeps its phase, and a log of a higher rate is averaged before it is thinned. A command is held
+between its stamps; on the grid it is its mean over the period that it acts in: no impulse is lost.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from statistics import median_low
+
+import numpy as np
+
+from leglab.base.errors import LeglabError
+from leglab.base.recording import Recording
+from leglab.diagnosis.thresholds import DEFAULT, Thresholds
+
+# Stamps this near to the grid, in periods, are on it: rounding of a time column, not jitter.
+_ON_GRID = 1e-3
+# Samples of the parabola through the neighbours of a value on the grid, at least.
+_NEIGHBOURS = 7
+# A longer interval, in periods, has lost a tick; shorter ones may be jitter alone.
+_LOST = 1.9
+# A tick that never lies further from its stamp than this share of the clock's step is rounded.
+_ROUNDED = 0.75
+# Steps below this share of the largest value are rounding of floats.
+_FLOAT_STEP = 1e-9
+# Counts are exact but for conversions, as shares of a step, and rounding to single precision.
+_OFF_STEP = 0.02
+_SINGLE = 1.2e-7
+
+
+@dataclass(frozen=True, kw_only=True)
+class UniformSeries:
+    """One recording, ready for replay.
+
+    Attributes:
+        name: Of its file.
+        period: s.
+        time: Shape (n,), s.
+        columns: Samples on the grid by column, each (n,), gaps bridged.
+        valid: Where every channel was measured, shape (n,).
+        steps: Least step of quantised columns as they were logged; 0 where there is none.
+        noise: Standard deviation of white noise on the grid that averages as the logged samples do,
+            by column; empty where the log is on the grid as it is.
+    """
+
+    name: str
+    period: float
+    time: np.ndarray
+    columns: dict[str, np.ndarray]
+    valid: np.ndarray
+    steps: dict[str, float] = field(default_factory=dict)
+    noise: dict[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def from_recording(
+        cls,
+        recording: Recording,
+        name: str,
+        needed: tuple[str, ...],
+        thresholds: Thresholds = DEFAULT,
+        *,
+        period: float | None = None,
+    ) -> "UniformSeries":
+        """Puts the needed columns of a recording on a uniform grid.
+
+        Args:
+            recording: With NaN where a sample is missing.
+            name: Of its file.
+            needed: Columns; those that end with "_command" are held between samples.
+            thresholds: Say what a gap is.
+            period: Of the grid [s]; None for the recording's own.
+
+        Raises:
+            LeglabError: The recording is too short to have a period.
+        """
+        clock = Clock.of(recording.time, name)
+        period = period or clock.period
+        stamps = clock.stamps - clock.stamps[0]
+        count = int(np.floor(stamps[-1] / period + _ON_GRID)) + 1
+        ticks = np.rint(stamps / period).astype(np.int64)
+        native = bool((np.abs(stamps - period * ticks) <= _ON_GRID * period).all())
+        # Lost rows cost noise of their own, see `_Resampler`.
+        native = native and ticks.size > (1.0 - thresholds.lost_share) * count
+        valid = np.ones(count, dtype=bool)
+        columns, steps, noise = {}, {}, {}
+        for column in needed:
+            samples = recording[column]
+            good = np.isfinite(samples)
+            if good.sum() < 2:
+                raise LeglabError(f"{name}: column {column!r} holds no numbers")
+            steps[column] = quantum(samples[good])
+            log = _Log(
+                times=stamps[good], samples=samples[good], own=clock.period, step=steps[column]
+            )
+            if column.endswith("_command"):
+                columns[column], known = log.held(period, count, thresholds)
+            elif native and good.sum() > (1.0 - thresholds.lost_share) * count:
+                columns[column], known = log.on_ticks(period, count, thresholds)
+            else:
+                columns[column], known, noise[column] = log.averaged(period, count, thresholds)
+            valid &= known
+        return cls(
+            name=name,
+            period=period,
+            time=recording.time[0] + period * np.arange(count),
+            columns=columns,
+            valid=valid,
+            steps=steps,
+            noise=noise,
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Clock:
+    """The stamps of a recording, as its logger's clock meant them.
+
+    Attributes:
+        period: Usual time between two rows [s], free of jitter and lost rows.
+        stamps: Shape (n,), s; those of a uniform clock that rounds are straightened.
+        rounding: Step to which stamps were rounded [s]; 0 where they were not, or evenly.
+        jitter: RMS of the stamps' departures from whole periods between neighbours, in periods.
+        lost: Rows that are missing between others.
+    """
+
+    period: float
+    stamps: np.ndarray
+    rounding: float
+    jitter: float
+    lost: int
+
+    @classmethod
+    def of(cls, time: np.ndarray, name: str = "the recording") -> "Clock":
+        """Finds period, rounding and jitter of time stamps.
+
+        Raises:
+            LeglabError: They are too few.
+        """
+        if time.size < 3:
+            raise LeglabError(f"{name}: {time.size} samples are too few to replay")
+        period = usual_interval(time)
+        intervals = np.diff(time)
+        passed = np.maximum(np.rint(intervals / period), 1.0)
+        close = passed < 5
+        ticks = np.concatenate([[0.0], np.cumsum(passed)])
+        departure = intervals[close] - period * passed[close]
+        jitter = float(np.sqrt(np.mean(departure**2))) / period if close.any() else 0.0
+        stamps, rounding = time, 0.0
+        if jitter > _ON_GRID:
+            slope, start = np.polyfit(ticks - ticks.mean(), time - time[0], 1)
+            line = time[0] + start + slope * (ticks - ticks.mean())
+            step = quantum(time - time[0])
+            if 0.0 < step < 2.0 * period and np.abs(time - line).max() <= _ROUNDED * step:
+                period, stamps, rounding, jitter = float(slope), line, step, 0.0
+        lost = int((passed[intervals > _LOST * period] - 1.0).sum())
+        return cls(period=period, stamps=stamps, rounding=rounding, jitter=jitter, lost=lost)
+
+
+def usual_interval(time: np.ndarray) -> float:
+    """Mean time that one row takes: jitter averages out, lost rows are counted as rows."""
+    intervals = np.diff(time)
+    period = float(np.median(intervals))
+    for _ in range(6):
+        passed = np.maximum(np.rint(intervals / period), 1.0)
+        # Longer pauses say nothing of the period.
+        close = intervals < 4.5 * period
+        period = float(intervals[close].sum() / passed[close].sum())
+    return period
+
+
+def common_period(recordings: Mapping[str, Recording], thresholds: Thresholds = DEFAULT) -> float:
+    """Period of the grid for all recordings [s]: that of the slowest.
+
+    Of recordings whose periods are the same up to their clocks, the one in the middle counts.
+
+    Raises:
+        LeglabError: A recording is too short to have a period.
+    """
+    periods = [Clock.of(r.time, name).period for name, r in recordings.items()]
+    slowest = max(periods)
+    return median_low([p for p in periods if p > (1.0 - thresholds.same_period) * slowest])
+
+
+def quantum(samples: np.ndarray) -> float:
+    """Least step of a quantised signal, (n,), 0 where it is not quantised or never moves.
+
+    It is the largest step of which nearly all differences of neighbours are multiples: single
+    values between two counts, or the rounding of floats, do not make it smaller.
+    """
+    largest = float(np.abs(samples).max(initial=0.0))
+    moves = np.abs(np.diff(samples))
+    moves = np.sort(moves[moves > _FLOAT_STEP * largest])
+    if not moves.size:
+        return 0.0
+    rests = moves.size < samples.size - 1
+    # Differences of differences: a fast signal may never move by a single count.
+    apart = np.diff(moves)
+    apart = np.sort(apart[apart > max(_FLOAT_STEP * largest, 1e-6 * moves[-1])])
+    found = 0.0
+    for pool in (moves, apart):
+        for share in (0.0, 0.01, 0.03, 0.1, 0.25, 0.5):
+            if pool.size:
+                guess = float(pool[int(share * (pool.size - 1))])
+                found = max(found, _fitted_step(moves, guess, largest, rests=rests))
+    return found
+
+
+def _fitted_step(moves: np.ndarray, step: float, largest: float, *, rests: bool) -> float:
+    """The step of which moves are multiples, near a first guess; 0 where there is none."""
+    for most in (3, 10, 30, 100):
+        count = np.rint(moves / step)
+        some = (count > 0) & (count <= most)
+        if not some.any():
+            return 0.0
+        # The median is deaf to the few moves that are no multiples.
+        step = float(np.median(moves[some] / count[some]))
+    share = moves[moves <= 100.5 * step] / step
+    count = np.rint(share)
+    multiple = (count > 0) & (np.abs(share - count) < _OFF_STEP + 2.0 * _SINGLE * largest / step)
+    # A steady motion moves by one amount as well, yet neither less nor more.
+    varied = rests or (count != np.median(count)).mean() > 0.02
+    whole = multiple.mean() > 0.95 and share.size >= 0.5 * moves.size
+    return step if whole and varied else 0.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Log:
+    """One column as it was logged, without its missing samples.
+
+    Attributes:
+        times: From the recording's first stamp [s], shape (n,).
+        samples: Shape (n,).
+        own: Usual interval of the recording [s].
+        step: Least step of the column.
+    """
+
+    times: np.ndarray
+    samples: np.ndarray
+    own: float
+    step: float
+
+    @property
+    def spacing(self) -> float:
+        """Usual interval of this column [s]: some are logged less often than the rows."""
+        if self.times.size < 3:
+            return self.own
+        return min(max(usual_interval(self.times), self.own), 5.0 * self.own)
+
+    def around(self, period: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Sample after each place of the grid, and the time between its neighbours, (count,)."""
+        grid = period * np.arange(count)
+        after = np.searchsorted(self.times, grid - _ON_GRID * period).clip(1, self.times.size - 1)
+        width = self.times[after] - self.times[after - 1]
+        on_stamp = np.minimum(
+            np.abs(grid - self.times[after - 1]), np.abs(self.times[after] - grid)
+        )
+        outside = (grid < self.times[0]) | (grid > self.times[-1])
+        width = np.where(outside, np.inf, width)
+        near = on_stamp <= np.where(outside, 0.5 * max(period, self.spacing), _ON_GRID * period)
+        return after, np.where(near, 0.0, width)
+
+    def _known(
+        self, width: np.ndarray, smooth: np.ndarray, period: float, limits: Thresholds
+    ) -> np.ndarray:
+        """Where values between neighbours `width` apart are known; `smooth` where they agree."""
+        spacing = self.spacing
+        near = width <= max(limits.gap_periods * spacing, 1.5 * period)
+        reach = max(limits.bridged_periods * spacing, limits.bridged_time)
+        return near | (smooth & (width <= reach))
+
+    def on_ticks(
+        self, period: float, count: int, limits: Thresholds
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Samples that lie on the grid as they are, and where they are known."""
+        values = np.interp(period * np.arange(count), self.times, self.samples)
+        _, width = self.around(period, count)
+        holes = np.flatnonzero(width > 0.0)
+        smooth = np.ones(count, dtype=bool)
+        if holes.size:
+            fit = self._parabola(period * holes, period)
+            values[holes] = fit.value
+            smooth[holes] = fit.misfit <= limits.bridged_misfit * self._scatter(period, count)
+        return values, self._known(width, smooth, period, limits)
+
+    def averaged(
+        self, period: float, count: int, limits: Thresholds
+    ) -> tuple[np.ndarray, np.ndarray, float]:
+        """Samples averaged about each place of the grid, where they are known, and their noise."""
+        grid = period * np.arange(count)
+        place = np.floor(self.times / period + 0.5 - 1e-9).astype(np.int64).clip(0, count - 1)
+        inside = np.abs(self.times - grid[place]) <= 0.5 * period * (1.0 + 1e-6)
+        place, times, samples = place[inside], self.times[inside], self.samples[inside]
+        number = np.bincount(place, minlength=count)
+        held = np.maximum(number, 1)
+        away = times - grid[place]
+        fit = self._parabola(grid, period)
+        value = np.bincount(place, weights=samples, minlength=count) / held
+        value -= fit.slope * np.bincount(place, weights=away, minlength=count) / held
+        value -= fit.bend * np.bincount(place, weights=away**2, minlength=count) / held
+        value = np.where(number > 0, value, fit.value)
+        rest = samples - fit.value[place] - fit.slope[place] * away - fit.bend[place] * away**2
+        scatter = _robust(rest) / np.sqrt(1.0 - fit.leverage)
+        # A mean over many places weighs each sample by what it gave to all of them.
+        weight = np.zeros(self.times.size)
+        weight[inside] = 1.0 / held[place]
+        for row in np.flatnonzero(number == 0).tolist():
+            weight[fit.neighbours[row]] += fit.weights[row]
+        noise = scatter * float(np.sqrt((weight**2).sum() / count))
+        least = max(scatter, self.step / np.sqrt(12.0))
+        smooth = fit.misfit <= limits.bridged_misfit * least
+        _, width = self.around(period, count)
+        width = np.where(number > 0, 0.0, width)
+        return value, self._known(width, smooth, period, limits), noise
+
+    def held(self, period: float, count: int, limits: Thresholds) -> tuple[np.ndarray, np.ndarray]:
+        """A held command's mean from each place of the grid to the next, and where it is known.
+
+        Where ticks were lost it may have changed at each of them: they take what lies between.
+        """
+        spacing = self.spacing
+        intervals = np.diff(self.times)
+        ticks = np.where(intervals > _LOST * spacing, np.rint(intervals / spacing), 1.0)
+        ticks = np.minimum(ticks, 100.0).astype(np.int64)
+        first = np.repeat(np.arange(ticks.size), ticks)
+        share = (np.arange(first.size) - np.repeat(np.cumsum(ticks) - ticks, ticks)) / ticks[first]
+        times = np.append(self.times[first] + share * intervals[first], self.times[-1])
+        change = np.diff(self.samples)
+        values = np.append(self.samples[first] + share * change[first], self.samples[-1])
+        end = max(times[-1], period * count) + period
+        times = np.concatenate([[min(0.0, times[0])], times[1:], [end]])
+        impulse = np.concatenate([[0.0], np.cumsum(values * np.diff(times))])
+        mean = np.diff(np.interp(period * np.arange(count + 1), times, impulse)) / period
+        # Differences of a long integral: a command on the grid keeps its value to the last bit.
+        on_grid = period * np.arange(count)
+        at = np.searchsorted(times, on_grid + _ON_GRID * period, side="right") - 1
+        whole = (np.abs(times[at] - on_grid) <= _ON_GRID * period) & (
+            times[np.minimum(at + 1, times.size - 1)] >= on_grid + (1.0 - _ON_GRID) * period
+        )
+        mean = np.where(whole, values[np.minimum(at, values.size - 1)], mean)
+        after, width = self.around(period, count)
+        usual = np.quantile(np.abs(change) / ticks, 0.95) if change.size else 0.0
+        smooth = (np.abs(change) <= 1.5 * usual * ticks)[after - 1]
+        return mean, self._known(width, smooth, period, limits)
+
+    def _scatter(self, period: float, count: int) -> float:
+        """Standard deviation of the samples about parabolas, not below a count's rounding."""
+        some = np.linspace(0, self.times.size - 1, min(self.times.size, 2000)).astype(int)
+        fit = self._parabola(self.times[some], period)
+        rest = _robust(self.samples[some] - fit.value) / np.sqrt(1.0 - fit.leverage)
+        return max(rest, self.step / np.sqrt(12.0))
+
+    def _parabola(self, centres: np.ndarray, period: float) -> "_Parabola":
+        """Parabolas through the neighbours of some times, by least squares."""
+        reach = max(1.5 * period, 0.5 * _NEIGHBOURS * self.spacing)
+        size = max(_NEIGHBOURS, 2 * int(np.ceil(1.5 * period / self.spacing)) + 1)
+        size = min(size, self.times.size)
+        # The nearest samples on both sides, as many as there are.
+        first = np.searchsorted(self.times, centres) - size // 2
+        first = first.clip(0, self.times.size - size)
+        neighbours = first[:, None] + np.arange(size)
+        away = (self.times[neighbours] - centres[:, None]) / reach
+        # Beyond a gap lies another motion.
+        trust = np.where(np.abs(away) <= 1.5, 1.0, 1e-6)
+        design = np.stack([np.ones_like(away), away, away**2], axis=2)
+        weighted = design * trust[:, :, None]
+        normal = np.einsum("knp,knq->kpq", weighted, design) + 1e-9 * np.eye(3)
+        rows = np.linalg.solve(normal, weighted.transpose(0, 2, 1))  # (k, 3, size)
+        samples = self.samples[neighbours]
+        level = samples.mean(axis=1)
+        a, b, c = np.einsum("kpn,kn->pk", rows, samples - level[:, None])
+        curve = a[:, None] + b[:, None] * away + c[:, None] * away**2
+        rest = (samples - level[:, None] - curve) ** 2 * trust
+        freedom = np.maximum(trust.sum(axis=1) - 3.0, 1.0)
+        return _Parabola(
+            value=a + level,
+            slope=b / reach,
+            bend=c / reach**2,
+            misfit=np.sqrt(rest.sum(axis=1) / freedom),
+            leverage=min(2.25 / size, 0.9),
+            neighbours=neighbours,
+            weights=rows[:, 0],
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Parabola:
+    """Parabolas about centres; arrays of shape (centres,).
+
+    Attributes:
+        value: At the centre.
+        slope: Its derivative there.
+        bend: Half its second derivative.
+        misfit: Standard deviation of the neighbours about it.
+        leverage: Share of a sample's noise that it follows near the centre.
+        neighbours: Samples that it rests on, shape (centres, size).
+        weights: How much each of them gives to `value`, shape (centres, size).
+    """
+
+    value: np.ndarray
+    slope: np.ndarray
+    bend: np.ndarray
+    misfit: np.ndarray
+    leverage: float
+    neighbours: np.ndarray
+    weights: np.ndarray
+
+
+def _robust(rest: np.ndarray) -> float:
+    return float(1.4826 * np.median(np.abs(rest)))
