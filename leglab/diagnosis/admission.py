@@ -285,15 +285,18 @@ def _position_fault(
     low, high = np.nanmin(values), np.nanmax(values)
     hinge = int(entry.type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE)
     said = f"column {column!r} covers [{low:.4g}, {high:.4g}]"
-    if not machine.base.model.jnt_limited[entry.id]:
+    far = 4.0 * np.pi
+    lower, upper = (float(x) for x in entry.range)
+    if not machine.base.model.jnt_limited[entry.id] and hinge and _on_cylinder(machine, joint):
+        lower, upper = -far, far  # A piston has a stroke.
+    elif not machine.base.model.jnt_limited[entry.id]:
         # A wheel may turn as far as it likes: only its speeds tell.
-        if hinge and max(-low, high) > 4.0 * np.pi and in_degrees(machine, recording, joint):
+        if hinge and max(-low, high) > far and in_degrees(machine, recording, joint):
             return (
                 f"{said}, and the model's forces explain its speeds 57 times as slow; is it in "
                 "degrees? allowed: rad"
             )
         return None
-    lower, upper = (float(x) for x in entry.range)
     room = beyond * (upper - lower)
     if low >= lower - room and high <= upper + room:
         return None
@@ -304,19 +307,19 @@ def _position_fault(
     )
 
 
+def _on_cylinder(machine: Machine, joint: str) -> bool:
+    return any(joint in machine.driven[c] for c in machine.instances(CYLINDER))
+
+
 def in_degrees(machine: Machine, recording: Recording, joint: str) -> bool:
     """Whether the speeds of an unlimited hinge are clearly those of degrees.
 
     Changes of speed over 0.1 s are compared with the integral of the accelerations that the model
     has at the measured positions, speeds and commands. It is clear where, with all unlimited hinges
     taken for degrees, they leave less than 0.4 of the changes over, and taken for radians more than
-    0.8. Joints that a cylinder moves are not judged: its force is not known here.
+    0.8.
     """
     model = machine.base.model
-    native = machine.native_actuators()
-    drives = [name for name, joints in machine.driven.items() if joint in joints]
-    if not all(name in native for name in drives):
-        return False
     period = max(_COARSE, Clock.of(recording.time).period)
     series = UniformSeries.from_recording(recording, "", machine.columns, period=period)
     count = min(series.time.size, _PLACES)

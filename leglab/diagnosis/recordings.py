@@ -17,6 +17,8 @@ from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 def read_recordings(paths: Sequence[Path], columns: Path | None = None) -> dict[str, Recording]:
     """Reads recordings by file name, or by folder and file name where file names are the same.
 
+    Columns that cannot be read are left out: only the model says whether they are needed.
+
     Args:
         paths: Of the files.
         columns: A column map for all of them, see `leglab.data.read_column_map`.
@@ -36,7 +38,7 @@ def read_recordings(paths: Sequence[Path], columns: Path | None = None) -> dict[
                 f"two recordings are called {name!r}; allowed: different names, or names of "
                 "their folders"
             )
-        found[name] = data.read(path, columns=column_map)
+        found[name] = data.read(path, columns=column_map, partial=True)
     return found
 
 
