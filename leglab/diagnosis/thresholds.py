@@ -50,6 +50,11 @@ class Thresholds:
     bin: float = 0.01
     # Samples that smoothing filters reach to both sides of a window's start.
     margin_samples: int = 12
+    # Of windows in which no command moves by more than this share of its range, and no channel by
+    # more than so many noise levels, one in so many is kept: the others say the same.
+    still_command: float = 0.02
+    still_noise: float = 6.0
+    still_every: int = 5
     # Windows start at the calmest sample within this share of their length from a regular grid.
     start_room: float = 0.35
     # A chamber below this gauge pressure [Pa] may hold vapour, whose amount no sensor tells: no

@@ -159,8 +159,36 @@ def cut_series(
         if channel.chamber:
             level = smoothed(series.columns[channel.column], channel.filter)
             keep &= level[firsts] > thresholds.vapour_pressure
+    firsts = firsts[keep]
+    still = resting(machine, series, channels, firsts, samples, thresholds)
+    firsts = firsts[~still | (np.cumsum(still) % thresholds.still_every == 1)]
     levers = {c: _lever(machine, series, c) for c in machine.instances(CYLINDER)}
-    return Cut(series=series, firsts=firsts[keep], levers=levers)
+    return Cut(series=series, firsts=firsts, levers=levers)
+
+
+def resting(
+    machine: Machine,
+    series: UniformSeries,
+    channels: tuple[Channel, ...],
+    firsts: np.ndarray,
+    samples: int,
+    thresholds: Thresholds = DEFAULT,
+) -> np.ndarray:
+    """Mask of windows in which neither a command nor a channel moves beyond its noise.
+
+    A joint that sticks under a command that grows does not rest: that says what holds it.
+    """
+    index = firsts[:, None] + np.arange(samples + 1)
+    still = np.ones(firsts.size, dtype=bool)
+    for actuator in machine.actuators:
+        command = series.columns[f"{actuator}_command"]
+        still &= np.ptp(command[index], axis=1) <= thresholds.still_command * np.ptp(command)
+    for channel in channels:
+        step = series.steps.get(channel.column, 0.0)
+        room = max(thresholds.still_noise * channel_noise(series, channel), 1.01 * step)
+        level = smoothed(series.columns[channel.column], channel.filter)
+        still &= np.ptp(level[index], axis=1) <= room
+    return still
 
 
 def _unrest(
