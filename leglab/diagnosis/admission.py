@@ -389,9 +389,10 @@ def _doubts(
         bad = int((~finite).sum())
         if bad:
             yield Remark(text="samples without a number", recording=name, place=f"{column!r} {bad}")
-        if finite.sum() > 1 and np.ptp(values[finite]) == 0.0:
+        measured = not column.endswith("_command")
+        if measured and finite.sum() > 1 and np.ptp(values[finite]) == 0.0:
             yield Remark(
-                text="the same in every row, is the sensor connected?",
+                text="the same in every row, at rest or a sensor that is not connected",
                 recording=name,
                 place=f"{column!r} {values[finite][0]:.6g}",
             )
@@ -437,7 +438,9 @@ def clock_notes(recordings: Mapping[str, Recording], limits: Thresholds) -> tupl
     period = common_period(recordings, limits)
     clocks = {name: Clock.of(r.time, name) for name, r in recordings.items()}
     lines, remarks = [], []
-    fast = [n for n, c in clocks.items() if c.period < (1.0 - limits.same_period) * period]
+    fast = [
+        n for n, c in clocks.items() if c.clear and c.period < (1.0 - limits.same_period) * period
+    ]
     if fast:
         rates = ", ".join(f"{n} from {1.0 / clocks[n].period:.4g} Hz" for n in fast)
         lines.append(
@@ -481,4 +484,7 @@ def clock_notes(recordings: Mapping[str, Recording], limits: Thresholds) -> tupl
 
 def _drifts(recording: Recording, clock: Clock, period: float) -> bool:
     """Whether a clock leaves the grid by more than a fiftieth of a period over the recording."""
-    return abs(clock.period - period) * recording.duration > 0.02 * period * clock.period
+    return (
+        clock.clear
+        and abs(clock.period - period) * recording.duration > 0.02 * period * clock.period
+    )

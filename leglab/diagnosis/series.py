@@ -23,6 +23,10 @@ _ON_GRID = 1e-3
 _NEIGHBOURS = 7
 # A longer interval, in periods, has lost a tick; shorter ones may be jitter alone.
 _LOST = 1.9
+# The mean interval of a log that lost no rows is its period up to this share.
+_ALL_ROWS = 0.01
+# Jitter, in periods, above which a period is known to so many times the usual share only.
+_UNCLEAR, _DOUBT = 0.1, 5.0
 # A tick that never lies further from its stamp than this share of the clock's step is rounded.
 _ROUNDED = 0.75
 # Steps below this share of the largest value are rounding of floats.
@@ -94,7 +98,11 @@ class UniformSeries:
                 raise LeglabError(f"{name}: column {column!r} holds no numbers")
             steps[column] = quantum(samples[good])
             log = _Log(
-                times=stamps[good], samples=samples[good], own=clock.period, step=steps[column]
+                times=stamps[good],
+                samples=samples[good],
+                own=clock.period,
+                lossy=clock.lost > 0 or not good.all(),
+                step=steps[column],
             )
             if column.endswith("_command"):
                 columns[column], known = log.held(period, count, thresholds)
@@ -132,6 +140,11 @@ class Clock:
     jitter: float
     lost: int
 
+    @property
+    def clear(self) -> bool:
+        """Whether the period is known; where jitter meets lost rows it is an estimate."""
+        return self.jitter < _UNCLEAR or not self.lost
+
     @classmethod
     def of(cls, time: np.ndarray, name: str = "the recording") -> "Clock":
         """Finds period, rounding and jitter of time stamps.
@@ -155,20 +168,25 @@ class Clock:
             step = quantum(time - time[0])
             if 0.0 < step < 2.0 * period and np.abs(time - line).max() <= _ROUNDED * step:
                 period, stamps, rounding, jitter = float(slope), line, step, 0.0
-        lost = int((passed[intervals > _LOST * period] - 1.0).sum())
+        lost = max(0, round((stamps[-1] - stamps[0]) / period) + 1 - stamps.size)
         return cls(period=period, stamps=stamps, rounding=rounding, jitter=jitter, lost=lost)
 
 
 def usual_interval(time: np.ndarray) -> float:
-    """Mean time that one row takes: jitter averages out, lost rows are counted as rows."""
+    """Time that one row takes: jitter averages out, and lost rows do not count.
+
+    The mean of intervals within half of itself, found from the median on. Where it accounts for all
+    rows from the first to the last, their number is the better measure.
+    """
     intervals = np.diff(time)
     period = float(np.median(intervals))
-    for _ in range(6):
-        passed = np.maximum(np.rint(intervals / period), 1.0)
-        # Longer pauses say nothing of the period.
-        close = intervals < 4.5 * period
-        period = float(intervals[close].sum() / passed[close].sum())
-    return period
+    for _ in range(50):
+        close = np.abs(intervals - period) <= 0.5 * period * (1.0 + 1e-9)
+        before, period = period, float(intervals[close].mean())
+        if abs(period - before) <= 1e-12 * period:
+            break
+    mean = float(time[-1] - time[0]) / intervals.size
+    return mean if abs(mean - period) < _ALL_ROWS * period else period
 
 
 def common_period(recordings: Mapping[str, Recording], thresholds: Thresholds = DEFAULT) -> float:
@@ -179,9 +197,14 @@ def common_period(recordings: Mapping[str, Recording], thresholds: Thresholds = 
     Raises:
         LeglabError: A recording is too short to have a period.
     """
-    periods = [Clock.of(r.time, name).period for name, r in recordings.items()]
-    slowest = max(periods)
-    return median_low([p for p in periods if p > (1.0 - thresholds.same_period) * slowest])
+    clocks = [Clock.of(r.time, name) for name, r in recordings.items()]
+    clear = [c for c in clocks if c.clear] or clocks
+    slowest = max(c.period for c in clear)
+    for clock in clocks:
+        if not clock.clear and clock.period > (1.0 + _DOUBT * thresholds.same_period) * slowest:
+            slowest = clock.period
+    same = [c.period for c in clear if c.period > (1.0 - thresholds.same_period) * slowest]
+    return median_low(same) if same else slowest
 
 
 def quantum(samples: np.ndarray) -> float:
@@ -234,12 +257,14 @@ class _Log:
         times: From the recording's first stamp [s], shape (n,).
         samples: Shape (n,).
         own: Usual interval of the recording [s].
+        lossy: Whether samples are missing; else a long interval is jitter.
         step: Least step of the column.
     """
 
     times: np.ndarray
     samples: np.ndarray
     own: float
+    lossy: bool
     step: float
 
     @property
@@ -322,8 +347,9 @@ class _Log:
         """
         spacing = self.spacing
         intervals = np.diff(self.times)
-        ticks = np.where(intervals > _LOST * spacing, np.rint(intervals / spacing), 1.0)
-        ticks = np.minimum(ticks, 100.0).astype(np.int64)
+        ticks = np.rint(intervals / spacing)
+        ticks[~(self.lossy & (intervals > _LOST * spacing))] = 1.0
+        ticks = np.clip(ticks, 1.0, 100.0).astype(np.int64)
         first = np.repeat(np.arange(ticks.size), ticks)
         share = (np.arange(first.size) - np.repeat(np.cumsum(ticks) - ticks, ticks)) / ticks[first]
         times = np.append(self.times[first] + share * intervals[first], self.times[-1])
