@@ -16,6 +16,8 @@ _SNAP = 5e-3
 _UNSEEN = 0.25
 # A longer interval than this, in usual ones, is a gap, across which the speed beside it counts.
 _GAP = 1.5
+# A jump is told from motion across at most so many usual intervals.
+_CLOSE = 10.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,42 +55,41 @@ def unwrapped(time: np.ndarray, samples: np.ndarray, *, hinge: bool) -> Unwrappe
     if good.size < 10:
         return None
     values, steps, intervals = samples[good], np.diff(samples[good]), np.diff(time[good])
-    usual = intervals <= _GAP * np.median(intervals)
+    unit = float(np.median(intervals))
     low, high = np.quantile(values, (0.001, 0.999))
-    jumps = usual & (np.abs(steps) > _JUMP * (high - low))
-    turn = _turn(values, steps, jumps, hinge=hinge)
+    jumps = (intervals <= _CLOSE * unit) & (np.abs(steps) > _JUMP * (high - low))
+    still = np.flatnonzero(~jumps & (intervals <= _GAP * unit))
+    if not jumps.any() or still.size < 0.2 * steps.size:
+        return None
+    places = np.flatnonzero(jumps)
+    beside = np.interp(places, still, steps[still] / intervals[still]) * intervals[places]
+    turn = _turn(values, np.abs(steps[places] - beside), hinge=hinge)
     if turn is None:
         return None
+    usual = intervals <= _GAP * unit
     rate = (steps - turn * np.rint(steps / turn)) / intervals
-    beside = np.interp(np.arange(steps.size), np.flatnonzero(usual), rate[usual])
-    expected = np.where(usual, 0.0, beside * intervals)
+    speed = np.interp(np.arange(steps.size), np.flatnonzero(usual), rate[usual])
+    expected = np.where(usual, 0.0, speed * intervals)
     turns = np.rint((expected - steps) / turn)
     out = samples.copy()
     out[good[1:]] += turn * np.cumsum(turns)
     return Unwrapped(samples=out, turn=turn, jumps=int((turns != 0.0).sum()))
 
 
-def _turn(values: np.ndarray, steps: np.ndarray, jumps: np.ndarray, *, hinge: bool) -> float | None:
-    """Size of a turn, None where jumps do not look like one."""
-    places = np.flatnonzero(jumps)
-    if not places.size or places.size > 0.5 * steps.size:
-        return None
-    still = np.flatnonzero(~jumps)
-    beside = np.interp(places, still, steps[still])
-    sizes = np.abs(steps[places] - beside)
+def _turn(values: np.ndarray, sizes: np.ndarray, *, hinge: bool) -> float | None:
+    """Size of a turn from the sizes of jumps, None where they do not look like one."""
     turn = float(np.median(sizes))
     low, high = np.quantile(values, (0.001, 0.999))
     if (np.abs(sizes - turn) < _SMOOTH * turn).mean() < 0.9 or high - low > (1.0 + _AGREE) * turn:
         return None
     if hinge:
-        parts = (_TURN * np.arange(1, 65), _TURN / np.arange(2, 65))
-        known = np.concatenate(parts)
-        nearest = float(known[np.argmin(np.abs(known - turn))])
         if abs(turn - _TURN) < _AGREE * _TURN:
             return _TURN
+        known = np.concatenate([_TURN * np.arange(1, 65), _TURN / np.arange(2, 65)])
+        nearest = float(known[np.argmin(np.abs(known - turn))])
         if abs(turn - nearest) < _SNAP * nearest:
             turn = nearest
     agree = np.median(np.abs(sizes - turn)) < _AGREE * turn
     seen = np.sort(values[(values >= low) & (values <= high)])
-    unseen = float(np.diff(seen).max(initial=0.0))
+    unseen = max(float(np.diff(seen).max(initial=0.0)), turn - float(high - low))
     return turn if agree and unseen < _UNSEEN * turn else None

@@ -21,18 +21,21 @@ from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 _ON_GRID = 1e-3
 # Samples of the parabola through the neighbours of a value on the grid, at least.
 _NEIGHBOURS = 7
-# A longer interval, in periods, has lost a tick; shorter ones may be jitter alone.
-_LOST = 1.9
-# The mean interval of a log that lost no rows is its period up to this share.
-_ALL_ROWS = 0.01
+# The mean interval of a log that lost no rows is its period up to so many standard errors.
+_ALL_ROWS = 4.0
 # Jitter, in periods, above which a period is known to so many times the usual share only.
-_UNCLEAR, _DOUBT = 0.1, 5.0
+_UNCLEAR, _DOUBT = 0.1, 6.0
+# Stamps, places a period and share of the period around a first guess in which the beat of a clock
+# is looked for; it is there if it stands so far above what stamps without one would show.
+_BEAT_STAMPS, _BEAT_PLACES, _BEAT_RANGE, _BEAT = 4000, 16, 0.15, 6.0
 # A tick that never lies further from its stamp than this share of the clock's step is rounded.
 _ROUNDED = 0.75
 # Steps below this share of the largest value are rounding of floats.
 _FLOAT_STEP = 1e-9
 # Counts are exact but for conversions, as shares of a step, and rounding to single precision.
 _OFF_STEP = 0.02
+# Below this share of a signal's standard deviation it does not matter what lies in a gap.
+_TAME = 1e-4
 _SINGLE = 1.2e-7
 
 
@@ -132,6 +135,7 @@ class Clock:
         rounding: Step to which stamps were rounded [s]; 0 where they were not, or evenly.
         jitter: RMS of the stamps' departures from whole periods between neighbours, in periods.
         lost: Rows that are missing between others.
+        clear: Whether the period is known well; it is not where jitter and lost rows hide the beat.
     """
 
     period: float
@@ -139,11 +143,7 @@ class Clock:
     rounding: float
     jitter: float
     lost: int
-
-    @property
-    def clear(self) -> bool:
-        """Whether the period is known; where jitter meets lost rows it is an estimate."""
-        return self.jitter < _UNCLEAR or not self.lost
+    clear: bool
 
     @classmethod
     def of(cls, time: np.ndarray, name: str = "the recording") -> "Clock":
@@ -154,22 +154,59 @@ class Clock:
         """
         if time.size < 3:
             raise LeglabError(f"{name}: {time.size} samples are too few to replay")
-        period = usual_interval(time)
-        intervals = np.diff(time)
-        passed = np.maximum(np.rint(intervals / period), 1.0)
-        close = passed < 5
-        ticks = np.concatenate([[0.0], np.cumsum(passed)])
-        departure = intervals[close] - period * passed[close]
-        jitter = float(np.sqrt(np.mean(departure**2))) / period if close.any() else 0.0
         stamps, rounding = time, 0.0
-        if jitter > _ON_GRID:
-            slope, start = np.polyfit(ticks - ticks.mean(), time - time[0], 1)
-            line = time[0] + start + slope * (ticks - ticks.mean())
-            step = quantum(time - time[0])
+        line, step = _line(np.arange(time.size), time), quantum(time - time[0])
+        off, mean = float(np.abs(time - line).max()), float(line[1] - line[0])
+        if _ON_GRID * mean < off <= _ROUNDED * step < 2.0 * mean:
+            stamps, rounding = line, step
+        period = usual_interval(stamps)
+        intervals = np.diff(stamps)
+        jitter, ticks = _jitter(intervals, period)
+        lost = max(0, round(float(stamps[-1] - stamps[0]) / period) + 1 - stamps.size)
+        clear = jitter < _UNCLEAR or not lost
+        if not clear and (beat := _beat(stamps, period)) is not None:
+            period, clear = beat, True
+            jitter, ticks = _jitter(intervals, period)
+            lost = max(0, round(float(stamps[-1] - stamps[0]) / period) + 1 - stamps.size)
+        if lost and jitter > _ON_GRID:
+            line = _line(ticks, time)
             if 0.0 < step < 2.0 * period and np.abs(time - line).max() <= _ROUNDED * step:
-                period, stamps, rounding, jitter = float(slope), line, step, 0.0
-        lost = max(0, round((stamps[-1] - stamps[0]) / period) + 1 - stamps.size)
-        return cls(period=period, stamps=stamps, rounding=rounding, jitter=jitter, lost=lost)
+                period = float(line[-1] - line[0]) / float(ticks[-1])
+                stamps, rounding, jitter = line, step, 0.0
+        return cls(
+            period=period, stamps=stamps, rounding=rounding, jitter=jitter, lost=lost, clear=clear
+        )
+
+
+def _line(ticks: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Straight line of times over the numbers of ticks, at the ticks."""
+    centred = ticks - ticks.mean()
+    slope, level = np.polyfit(centred, time - time[0], 1)
+    return time[0] + level + slope * centred
+
+
+def _jitter(intervals: np.ndarray, period: float) -> tuple[float, np.ndarray]:
+    """RMS of the departures from whole periods, in periods, and the number of each tick."""
+    passed = np.maximum(np.rint(intervals / period), 1.0)
+    close = passed < 5
+    departure = intervals[close] / period - passed[close]
+    jitter = float(np.sqrt(np.mean(departure**2))) if close.any() else 0.0
+    return jitter, np.concatenate([[0.0], np.cumsum(passed)])
+
+
+def _beat(time: np.ndarray, guess: float) -> float | None:
+    """Period of the strongest beat of stamps near a guess [s], None where none stands out."""
+    some = time[:_BEAT_STAMPS] - time[0]
+    place = guess / _BEAT_PLACES
+    count = np.bincount(np.rint(some / place).astype(np.int64)).astype(float)
+    size = 4 * count.size
+    strength = np.abs(np.fft.rfft(count - count.mean(), size)) / some.size
+    rate = np.fft.rfftfreq(size, place)
+    near = np.abs(rate * guess - 1.0) < _BEAT_RANGE
+    if not near.any():
+        return None
+    best = int(np.argmax(np.where(near, strength, 0.0)))
+    return float(1.0 / rate[best]) if strength[best] > _BEAT / np.sqrt(some.size) else None
 
 
 def usual_interval(time: np.ndarray) -> float:
@@ -186,7 +223,8 @@ def usual_interval(time: np.ndarray) -> float:
         if abs(period - before) <= 1e-12 * period:
             break
     mean = float(time[-1] - time[0]) / intervals.size
-    return mean if abs(mean - period) < _ALL_ROWS * period else period
+    error = float(intervals[close].std()) / np.sqrt(close.sum())
+    return mean if abs(mean - period) < _ALL_ROWS * error else period
 
 
 def common_period(recordings: Mapping[str, Recording], thresholds: Thresholds = DEFAULT) -> float:
@@ -245,7 +283,7 @@ def _fitted_step(moves: np.ndarray, step: float, largest: float, *, rests: bool)
     multiple = (count > 0) & (np.abs(share - count) < _OFF_STEP + 2.0 * _SINGLE * largest / step)
     # A steady motion moves by one amount as well, yet neither less nor more.
     varied = rests or (count != np.median(count)).mean() > 0.02
-    whole = multiple.mean() > 0.95 and share.size >= 0.5 * moves.size
+    whole = multiple.mean() > 0.8 and share.size >= 0.5 * moves.size
     return step if whole and varied else 0.0
 
 
@@ -303,12 +341,15 @@ class _Log:
         values = np.interp(period * np.arange(count), self.times, self.samples)
         _, width = self.around(period, count)
         holes = np.flatnonzero(width > 0.0)
+        if not holes.size:
+            return values, np.ones(count, dtype=bool)
+        fit = self._parabola(period * holes, period)
         smooth = np.ones(count, dtype=bool)
-        if holes.size:
-            fit = self._parabola(period * holes, period)
-            values[holes] = fit.value
-            smooth[holes] = fit.misfit <= limits.bridged_misfit * self._scatter(period, count)
-        return values, self._known(width, smooth, period, limits)
+        smooth[holes] = fit.misfit <= limits.bridged_misfit * self._scatter(period)
+        known = self._known(width, smooth, period, limits)
+        # Filters reach into gaps: what stands there must be tame.
+        values[holes] = np.where(known[holes], fit.value, values[holes])
+        return values, known
 
     def averaged(
         self, period: float, count: int, limits: Thresholds
@@ -328,17 +369,19 @@ class _Log:
         value = np.where(number > 0, value, fit.value)
         rest = samples - fit.value[place] - fit.slope[place] * away - fit.bend[place] * away**2
         scatter = _robust(rest) / np.sqrt(1.0 - fit.leverage)
+        least = max(scatter, self.step / np.sqrt(12.0), _TAME * float(np.std(samples)))
+        smooth = fit.misfit <= limits.bridged_misfit * least
+        _, width = self.around(period, count)
+        known = self._known(np.where(number > 0, 0.0, width), smooth, period, limits)
+        # Filters reach into gaps: what stands there must be tame.
+        value = np.where(known, value, np.interp(grid, self.times, self.samples))
         # A mean over many places weighs each sample by what it gave to all of them.
         weight = np.zeros(self.times.size)
         weight[inside] = 1.0 / held[place]
-        for row in np.flatnonzero(number == 0).tolist():
+        for row in np.flatnonzero(known & (number == 0)).tolist():
             weight[fit.neighbours[row]] += fit.weights[row]
-        noise = scatter * float(np.sqrt((weight**2).sum() / count))
-        least = max(scatter, self.step / np.sqrt(12.0))
-        smooth = fit.misfit <= limits.bridged_misfit * least
-        _, width = self.around(period, count)
-        width = np.where(number > 0, 0.0, width)
-        return value, self._known(width, smooth, period, limits), noise
+        noise = scatter * float(np.sqrt((weight**2).sum() / max(int(known.sum()), 1)))
+        return value, known, noise
 
     def held(self, period: float, count: int, limits: Thresholds) -> tuple[np.ndarray, np.ndarray]:
         """A held command's mean from each place of the grid to the next, and where it is known.
@@ -347,9 +390,9 @@ class _Log:
         """
         spacing = self.spacing
         intervals = np.diff(self.times)
-        ticks = np.rint(intervals / spacing)
-        ticks[~(self.lossy & (intervals > _LOST * spacing))] = 1.0
-        ticks = np.clip(ticks, 1.0, 100.0).astype(np.int64)
+        ticks = np.ones(intervals.size, dtype=np.int64)
+        if self.lossy:
+            ticks = np.rint(intervals / spacing).clip(1.0, 100.0).astype(np.int64)
         first = np.repeat(np.arange(ticks.size), ticks)
         share = (np.arange(first.size) - np.repeat(np.cumsum(ticks) - ticks, ticks)) / ticks[first]
         times = np.append(self.times[first] + share * intervals[first], self.times[-1])
@@ -371,12 +414,12 @@ class _Log:
         smooth = (np.abs(change) <= 1.5 * usual * ticks)[after - 1]
         return mean, self._known(width, smooth, period, limits)
 
-    def _scatter(self, period: float, count: int) -> float:
+    def _scatter(self, period: float) -> float:
         """Standard deviation of the samples about parabolas, not below a count's rounding."""
         some = np.linspace(0, self.times.size - 1, min(self.times.size, 2000)).astype(int)
         fit = self._parabola(self.times[some], period)
         rest = _robust(self.samples[some] - fit.value) / np.sqrt(1.0 - fit.leverage)
-        return max(rest, self.step / np.sqrt(12.0))
+        return max(rest, self.step / np.sqrt(12.0), _TAME * float(np.std(self.samples)))
 
     def _parabola(self, centres: np.ndarray, period: float) -> "_Parabola":
         """Parabolas through the neighbours of some times, by least squares."""
