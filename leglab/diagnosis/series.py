@@ -363,9 +363,10 @@ class _Log:
         held = np.maximum(number, 1)
         away = times - grid[place]
         fit = self._parabola(grid, period)
+        early = np.bincount(place, weights=away, minlength=count) / held
+        spread = np.bincount(place, weights=away**2, minlength=count) / held
         value = np.bincount(place, weights=samples, minlength=count) / held
-        value -= fit.slope * np.bincount(place, weights=away, minlength=count) / held
-        value -= fit.bend * np.bincount(place, weights=away**2, minlength=count) / held
+        value -= fit.slope * early + fit.bend * spread
         value = np.where(number > 0, value, fit.value)
         rest = samples - fit.value[place] - fit.slope[place] * away - fit.bend[place] * away**2
         scatter = _robust(rest) / np.sqrt(1.0 - fit.leverage)
@@ -376,10 +377,12 @@ class _Log:
         # Filters reach into gaps: what stands there must be tame.
         value = np.where(known, value, np.interp(grid, self.times, self.samples))
         # A mean over many places weighs each sample by what it gave to all of them.
-        weight = np.zeros(self.times.size)
-        weight[inside] = 1.0 / held[place]
-        for row in np.flatnonzero(known & (number == 0)).tolist():
-            weight[fit.neighbours[row]] += fit.weights[row]
+        share = np.stack([number == 0, -early * (number > 0), -spread * (number > 0)], axis=1)
+        given = np.einsum("kp,kpn->kn", share * known[:, None], fit.weights)
+        weight = np.bincount(
+            fit.neighbours.ravel(), weights=given.ravel(), minlength=self.times.size
+        )
+        weight[inside] += known[place] / held[place]
         noise = scatter * float(np.sqrt((weight**2).sum() / max(int(known.sum()), 1)))
         return value, known, noise
 
@@ -411,7 +414,7 @@ class _Log:
         mean = np.where(whole, values[np.minimum(at, values.size - 1)], mean)
         after, width = self.around(period, count)
         usual = np.quantile(np.abs(change) / ticks, 0.95) if change.size else 0.0
-        smooth = (np.abs(change) <= 1.5 * usual * ticks)[after - 1]
+        smooth = (np.abs(change) <= 3.0 * usual * ticks)[after - 1]
         return mean, self._known(width, smooth, period, limits)
 
     def _scatter(self, period: float) -> float:
@@ -450,7 +453,7 @@ class _Log:
             misfit=np.sqrt(rest.sum(axis=1) / freedom),
             leverage=min(2.25 / size, 0.9),
             neighbours=neighbours,
-            weights=rows[:, 0],
+            weights=rows / np.array([1.0, reach, reach**2])[:, None],
         )
 
 
@@ -465,7 +468,7 @@ class _Parabola:
         misfit: Standard deviation of the neighbours about it.
         leverage: Share of a sample's noise that it follows near the centre.
         neighbours: Samples that it rests on, shape (centres, size).
-        weights: How much each of them gives to `value`, shape (centres, size).
+        weights: How much each of them gives to value, slope and bend, shape (centres, 3, size).
     """
 
     value: np.ndarray

@@ -38,7 +38,7 @@ class Thresholds:
     # neighbours lie on one parabola to so many standard deviations of noise.
     bridged_periods: float = 6.5
     bridged_time: float = 0.01
-    bridged_misfit: float = 3.0
+    bridged_misfit: float = 5.0
     # Savitzky-Golay filters as (length [s], fewest samples, order): they pass the motion of a leg
     # and, at 1 kHz, take noise to a third.
     position_filter: tuple[float, int, int] = (0.021, 7, 4)

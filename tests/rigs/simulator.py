@@ -149,12 +149,12 @@ def record(
     stiffness, damping = 2e7 * rig.motor, 8e3 * rig.motor  # stiff greased teeth
     viscous = rig.viscous * truth.viscous_factor
     positions, commands = [], []
-    last, speed = q, 0.0
+    last, speed, passed = q, 0.0, _PERIOD
     for k, (steps, sample) in enumerate(stepping):
         now, h = float(stamps[k]), sample / steps
         measured = q + _FINE * rng.normal(0.0, rig.noise)
-        speed += 0.2 * ((measured - last) / sample - speed) if k else 0.0
-        last = measured
+        speed += 0.2 * ((measured - last) / passed - speed) if k else 0.0
+        last, passed = measured, sample
         goal = _reference(kind, now, rig.reach)
         ahead = _reference(kind, now + sample, rig.reach)
         force = kp * (goal - measured) + kd * ((ahead - goal) / sample - speed)
