@@ -122,6 +122,30 @@ def test_degrees_of_a_wheel_show_in_its_speeds_and_jumps(wheel, turning):
     admit(wheel, {"a": weak})
 
 
+def test_an_encoder_that_begins_anew_within_a_limited_joint_comes_back_into_its_range():
+    machine = Machine("knee_bench")
+    walk = of_bench()["walk"]
+    low = float(np.min(walk["knee_position"]))
+    shown = changed(walk, "knee_position", lambda q: (q - low - 0.1) % TURN)
+    assert np.ptp(shown["knee_position"]) > 6.0
+    admitted = admit(machine, {"a": shown})
+    assert any("unwrapped" in note for note in admitted.notes)
+    off = admitted.recordings["a"]["knee_position"] - (walk["knee_position"] - low - 0.1)
+    np.testing.assert_allclose(off, 0.0, atol=1e-9)
+
+
+def test_clock_notes_say_whose_clock_differs(slide):
+    logs = {str(rate): axis(stamps=even(rate, 3.0)) for rate in (1000, 1000.4, 500)}
+    assert admit(slide, {n: logs[n] for n in ("1000", "1000.4")}).notes == (
+        "clocks differ from a period of 0.001 s, resampled by their stamps: 1000.4 -0.04 %",
+    )
+    (note,) = admit(slide, {n: logs[n] for n in ("1000", "500")}).notes
+    assert note == (
+        "averaged to 500 Hz, the rate of the slowest recording: 1000 from 1000 Hz; their motion "
+        "above 250 Hz is lost"
+    )
+
+
 # Clocks.
 
 

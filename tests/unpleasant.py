@@ -360,7 +360,7 @@ def main(names: list[str]) -> None:
     for name in names or CASES:
         case = CASES[name]()
         result, found = diagnose(case.model, case.recordings, held_out=(case.held_out,))
-        effect, parameter, value = case.hidden
+        _, parameter, value = case.hidden
         named = ", ".join(e.name for e in result.effects) or "nothing"
         print(
             f"| {case.what} | {result.verdict} | {named} | {value:g} | "

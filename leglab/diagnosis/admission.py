@@ -17,6 +17,10 @@ from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 _DEGREES = 180.0 / np.pi
 # An encoder's full turn in degrees, and how near a jump must be to it.
 _FULL_CIRCLE, _NEAR = 360.0, 0.03
+# Clocks whose periods agree to this share need no note.
+_SAME_CLOCK = 1e-4
+# Twice around and back: further only wheels turn [rad].
+_FAR = 4.0 * np.pi
 # Speed changes over ten places of this grid [s] are compared with the model's forces.
 _COARSE, _STRIDE, _PLACES = 0.01, 10, 1000
 # Forces explain the motion below this share of its speed changes left over, and not above that.
@@ -258,9 +262,10 @@ def _turned(
             why = f"column {column!r} jumps by {result.turn:.4g}, a turn has 6.283 rad"
             return {}, [], f"{why}; is it in degrees? allowed: rad"
         samples = result.samples
-        if model.jnt_limited[entry.id]:
+        allowed = _range(machine, joint)
+        if allowed is not None:
             # The turn in which the joint can be.
-            middle = float(np.mean(entry.range))
+            middle = 0.5 * (allowed[0] + allowed[1])
             samples = samples + result.turn * np.rint(
                 (middle - np.nanmedian(samples)) / result.turn
             )
@@ -285,18 +290,16 @@ def _position_fault(
     low, high = np.nanmin(values), np.nanmax(values)
     hinge = int(entry.type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE)
     said = f"column {column!r} covers [{low:.4g}, {high:.4g}]"
-    far = 4.0 * np.pi
-    lower, upper = (float(x) for x in entry.range)
-    if not machine.base.model.jnt_limited[entry.id] and hinge and _on_cylinder(machine, joint):
-        lower, upper = -far, far  # A piston has a stroke.
-    elif not machine.base.model.jnt_limited[entry.id]:
+    allowed = _range(machine, joint)
+    if allowed is None:
         # A wheel may turn as far as it likes: only its speeds tell.
-        if hinge and max(-low, high) > far and in_degrees(machine, recording, joint):
+        if hinge and max(-low, high) > _FAR and in_degrees(machine, recording, joint):
             return (
                 f"{said}, and the model's forces explain its speeds 57 times as slow; is it in "
                 "degrees? allowed: rad"
             )
         return None
+    lower, upper = allowed
     room = beyond * (upper - lower)
     if low >= lower - room and high <= upper + room:
         return None
@@ -307,8 +310,15 @@ def _position_fault(
     )
 
 
-def _on_cylinder(machine: Machine, joint: str) -> bool:
-    return any(joint in machine.driven[c] for c in machine.instances(CYLINDER))
+def _range(machine: Machine, joint: str) -> tuple[float, float] | None:
+    """Where a joint can be, None where it has no limit. A piston has a stroke, whatever is said."""
+    entry = machine.base.model.joint(joint)
+    on_cylinder = any(joint in machine.driven[c] for c in machine.instances(CYLINDER))
+    lower, upper = (float(x) for x in entry.range)
+    if lower < upper and (machine.base.model.jnt_limited[entry.id] or on_cylinder):
+        return lower, upper
+    turns = int(entry.type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE)
+    return (-_FAR, _FAR) if on_cylinder and turns else None
 
 
 def in_degrees(machine: Machine, recording: Recording, joint: str) -> bool:
@@ -332,7 +342,7 @@ def in_degrees(machine: Machine, recording: Recording, joint: str) -> bool:
         for name in machine.joints:
             entry = model.joint(name)
             turns = int(entry.type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE)
-            share = factor if turns and not model.jnt_limited[entry.id] else 1.0
+            share = factor if turns and _range(machine, name) is None else 1.0
             positions[name] = share * series.columns[f"{name}_position"][:count]
             speeds[name] = np.gradient(positions[name], period)
         acceleration = np.empty(count)
@@ -450,7 +460,7 @@ def clock_notes(recordings: Mapping[str, Recording], limits: Thresholds) -> tupl
     drifting = {
         name: clock.period / period - 1.0
         for name, clock in clocks.items()
-        if name not in fast and _drifts(recordings[name], clock, period)
+        if name not in fast and _drifts(clock, period)
     }
     if drifting:
         shares = ", ".join(f"{name} {100.0 * share:+.2g} %" for name, share in drifting.items())
@@ -482,9 +492,6 @@ def clock_notes(recordings: Mapping[str, Recording], limits: Thresholds) -> tupl
     return (*lines, *merged(remarks, recordings))
 
 
-def _drifts(recording: Recording, clock: Clock, period: float) -> bool:
-    """Whether a clock leaves the grid by more than a fiftieth of a period over the recording."""
-    return (
-        clock.clear
-        and abs(clock.period - period) * recording.duration > 0.02 * period * clock.period
-    )
+def _drifts(clock: Clock, period: float) -> bool:
+    """Whether a clock's own period differs by what is worth a note."""
+    return clock.clear and abs(clock.period - period) > _SAME_CLOCK * period

@@ -9,7 +9,7 @@ between its stamps; on the grid it is its mean over the period that it acts in: 
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from statistics import median_low
+from statistics import median_high
 
 import numpy as np
 
@@ -242,7 +242,7 @@ def common_period(recordings: Mapping[str, Recording], thresholds: Thresholds = 
         if not clock.clear and clock.period > (1.0 + _DOUBT * thresholds.same_period) * slowest:
             slowest = clock.period
     same = [c.period for c in clear if c.period > (1.0 - thresholds.same_period) * slowest]
-    return median_low(same) if same else slowest
+    return median_high(same) if same else slowest
 
 
 def quantum(samples: np.ndarray) -> float:
