@@ -78,6 +78,16 @@ def test_jumps_of_an_encoder_are_taken_out(turning, turn, lost):
     assert off[0] / turn == pytest.approx(round(off[0] / turn), abs=1e-9)
 
 
+def test_turns_within_a_pause_are_told_by_the_speed_beside_it():
+    time = np.arange(2000) * 1e-2
+    angle = 40.0 * time + 3.0 * np.sin(time)
+    keep = np.ones(2000, dtype=bool)
+    for first in range(100, 1900, 150):
+        keep[first : first + 11] = False  # 4.8 rad, more than half a turn
+    found = unwrapped(time[keep], angle[keep] % TURN, hinge=True)
+    assert np.ptp(found.samples - angle[keep]) < 1e-9
+
+
 def test_a_rack_begins_anew_after_what_its_jumps_agree_on():
     time = np.arange(5000) * 1e-3
     travel = 0.3 * time + 0.02 * np.sin(9.0 * time)
@@ -126,6 +136,8 @@ def test_an_encoder_that_begins_anew_within_a_limited_joint_comes_back_into_its_
     machine = Machine("knee_bench")
     walk = of_bench()["walk"]
     low = float(np.min(walk["knee_position"]))
+    # The first samples lie below the encoder's zero.
+    walk = walk.between(walk.time[int(np.argmin(walk["knee_position"]))], 1e9)
     shown = changed(walk, "knee_position", lambda q: (q - low - 0.1) % TURN)
     assert np.ptp(shown["knee_position"]) > 6.0
     admitted = admit(machine, {"a": shown})
@@ -177,7 +189,8 @@ def test_stamps_in_milliseconds_of_an_even_clock_are_straightened(rate):
 
 
 def test_the_grid_is_that_of_the_slowest(sliding):
-    logs = {"a": sliding, "b": thinned(sliding, np.arange(len(sliding)) % 2 == 0)}
+    logs = dict.fromkeys("acd", sliding)
+    logs["b"] = thinned(sliding, np.arange(len(sliding)) % 2 == 0)
     assert common_period(logs) == pytest.approx(2e-3)
     drift = {str(r): Recording(time=even(r, 3.0), columns={}) for r in (1000, 1000.4, 999.5)}
     assert common_period(drift) == 1e-3
@@ -494,6 +507,14 @@ def test_pressures_lost_in_one_file_cost_the_file_and_in_most_the_pressures():
     assert set(admitted.recordings) == {"multisine", "walk"}
     assert "slow: left out, no column 'knee_pressure_b', and the other" in admitted.notes[0]
     assert "knee_pressure_b" in admitted.recordings["walk"]
+    # Those with all of them are the smaller part.
+    most = lost | {
+        "multisine": without(logs["multisine"], "knee_pressure_b"),
+        "short": logs["walk"].between(0.0, 1.0),
+    }
+    admitted = admit(machine, most, ("walk",))
+    assert set(admitted.recordings) == set(most)
+    assert not any("knee_pressure_b" in r for r in admitted.recordings.values())
     # The judge lacks them: then nobody uses the column.
     admitted = admit(machine, lost, ("slow",))
     assert set(admitted.recordings) == set(logs)
