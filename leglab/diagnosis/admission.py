@@ -87,7 +87,6 @@ def admit(
     """
     held = tuple(name for name in held_out if name in recordings)
     entries = {name: _entry(machine, name, r, thresholds) for name, r in recordings.items()}
-    remarks: list[Remark] = []
     usable = {name: e for name, e in entries.items() if e.fault is None}
     if not usable:
         name, entry = next(iter(entries.items()))
@@ -106,19 +105,9 @@ def admit(
         lost = next(c for c in sorted(columns) if c not in entry.pressures)
         why = entry.lost.get(lost, f"no column {lost!r}")
         dropped[name] = f"{why}, and the other recordings have all pressures"
-    for name, why in dropped.items():
-        remarks.append(Remark(text=f"left out, {why}", recording=name))
+    remarks = [Remark(text=f"left out, {why}", recording=name) for name, why in dropped.items()]
     for name, entry in usable.items():
-        for column, why in entry.lost.items():
-            text = f"pressures are not used, {why}"
-            remarks.append(Remark(text=text, recording=name, place=repr(column)))
-        unused = sorted(entry.pressures - columns)
-        remarks += [
-            Remark(text="pressures are not used, other recordings lack them", recording=name,
-                   place=repr(column))
-            for column in unused
-        ]  # fmt: skip
-        remarks += entry.remarks
+        remarks += [*_unused(name, entry, columns), *entry.remarks]
     admitted = {
         name: e.recording.select([*machine.columns, *sorted(columns)]) for name, e in usable.items()
     }
@@ -148,9 +137,20 @@ def _check_roles(usable: Mapping[str, _Entry], dropped: Mapping[str, str], held:
             "held out"
         )
     if set(usable) <= set(held):
-        name, why = next(iter(dropped.items()), ("", "every recording is held out"))
-        raise LeglabError(f"{name}: {why}; no recording is left to fit" if name else
-                          f"{why}; allowed: at least one to fit")  # fmt: skip
+        if not dropped:
+            raise LeglabError("every recording is held out; allowed: at least one to fit")
+        name, why = next(iter(dropped.items()))
+        raise LeglabError(f"{name}: {why}; no recording is left to fit")
+
+
+def _unused(name: str, entry: _Entry, columns: frozenset[str]) -> Iterator[Remark]:
+    """Remarks on pressures that are there and not used."""
+    for column, why in entry.lost.items():
+        text = f"pressures are not used, {why}"
+        yield Remark(text=text, recording=name, place=repr(column))
+    for column in sorted(entry.pressures - columns):
+        text = "pressures are not used, other recordings lack them"
+        yield Remark(text=text, recording=name, place=repr(column))
 
 
 def _fast_enough(

@@ -90,7 +90,7 @@ class UniformSeries:
         count = int(np.floor(stamps[-1] / period + _ON_GRID)) + 1
         ticks = np.rint(stamps / period).astype(np.int64)
         native = bool((np.abs(stamps - period * ticks) <= _ON_GRID * period).all())
-        # Lost rows cost noise of their own, see `_Resampler`.
+        # Lost rows cost noise of their own, see `_Log.averaged`.
         native = native and ticks.size > (1.0 - thresholds.lost_share) * count
         valid = np.ones(count, dtype=bool)
         columns, steps, noise = {}, {}, {}
