@@ -161,7 +161,7 @@ def cut_series(
             keep &= level[firsts] > thresholds.vapour_pressure
     firsts = firsts[keep]
     still = resting(machine, series, channels, firsts, samples, thresholds)
-    firsts = firsts[~still | (np.cumsum(still) % thresholds.still_every == 1)]
+    firsts = firsts[~still | ((np.cumsum(still) - 1) % thresholds.still_every == 0)]
     levers = {c: _lever(machine, series, c) for c in machine.instances(CYLINDER)}
     return Cut(series=series, firsts=firsts, levers=levers)
 
