@@ -55,7 +55,11 @@ FORMATS = tuple(_MODULES)
 
 
 def read(
-    path: str | Path, *, columns: ColumnMap | str | Path | None = None, repair: bool = True
+    path: str | Path,
+    *,
+    columns: ColumnMap | str | Path | None = None,
+    repair: bool = True,
+    partial: bool = False,
 ) -> Recording:
     """Reads a recording.
 
@@ -65,24 +69,31 @@ def read(
         columns: How the columns of the file are called here, and their units: a map, or its file.
         repair: Whether what can be repaired without inventing data is: exact repetitions of a row
             and empty rows at the end are dropped, and noted in the metadata under "repairs".
+        partial: Whether columns that cannot be read (text, of another length, there twice) are left
+            out, with the reason by column in the metadata under "unreadable", instead of refusing
+            the file.
 
     Raises:
         LeglabError: There is no such file, it cannot be read, a column is not numeric, time stamps
             are missing, repeated or reversed, or the map does not fit; names the file, the row and
             the column.
     """
-    table, metadata = read_table(path, columns=columns)
+    table, metadata = read_table(path, columns=columns, partial=partial)
     return to_recording(table, metadata, source=str(path), repair=repair)
 
 
 def read_table(
-    path: str | Path, *, columns: ColumnMap | str | Path | None = None
+    path: str | Path,
+    *,
+    columns: ColumnMap | str | Path | None = None,
+    partial: bool = False,
 ) -> tuple[dict, dict]:
     """Reads the columns of a file, `time` among them, without checking the values.
 
     Args:
         path: The file.
         columns: See `read`.
+        partial: See `read`.
 
     Returns:
         Arrays of shape (n,) by column name, for `inspect`, and the metadata.
@@ -99,9 +110,18 @@ def read_table(
         raise LeglabError(f"{path}: there is no such file")
     form = mcap if is_bag else _MODULES[format_of(path)]
     # Only topics have clocks of their own, and how they are brought onto one depends on the names.
-    table, metadata = mcap.read_table(path, columns) if form is mcap else form.read_table(path)
+    left_out: dict[str, str] | None = {} if partial else None
+    if form is mcap:
+        table, metadata = mcap.read_table(path, columns, left_out)
+    else:
+        table, metadata = form.read_table(path, left_out)
     if columns is not None:
-        table = columns.apply(table, str(path))
+        table = columns.apply(table, str(path), left_out)
+    if left_out:
+        reasons = {name: why.removeprefix(f"{path}: ") for name, why in left_out.items()}
+        metadata = {**metadata, "unreadable": reasons}
+    if "time" not in table and left_out and "time" in left_out:
+        raise LeglabError(f"{path}: {metadata['unreadable']['time']}")
     if "time" not in table:
         found = ", ".join(map(repr, table)) or "no column"
         raise LeglabError(f"{path}: no column 'time', found {found}")

@@ -13,7 +13,7 @@ from mcap_ros2.decoder import DecoderFactory
 
 from leglab.base.errors import LeglabError
 from leglab.data.alignment import TopicSeries
-from leglab.data.files import first_line
+from leglab.data.files import first_line, refuse
 from leglab.data.metadata import check_notes, from_json
 from leglab.data.ros_messages import SUPPORTED, header_stamp, numbers
 
@@ -85,7 +85,13 @@ def scan(path: Path) -> Bag:
     return bag
 
 
-def decode(bag: Bag, clock_topic: str, wanted_stamps: str, path: Path) -> dict[str, TopicSeries]:
+def decode(
+    bag: Bag,
+    clock_topic: str,
+    wanted_stamps: str,
+    path: Path,
+    left_out: dict[str, str] | None = None,
+) -> dict[str, TopicSeries]:
     """Decodes all messages; those of a topic in the order of their log times.
 
     Args:
@@ -93,6 +99,8 @@ def decode(bag: Bag, clock_topic: str, wanted_stamps: str, path: Path) -> dict[s
         clock_topic: The JointState topic that gives the time axis; it may have no message.
         wanted_stamps: "header", where there are any, or "log".
         path: Of the file, for messages.
+        left_out: Gets topics other than the clock's that cannot be decoded, with the reason; None:
+            they are refused.
 
     Returns:
         Numbers by topic.
@@ -104,6 +112,9 @@ def decode(bag: Bag, clock_topic: str, wanted_stamps: str, path: Path) -> dict[s
     rows: dict[str, list[tuple[int, int | None, dict[str, float]]]] = {clock_topic: []}
     for message in sorted(bag.messages, key=lambda m: m.log_time):
         channel = bag.channels[message.channel_id]
+        owner = channel.topic.removeprefix("/")
+        if left_out and owner in left_out:
+            continue
         of_topic = rows.setdefault(channel.topic, [])
         where = f"{path}: topic {channel.topic!r}, message {len(of_topic)}"
         try:
@@ -120,7 +131,12 @@ def decode(bag: Bag, clock_topic: str, wanted_stamps: str, path: Path) -> dict[s
             found = numbers(schema.name, content, channel.topic, is_clock=is_clock)
         # Definitions come from the file too, so that anything can go wrong in decoding.
         except Exception as error:
-            raise LeglabError(f"{where}: {first_line(error)}") from error
+            told = LeglabError(f"{where}: {first_line(error)}")
+            if left_out is None or channel.topic == clock_topic:
+                raise told from error
+            refuse(owner, told, left_out)
+            del rows[channel.topic]
+            continue
         of_topic.append((message.log_time, stamp, found))
     return {topic: _series(topic, found, wanted_stamps, path) for topic, found in rows.items()}
 

@@ -12,6 +12,7 @@ from pydantic import Field, field_validator
 
 from leglab.base.errors import LeglabError
 from leglab.base.settings import Configuration, validate_configuration
+from leglab.data.files import refuse
 
 
 class ColumnRule(Configuration):
@@ -67,12 +68,19 @@ class ColumnMap:
         """Returns the name here of a column of the recording."""
         return self.rules[theirs].name if theirs in self.rules else theirs
 
-    def apply(self, table: Mapping[str, np.ndarray], source: str) -> dict[str, np.ndarray]:
+    def apply(
+        self,
+        table: Mapping[str, np.ndarray],
+        source: str,
+        left_out: dict[str, str] | None = None,
+    ) -> dict[str, np.ndarray]:
         """Renames and converts.
 
         Args:
             table: Arrays of shape (n,) by column name, as measured.
             source: Where the table came from, for messages.
+            left_out: Reasons by columns that could not be read; gets our names, and columns of the
+                map that are not there. None: those are refused.
 
         Returns:
             Arrays of shape (n,) by our names; columns without a rule are as they were.
@@ -81,7 +89,12 @@ class ColumnMap:
             LeglabError: A column of the map is not in the table, or two columns get one name.
         """
         missing = [theirs for theirs in self.rules if theirs not in table]
-        if missing:
+        if left_out is not None:
+            for theirs in missing:
+                reasons = [why for name, why in left_out.items() if _owns(name, theirs)]
+                absent = f"no column {theirs!r}, which {self.source} names"
+                left_out[self.rules[theirs].name] = reasons[0] if reasons else absent
+        elif missing:
             which = "none" if len(missing) == len(self.rules) else f"no {_list(missing)}"
             raise LeglabError(
                 f"{source}: {which} of the columns of {self.source} is there: the map names "
@@ -91,16 +104,17 @@ class ColumnMap:
         for theirs, samples in table.items():
             name = self.name_of(theirs)
             if name in mapped:
-                raise LeglabError(
+                why = (
                     f"{source}: after {self.source} two columns are called {name!r}, one of them "
                     f"{theirs!r}; allowed: give the other one a rule with another name"
                 )
+                refuse(name, LeglabError(why), left_out)
             rule = self.rules.get(theirs)
             if rule and (rule.factor, rule.offset) != (1.0, 0.0):
                 with np.errstate(over="ignore"):  # A huge sample becomes infinite; `inspect` tells.
                     samples = rule.factor * samples + rule.offset
             mapped[name] = samples
-        return mapped
+        return {name: samples for name, samples in mapped.items() if name not in (left_out or {})}
 
 
 def read_column_map(path: str | Path) -> ColumnMap:
@@ -130,6 +144,11 @@ def read_column_map(path: str | Path) -> ColumnMap:
             )
         rules[theirs] = validate_configuration(ColumnRule, rule, f"{path}: column {theirs!r}")
     return ColumnMap(rules=rules, source=str(path), clock=file.clock, stamps=file.stamps)
+
+
+def _owns(name: str, column: str) -> bool:
+    """Whether a column is the named one or one of the named topic's."""
+    return column == name or column.startswith((f"{name}[", f"{name}/"))
 
 
 def _list(names: Mapping | list) -> str:

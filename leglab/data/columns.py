@@ -6,14 +6,18 @@ import numpy as np
 import pyarrow as pa
 
 from leglab.base.errors import LeglabError
+from leglab.data.files import refuse
 
 
-def to_arrays(table: pa.Table, path: Path) -> dict[str, np.ndarray]:
+def to_arrays(
+    table: pa.Table, path: Path, left_out: dict[str, str] | None = None
+) -> dict[str, np.ndarray]:
     """Turns an Arrow table into float64 arrays; empty cells become NaN.
 
     Args:
         table: The table.
         path: Where it came from, for messages.
+        left_out: Gets columns that cannot be read, with the reason; None: they are refused.
 
     Returns:
         Arrays of shape (n,) by column name.
@@ -22,10 +26,15 @@ def to_arrays(table: pa.Table, path: Path) -> dict[str, np.ndarray]:
         LeglabError: A column is named twice or is not numeric.
     """
     names = table.column_names
-    for name in names:
-        if names.count(name) > 1:
-            raise LeglabError(f"{path}: column {name!r} is there {names.count(name)} times")
-    return {name: _to_array(table.column(name), name, path) for name in names}
+    found: dict[str, np.ndarray] = {}
+    for name in dict.fromkeys(names):
+        try:
+            if names.count(name) > 1:
+                raise LeglabError(f"{path}: column {name!r} is there {names.count(name)} times")
+            found[name] = _to_array(table.column(name), name, path)
+        except LeglabError as error:
+            refuse(name, error, left_out)
+    return found
 
 
 def _to_array(column: pa.ChunkedArray, name: str, path: Path) -> np.ndarray:

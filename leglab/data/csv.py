@@ -15,8 +15,14 @@ from leglab.data.files import read_bytes, write_atomically
 _MISSING = ["", "nan", "NaN", "NAN", "null", "NULL", "NA", "n/a"]
 
 
-def read_table(path: Path) -> tuple[dict[str, np.ndarray], dict]:
+def read_table(
+    path: Path, left_out: dict[str, str] | None = None
+) -> tuple[dict[str, np.ndarray], dict]:
     """Reads all columns of a CSV file. Row 0 is the first line after the names.
+
+    Args:
+        path: The file.
+        left_out: Gets columns that cannot be read, with the reason; None: they are refused.
 
     Returns:
         Arrays of shape (n,) by column name, and the metadata, which CSV cannot hold: empty.
@@ -48,7 +54,7 @@ def read_table(path: Path) -> tuple[dict[str, np.ndarray], dict]:
             f"{path}: row {row.number - 2} has {row.actual_columns} cells instead of "
             f"{row.expected_columns} ({row.text!r}); is the file truncated?"
         )
-    return to_arrays(table, path), {}
+    return to_arrays(table, path, left_out), {}
 
 
 def write(recording: Recording, path: Path) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
-from leglab.data.files import first_line, read_bytes, write_atomically
+from leglab.data.files import first_line, read_bytes, refuse, write_atomically
 from leglab.data.matlab_check import checked
 from leglab.data.metadata import check_notes, from_json, to_json
 from leglab.data.units import own_units, unit_of, usual_unit
@@ -35,8 +35,14 @@ _HEADER = b"MATLAB 5.0 MAT-file, written by leglab".ljust(116)
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
-def read_table(path: Path) -> tuple[dict[str, np.ndarray], dict]:
+def read_table(
+    path: Path, left_out: dict[str, str] | None = None
+) -> tuple[dict[str, np.ndarray], dict]:
     """Reads a file of ours, or vectors of one length from another.
+
+    Args:
+        path: The file.
+        left_out: Gets columns that cannot be read, with the reason; None: they are refused.
 
     Returns:
         Arrays of shape (n,) by column name, and the metadata. Units other than the usual ones
@@ -49,8 +55,8 @@ def read_table(path: Path) -> tuple[dict[str, np.ndarray], dict]:
     try:
         ours = variables.get(_VARIABLE)
         if isinstance(ours, dict) and {"time", "signals", "name_map"} <= ours.keys():
-            return _own_table(ours)
-        return _foreign_table(variables)
+            return _own_table(ours, left_out)
+        return _foreign_table(variables, left_out)
     except LeglabError as error:
         raise LeglabError(f"{path}: {error}") from error
 
@@ -123,7 +129,9 @@ def _load(path: Path) -> dict[str, Any]:
     return {name: value for name, value in found.items() if not name.startswith("__")}
 
 
-def _own_table(content: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], dict]:
+def _own_table(
+    content: Mapping[str, Any], left_out: dict[str, str] | None
+) -> tuple[dict[str, np.ndarray], dict]:
     names: dict[str, str] = _json(content, "name_map")
     metadata = _json(content, "metadata") if "metadata" in content else {}
     if not all(isinstance(name, str) for name in names.values()):
@@ -138,13 +146,13 @@ def _own_table(content: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], dict]
             raise LeglabError(f"field {field!r} of 'name_map' is missing in 'signals'")
         if name in table:
             raise LeglabError(f"field 'name_map' of 'recording' gives {name!r} twice")
-        table[name] = _vector(signals[field], name)
+        _add(table, name, signals[field], left_out)
     # Columns that somebody added in MATLAB.
     for field in [field for field in signals if field not in names]:
         if field in table:
             raise LeglabError(f"'signals' holds {field!r} twice, by its field and by 'name_map'")
-        table[field] = _vector(signals[field], field)
-    _check_lengths(table)
+        _add(table, field, signals[field], left_out)
+    _check_lengths(table, left_out)
     if isinstance(units, dict):
         known = own_units(metadata)
         given = {str(names.get(f, f)): unit for f, unit in units.items()}
@@ -155,7 +163,9 @@ def _own_table(content: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], dict]
     return table, metadata
 
 
-def _foreign_table(variables: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], dict]:
+def _foreign_table(
+    variables: Mapping[str, Any], left_out: dict[str, str] | None
+) -> tuple[dict[str, np.ndarray], dict]:
     structs = [value for value in variables.values() if isinstance(value, dict)]
     if len(variables) == len(structs) == 1:
         variables = structs[0]
@@ -170,17 +180,28 @@ def _foreign_table(variables: Mapping[str, Any]) -> tuple[dict[str, np.ndarray],
             columns = {f"{name}[{i}]": column for i, column in enumerate(array.T)}
         for key, column in columns.items():
             if key in table:
-                raise LeglabError(f"two variables give column {key!r}")
+                refuse(key, LeglabError(f"two variables give column {key!r}"), left_out)
             table[key] = column.astype(np.float64)
-    _check_lengths(table)
-    left_out = sorted(variables.keys() - samples.keys())
-    return table, {"left_out": left_out} if left_out else {}
+    for key in left_out or {}:
+        table.pop(key, None)
+    _check_lengths(table, left_out)
+    others = sorted(variables.keys() - samples.keys())
+    return table, {"left_out": others} if others else {}
 
 
 def _is_samples(value: Any) -> bool:
     """Whether this is a real vector or matrix; a lone number is rather a setting."""
     real = isinstance(value, np.ndarray) and value.dtype.kind in "fiub"
     return real and value.ndim in (1, 2) and value.size > 1
+
+
+def _add(
+    table: dict[str, np.ndarray], name: str, value: Any, left_out: dict[str, str] | None
+) -> None:
+    try:
+        table[name] = _vector(value, name)
+    except LeglabError as error:
+        refuse(name, error, left_out)
 
 
 def _vector(value: Any, name: str) -> np.ndarray:
@@ -205,7 +226,13 @@ def _json(content: Mapping[str, Any], field: str) -> dict[str, Any]:
     return found
 
 
-def _check_lengths(table: Mapping[str, np.ndarray]) -> None:
+def _check_lengths(table: dict[str, np.ndarray], left_out: dict[str, str] | None) -> None:
+    for name in list(table) if left_out is not None and "time" in table else ():
+        rows, wanted = len(table[name]), len(table["time"])
+        if rows != wanted:
+            why = f"column {name!r} has {rows} samples, 'time' has {wanted}"
+            refuse(name, LeglabError(why), left_out)
+            del table[name]
     lengths = {name: len(column) for name, column in table.items()}
     if len(set(lengths.values())) > 1:
         found = ", ".join(f"{name!r} {length}" for name, length in lengths.items())

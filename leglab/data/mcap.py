@@ -21,7 +21,7 @@ from leglab.base.recording import Recording
 from leglab.data.alignment import TopicSeries, aligned, overlaps
 from leglab.data.bag import METADATA_NAME, Bag, decode, scan
 from leglab.data.column_map import ColumnMap
-from leglab.data.files import write_atomically
+from leglab.data.files import refuse, write_atomically
 from leglab.data.metadata import to_json
 from leglab.data.ros_messages import (
     DEFINITIONS,
@@ -42,7 +42,9 @@ _LAST_EXACT = 2**53
 _END_OF_ROS_TIME = 2**31
 
 
-def read_table(path: Path, columns: ColumnMap | None = None) -> tuple[dict[str, np.ndarray], dict]:
+def read_table(
+    path: Path, columns: ColumnMap | None = None, left_out: dict[str, str] | None = None
+) -> tuple[dict[str, np.ndarray], dict]:
     """Reads all topics of supported types, on the clock of the joint states.
 
     Columns that the map, or without a map the file, calls `..._command` hold their last value;
@@ -52,6 +54,8 @@ def read_table(path: Path, columns: ColumnMap | None = None) -> tuple[dict[str, 
     Args:
         path: The file, or the folder of a ROS 2 bag with one such file.
         columns: Names; the clock, and which stamps count. Values are not converted here.
+        left_out: Gets columns and topics that cannot be read, with the reason; None: the file is
+            refused for them.
 
     Returns:
         Arrays of shape (n,) by column name, and the metadata.
@@ -64,7 +68,7 @@ def read_table(path: Path, columns: ColumnMap | None = None) -> tuple[dict[str, 
     path = _file_of(path)
     bag = scan(path)
     clock_topic = _clock_topic(bag, columns, path)
-    series = decode(bag, clock_topic, columns.stamps, path)
+    series = decode(bag, clock_topic, columns.stamps, path, left_out)
     clock = series.pop(clock_topic)
     notes = []
     if columns.stamps == "header" and clock.stamped_by == "log":
@@ -72,15 +76,16 @@ def read_table(path: Path, columns: ColumnMap | None = None) -> tuple[dict[str, 
     table: dict[str, np.ndarray] = dict(clock.columns)
     for other in series.values():
         try:
-            found = _aligned_columns(other, clock, columns, notes)
+            found = _aligned_columns(other, clock, columns, notes, left_out)
         except LeglabError as error:
             raise LeglabError(f"{path}: {error}") from error
         for name, samples in found.items():
             if name in table:
-                raise LeglabError(
-                    f"{path}: topic {other.topic!r} and another topic both give column {name!r}"
-                )
+                both = f"topic {other.topic!r} and another topic both give column {name!r}"
+                refuse(name, LeglabError(f"{path}: {both}"), left_out)
             table[name] = samples
+    for name in left_out or {}:
+        table.pop(name, None)
     if "time" in table:
         raise LeglabError(f"{path}: a topic is called 'time', which is the time axis")
     metadata = dict(bag.metadata)
@@ -179,18 +184,27 @@ def _clock_topic(bag: Bag, columns: ColumnMap, path: Path) -> str:
 
 
 def _aligned_columns(
-    series: TopicSeries, clock: TopicSeries, columns: ColumnMap, notes: list[str]
+    series: TopicSeries,
+    clock: TopicSeries,
+    columns: ColumnMap,
+    notes: list[str],
+    left_out: dict[str, str] | None,
 ) -> dict[str, np.ndarray]:
-    found = {}
+    found: dict[str, np.ndarray] = {}
     for name in series.columns:
         hold = columns.name_of(name).endswith("_command")
         if not overlaps(series, clock.stamps, hold=hold):
             apart = f"{name!r} covers {series.span}, {clock.topic!r} covers {clock.span}"
             if name in columns.rules:
-                raise LeglabError(f'column {apart}; try stamps = "log" in {columns.source}')
+                why = f'column {apart}; try stamps = "log" in {columns.source}'
+                refuse(name, LeglabError(why), left_out)
             notes.append(f"left out, no time in common: {apart}")
             continue
-        found[name] = aligned(series, name, clock.stamps, hold=hold)
+        try:
+            found[name] = aligned(series, name, clock.stamps, hold=hold)
+        except LeglabError as error:
+            refuse(name, error, left_out)
+            continue
         if not np.array_equal(series.stamps, clock.stamps):
             missing = int(np.isnan(found[name]).sum())
             notes.append(

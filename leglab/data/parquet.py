@@ -16,8 +16,14 @@ from leglab.data.metadata import to_json
 _METADATA_KEY = b"leglab"
 
 
-def read_table(path: Path) -> tuple[dict[str, np.ndarray], dict]:
+def read_table(
+    path: Path, left_out: dict[str, str] | None = None
+) -> tuple[dict[str, np.ndarray], dict]:
     """Reads all columns of a Parquet file.
+
+    Args:
+        path: The file.
+        left_out: Gets columns that cannot be read, with the reason; None: they are refused.
 
     Returns:
         Arrays of shape (n,) by column name, and the metadata (empty in a file of others).
@@ -32,7 +38,7 @@ def read_table(path: Path) -> tuple[dict[str, np.ndarray], dict]:
             f"{path}: not a complete Parquet file: {str(error).splitlines()[0]}"
         ) from error
     stored = (table.schema.metadata or {}).get(_METADATA_KEY)
-    return to_arrays(table, path), {} if stored is None else json.loads(stored)
+    return to_arrays(table, path, left_out), {} if stored is None else json.loads(stored)
 
 
 def write(recording: Recording, path: Path) -> None:

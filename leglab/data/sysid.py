@@ -71,8 +71,14 @@ def from_time_series(series: "TimeSeries") -> Recording:
     return Recording(time=table.pop("time"), columns=table)
 
 
-def read_table(path: Path) -> tuple[dict[str, np.ndarray], dict]:
+def read_table(
+    path: Path, left_out: dict[str, str] | None = None
+) -> tuple[dict[str, np.ndarray], dict]:
     """Reads a file of `TimeSeries.save_to_disk`.
+
+    Args:
+        path: The file.
+        left_out: Stays as it is: a matrix of numbers can be read as a whole or not at all.
 
     Returns:
         Arrays of shape (n,) by column name, and the metadata, which the format cannot hold: empty.

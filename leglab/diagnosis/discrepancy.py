@@ -16,8 +16,8 @@ class Discrepancy:
     """Covariance of the model's own error in a window: a shape by channel, a size by recording.
 
     Attributes:
-        pattern: Covariance over the bins of a window, of trace `bins`, (channels, bins, bins): model
-            errors have a memory of their own in every channel.
+        pattern: Covariance over the bins of a window, of trace `bins`, (channels, bins, bins):
+            model errors have a memory of their own in every channel.
         variance: Mean over the bins, (recordings, channels).
     """
 
@@ -45,7 +45,7 @@ def from_errors(errors: np.ndarray, recording: np.ndarray, excess: np.ndarray) -
         recording: Of each window, shape (windows,).
         excess: Share of the errors' variance that sensors do not explain, (recordings, channels).
     """
-    windows, channels, bins = errors.shape
+    windows, _, bins = errors.shape
     # The middle of all windows counts: single ones start in stick-slip or beside a jump.
     size = np.sqrt((errors**2).mean(axis=2))
     usual = np.stack([np.median(size[recording == r], axis=0) for r in np.unique(recording)])

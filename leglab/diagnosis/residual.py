@@ -8,12 +8,16 @@ import numpy as np
 from scipy.signal import savgol_coeffs
 
 from leglab.diagnosis.discrepancy import Discrepancy, from_errors
+from leglab.diagnosis.effects.base import EffectParameter
 from leglab.diagnosis.hypothesis import Hypothesis, Key, Library
 from leglab.diagnosis.model import CHAMBERS, CYLINDER, Change, Machine
 from leglab.diagnosis.replay import Replay
 from leglab.diagnosis.starts import Nudge
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
-from leglab.diagnosis.windows import Channel, UniformSeries, filter_difference, noise_level
+from leglab.diagnosis.windows import Channel, UniformSeries, channel_noise, filter_difference
+
+# Step of columns that rest on one count in every recording: pressures [Pa], positions [rad or m].
+_UNSEEN_STEP = (1e4, 1e-3)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -80,26 +84,31 @@ def within_tolerance(library: Library, share: float = 1.0) -> tuple[Nuisance, ..
     )
 
 
-def wide(library: Library, share: float, thresholds: Thresholds = DEFAULT) -> tuple[Nuisance, ...]:
+def wide(library: Library, *, share: float, tolerances: float) -> tuple[Nuisance, ...]:
     """All strengths of a machine that differs from its model everywhere a little.
 
     Args:
         library: Effects.
-        share: Standard deviations as a share of what is barely noticeable, where tolerances are
-            smaller.
-        thresholds: Say how many times wider than between good machines those are.
+        share: Standard deviations as a share of what is barely noticeable.
+        tolerances: The least standard deviation of those that have a tolerance, in tolerances.
     """
     return tuple(
         Nuisance(
             key=key,
             index=i,
             nominal=float(nominal),
-            tolerance=max(thresholds.rough_tolerance * p.tolerance, share * p.scale),
+            tolerance=_spread(p, share, tolerances),
         )
         for key, site in library.sites.items()
         for i, (p, nominal) in enumerate(zip(site.parameters, site.nominal, strict=True))
         if p.role == "strength"
     )
+
+
+def _spread(p: EffectParameter, share: float, tolerances: float) -> float:
+    if p.tolerance > 0.0 and share < 1.0:
+        return tolerances * p.tolerance
+    return max(tolerances * p.tolerance, share * p.scale)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -179,7 +188,7 @@ class Problem:
         self.fitted = np.isin(self.replay.recording, list(fit))
         self.held = ~self.fitted
         self.nuisances = within_tolerance(library)
-        level = [[noise_level(s.columns[c.column], c.filter) for c in channels] for s in series]
+        level = [[channel_noise(s, c) for c in channels] for s in series]
         floor = np.array([_resolution(series, c.column) for c in channels])
         self.sensor_noise = np.maximum(np.array(level), floor)
         change = library.change(Hypothesis(), machine)
@@ -461,7 +470,13 @@ def extrapolation(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def _resolution(series: Sequence[UniformSeries], column: str) -> float:
-    """Rounding error of a quantised column: its smallest step over sqrt(12)."""
-    steps = [np.abs(np.diff(s.columns[column])) for s in series]
-    steps = [s[s > 0].min() for s in steps if (s > 0).any()]
-    return float(min(steps)) / np.sqrt(12.0) if steps else 0.0
+    """Rounding error of a column: its least step in any recording over sqrt(12).
+
+    A recording that rests on one count has no step of its own, and one of the others counts. Of a
+    column that never moves at all nobody knows the step.
+    """
+    if all(np.ptp(s.columns[column]) == 0.0 for s in series):
+        return _UNSEEN_STEP[column.endswith("_position")] / np.sqrt(12.0)
+    steps = [s.steps[column] for s in series if s.steps.get(column, 0.0) > 0.0]
+    largest = max(float(np.abs(s.columns[column]).max()) for s in series)
+    return max(min(steps, default=0.0) / np.sqrt(12.0), 1e-9 * largest, 1e-12)

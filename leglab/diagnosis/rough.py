@@ -1,10 +1,10 @@
 """The search on machines that differ from their model everywhere a little.
 
 Sensor noise alone would call every explanation of such a machine wrong. So the discrepancy of the
-model is estimated about the best explanation so far and estimated anew when that gets better, until
-both stay: a simulated annealing of a variance whose end the data set (Kennedy and O'Hagan 2001). All
-other strengths follow each fit within what is barely noticeable, or, where healthy recordings said
-what this specimen is like, within what changes from one day to the next.
+model is estimated about the best explanation so far, and estimated anew when that gets better,
+until both stay (Kennedy and O'Hagan 2001, with the variance annealed). All other strengths follow
+each fit a little; where healthy recordings said what this specimen is like, by what changes from
+one day to the next.
 """
 
 from dataclasses import replace
@@ -15,7 +15,7 @@ from leglab.diagnosis.discrepancy import Discrepancy
 from leglab.diagnosis.fitting import Fit, refit
 from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.judging import accepted, simplest_first
-from leglab.diagnosis.residual import Problem, within_tolerance, wide
+from leglab.diagnosis.residual import Problem, wide, within_tolerance
 from leglab.diagnosis.search import Contender, Progress, Round, search_round, thinned
 
 
@@ -78,7 +78,7 @@ def rough_search(
     if calibrated:
         nuisances = within_tolerance(problem.library, limits.drift_share)
     else:
-        nuisances = wide(problem.library, limits.rough_share, limits)
+        nuisances = wide(problem.library, share=limits.rough_share, tolerances=1.0)
     problem = problem.with_nuisances(nuisances)
     problem, current = settled_baseline(problem, chosen, floor)
     baseline = current

@@ -74,7 +74,7 @@ def calibrate(problem: Problem, progress: Progress) -> Specimen:
     fit = baseline(problem, chosen)
     exact = float(problem.window_cost(fit.hypothesis).mean()) <= limits.explained
     if not exact:
-        nuisances = wide(problem.library, 1.0, limits)
+        nuisances = wide(problem.library, share=1.0, tolerances=limits.healthy_tolerance)
         problem, fit = settled_baseline(problem.with_nuisances(nuisances), chosen)
     return Specimen(
         problem=problem,

@@ -18,12 +18,27 @@ class Thresholds:
     no_pressure: float = 1e4
     # So many equal samples at a limit in a row look like a saturated sensor.
     saturated_samples: int = 20
+    # A recording is too slow for the others if its period is longer than this [s], and this many
+    # times theirs.
+    slowest_period: float = 0.02
+    slowest_factor: float = 5.0
+    # Share of a period by which stamps may jitter before it is worth a note.
+    even_clock: float = 0.02
     # Share of a single recording that is held out, at its end.
     held_out_share: float = 0.3
 
     # Series on a uniform grid.
-    # Further than this many periods from a true sample, a value on the grid is not measured.
-    gap_periods: float = 1.5
+    # Clocks that differ by less than this share were meant to be the same.
+    same_period: float = 0.02
+    # A log that has lost more than this share of its rows is averaged, not bridged.
+    lost_share: float = 0.02
+    # Between samples at most so many periods apart a value on the grid is measured ...
+    gap_periods: float = 3.5
+    # ... and between samples up to so many periods or this time [s] (a bin's) apart, where their
+    # neighbours lie on one parabola to so many standard deviations of noise.
+    bridged_periods: float = 6.5
+    bridged_time: float = 0.01
+    bridged_misfit: float = 5.0
     # Savitzky-Golay filters as (length [s], fewest samples, order): they pass the motion of a leg
     # and, at 1 kHz, take noise to a third.
     position_filter: tuple[float, int, int] = (0.021, 7, 4)
@@ -35,6 +50,11 @@ class Thresholds:
     bin: float = 0.01
     # Samples that smoothing filters reach to both sides of a window's start.
     margin_samples: int = 12
+    # Of windows in which no command moves by more than this share of its range, and no channel by
+    # more than so many noise levels, one in so many is kept: the others say the same.
+    still_command: float = 0.02
+    still_noise: float = 6.0
+    still_every: int = 5
     # Windows start at the calmest sample within this share of their length from a regular grid.
     start_room: float = 0.35
     # A chamber below this gauge pressure [Pa] may hold vapour, whose amount no sensor tells: no
@@ -73,11 +93,11 @@ class Thresholds:
     nuisance_box: float = 4.0
     # Median over windows of the mean square of errors whose mean is 1 and that go together.
     usual_cost: float = 0.7
-    # A machine that differs from its model everywhere: tolerances are so many times as wide.
-    rough_tolerance: float = 3.0
-    # ... and every other strength is off by this share of what is barely noticeable. Wider, it
-    # would hide faults; healthy recordings, which have none, allow all of it.
-    rough_share: float = 0.3
+    # A machine that differs from its model everywhere: strengths without a tolerance are off by
+    # this share of what is barely noticeable. Wider, that would hide faults; healthy recordings,
+    # which have none, allow all of it, and tolerances so many times as wide.
+    rough_share: float = 0.2
+    healthy_tolerance: float = 3.0
     # The same machine on another day stays within this share of them.
     drift_share: float = 0.5
     # So many windows of healthy recordings calibrate a specimen.
@@ -113,7 +133,7 @@ class Thresholds:
     pair_share: float = 0.6
     # Above this cost more is certainly missing, and finishing the present fit can wait.
     much_missing: float = 8.0
-    # Above this cost, some fifty noise levels squared, no set of effects will explain it down to noise.
+    # Above this cost, some fifty noise levels squared, no effects will explain it down to noise.
     hardly_explained: float = 12.0
     # The noise model is taken about the fit and the fit made anew, this often at most.
     settling: int = 3

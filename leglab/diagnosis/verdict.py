@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from leglab.base.recording import Recording
+from leglab.diagnosis.admission import admit
 from leglab.diagnosis.effects.base import EffectParameter
 from leglab.diagnosis.effects.joints import unit
 from leglab.diagnosis.experiment import propose
@@ -17,7 +18,7 @@ from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.isolation import isolate
 from leglab.diagnosis.judging import earns, intervals, posterior, preferences
 from leglab.diagnosis.model import CYLINDER, Machine
-from leglab.diagnosis.recordings import check_recordings
+from leglab.diagnosis.remarks import Remark, merged
 from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.result import (
     Calibration,
@@ -75,13 +76,16 @@ def diagnose(
     began = perf_counter()
     settings = settings or DiagnosisSettings()
     progress("reading the machine")
+    held_out = tuple(held_out)
     specimen = None
     if healthy:
         every = replace(settings, effects=None, excluded=())
         specimen = calibrate(set_up(model, healthy, (), every, beside=recordings), progress)
     values = specimen.values if specimen else None
     problem = set_up(model, recordings, held_out, settings, specimen=values, beside=healthy)
-    remarks = check_recordings(problem.machine, recordings, settings.thresholds)
+    remarks = admit(problem.machine, recordings, held_out, settings.thresholds).notes
+    if healthy:
+        remarks += admit(problem.machine, healthy, (), settings.thresholds).notes
     found = search(problem, settings, progress, specimen)
     progress("verdict")
     result = assemble(found, settings, seconds=perf_counter() - began)
@@ -469,13 +473,14 @@ def notes(problem: Problem) -> tuple[str, ...]:
             "no chamber pressures: they were replayed from the commands; faults of mechanism and "
             "hydraulics are told apart by the motion alone, with wider intervals"
         )
-    for series in problem.series:
-        lost = int((~series.valid).sum())
-        if lost:
-            found.append(
-                f"{series.name}: {lost} samples are missing; windows over them are skipped"
-            )
-    return tuple(found)
+    text = "windows over gaps are skipped"
+    lost = {series.name: int((~series.valid).sum()) for series in problem.series}
+    gaps = [
+        Remark(text=text, recording=name, place=f"{count} samples")
+        for name, count in lost.items()
+        if count
+    ]
+    return (*found, *merged(gaps, lost))
 
 
 def touching_share(machine: Machine, series: Sequence[UniformSeries]) -> float:

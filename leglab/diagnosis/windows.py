@@ -1,4 +1,4 @@
-"""Recordings on a uniform grid, their channels, smoothing, and the windows cut from them."""
+"""Channels of the recordings, their smoothing, and the windows cut from them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -11,6 +11,7 @@ from scipy.signal import savgol_coeffs, savgol_filter
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.diagnosis.model import CHAMBERS, CYLINDER, Machine
+from leglab.diagnosis.series import UniformSeries, common_period
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 from leglab.machine.simulation import actuator_moments
 
@@ -34,82 +35,6 @@ class Channel:
     filter: tuple[int, int] = (21, 4)
 
 
-@dataclass(frozen=True, kw_only=True)
-class UniformSeries:
-    """One recording, ready for replay.
-
-    Attributes:
-        name: Of its file.
-        period: s.
-        time: Shape (n,), s.
-        columns: Samples on the grid by column, each (n,), gaps bridged linearly.
-        valid: Where every channel was measured, shape (n,).
-    """
-
-    name: str
-    period: float
-    time: np.ndarray
-    columns: dict[str, np.ndarray]
-    valid: np.ndarray
-
-    @classmethod
-    def from_recording(
-        cls,
-        recording: Recording,
-        name: str,
-        needed: tuple[str, ...],
-        thresholds: Thresholds = DEFAULT,
-    ) -> "UniformSeries":
-        """Puts the needed columns of a recording on a uniform grid.
-
-        Raises:
-            LeglabError: The recording is too short to have a period.
-        """
-        period = _median_period(recording, name)
-        intervals = np.diff(recording.time)
-        # A clock that counts in whole samples of a rounded period: use the mean of usual intervals.
-        usual = intervals[np.abs(intervals - period) < 0.5 * period]
-        period = float(usual.mean())
-        count = round(recording.duration / period) + 1
-        grid = recording.time[0] + period * np.arange(count)
-        valid = np.ones(count, dtype=bool)
-        columns = {}
-        for column in needed:
-            good = np.isfinite(recording[column])
-            if good.sum() < 2:
-                raise LeglabError(f"{name}: column {column!r} holds no numbers")
-            times = recording.time[good]
-            columns[column] = np.interp(grid, times, recording[column][good])
-            after = np.searchsorted(times, grid).clip(1, times.size - 1)
-            distance = np.minimum(np.abs(grid - times[after - 1]), np.abs(times[after] - grid))
-            near = np.maximum(times[after] - times[after - 1], 0.0)
-            valid &= (near <= thresholds.gap_periods * period) | (distance < 1e-3 * period)
-        return cls(name=name, period=period, time=grid, columns=columns, valid=valid)
-
-
-def _median_period(recording: Recording, name: str) -> float:
-    if len(recording) < 3:
-        raise LeglabError(f"{name}: {len(recording)} samples are too few to replay")
-    return float(np.median(np.diff(recording.time)))
-
-
-def sampling_period(recordings: Mapping[str, Recording]) -> float:
-    """Common sampling period [s].
-
-    Raises:
-        LeglabError: A recording is too short, or periods differ; names the recordings.
-    """
-    periods = {name: _median_period(recording, name) for name, recording in recordings.items()}
-    first = next(iter(periods))
-    for name, period in periods.items():
-        if abs(period - periods[first]) > 1e-2 * periods[first]:
-            raise LeglabError(
-                f"{name} is sampled every {period:g} s, {first} every {periods[first]:g} s; "
-                "allowed: one period for all"
-            )
-    return float(np.median(list(periods.values())))
-
-
 def channels(
     machine: Machine, recordings: Mapping[str, Recording], thresholds: Thresholds = DEFAULT
 ) -> tuple[Channel, ...]:
@@ -126,7 +51,7 @@ def channels(
             f"{', '.join(machine.columns)}; all recordings have {', '.join(sorted(shared))}. "
             "Measured under other names? Give a column map"
         )
-    period = sampling_period(recordings)
+    period = common_period(recordings, thresholds)
     position = _filter(thresholds.position_filter, period)
     pressure = _filter(thresholds.pressure_filter, period)
     found = [Channel(column=f"{j}_position", joint=j, filter=position) for j in machine.joints]
@@ -162,6 +87,14 @@ def noise_level(samples: np.ndarray, window: tuple[int, int]) -> float:
     rest = samples - savgol_filter(samples, *window)
     centre = savgol_coeffs(*window)[window[0] // 2]
     return float(1.4826 * np.median(np.abs(rest)) / np.sqrt(1.0 - centre))
+
+
+def channel_noise(series: UniformSeries, channel: Channel) -> float:
+    """Standard deviation of white noise that averages over samples as a channel's noise does."""
+    column = channel.column
+    if column in series.noise:
+        return series.noise[column]
+    return noise_level(series.columns[column], channel.filter)
 
 
 def smoothed(samples: np.ndarray, window: tuple[int, int]) -> np.ndarray:
@@ -226,8 +159,36 @@ def cut_series(
         if channel.chamber:
             level = smoothed(series.columns[channel.column], channel.filter)
             keep &= level[firsts] > thresholds.vapour_pressure
+    firsts = firsts[keep]
+    still = resting(machine, series, channels, firsts, samples, thresholds)
+    firsts = firsts[~still | ((np.cumsum(still) - 1) % thresholds.still_every == 0)]
     levers = {c: _lever(machine, series, c) for c in machine.instances(CYLINDER)}
-    return Cut(series=series, firsts=firsts[keep], levers=levers)
+    return Cut(series=series, firsts=firsts, levers=levers)
+
+
+def resting(
+    machine: Machine,
+    series: UniformSeries,
+    channels: tuple[Channel, ...],
+    firsts: np.ndarray,
+    samples: int,
+    thresholds: Thresholds = DEFAULT,
+) -> np.ndarray:
+    """Mask of windows in which neither a command nor a channel moves beyond its noise.
+
+    A joint that sticks under a command that grows does not rest: that says what holds it.
+    """
+    index = firsts[:, None] + np.arange(samples + 1)
+    still = np.ones(firsts.size, dtype=bool)
+    for actuator in machine.actuators:
+        command = series.columns[f"{actuator}_command"]
+        still &= np.ptp(command[index], axis=1) <= thresholds.still_command * np.ptp(command)
+    for channel in channels:
+        step = series.steps.get(channel.column, 0.0)
+        room = max(thresholds.still_noise * channel_noise(series, channel), 1.01 * step)
+        level = smoothed(series.columns[channel.column], channel.filter)
+        still &= np.ptp(level[index], axis=1) <= room
+    return still
 
 
 def _unrest(
@@ -240,7 +201,7 @@ def _unrest(
     total = np.zeros(series.time.size)
     for channel in channels:
         samples = series.columns[channel.column]
-        level = noise_level(samples, channel.filter) or 1.0
+        level = channel_noise(series, channel) or 1.0
         length = max(2 * margin - 3, channel.filter[0])
         total += (filter_difference(samples, (length, 4)) / level) ** 2
     for actuator in machine.actuators:

@@ -8,13 +8,13 @@ import numpy as np
 
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
+from leglab.diagnosis.admission import admit
 from leglab.diagnosis.discrepancy import Discrepancy
 from leglab.diagnosis.fitting import Fit, refit
 from leglab.diagnosis.hypothesis import Hypothesis, Key, Library
 from leglab.diagnosis.judging import accepted, simplest_first, t_value
 from leglab.diagnosis.model import Machine
 from leglab.diagnosis.onset import checked_onsets, suspected_onset
-from leglab.diagnosis.recordings import check_recordings
 from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.rough import rough_search
 from leglab.diagnosis.search import (
@@ -28,9 +28,10 @@ from leglab.diagnosis.search import (
     sharpen,
     thinned,
 )
+from leglab.diagnosis.series import UniformSeries, common_period
 from leglab.diagnosis.specimen import Specimen
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
-from leglab.diagnosis.windows import UniformSeries, channels, sampling_period
+from leglab.diagnosis.windows import channels
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,15 +107,24 @@ def set_up(
         LeglabError: Model or recordings do not fit each other, or are too short.
     """
     machine, limits = Machine(model), settings.thresholds
-    found = channels(machine, {**(beside or {}), **recordings}, limits)
-    check_recordings(machine, recordings, limits)  # Before anything is replayed with wrong units.
-    machine = at_replay_step(machine, sampling_period(recordings))
+    admitted = admit(machine, recordings, held_out, limits)
+    recordings = admitted.recordings
+    together = {**recordings}
+    if beside:
+        others = admit(machine, beside, (), limits).recordings
+        together |= {f"beside {name}": recording for name, recording in others.items()}
+    found = channels(machine, together, limits)
+    period = common_period(together, limits)
+    machine = at_replay_step(machine, period)
     needed = tuple(dict.fromkeys([*(c.column for c in found), *machine.columns]))
-    held = set(held_out)
+    held = set(admitted.held_out)
     return Problem(
         machine,
         Library(machine, names=settings.effects, excluded=settings.excluded, specimen=specimen),
-        [UniformSeries.from_recording(r, name, needed, limits) for name, r in recordings.items()],
+        [
+            UniformSeries.from_recording(r, name, needed, limits, period=period)
+            for name, r in recordings.items()
+        ],
         found,
         [i for i, name in enumerate(recordings) if name not in held],
         threads=settings.threads,

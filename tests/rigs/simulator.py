@@ -109,6 +109,13 @@ def _reference(kind: str, t: float, reach: float) -> float:
         return reach * (
             0.5 * math.sin(2 * math.pi * 1.1 * t) + 0.2 * math.sin(2 * math.pi * 2.3 * t)
         )
+    if kind == "turns":  # round and round, some fifty rad
+        return reach * (6.0 * t + 1.2 * math.sin(2 * math.pi * 0.7 * t))
+    if kind == "back":
+        return reach * (1.3 * math.sin(2 * math.pi * 0.9 * t) - 4.0 * t)
+    if kind == "rests":  # every other two seconds, the rest moves as "fast"
+        calm = min(max(abs((t % 4.0) - 3.0) - 1.0, 0.0), 1.0)
+        return calm * _reference("fast", t, reach)
     if kind == "stairs":
         level = (0.0, 0.6, -0.3, 0.9, 0.2, -0.8, -0.1, 0.5)[int(t) % 8]
         before = (0.5, 0.0, 0.6, -0.3, 0.9, 0.2, -0.8, -0.1)[int(t) % 8]
@@ -117,11 +124,24 @@ def _reference(kind: str, t: float, reach: float) -> float:
     raise ValueError(kind)
 
 
-def record(rig: Rig, kind: str, truth: Truth, *, seed: int, seconds: float = 8.0) -> Recording:
-    """Position and command over one reference: "multisine", "slow", "fast" or "stairs"."""
+def record(
+    rig: Rig,
+    kind: str,
+    truth: Truth,
+    *,
+    seed: int,
+    seconds: float = 8.0,
+    stamps: np.ndarray | None = None,
+) -> Recording:
+    """Position and command over one reference, see `_reference`.
+
+    `stamps` are the times at which the loop wakes up, measures and commands; every 1 ms without.
+    """
     rng = np.random.default_rng(seed)
-    sample = _PERIOD
-    steps = round(sample / _H)
+    if stamps is None:
+        stamps = _PERIOD * np.arange(round(seconds / _PERIOD))
+    intervals = np.append(np.diff(stamps), _PERIOD)
+    stepping = [(max(1, round(dt / _H)), dt) for dt in intervals.tolist()]
     kp, kd = rig.gains
     q = theta = _reference(kind, 0.0, rig.reach)
     v = w = 0.0
@@ -129,13 +149,14 @@ def record(rig: Rig, kind: str, truth: Truth, *, seed: int, seconds: float = 8.0
     stiffness, damping = 2e7 * rig.motor, 8e3 * rig.motor  # stiff greased teeth
     viscous = rig.viscous * truth.viscous_factor
     positions, commands = [], []
-    last, speed = q, 0.0
-    for k in range(round(seconds / sample)):
+    last, speed, passed = q, 0.0, _PERIOD
+    for k, (steps, sample) in enumerate(stepping):
+        now, h = float(stamps[k]), sample / steps
         measured = q + _FINE * rng.normal(0.0, rig.noise)
-        speed += 0.2 * ((measured - last) / sample - speed) if k else 0.0
-        last = measured
-        goal = _reference(kind, k * sample, rig.reach)
-        ahead = _reference(kind, (k + 1) * sample, rig.reach)
+        speed += 0.2 * ((measured - last) / passed - speed) if k else 0.0
+        last, passed = measured, sample
+        goal = _reference(kind, now, rig.reach)
+        ahead = _reference(kind, now + sample, rig.reach)
         force = kp * (goal - measured) + kd * ((ahead - goal) / sample - speed)
         force = min(max(force, -rig.limit), rig.limit)
         positions.append(q + rng.normal(0.0, rig.noise))
@@ -151,16 +172,15 @@ def record(rig: Rig, kind: str, truth: Truth, *, seed: int, seconds: float = 8.0
                     drive = max(0.0, stiffness * (gap - half) + damping * closing)
                 elif gap < -half:
                     drive = min(0.0, stiffness * (gap + half) + damping * closing)
-                w += _H * (force - drive) / rig.motor
-                theta += _H * w
+                w += h * (force - drive) / rig.motor
+                theta += h * w
                 mass = rig.load
-                v += _H * (acting + drive) / mass
+                v += h * (acting + drive) / mass
             else:
                 mass = rig.load + rig.motor
-                v += _H * (acting + force) / mass
-            brake = _H * dry / mass
+                v += h * (acting + force) / mass
+            brake = h * dry / mass
             v = math.copysign(max(abs(v) - brake, 0.0), v)
-            q += _H * v
-    time = sample * np.arange(len(positions))
+            q += h * v
     columns = {f"{rig.joint}_position": np.array(positions), "drive_command": np.array(commands)}
-    return Recording(time=time, columns=columns)
+    return Recording(time=stamps, columns=columns)

@@ -79,7 +79,7 @@ def replay(
     change = Change(machine)
     for (element, parameter), value in (parameters or {}).items():
         change.set_parameter(element, parameter, value)
-    cut = Thresholds(window=_WINDOW, bin=series[0].period)
+    cut = Thresholds(window=_WINDOW, bin=series[0].period, still_every=1)
     errors = Replay(machine, series, seen, cut, threads=1).error(change).values[:, :, -1]
     knee, pressure_a, pressure_b = np.sqrt(np.mean(errors**2, axis=0)).tolist()
     return ReplayCheck(name, timestep, knee, pressure_a, pressure_b, len(errors))

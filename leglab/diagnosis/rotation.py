@@ -1,0 +1,95 @@
+"""Encoders that begin anew after a turn: their jumps are found and taken out."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+_TURN = 2.0 * np.pi
+# A jump spans at least this share of all that an encoder shows.
+_JUMP = 0.5
+# What is left of a jump without the turn may depart from the steps beside it by this share of one.
+_SMOOTH = 0.2
+# Turns that jumps tell of agree to this share, and whole parts of 2 pi are recognised so near.
+_AGREE = 0.03
+_SNAP = 5e-3
+# Where it turns, an encoder shows every angle: no larger part of a turn is never seen.
+_UNSEEN = 0.25
+# A longer interval than this, in usual ones, is a gap, across which the speed beside it counts.
+_GAP = 1.5
+# A jump is told from motion across at most so many usual intervals.
+_CLOSE = 10.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Unwrapped:
+    """A position without jumps.
+
+    Attributes:
+        samples: Shape (n,); NaN stays.
+        turn: Size of a jump, in the unit of the samples.
+        jumps: How many there were.
+    """
+
+    samples: np.ndarray
+    turn: float
+    jumps: int
+
+
+def unwrapped(time: np.ndarray, samples: np.ndarray, *, hinge: bool) -> Unwrapped | None:
+    """Takes out the jumps of an encoder that begins anew after a full turn.
+
+    A jump is a step of more than half of all that the encoder shows, after which the motion goes on
+    as before. It is a turn of 2 pi on a hinge, or whatever all jumps agree on (an encoder before a
+    gear, a counter that overflows) if every angle in between is seen. The joint must move less than
+    half a turn between two samples.
+
+    Args:
+        time: s, shape (n,).
+        samples: Shape (n,), NaN where missing.
+        hinge: Whether 2 pi and its parts are turns; else only what jumps agree on is.
+
+    Returns:
+        None where nothing jumps.
+    """
+    good = np.flatnonzero(np.isfinite(samples))
+    if good.size < 10:
+        return None
+    values, steps, intervals = samples[good], np.diff(samples[good]), np.diff(time[good])
+    unit = float(np.median(intervals))
+    low, high = np.quantile(values, (0.001, 0.999))
+    jumps = (intervals <= _CLOSE * unit) & (np.abs(steps) > _JUMP * (high - low))
+    still = np.flatnonzero(~jumps & (intervals <= _GAP * unit))
+    if not jumps.any() or still.size < 0.2 * steps.size:
+        return None
+    places = np.flatnonzero(jumps)
+    beside = np.interp(places, still, steps[still] / intervals[still]) * intervals[places]
+    turn = _turn(values, np.abs(steps[places] - beside), hinge=hinge)
+    if turn is None:
+        return None
+    usual = intervals <= _GAP * unit
+    rate = (steps - turn * np.rint(steps / turn)) / intervals
+    speed = np.interp(np.arange(steps.size), np.flatnonzero(usual), rate[usual])
+    expected = np.where(usual, 0.0, speed * intervals)
+    turns = np.rint((expected - steps) / turn)
+    out = samples.copy()
+    out[good[1:]] += turn * np.cumsum(turns)
+    return Unwrapped(samples=out, turn=turn, jumps=int((turns != 0.0).sum()))
+
+
+def _turn(values: np.ndarray, sizes: np.ndarray, *, hinge: bool) -> float | None:
+    """Size of a turn from the sizes of jumps, None where they do not look like one."""
+    turn = float(np.median(sizes))
+    low, high = np.quantile(values, (0.001, 0.999))
+    if (np.abs(sizes - turn) < _SMOOTH * turn).mean() < 0.9 or high - low > (1.0 + _AGREE) * turn:
+        return None
+    if hinge:
+        if abs(turn - _TURN) < _AGREE * _TURN:
+            return _TURN
+        known = np.concatenate([_TURN * np.arange(1, 65), _TURN / np.arange(2, 65)])
+        nearest = float(known[np.argmin(np.abs(known - turn))])
+        if abs(turn - nearest) < _SNAP * nearest:
+            turn = nearest
+    agree = np.median(np.abs(sizes - turn)) < _AGREE * turn
+    seen = np.sort(values[(values >= low) & (values <= high)])
+    unseen = max(float(np.diff(seen).max(initial=0.0)), turn - float(high - low))
+    return turn if agree and unseen < _UNSEEN * turn else None

@@ -1,0 +1,484 @@
+"""Recordings on one uniform grid: what a replay needs of a log as loggers write it.
+
+Stamps are believed: a log with jitter, lost rows or a clock of its own is brought onto the grid by
+the times at which its rows were measured. A measured value on the grid is the mean of the samples
+nearest to it, moved there along a parabola through their neighbours: noise stays white, motion
+keeps its phase, and a log of a higher rate is averaged before it is thinned. A command is held
+between its stamps; on the grid it is its mean over the period that it acts in: no impulse is lost.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from statistics import median_high
+
+import numpy as np
+
+from leglab.base.errors import LeglabError
+from leglab.base.recording import Recording
+from leglab.diagnosis.thresholds import DEFAULT, Thresholds
+
+# Stamps this near to the grid, in periods, are on it: rounding of a time column, not jitter.
+_ON_GRID = 1e-3
+# Samples of the parabola through the neighbours of a value on the grid, at least.
+_NEIGHBOURS = 7
+# The mean interval of a log that lost no rows is its period up to so many standard errors.
+_ALL_ROWS = 4.0
+# Jitter, in periods, above which a period is known to so many times the usual share only.
+_UNCLEAR, _DOUBT = 0.1, 6.0
+# Stamps, places a period and share of the period around a first guess in which the beat of a clock
+# is looked for; it is there if it stands so far above what stamps without one would show.
+_BEAT_STAMPS, _BEAT_PLACES, _BEAT_RANGE, _BEAT = 4000, 16, 0.15, 6.0
+# A tick that never lies further from its stamp than this share of the clock's step is rounded.
+_ROUNDED = 0.75
+# Steps below this share of the largest value are rounding of floats.
+_FLOAT_STEP = 1e-9
+# Counts are exact but for conversions, as shares of a step, and rounding to single precision.
+_OFF_STEP = 0.02
+# Below this share of a signal's standard deviation it does not matter what lies in a gap.
+_TAME = 1e-4
+_SINGLE = 1.2e-7
+
+
+@dataclass(frozen=True, kw_only=True)
+class UniformSeries:
+    """One recording, ready for replay.
+
+    Attributes:
+        name: Of its file.
+        period: s.
+        time: Shape (n,), s.
+        columns: Samples on the grid by column, each (n,), gaps bridged.
+        valid: Where every channel was measured, shape (n,).
+        steps: Least step of quantised columns as they were logged; 0 where there is none.
+        noise: Standard deviation of white noise on the grid that averages as the logged samples do,
+            by column; empty where the log is on the grid as it is.
+    """
+
+    name: str
+    period: float
+    time: np.ndarray
+    columns: dict[str, np.ndarray]
+    valid: np.ndarray
+    steps: dict[str, float] = field(default_factory=dict)
+    noise: dict[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def from_recording(
+        cls,
+        recording: Recording,
+        name: str,
+        needed: tuple[str, ...],
+        thresholds: Thresholds = DEFAULT,
+        *,
+        period: float | None = None,
+    ) -> "UniformSeries":
+        """Puts the needed columns of a recording on a uniform grid.
+
+        Args:
+            recording: With NaN where a sample is missing.
+            name: Of its file.
+            needed: Columns; those that end with "_command" are held between samples.
+            thresholds: Say what a gap is.
+            period: Of the grid [s]; None for the recording's own.
+
+        Raises:
+            LeglabError: The recording is too short to have a period.
+        """
+        clock = Clock.of(recording.time, name)
+        period = period or clock.period
+        stamps = clock.stamps - clock.stamps[0]
+        count = int(np.floor(stamps[-1] / period + _ON_GRID)) + 1
+        ticks = np.rint(stamps / period).astype(np.int64)
+        native = bool((np.abs(stamps - period * ticks) <= _ON_GRID * period).all())
+        # Lost rows cost noise of their own, see `_Log.averaged`.
+        native = native and ticks.size > (1.0 - thresholds.lost_share) * count
+        valid = np.ones(count, dtype=bool)
+        columns, steps, noise = {}, {}, {}
+        for column in needed:
+            samples = recording[column]
+            good = np.isfinite(samples)
+            if good.sum() < 2:
+                raise LeglabError(f"{name}: column {column!r} holds no numbers")
+            steps[column] = quantum(samples[good])
+            log = _Log(
+                times=stamps[good],
+                samples=samples[good],
+                own=clock.period,
+                lossy=clock.lost > 0 or not good.all(),
+                step=steps[column],
+            )
+            if column.endswith("_command"):
+                columns[column], known = log.held(period, count, thresholds)
+            elif native and good.sum() > (1.0 - thresholds.lost_share) * count:
+                columns[column], known = log.on_ticks(period, count, thresholds)
+            else:
+                columns[column], known, noise[column] = log.averaged(period, count, thresholds)
+            valid &= known
+        return cls(
+            name=name,
+            period=period,
+            time=recording.time[0] + period * np.arange(count),
+            columns=columns,
+            valid=valid,
+            steps=steps,
+            noise=noise,
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Clock:
+    """The stamps of a recording, as its logger's clock meant them.
+
+    Attributes:
+        period: Usual time between two rows [s], free of jitter and lost rows.
+        stamps: Shape (n,), s; those of a uniform clock that rounds are straightened.
+        rounding: Step to which stamps were rounded [s]; 0 where they were not, or evenly.
+        jitter: RMS of the stamps' departures from whole periods between neighbours, in periods.
+        lost: Rows that are missing between others.
+        clear: Whether the period is known well; it is not where jitter and lost rows hide the beat.
+    """
+
+    period: float
+    stamps: np.ndarray
+    rounding: float
+    jitter: float
+    lost: int
+    clear: bool
+
+    @classmethod
+    def of(cls, time: np.ndarray, name: str = "the recording") -> "Clock":
+        """Finds period, rounding and jitter of time stamps.
+
+        Raises:
+            LeglabError: They are too few.
+        """
+        if time.size < 3:
+            raise LeglabError(f"{name}: {time.size} samples are too few to replay")
+        stamps, rounding = time, 0.0
+        line, step = _line(np.arange(time.size), time), quantum(time - time[0])
+        off, mean = float(np.abs(time - line).max()), float(line[1] - line[0])
+        if _ON_GRID * mean < off <= _ROUNDED * step < 2.0 * mean:
+            stamps, rounding = line, step
+        period = usual_interval(stamps)
+        intervals = np.diff(stamps)
+        jitter, ticks = _jitter(intervals, period)
+        lost = max(0, round(float(stamps[-1] - stamps[0]) / period) + 1 - stamps.size)
+        clear = jitter < _UNCLEAR or not lost
+        if not clear and (beat := _beat(stamps, period)) is not None:
+            period, clear = beat, True
+            jitter, ticks = _jitter(intervals, period)
+            lost = max(0, round(float(stamps[-1] - stamps[0]) / period) + 1 - stamps.size)
+        if lost and jitter > _ON_GRID:
+            line = _line(ticks, time)
+            if 0.0 < step < 2.0 * period and np.abs(time - line).max() <= _ROUNDED * step:
+                period = float(line[-1] - line[0]) / float(ticks[-1])
+                stamps, rounding, jitter = line, step, 0.0
+        return cls(
+            period=period, stamps=stamps, rounding=rounding, jitter=jitter, lost=lost, clear=clear
+        )
+
+
+def _line(ticks: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Straight line of times over the numbers of ticks, at the ticks."""
+    centred = ticks - ticks.mean()
+    slope, level = np.polyfit(centred, time - time[0], 1)
+    return time[0] + level + slope * centred
+
+
+def _jitter(intervals: np.ndarray, period: float) -> tuple[float, np.ndarray]:
+    """RMS of the departures from whole periods, in periods, and the number of each tick."""
+    passed = np.maximum(np.rint(intervals / period), 1.0)
+    close = passed < 5
+    departure = intervals[close] / period - passed[close]
+    jitter = float(np.sqrt(np.mean(departure**2))) if close.any() else 0.0
+    return jitter, np.concatenate([[0.0], np.cumsum(passed)])
+
+
+def _beat(time: np.ndarray, guess: float) -> float | None:
+    """Period of the strongest beat of stamps near a guess [s], None where none stands out."""
+    some = time[:_BEAT_STAMPS] - time[0]
+    place = guess / _BEAT_PLACES
+    count = np.bincount(np.rint(some / place).astype(np.int64)).astype(float)
+    size = 4 * count.size
+    strength = np.abs(np.fft.rfft(count - count.mean(), size)) / some.size
+    rate = np.fft.rfftfreq(size, place)
+    near = np.abs(rate * guess - 1.0) < _BEAT_RANGE
+    if not near.any():
+        return None
+    best = int(np.argmax(np.where(near, strength, 0.0)))
+    return float(1.0 / rate[best]) if strength[best] > _BEAT / np.sqrt(some.size) else None
+
+
+def usual_interval(time: np.ndarray) -> float:
+    """Time that one row takes: jitter averages out, and lost rows do not count.
+
+    The mean of intervals within half of itself, found from the median on. Where it accounts for all
+    rows from the first to the last, their number is the better measure.
+    """
+    intervals = np.diff(time)
+    period = float(np.median(intervals))
+    for _ in range(50):
+        close = np.abs(intervals - period) <= 0.5 * period * (1.0 + 1e-9)
+        before, period = period, float(intervals[close].mean())
+        if abs(period - before) <= 1e-12 * period:
+            break
+    mean = float(time[-1] - time[0]) / intervals.size
+    error = float(intervals[close].std()) / np.sqrt(close.sum())
+    return mean if abs(mean - period) < _ALL_ROWS * error else period
+
+
+def common_period(recordings: Mapping[str, Recording], thresholds: Thresholds = DEFAULT) -> float:
+    """Period of the grid for all recordings [s]: that of the slowest.
+
+    Of recordings whose periods are the same up to their clocks, the one in the middle counts.
+
+    Raises:
+        LeglabError: A recording is too short to have a period.
+    """
+    clocks = [Clock.of(r.time, name) for name, r in recordings.items()]
+    clear = [c for c in clocks if c.clear] or clocks
+    slowest = max(c.period for c in clear)
+    for clock in clocks:
+        if not clock.clear and clock.period > (1.0 + _DOUBT * thresholds.same_period) * slowest:
+            slowest = clock.period
+    same = [c.period for c in clear if c.period > (1.0 - thresholds.same_period) * slowest]
+    return median_high(same) if same else slowest
+
+
+def quantum(samples: np.ndarray) -> float:
+    """Least step of a quantised signal, (n,), 0 where it is not quantised or never moves.
+
+    It is the largest step of which nearly all differences of neighbours are multiples: single
+    values between two counts, or the rounding of floats, do not make it smaller.
+    """
+    largest = float(np.abs(samples).max(initial=0.0))
+    moves = np.abs(np.diff(samples))
+    moves = np.sort(moves[moves > _FLOAT_STEP * largest])
+    if not moves.size:
+        return 0.0
+    rests = moves.size < samples.size - 1
+    # Differences of differences: a fast signal may never move by a single count.
+    apart = np.diff(moves)
+    apart = np.sort(apart[apart > max(_FLOAT_STEP * largest, 1e-6 * moves[-1])])
+    found = 0.0
+    for pool in (moves, apart):
+        for share in (0.0, 0.01, 0.03, 0.1, 0.25, 0.5):
+            if pool.size:
+                guess = float(pool[int(share * (pool.size - 1))])
+                found = max(found, _fitted_step(moves, guess, largest, rests=rests))
+    return found
+
+
+def _fitted_step(moves: np.ndarray, step: float, largest: float, *, rests: bool) -> float:
+    """The step of which moves are multiples, near a first guess; 0 where there is none."""
+    for most in (3, 10, 30, 100):
+        count = np.rint(moves / step)
+        some = (count > 0) & (count <= most)
+        if not some.any():
+            return 0.0
+        # The median is deaf to the few moves that are no multiples.
+        step = float(np.median(moves[some] / count[some]))
+    share = moves[moves <= 100.5 * step] / step
+    count = np.rint(share)
+    multiple = (count > 0) & (np.abs(share - count) < _OFF_STEP + 2.0 * _SINGLE * largest / step)
+    # A steady motion moves by one amount as well, yet neither less nor more.
+    varied = rests or (count != np.median(count)).mean() > 0.02
+    whole = multiple.mean() > 0.8 and share.size >= 0.5 * moves.size
+    return step if whole and varied else 0.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Log:
+    """One column as it was logged, without its missing samples.
+
+    Attributes:
+        times: From the recording's first stamp [s], shape (n,).
+        samples: Shape (n,).
+        own: Usual interval of the recording [s].
+        lossy: Whether samples are missing; else a long interval is jitter.
+        step: Least step of the column.
+    """
+
+    times: np.ndarray
+    samples: np.ndarray
+    own: float
+    lossy: bool
+    step: float
+
+    @property
+    def spacing(self) -> float:
+        """Usual interval of this column [s]: some are logged less often than the rows."""
+        if self.times.size < 3:
+            return self.own
+        return min(max(usual_interval(self.times), self.own), 5.0 * self.own)
+
+    def around(self, period: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Sample after each place of the grid, and the time between its neighbours, (count,)."""
+        grid = period * np.arange(count)
+        after = np.searchsorted(self.times, grid - _ON_GRID * period).clip(1, self.times.size - 1)
+        width = self.times[after] - self.times[after - 1]
+        on_stamp = np.minimum(
+            np.abs(grid - self.times[after - 1]), np.abs(self.times[after] - grid)
+        )
+        outside = (grid < self.times[0]) | (grid > self.times[-1])
+        width = np.where(outside, np.inf, width)
+        near = on_stamp <= np.where(outside, 0.5 * max(period, self.spacing), _ON_GRID * period)
+        return after, np.where(near, 0.0, width)
+
+    def _known(
+        self, width: np.ndarray, smooth: np.ndarray, period: float, limits: Thresholds
+    ) -> np.ndarray:
+        """Where values between neighbours `width` apart are known; `smooth` where they agree."""
+        spacing = self.spacing
+        near = width <= max(limits.gap_periods * spacing, 1.5 * period)
+        reach = max(limits.bridged_periods * spacing, limits.bridged_time)
+        return near | (smooth & (width <= reach))
+
+    def on_ticks(
+        self, period: float, count: int, limits: Thresholds
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Samples that lie on the grid as they are, and where they are known."""
+        values = np.interp(period * np.arange(count), self.times, self.samples)
+        _, width = self.around(period, count)
+        holes = np.flatnonzero(width > 0.0)
+        if not holes.size:
+            return values, np.ones(count, dtype=bool)
+        fit = self._parabola(period * holes, period)
+        smooth = np.ones(count, dtype=bool)
+        smooth[holes] = fit.misfit <= limits.bridged_misfit * self._scatter(period)
+        known = self._known(width, smooth, period, limits)
+        # Filters reach into gaps: what stands there must be tame.
+        values[holes] = np.where(known[holes], fit.value, values[holes])
+        return values, known
+
+    def averaged(
+        self, period: float, count: int, limits: Thresholds
+    ) -> tuple[np.ndarray, np.ndarray, float]:
+        """Samples averaged about each place of the grid, where they are known, and their noise."""
+        grid = period * np.arange(count)
+        place = np.floor(self.times / period + 0.5 - 1e-9).astype(np.int64).clip(0, count - 1)
+        inside = np.abs(self.times - grid[place]) <= 0.5 * period * (1.0 + 1e-6)
+        place, times, samples = place[inside], self.times[inside], self.samples[inside]
+        number = np.bincount(place, minlength=count)
+        held = np.maximum(number, 1)
+        away = times - grid[place]
+        fit = self._parabola(grid, period)
+        early = np.bincount(place, weights=away, minlength=count) / held
+        spread = np.bincount(place, weights=away**2, minlength=count) / held
+        value = np.bincount(place, weights=samples, minlength=count) / held
+        value -= fit.slope * early + fit.bend * spread
+        value = np.where(number > 0, value, fit.value)
+        rest = samples - fit.value[place] - fit.slope[place] * away - fit.bend[place] * away**2
+        scatter = _robust(rest) / np.sqrt(1.0 - fit.leverage)
+        least = max(scatter, self.step / np.sqrt(12.0), _TAME * float(np.std(samples)))
+        smooth = fit.misfit <= limits.bridged_misfit * least
+        _, width = self.around(period, count)
+        known = self._known(np.where(number > 0, 0.0, width), smooth, period, limits)
+        # Filters reach into gaps: what stands there must be tame.
+        value = np.where(known, value, np.interp(grid, self.times, self.samples))
+        # A mean over many places weighs each sample by what it gave to all of them.
+        share = np.stack([number == 0, -early * (number > 0), -spread * (number > 0)], axis=1)
+        given = np.einsum("kp,kpn->kn", share * known[:, None], fit.weights)
+        weight = np.bincount(
+            fit.neighbours.ravel(), weights=given.ravel(), minlength=self.times.size
+        )
+        weight[inside] += known[place] / held[place]
+        noise = scatter * float(np.sqrt((weight**2).sum() / max(int(known.sum()), 1)))
+        return value, known, noise
+
+    def held(self, period: float, count: int, limits: Thresholds) -> tuple[np.ndarray, np.ndarray]:
+        """A held command's mean from each place of the grid to the next, and where it is known.
+
+        Where ticks were lost it may have changed at each of them: they take what lies between.
+        """
+        spacing = self.spacing
+        intervals = np.diff(self.times)
+        ticks = np.ones(intervals.size, dtype=np.int64)
+        if self.lossy:
+            ticks = np.rint(intervals / spacing).clip(1.0, 100.0).astype(np.int64)
+        first = np.repeat(np.arange(ticks.size), ticks)
+        share = (np.arange(first.size) - np.repeat(np.cumsum(ticks) - ticks, ticks)) / ticks[first]
+        times = np.append(self.times[first] + share * intervals[first], self.times[-1])
+        change = np.diff(self.samples)
+        values = np.append(self.samples[first] + share * change[first], self.samples[-1])
+        end = max(times[-1], period * count) + period
+        times = np.concatenate([[min(0.0, times[0])], times[1:], [end]])
+        impulse = np.concatenate([[0.0], np.cumsum(values * np.diff(times))])
+        mean = np.diff(np.interp(period * np.arange(count + 1), times, impulse)) / period
+        # Differences of a long integral: a command on the grid keeps its value to the last bit.
+        on_grid = period * np.arange(count)
+        at = np.searchsorted(times, on_grid + _ON_GRID * period, side="right") - 1
+        whole = (np.abs(times[at] - on_grid) <= _ON_GRID * period) & (
+            times[np.minimum(at + 1, times.size - 1)] >= on_grid + (1.0 - _ON_GRID) * period
+        )
+        mean = np.where(whole, values[np.minimum(at, values.size - 1)], mean)
+        after, width = self.around(period, count)
+        usual = np.quantile(np.abs(change) / ticks, 0.95) if change.size else 0.0
+        smooth = (np.abs(change) <= 3.0 * usual * ticks)[after - 1]
+        return mean, self._known(width, smooth, period, limits)
+
+    def _scatter(self, period: float) -> float:
+        """Standard deviation of the samples about parabolas, not below a count's rounding."""
+        some = np.linspace(0, self.times.size - 1, min(self.times.size, 2000)).astype(int)
+        fit = self._parabola(self.times[some], period)
+        rest = _robust(self.samples[some] - fit.value) / np.sqrt(1.0 - fit.leverage)
+        return max(rest, self.step / np.sqrt(12.0), _TAME * float(np.std(self.samples)))
+
+    def _parabola(self, centres: np.ndarray, period: float) -> "_Parabola":
+        """Parabolas through the neighbours of some times, by least squares."""
+        reach = max(1.5 * period, 0.5 * _NEIGHBOURS * self.spacing)
+        size = max(_NEIGHBOURS, 2 * int(np.ceil(1.5 * period / self.spacing)) + 1)
+        size = min(size, self.times.size)
+        # The nearest samples on both sides, as many as there are.
+        first = np.searchsorted(self.times, centres) - size // 2
+        first = first.clip(0, self.times.size - size)
+        neighbours = first[:, None] + np.arange(size)
+        away = (self.times[neighbours] - centres[:, None]) / reach
+        # Beyond a gap lies another motion.
+        trust = np.where(np.abs(away) <= 1.5, 1.0, 1e-6)
+        design = np.stack([np.ones_like(away), away, away**2], axis=2)
+        weighted = design * trust[:, :, None]
+        normal = np.einsum("knp,knq->kpq", weighted, design) + 1e-9 * np.eye(3)
+        rows = np.linalg.solve(normal, weighted.transpose(0, 2, 1))  # (k, 3, size)
+        samples = self.samples[neighbours]
+        level = samples.mean(axis=1)
+        a, b, c = np.einsum("kpn,kn->pk", rows, samples - level[:, None])
+        curve = a[:, None] + b[:, None] * away + c[:, None] * away**2
+        rest = (samples - level[:, None] - curve) ** 2 * trust
+        freedom = np.maximum(trust.sum(axis=1) - 3.0, 1.0)
+        return _Parabola(
+            value=a + level,
+            slope=b / reach,
+            bend=c / reach**2,
+            misfit=np.sqrt(rest.sum(axis=1) / freedom),
+            leverage=min(2.25 / size, 0.9),
+            neighbours=neighbours,
+            weights=rows / np.array([1.0, reach, reach**2])[:, None],
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Parabola:
+    """Parabolas about centres; arrays of shape (centres,).
+
+    Attributes:
+        value: At the centre.
+        slope: Its derivative there.
+        bend: Half its second derivative.
+        misfit: Standard deviation of the neighbours about it.
+        leverage: Share of a sample's noise that it follows near the centre.
+        neighbours: Samples that it rests on, shape (centres, size).
+        weights: How much each of them gives to value, slope and bend, shape (centres, 3, size).
+    """
+
+    value: np.ndarray
+    slope: np.ndarray
+    bend: np.ndarray
+    misfit: np.ndarray
+    leverage: float
+    neighbours: np.ndarray
+    weights: np.ndarray
+
+
+def _robust(rest: np.ndarray) -> float:
+    return float(1.4826 * np.median(np.abs(rest)))
