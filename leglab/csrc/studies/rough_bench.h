@@ -22,9 +22,10 @@ namespace leglab::studies {
   X(stop_stiffness, 2000.0) X(stop_damping, 20.0)                                              \
   X(spring_law, 0.0) X(k1, 25.0) X(k2, 60.0) X(rest_position, 0.9) X(d1, 0.6)                  \
   X(quadratic_damping, 0.0)                                                                    \
-  /* Torque of position: two periods, each with amplitude, period, phase; a hose; a constant. */ \
+  /* Torques of position: two with amplitude, period, phase, the second one with a share of its   \
+     second harmonic; a hose; a constant. */                                                    \
   X(cogging, 0.0) X(cogging_period, 1.0) X(cogging_phase, 0.0)                                 \
-  X(wave, 0.0) X(wave_period, 1.0) X(wave_phase, 0.0)                                          \
+  X(wave, 0.0) X(wave_second, 0.0) X(wave_period, 1.0) X(wave_phase, 0.0)                      \
   X(hose_stiffness, 0.0) X(hose_rest, 0.9) X(force_offset, 0.0)                                \
   /* Friction of the joint: per load, Coulomb in one direction; loss where load drives or brakes. */ \
   X(load_friction, 0.0) X(load_loss_driving, 0.0) X(load_loss_braking, 0.0)                    \
@@ -38,6 +39,9 @@ namespace leglab::studies {
   X(static_friction, 150.0) X(stribeck_velocity, 0.014) X(stribeck_exponent, 2.0)              \
   X(viscous_exponent, 1.0) X(pressure_coefficient, 0.0) X(friction_asymmetry, 0.0)             \
   X(viscous_asymmetry, 0.0) X(tanh_speed, 0.002)                                               \
+  /* Added to Coulomb and static, and to viscous friction while the piston extends or retracts. */ \
+  X(coulomb_extending, 0.0) X(coulomb_retracting, 0.0)                                         \
+  X(viscous_extending, 0.0) X(viscous_retracting, 0.0)                                         \
   /* Leakage; its part that grows with the pressure difference [1/Pa]. */                      \
   X(internal_leakage, 1.7e-13) X(leakage_growth, 0.0)                                          \
   X(external_leakage_a, 0.0) X(external_leakage_b, 0.0)                                        \
@@ -248,8 +252,11 @@ class RoughEquations {
         std::exp(-std::pow(speed / p_.stribeck_velocity, p_.stribeck_exponent));
     double g = p_.coulomb + p_.pressure_coefficient * std::max(pressures, 0.0) +
                (p_.static_friction - p_.coulomb) * bump;
-    g = std::max(g * (1.0 + sense * p_.friction_asymmetry), 1.0);
+    g = g * (1.0 + sense * p_.friction_asymmetry) +
+        (v < 0.0 ? p_.coulomb_retracting : p_.coulomb_extending);
+    g = std::max(g, 1.0);
     double viscous = p_.viscous * (1.0 + sense * p_.viscous_asymmetry) * v;
+    viscous += (v < 0.0 ? p_.viscous_retracting : p_.viscous_extending) * v;
     if (p_.viscous_exponent != 1.0) {
       viscous *= std::pow((v * v + 1e-4) / 0.0101, 0.5 * (p_.viscous_exponent - 1.0));
     }
@@ -284,7 +291,8 @@ class RoughEquations {
     const double hard = p_.spring_law == 1.0 ? 0.92 * y * y : sine * sine;
     torque -= p_.k1 * y + p_.k2 * y * y * y * hard + p_.d1 * w + p_.quadratic_damping * w * std::abs(w);
     torque += p_.cogging * std::sin(turn * q / p_.cogging_period + p_.cogging_phase);
-    torque += p_.wave * std::sin(turn * q / p_.wave_period + p_.wave_phase);
+    const double angle = turn * q / p_.wave_period + p_.wave_phase;
+    torque += p_.wave * (std::sin(angle) + p_.wave_second * std::sin(2.0 * angle));
     torque += p_.force_offset - p_.hose_stiffness * (q - p_.hose_rest);
     const double sense = std::tanh(w / p_.joint_speed);
     torque -= sense * (p_.load_friction * std::abs(load) + (w > 0.0 ? p_.joint_forward : p_.joint_backward));

@@ -12,7 +12,7 @@ import numpy as np
 from leglab._native import rough_bench as native
 from leglab.base.errors import unknown_name
 from leglab.base.recording import Recording
-from leglab.studies.blind.faulty_bench import HiddenValue, references
+from leglab.studies.blind.faulty_bench import NULL_SHIFT, TOLERANCES, HiddenValue, references
 
 SAMPLING_PERIOD = 1e-3  # s
 STEPS = 40  # of the integrator in a sampling period
@@ -167,6 +167,18 @@ def specimen(seed: int) -> RoughBench:
     )
 
 
+def exact_specimen(seed: int) -> RoughBench:
+    """Draws a specimen of the model's own laws, off by the tolerances of good machines alone."""
+    rng = np.random.default_rng([seed, 30])
+    values = {}
+    for name, tolerance in TOLERANCES.items():
+        shift = float(np.clip(rng.standard_normal(), -2.0, 2.0))
+        values[name] = NOMINAL[name] * (1.0 + tolerance * shift)
+    values["static_friction"] = NOMINAL["static_friction"] + values["coulomb"] - NOMINAL["coulomb"]
+    values["null_bias"] = NULL_SHIFT * float(np.clip(rng.standard_normal(), -2.0, 2.0))
+    return RoughBench(values=values)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Size:
     """Range of a fault's size, log-uniform.
@@ -200,10 +212,12 @@ class RoughFault:
     Attributes:
         size: From which its size is drawn.
         change: The bench with it, and its true value as the diagnosis would call it.
+        effect: What the diagnosis calls it, where that is not the fault's own name.
     """
 
     size: Size
     change: Change
+    effect: str = ""
 
 
 def _scaled(name: str, parameter: str, *, by_sign: bool = False) -> Change:
@@ -296,6 +310,58 @@ def _asymmetric(
 ) -> tuple[RoughBench, HiddenValue]:
     name = "joint_forward" if size > 0.0 else "joint_backward"
     return bench.changed(**{name: abs(size)}), HiddenValue(parameter="", value=size)
+
+
+def _asymmetric_seal(
+    bench: RoughBench, size: float, rng: np.random.Generator
+) -> tuple[RoughBench, HiddenValue]:
+    side = "extending" if size > 0.0 else "retracting"
+    viscous = float(rng.uniform(0.0, 5.0)) * abs(size)
+    changed = bench.changed(**{f"coulomb_{side}": abs(size), f"viscous_{side}": viscous})
+    value = bench["coulomb"] + abs(size)
+    return changed, HiddenValue(parameter=f"coulomb_{side}", value=value)
+
+
+def _one_gain(
+    bench: RoughBench, size: float, rng: np.random.Generator
+) -> tuple[RoughBench, HiddenValue]:
+    name = f"gain_{rng.choice(('positive', 'negative'))}"
+    return bench.changed(**{name: 1.0 + size}), HiddenValue(parameter=name, value=1.0 + size)
+
+
+def _sensor_of_a_chamber(kind: str, neutral: float) -> Change:
+    """Shifts zero or gain of one pressure sensor."""
+
+    def change(
+        bench: RoughBench, size: float, rng: np.random.Generator
+    ) -> tuple[RoughBench, HiddenValue]:
+        side = rng.choice(("a", "b"))
+        name = f"pressure_{kind}_{side}"
+        hidden = HiddenValue(parameter=f"{kind}_{side}", value=neutral + size)
+        return bench.changed(**{name: bench[name] + size}), hidden
+
+    return change
+
+
+def _loss(
+    bench: RoughBench, size: float, rng: np.random.Generator
+) -> tuple[RoughBench, HiddenValue]:
+    braking = size * float(rng.uniform(0.5, 1.5))
+    changed = bench.changed(load_loss_driving=size, load_loss_braking=braking)
+    return changed, HiddenValue(parameter="", value=size)
+
+
+def _ripple(
+    bench: RoughBench, size: float, rng: np.random.Generator
+) -> tuple[RoughBench, HiddenValue]:
+    period = float(np.exp(rng.uniform(np.log(0.12), np.log(0.7))))
+    changed = bench.changed(
+        wave=size,
+        wave_second=float(rng.uniform(0.0, 0.4)),
+        wave_period=period,
+        wave_phase=float(rng.uniform(0.0, 2.0 * np.pi)),
+    )
+    return changed, HiddenValue(parameter="period", value=period)
 
 
 def _payload(
@@ -412,7 +478,43 @@ FAULTS: dict[str, RoughFault] = {
         size=Size(visible=0.9, low=2.0, high=15.0, signed=True),
         change=_shifted(("force_offset",), ""),
     ),
+    "asymmetric_seal_friction": RoughFault(
+        size=Size(visible=30.0, low=60.0, high=300.0, signed=True),
+        change=_asymmetric_seal,
+        effect="asymmetric_friction",
+    ),
+    "one_sided_valve_gain": RoughFault(
+        size=Size(visible=0.06, low=0.12, high=0.4, signed=True),
+        change=_one_gain,
+        effect="valve_gain_asymmetry",
+    ),
+    "pressure_sensor_offset": RoughFault(
+        size=Size(visible=1e5, low=2e5, high=1e6, signed=True),
+        change=_sensor_of_a_chamber("offset", 0.0),
+    ),
+    "pressure_sensor_scale": RoughFault(
+        size=Size(visible=0.012, low=0.03, high=0.15, signed=True),
+        change=_sensor_of_a_chamber("scale", 1.0),
+    ),
+    # Load-dependent friction whose share differs where the load drives and where it brakes.
+    "torque_loss": RoughFault(
+        size=Size(visible=0.03, low=0.06, high=0.3),
+        change=_loss,
+        effect="load_dependent_friction",
+    ),
+    "cylinder_play": RoughFault(
+        size=Size(visible=5e-5, low=1.5e-4, high=1e-3),
+        change=_shifted(("play",), ""),
+        effect="backlash",
+    ),
+    # A torque that repeats with the position, of a drawn period.
+    "position_torque": RoughFault(size=Size(visible=0.8, low=2.0, high=8.0), change=_ripple),
 }
+
+
+def effect_of(fault: str) -> str:
+    """What the diagnosis calls a fault."""
+    return FAULTS[fault].effect or fault
 
 
 def with_fault(
@@ -485,6 +587,7 @@ def rough_case(
     sizes: str = "gross",
     duration: float = 12.0,
     healthy: bool = True,
+    exact: bool = False,
 ) -> RoughCase:
     """Draws a specimen and records it; everything follows from the seed.
 
@@ -492,13 +595,14 @@ def rough_case(
         seed: Of specimen, sizes, references and noise.
         faults: Names.
         sizes: As in `with_fault`.
+        exact: Takes an exact specimen instead of a rough one.
         duration: Of each recording [s].
         healthy: Whether to record the healthy specimen too; the faulty ones are the same.
 
     Raises:
         LeglabError: As `with_fault`.
     """
-    bench = specimen(seed)
+    bench = exact_specimen(seed) if exact else specimen(seed)
     rng = np.random.default_rng([seed, 21])
     faulty, severities = bench, []
     for name in faults:
