@@ -72,7 +72,7 @@ def test_the_integrator_agrees_with_radau(seed):
 
 def test_the_derivative_holds_the_energy_of_the_falling_shank():
     """Without cylinder and springs the pendulum m g c, J: q'' = -m g c/J sin q."""
-    none = {name: 0.0 for name in ("area_a", "area_b", "k1", "k2", "d1", "viscous", "sigma_1")}
+    none = dict.fromkeys(("area_a", "area_b", "k1", "k2", "d1", "viscous", "sigma_1"), 0.0)
     none |= {"sigma_0": 1e-9, "mass": 3.0}
     state = np.zeros(10)
     state[0] = 0.6
