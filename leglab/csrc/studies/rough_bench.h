@@ -48,9 +48,9 @@ namespace leglab::studies {
   /* Valve. Dynamics: 0 second order, 1 first order; both with a limit of speed. */            \
   X(valve_law, 0.0) X(bandwidth_hz, 250.0) X(damping_ratio, 0.7) X(slew, 1e6)                  \
   X(null_bias, 0.0) X(hysteresis, 0.0) X(command_delay, 0.0)                                   \
-  /* Edges: 0 hyperbola, 1 sharp with a constant leak, 2 logarithmic. */                       \
+  /* Edges: 0 hyperbola, 1 sharp over a clearance, 2 logarithmic. */                           \
   X(edge_law, 0.0) X(lap_pa, 0.02) X(lap_at, 0.02) X(lap_pb, 0.02) X(lap_bt, 0.02)             \
-  X(edge_rounding, 0.0216) X(edge_leak, 0.0) X(port_curvature, 0.0)                            \
+  X(edge_rounding, 0.0216) X(edge_clearance, 0.0) X(port_curvature, 0.0)                            \
   X(rated_flow, 1.25e-4) X(rated_pressure_drop, 7e6) X(gain_positive, 1.0) X(gain_negative, 1.0) \
   /* Orifice: 0 smooth root, 1 cubic below the transition, 2 root of a shifted drop. */        \
   X(orifice_law, 0.0) X(transition_pressure, 1e5) X(flow_exponent, 0.5)                        \
@@ -196,14 +196,14 @@ class RoughEquations {
     const double e = p_.edge_rounding;
     double w;
     if (p_.edge_law == 1.0) {
-      w = std::max(d, 0.0);
+      w = std::hypot(std::max(d, 0.0), p_.edge_clearance);
     } else if (p_.edge_law == 2.0) {
-      const double r = d / (0.5 * e);
-      w = r > 30.0 ? d : 0.5 * e * std::log1p(std::exp(r));
+      const double scale = 0.75 * e, r = d / scale;  // as open at d = 0 as the hyperbola
+      w = r > 30.0 ? d : scale * std::log1p(std::exp(r));
     } else {
       w = 0.5 * (d + std::sqrt(d * d + e * e));
     }
-    return w * (1.0 + p_.port_curvature * std::max(d, 0.0)) + p_.edge_leak;
+    return w * (1.0 + p_.port_curvature * std::max(d, 0.0));
   }
 
   double orifice(double drop) const {
@@ -213,7 +213,9 @@ class RoughEquations {
       const double r = size / c;
       root = r > 1.0 ? std::sqrt(size) : std::sqrt(c) * r * (1.25 - 0.25 * r * r);
     } else if (p_.orifice_law == 2.0) {
-      root = std::sqrt(size + 0.25 * c) - std::sqrt(0.25 * c);
+      const double shift = 0.125 * c, half = 0.5 * p_.rated_pressure_drop;
+      root = std::sqrt(size + shift) - std::sqrt(shift);
+      root *= std::sqrt(half) / (std::sqrt(half + shift) - std::sqrt(shift));
     } else {
       root = size / std::sqrt(std::sqrt(size * size + c * c));
     }

@@ -100,7 +100,7 @@ _FACTORS = {
 _SHIFTS = {
     "tilt": 0.004,
     "rest_position": 0.008,
-    "null_bias": 0.002,
+    "null_bias": 0.0012,
     "encoder_offset": 0.002,
     "force_offset": 0.15,
     "hose_stiffness": 0.3,
@@ -126,9 +126,12 @@ def specimen(seed: int) -> RoughBench:
     values = {name: NOMINAL[name] * float(np.exp(s * normal())) for name, s in _FACTORS.items()}
     values |= {name: NOMINAL[name] + s * normal() for name, s in _SHIFTS.items()}
     values["mid_length"] = NOMINAL["mid_length"] + 3e-4 * normal()
+    values["edge_law"] = int(rng.integers(3))
     lap = NOMINAL["lap_pa"] * float(np.exp(0.1 * normal()))
+    if values["edge_law"] == 1:
+        lap *= 0.75  # a sharp edge of this lap passes about as much as a rounded one
     for edge in ("lap_pa", "lap_at", "lap_pb", "lap_bt"):
-        values[edge] = lap + 0.0008 * normal()
+        values[edge] = lap + 0.0005 * normal()
 
     law = int(rng.integers(4))
     values |= {"friction_law": law, "viscous_exponent": between(0.9, 1.1)}
@@ -141,9 +144,8 @@ def specimen(seed: int) -> RoughBench:
     if values["valve_law"] == 1:
         values["bandwidth_hz"] *= 0.75  # of the same lag at low frequencies
     values["slew"] = 1.0 / between(0.004, 0.012)
-    values["edge_law"] = int(rng.integers(3))
     if values["edge_law"] == 1:
-        values["edge_leak"] = between(0.001, 0.004)
+        values["edge_clearance"] = between(0.004, 0.007)
     values["orifice_law"] = int(rng.integers(3))
     values["flow_exponent"] = between(0.47, 0.53)
     values["oil_law"] = int(rng.integers(4))
