@@ -37,6 +37,7 @@ EXAMPLES = {
         "leglab diagnose knee_bench rec/*.parquet --out out/knee",
         "leglab diagnose axis.xml log.mcap --columns map.toml --effect backlash",
         "leglab diagnose --self-test --cases 20",
+        "leglab diagnose --self-test --rough --sizes visible --out out/rough",
     ),
     "convert": (
         "leglab convert run.parquet run.mat",

@@ -45,6 +45,24 @@ def diagnose(
         bool, typer.Option("--self-test", help="Diagnose blind cases with known truth instead.")
     ] = False,
     cases: Annotated[int, typer.Option(help="Single-effect cases of the self-test.")] = 100,
+    rough: Annotated[
+        bool,
+        typer.Option(
+            "--rough",
+            help="Self-test on specimens that differ from their model everywhere a little, with "
+            "recordings from before the fault.",
+        ),
+    ] = False,
+    no_healthy: Annotated[
+        bool, typer.Option("--no-healthy", help="Rough self-test without those recordings.")
+    ] = False,
+    sizes: Annotated[
+        str,
+        typer.Option(
+            help="Of the self-test's faults: gross, or visible for everything from just visible "
+            "to gross."
+        ),
+    ] = "gross",
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -54,7 +72,10 @@ def diagnose(
     diagnosis.html, and shows the gap on recordings that were not used to find it.
     """
     if self_test:
-        _self_test(out, cases, seed, as_json)
+        if rough or sizes != "gross":
+            _rough_self_test(out, cases, seed, as_json, rough, rough and not no_healthy, sizes)
+        else:
+            _self_test(out, cases, seed, as_json)
         return
     if model is None or not recordings:
         raise LeglabError("diagnose needs a model and at least one recording, or --self-test")
@@ -95,6 +116,37 @@ def diagnose(
     for line in results.summary_lines(result):
         output.print(line, markup=False)
     output.print(f"{result.seconds:.1f} s, {result.rollouts:.0f} replays; {out}/diagnosis.html")
+
+
+def _rough_self_test(
+    folder: Path, count: int, seed: int, as_json: bool, rough: bool, healthy: bool, sizes: str
+) -> None:
+    from leglab.studies.blind.rough_figures import save_figures
+    from leglab.studies.blind.rough_selftest import (
+        RoughTestSettings,
+        as_rows,
+        confusion_table,
+        reliability_table,
+        rough_self_test,
+        score_table,
+    )
+
+    settings = RoughTestSettings(rough=rough, sizes=sizes, healthy=healthy, seed=seed)
+    with progress("self-test", count) as show:
+
+        def tell(label: str, done: int, total: int) -> None:
+            show(description=label or "self-test", completed=done, total=total)
+
+        outcomes = rough_self_test(folder, count, settings, progress=tell)
+    paths = save_figures(outcomes, folder, settings.name)
+    if as_json:
+        print_json(as_rows(outcomes))
+        return
+    output.print(score_table(outcomes, settings))
+    output.print(reliability_table(outcomes))
+    output.print(confusion_table(outcomes))
+    for path in paths:
+        output.print(str(path), markup=False, highlight=False, soft_wrap=True)
 
 
 def _self_test(folder: Path, count: int, seed: int, as_json: bool) -> None:

@@ -1,9 +1,8 @@
 """The self-test: many blind cases, scored, on two processes, resumed where it was interrupted."""
 
-import json
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -19,7 +18,6 @@ from leglab.diagnosis.model import Machine
 from leglab.diagnosis.recordings import held_out_choice
 from leglab.diagnosis.verdict import diagnose
 from leglab.diagnosis.workflow import DiagnosisSettings
-from leglab.runs.parallel import in_processes
 from leglab.studies.blind.faulty_bench import (
     FAULTS,
     SUDDEN,
@@ -28,6 +26,7 @@ from leglab.studies.blind.faulty_bench import (
     detuned,
     references,
 )
+from leglab.studies.blind.outcomes import run_missing
 
 MODEL = "knee_bench"
 # Of every hundred single-effect cases.
@@ -181,21 +180,15 @@ def self_test(
     counts = {k: max(1, round(_SHARES[k] * count)) for k in _SHARES if k in set(kinds)}
     names = set(Library(Machine(MODEL)).names)
     todo = cases(counts, seed, sorted(set(FAULTS) & names))
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"outcomes-{seed}.jsonl"
-    keys = {(c.kind, c.number) for c in todo}
-    done = {key: o for o in _read(path) if (key := (o.kind, o.number)) in keys}
-    rest = [c for c in todo if (c.kind, c.number) not in done]
-    # All kinds side by side, so that an interrupted test says something about each.
-    rest.sort(key=lambda c: (c.number + 0.5) / counts[c.kind])
-    progress("", len(done), len(todo))
-    with path.open("a") as stream:
-        for outcome in in_processes(partial(run_case, seed=seed), rest, jobs=processes):
-            stream.write(json.dumps(asdict(outcome)) + "\n")
-            stream.flush()
-            done[outcome.kind, outcome.number] = outcome
-            progress(f"{outcome.kind} {outcome.number}", len(done), len(todo))
-    return [done[c.kind, c.number] for c in todo]
+    return run_missing(
+        folder / f"outcomes-{seed}.jsonl",
+        todo,
+        partial(run_case, seed=seed),
+        key=lambda one: (one.kind, one.number),
+        parse=_OUTCOME.validate_python,
+        processes=processes,
+        progress=progress,
+    )
 
 
 def run_case(case: Case, seed: int) -> Outcome:
@@ -232,17 +225,6 @@ def run_case(case: Case, seed: int) -> Outcome:
 
 
 _OUTCOME = TypeAdapter(Outcome)  # makes tuples of JSON's lists
-
-
-def _read(path: Path) -> Iterator[Outcome]:
-    if not path.exists():
-        return
-    for line in path.read_text().splitlines():
-        try:
-            row = json.loads(line)
-        except json.JSONDecodeError:  # the line that an interruption cut off
-            continue
-        yield _OUTCOME.validate_python(row)
 
 
 def scores(outcomes: list[Outcome]) -> list[tuple[str, str, str, str]]:

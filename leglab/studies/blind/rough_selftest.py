@@ -1,0 +1,474 @@
+"""The self-test on specimens of another simulator: are names right, and confidences true?
+
+Specimens are rough benches (`rough_bench`), or exact ones by the same simulator. Outcomes keep what
+the diagnosis said as it said it; scores are drawn from that alone.
+"""
+
+import inspect
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter
+from rich.table import Table
+from scipy.stats import binomtest
+
+from leglab.base.errors import LeglabError, unknown_name
+from leglab.diagnosis.hypothesis import Library
+from leglab.diagnosis.model import Machine
+from leglab.diagnosis.recordings import held_out_choice
+from leglab.diagnosis.verdict import diagnose
+from leglab.diagnosis.workflow import DiagnosisSettings
+from leglab.studies.blind.outcomes import run_missing
+from leglab.studies.blind.rough_bench import FAULTS, SIZES, effect_of, rough_case
+
+MODEL = "knee_bench"
+HEAD = ("question", "reached", "95 % interval", "cases", "asked")
+# Of every hundred single faults. "torque" is a torque of position: no effect of its own.
+SHARES = {"single": 1.0, "null": 0.3, "torque": 0.15, "pair": 0.1}
+_UNKNOWN = "position_torque"
+_KINDS = {"single": 1, "null": 2, "torque": 3, "pair": 4}  # in the seeds
+SURE, DOUBT, CLAIM = 0.8, 0.5, 0.9
+_PERIOD_TOLERANCE = 0.03
+# Claims are counted between these confidences.
+EDGES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 1.0)
+NOTHING = "nothing"
+_RANKED = 5  # effects of the screening that are kept
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoughTestSettings:
+    """What is hidden where.
+
+    Attributes:
+        rough: Rough specimens; else exact ones.
+        sizes: "gross", or "visible" for everything from just visible to gross.
+        healthy: Whether the diagnosis gets recordings from before the fault.
+        seed: With it every random choice is fixed.
+    """
+
+    rough: bool = True
+    sizes: str = "gross"
+    healthy: bool = True
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.sizes not in SIZES:
+            raise unknown_name("range of sizes", self.sizes, SIZES)
+
+    @property
+    def name(self) -> str:
+        """For files."""
+        parts = ["rough" if self.rough else "exact", self.sizes]
+        return "-".join([*parts, *["healthy"] * self.healthy, str(self.seed)])
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoughTestCase:
+    """Faults hidden in one set of recordings.
+
+    Attributes:
+        kind: A key of `SHARES`.
+        number: Of the case among its kind.
+        specimen: Seed for `rough_case`.
+        faults: Names of the bench's faults.
+    """
+
+    kind: str
+    number: int
+    specimen: int
+    faults: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoughOutcome:
+    """A case and what the diagnosis said of it.
+
+    Attributes:
+        kind: Of the case.
+        number: Of the case.
+        specimen: Seed for `rough_case`.
+        faults: That were there.
+        severities: Parameter and true value of each.
+        diagnosis: What diagnosis.json holds; empty where the diagnosis failed.
+        ranking: Best effects of the first screening: name, element, chi-square saved.
+        seconds: Time of the diagnosis on one thread.
+        error: Why it failed.
+    """
+
+    kind: str
+    number: int
+    specimen: int
+    faults: tuple[str, ...]
+    severities: tuple[tuple[str, float], ...]
+    diagnosis: dict[str, Any]
+    ranking: tuple[tuple[str, str, float], ...]
+    seconds: float
+    error: str = ""
+
+    @property
+    def hidden(self) -> tuple[str, ...]:
+        """The faults by the names of the diagnosis."""
+        return tuple(effect_of(fault) for fault in self.faults)
+
+    @property
+    def verdict(self) -> str:
+        """Of the diagnosis, or "failed"."""
+        return str(self.diagnosis.get("verdict", "failed"))
+
+    @property
+    def claims(self) -> tuple[tuple[str, float], ...]:
+        """Names with their confidence, in the order of the diagnosis."""
+        effects = self.diagnosis.get("effects", ())
+        return tuple((e["name"], float(e.get("confidence") or 0.0)) for e in effects)
+
+    @property
+    def first(self) -> str:
+        """The first name, or `NOTHING`."""
+        return self.claims[0][0] if self.claims else NOTHING
+
+    def right_first(self, confidence: float = 0.0) -> bool:
+        """Whether the first name is right, with this confidence at least."""
+        return any(n in self.hidden and c >= confidence for n, c in self.claims[:1])
+
+    def named(self, effect: str) -> bool:
+        """Whether an effect is among the names, or not told apart from one of them."""
+        effects = self.diagnosis.get("effects", ())
+        return any(effect in (e["name"], *e.get("indistinguishable_from", ())) for e in effects)
+
+    def wrong(self, confidence: float = DOUBT) -> bool:
+        """Whether a name that is not there has more than this confidence, whatever the verdict."""
+        return any(n not in self.hidden and c > confidence for n, c in self.claims)
+
+    @property
+    def closed(self) -> float:
+        """Share of the gap on held-out recordings that was closed; 0 where there is none."""
+        return float(self.diagnosis.get("gap", {}).get("closed_fraction") or 0.0)
+
+    @property
+    def period_right(self) -> bool:
+        """Whether a period is told, the true one within 3 %."""
+        told = told_period(self.diagnosis)
+        true = dict(self.severities).get("period")
+        return bool(told and true and abs(told / true - 1.0) <= _PERIOD_TOLERANCE)
+
+    @property
+    def covered(self) -> tuple[bool, ...]:
+        """For each right name with a known true value: whether its interval holds it."""
+        found = []
+        for effect, (parameter, value) in zip(self.hidden, self.severities, strict=True):
+            for e in self.diagnosis.get("effects", ()):
+                estimate = e["parameters"].get(parameter) if e["name"] == effect else None
+                if estimate and None not in estimate["interval"]:
+                    low, high = estimate["interval"]
+                    found.append(low <= value <= high)
+        return tuple(found)
+
+
+def told_period(content: Any) -> float | None:
+    """The first period in what a diagnosis says: a number of that name, or "repeats every x"."""
+    if isinstance(content, dict):
+        for key, value in content.items():
+            if "period" in str(key):
+                value = value.get("value") if isinstance(value, dict) else value
+                if isinstance(value, int | float) and value > 0.0:
+                    return float(value)
+            found = told_period(value)
+            if found is not None:
+                return found
+    elif isinstance(content, list | tuple):
+        return next((p for p in map(told_period, content) if p is not None), None)
+    elif isinstance(content, str):
+        match = re.search(r"repeats every (\d+(?:\.\d+)?)", content)
+        return float(match[1]) if match else None
+    return None
+
+
+def rough_cases(
+    counts: Mapping[str, int], settings: RoughTestSettings, effects: Iterable[str]
+) -> list[RoughTestCase]:
+    """The cases of a self-test: single ones cycle through all faults that have a name.
+
+    Args:
+        counts: Number of cases by kind.
+        settings: Their seed fixes specimens and pairs.
+        effects: Names that the diagnosis knows.
+    """
+    known = set(effects)
+    faults = [name for name in FAULTS if effect_of(name) in known and name != _UNKNOWN]
+    found = []
+    for kind, count in counts.items():
+        for number in range(count):
+            rng = np.random.default_rng([settings.seed, 40, _KINDS[kind], number])
+            chosen: tuple[str, ...] = ()
+            if kind == "single":
+                chosen = (faults[number % len(faults)],)
+            elif kind == "torque":
+                chosen = (_UNKNOWN,)
+            elif kind == "pair":
+                chosen = tuple(str(name) for name in rng.choice(faults, 2, replace=False))
+            specimen = settings.seed * 1_000_000 + _KINDS[kind] * 100_000 + number
+            found.append(RoughTestCase(kind=kind, number=number, specimen=specimen, faults=chosen))
+    return found
+
+
+def rough_self_test(
+    folder: Path,
+    count: int = 100,
+    settings: RoughTestSettings | None = None,
+    *,
+    processes: int = 2,
+    kinds: Iterable[str] = tuple(SHARES),
+    progress: Callable[[str, int, int], None] = lambda *_: None,
+) -> list[RoughOutcome]:
+    """Runs the cases whose outcome the folder lacks, and returns all.
+
+    Args:
+        folder: Where outcomes are kept, in a file of the settings' name.
+        count: Number of single faults; the other kinds in proportion.
+        settings: Which specimens, sizes and recordings.
+        processes: Cases at a time.
+        kinds: Of cases to run.
+        progress: Called with the last case, the number done and the total.
+
+    Raises:
+        LeglabError: A kind does not exist, or the diagnosis takes no healthy recordings.
+    """
+    settings = settings or RoughTestSettings()
+    kinds = tuple(kinds)
+    for kind in kinds:
+        if kind not in SHARES:
+            raise unknown_name("kind of case", kind, SHARES)
+    if settings.healthy and "healthy" not in inspect.signature(diagnose).parameters:
+        raise LeglabError("diagnose takes no healthy recordings yet: --no-healthy")
+    counts = {k: max(1, round(share * count)) for k, share in SHARES.items() if k in kinds}
+    todo = rough_cases(counts, settings, Library(Machine(MODEL)).names)
+    return run_missing(
+        folder / f"outcomes-{settings.name}.jsonl",
+        todo,
+        Runner(settings),
+        key=lambda one: (one.kind, one.number),
+        parse=_OUTCOME.validate_python,
+        done=lambda outcome: not outcome.error,
+        processes=processes,
+        progress=progress,
+    )
+
+
+@dataclass(frozen=True)
+class Runner:
+    """Makes a case and diagnoses it on one thread; a failure is an outcome as well.
+
+    Attributes:
+        settings: Of the self-test.
+    """
+
+    settings: RoughTestSettings
+
+    def __call__(self, case: RoughTestCase) -> RoughOutcome:
+        """Runs one case."""
+        settings = self.settings
+        made = rough_case(
+            case.specimen,
+            case.faults,
+            sizes=settings.sizes,
+            healthy=settings.healthy,
+            exact=not settings.rough,
+        )
+        content: dict[str, Any] = {}
+        ranking: list[tuple[str, str, float]] = []
+        error = ""
+        extra: dict[str, Any] = {"healthy": made.healthy} if settings.healthy else {}
+        began = perf_counter()
+        try:
+            result, _ = diagnose(
+                MODEL,
+                made.recordings,
+                held_out=held_out_choice(made.recordings, Machine(MODEL)),
+                settings=DiagnosisSettings(threads=1, seed=settings.seed),
+                **extra,
+            )
+            content = result.to_json()
+            best = sorted((r for r in result.ranking if r.round == 1), key=lambda r: -r.gain)
+            ranking = [(r.name, r.element, float(r.gain)) for r in best[:_RANKED]]
+        except Exception as failure:  # hours of other cases must not be lost
+            error = f"{type(failure).__name__}: {failure}"
+        return RoughOutcome(
+            kind=case.kind,
+            number=case.number,
+            specimen=case.specimen,
+            faults=case.faults,
+            severities=tuple((s.parameter, s.value) for s in made.severities),
+            diagnosis=content,
+            ranking=tuple(ranking),
+            seconds=perf_counter() - began,
+            error=error,
+        )
+
+
+_OUTCOME = TypeAdapter(RoughOutcome)  # makes tuples of JSON's lists
+
+
+def interval(good: int, count: int) -> tuple[float, float]:
+    """95 % interval of a share (Wilson 1927)."""
+    bounds = binomtest(good, count).proportion_ci(method="wilson")
+    return float(bounds.low), float(bounds.high)
+
+
+def scores(
+    outcomes: Sequence[RoughOutcome], settings: RoughTestSettings
+) -> list[tuple[str, str, str, str, str]]:
+    """Rows of `HEAD`: shares reached, their intervals, and what is asked."""
+    rows: list[tuple[str, str, str, str, str]] = []
+    ran = [o for o in outcomes if not o.error]
+
+    def add(question: str, good: Iterable[bool], asked: str) -> None:
+        told = list(good)
+        if told:
+            low, high = interval(sum(told), len(told))
+            share = f"{sum(told)} ({sum(told) / len(told):.0%})"
+            rows.append((question, share, f"{low:.0%} to {high:.0%}", str(len(told)), asked))
+
+    def of(kind: str) -> list[RoughOutcome]:
+        return [o for o in ran if o.kind == kind]
+
+    rough, healthy = settings.rough, settings.healthy
+    single, torque = of("single"), of("torque")
+    first, sure = (("90 %", "80 %") if healthy else ("85 %", "65 %")) if rough else ("", "")
+    add("single fault: right name first", (o.right_first() for o in single), first)
+    question = f"... with confidence {SURE:g} or more"
+    add(question, (o.right_first(SURE) for o in single), sure)
+    add(f"... a wrong name above {DOUBT:g}", (o.wrong() for o in single), "")
+    exact = "" if rough else "at most 2 %"
+    add(f"... a wrong name above {SURE:g}", (o.wrong(SURE) for o in single), exact)
+    asked = "at most 3 %" if healthy else ""
+    add(f"nothing hidden: a name above {DOUBT:g}", (o.wrong() for o in of("null")), asked)
+    both = (all(o.named(effect) for effect in o.hidden) for o in of("pair"))
+    add("pair: both named", both, "")
+    sides = [right for right, confidence in all_claims(ran) if confidence >= CLAIM]
+    add(f"names given with {CLAIM:g} or more that are right", sides, "87 to 97 %" if rough else "")
+    question = "torque of position: its period told within 3 %"
+    add(question, (o.period_right for o in torque), "90 %")
+    if torque:
+        closed = f"{np.median([o.closed for o in torque]):.2f}"
+        rows.append(("... gap closed, median", closed, "", str(len(torque)), "0.8"))
+    add("95 % intervals of right names hold the truth", (c for o in ran for c in o.covered), "")
+    seconds = [o.seconds for o in ran]
+    if seconds:
+        times = f"{np.median(seconds):.0f} / {max(seconds):.0f}"
+        rows.append(("seconds on one thread, median / longest", times, "", str(len(ran)), ""))
+    failed = len(outcomes) - len(ran)
+    if failed:
+        rows.append(("diagnoses that failed", str(failed), "", str(len(outcomes)), "0"))
+    return rows
+
+
+def all_claims(outcomes: Iterable[RoughOutcome]) -> Iterator[tuple[bool, float]]:
+    """Whether each name of all cases is right, and the confidence it was given with."""
+    for outcome in outcomes:
+        for name, confidence in outcome.claims:
+            yield name in outcome.hidden, confidence
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bin:
+    """Claims between two confidences.
+
+    Attributes:
+        low: Least confidence.
+        high: Confidence of the next bin; the last one holds it as well.
+        count: Claims.
+        right: Of them.
+        mean: Confidence; nan without claims.
+    """
+
+    low: float
+    high: float
+    count: int
+    right: int
+    mean: float
+
+
+def reliability(outcomes: Iterable[RoughOutcome]) -> list[Bin]:
+    """Claims by their confidence, all kinds of cases together."""
+    claims = list(all_claims(outcomes))
+    right = np.array([r for r, _ in claims], dtype=bool)
+    confidence = np.array([c for _, c in claims], dtype=float)
+    place = np.clip(np.searchsorted(EDGES, confidence, side="right") - 1, 0, len(EDGES) - 2)
+    return [
+        Bin(
+            low=EDGES[i],
+            high=EDGES[i + 1],
+            count=int((place == i).sum()),
+            right=int(right[place == i].sum()),
+            mean=float(confidence[place == i].mean()) if (place == i).any() else float("nan"),
+        )
+        for i in range(len(EDGES) - 1)
+    ]
+
+
+def confusions(outcomes: Iterable[RoughOutcome]) -> Counter[tuple[str, str]]:
+    """How often a hidden effect of single and null cases got a first name."""
+    kinds = ("single", "null")
+    return Counter(
+        ((o.hidden or (NOTHING,))[0], o.first) for o in outcomes if o.kind in kinds and not o.error
+    )
+
+
+def score_table(outcomes: Sequence[RoughOutcome], settings: RoughTestSettings) -> Table:
+    """The scores, for the terminal."""
+    title = "rough self-test" if settings.rough else "self-test, exact specimens"
+    title += f", {'from just visible on' if settings.sizes == 'visible' else 'gross faults'}"
+    title += f", {'with' if settings.healthy else 'without'} healthy recordings"
+    table = Table(*HEAD, title=title, title_justify="left")
+    for row in scores(outcomes, settings):
+        table.add_row(*row)
+    return table
+
+
+RELIABILITY_HEAD = ("confidence", "names", "right", "95 % interval")
+
+
+def reliability_rows(bins: Iterable[Bin]) -> list[tuple[str, str, str, str]]:
+    """Rows of `RELIABILITY_HEAD`."""
+    rows = []
+    for one in bins:
+        share = bounds = ""
+        if one.count:
+            low, high = interval(one.right, one.count)
+            share = f"{one.right / one.count:.0%}"
+            bounds = f"{low:.0%} to {high:.0%}"
+        rows.append((f"{one.low:g} to {one.high:g}", str(one.count), share, bounds))
+    return rows
+
+
+def reliability_table(outcomes: Sequence[RoughOutcome]) -> Table:
+    """How often names are right, by the confidence they are given with."""
+    title = "names by confidence"
+    table = Table(*RELIABILITY_HEAD, title=title, title_justify="left")
+    for row in reliability_rows(reliability(outcomes)):
+        table.add_row(*row)
+    return table
+
+
+def confusion_table(outcomes: Sequence[RoughOutcome]) -> Table:
+    """Wrong or missing first names of single faults: hidden against named."""
+    head = ("hidden", "first name", "confidence", "verdict", "place in the screening")
+    table = Table(*head, title="single faults not named first", title_justify="left")
+    missed = [o for o in outcomes if o.kind == "single" and not o.error and not o.right_first()]
+    for o in sorted(missed, key=lambda o: o.faults):
+        names = [name for name, _, _ in o.ranking]
+        place = str(names.index(o.hidden[0]) + 1) if o.hidden[0] in names else f"> {len(names)}"
+        confidence = f"{o.claims[0][1]:.2f}" if o.claims else ""
+        table.add_row(o.faults[0], o.first, confidence, o.verdict, place)
+    return table
+
+
+def as_rows(outcomes: Iterable[RoughOutcome]) -> list[dict[str, Any]]:
+    """The outcomes as JSON holds them."""
+    return [asdict(outcome) for outcome in outcomes]
