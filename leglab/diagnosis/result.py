@@ -324,6 +324,9 @@ class Diagnosis:
                     for effect, element, estimate in self.calibration.estimates
                 ],
             },
+            "rivals": [
+                {"round": one.round, "names": one.names, "cost": one.cost} for one in self.rivals
+            ],
             "ceiling": self.ceiling,
             "next_experiment": self.next_experiment and asdict(self.next_experiment),
             "notes": self.notes,

@@ -4,7 +4,6 @@ Specimens are rough benches (`rough_bench`), or exact ones by the same simulator
 the diagnosis said as it said it; scores are drawn from that alone.
 """
 
-import inspect
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -237,15 +236,13 @@ def rough_self_test(
         progress: Called with the last case, the number done and the total.
 
     Raises:
-        LeglabError: A kind does not exist, or the diagnosis takes no healthy recordings.
+        LeglabError: A kind does not exist.
     """
     settings = settings or RoughTestSettings()
     kinds = tuple(kinds)
     for kind in kinds:
         if kind not in SHARES:
             raise unknown_name("kind of case", kind, SHARES)
-    if settings.healthy and "healthy" not in inspect.signature(diagnose).parameters:
-        raise LeglabError("diagnose takes no healthy recordings yet: --no-healthy")
     counts = {k: max(1, round(share * count)) for k, share in SHARES.items() if k in kinds}
     todo = rough_cases(counts, settings, Library(Machine(MODEL)).names)
     return run_missing(
