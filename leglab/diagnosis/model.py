@@ -13,13 +13,13 @@ import leglab.models
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.diagnosis.paths import CommandPath, Correction, take_out
 from leglab.machine.parameters import PluginTable
+from leglab.machine.sensors import CHAMBERS as CHAMBERS
 from leglab.machine.simulation import actuator_moments
 
 CYLINDER = "leglab.cylinder"
 FRICTION = "leglab.joint_friction"
 SPRING = "leglab.spring_damper"
 SUPPLY = "leglab.supply"
-CHAMBERS = ("pressure_a", "pressure_b")
 
 Edit = tuple[Hashable, Callable[[mujoco.MjSpec], None]]
 _SIMPLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))

@@ -122,19 +122,30 @@ def _combined(
     now = at.base.get(site.key, site.nominal)
     steps = np.stack([trial.step for trial in leaders], axis=2)
     furthest = np.full(len(leaders), problem.thresholds.furthest)
+    differences = [trial.values - now for trial in leaders]
+    backward = np.array([_backward(site, d) for d in differences])
     own = FreeTangents(
         columns=np.concatenate([named.columns, steps], axis=2),
-        lower=np.concatenate([named.lower, np.zeros(len(leaders))]),
+        lower=np.concatenate([named.lower, -np.minimum(backward, furthest)]),
         upper=np.concatenate([named.upper, furthest]),
     )
     shares = profiled(problem, at, own)[0][named.lower.size :]
-    differences = [trial.values - now for trial in leaders]
     values = now + sum(share * d for share, d in zip(shares, differences, strict=True))
     values = np.clip(values, site.lower, site.upper)
     near = any(
         np.allclose(values, now + d, rtol=0.15, atol=0.05 * abs(d).max()) for d in differences
     )
     return None if near or np.allclose(values, now) else values
+
+
+def _backward(site: Site, difference: np.ndarray) -> float:
+    """Multiples of a trial that its bounds allow to the other side, 0 where that has trials too."""
+    i = int(np.argmax(np.abs(difference) / [p.scale for p in site.parameters]))
+    parameter, side = site.parameters[i], np.sign(difference[i])
+    if any(side * (trial - parameter.nominal) < 0.0 for trial in parameter.trials):
+        return 0.0
+    room = parameter.nominal - parameter.lower if side > 0 else parameter.upper - parameter.nominal
+    return float(room / abs(difference[i]))
 
 
 def beyond_tangents(directions: np.ndarray, tangents: np.ndarray) -> np.ndarray:
