@@ -180,7 +180,7 @@ def test_every_fault_shows_in_the_recording(name):
     plant = FaultyBench()
     FAULTS[name](plant, np.random.default_rng(8))
     ill = plant.record(reference, np.random.default_rng(7))
-    columns = ("knee_position", "knee_valve_command", "knee_pressure_a")
+    columns = ("knee_position", "knee_valve_command", "knee_pressure_a", "knee_pressure_b")
     assert any(not np.array_equal(healthy[c], ill[c]) for c in columns)
 
 

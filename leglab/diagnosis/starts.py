@@ -144,6 +144,7 @@ class Instances:
         velocity = measured.piston_velocity[element]
         pressures = sum(self.pressures(self.machine.driven[element][0]), np.zeros(1))
         seal = self.value(element, "pressure_coefficient") * np.maximum(pressures, 0.0)
+        seal = seal + 0.5 * np.sign(velocity) * self.value(element, "coulomb_difference")
         self._slide(element, velocity, self._stribeck(element, velocity, seal))
 
     def _supply(self, element: str, cylinders: tuple[str, ...]) -> None:
@@ -180,9 +181,10 @@ class Instances:
     def _stribeck(
         self, element: str, velocity: np.ndarray, seal: np.ndarray | float = 0.0
     ) -> np.ndarray:
-        """Steady friction of sliding, shape (n,), with what pressed seals add to it."""
+        """Steady friction of sliding, shape (n,), with what seals add to it."""
         coulomb = self.value(element, "coulomb")
-        share = np.exp(-((velocity / self.value(element, "stribeck_velocity")) ** 2))
+        ratio = np.abs(velocity) / self.value(element, "stribeck_velocity")
+        share = np.exp(-(ratio ** self.value(element, "stribeck_exponent")))
         return coulomb + seal + (self.value(element, "static") - coulomb) * share
 
     def _slide(self, element: str, velocity: np.ndarray, level: np.ndarray) -> None:
@@ -238,7 +240,11 @@ class Instances:
                 lever = self.measured.lever[element][self.measured.samples]
                 total = sum((p[self.measured.samples] for p in self.pressures(joint)), 0.0)
                 seals = self.get(element, "pressure_coefficient") * np.maximum(total, 0.0)
-                forward = backward = np.abs(lever) * (breakaway + seals)
+                half = 0.5 * np.sign(lever) * self.get(element, "coulomb_difference")
+                forward, backward = (
+                    np.abs(lever) * np.maximum(breakaway + seals + side * half, 0.0)
+                    for side in (1.0, -1.0)
+                )
             else:
                 lever = np.ones(len(self.state))
                 half = 0.5 * self.get(element, "coulomb_difference")

@@ -77,6 +77,9 @@ inline constexpr double kRequired = __builtin_nan("");
   X(coulomb, "N", 100.0, 0.0, 1e5, true, "Coulomb friction [HyQ]")                                 \
   X(static, "N", 150.0, 0.0, 1e5, true, "breakaway friction, at least coulomb [C]")                \
   X(stribeck_velocity, "m/s", 0.014, 0.0, 10.0, false, "Stribeck velocity [HyQ]")                  \
+  X(stribeck_exponent, "1", 2.0, 0.1, 20.0, true, "n of exp(-|v/v_s|^n): how steeply friction falls")\
+  X(viscous_difference, "N s/m", 0.0, -1e6, 1e6, true, "viscous friction extending less retracting")\
+  X(coulomb_difference, "N", 0.0, -1e5, 1e5, true, "Coulomb and breakaway friction extending less retracting")\
   X(pressure_coefficient, "N/Pa", 0.0, 0.0, 1e-2, true, "friction per unit of pA + pB")            \
   X(rated_flow, "m^3/s", 1.25e-4, 0.0, 1e-1, false, "at rated_pressure_drop over both edges [V]")  \
   X(rated_pressure_drop, "Pa", 7e6, 0.0, 1e8, false, "both edges together [V]")                    \
