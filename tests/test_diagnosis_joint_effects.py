@@ -27,6 +27,7 @@ MINE = (
     "spring_hardening",
     "spring_offset",
     "quadratic_damping",
+    "cogging",
     "viscous_friction",
     "coulomb_friction",
     "stiction",
@@ -148,7 +149,8 @@ def test_nominal_values_change_nothing(machines):
 def test_every_trial_shows_and_severe_ones_show_more(machines):
     for name, machine, effect, element in cases(machines):
         plain = replay(machine, Change(machine))
-        for parameter in effect.parameters(machine, element):
+        strengths = [p for p in effect.parameters(machine, element) if p.role == "strength"]
+        for parameter in strengths:
             shifts = []
             for trial in parameter.trials:
                 assert parameter.lower <= trial <= parameter.upper

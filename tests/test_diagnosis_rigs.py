@@ -82,6 +82,18 @@ def test_backlash_of_a_pendulum_is_named():
     assert result.gap.closed_fraction > 0.9
 
 
+@pytest.mark.parametrize(
+    ("rig", "size", "period"), [(SLIDE_AXIS, 2.0, 0.031), (PENDULUM, 0.2, 0.9)]
+)
+def test_a_force_that_repeats_with_the_position_is_named_with_its_period(rig, size, period):
+    result, _ = verdict(rig, Truth(ripple=(size, period)), "multisine")
+    assert [effect.name for effect in result.effects] == ["cogging"]
+    found = values(result)
+    assert found["period"] == pytest.approx(period, rel=0.03)
+    assert np.hypot(found["sine"], found["cosine"]) == pytest.approx(size, rel=0.05)
+    assert result.gap.closed_fraction > 0.9
+
+
 @pytest.mark.parametrize("rig", [SLIDE_AXIS, PENDULUM])
 def test_a_good_machine_within_its_tolerance_lacks_nothing(rig):
     result, _ = verdict(rig, Truth(viscous_factor=1.05), "multisine")

@@ -48,7 +48,7 @@ class Site:
         """Values to screen, each (parameters,): one strength off its nominal value."""
         found = []
         for i, parameter in enumerate(self.parameters):
-            for trial in parameter.trials:
+            for trial in parameter.trials if parameter.role == "strength" else ():
                 values = self.nominal
                 values[i] = np.clip(trial, parameter.lower, parameter.upper)
                 if values[i] != parameter.nominal:

@@ -230,6 +230,23 @@ class Measured:
     samples: np.ndarray
 
 
+@dataclass(frozen=True)
+class ForceLeft:
+    """Force on a joint that the measured motion leaves over, at some moments; all (moments,).
+
+    Attributes:
+        position: Of the joint.
+        velocity: Of the joint.
+        acceleration: Of the joint.
+        force: M a + bias less all forces of the model [N m or N].
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    force: np.ndarray
+
+
 # Value of a plugin state at the start of every window, shape (windows,).
 Start = Callable[[Measured, Variant, np.ndarray], np.ndarray]
 

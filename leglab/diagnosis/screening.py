@@ -1,13 +1,16 @@
 """Screening: what each effect would gain at a few sizes, nuisances following to first order."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
+from leglab.diagnosis.effects.base import Effect
 from leglab.diagnosis.fitting import FreeTangents, Sums, Unknowns, profiled
+from leglab.diagnosis.forces import forces_left
 from leglab.diagnosis.hypothesis import Hypothesis, Key, Site
+from leglab.diagnosis.model import ForceLeft
 from leglab.diagnosis.residual import Linearisation, Problem, departures
 
 
@@ -63,10 +66,13 @@ def screen(
     """
     # Where screening does not start from the best fit, that is counted to first order as well.
     floor = max(floor, profiled(problem, at, named)[1])
+    sites = {k: s for k, s in problem.library.sites.items() if k not in skip and s.trials()}
+    guessing = [s for s in sites.values() if type(s.effect).guesses is not Effect.guesses]
+    left = forces_left(problem, at.base) if guessing else {}
+    guesses = {s.key: _guesses(problem, s, left) for s in guessing}
     found = [
-        _screened(problem, at.without({key}), named, floor, site, onset)
-        for key, site in problem.library.sites.items()
-        if key not in skip and site.trials()
+        _screened(problem, at.without({key}), named, floor, site, guesses.get(key, []), onset)
+        for key, site in sites.items()
     ]
     return sorted(found, key=lambda c: -c.gain)
 
@@ -77,6 +83,7 @@ def _screened(
     named: FreeTangents,
     floor: float,
     site: Site,
+    guesses: list[np.ndarray],
     onset: np.ndarray | None,
 ) -> Candidate:
     """Best size of one effect; `at` is without its nuisances."""
@@ -89,7 +96,7 @@ def _screened(
 
     now = at.base.get(site.key, site.nominal)
     scales = np.array([p.scale for p in site.parameters])
-    trials = [tried(values) for values in site.trials()]
+    trials = [tried(values) for values in guesses or site.trials()]
     sizes = [np.abs(trial.values - now) / scales for trial in trials]
     smallest = trials[int(np.argmin([size.max() for size in sizes]))]
     # The best trial of every strength.
@@ -131,11 +138,23 @@ def _combined(
     )
     shares = profiled(problem, at, own)[0][named.lower.size :]
     values = now + sum(share * d for share, d in zip(shares, differences, strict=True))
+    # Shapes of different trials do not add up: that of the best one stays.
+    best = max(leaders, key=lambda trial: trial.gain).values
+    values = np.where([p.role == "shape" for p in site.parameters], best, values)
     values = np.clip(values, site.lower, site.upper)
     near = any(
         np.allclose(values, now + d, rtol=0.15, atol=0.05 * abs(d).max()) for d in differences
     )
     return None if near or np.allclose(values, now) else values
+
+
+def _guesses(problem: Problem, site: Site, left: Mapping[str, ForceLeft]) -> list[np.ndarray]:
+    """Values that an effect guesses from the force left over on its joint, within its bounds."""
+    if site.element not in left:
+        return []
+    found = site.effect.guesses(problem.machine, site.element, left[site.element])
+    rows = [np.array([values[p.name] for p in site.parameters]) for values in found]
+    return [np.clip(row, site.lower, site.upper) for row in rows]
 
 
 def _backward(site: Site, difference: np.ndarray) -> float:

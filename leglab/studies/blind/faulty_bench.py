@@ -25,6 +25,8 @@ VALVE, SPRING = "knee_valve", "knee_spring"
 
 # Generalised force on the knee from its velocity and the actuator force on it.
 Torque = Callable[[float, float], float]
+# The same from its position.
+Field = Callable[[float], float]
 
 
 def bench(pump: Mapping[str, float] | None = None) -> mujoco.MjModel:
@@ -52,6 +54,7 @@ class FaultyBench:
         tuning: Plugin parameters of this good machine, by element and name.
         parameters: Plugin parameters that faults set, likewise.
         torques: Further generalised forces on the knee.
+        fields: The same, by position.
         command_delay: s.
         encoder_scale: Gain of the position sensor.
         encoder_offset: Of the position sensor [rad].
@@ -65,6 +68,7 @@ class FaultyBench:
     tuning: dict[tuple[str, str], float] = field(default_factory=dict)
     parameters: dict[tuple[str, str], float] = field(default_factory=dict)
     torques: list[Torque] = field(default_factory=list)
+    fields: list[Field] = field(default_factory=list)
     command_delay: float = 0.0
     encoder_scale: float = 1.0
     encoder_offset: float = 0.0
@@ -111,9 +115,11 @@ class FaultyBench:
                 queue[1:] = queue[:-1]
                 queue[0] = command[k]
                 data.ctrl[0] = queue[lag] if active else command[k]
-                if active and self.torques:
+                if active and (self.torques or self.fields):
                     load, v = float(data.qfrc_actuator[0]), float(data.qvel[0])
-                    data.qfrc_applied[0] = sum(torque(v, load) for torque in self.torques)
+                    forces = [torque(v, load) for torque in self.torques]
+                    forces += [force(float(data.qpos[0])) for force in self.fields]
+                    data.qfrc_applied[0] = sum(forces)
                 mujoco.mj_step(model, data)
         time = SAMPLING_PERIOD * np.arange(count)
         position = scale * np.interp(time - late, time, true[:, 0]) + offset
@@ -383,6 +389,13 @@ def _load_dependent(plant: FaultyBench, rng: np.random.Generator) -> HiddenValue
     return HiddenValue(parameter="", value=coefficient)
 
 
+def _cogging(plant: FaultyBench, rng: np.random.Generator) -> HiddenValue:
+    period = float(np.exp(rng.uniform(np.log(0.08), np.log(0.5))))
+    size, phase = float(rng.uniform(2.0, 10.0)), float(rng.uniform(0.0, 2.0 * np.pi))
+    plant.fields.append(lambda q: size * np.sin(2.0 * np.pi * q / period + phase))
+    return HiddenValue(parameter="period", value=period)
+
+
 def _force(plant: FaultyBench, rng: np.random.Generator) -> HiddenValue:
     value = _signed(rng, 2.0, 15.0)
     plant.torques.append(lambda velocity, load: value)
@@ -443,6 +456,7 @@ FAULTS: dict[str, Fault] = {
     "pressure_sensor_offset": _pressure_sensor("offset", 0.0, 2e5, 1e6),
     "pressure_sensor_scale": _pressure_sensor("scale", 1.0, 0.03, 0.15),
     "force_offset": _force,
+    "cogging": _cogging,
 }
 
 _NOT_SUDDEN = {"supply_droop", "payload", "armature", "base_tilt"}
