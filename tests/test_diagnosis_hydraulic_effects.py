@@ -144,3 +144,32 @@ def test_a_replay_with_the_true_values_leaves_noise(healthy, name, fault, values
     without, true = replayed(healthy(fault), (name, VALVE), values)
     assert without > 5.0
     assert true < 1.3
+
+
+def test_a_piston_is_found_on_the_flank_that_it_presses(healthy):
+    """Windows of a slow motion under gravity: the replay with the true play leaves noise."""
+
+    def worn(plant):
+        plant.tuning[VALVE, "play"] = 5e-4
+
+    recordings = {"multisine": healthy(worn)["multisine"]}
+    settings = DiagnosisSettings(effects=("backlash",), threads=1)
+    problem = set_up("knee_bench", recordings, (), settings)
+    key = "backlash", VALVE
+    change = problem.library.change({key: np.array([5e-4])}, problem.replay.machine)
+    moments = problem.replay.moments(change, problem.fitted, 0.3)
+    state = np.tile(change.variant.plugin_state, (moments[0].samples.size, 1))
+    state[:, change.variant.slot(VALVE, "play")] = 5e-4
+    for chamber in ("pressure_a", "pressure_b"):
+        column = moments[0].pressure[f"knee_{chamber}"]
+        state[:, change.variant.slot(VALVE, chamber)] = column[moments[0].samples]
+    one = Instances(
+        machine=problem.machine, measured=moments[0], variant=change.variant, state=state
+    )
+    one.reconstruct()
+    assert (np.abs(one.get(VALVE, "play_offset")) > 2.5e-4).all()
+    truth = Hypothesis({key: np.array([5e-4])})
+    wrong = Hypothesis({key: np.array([2e-3])})
+    costs = [problem.about(h).window_cost(h) for h in (truth, wrong)]
+    assert np.median(costs[0]) < 1.3
+    assert costs[0].mean() <= costs[1].mean()

@@ -107,6 +107,11 @@ struct Chambers {
 
   double gauge_a() const { return a.p - kAtmosphere; }
   double gauge_b() const { return b.p - kAtmosphere; }
+
+  // Spring of the enclosed oil against the piston [N/m].
+  double stiffness(const CylinderCoefficients& c) const {
+    return -(c.area_a * c.area_a / (a.slope * amount_a) + c.area_b * c.area_b / (b.slope * amount_b));
+  }
 };
 
 inline Chambers chambers_at(const CylinderParameters& p, const CylinderCoefficients& c,

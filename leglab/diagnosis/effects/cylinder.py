@@ -238,6 +238,15 @@ class AsymmetricSealFriction(CylinderEffect):
 
 
 define(
+    "backlash",
+    "mechanics",
+    "Play between rod end and pin: within it the piston moves and the joint does not.",
+    "pins of mobile hydraulics: 0.1 to 0.5 mm, worn ones more",
+    "forces of the cylinder that change their sign, reversals",
+    CylinderRow("play", (6e-5, 3e-4, 1.2e-3), upper=1e-2, relative=False),
+)
+
+define(
     "pressure_dependent_friction",
     "friction",
     "k_p (p_A + p_B): seals that are pressed on by the oil.",
