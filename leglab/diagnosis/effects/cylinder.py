@@ -243,7 +243,7 @@ define(
     "Play between rod end and pin: within it the piston moves and the joint does not.",
     "pins of mobile hydraulics: 0.1 to 0.5 mm, worn ones more",
     "forces of the cylinder that change their sign, reversals",
-    CylinderRow("play", (6e-5, 3e-4, 1.2e-3), upper=1e-2, relative=False),
+    CylinderRow("play", (1e-4, 6e-4), upper=1e-2, relative=False),
 )
 
 define(
@@ -305,7 +305,7 @@ class ValveGainAsymmetry(CylinderEffect):
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """Factors on the flow gain of both directions."""
         return tuple(
-            EffectParameter(name, "1", nominal=1.0, lower=0.2, upper=3.0, trials=(0.75, 1.25))
+            EffectParameter(name, "1", nominal=1.0, lower=0.2, upper=3.0, trials=(0.8,))
             for name in ("gain_positive", "gain_negative")
         )
 
