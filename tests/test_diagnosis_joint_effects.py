@@ -224,7 +224,8 @@ def test_sensor_faults_are_written_beside_the_model(machines):
 
 def test_command_faults_compose_on_one_actuator_and_with_a_play(machines):
     machine = machines["pendulum"]
-    effects = {effect.name: effect for effect in all_effects()}
+    joints = (effect for effect in all_effects() if not isinstance(effect, CylinderEffect))
+    effects = {effect.name: effect for effect in joints}
     change = Change(machine)
     effects["backlash"].apply(change, "hinge", {"width": 0.05, "motor_inertia": 0.02})
     effects["command_deadband"].apply(change, "drive", {"dead_band": 0.2})
@@ -242,3 +243,11 @@ def test_command_faults_compose_on_one_actuator_and_with_a_play(machines):
     assert len(paths) == 1
     assert {"dead_band", "hysteresis"} <= set(paths[0].config)
     mujoco.MjModel.from_xml_string(compiled_xml(spec))
+
+
+def test_no_effect_replaces_another_of_its_name_and_no_element_is_served_twice(machines):
+    kinds = {type(effect).__name__ for effect in all_effects() if effect.name == "backlash"}
+    assert kinds == {"Backlash", "CylinderBacklash"}
+    for machine in machines.values():
+        keys = [(e.name, element) for e in all_effects() for element in e.elements(machine)]
+        assert len(keys) == len(set(keys))

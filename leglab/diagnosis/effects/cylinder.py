@@ -87,7 +87,7 @@ def define(
         "__doc__": physics,
         "__module__": __name__,
     }
-    register_effect(type(name.title().replace("_", ""), (CylinderEffect,), body))
+    register_effect(type("Cylinder" + name.title().replace("_", ""), (CylinderEffect,), body))
 
 
 define(
