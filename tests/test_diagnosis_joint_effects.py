@@ -23,6 +23,7 @@ MINE = (
     "armature",
     "base_tilt",
     "backlash",
+    "joint_flexibility",
     "spring_stiffness",
     "spring_hardening",
     "spring_offset",
@@ -113,6 +114,7 @@ def test_every_effect_of_the_table_is_there_where_it_can_be(machines):
     found = {(name, effect.name) for name, _, effect, _ in cases(machines)}
     everywhere = set(MINE) - {
         "backlash",
+        "joint_flexibility",
         "spring_offset",
         "base_tilt",
         "command_bias",

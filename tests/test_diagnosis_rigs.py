@@ -82,6 +82,15 @@ def test_backlash_of_a_pendulum_is_named():
     assert result.gap.closed_fraction > 0.9
 
 
+def test_a_soft_gear_of_a_pendulum_is_named():
+    result, _ = verdict(PENDULUM, Truth(soft=(60.0, 0.3)), "multisine")
+    assert result.effects[0].name == "joint_flexibility"
+    found = values(result)
+    assert found["compliance"] == pytest.approx(1.0 / 60.0, rel=0.3)
+    assert found["motor_inertia"] == pytest.approx(0.02, rel=0.3)
+    assert result.gap.closed_fraction > 0.9
+
+
 @pytest.mark.parametrize(
     ("rig", "size", "period"), [(SLIDE_AXIS, 2.0, 0.031), (PENDULUM, 0.2, 0.9)]
 )
