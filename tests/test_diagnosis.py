@@ -218,7 +218,8 @@ def test_effects_compose_on_one_parameter():
     machine = Machine("knee_bench", timestep=1e-3)
     library = Library(machine)
     keys = ("coulomb_friction", "knee_valve"), ("stiction", "knee_valve")
-    change = library.change({keys[0]: np.array([160.0]), keys[1]: np.array([250.0])}, machine)
+    values = np.array([160.0]), np.array([250.0, 0.014, 2.0])
+    change = library.change(dict(zip(keys, values, strict=True)), machine)
     assert isinstance(change, Change)
     assert change.parameters["knee_valve", "coulomb"] == 160.0
     assert change.parameters["knee_valve", "static"] == 150.0 + 60.0 + 100.0

@@ -15,7 +15,7 @@ from leglab.diagnosis.output import write_improved
 from leglab.diagnosis.paths import take_out
 from leglab.diagnosis.verdict import diagnose
 from leglab.diagnosis.workflow import DiagnosisSettings, set_up
-from leglab.machine.sensors import EncoderFaults
+from leglab.machine.sensors import EncoderFaults, PressureFaults
 from tests.patched_models import reloaded_error
 
 FOLDER = Path(__file__).parent / "data" / "diagnosis"
@@ -25,6 +25,8 @@ FAULTS = {
     ("encoder_offset", "knee"): np.array([0.03]),
     ("encoder_scale", "knee"): np.array([1.04]),
     ("sensor_delay", "knee"): np.array([0.004]),
+    ("pressure_sensor_offset", "knee_valve"): np.array([3e5, -4e5]),
+    ("pressure_sensor_scale", "knee_valve"): np.array([1.06, 0.95]),
 }
 OFFSET = 0.05
 
@@ -80,6 +82,9 @@ def test_a_patched_model_is_patched_once_more(problem, tmp_path):
     assert faults.scale == pytest.approx(1.04**2)
     assert faults.offset == pytest.approx(1.04 * 0.03 + 0.03)
     assert faults.delay == pytest.approx(0.008)
+    faults = PressureFaults.of(mujoco.MjModel.from_xml_path(str(twice / "improved.xml")), ["knee"])
+    assert faults.scale == pytest.approx([1.06**2, 0.95**2])
+    assert faults.offset == pytest.approx([1.06 * 3e5 + 3e5, -0.95 * 4e5 - 4e5])
 
 
 def test_the_patched_model_reproduces_the_claimed_gap(shifted, tmp_path):
@@ -108,6 +113,30 @@ def test_the_patched_model_runs_in_a_closed_loop(shifted, tmp_path):
         assert np.median(shown) == pytest.approx(offset if model == str(path) else 0.0, abs=1e-5)
         true.append(run.recording["knee_truth"])
     assert np.mean((true[0] - true[1])[-100:]) == pytest.approx(offset, rel=0.1)
+
+
+def test_pressure_sensors_of_a_patched_model_are_off_in_a_closed_loop(problem, tmp_path):
+    key = "pressure_sensor_offset", "knee_valve"
+    path = write_improved(found(problem, {key: np.array([3e5, -4e5])}), tmp_path)
+    wanted = RunSettings(scenario="nominal", model="knee_bench", duration=0.5)
+    plain, patched = (
+        run_scenario(replace(wanted, model=model)).recording for model in ("knee_bench", str(path))
+    )
+    # No controller sees the pressures here: the motion and the drawn noise are the same.
+    np.testing.assert_array_equal(plain["knee_position"], patched["knee_position"])
+    for chamber, offset in (("a", 3e5), ("b", -4e5)):
+        column = f"knee_pressure_{chamber}"
+        np.testing.assert_allclose(patched[column] - plain[column], offset, atol=1e-6)
+
+
+def test_a_controller_sees_what_the_pressure_sensors_show():
+    model = Machine("knee_bench").spec()
+    model.add_numeric(name="knee_pressure_b_scale", data=[0.9], size=1)
+    model.add_numeric(name="knee_pressure_b_offset", data=[1e5], size=1)
+    faults = PressureFaults.of(model.compile(), ["knee"])
+    assert faults
+    np.testing.assert_allclose(faults.seen(np.array([5e6, 4e6])), [5e6, 3.7e6])
+    assert not PressureFaults.of(Machine("knee_bench").base.model, ["knee"])
 
 
 def test_command_paths_of_a_file_are_taken_out_in_their_order():

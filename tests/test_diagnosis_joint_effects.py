@@ -23,10 +23,12 @@ MINE = (
     "armature",
     "base_tilt",
     "backlash",
+    "joint_flexibility",
     "spring_stiffness",
     "spring_hardening",
     "spring_offset",
     "quadratic_damping",
+    "cogging",
     "viscous_friction",
     "coulomb_friction",
     "stiction",
@@ -112,6 +114,7 @@ def test_every_effect_of_the_table_is_there_where_it_can_be(machines):
     found = {(name, effect.name) for name, _, effect, _ in cases(machines)}
     everywhere = set(MINE) - {
         "backlash",
+        "joint_flexibility",
         "spring_offset",
         "base_tilt",
         "command_bias",
@@ -148,7 +151,8 @@ def test_nominal_values_change_nothing(machines):
 def test_every_trial_shows_and_severe_ones_show_more(machines):
     for name, machine, effect, element in cases(machines):
         plain = replay(machine, Change(machine))
-        for parameter in effect.parameters(machine, element):
+        strengths = [p for p in effect.parameters(machine, element) if p.role == "strength"]
+        for parameter in strengths:
             shifts = []
             for trial in parameter.trials:
                 assert parameter.lower <= trial <= parameter.upper
@@ -222,7 +226,8 @@ def test_sensor_faults_are_written_beside_the_model(machines):
 
 def test_command_faults_compose_on_one_actuator_and_with_a_play(machines):
     machine = machines["pendulum"]
-    effects = {effect.name: effect for effect in all_effects()}
+    joints = (effect for effect in all_effects() if not isinstance(effect, CylinderEffect))
+    effects = {effect.name: effect for effect in joints}
     change = Change(machine)
     effects["backlash"].apply(change, "hinge", {"width": 0.05, "motor_inertia": 0.02})
     effects["command_deadband"].apply(change, "drive", {"dead_band": 0.2})
@@ -240,3 +245,11 @@ def test_command_faults_compose_on_one_actuator_and_with_a_play(machines):
     assert len(paths) == 1
     assert {"dead_band", "hysteresis"} <= set(paths[0].config)
     mujoco.MjModel.from_xml_string(compiled_xml(spec))
+
+
+def test_no_effect_replaces_another_of_its_name_and_no_element_is_served_twice(machines):
+    kinds = {type(effect).__name__ for effect in all_effects() if effect.name == "backlash"}
+    assert kinds == {"Backlash", "CylinderBacklash"}
+    for machine in machines.values():
+        keys = [(e.name, element) for e in all_effects() for element in e.elements(machine)]
+        assert len(keys) == len(set(keys))

@@ -5,8 +5,10 @@ import pytest
 
 from leglab.base.errors import LeglabError
 from leglab.diagnosis.effects.base import Effect, EffectParameter, register_effect
+from leglab.diagnosis.effects.cogging import harmonics
 from leglab.diagnosis.fitting import Sums, Unknowns
 from leglab.diagnosis.judging import preferences, t_value
+from leglab.diagnosis.model import ForceLeft
 from leglab.diagnosis.onset import change_point
 from leglab.diagnosis.paths import delayed, play
 from leglab.diagnosis.residual import extrapolation, robust_cost
@@ -180,7 +182,7 @@ def test_every_fault_shows_in_the_recording(name):
     plant = FaultyBench()
     FAULTS[name](plant, np.random.default_rng(8))
     ill = plant.record(reference, np.random.default_rng(7))
-    columns = ("knee_position", "knee_valve_command", "knee_pressure_a")
+    columns = ("knee_position", "knee_valve_command", "knee_pressure_a", "knee_pressure_b")
     assert any(not np.array_equal(healthy[c], ill[c]) for c in columns)
 
 
@@ -269,3 +271,18 @@ def test_the_order_of_the_step_error_is_measured():
     # A window beside a jump, where differences have no order, does not count.
     half[7], quarter[7] = 100.0 * rng.normal(size=(2, 3, 30))
     assert extrapolation(half, quarter)[:2] == pytest.approx([2.0, 4.0 / 3.0], abs=1e-6)
+
+
+def test_the_period_of_a_force_is_found_beside_friction_and_a_spring():
+    rng = np.random.default_rng(3)
+    q = 0.9 + 0.3 * np.sin(np.arange(3000) * 0.011) + 0.05 * np.sin(np.arange(3000) * 0.037)
+    v, a = np.gradient(q, 0.015), np.gradient(np.gradient(q, 0.015), 0.015)
+    other = 3.0 * np.sign(v) + 20.0 * (q - 0.9) - 8.0 * q**2 + 0.4 * v + 0.2 * a
+    wave = 1.2 * np.sin(2 * np.pi * q / 0.137) + 0.5 * np.cos(2 * np.pi * q / 0.137)
+    force = wave + other + rng.normal(0.0, 2.0, q.size)
+    force[::97] += 400.0
+    sine, cosine, period = harmonics(ForceLeft(q, v, a, force))[0]
+    assert period == pytest.approx(0.137, rel=0.02)
+    assert np.hypot(sine, cosine) == pytest.approx(1.3, abs=0.25)
+    still = np.zeros(100)
+    assert harmonics(ForceLeft(still, still, still, still)) == []

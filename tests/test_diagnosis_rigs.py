@@ -82,6 +82,27 @@ def test_backlash_of_a_pendulum_is_named():
     assert result.gap.closed_fraction > 0.9
 
 
+def test_a_soft_gear_of_a_pendulum_is_named():
+    result, _ = verdict(PENDULUM, Truth(soft=(60.0, 0.3)), "multisine")
+    assert result.effects[0].name == "joint_flexibility"
+    found = values(result)
+    assert found["compliance"] == pytest.approx(1.0 / 60.0, rel=0.3)
+    assert found["motor_inertia"] == pytest.approx(0.02, rel=0.3)
+    assert result.gap.closed_fraction > 0.9
+
+
+@pytest.mark.parametrize(
+    ("rig", "size", "period"), [(SLIDE_AXIS, 2.0, 0.031), (PENDULUM, 0.2, 0.9)]
+)
+def test_a_force_that_repeats_with_the_position_is_named_with_its_period(rig, size, period):
+    result, _ = verdict(rig, Truth(ripple=(size, period)), "multisine")
+    assert [effect.name for effect in result.effects] == ["cogging"]
+    found = values(result)
+    assert found["period"] == pytest.approx(period, rel=0.03)
+    assert np.hypot(found["sine"], found["cosine"]) == pytest.approx(size, rel=0.05)
+    assert result.gap.closed_fraction > 0.9
+
+
 @pytest.mark.parametrize("rig", [SLIDE_AXIS, PENDULUM])
 def test_a_good_machine_within_its_tolerance_lacks_nothing(rig):
     result, _ = verdict(rig, Truth(viscous_factor=1.05), "multisine")

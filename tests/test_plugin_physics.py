@@ -172,6 +172,16 @@ def test_linear_spring_equals_the_native_one():
     assert data.qpos[0] == pytest.approx(other.qpos[0], abs=1e-12)
 
 
+def test_ripple_repeats_with_the_position():
+    model, data = spring_rig(ripple_sine=3.0, ripple_cosine=-1.5, ripple_period=0.25)
+    for q in (-0.3, 0.0, 0.07, 0.32):
+        data.qpos[0] = q
+        mujoco.mj_forward(model, data)
+        angle = 2 * math.pi * q / 0.25
+        wanted = 3.0 * math.sin(angle) - 1.5 * math.cos(angle)
+        assert spring_force(data) == pytest.approx(wanted, rel=1e-9, abs=1e-12)
+
+
 def test_stops_push_only_beyond_their_range():
     model, data = spring_rig(stop_lower=0.0, stop_upper=1.0, stop_stiffness=2000.0)
     for q, wanted in ((0.5, 0.0), (-0.01, 20.0), (1.02, -40.0)):
@@ -203,6 +213,13 @@ def stribeck_level(v):
 def test_joint_friction_follows_the_stribeck_curve(v):
     force, _ = friction_at(v)
     assert force == pytest.approx(math.copysign(stribeck_level(v), v) + 3.0 * v, rel=1e-6)
+
+
+@pytest.mark.parametrize("exponent", [0.5, 1.0, 3.0])
+def test_joint_friction_falls_by_its_stribeck_exponent(exponent):
+    force, _ = friction_at(0.03, stribeck_exponent=exponent)
+    level = 8.0 + 4.0 * math.exp(-(0.6**exponent))
+    assert force == pytest.approx(level + 3.0 * 0.03, rel=1e-6)
 
 
 @pytest.mark.parametrize("v", [0.1, -0.1])

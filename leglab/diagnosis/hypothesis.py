@@ -59,7 +59,7 @@ class Site:
         """Values to screen, each (parameters,): one strength off its nominal value."""
         found = []
         for i, parameter in enumerate(self.parameters):
-            for trial in parameter.trials:
+            for trial in parameter.trials if parameter.role == "strength" else ():
                 values = self.nominal
                 now = values[i]
                 # As far from the specimen's value as from the model's.

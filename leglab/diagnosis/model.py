@@ -13,13 +13,13 @@ import leglab.models
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.diagnosis.paths import CommandPath, Correction, take_out
 from leglab.machine.parameters import PluginTable
+from leglab.machine.sensors import CHAMBERS as CHAMBERS
 from leglab.machine.simulation import actuator_moments
 
 CYLINDER = "leglab.cylinder"
 FRICTION = "leglab.joint_friction"
 SPRING = "leglab.spring_damper"
 SUPPLY = "leglab.supply"
-CHAMBERS = ("pressure_a", "pressure_b")
 
 Edit = tuple[Hashable, Callable[[mujoco.MjSpec], None]]
 _SIMPLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
@@ -228,6 +228,23 @@ class Measured:
     command: dict[str, np.ndarray]
     pressure: dict[str, np.ndarray]
     samples: np.ndarray
+
+
+@dataclass(frozen=True)
+class ForceLeft:
+    """Force on a joint that the measured motion leaves over, at some moments; all (moments,).
+
+    Attributes:
+        position: Of the joint.
+        velocity: Of the joint.
+        acceleration: Of the joint.
+        force: M a + bias less all forces of the model [N m or N].
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    force: np.ndarray
 
 
 # Value of a plugin state at the start of every window, shape (windows,).

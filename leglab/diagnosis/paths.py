@@ -14,7 +14,14 @@ import numpy as np
 from scipy.signal import lfilter
 
 from leglab._native import hydraulics as native
-from leglab.machine.sensors import ENCODER_OFFSET, ENCODER_SCALE, delayed_sensor
+from leglab.machine.sensors import (
+    CHAMBERS,
+    ENCODER_OFFSET,
+    ENCODER_SCALE,
+    PRESSURE_OFFSET,
+    PRESSURE_SCALE,
+    delayed_sensor,
+)
 
 COMMAND_PATH = "leglab.command_path"
 
@@ -53,13 +60,14 @@ def take_out(spec: mujoco.MjSpec) -> Carried:
             plugin.config = {k: v for k, v in config.items() if k in kept}
     corrections: dict[str, list[tuple[Correction, float]]] = {}
     for joint in spec.joints:
-        found: list[tuple[Correction, float]] = []
-        offset = number_of(spec, ENCODER_OFFSET.format(joint=joint.name), 0.0)
-        if offset != 0.0:
-            found.append((undo_offset(offset), 1.0))
-        scale = number_of(spec, ENCODER_SCALE.format(joint=joint.name), 1.0)
-        if scale != 1.0:
-            found.append((undo_scale(scale), 1.0 / scale))
+        found = _undone(
+            spec, ENCODER_OFFSET.format(joint=joint.name), ENCODER_SCALE.format(joint=joint.name)
+        )
+        for chamber in CHAMBERS:
+            place = {"joint": joint.name, "chamber": chamber}
+            offset, scale = PRESSURE_OFFSET.format(**place), PRESSURE_SCALE.format(**place)
+            if undone := _undone(spec, offset, scale):
+                corrections[f"{joint.name}_{chamber}"] = undone
         sensor = spec.sensor(delayed_sensor(joint.name))
         if sensor is not None and float(sensor.delay) > 0.0:
             found.append((undo_delay(float(sensor.delay)), 1.0))
@@ -67,6 +75,26 @@ def take_out(spec: mujoco.MjSpec) -> Carried:
         if found:
             corrections[f"{joint.name}_position"] = found
     return Carried(commands=commands, corrections=corrections)
+
+
+def _undone(spec: mujoco.MjSpec, offset: str, scale: str) -> list[tuple[Correction, float]]:
+    """What undoes two custom numerics of a sensor, measured = scale x true + offset."""
+    found: list[tuple[Correction, float]] = []
+    shift, factor = number_of(spec, offset, 0.0), number_of(spec, scale, 1.0)
+    if shift != 0.0:
+        found.append((undo_offset(shift), 1.0))
+    if factor != 1.0:
+        found.append((undo_scale(factor), 1.0 / factor))
+    return found
+
+
+def set_number(spec: mujoco.MjSpec, name: str, value: float) -> None:
+    """Sets a custom numeric of a specification, or adds it."""
+    numeric = spec.numeric(name)
+    if numeric is None:
+        spec.add_numeric(name=name, data=[value], size=1)
+    else:
+        numeric.data = [value]
 
 
 def number_of(spec: mujoco.MjSpec, name: str, otherwise: float) -> float:

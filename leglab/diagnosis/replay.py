@@ -166,6 +166,15 @@ class Replay:
             rows.append(np.stack([cut.series.columns[c.column][index] for c in self.channels], 1))
         return np.concatenate(rows)
 
+    def moments(self, change: Change, chosen: np.ndarray, every: float) -> list[Measured]:
+        """Measured series of the recordings, whose samples lie a time [s] apart in some windows."""
+        stride = max(1, round(every / self._period))
+        inside = np.arange(0, self.samples, stride)
+        return [
+            replace(measured, samples=(cut.firsts[:, None] + inside).ravel())
+            for cut, measured, _ in self._parts(change, chosen)
+        ]
+
     def at_starts(self, values: list[np.ndarray]) -> np.ndarray:
         """Values at window starts, shape (windows,), from one array of shape (n,) a recording."""
         return np.concatenate([v[c.firsts] for v, c in zip(values, self._cuts, strict=True)])

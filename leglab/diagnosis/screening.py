@@ -1,13 +1,16 @@
 """Screening: what each effect would gain at a few sizes, nuisances following to first order."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
+from leglab.diagnosis.effects.base import Effect
 from leglab.diagnosis.fitting import FreeTangents, Sums, Unknowns, profiled
+from leglab.diagnosis.forces import forces_left
 from leglab.diagnosis.hypothesis import Hypothesis, Key, Site
+from leglab.diagnosis.model import ForceLeft
 from leglab.diagnosis.residual import Linearisation, Problem, departures
 
 
@@ -67,10 +70,14 @@ def screen(
     # best fit, they say to first order what that costs.
     alone = profiled(problem, at, named)[1]
     floor = alone if started_best else max(floor, alone)
+    searched = problem.library.searched - skip
+    sites = {k: s for k, s in problem.library.sites.items() if k in searched and s.trials()}
+    guessing = [s for s in sites.values() if type(s.effect).guesses is not Effect.guesses]
+    left = forces_left(problem, at.base) if guessing else {}
+    guesses = {s.key: _guesses(problem, s, left) for s in guessing}
     found = [
-        _screened(problem, at.without({key}), named, floor, site, onset)
-        for key, site in problem.library.sites.items()
-        if key not in skip and key in problem.library.searched and site.trials()
+        _screened(problem, at.without({key}), named, floor, site, guesses.get(key, []), onset)
+        for key, site in sites.items()
     ]
     return sorted(found, key=lambda c: -c.gain)
 
@@ -81,6 +88,7 @@ def _screened(
     named: FreeTangents,
     floor: float,
     site: Site,
+    guesses: list[np.ndarray],
     onset: np.ndarray | None,
 ) -> Candidate:
     """Best size of one effect; `at` is without its nuisances."""
@@ -93,7 +101,7 @@ def _screened(
 
     now = at.base.get(site.key, site.nominal)
     scales = np.array([p.scale for p in site.parameters])
-    trials = [tried(values) for values in site.trials()]
+    trials = [tried(values) for values in guesses or site.trials()]
     sizes = [np.abs(trial.values - now) / scales for trial in trials]
     smallest = trials[int(np.argmin([size.max() for size in sizes]))]
     # The best trial of every strength.
@@ -126,19 +134,42 @@ def _combined(
     now = at.base.get(site.key, site.nominal)
     steps = np.stack([trial.step for trial in leaders], axis=2)
     furthest = np.full(len(leaders), problem.thresholds.furthest)
+    differences = [trial.values - now for trial in leaders]
+    backward = np.array([_backward(site, d) for d in differences])
     own = FreeTangents(
         columns=np.concatenate([named.columns, steps], axis=2),
-        lower=np.concatenate([named.lower, np.zeros(len(leaders))]),
+        lower=np.concatenate([named.lower, -np.minimum(backward, furthest)]),
         upper=np.concatenate([named.upper, furthest]),
     )
     shares = profiled(problem, at, own)[0][named.lower.size :]
-    differences = [trial.values - now for trial in leaders]
     values = now + sum(share * d for share, d in zip(shares, differences, strict=True))
+    # Shapes of different trials do not add up: that of the best one stays.
+    best = max(leaders, key=lambda trial: trial.gain).values
+    values = np.where([p.role == "shape" for p in site.parameters], best, values)
     values = np.clip(values, site.lower, site.upper)
     near = any(
         np.allclose(values, now + d, rtol=0.15, atol=0.05 * abs(d).max()) for d in differences
     )
     return None if near or np.allclose(values, now) else values
+
+
+def _guesses(problem: Problem, site: Site, left: Mapping[str, ForceLeft]) -> list[np.ndarray]:
+    """Values that an effect guesses from the force left over on its joint, within its bounds."""
+    if site.element not in left:
+        return []
+    found = site.effect.guesses(problem.machine, site.element, left[site.element])
+    rows = [np.array([values[p.name] for p in site.parameters]) for values in found]
+    return [np.clip(row, site.lower, site.upper) for row in rows]
+
+
+def _backward(site: Site, difference: np.ndarray) -> float:
+    """Multiples of a trial that its bounds allow to the other side, 0 where that has trials too."""
+    i = int(np.argmax(np.abs(difference) / [p.scale for p in site.parameters]))
+    parameter, side = site.parameters[i], np.sign(difference[i])
+    if any(side * (trial - parameter.nominal) < 0.0 for trial in parameter.trials):
+        return 0.0
+    room = parameter.nominal - parameter.lower if side > 0 else parameter.upper - parameter.nominal
+    return float(room / abs(difference[i]))
 
 
 def beyond_tangents(directions: np.ndarray, tangents: np.ndarray) -> np.ndarray:

@@ -26,6 +26,12 @@ from leglab.diagnosis.windows import Channel, Cut, derivative, smoothed
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 # A bristle forgets over some tenths of a millimetre; this much history is enough.
 _BRISTLE_HISTORY = 0.5  # s
+# A piston certainly presses its pin with a force beyond this share of its dry friction.
+_PRESSED = 0.15
+# At rest a flank is pressed with at least this force [N].
+_FLANK = 1.0
+# Samples between which the bristle along a recording is interpolated.
+_BRISTLE_STRIDE = 5
 # Longest step at which the pressure of a supply is followed, some hundredths of its time constant.
 _SUPPLY_STEP = 5e-4  # s
 
@@ -144,7 +150,41 @@ class Instances:
         velocity = measured.piston_velocity[element]
         pressures = sum(self.pressures(self.machine.driven[element][0]), np.zeros(1))
         seal = self.value(element, "pressure_coefficient") * np.maximum(pressures, 0.0)
-        self._slide(element, velocity, self._stribeck(element, velocity, seal))
+        seal = seal + 0.5 * np.sign(velocity) * self.value(element, "coulomb_difference")
+        level = self._stribeck(element, velocity, seal)
+        self._slide(element, velocity, level)
+        if self.value(element, "play") > 0.0:
+            self._seat(element, velocity, level)
+
+    def _seat(self, element: str, velocity: np.ndarray, level: np.ndarray) -> None:
+        """Puts a piston on the flank of its play that it pressed last.
+
+        It crosses the play within milliseconds, and rests in it only while friction holds it.
+        """
+        samples, play = self.measured.samples, self.value(element, "play")
+        pressures = self.pressures(self.machine.driven[element][0])
+        if len(pressures) < len(CHAMBERS):
+            return
+        bore, rod = self.value(element, "bore"), self.value(element, "rod")
+        cap, ring = bore**2, bore**2 - rod**2
+        force = 0.25 * np.pi * (cap * pressures[0] - ring * pressures[1])
+        every, period = np.arange(0, velocity.size, _BRISTLE_STRIDE), self.measured.period
+        sigma = self.value(element, "sigma_0")
+        stretch = bristle(velocity, np.maximum(level, 1e-9), sigma, period, every)
+        stuck = sigma * np.interp(np.arange(velocity.size), every, stretch)
+        pressed = force - stuck - self.value(element, "viscous") * velocity
+        sure = np.abs(pressed) > _PRESSED * level
+        last = np.maximum.accumulate(np.where(sure, np.arange(sure.size), -1))
+        side = np.where(last >= 0, np.sign(pressed[last]), np.sign(force[0]))
+        given = pressed / self.value(element, "play_stiffness")
+        least = _FLANK / self.value(element, "play_stiffness")
+        reach = 0.5 * play + np.maximum(np.abs(given), least)
+        self.put(element, "play_offset", (side * reach)[samples])
+        lag = 0.5 * self.machine.timestep
+        slope = np.gradient(velocity, period)
+        self.put(element, "pin_load", -pressed[samples])
+        self.put(element, "piston_velocity", (velocity - lag * slope)[samples])
+        self.put(element, "seated_play", np.full(samples.size, play))
 
     def _supply(self, element: str, cylinders: tuple[str, ...]) -> None:
         """Sets a supply's pressure, which falls with what its cylinders draw."""
@@ -180,9 +220,10 @@ class Instances:
     def _stribeck(
         self, element: str, velocity: np.ndarray, seal: np.ndarray | float = 0.0
     ) -> np.ndarray:
-        """Steady friction of sliding, shape (n,), with what pressed seals add to it."""
+        """Steady friction of sliding, shape (n,), with what seals add to it."""
         coulomb = self.value(element, "coulomb")
-        share = np.exp(-((velocity / self.value(element, "stribeck_velocity")) ** 2))
+        ratio = np.abs(velocity) / self.value(element, "stribeck_velocity")
+        share = np.exp(-(ratio ** self.value(element, "stribeck_exponent")))
         return coulomb + seal + (self.value(element, "static") - coulomb) * share
 
     def _slide(self, element: str, velocity: np.ndarray, level: np.ndarray) -> None:
@@ -238,7 +279,11 @@ class Instances:
                 lever = self.measured.lever[element][self.measured.samples]
                 total = sum((p[self.measured.samples] for p in self.pressures(joint)), 0.0)
                 seals = self.get(element, "pressure_coefficient") * np.maximum(total, 0.0)
-                forward = backward = np.abs(lever) * (breakaway + seals)
+                half = 0.5 * np.sign(lever) * self.get(element, "coulomb_difference")
+                forward, backward = (
+                    np.abs(lever) * np.maximum(breakaway + seals + side * half, 0.0)
+                    for side in (1.0, -1.0)
+                )
             else:
                 lever = np.ones(len(self.state))
                 half = 0.5 * self.get(element, "coulomb_difference")
@@ -416,10 +461,11 @@ def start_states(
 def hidden_slots(change: Change) -> np.ndarray:
     """Places in the plugin state of what follows from pressures that are not measured.
 
-    Chamber pressures A and B of each cylinder in turn, then those of the supplies.
+    Chamber pressures A and B and the play of each cylinder in turn, then those of the supplies.
     """
     variant = change.variant
-    cylinders = [(c, name) for c in change.machine.instances(CYLINDER) for name in CHAMBERS]
+    names = (*CHAMBERS, "play_offset", "piston_velocity", "pin_load", "seated_play")
+    cylinders = [(c, name) for c in change.machine.instances(CYLINDER) for name in names]
     supplies = [(s, name) for s in variant.drawn_by for name in ("pressure", "started")]
     return np.array([variant.slot(*place) for place in (*cylinders, *supplies)], dtype=int)
 

@@ -2,7 +2,8 @@
 
 Faults come with a scenario or with the model. MJCF has no element for a shifted or miscounting
 encoder, so a model says it by custom numerics: `<joint>_encoder_offset` [rad or m] and
-`<joint>_encoder_scale`, measured = scale x true + offset.
+`<joint>_encoder_scale`, measured = scale x true + offset; of pressure sensors likewise
+`<joint>_pressure_a_offset` [Pa], `<joint>_pressure_a_scale`, and those of chamber b.
 A late encoder is a `jointpos` sensor `<joint>_delayed_position` with MuJoCo's own `delay`.
 `leglab diagnose` writes them into improved.xml; closed loops and replays read them.
 """
@@ -117,6 +118,9 @@ def held(reading: np.ndarray, lost: np.ndarray) -> np.ndarray:
 
 ENCODER_OFFSET = "{joint}_encoder_offset"
 ENCODER_SCALE = "{joint}_encoder_scale"
+PRESSURE_OFFSET = "{joint}_{chamber}_offset"
+PRESSURE_SCALE = "{joint}_{chamber}_scale"
+CHAMBERS = ("pressure_a", "pressure_b")
 
 
 def delayed_sensor(joint: str) -> str:
@@ -142,17 +146,13 @@ class EncoderFaults:
     def of(cls, model: mujoco.MjModel, joints: Sequence[str]) -> "EncoderFaults":
         """Reads the faults of a compiled model."""
 
-        def number(name: str, otherwise: float) -> float:
-            i = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
-            return otherwise if i < 0 else float(model.numeric_data[model.numeric_adr[i]])
-
         def delay(joint: str) -> float:
             i = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, delayed_sensor(joint))
             return 0.0 if i < 0 else float(model.sensor_delay[i])
 
         return cls(
-            offset=np.array([number(ENCODER_OFFSET.format(joint=j), 0.0) for j in joints]),
-            scale=np.array([number(ENCODER_SCALE.format(joint=j), 1.0) for j in joints]),
+            offset=np.array([_number(model, ENCODER_OFFSET.format(joint=j), 0.0) for j in joints]),
+            scale=np.array([_number(model, ENCODER_SCALE.format(joint=j), 1.0) for j in joints]),
             delay=np.array([delay(j) for j in joints]),
         )
 
@@ -172,6 +172,43 @@ class EncoderFaults:
         joints = np.arange(self.delay.size)
         early, later = positions[before, joints], positions[np.minimum(before + 1, last), joints]
         return self.scale * (early + (at - before) * (later - early)) + self.offset
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PressureFaults:
+    """Faults that a model gives the pressure sensors of some joints.
+
+    Arrays hold chamber A of every joint, then chamber B, shape (2 joints,).
+
+    Attributes:
+        offset: Added to every reading [Pa].
+        scale: Factor on the true pressure.
+    """
+
+    offset: np.ndarray
+    scale: np.ndarray
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, joints: Sequence[str]) -> "PressureFaults":
+        """Reads the faults of a compiled model."""
+        places = [{"joint": joint, "chamber": chamber} for chamber in CHAMBERS for joint in joints]
+        return cls(
+            offset=np.array([_number(model, PRESSURE_OFFSET.format(**p), 0.0) for p in places]),
+            scale=np.array([_number(model, PRESSURE_SCALE.format(**p), 1.0) for p in places]),
+        )
+
+    def __bool__(self) -> bool:
+        return bool(self.offset.any() or (self.scale != 1.0).any())
+
+    def seen(self, pressures: np.ndarray) -> np.ndarray:
+        """What the sensors show of true pressures [Pa], last axis of 2 joints."""
+        return self.scale * pressures + self.offset
+
+
+def _number(model: mujoco.MjModel, name: str, otherwise: float) -> float:
+    """Value of a custom numeric of a compiled model."""
+    i = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
+    return otherwise if i < 0 else float(model.numeric_data[model.numeric_adr[i]])
 
 
 _SLIP = "added to every reading, as after a slip of the encoder on its shaft"

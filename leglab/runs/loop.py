@@ -21,6 +21,7 @@ from leglab.machine.plugin import headless
 from leglab.machine.sensors import (
     EncoderFaults,
     Encoders,
+    PressureFaults,
     SensorConfiguration,
     held,
     loop_timing,
@@ -113,6 +114,7 @@ class SampledMachine:
         )
         self.schedule = Schedule(scenario, simulation, self.bodies, self.encoders)
         self._pressure_noise = sensors.pressure_noise
+        self._pressure_faults = PressureFaults.of(simulation.model, simulation.joints) or None
         self._pressures = pressures
         # A control loop runs thousands of times a second: what can be looked up once is.
         self._step, self._state = simulation.step, simulation.data.plugin_state
@@ -143,6 +145,8 @@ class SampledMachine:
             return Measurement(now, *self._readings)
         joints = self._joints
         noisy = self._sampled_pressures + self._noise.normal(0.0, self._pressure_noise, 2 * joints)
+        if self._pressure_faults:
+            noisy = self._pressure_faults.seen(noisy)
         supply = float(self._state[self._supply_slot])
         return Measurement(now, *self._readings, noisy[:joints], noisy[joints:], supply)
 

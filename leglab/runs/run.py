@@ -10,6 +10,7 @@ import numpy as np
 from leglab import __version__
 from leglab.base.recording import Recording
 from leglab.base.scenario import Scenario
+from leglab.machine.sensors import CHAMBERS, PressureFaults
 from leglab.runs.clock import adaptation
 from leglab.runs.loop import History, Loop, Progress, recorded_positions, recording_noise
 from leglab.runs.metrics import excess_error_area, phase_table, rms, usage_table
@@ -161,10 +162,15 @@ def _recording(loop: Loop, history: History, metadata: dict[str, Any]) -> Record
             columns[f"{joint}_{name}"] = values[:, i]
     for name, values in history.passive.items():
         columns[f"{name}_truth"] = values
+    places = [f"{joint}_{chamber}" for chamber in CHAMBERS for joint in simulation.joints]
+    faults = PressureFaults.of(simulation.model, simulation.joints)
+    shown = dict(zip(places, zip(faults.scale, faults.offset, strict=True), strict=True))
     for name, values in history.states.items():
-        pressure = name.endswith(("_pressure_a", "_pressure_b"))
-        extra = noise.normal(0.0, sensors.pressure_noise, len(values)) if pressure else 0.0
-        columns[name] = values + extra
+        columns[name] = values
+        if name in shown:
+            scale, offset = shown[name]
+            noisy = values + noise.normal(0.0, sensors.pressure_noise, len(values))
+            columns[name] = scale * noisy + offset
     # Encoders of joints that nothing drives, as linear scales of the same noise, rad or m.
     for name, values in history.passive.items():
         columns[f"{name}_position"] = values + noise.normal(

@@ -109,8 +109,11 @@ def terms(p, y, *, command, supply_pressure, mass, load, ideal_valve=False, bloc
     rate_b = [bulk_modulus(pb, *oil) / volume_b * q for q in into_b]
 
     seal = p["pressure_coefficient"] * (pa + pb)
-    fc, fs = p["coulomb"] + seal, p["static"] + seal
-    g = max(fc + (fs - fc) * math.exp(-((v / p["stribeck_velocity"]) ** 2)), 1e-9)
+    side = math.copysign(0.5, v) if v else 0.0
+    fc, fs = (max(p[f] + seal + side * p["coulomb_difference"], 0.0) for f in ("coulomb", "static"))
+    fall = (abs(v) / p["stribeck_velocity"]) ** p["stribeck_exponent"]
+    g = max(fc + (fs - fc) * math.exp(-fall), 1e-9)
+    viscous *= 1.0 + side * p["viscous_difference"] / p["viscous"] if p["viscous"] else 1.0
     sigma_0, sigma_1 = p["sigma_0"], p["sigma_1"]
     z_rate = [v, -sigma_0 * abs(v) * z / g] if sigma_0 > 0 else [0.0]
     friction = [sigma_0 * z, *(sigma_1 * r for r in z_rate), viscous * v]

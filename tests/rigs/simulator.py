@@ -88,6 +88,8 @@ class Truth:
         offset: Constant force.
         gear_loss: Friction per motor force, in the bearing of the gear.
         play: Total backlash.
+        soft: Stiffness and damping of the gear or coupling between motor and load; 0 = rigid.
+        ripple: Amplitude and period of a force that repeats with the position.
         viscous_factor: Of the damping, a tolerance of good machines.
     """
 
@@ -96,6 +98,8 @@ class Truth:
     offset: float = 0.0
     gear_loss: float = 0.0
     play: float = 0.0
+    soft: tuple[float, float] = (0.0, 0.0)
+    ripple: tuple[float, float] = (0.0, 1.0)
     viscous_factor: float = 1.0
 
 
@@ -164,11 +168,15 @@ def record(
         for _ in range(steps):
             side = truth.forward if v > 0 else truth.backward
             acting = truth.offset - (viscous + side) * v - rig.pull * math.sin(q)
+            if truth.ripple[0]:
+                acting += truth.ripple[0] * math.sin(2.0 * math.pi * q / truth.ripple[1] + 0.7)
             dry = rig.coulomb + truth.gear_loss * abs(force)
-            if truth.play > 0:
+            if truth.play > 0 or truth.soft[0] > 0:
                 gap, closing = theta - q, w - v
                 drive = 0.0
-                if gap > half:
+                if truth.soft[0] > 0:
+                    drive = truth.soft[0] * gap + truth.soft[1] * closing
+                elif gap > half:
                     drive = max(0.0, stiffness * (gap - half) + damping * closing)
                 elif gap < -half:
                     drive = min(0.0, stiffness * (gap + half) + damping * closing)

@@ -208,7 +208,7 @@ class CylinderModel {
   }
   double steady_friction(double v, double pa, double pb) const {
     if (v == 0) return 0;
-    return std::copysign(bristle_level(p_, v, pa, pb), v) + oil_.viscous * v;
+    return std::copysign(bristle_level(p_, v, pa, pb), v) + oil_.viscous_at(v) * v;
   }
 
  private:

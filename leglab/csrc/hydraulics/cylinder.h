@@ -24,6 +24,10 @@ inline std::string contradiction(const CylinderParameters& p) {
   };
   if (p.rod_ >= p.bore_) return text("rod", p.rod_, " m", "less than bore =", p.bore_);
   if (p.static_ < p.coulomb_) return text("static", p.static_, " N", "at least coulomb =", p.coulomb_);
+  if (std::abs(p.viscous_difference_) > 2.0 * p.viscous_) {
+    return text("viscous_difference", p.viscous_difference_, " N s/m", "of a size of at most 2 viscous =",
+                2.0 * p.viscous_);
+  }
   if (p.viscosity_100_ >= p.viscosity_40_) {
     return text("viscosity_100", p.viscosity_100_, " m^2/s", "less than viscosity_40 =",
                 p.viscosity_40_);
@@ -68,7 +72,13 @@ struct CylinderCoefficients {
 // What follows from the oil temperature and the seal clearance.
 struct OilCondition {
   double internal_leakage, external_leakage_a, external_leakage_b;  // m^3/s/Pa
-  double viscous;                                                   // N s/m
+  double viscous, viscous_difference;                               // N s/m
+
+  // Viscous friction at a velocity.
+  double viscous_at(double v) const {
+    const double side = v > 0 ? 0.5 : v < 0 ? -0.5 : 0.0;
+    return viscous + side * viscous_difference;
+  }
 
   static OilCondition from(const CylinderParameters& p, const CylinderCoefficients& c) {
     const double t = p.oil_temperature_;
@@ -76,7 +86,7 @@ struct OilCondition {
     const double clearance = p.seal_clearance_;
     const double gap = clearance * clearance * clearance * c.mu_40 / mu;
     return {p.internal_leakage_ * gap, p.external_leakage_a_ * gap, p.external_leakage_b_ * gap,
-            p.viscous_ * mu / c.mu_40};
+            p.viscous_ * mu / c.mu_40, p.viscous_difference_ * mu / c.mu_40};
   }
 };
 
@@ -97,6 +107,11 @@ struct Chambers {
 
   double gauge_a() const { return a.p - kAtmosphere; }
   double gauge_b() const { return b.p - kAtmosphere; }
+
+  // Spring of the enclosed oil against the piston [N/m].
+  double stiffness(const CylinderCoefficients& c) const {
+    return -(c.area_a * c.area_a / (a.slope * amount_a) + c.area_b * c.area_b / (b.slope * amount_b));
+  }
 };
 
 inline Chambers chambers_at(const CylinderParameters& p, const CylinderCoefficients& c,
@@ -129,11 +144,17 @@ inline double stop_force(const CylinderParameters& p, double x, double v) {
   return 0.0;
 }
 
-// Level of the Stribeck curve g at a velocity and the chamber pressures (gauge).
+// Level of the Stribeck curve g at a velocity and the chamber pressures (gauge). Seals with one lip
+// hold the two directions of sliding differently.
 inline double bristle_level(const CylinderParameters& p, double v, double pressure_a,
                             double pressure_b) {
-  const double seal = p.pressure_coefficient_ * (pressure_a + pressure_b);
-  return stribeck(v, p.coulomb_ + seal, p.static_ + seal, p.stribeck_velocity_);
+  double seal = p.pressure_coefficient_ * (pressure_a + pressure_b);
+  if (p.coulomb_difference_ == 0.0 || v == 0.0) {
+    return stribeck(v, p.coulomb_ + seal, p.static_ + seal, p.stribeck_velocity_, p.stribeck_exponent_);
+  }
+  seal += std::copysign(0.5, v) * p.coulomb_difference_;
+  return stribeck(v, std::max(p.coulomb_ + seal, 0.0), std::max(p.static_ + seal, 0.0),
+                  p.stribeck_velocity_, p.stribeck_exponent_);
 }
 
 // Smaller of two loads of one sign, else zero: an impact of one step is not carried on.
@@ -156,7 +177,7 @@ inline PistonForces piston_forces(const CylinderParameters& p, const CylinderCoe
   const double g = bristle_level(p, v, k.gauge_a(), k.gauge_b());
   const double bristle_force = p.sigma_0_ * s.bristle_;
   const double alignment = std::copysign(1.0, v) * bristle_force / g;
-  const double slope = oil.viscous + p.sigma_1_ * std::max(1.0 - alignment, 0.0);
+  const double slope = oil.viscous_at(v) + p.sigma_1_ * std::max(1.0 - alignment, 0.0);
   double v_between = v;
   if (step_over_mass > 0.0 && s.amount_a_ > 0.0) {
     const double others = f.pressure + f.stop - bristle_force + sustained(s.load_, s.previous_load_);

@@ -5,10 +5,13 @@
 
 namespace leglab::hydraulics {
 
-// Steady bristle force g(v) = F_c + (F_s - F_c) exp(-(v/v_s)^2), always positive.
-inline double stribeck(double v, double coulomb, double static_friction, double stribeck_velocity) {
+// Steady bristle force g(v) = F_c + (F_s - F_c) exp(-|v/v_s|^n), always positive; the exponent n is 2
+// for a Gaussian, 1 for an exponential fall (Armstrong-Helouvry et al. 1994, sect. 2.1.3).
+inline double stribeck(double v, double coulomb, double static_friction, double stribeck_velocity,
+                       double exponent) {
   const double r = v / stribeck_velocity;
-  const double g = coulomb + (static_friction - coulomb) * std::exp(-r * r);
+  const double power = exponent == 2.0 ? r * r : std::pow(std::abs(r), exponent);
+  const double g = coulomb + (static_friction - coulomb) * std::exp(-power);
   return g > 1e-9 ? g : 1e-9;
 }
 

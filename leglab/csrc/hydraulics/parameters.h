@@ -77,7 +77,13 @@ inline constexpr double kRequired = __builtin_nan("");
   X(coulomb, "N", 100.0, 0.0, 1e5, true, "Coulomb friction [HyQ]")                                 \
   X(static, "N", 150.0, 0.0, 1e5, true, "breakaway friction, at least coulomb [C]")                \
   X(stribeck_velocity, "m/s", 0.014, 0.0, 10.0, false, "Stribeck velocity [HyQ]")                  \
+  X(stribeck_exponent, "1", 2.0, 0.1, 20.0, true, "n of exp(-|v/v_s|^n): how steeply friction falls")\
+  X(viscous_difference, "N s/m", 0.0, -1e6, 1e6, true, "viscous friction extending less retracting")\
+  X(coulomb_difference, "N", 0.0, -1e5, 1e5, true, "Coulomb and breakaway friction extending less retracting")\
   X(pressure_coefficient, "N/Pa", 0.0, 0.0, 1e-2, true, "friction per unit of pA + pB")            \
+  X(play, "m", 0.0, 0.0, 0.1, true, "between rod end and pin, along the rod; 0 = none")            \
+  X(play_stiffness, "N/m", 5e7, 0.0, 1e12, false, "of rod end and pin in contact [C]")             \
+  X(piston_mass, "kg", 0.5, 0.0, 1e4, false, "of piston and rod; matters in the play only [C]")    \
   X(rated_flow, "m^3/s", 1.25e-4, 0.0, 1e-1, false, "at rated_pressure_drop over both edges [V]")  \
   X(rated_pressure_drop, "Pa", 7e6, 0.0, 1e8, false, "both edges together [V]")                    \
   X(flow_asymmetry, "1", 0.0, -0.9, 0.9, true, "relative gain: 1 + a for x_s > 0, 1 - a below")    \
@@ -119,6 +125,10 @@ inline constexpr double kRequired = __builtin_nan("");
   X(bristle, "m", "LuGre bristle deflection z")                                      \
   X(load, "N", "all other forces on the piston over the last step")                  \
   X(previous_load, "N", "the same over the step before")                             \
+  X(play_offset, "m", "piston less pin, within half the play while nothing is pressed") \
+  X(piston_velocity, "m/s", "of the piston, where there is play")                    \
+  X(pin_load, "N", "all other forces on the mechanism over the last step, where there is play") \
+  X(seated_play, "m", "play of the last step; another one seats the piston anew")    \
   X(sliding_distance, "m", "path of the piston since the reset")                     \
   X(flow_a, "m^3/s", "valve to chamber A, mean over the last step")                  \
   X(flow_b, "m^3/s", "valve to chamber B, mean over the last step")                  \

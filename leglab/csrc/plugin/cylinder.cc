@@ -115,7 +115,8 @@ double Cylinder::effective_mass(const mjModel* m, mjData* d) {
 const Chambers& Cylinder::observe(const mjModel* m, mjData* d) {
   const auto [p, s] = slots(m, d);
   refresh(m, p);
-  const double x = coefficients_.half_stroke + d->actuator_length[actuator_] - p.mid_length_;
+  const double x = coefficients_.half_stroke + d->actuator_length[actuator_] - p.mid_length_ +
+                   play_offset(p, coefficients_, s);
   const Observed now{x, s.pressure_a_, s.pressure_b_, s.amount_a_, s.amount_b_};
   if (std::memcmp(&now, &observed_, sizeof now) != 0) {
     observed_ = now;
@@ -131,9 +132,23 @@ void Cylinder::compute(const mjModel* m, mjData* d) {
   observe(m, d);
   v_ = d->actuator_velocity[actuator_];
   mass_ = effective_mass(m, d);
-  forces_ = piston_forces(p, coefficients_, oil_, s, chambers_, x_, v_,
-                          mass_ > 0 ? m->opt.timestep / mass_ : 0.0);
-  d->actuator_force[actuator_] = forces_.total();
+  const double h = m->opt.timestep;
+  if (p.play_ > 0 && mass_ > 0) {
+    const bool seated = s.seated_play_ == p.play_;
+    const double v_pin = v_;
+    if (seated) v_ = s.piston_velocity_;
+    const double offset = play_offset(p, coefficients_, s);
+    // A piston that presses its pin brakes with the mechanism's mass.
+    moved_ = p.piston_mass_ + (std::abs(offset) > 0.5 * p.play_ ? mass_ : 0.0);
+    forces_ = piston_forces(p, coefficients_, oil_, s, chambers_, x_, v_, h / moved_);
+    oil_spring_ = chambers_.stiffness(coefficients_);
+    play_ = play_step(p, offset, v_, v_pin, forces_.total(),
+                      seated ? s.pin_load_ : -forces_.total(), mass_, oil_spring_, h);
+    d->actuator_force[actuator_] = play_.transmitted;
+  } else {
+    forces_ = piston_forces(p, coefficients_, oil_, s, chambers_, x_, v_, mass_ > 0 ? h / mass_ : 0.0);
+    d->actuator_force[actuator_] = forces_.total();
+  }
   // Delayed, where the actuator has a delay.
   command_ = d->ctrl[actuator_];
   if (m->actuator_historyadr[actuator_] >= 0) {
@@ -151,8 +166,19 @@ void Cylinder::advance(const mjModel* m, mjData* d) {
   for (int i = address; i < address + count; ++i) {
     v += d->actuator_moment[i] * d->qvel[d->moment_colind[i]];
   }
-  const double applied = d->actuator_force[actuator_];
-  const PistonStep piston{x_, v_, v, applied, forces_.pressure - applied, mass_};
+  PistonStep piston{x_, v_, v, d->actuator_force[actuator_], 0.0, mass_};
+  if (p.play_ > 0 && mass_ > 0) {
+    const double h = m->opt.timestep, offset = play_offset(p, coefficients_, s);
+    const double pushed = forces_.total() - h * oil_spring_ * play_.closing - play_.transmitted;
+    piston = {x_, v_, v_ + h * pushed / p.piston_mass_, forces_.total(), 0.0, moved_};
+    s.pin_load_ = mass_ * (v - d->actuator_velocity[actuator_]) / h - play_.transmitted;
+    s.play_offset_ = offset + h * (piston.v - v);
+    s.piston_velocity_ = piston.v;
+    s.seated_play_ = p.play_;
+  } else {
+    s.play_offset_ = s.seated_play_ = 0.0;
+  }
+  piston.friction = forces_.pressure - piston.force;
   advance_cylinder(p, coefficients_, step_, oil_, chambers_, piston, command_,
                    supply_pressure(m, d, p), s);
 }

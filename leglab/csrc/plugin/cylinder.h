@@ -3,6 +3,7 @@
 
 #include <vector>
 
+#include "hydraulics/play.h"
 #include "hydraulics/step.h"
 #include "plugin/lifecycle.h"
 
@@ -48,6 +49,9 @@ class Cylinder : public Instance<hydraulics::CylinderTable> {
   Observed observed_ = kNothing;  // what `chambers_` were solved for
   hydraulics::Chambers chambers_{};
   hydraulics::PistonForces forces_{};
+  hydraulics::PlayStep play_{};
+  double oil_spring_ = 0;  // N/m, of both chambers at the latest `compute`
+  double moved_ = 0;       // kg, of the piston, and of the mechanism that it presses
   double x_ = 0, v_ = 0, mass_ = 0, command_ = 0;
   std::vector<double> half_solved_;  // scratch, shape (nv,), zero between uses
 };

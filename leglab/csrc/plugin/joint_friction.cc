@@ -25,7 +25,8 @@ Level level(const FrictionParameters& p, const FrictionState& s, double time, do
   const double shift = 0.5 * side * p.coulomb_difference_ + s.load_;
   const double coulomb = std::max(p.coulomb_ + shift, 0.0), top = std::max(p.static_ + shift, 0.0);
   return {coulomb > 0 || top > 0
-              ? hydraulics::stribeck(v, scale * coulomb, scale * top, p.stribeck_velocity_)
+              ? hydraulics::stribeck(v, scale * coulomb, scale * top, p.stribeck_velocity_,
+                                   p.stribeck_exponent_)
               : 0.0,
           scale * (p.viscous_ + 0.5 * side * p.viscous_difference_)};
 }

@@ -1,5 +1,6 @@
 // Passive plugin `leglab.spring_damper`: nonlinear spring, damper and soft stops beside a joint.
 #include <cmath>
+#include <numbers>
 
 #include "plugin/drawing.h"
 #include "plugin/lifecycle.h"
@@ -24,7 +25,7 @@ class SpringDamper : public Instance<SpringTable> {
     }
   }
 
-  // tau = -(k1 y + k2 y^3 sin^2 y + k3 y^3) - d1 y' - d2 |y'| y' + offset - stops.
+  // tau = -(k1 y + k2 y^3 sin^2 y + k3 y^3) - d1 y' - d2 |y'| y' + offset + ripple(q) - stops.
   void compute(const mjModel* m, mjData* d) {
     const Parameters& p = slots(m, d).parameters;
     const double q = d->qpos[qpos_], v = d->qvel[dof_];
@@ -32,6 +33,10 @@ class SpringDamper : public Instance<SpringTable> {
     const double sine = std::sin(y);
     double force = p.force_offset_ - (p.k1_ + (p.k2_ * sine * sine + p.k3_) * y * y) * y -
                    (p.d1_ + p.quadratic_damping_ * std::abs(v)) * v;
+    if (p.ripple_sine_ != 0.0 || p.ripple_cosine_ != 0.0) {
+      const double angle = 2.0 * std::numbers::pi * q / p.ripple_period_;
+      force += p.ripple_sine_ * std::sin(angle) + p.ripple_cosine_ * std::cos(angle);
+    }
     if (q < p.stop_lower_) force += p.stop_stiffness_ * (p.stop_lower_ - q) - p.stop_damping_ * v;
     if (q > p.stop_upper_) force += p.stop_stiffness_ * (p.stop_upper_ - q) - p.stop_damping_ * v;
     d->qfrc_passive[dof_] += force;

@@ -20,6 +20,9 @@ namespace leglab::plugin {
   X(quadratic_damping, "N s^2/rad^2", 0.0, 0.0, 1e5, true, "damping with the speed squared")       \
   X(rest_position, "rad", 0.0, -100.0, 100.0, true, "joint position without spring force")         \
   X(force_offset, "N", 0.0, -1e6, 1e6, true, "constant force")                                     \
+  X(ripple_sine, "N", 0.0, -1e6, 1e6, true, "times sin(2 pi q/ripple_period)")                     \
+  X(ripple_cosine, "N", 0.0, -1e6, 1e6, true, "times cos(2 pi q/ripple_period)")                   \
+  X(ripple_period, "rad", 1.0, 0.0, 1e3, false, "of the force that repeats with the joint position") \
   X(stop_lower, "rad", -1e3, -1e3, 1e3, true, "below it the soft stop acts")                       \
   X(stop_upper, "rad", 1e3, -1e3, 1e3, true, "above it the soft stop acts")                        \
   X(stop_stiffness, "N/rad", 0.0, 0.0, 1e9, true, "of the soft stops")                             \
@@ -33,6 +36,7 @@ LEGLAB_TABLE(Spring, "leglab.spring_damper", LEGLAB_SPRING_PARAMETERS, LEGLAB_NO
   X(coulomb, "N", 0.0, 0.0, 1e6, true, "Coulomb friction")                                         \
   X(static, "N", 0.0, 0.0, 1e6, true, "breakaway friction, at least coulomb")                      \
   X(stribeck_velocity, "rad/s", 0.1, 0.0, 1e3, false, "Stribeck velocity")                         \
+  X(stribeck_exponent, "1", 2.0, 0.1, 20.0, true, "n of exp(-|v/v_s|^n): how steeply friction falls") \
   X(direction_asymmetry, "1", 0.0, -1.0, 1.0, true, "friction x (1 + a) for v > 0, (1 - a) for v < 0") \
   X(viscous_difference, "N s/rad", 0.0, -1e6, 1e6, true, "viscous friction for v > 0 less that for v < 0")\
   X(coulomb_difference, "N", 0.0, -1e6, 1e6, true, "Coulomb and breakaway friction for v > 0 less v < 0")\

@@ -136,6 +136,13 @@ def motor_states(
     return offset, velocity[k] - 0.5 * model.opt.timestep * acceleration[k] + slip - lag
 
 
+def drive_torque(measured: Measured, model: mujoco.MjModel, joint: str) -> np.ndarray:
+    """Torque of a joint's actuators along a recording, (n,); servos see the joint's own motion."""
+    q, v = measured.position[joint], measured.velocity[joint]
+    drives = ((model.actuator(i).name, _force(model, i)) for i in _drives(model, joint))
+    return sum((drive(measured.command[name], q, v) for name, drive in drives), np.zeros(q.size))
+
+
 # Force of an actuator on its joint from command, motor position and motor velocity.
 Drive = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal, TypeVar
 import mujoco
 
 from leglab.base.errors import LeglabError
-from leglab.diagnosis.model import Change, Machine, Measured, Variant
+from leglab.diagnosis.model import Change, ForceLeft, Machine, Measured, Variant
 
 Group = Literal["oil and seals", "valve and command", "friction", "mechanics", "sensing"]
 # Values of an effect's parameters by name.
@@ -27,7 +27,7 @@ class EffectParameter:
         lower: Smallest value that makes sense, same unit.
         upper: Largest value that makes sense, same unit.
         trials: Values that screening tries; a few, from barely noticeable to severe, on each side
-            that is possible. Empty for a shape whose nominal value is enough.
+            that is possible. Those of a shape are not tried, they say by what steps it matters.
         tolerance: Standard deviation that is normal between two good machines, same unit. Above
             zero the baseline refits the parameter under this prior, and only a change beyond it
             is named. 0: anything that can be told from noise is named.
@@ -98,6 +98,14 @@ class Effect(ABC):
     @abstractmethod
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Records in `change` what these values do; nominal values must change nothing."""
+
+    def guesses(self, machine: Machine, element: str, left: ForceLeft) -> tuple[Values, ...]:
+        """Values to screen instead of the trials, from the force left over on the element's joint.
+
+        Only an effect whose shape a few trials cannot find (a period) needs to override this.
+        """
+        del machine, element, left
+        return ()
 
     def write(self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Values) -> None:
         """Writes what `apply` does beside spec edits and plugin parameters into a patched model.

@@ -1,7 +1,7 @@
 """Effects on hydraulic cylinders, their oil and valves: a table of changed parameters."""
 
 from dataclasses import KW_ONLY, dataclass
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from leglab.diagnosis.effects.base import Effect, EffectParameter, Group, Values, register_effect
 from leglab.diagnosis.model import CYLINDER, Change, Machine
@@ -22,6 +22,7 @@ class CylinderRow:
         upper: Largest value, likewise.
         relative: Whether trials, tolerance and bounds are factors of the nominal value.
         follows: Parameters that are shifted by the same difference (stiction stays above Coulomb).
+        role: As in `EffectParameter`.
     """
 
     name: str
@@ -32,6 +33,7 @@ class CylinderRow:
     upper: float
     relative: bool = True
     follows: tuple[str, ...] = ()
+    role: Literal["strength", "shape"] = "strength"
 
     def parameter(self, machine: Machine, cylinder: str) -> EffectParameter:
         """The effect's parameter on a cylinder, within the bounds of the plugin's own."""
@@ -46,6 +48,7 @@ class CylinderRow:
             upper=min(self.upper * unit, table.maximum),
             trials=tuple(t * nominal if self.relative else nominal + t for t in self.trials),
             tolerance=self.tolerance * unit,
+            role=self.role,
         )
 
 
@@ -84,7 +87,7 @@ def define(
         "__doc__": physics,
         "__module__": __name__,
     }
-    register_effect(type(name.title().replace("_", ""), (CylinderEffect,), body))
+    register_effect(type("Cylinder" + name.title().replace("_", ""), (CylinderEffect,), body))
 
 
 define(
@@ -175,10 +178,72 @@ define(
 define(
     "stiction",
     "friction",
-    "(F_s - F_c) exp(-(v/v_s)^2): breakaway above Coulomb friction.",
-    f"{HYQ}; docs/physics.md",
+    "(F_s - F_c) exp(-|v/v_s|^n): breakaway above Coulomb friction.",
+    f"{HYQ}; exponents from 0.5 to above 2 (Armstrong-Helouvry et al. 1994, sect. 2.1.3)",
     "slow motion and standstill",
     CylinderRow("static", (1.6, 3.0, 5.0), lower=0.67, upper=30.0),
+    CylinderRow("stribeck_velocity", (), lower=0.25, upper=4.0, role="shape"),
+    CylinderRow("stribeck_exponent", (), lower=0.25, upper=2.0, role="shape"),
+)
+
+
+@register_effect
+class AsymmetricSealFriction(CylinderEffect):
+    """Friction of the seals that differs between extending and retracting."""
+
+    name = "asymmetric_friction"
+    group = "friction"
+    physics = "Seals: F_1 + b_1 v while the piston extends, F_2 + b_2 |v| while it retracts."
+    source = "lip seals of one direction, a U-cup against a wiper; rod gland under pressure"
+    excitation = "sliding in both directions at several speeds; reversals"
+    # Of a bearing of the joint as well: a lever that hardly changes tells them apart no more.
+    contains = ("viscous_friction", "coulomb_friction", "asymmetric_friction")
+
+    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
+        """Friction of each direction; where the model has none, trials take 2 % of the stall."""
+        stall = (
+            machine.parameter(element, "supply_pressure") * machine.parameter(element, "bore") ** 2
+        )
+        found = []
+        for name, unit, least in (
+            ("viscous", "N s/m", 0.02 * stall),
+            ("coulomb", "N", 0.01 * stall),
+        ):
+            half = 0.5 * machine.parameter(element, f"{name}_difference")
+            for side, sign in (("extending", 1.0), ("retracting", -1.0)):
+                own = machine.parameter(element, name) + sign * half
+                size = max(own, least)
+                found.append(
+                    EffectParameter(
+                        f"{name}_{side}",
+                        unit,
+                        nominal=own,
+                        lower=min(0.3 * own, own),
+                        upper=30.0 * size,
+                        trials=(own + 1.5 * size,),
+                    )
+                )
+        return tuple(found)
+
+    def apply(self, change: Change, element: str, values: Values) -> None:
+        """Shifts mean and difference of the plugin's friction."""
+        machine = change.machine
+        for name, follows in (("viscous", ()), ("coulomb", ("static",))):
+            extending, retracting = (values[f"{name}_{s}"] for s in ("extending", "retracting"))
+            mean = 0.5 * (extending + retracting) - machine.parameter(element, name)
+            for one in (name, *follows):
+                change.add_parameter(element, one, mean)
+            own = machine.parameter(element, f"{name}_difference")
+            change.add_parameter(element, f"{name}_difference", extending - retracting - own)
+
+
+define(
+    "backlash",
+    "mechanics",
+    "Play between rod end and pin: within it the piston moves and the joint does not.",
+    "pins of mobile hydraulics: 0.1 to 0.5 mm, worn ones more",
+    "forces of the cylinder that change their sign, reversals",
+    CylinderRow("play", (1e-4, 6e-4), upper=1e-2, relative=False),
 )
 
 define(
@@ -225,16 +290,36 @@ define(
     CylinderRow("rated_flow", (0.6, 0.85, 1.15, 1.5), tolerance=0.02, lower=0.2, upper=3.0),
 )
 
-define(
-    "valve_gain_asymmetry",
-    "valve and command",
-    "Flow gain 1 + a for positive and 1 - a for negative spool position.",
-    f"{VALVE}: symmetry of flow within 10 %",
-    "large openings in both directions",
-    CylinderRow(
-        "flow_asymmetry", (-0.25, -0.06, 0.06, 0.25), lower=-0.8, upper=0.8, relative=False
-    ),
-)
+
+@register_effect
+class ValveGainAsymmetry(CylinderEffect):
+    """Another flow in one direction of the spool, or in both by different factors."""
+
+    name = "valve_gain_asymmetry"
+    group = "valve and command"
+    physics = "Flow gain times g_1 for positive and g_2 for negative spool position."
+    source = f"{VALVE}: symmetry of flow within 10 %; one worn or clogged pair of edges"
+    excitation = "large openings in both directions"
+    contains = ("valve_gain",)
+
+    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
+        """Factors on the flow gain of both directions."""
+        return tuple(
+            EffectParameter(name, "1", nominal=1.0, lower=0.2, upper=3.0, trials=(0.8,))
+            for name in ("gain_positive", "gain_negative")
+        )
+
+    def apply(self, change: Change, element: str, values: Values) -> None:
+        """Sets rated flow and asymmetry, which give K (1 + a) and K (1 - a)."""
+        asymmetry = change.parameter(element, "flow_asymmetry")
+        positive = (1.0 + asymmetry) * values["gain_positive"]
+        negative = (1.0 - asymmetry) * values["gain_negative"]
+        if values["gain_positive"] == values["gain_negative"] == 1.0:
+            return
+        mean = 0.5 * (positive + negative)
+        change.set_parameter(element, "rated_flow", mean * change.parameter(element, "rated_flow"))
+        change.set_parameter(element, "flow_asymmetry", 0.5 * (positive - negative) / mean)
+
 
 define(
     "valve_hysteresis",

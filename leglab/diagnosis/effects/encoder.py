@@ -7,7 +7,7 @@ from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import Values, register_effect
 from leglab.diagnosis.effects.joints import JointEffect, JointRow
 from leglab.diagnosis.model import Change, Machine
-from leglab.diagnosis.paths import number_of, undo_delay, undo_offset, undo_scale
+from leglab.diagnosis.paths import number_of, set_number, undo_delay, undo_offset, undo_scale
 from leglab.machine.sensors import ENCODER_OFFSET, ENCODER_SCALE, delayed_sensor
 
 
@@ -40,7 +40,7 @@ class EncoderOffset(JointEffect):
         """Adds the numeric, to one that is there: measured = scale x (true + offset) + old."""
         name = ENCODER_OFFSET.format(joint=element)
         scale = number_of(spec, ENCODER_SCALE.format(joint=element), 1.0)
-        _set_numeric(spec, name, number_of(spec, name, 0.0) + scale * values["offset"])
+        set_number(spec, name, number_of(spec, name, 0.0) + scale * values["offset"])
 
 
 @register_effect
@@ -73,7 +73,7 @@ class EncoderScale(JointEffect):
     def write(self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Values) -> None:
         """Adds the numeric, times one that is there."""
         name = ENCODER_SCALE.format(joint=element)
-        _set_numeric(spec, name, number_of(spec, name, 1.0) * values["scale"])
+        set_number(spec, name, number_of(spec, name, 1.0) * values["scale"])
 
 
 @register_effect
@@ -107,11 +107,3 @@ class SensorDelay(JointEffect):
             )
         sensor.delay = float(sensor.delay) + delay
         sensor.nsample = int(np.ceil(sensor.delay / spec.option.timestep)) + 1
-
-
-def _set_numeric(spec: mujoco.MjSpec, name: str, value: float) -> None:
-    numeric = spec.numeric(name)
-    if numeric is None:
-        spec.add_numeric(name=name, data=[value], size=1)
-    else:
-        numeric.data = [value]

@@ -62,27 +62,31 @@ class JointStiction(FrictionEffect):
     """Breakaway friction above the Coulomb friction of a joint."""
 
     name = "stiction"
-    physics = "(F_s - F_c) exp(-(v/v_s)^2) sgn(v), LuGre bristle before sliding."
-    source = "Canudas de Wit et al. 1995"
+    physics = "(F_s - F_c) exp(-|v/v_s|^n) sgn(v), LuGre bristle before sliding."
+    source = "Canudas de Wit et al. 1995; n by Armstrong-Helouvry et al. 1994, sect. 2.1.3"
     excitation = "slow motion, reversals and rest"
     rows = (JointRow("breakaway", "{force}", (0.02, 0.1), upper=1.0),)
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """Breakaway above Coulomb friction, and the Stribeck velocity."""
+        """Breakaway above Coulomb friction; Stribeck velocity and exponent."""
         hinge = joints.unit(machine, element) == "rad"
         nominal, lower, upper = (0.05, 0.005, 1.0) if hinge else (0.01, 0.001, 0.2)
         unit = joints.unit_of(machine, element, "{length}/s")
         stribeck = EffectParameter(
             "stribeck_velocity", unit, nominal=nominal, lower=lower, upper=upper, role="shape"
         )
-        return (*super().parameters(machine, element), stribeck)
+        exponent = EffectParameter(
+            "stribeck_exponent", "1", nominal=2.0, lower=0.5, upper=4.0, role="shape"
+        )
+        return (*super().parameters(machine, element), stribeck, exponent)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts joint friction that has a breakaway level only."""
         if values["breakaway"]:
             name = insert_friction(change, element, self.name)
             change.set_parameter(name, "static", values["breakaway"])
-            change.set_parameter(name, "stribeck_velocity", values["stribeck_velocity"])
+            for shape in ("stribeck_velocity", "stribeck_exponent"):
+                change.set_parameter(name, shape, values[shape])
 
 
 # Load is followed at this spacing and interpolated.
@@ -198,7 +202,8 @@ class AsymmetricFriction(JointEffect):
     physics = "(F_1 + b_1 |v|) for v > 0, (F_2 + b_2 |v|) for v < 0, against the motion."
     source = "Armstrong-Helouvry et al. 1994: one-sided seals and preloaded gears"
     excitation = "motion in both directions at several speeds; reversals"
-    contains = ("viscous_friction", "coulomb_friction")
+    # Of a cylinder's seals as well: a lever that hardly changes tells them apart no more.
+    contains = ("viscous_friction", "coulomb_friction", "asymmetric_friction")
 
     rows = tuple(
         JointRow(f"{kind}_{side}", unit, (trial,), upper=upper)

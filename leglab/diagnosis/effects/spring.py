@@ -31,13 +31,14 @@ def set_spring(change: Change, joint: str, effect: str, parameter: str, value: f
         insert_spring(change, joint, effect, parameter, value)
 
 
-def insert_spring(change: Change, joint: str, effect: str, parameter: str, value: float) -> None:
-    """Inserts a spring-damper that has nothing but one parameter."""
+def insert_spring(change: Change, joint: str, effect: str, parameter: str, value: float) -> str:
+    """Inserts a spring-damper that has nothing but one parameter and returns its name."""
     model = change.machine.base.model
     name = f"{joint}_{effect}"
     reference = {"rest_position": float(model.qpos_spring[model.joint(joint).qposadr[0]])}
     joints.insert_on_joint(change, SPRING, name, joint, reference)
     change.set_parameter(name, parameter, value)
+    return name
 
 
 @register_effect

@@ -25,6 +25,8 @@ VALVE, SPRING = "knee_valve", "knee_spring"
 
 # Generalised force on the knee from its velocity and the actuator force on it.
 Torque = Callable[[float, float], float]
+# The same from its position.
+Field = Callable[[float], float]
 
 
 def bench(pump: Mapping[str, float] | None = None) -> mujoco.MjModel:
@@ -52,10 +54,13 @@ class FaultyBench:
         tuning: Plugin parameters of this good machine, by element and name.
         parameters: Plugin parameters that faults set, likewise.
         torques: Further generalised forces on the knee.
+        fields: The same, by position.
         command_delay: s.
         encoder_scale: Gain of the position sensor.
         encoder_offset: Of the position sensor [rad].
         encoder_delay: Of the position sensor [s].
+        pressure_scale: Gains of the pressure sensors of chambers A and B.
+        pressure_offset: Of the same [Pa].
         onset: Time at which parameters, torques and command delay set in [s].
     """
 
@@ -63,10 +68,13 @@ class FaultyBench:
     tuning: dict[tuple[str, str], float] = field(default_factory=dict)
     parameters: dict[tuple[str, str], float] = field(default_factory=dict)
     torques: list[Torque] = field(default_factory=list)
+    fields: list[Field] = field(default_factory=list)
     command_delay: float = 0.0
     encoder_scale: float = 1.0
     encoder_offset: float = 0.0
     encoder_delay: float = 0.0
+    pressure_scale: tuple[float, float] = (1.0, 1.0)
+    pressure_offset: tuple[float, float] = (0.0, 0.0)
     onset: float = 0.0
 
     def record(self, reference: np.ndarray, rng: np.random.Generator) -> Recording:
@@ -107,21 +115,24 @@ class FaultyBench:
                 queue[1:] = queue[:-1]
                 queue[0] = command[k]
                 data.ctrl[0] = queue[lag] if active else command[k]
-                if active and self.torques:
+                if active and (self.torques or self.fields):
                     load, v = float(data.qfrc_actuator[0]), float(data.qvel[0])
-                    data.qfrc_applied[0] = sum(torque(v, load) for torque in self.torques)
+                    forces = [torque(v, load) for torque in self.torques]
+                    forces += [force(float(data.qpos[0])) for force in self.fields]
+                    data.qfrc_applied[0] = sum(forces)
                 mujoco.mj_step(model, data)
         time = SAMPLING_PERIOD * np.arange(count)
         position = scale * np.interp(time - late, time, true[:, 0]) + offset
         position = position + POSITION_NOISE * rng.standard_normal(count)
         noise = PRESSURE_NOISE * rng.standard_normal((count, 2))
+        pressure = np.array(self.pressure_scale) * true[:, 1:] + self.pressure_offset + noise
         return Recording(
             time=time,
             columns={
                 "knee_position": np.round(position / ENCODER_STEP) * ENCODER_STEP,
                 "knee_valve_command": command,
-                "knee_pressure_a": true[:, 1] + noise[:, 0],
-                "knee_pressure_b": true[:, 2] + noise[:, 1],
+                "knee_pressure_a": pressure[:, 0],
+                "knee_pressure_b": pressure[:, 1],
             },
         )
 
@@ -322,10 +333,67 @@ def _asymmetric(plant: FaultyBench, rng: np.random.Generator) -> HiddenValue:
     return HiddenValue(parameter="", value=float(level))
 
 
+def _asymmetric_seal(plant: FaultyBench, rng: np.random.Generator) -> HiddenValue:
+    """A seal lip grips in one direction of the piston only: more friction there."""
+    side = float(rng.choice((-1.0, 1.0)))
+    coulomb, viscous = float(rng.uniform(60.0, 300.0)), float(rng.uniform(0.0, 1500.0))
+    _put(plant, "static", _present(plant, "static") + 0.5 * coulomb)
+    gripping = _present(plant, "coulomb") + coulomb
+    _put(plant, "coulomb", gripping - 0.5 * coulomb)
+    _put(plant, "viscous", _present(plant, "viscous") + 0.5 * viscous)
+    plant.parameters[VALVE, "coulomb_difference"] = side * coulomb
+    plant.parameters[VALVE, "viscous_difference"] = side * viscous
+    name = "coulomb_extending" if side > 0 else "coulomb_retracting"
+    return HiddenValue(parameter=name, value=gripping)
+
+
+def _either(*faults: Fault) -> Fault:
+    """One of several faults that go by the same name."""
+    return lambda plant, rng: faults[rng.integers(len(faults))](plant, rng)
+
+
+def _both_gains(plant: FaultyBench, rng: np.random.Generator) -> HiddenValue:
+    """One direction of the spool gains what the other one loses."""
+    shift = _signed(rng, 0.05, 0.25)
+    _put(plant, "flow_asymmetry", shift)
+    flow = _present(plant, "rated_flow") / NOMINAL["rated_flow"]
+    return HiddenValue(parameter="gain_positive", value=flow * (1.0 + shift))
+
+
+def _one_gain(plant: FaultyBench, rng: np.random.Generator) -> HiddenValue:
+    """The flow of one direction of the spool changes: gains g and 1 are f (1 + a) and f (1 - a)."""
+    positive = bool(rng.integers(2))
+    gain = 1.0 + _signed(rng, 0.12, 0.4)
+    flow = _present(plant, "rated_flow")
+    _put(plant, "rated_flow", 0.5 * (gain + 1.0) * flow)
+    _put(plant, "flow_asymmetry", (1.0 if positive else -1.0) * (gain - 1.0) / (gain + 1.0))
+    name = "gain_positive" if positive else "gain_negative"
+    return HiddenValue(parameter=name, value=gain * flow / NOMINAL["rated_flow"])
+
+
+def _pressure_sensor(kind: str, neutral: float, low: float, high: float) -> Fault:
+    """Shifts zero or gain of one pressure sensor."""
+
+    def apply(plant: FaultyBench, rng: np.random.Generator) -> HiddenValue:
+        chamber, value = int(rng.integers(2)), neutral + _signed(rng, low, high)
+        values = (value, neutral) if chamber == 0 else (neutral, value)
+        setattr(plant, f"pressure_{kind}", values)
+        return HiddenValue(parameter=f"{kind}_{'ab'[chamber]}", value=value)
+
+    return apply
+
+
 def _load_dependent(plant: FaultyBench, rng: np.random.Generator) -> HiddenValue:
     coefficient = float(rng.uniform(0.06, 0.3))
     plant.torques.append(lambda velocity, load: -coefficient * abs(load) * np.tanh(velocity / 0.01))
     return HiddenValue(parameter="", value=coefficient)
+
+
+def _cogging(plant: FaultyBench, rng: np.random.Generator) -> HiddenValue:
+    period = float(np.exp(rng.uniform(np.log(0.08), np.log(0.5))))
+    size, phase = float(rng.uniform(2.0, 10.0)), float(rng.uniform(0.0, 2.0 * np.pi))
+    plant.fields.append(lambda q: size * np.sin(2.0 * np.pi * q / period + phase))
+    return HiddenValue(parameter="period", value=period)
 
 
 def _force(plant: FaultyBench, rng: np.random.Generator) -> HiddenValue:
@@ -363,7 +431,7 @@ FAULTS: dict[str, Fault] = {
     "valve_deadband": _shifted("lap", 0.012, 0.07, signed=False),
     "valve_bias": _shifted("null_bias", 0.012, 0.05, signed=True),
     "valve_gain": _scaled("rated_flow", (0.6, 0.88), (1.12, 1.4)),
-    "valve_gain_asymmetry": _shifted("flow_asymmetry", 0.05, 0.25, signed=True),
+    "valve_gain_asymmetry": _either(_both_gains, _one_gain),
     "valve_hysteresis": _shifted("hysteresis", 0.008, 0.06, signed=False),
     "valve_bandwidth": _scaled("bandwidth_hz", (0.05, 0.3)),
     "command_delay": _set(
@@ -372,7 +440,7 @@ FAULTS: dict[str, Fault] = {
     "viscous_friction": _scaled("viscous", (1.5, 6.0)),
     "coulomb_friction": _coulomb,
     "stiction": _stiction,
-    "asymmetric_friction": _asymmetric,
+    "asymmetric_friction": _either(_asymmetric, _asymmetric_seal),
     "pressure_dependent_friction": _shifted("pressure_coefficient", 3e-6, 3e-5, signed=False),
     "load_dependent_friction": _load_dependent,
     "spring_stiffness": _scaled("k1", (0.3, 0.75), (1.3, 3.0)),
@@ -385,11 +453,15 @@ FAULTS: dict[str, Fault] = {
     "encoder_offset": _set("encoder_offset", "offset", lambda rng: _signed(rng, 0.015, 0.1)),
     "encoder_scale": _set("encoder_scale", "scale", lambda rng: 1.0 + _signed(rng, 0.02, 0.12)),
     "sensor_delay": _set("encoder_delay", "delay", lambda rng: float(rng.uniform(0.003, 0.02))),
+    "pressure_sensor_offset": _pressure_sensor("offset", 0.0, 2e5, 1e6),
+    "pressure_sensor_scale": _pressure_sensor("scale", 1.0, 0.03, 0.15),
     "force_offset": _force,
+    "cogging": _cogging,
 }
 
 _NOT_SUDDEN = {"supply_droop", "payload", "armature", "base_tilt"}
 _NOT_SUDDEN |= {"encoder_offset", "encoder_scale", "sensor_delay"}
+_NOT_SUDDEN |= {"pressure_sensor_offset", "pressure_sensor_scale"}
 # Faults that can set in while a recording runs.
 SUDDEN = tuple(sorted(FAULTS.keys() - _NOT_SUDDEN))
 

@@ -1,0 +1,112 @@
+"""Force that repeats with the position of a joint."""
+
+import math
+
+import numpy as np
+
+from leglab.diagnosis.effects import joints
+from leglab.diagnosis.effects.base import EffectParameter, Values, register_effect
+from leglab.diagnosis.effects.joints import JointEffect
+from leglab.diagnosis.effects.spring import insert_spring
+from leglab.diagnosis.model import Change, ForceLeft, Machine
+
+# A force that goes round less often than this in the range of a recording is a spring.
+_FEWEST_CYCLES = 0.8
+_MOST_CYCLES = 200
+# Frequencies of the search lie this share of a cycle in the range apart.
+_SPACING = 0.2
+# Peaks of the periodogram that are tried.
+_PEAKS = 2
+# Forces count up to this many median deviations: stick-slip and impacts are no cogging.
+_CLIP = 6.0
+
+
+@register_effect
+class Cogging(JointEffect):
+    """A force that repeats with the position of the joint."""
+
+    name = "cogging"
+    group = "mechanics"
+    physics = "A sin(2 pi q/P) + B cos(2 pi q/P): cogging of motors, eccentric gears, screws."
+    source = "Hanselman 2003: cogging to 10 % of a motor's torque; gear eccentricity ISO 1328"
+    excitation = "slow motion over at least one period in both directions"
+    contains = ("force_offset", "spring_stiffness", "spring_hardening", "spring_offset")
+
+    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
+        """Both amplitudes, and the period."""
+        size, travel = joints.force_scale(machine, element), joints.travel(machine, element)
+        unit = joints.unit_of(machine, element, "{force}")
+        amplitudes = tuple(
+            EffectParameter(name, unit, lower=-2.0 * size, upper=2.0 * size, trials=(0.03 * size,))
+            for name in ("sine", "cosine")
+        )
+        # Steps are a share of the distance from nominal: that is near the shortest period.
+        period = EffectParameter(
+            "period",
+            joints.unit(machine, element),
+            nominal=0.02 * travel,
+            lower=0.002 * travel,
+            upper=4.0 * math.pi * travel,
+            trials=(0.021 * travel,),
+            role="shape",
+        )
+        return (*amplitudes, period)
+
+    def guesses(self, machine: Machine, element: str, left: ForceLeft) -> tuple[Values, ...]:
+        """The highest peaks in the spectrum of the force left over along the position."""
+        return tuple(
+            {"sine": sine, "cosine": cosine, "period": period}
+            for sine, cosine, period in harmonics(left)
+        )
+
+    def apply(self, change: Change, element: str, values: Values) -> None:
+        """Inserts a spring-damper that has nothing but the ripple."""
+        if not (values["sine"] or values["cosine"]):
+            return
+        name = insert_spring(change, element, "cogging", "ripple_period", values["period"])
+        change.set_parameter(name, "ripple_sine", values["sine"])
+        change.set_parameter(name, "ripple_cosine", values["cosine"])
+
+
+def harmonics(left: ForceLeft, peaks: int = _PEAKS) -> list[tuple[float, float, float]]:
+    """Sine and cosine amplitude and period of the highest peaks, the best one first.
+
+    Least-squares spectrum over uneven positions (Lomb 1976) beside what other effects explain:
+    a cubic of the position, friction and inertia.
+    """
+    q, v, a = left.position, left.velocity, left.acceleration
+    reach = float(np.ptp(np.quantile(q, [0.01, 0.99])))
+    if not reach > 0.0:
+        return []
+    y, speed = (q - q.mean()) / reach, max(float(np.abs(v).mean()), 1e-12)
+    sliding = np.tanh(v / (0.02 * speed))
+    other = np.stack([np.ones(q.size), y, y**2, y**3, v, sliding, np.abs(v), a], axis=1)
+    other /= np.linalg.norm(other, axis=0).clip(1e-12)
+    basis = np.linalg.svd(other, full_matrices=False)[0]
+
+    def without(columns: np.ndarray) -> np.ndarray:
+        return columns - basis @ (basis.T @ columns)
+
+    rest = without(left.force)
+    for _ in range(2):
+        limit = _CLIP * 1.4826 * float(np.median(np.abs(rest)))
+        rest = without(np.clip(rest, -limit, limit))
+
+    def fitted(cycles: float) -> tuple[float, np.ndarray]:
+        angle = 2.0 * math.pi * cycles / reach * q
+        waves = without(np.stack([np.sin(angle), np.cos(angle)], axis=1))
+        inner = waves.T @ waves + 1e-9 * q.size * np.eye(2)
+        amplitudes = np.linalg.solve(inner, waves.T @ rest)
+        return float(amplitudes @ (waves.T @ rest)), amplitudes
+
+    # Of fewer moments a wave has too few samples.
+    grid = np.arange(_FEWEST_CYCLES, min(_MOST_CYCLES, 0.02 * q.size), _SPACING)
+    power = np.array([fitted(cycles)[0] for cycles in grid.tolist()])
+    tops = [i for i in range(grid.size) if power[i] >= power[max(i - 3, 0) : i + 4].max()]
+    found = []
+    for i in sorted(tops, key=lambda i: -power[i])[:peaks]:
+        near = np.linspace(grid[i] - _SPACING, grid[i] + _SPACING, 21).tolist()
+        cycles = max(near, key=lambda cycles: fitted(cycles)[0])
+        sine, cosine = fitted(cycles)[1]
+        found.append((float(sine), float(cosine), reach / cycles))
+    return found

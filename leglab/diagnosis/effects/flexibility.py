@@ -1,0 +1,89 @@
+"""Flexibility between the drive and a joint: a soft gear, belt, coupling or shaft."""
+
+import math
+
+import numpy as np
+from scipy.signal import bilinear, lfilter, lfilter_zi
+
+from leglab.diagnosis.effects import joints
+from leglab.diagnosis.effects.backlash import BACKLASH, Backlash, drive_torque
+from leglab.diagnosis.effects.base import (
+    EffectParameter,
+    Values,
+    latest_only,
+    register_effect,
+)
+from leglab.diagnosis.model import Change, Machine, Measured, Start, Variant
+
+# The element is a play with flanks; so little of it is none.
+_NO_PLAY = 1e-9
+# Of the joint on the spring with the motor held.
+_TRIALS_HZ, _SOFTEST_HZ = (30.0, 12.0), 1.5
+
+
+@register_effect
+class JointFlexibility(Backlash):
+    """A spring and damper between motor and joint."""
+
+    name = "joint_flexibility"
+    physics = "J w' = tau - T, T = k (theta - q) + c (w - v); the joint feels T."
+    source = "Spong 1987; harmonic drives and belts: 1e3 to 1e5 N m/rad"
+    excitation = "torques that change quickly, fast reversals"
+
+    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
+        """Compliance of the spring, inertia of the motor, damping ratio."""
+        own = joints.inertia(machine, element)
+        softness = [1.0 / (own * (2.0 * math.pi * f) ** 2) for f in (*_TRIALS_HZ, _SOFTEST_HZ)]
+        motor = super().parameters(machine, element)[1]
+        return (
+            EffectParameter(
+                "compliance",
+                joints.unit_of(machine, element, "{length}/({force})"),
+                upper=softness[-1],
+                trials=tuple(softness[:-1]),
+            ),
+            motor,
+            EffectParameter(
+                "damping_ratio", "1", nominal=0.1, lower=0.005, upper=2.0, role="shape"
+            ),
+        )
+
+    def apply(self, change: Change, element: str, values: Values) -> None:
+        """Inserts the spring; at window starts it is twisted as the motor swings."""
+        compliance, motor = values["compliance"], values["motor_inertia"]
+        if compliance == 0.0:
+            return
+        name = f"{element}_flexibility"
+        joints.insert_on_joint(change, BACKLASH, name, element, {"motor_inertia": 1.0})
+        change.set_parameter(name, "width", _NO_PLAY)
+        change.set_parameter(name, "motor_inertia", motor)
+        change.set_parameter(name, "stiffness", 1.0 / compliance)
+        change.set_parameter(name, "damping_ratio", values["damping_ratio"])
+
+        own = joints.native(change.machine, element, "armature")
+        link = max(joints.inertia(change.machine, element) - own, 1e-9)
+        reduced = 1.0 / (1.0 / motor + 1.0 / link)
+        damping = 2.0 * values["damping_ratio"] * math.sqrt(reduced / compliance)
+
+        @latest_only  # both states of a recording follow from one pass
+        def twist(measured: Measured, variant: Variant) -> tuple[np.ndarray, np.ndarray]:
+            h, velocity = measured.period, measured.velocity[element]
+            acceleration = np.gradient(velocity, h)
+            torque = drive_torque(measured, variant.model, element)
+            # J o'' + c o' + k o = tau - J q'' of the twist o, along the measured joint.
+            excess = torque - motor * acceleration
+            over, under = bilinear([1.0], [motor, damping, 1.0 / compliance], 1.0 / h)
+            start = lfilter_zi(over, under) * excess[0]
+            offset = lfilter(over, under, excess, zi=start)[0]
+            lag = 0.5 * variant.model.opt.timestep
+            speed = velocity - lag * acceleration + np.gradient(offset, h)
+            return offset, speed
+
+        def state(index: int) -> Start:
+            return lambda measured, variant, _: twist(measured, variant)[index][measured.samples]
+
+        change.start(name, "offset", state(0))
+        change.start(name, "motor_velocity", state(1))
+        change.start(
+            name, "seated_width", lambda measured, *_: np.full(measured.samples.size, _NO_PLAY)
+        )

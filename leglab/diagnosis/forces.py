@@ -1,0 +1,70 @@
+"""Forces that the measured motion leaves over: what a model's own forces do not account for."""
+
+import mujoco
+import numpy as np
+from scipy.signal import savgol_filter
+
+from leglab.diagnosis.hypothesis import Hypothesis
+from leglab.diagnosis.model import CHAMBERS, CYLINDER, ForceLeft
+from leglab.diagnosis.residual import Problem
+from leglab.diagnosis.starts import Instances
+
+_EVERY = 0.015  # s, between the moments that are looked at
+_ACCELERATION = 0.031  # s, filter of the velocity's slope
+
+
+def forces_left(problem: Problem, hypothesis: Hypothesis) -> dict[str, ForceLeft]:
+    """Forces left over in the fitted windows, by joint: M a + bias less all modelled forces.
+
+    Joints of cylinders whose pressures are not measured are left out: nobody knows their force.
+    """
+    replay, machine = problem.replay, problem.machine
+    change = problem.library.change(hypothesis, replay.machine)
+    variant, model = change.variant, change.variant.model
+    columns = {channel.column for channel in problem.channels}
+    blind = {
+        joint
+        for cylinder in machine.instances(CYLINDER)
+        for joint in machine.driven[cylinder]
+        if not {f"{machine.driven[cylinder][0]}_{c}" for c in CHAMBERS} <= columns
+    }
+    known = [joint for joint in machine.joints if joint not in blind]
+    dofs = [int(model.joint(joint).dofadr[0]) for joint in machine.joints]
+    places = [int(model.joint(joint).qposadr[0]) for joint in machine.joints]
+    tables = []
+    for measured in replay.moments(change, problem.fitted, _EVERY):
+        length = 2 * round(0.5 * _ACCELERATION / measured.period) + 1
+        slope = {
+            joint: savgol_filter(v, max(length, 5), 2, deriv=1, delta=measured.period)
+            for joint, v in measured.velocity.items()
+        }
+        at = measured.samples
+        state = np.tile(variant.plugin_state, (at.size, 1))
+        for (element, name), value in change.parameters.items():
+            state[:, variant.slot(element, name)] = value
+        for channel in problem.channels:
+            if channel.chamber and channel.cylinder:
+                slot = variant.slot(channel.cylinder, channel.chamber)
+                state[:, slot] = measured.pressure[channel.column][at]
+        instances = Instances(machine=machine, measured=measured, variant=variant, state=state)
+        instances.reconstruct()
+        for (element, name), function in change.starts.items():
+            state[:, variant.slot(element, name)] = function(measured, variant, state)
+        motion = (measured.position, measured.velocity, slope)
+        q, v, a = (np.stack([x[j][at] for j in machine.joints], axis=1) for x in motion)
+        command = np.stack([measured.command[a][at] for a in machine.actuators], axis=1)
+        data, left = mujoco.MjData(model), np.empty(q.shape)
+        for i in range(at.size):
+            data.plugin_state[:], data.ctrl[:] = state[i], command[i]
+            data.qpos[places], data.qvel[dofs] = q[i], v[i]
+            mujoco.mj_forward(model, data)
+            data.qacc[dofs] = a[i]
+            mujoco.mj_inverseSkip(model, data, mujoco.mjtStage.mjSTAGE_VEL, 1)
+            left[i] = (data.qfrc_inverse - data.qfrc_actuator)[dofs]
+        tables.append((q, v, a, left))
+    joined = [np.concatenate(parts) for parts in zip(*tables, strict=True)]
+    return {
+        joint: ForceLeft(*(x[:, i] for x in joined))
+        for i, joint in enumerate(machine.joints)
+        if joint in known
+    }

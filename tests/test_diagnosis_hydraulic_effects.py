@@ -1,0 +1,175 @@
+"""Effects on cylinders, valves and pressure sensors: against closed forms, and replayed."""
+
+import numpy as np
+import pytest
+
+from leglab.diagnosis.hypothesis import Hypothesis, Library
+from leglab.diagnosis.model import Machine, Measured
+from leglab.diagnosis.starts import Instances
+from leglab.diagnosis.workflow import DiagnosisSettings, set_up
+from leglab.machine.cylinder import Cylinder
+from leglab.machine.parameters import State
+from leglab.studies.blind.faulty_bench import NOMINAL, FaultyBench, references
+
+VALVE = "knee_valve"
+
+
+@pytest.fixture(scope="module")
+def machine():
+    return Machine("knee_bench", timestep=1e-3)
+
+
+def changed(library, machine, key, values):
+    """The cylinder under an effect, as the core computes it."""
+    change = library.change({key: np.array(values)}, machine)
+    table = machine.base.elements[VALVE][1].parameters
+    names = [name for name, entry in table.items() if not isinstance(entry, State)]
+    return Cylinder({name: change.parameter(VALVE, name) for name in names})
+
+
+@pytest.fixture(scope="module")
+def healthy():
+    """Recordings of a machine that is exactly the model, and what a fault makes of the same."""
+
+    def record(faults):
+        motions = references(np.random.default_rng(3), duration=3.0)
+        plant = FaultyBench()
+        faults(plant)
+        rng = np.random.default_rng(4)
+        return {name: plant.record(motions[name], rng) for name in ("multisine", "steps")}
+
+    return record
+
+
+def replayed(recordings, key, values):
+    """Mean square of the whitened errors without and with an effect at its true values."""
+    settings = DiagnosisSettings(effects=(key[0],), threads=1)
+    problem = set_up("knee_bench", recordings, (), settings)
+    truth = Hypothesis({key: np.array(values)})
+    problem = problem.about(truth)
+    return (float(problem.window_cost(h).mean()) for h in (Hypothesis(), truth))
+
+
+def test_friction_of_the_seals_differs_by_direction(machine):
+    library = Library(machine)
+    # 1200 and 500 N s/m, 180 and 90 N: extending and retracting.
+    cylinder = changed(
+        library, machine, ("asymmetric_friction", VALVE), [1200.0, 500.0, 180.0, 90.0]
+    )
+    stiction = 50.0 * np.exp(-((0.02 / 0.014) ** 2))  # breakaway stays 50 N above
+    assert cylinder.native.steady_friction(0.02, 0.0, 0.0) == pytest.approx(24 + 180 + stiction)
+    assert cylinder.native.steady_friction(-0.02, 0.0, 0.0) == pytest.approx(-10 - 90 - stiction)
+
+
+@pytest.mark.parametrize("gains", [(1.3, 1.0), (1.0, 0.7), (1.2, 0.8)])
+def test_each_direction_of_the_valve_has_its_gain(machine, gains):
+    library = Library(machine)
+    plain = changed(library, machine, ("valve_gain_asymmetry", VALVE), [1.0, 1.0])
+    other = changed(library, machine, ("valve_gain_asymmetry", VALVE), gains)
+    for spool, gain in ((0.6, gains[0]), (-0.6, gains[1])):
+        # Far from the lap the edges of the other direction leak a thousandth.
+        before, after = (c.native.flows(spool, 16e6, 7e6, 7e6)[0] for c in (plain, other))
+        assert after == pytest.approx(gain * before, rel=2e-3)
+
+
+def test_stiction_has_the_shape_of_its_curve(machine):
+    library = Library(machine)
+    cylinder = changed(library, machine, ("stiction", VALVE), [400.0, 0.02, 0.7])
+    level = 100.0 + 300.0 * np.exp(-((0.05 / 0.02) ** 0.7))
+    assert cylinder.native.steady_friction(0.05, 0.0, 0.0) == pytest.approx(level + 35.0)
+
+
+@pytest.mark.parametrize("speed", [0.01, -0.01])
+def test_bristles_of_sliding_seals_carry_their_curve(machine, speed):
+    """At a steady speed the bristle carries F_c + (F_s - F_c) exp(-|v/v_s|^n) of its direction."""
+    shape = {"stribeck_exponent": 0.6, "coulomb_difference": 60.0, "static": 400.0}
+    state = np.tile(machine.base.plugin_state, (2, 1))
+    for name, value in shape.items():
+        state[:, machine.base.slot(VALVE, name)] = value
+    still = np.zeros(2000)
+    measured = Measured(
+        period=1e-3,
+        position={"knee": still},
+        velocity={"knee": still},
+        piston_velocity={VALVE: still + speed},
+        lever={VALVE: still + 0.04},
+        command={VALVE: still},
+        pressure={},
+        samples=np.array([1500, 1900]),
+    )
+    one = Instances(machine=machine, measured=measured, variant=machine.base, state=state)
+    one.reconstruct()
+    side = np.sign(speed)
+    wanted = 100.0 + side * 30.0 + 300.0 * np.exp(-((0.01 / 0.014) ** 0.6))
+    np.testing.assert_allclose(one.get(VALVE, "bristle") * 2e6, side * wanted, rtol=1e-9)
+
+
+def seal(plant):
+    plant.parameters.update(
+        {
+            (VALVE, "coulomb"): NOMINAL["coulomb"] + 75.0,
+            (VALVE, "static"): NOMINAL["static"] + 75.0,
+            (VALVE, "coulomb_difference"): 150.0,
+            (VALVE, "viscous"): NOMINAL["viscous"] + 300.0,
+            (VALVE, "viscous_difference"): 600.0,
+        }
+    )
+
+
+def sensors(plant):
+    plant.pressure_offset = (3e5, 0.0)
+
+
+def gains(plant):
+    plant.pressure_scale = (1.0, 0.93)
+
+
+def curve(plant):
+    plant.parameters[VALVE, "static"] = 300.0
+    plant.parameters[VALVE, "stribeck_velocity"] = 0.02
+    plant.parameters[VALVE, "stribeck_exponent"] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "fault", "values"),
+    [
+        ("asymmetric_friction", seal, [1300.0, 700.0, 250.0, 100.0]),
+        ("pressure_sensor_offset", sensors, [3e5, 0.0]),
+        ("pressure_sensor_scale", gains, [1.0, 0.93]),
+        ("stiction", curve, [300.0, 0.02, 1.0]),
+    ],
+)
+def test_a_replay_with_the_true_values_leaves_noise(healthy, name, fault, values):
+    """Start states included: bristles and pressures are reconstructed under the effect."""
+    without, true = replayed(healthy(fault), (name, VALVE), values)
+    assert without > 5.0
+    assert true < 1.3
+
+
+def test_a_piston_is_found_on_the_flank_that_it_presses(healthy):
+    """Windows of a slow motion under gravity: the replay with the true play leaves noise."""
+
+    def worn(plant):
+        plant.tuning[VALVE, "play"] = 5e-4
+
+    recordings = {"multisine": healthy(worn)["multisine"]}
+    settings = DiagnosisSettings(effects=("backlash",), threads=1)
+    problem = set_up("knee_bench", recordings, (), settings)
+    key = "backlash", VALVE
+    change = problem.library.change({key: np.array([5e-4])}, problem.replay.machine)
+    moments = problem.replay.moments(change, problem.fitted, 0.3)
+    state = np.tile(change.variant.plugin_state, (moments[0].samples.size, 1))
+    state[:, change.variant.slot(VALVE, "play")] = 5e-4
+    for chamber in ("pressure_a", "pressure_b"):
+        column = moments[0].pressure[f"knee_{chamber}"]
+        state[:, change.variant.slot(VALVE, chamber)] = column[moments[0].samples]
+    one = Instances(
+        machine=problem.machine, measured=moments[0], variant=change.variant, state=state
+    )
+    one.reconstruct()
+    assert (np.abs(one.get(VALVE, "play_offset")) > 2.5e-4).all()
+    truth = Hypothesis({key: np.array([5e-4])})
+    wrong = Hypothesis({key: np.array([2e-3])})
+    costs = [problem.about(h).window_cost(h) for h in (truth, wrong)]
+    assert np.median(costs[0]) < 1.3
+    assert costs[0].mean() <= costs[1].mean()
