@@ -25,6 +25,8 @@ VALVE, SPRING = "knee_valve", "knee_spring"
 
 # Generalised force on the knee from its velocity and the actuator force on it.
 Torque = Callable[[float, float], float]
+# From its position.
+PositionTorque = Callable[[float], float]
 
 
 def bench(pump: Mapping[str, float] | None = None) -> mujoco.MjModel:
@@ -52,6 +54,7 @@ class FaultyBench:
         tuning: Plugin parameters of this good machine, by element and name.
         parameters: Plugin parameters that faults set, likewise.
         torques: Further generalised forces on the knee.
+        position_torques: Likewise, of its position.
         command_delay: s.
         encoder_scale: Gain of the position sensor.
         encoder_offset: Of the position sensor [rad].
@@ -63,6 +66,7 @@ class FaultyBench:
     tuning: dict[tuple[str, str], float] = field(default_factory=dict)
     parameters: dict[tuple[str, str], float] = field(default_factory=dict)
     torques: list[Torque] = field(default_factory=list)
+    position_torques: list[PositionTorque] = field(default_factory=list)
     command_delay: float = 0.0
     encoder_scale: float = 1.0
     encoder_offset: float = 0.0
@@ -107,9 +111,12 @@ class FaultyBench:
                 queue[1:] = queue[:-1]
                 queue[0] = command[k]
                 data.ctrl[0] = queue[lag] if active else command[k]
-                if active and self.torques:
+                if active and (self.torques or self.position_torques):
                     load, v = float(data.qfrc_actuator[0]), float(data.qvel[0])
                     data.qfrc_applied[0] = sum(torque(v, load) for torque in self.torques)
+                    data.qfrc_applied[0] += sum(
+                        f(float(data.qpos[0])) for f in self.position_torques
+                    )
                 mujoco.mj_step(model, data)
         time = SAMPLING_PERIOD * np.arange(count)
         position = scale * np.interp(time - late, time, true[:, 0]) + offset
