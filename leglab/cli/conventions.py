@@ -38,6 +38,10 @@ EXAMPLES = {
         "leglab diagnose axis.xml log.mcap --columns map.toml --effect backlash",
         "leglab diagnose --self-test --cases 20",
     ),
+    "improve": (
+        "leglab improve knee_bench rec/*.parquet --out out/better",
+        "leglab improve axis.xml log.mcap --columns map.toml --no-effects",
+    ),
     "convert": (
         "leglab convert run.parquet run.mat",
         "leglab convert log.mcap run.parquet --columns map.toml",

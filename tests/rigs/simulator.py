@@ -89,6 +89,7 @@ class Truth:
         gear_loss: Friction per motor force, in the bearing of the gear.
         play: Total backlash.
         viscous_factor: Of the damping, a tolerance of good machines.
+        ripple: Force that is a sine of the position: amplitude, period, phase.
     """
 
     forward: float = 0.0
@@ -97,6 +98,7 @@ class Truth:
     gear_loss: float = 0.0
     play: float = 0.0
     viscous_factor: float = 1.0
+    ripple: tuple[float, float, float] = (0.0, 1.0, 0.0)
 
 
 def _reference(kind: str, t: float, reach: float) -> float:
@@ -128,6 +130,7 @@ def record(rig: Rig, kind: str, truth: Truth, *, seed: int, seconds: float = 8.0
     half = 0.5 * truth.play
     stiffness, damping = 2e7 * rig.motor, 8e3 * rig.motor  # stiff greased teeth
     viscous = rig.viscous * truth.viscous_factor
+    size, period, phase = truth.ripple
     positions, commands = [], []
     last, speed = q, 0.0
     for k in range(round(seconds / sample)):
@@ -143,6 +146,7 @@ def record(rig: Rig, kind: str, truth: Truth, *, seed: int, seconds: float = 8.0
         for _ in range(steps):
             side = truth.forward if v > 0 else truth.backward
             acting = truth.offset - (viscous + side) * v - rig.pull * math.sin(q)
+            acting += size * math.sin(2.0 * math.pi * q / period + phase)
             dry = rig.coulomb + truth.gear_loss * abs(force)
             if truth.play > 0:
                 gap, closing = theta - q, w - v

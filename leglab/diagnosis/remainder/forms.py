@@ -223,7 +223,7 @@ def _knots(variable: str, x: np.ndarray) -> np.ndarray | None:
     if variable in _DENSE and low < 0.0 < high:
         width = _WIDTH * max(-low, high)
         ends = np.arcsinh(np.array([low, high]) / width)
-        knots = width * np.sinh(np.linspace(*ends, count))
+        knots = width * np.sinh(np.linspace(float(ends[0]), float(ends[-1]), count))
         knots[[0, -1]] = low, high
         return np.asarray(knots)
     return np.linspace(low, high, count)
@@ -381,7 +381,8 @@ def _periodic(
         tried = frequencies[frequencies * span >= repeats]
         costs = np.array([misfit(f, harmonics) for f in tried])
         # Half the frequency with every second harmonic is the same: the highest that does it.
-        near = np.flatnonzero(costs <= costs.min() + 0.02 * (float(alone.sum()) - costs.min()))
+        room = 0.02 * max(float(alone.sum()) - costs.min(), 0.0)
+        near = np.flatnonzero(costs <= costs.min() + room)
         best: tuple[float, float] = (np.inf, 0.0)
         for start in sorted({int(near[-1]), int(np.argmin(costs))}, reverse=True):
             low, high = tried[max(start - 1, 0)], tried[min(start + 1, costs.size - 1)]
@@ -425,7 +426,7 @@ def _estimated(
             columns.append((waves * balance.gain[:, :, None]).mean(axis=1))
             penalties.append(np.zeros((waves.shape[-1],) * 2))
             count = max(8, int(np.ceil(_KNOTS_A_PERIOD * harmonics * np.ptp(ends) / period)) + 1)
-            knots["position"] = np.linspace(*ends, count)
+            knots["position"] = np.linspace(float(ends[0]), float(ends[-1]), count)
         else:
             columns.append(t.columns)
             penalties.append(smooth[own, own])

@@ -42,10 +42,7 @@ class Unknowns:
         found = []
         for form in forms:
             scale = np.sqrt(np.maximum(np.diag(form.covariance), 1e-300))
-            if form.harmonics:  # few unknowns, all of which count
-                limit = scale.size
-            else:
-                limit = each
+            limit = scale.size if form.harmonics else each  # of sines all count
             values, vectors = np.linalg.eigh(form.covariance / np.outer(scale, scale))
             order = np.argsort(-values)[:limit]
             root = np.sqrt(np.maximum(values[order], 0.0))
