@@ -202,7 +202,15 @@ def _forces(
         v, dof = measured.velocity[joint], int(model.joint(joint).dofadr[0])
         acceleration[:, dof] = (v[k + half] - v[k - half]) / (2 * half * period)
         velocity[:, dof] = v[k]
-    command = np.stack([measured.command[a][k] for a in machine.actuators], axis=1)
+    # Held commands change at samples: about one, the mean of both sides acts.
+    native = machine.native_actuators()
+    command = np.stack(
+        [
+            0.5 * (u[k] + u[k - 1]) if a in native else u[k]
+            for a, u in ((a, measured.command[a]) for a in machine.actuators)
+        ],
+        axis=1,
+    )
     lacking, load = np.empty((k.size, model.nv)), np.empty((k.size, model.nv))
     length, speed, pull = (np.empty((k.size, model.nu)) for _ in range(3))
     for i in range(k.size):

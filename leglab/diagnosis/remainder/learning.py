@@ -10,7 +10,7 @@ import numpy as np
 from leglab.diagnosis.effects.joints import unit
 from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.model import CYLINDER
-from leglab.diagnosis.remainder.balances import Balance, balances
+from leglab.diagnosis.remainder.balances import balances
 from leglab.diagnosis.remainder.forms import Form, choose_form, usable
 from leglab.diagnosis.remainder.part import Part
 from leglab.diagnosis.remainder.refining import Refined, Unknowns, bounded, refine, with_parts
@@ -27,10 +27,10 @@ _PART_WORTHWHILE = 0.02
 _SIGNIFICANT = 2.5
 # Below this cost nothing more is to be learned: noise alone gives 1.
 _CLEAN = 1.25
-# Neighbouring windows of a balance that err alike by this correlation, this many times the level of
-# white noise: what is left has a memory.
-_MEMORY = 0.4
-_LEVELS = 2.0
+# Correlation of whitened errors in neighbouring bins that last.
+_LASTING = 0.3
+# Share of a balance's squares from which on static functions explain it.
+_STATIC = 0.5
 
 Progress = Callable[[str], None]
 
@@ -217,23 +217,19 @@ def pays(before: np.ndarray, after: np.ndarray, limit: float, share: float) -> b
     spread = float(saved.std(ddof=1)) / np.sqrt(saved.size)
     excess = max(float(robust_cost(before, limit).mean()) - 1.0, _CLEAN - 1.0)
     mean = float(saved.mean())
-    return mean > _SIGNIFICANT * spread and mean > share * excess
+    return bool(mean > _SIGNIFICANT * spread and mean > share * excess)
 
 
 def has_memory(problem: Problem, hypothesis: Hypothesis) -> bool:
-    """Whether the balances under a hypothesis are off for long, far beyond their white noise."""
-    return any(_remembers(balance, problem) for balance in balances(problem, hypothesis))
+    """Whether what a hypothesis leaves is far from noise, lasting, and no function of the moment.
 
-
-def _remembers(balance: Balance, problem: Problem) -> bool:
-    fitted = np.unique(problem.replay.recording[problem.fitted]).tolist()
-    own = balance.of(usable(balance, fitted))
-    x = own.lacking
-    if x.size < 30:
+    Whitened errors of a right model do not depend on each other; what lasts makes neighbouring bins
+    err alike. If static functions explain little of the balances, then what is missing depends on
+    what was before.
+    """
+    residual = problem.residual(hypothesis).reshape(problem.replay.windows, -1, problem.replay.bins)
+    own = residual / (np.sqrt(np.mean(residual**2, axis=(1, 2), keepdims=True)) + 1e-300)
+    alike = float(np.mean(own[:, :, 1:] * own[:, :, :-1]) / np.mean(own**2))
+    if alike < _LASTING:
         return False
-    limit = 5.0 * float(np.median(np.abs(x))) + 1e-300
-    x = np.clip(x, -limit, limit)
-    white = 1.4826 * float(np.median(np.abs(np.diff(x, 2)))) / np.sqrt(6.0)
-    level = float(x.std())
-    alike = float(np.corrcoef(x[:-1], x[1:])[0, 1])
-    return level > _LEVELS * white and alike > _MEMORY
+    return all(form.gain < _STATIC for form in find_forms(problem, hypothesis))

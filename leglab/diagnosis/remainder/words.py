@@ -12,8 +12,8 @@ Parity = Literal["odd", "even", "mixed"]
 
 # Share of a curve's squares that must be odd, even or on one side of zero to be called so.
 _CLEARLY = 0.85
-# A curve saturates if it gains less than this share of its size in the outer half of its range.
-_FLAT = 0.25
+# A curve saturates if it changes by less than this share of the whole in its outer quarters.
+_FLAT = 0.12
 # Quantiles of the data between which sizes are told.
 _USUAL = (0.01, 0.99)
 # Terms below this share of the largest are not told.
