@@ -18,6 +18,7 @@ from leglab.diagnosis.recordings import split_held_out
 from leglab.diagnosis.workflow import DiagnosisSettings
 from leglab.studies.blind.faulty_bench import FaultyBench, references
 from tests.rigs import PENDULUM, SERVO_JOINT, Hidden, Truth, record, record_linkage
+from tests.rigs.measured import EMPS_HELD_OUT, EMPS_MODEL, emps, rough_bench
 
 # Effects that would name it, so that its vocabulary is open.
 EXCLUDED = ("position_torque", "harmonic_torque", "cogging", "torque_ripple")
@@ -74,13 +75,41 @@ RIGS: dict[str, tuple[str | Path, Recorder]] = {
 }
 
 
+def measured() -> None:
+    """Two machines that differ from their models everywhere; see LEGLAB_DATA."""
+    specimen, later = rough_bench("e0")
+    cases = {
+        "rough bench e0": ("knee_bench", specimen, later),
+        "EMPS": (EMPS_MODEL, emps(), (EMPS_HELD_OUT,)),
+    }
+    print("| machine | held out | noise levels | after 0.3 s | learned |")
+    print("|---|---|---|---|---|")
+    for name, (model, recordings, held) in cases.items():
+        result, _ = improve(model, recordings, held_out=held, effects=False)
+        for row in (r for r in result.recordings if r.held_out):
+            si = dict(zip(result.units.values(), result.units, strict=True))
+            cells = []
+            for unit, factor, text in (("rad", 1e3, "mrad"), ("m", 1e3, "mm"), ("Pa", 1e-5, "bar")):
+                if unit in si:
+                    before, after = (factor * e for e in row.at_horizon[si[unit]])
+                    cells.append(f"{before:.2f} > {after:.2f} {text}")
+            levels = "{:.0f} > {:.0f}".format(*row.noise_levels)
+            print(f"| {name} | {row.recording} | {levels} | {', '.join(cells)} | |", flush=True)
+        closed = f"**{result.closed_fraction:.0%} closed**"
+        print(f"| {name} | all | {closed} | | {result.words} |", flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--draws", type=int, default=10)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--rig", choices=[*RIGS], nargs="*", default=[*RIGS])
     parser.add_argument("--effects", action="store_true", help="look for effects first")
+    parser.add_argument("--measured", action="store_true", help="rough bench e0 and EMPS instead")
     options = parser.parse_args()
+    if options.measured:
+        measured()
+        return
     print("| rig | hidden | in words | period off | gap before > after | closed |")
     print("|---|---|---|---|---|---|")
     for name in options.rig:

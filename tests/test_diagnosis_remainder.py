@@ -1,6 +1,5 @@
 """What no effect explains is learned: forms, words, proof, and improved models that run."""
 
-import dataclasses
 import json
 import math
 
@@ -27,8 +26,8 @@ from leglab.diagnosis.remainder.words import describe
 from leglab.diagnosis.workflow import DiagnosisSettings, set_up
 from leglab.machine import plugin
 from leglab.studies.blind.faulty_bench import FaultyBench, references
-from leglab.studies.shared_data import shared_data
 from tests.rigs import PENDULUM, SERVO_JOINT, Hidden, Truth, record, record_linkage
+from tests.rigs.measured import EMPS_HELD_OUT, EMPS_MODEL, emps, rough_bench
 
 KINDS = ("multisine", "fast", "slow", "stairs")
 # Effects that would name a ripple: the vocabulary is open here.
@@ -415,19 +414,16 @@ def test_coefficients_have_names_in_a_machine(knee, tmp_path):
 # --- Measured and rough machines.
 
 
-def folder(part):
+def or_skip(read, *arguments):
     try:
-        return shared_data(part)
+        return read(*arguments)
     except LeglabError as error:
         pytest.skip(str(error))
 
 
 def test_a_specimen_that_is_off_everywhere_is_learned_from_its_healthy_recordings():
-    place = folder("rough_bench/e0")
-    recordings = {f"healthy/{p.name}": data.read(p) for p in (place / "healthy").glob("*.parquet")}
-    recordings |= {p.name: data.read(p) for p in place.glob("*.parquet")}
-    held = [name for name in recordings if not name.startswith("healthy")]
-    result, better = improve("knee_bench", recordings, held_out=held, effects=False)
+    recordings, later = or_skip(rough_bench, "e0")
+    result, better = improve("knee_bench", recordings, held_out=later, effects=False)
     assert better is not None
     assert result.closed_fraction > 0.75
     for row in result.recordings:
@@ -436,38 +432,11 @@ def test_a_specimen_that_is_off_everywhere_is_learned_from_its_healthy_recording
             assert after < 0.5 * before
 
 
-EMPS = """<mujoco model="emps">
-  <option timestep="0.001" integrator="implicitfast"/>
-  <worldbody><body name="carriage">
-    <joint name="slide" type="slide" axis="1 0 0" damping="203.5" frictionloss="20.39"
-           solreffriction="0.002 1" solimpfriction="0.99 0.999 0.001 0.5 2"/>
-    <geom type="box" size="0.05 0.04 0.02" mass="95.11" contype="0" conaffinity="0"/>
-  </body></worldbody>
-  <actuator><motor name="drive" joint="slide"/></actuator>
-</mujoco>
-"""
-
-
-def test_the_measured_axis_is_improved_on_the_pulses_that_no_fit_has_seen(tmp_path):
-    from scipy.io import loadmat
-
-    from leglab.base.recording import Recording
-
-    place = folder("emps")
-    model = tmp_path / "emps.xml"
-    model.write_text(EMPS)
-    recordings = {}
-    for name in ("DATA_EMPS", "DATA_EMPS_PULSES"):
-        table = {
-            k: np.asarray(v, float).ravel() for k, v in loadmat(place / name).items() if k[0] != "_"
-        }
-        recordings[name] = Recording(
-            time=table["t"],
-            columns={"slide_position": table["qm"], "drive_command": 35.15065 * table["vir"]},
-        )
-    result, better = improve(model, recordings, held_out=("DATA_EMPS_PULSES",), effects=False)
+def test_the_measured_axis_is_improved_on_the_pulses_that_no_fit_has_seen():
+    recordings = or_skip(emps)
+    result, better = improve(EMPS_MODEL, recordings, held_out=(EMPS_HELD_OUT,), effects=False)
     assert better is not None
     held = next(r for r in result.recordings if r.held_out)
     before, after = held.at_horizon["slide_position"]
     assert after < 0.45 * before
-    assert dataclasses.asdict(result)["closed_fraction"] > 0.6
+    assert result.closed_fraction > 0.6

@@ -67,9 +67,8 @@ class Term:
 class Form:
     """Form of one balance's remainder, with a first estimate.
 
-    The unknowns are the coefficients of the terms one after another. With a period the first term
-    is replaced by: constant, cosine and sine of each harmonic, length of the period; a trend of the
-    position comes as a spline of its own.
+    The unknowns are the coefficients of the terms one after another. With a period those of the
+    position are: constant, cosine and sine of each harmonic, length of the period.
 
     Attributes:
         balance: The windows it was fitted to.

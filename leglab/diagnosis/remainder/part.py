@@ -23,13 +23,11 @@ class Period:
         length: rad or m.
         interval: 95 % interval of the length.
         amplitudes: Of the harmonics, the first that of the whole period.
-        trend: Whether a smooth part of the position comes on top.
     """
 
     length: float
     interval: tuple[float, float]
     amplitudes: tuple[float, ...]
-    trend: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

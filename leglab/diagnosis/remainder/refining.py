@@ -20,6 +20,8 @@ _PRIORS = (3e-3, 1e-1, 3.0)
 _STEP = 0.5
 # Robust reweightings in a step.
 _REWEIGHTINGS = 6
+# A wave longer than this share of the position's range is not called periodic.
+_LONGEST = 1.25
 _FOLDS = 4
 
 
@@ -103,6 +105,9 @@ def _period(form: Form, values: np.ndarray, covariance: np.ndarray) -> Period | 
     place = form.period_place
     if place is None:
         return None
+    span = float(np.ptp(form.knots["position"][[0, -1]]))
+    if not 0.0 < values[place] < _LONGEST * span:
+        return None  # The replays have made a bow of it.
     length, half = float(values[place]), 1.96 * float(np.sqrt(covariance[place, place]))
     pairs = values[place - 2 * form.harmonics : place].reshape(-1, 2)
     return Period(

@@ -1,6 +1,6 @@
 """Additive cubic B-splines with a smoothness penalty, and what a recording's blocks say of them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,7 +62,7 @@ def roughness(knots: np.ndarray) -> np.ndarray:
     return np.asarray(span**3 * (bend * w[:, None]).T @ bend)
 
 
-def project(knots: np.ndarray, function: "np.ndarray", grid: np.ndarray) -> np.ndarray:
+def project(knots: np.ndarray, function: np.ndarray, grid: np.ndarray) -> np.ndarray:
     """Coefficients nearest to a function that is given on a grid, shape (knots + 2,)."""
     design = basis(knots, grid)
     ridge = 1e-9 * roughness(knots)
@@ -136,8 +136,3 @@ class Blocks:
                 return self.errors(np.zeros(self.rights.shape[1]))
             out[own] = self.errors(self.solve(penalty, own))[own]
         return out
-
-
-def centred_sum(splines: Mapping[str, Spline], inputs: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Sum of splines at inputs by variable, each (n,)."""
-    return np.sum([spline(inputs[name]) for name, spline in splines.items()], axis=0)
