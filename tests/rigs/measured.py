@@ -18,7 +18,7 @@ def emps() -> dict[str, Recording]:
     """The measured ball-screw axis: a recording to fit, and one with pulses."""
     found = {}
     for name in ("DATA_EMPS", EMPS_HELD_OUT):
-        raw = loadmat(shared_data("emps") / name)
+        raw = loadmat(shared_data("emps") / f"{name}.mat")
         t, q, u = (np.asarray(raw[k], dtype=float).ravel() for k in ("t", "qm", "vir"))
         found[name] = Recording(time=t, columns={"slide_position": q, "drive_command": _FORCE * u})
     return found
