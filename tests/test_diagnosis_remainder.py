@@ -15,7 +15,7 @@ from leglab.cli.app import app
 from leglab.diagnosis import improve as improving
 from leglab.diagnosis.hypothesis import Hypothesis
 from leglab.diagnosis.improve import improve
-from leglab.diagnosis.model import Machine
+from leglab.diagnosis.model import Change, Machine
 from leglab.diagnosis.remainder import Period, learn_remainder
 from leglab.diagnosis.remainder.balances import Balance, balances
 from leglab.diagnosis.remainder.forms import choose_form
@@ -128,6 +128,7 @@ def test_a_wave_with_an_overtone_keeps_its_own_period():
     [
         lambda position, **_: 2.0 * position,
         lambda position, **_: 3.0 * position**3,
+        lambda position, **_: 3.0 * position**2,
         lambda position, **_: np.where(position > 0.3, 4.0 * (position - 0.3), 0.0),
         lambda position, **_: np.exp(-(((position - 0.2) / 0.1) ** 2)),
     ],
@@ -231,6 +232,39 @@ def test_the_balance_of_a_right_model_is_noise_and_that_of_a_ripple_is_the_rippl
         left = balance.lacking - wanted.mean(axis=1)
         assert np.sqrt(np.mean(left**2)) < 0.08
         assert abs(left.mean()) < 0.01
+
+
+def test_a_part_is_the_same_in_python_and_in_a_model():
+    rng = np.random.default_rng(5)
+    ranges = {"position": 0.8, "velocity": 3.0, "load": 4.0, "command": 2.0}
+    terms = {
+        name: Spline(knots=np.linspace(-x, x, 5), coefficients=rng.normal(0.0, 1.0, 7))
+        for name, x in ranges.items()
+    }
+    part = Part(element="hinge", joint="hinge", actuator="drive", oil=False, terms=terms, bound=2.0)
+    machine = Machine(PENDULUM.model)
+    change = Change(machine)
+    part.apply(change)
+    spec = machine.spec()
+    part.write(spec)
+    written = spec.compile()
+    variant = change.variant
+    start, table = plugin.elements(written)[part.name]
+    for model, parameters in ((variant.model, change.parameters), (written, {})):
+        state = mujoco.MjData(model)
+        bare = mujoco.MjData(machine.base.model)
+        for (element, name), value in parameters.items():
+            state.plugin_state[variant.slot(element, name)] = value
+        for _ in range(50):
+            x = {name: rng.uniform(-1.3 * most, 1.3 * most) for name, most in ranges.items()}
+            for d in (state, bare):
+                d.qpos[0], d.qvel[0], d.ctrl[0] = x["position"], x["velocity"], x["command"]
+            state.plugin_state[start + table.entry("load").offset] = x["load"]
+            mujoco.mj_forward(model, state)
+            mujoco.mj_forward(machine.base.model, bare)
+            got = state.qfrc_passive[0] - bare.qfrc_passive[0]
+            wanted = part.at({name: np.array([value]) for name, value in x.items()})[0]
+            assert got == pytest.approx(wanted, abs=1e-6)
 
 
 @pytest.fixture(scope="module")
