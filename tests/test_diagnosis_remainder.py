@@ -19,7 +19,7 @@ from leglab.diagnosis.model import Change, Machine
 from leglab.diagnosis.remainder import Period, learn_remainder
 from leglab.diagnosis.remainder.balances import Balance, balances
 from leglab.diagnosis.remainder.forms import choose_form
-from leglab.diagnosis.remainder.learning import pays
+from leglab.diagnosis.remainder.learning import closed, pays
 from leglab.diagnosis.remainder.part import Part
 from leglab.diagnosis.remainder.splines import Spline, basis, clamped, project, roughness
 from leglab.diagnosis.remainder.words import describe
@@ -213,6 +213,8 @@ def test_a_gain_must_be_beyond_chance_and_worthwhile():
     rng = np.random.default_rng(1)
     before = 2.0 + 0.5 * rng.random(40)
     assert pays(before, before - 0.5, 3.0, 0.1)
+    assert closed(9.0, 2.0) == 7.0 / 8.0
+    assert closed(0.99, 0.9) == 0.0
     assert not pays(before, before - 0.05, 3.0, 0.1)
     assert not pays(before, before + rng.normal(0.0, 1.0, 40), 3.0, 0.1)
     mixed = before.copy()

@@ -12,7 +12,9 @@ from leglab.diagnosis.effects.joints import unit
 from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.output import write_model
 from leglab.diagnosis.remainder.learning import (
+    CLEAN,
     Remainder,
+    closed,
     has_memory,
     learn_remainder,
     memory_words,
@@ -154,8 +156,11 @@ def improve(
         for p, h in ((judged, Hypothesis()), (after_problem, final))
     ]
     held = problem.held if problem.held.any() else ~problem.held
-    improved = bool(problem.held.any()) and (
-        pays(squares[0][held], squares[1][held], problem.thresholds.robust_limit, _WORTHWHILE)
+    limit = problem.thresholds.robust_limit
+    improved = (
+        bool(problem.held.any())
+        and float(robust_cost(squares[0][held], limit).mean()) >= CLEAN
+        and pays(squares[0][held], squares[1][held], limit, _WORTHWHILE)
     )
     if not improved:
         remainder, final, after_problem = None, Hypothesis(), judged
@@ -169,7 +174,7 @@ def improve(
             for key in (sure if improved else ())
         },
         remainder=remainder.to_json() if remainder else None,
-        closed_fraction=(rms[0] - rms[1]) / max(rms[0] - 1.0, 1e-9),
+        closed_fraction=closed(*rms),
         horizon=problem.thresholds.window,
         recordings=_errors(judged, after_problem, final, squares),
         units={

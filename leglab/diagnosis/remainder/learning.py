@@ -26,7 +26,7 @@ _WORTHWHILE = 0.1
 _PART_WORTHWHILE = 0.02
 _SIGNIFICANT = 2.5
 # Below this cost nothing more is to be learned: noise alone gives 1.
-_CLEAN = 1.25
+CLEAN = 1.25
 # Correlation of whitened errors in neighbouring bins that last.
 _LASTING = 0.3
 # Share of a balance's squares from which on static functions explain it.
@@ -114,7 +114,7 @@ def learn_remainder(
     Returns:
         None where no gain was proved.
     """
-    if not problem.held.any():
+    if not problem.held.any() or problem.window_cost(hypothesis)[problem.held].mean() < CLEAN:
         return None
     nuisances = {n.key for n in problem.nuisances}
     keep = frozenset(set(hypothesis) - nuisances if named is None else set(named))
@@ -204,9 +204,14 @@ def _proved(
         problem=final,
         before=robust_cost(before, limit),
         after=robust_cost(after, limit),
-        closed_fraction=(rms[0] - rms[1]) / max(rms[0] - 1.0, 1e-9),
+        closed_fraction=closed(*rms),
         memory=cost > problem.thresholds.explained and has_memory(final, refined.hypothesis),
     )
+
+
+def closed(before: float, after: float) -> float:
+    """Share of a gap in noise levels that is closed; 0 where there was none."""
+    return (before - after) / (before - 1.0) if before > 1.05 else 0.0
 
 
 def pays(before: np.ndarray, after: np.ndarray, limit: float, share: float) -> bool:
@@ -215,7 +220,7 @@ def pays(before: np.ndarray, after: np.ndarray, limit: float, share: float) -> b
     if saved.size < 2:
         return False
     spread = float(saved.std(ddof=1)) / np.sqrt(saved.size)
-    excess = max(float(robust_cost(before, limit).mean()) - 1.0, _CLEAN - 1.0)
+    excess = max(float(robust_cost(before, limit).mean()) - 1.0, CLEAN - 1.0)
     mean = float(saved.mean())
     return bool(mean > _SIGNIFICANT * spread and mean > share * excess)
 
