@@ -95,7 +95,7 @@ def test_a_soft_gear_of_a_pendulum_is_named():
     ("rig", "size", "period"), [(SLIDE_AXIS, 2.0, 0.031), (PENDULUM, 0.2, 0.9)]
 )
 def test_a_force_that_repeats_with_the_position_is_named_with_its_period(rig, size, period):
-    result, _ = verdict(rig, Truth(ripple=(size, period)), "multisine")
+    result, _ = verdict(rig, Truth(ripple=(size, period, 0.7)), "multisine")
     assert [effect.name for effect in result.effects] == ["cogging"]
     found = values(result)
     assert found["period"] == pytest.approx(period, rel=0.03)

@@ -11,6 +11,7 @@ from leglab.cli.catalogue import list_names, parameters
 from leglab.cli.conventions import Commands, execute, exit_status, explain
 from leglab.cli.convert import convert, inspect
 from leglab.cli.diagnose import diagnose
+from leglab.cli.improve import improve
 from leglab.cli.report import index, report, video
 from leglab.cli.run import compare, run, view
 from leglab.cli.studies import replicate, tune, verify
@@ -24,7 +25,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 _COMMANDS: tuple[Callable[..., None], ...] = (
-    compare, diagnose, convert, inspect, video, report, index, view, run, list_names, tune,
+    compare, diagnose, improve, convert, inspect, video, report, index, view, run, list_names, tune,
     replicate, verify, parameters,
 )  # fmt: skip
 for _command in _COMMANDS:

@@ -39,6 +39,10 @@ EXAMPLES = {
         "leglab diagnose --self-test --cases 20",
         "leglab diagnose --self-test --rough --sizes visible --out out/rough",
     ),
+    "improve": (
+        "leglab improve knee_bench rec/*.parquet --out out/better",
+        "leglab improve axis.xml log.mcap --columns map.toml --no-effects",
+    ),
     "convert": (
         "leglab convert run.parquet run.mat",
         "leglab convert log.mcap run.parquet --columns map.toml",

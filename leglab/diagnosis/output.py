@@ -2,6 +2,7 @@
 
 import json
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
@@ -9,7 +10,10 @@ from rich.table import Table
 
 import leglab.machine.plugin
 from leglab.data import write_atomically
-from leglab.diagnosis.hypothesis import Hypothesis
+from leglab.diagnosis.hypothesis import Hypothesis, Library
+from leglab.diagnosis.remainder.learning import Remainder
+from leglab.diagnosis.remainder.part import Part
+from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.result import Diagnosis, shown_unit
 from leglab.diagnosis.workflow import Search
 
@@ -38,23 +42,35 @@ def improved(found: Search, result: Diagnosis) -> Hypothesis | None:
     return hypothesis if after < problem.thresholds.improvement**2 * before else None
 
 
-def write_improved(found: Search, folder: Path, hypothesis: Hypothesis | None = None) -> Path:
-    """Writes DIR/improved.xml: the model under a hypothesis, checked by loading it.
-
-    Args:
-        found: The search.
-        folder: Where the file goes.
-        hypothesis: None for the final fit.
+def write_improved(found: Search, folder: Path, remainder: Remainder | None = None) -> Path:
+    """Writes DIR/improved.xml: the model with what was found and learned, checked by loading it.
 
     Raises:
         LeglabError: MuJoCo refuses the patched model.
     """
-    problem = found.problem
+    if remainder is None:
+        return write_model(found.problem, found.fit.hypothesis, folder)
+    return write_model(found.problem, remainder.hypothesis, folder, remainder.parts)
+
+
+def write_model(
+    problem: Problem, hypothesis: Hypothesis, folder: Path, parts: Sequence[Part] = ()
+) -> Path:
+    """Writes DIR/improved.xml: the model under a hypothesis, with learned parts.
+
+    Args:
+        problem: Whose machine and library are meant; learned parts of its own do not count.
+        hypothesis: Effects and nuisances.
+        folder: Existing.
+        parts: Learned.
+
+    Raises:
+        LeglabError: MuJoCo refuses the patched model.
+    """
     machine = problem.machine
-    hypothesis = found.fit.hypothesis if hypothesis is None else hypothesis
     spec = machine.spec()
     _absolute_files(spec, machine.path.parent)
-    change = problem.library.change(hypothesis, machine)
+    change = Library.change(problem.library, hypothesis, machine)
     for _, edit in change.edits:
         edit(spec)
     plugins = {actuator.name: actuator.plugin for actuator in spec.actuators}
@@ -64,6 +80,8 @@ def write_improved(found: Search, folder: Path, hypothesis: Hypothesis | None = 
     for key, values in sorted(problem.library.whole(hypothesis).items()):
         site = problem.library.sites[key]
         site.effect.write(spec, machine, site.element, site.named(values))
+    for part in parts:
+        part.write(spec)
     path = folder / "improved.xml"
     try:
         spec.compile()

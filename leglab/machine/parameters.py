@@ -16,6 +16,10 @@ import numpy as np
 from leglab._native import hydraulics as _native
 from leglab.base.errors import LeglabError, unknown_name
 
+RESIDUAL = "leglab.residual"
+# What a learned residual may depend on, in the order of its coefficients.
+RESIDUAL_VARIABLES = ("position", "velocity", "load", "command")
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -126,6 +130,31 @@ def plugin_tables() -> Mapping[str, PluginTable]:
             states=MappingProxyType({row.name: row for row in dynamic}),
         )
     return MappingProxyType(tables)
+
+
+def residual_table(table: PluginTable, counts: Mapping[str, int]) -> PluginTable:
+    """Table of one learned residual: its coefficients, "position_0" and so on, follow the states.
+
+    Args:
+        table: Of the plugin.
+        counts: Number of coefficients by variable.
+    """
+    place = len(table.parameters) + len(table.states)
+    rows = dict(table.parameters)
+    for variable in RESIDUAL_VARIABLES:
+        for number in range(counts.get(variable, 0)):
+            rows[f"{variable}_{number}"] = Parameter(
+                name=f"{variable}_{number}",
+                unit="N",
+                nominal=0.0,
+                minimum=-1e9,
+                maximum=1e9,
+                minimum_allowed=True,
+                description=f"coefficient of the cubic B-spline of {variable}",
+                offset=place,
+            )
+            place += 1
+    return PluginTable(plugin=table.plugin, parameters=MappingProxyType(rows), states=table.states)
 
 
 def _finite(value: float) -> float | None:

@@ -15,7 +15,13 @@ import mujoco
 import leglab._native
 from leglab._native.hydraulics import parameter_tables
 from leglab.base.errors import LeglabError, unknown_name
-from leglab.machine.parameters import PluginTable, plugin_tables
+from leglab.machine.parameters import (
+    RESIDUAL,
+    RESIDUAL_VARIABLES,
+    PluginTable,
+    plugin_tables,
+    residual_table,
+)
 
 
 @functools.cache
@@ -80,8 +86,20 @@ def elements(model: mujoco.MjModel) -> dict[str, tuple[int, PluginTable]]:
             start = int(model.name_pluginadr[i])
             own = bytes(model.names[start:]).split(b"\0", 1)[0].decode()
             table = tables[names[model.plugin[i]]]
+            if table.plugin == RESIDUAL:
+                table = residual_table(table, _coefficients(model, i))
             found[owners.get(i) or own] = int(model.plugin_stateadr[i]), table
     return found
+
+
+def _coefficients(model: mujoco.MjModel, instance: int) -> dict[str, int]:
+    """Number of coefficients of a learned residual by variable."""
+    texts = parameter_tables()[RESIDUAL][2]
+    return {
+        variable: len(text_attribute(model, instance, texts.index(f"{variable}_knots")).split()) + 2
+        for variable in RESIDUAL_VARIABLES
+        if text_attribute(model, instance, texts.index(f"{variable}_knots"))
+    }
 
 
 def attribute_names(plugin: str) -> tuple[str, ...]:

@@ -36,6 +36,7 @@ class Hidden:
         offset: Added to what the encoder shows.
         force: Constant.
         payload: Mass on the outer link and its distance from the link's joint.
+        ripple: Force on the first joint that is a sine of its position: amplitude, period, phase.
     """
 
     viscous: Pair = (0.0, 0.0)
@@ -47,6 +48,7 @@ class Hidden:
     offset: Pair = (0.0, 0.0)
     force: Pair = (0.0, 0.0)
     payload: Pair = (0.0, 0.0)
+    ripple: tuple[float, float, float] = (0.0, 1.0, 0.0)
 
 
 # Mass matrix (m11, m12, m22) and forces that inertia and weight oppose to the motion, at q, v.
@@ -215,6 +217,8 @@ def record_linkage(
                 - hidden.quadratic[j] * abs(v[j]) * v[j]
                 - hidden.stiffness[j] * q[j]
             )
+        size, period, phase = hidden.ripple
+        out[0] += size * math.sin(2.0 * math.pi * q[0] / period + phase)
         return out
 
     def rate(q: Pair, v: Pair, arrived: list[float]) -> Pair:

@@ -89,8 +89,8 @@ class Truth:
         gear_loss: Friction per motor force, in the bearing of the gear.
         play: Total backlash.
         soft: Stiffness and damping of the gear or coupling between motor and load; 0 = rigid.
-        ripple: Amplitude and period of a force that repeats with the position.
         viscous_factor: Of the damping, a tolerance of good machines.
+        ripple: Force that is a sine of the position: amplitude, period, phase.
     """
 
     forward: float = 0.0
@@ -99,8 +99,8 @@ class Truth:
     gear_loss: float = 0.0
     play: float = 0.0
     soft: tuple[float, float] = (0.0, 0.0)
-    ripple: tuple[float, float] = (0.0, 1.0)
     viscous_factor: float = 1.0
+    ripple: tuple[float, float, float] = (0.0, 1.0, 0.0)
 
 
 def _reference(kind: str, t: float, reach: float) -> float:
@@ -152,6 +152,7 @@ def record(
     half = 0.5 * truth.play
     stiffness, damping = 2e7 * rig.motor, 8e3 * rig.motor  # stiff greased teeth
     viscous = rig.viscous * truth.viscous_factor
+    size, period, phase = truth.ripple
     positions, commands = [], []
     last, speed, passed = q, 0.0, _PERIOD
     for k, (steps, sample) in enumerate(stepping):
@@ -168,8 +169,7 @@ def record(
         for _ in range(steps):
             side = truth.forward if v > 0 else truth.backward
             acting = truth.offset - (viscous + side) * v - rig.pull * math.sin(q)
-            if truth.ripple[0]:
-                acting += truth.ripple[0] * math.sin(2.0 * math.pi * q / truth.ripple[1] + 0.7)
+            acting += size * math.sin(2.0 * math.pi * q / period + phase)
             dry = rig.coulomb + truth.gear_loss * abs(force)
             if truth.play > 0 or truth.soft[0] > 0:
                 gap, closing = theta - q, w - v

@@ -4,6 +4,7 @@
 #include <cstring>
 
 #include "plugin/drawing.h"
+#include "plugin/residual.h"
 #include "plugin/supply.h"
 
 namespace leglab::plugin {
@@ -29,6 +30,7 @@ Cylinder::Cylinder(const mjModel* m, int instance)
                               Supply::Table::plugin + " instance");
     }
   }
+  residual_ = Residual::of_cylinder(m, actuator_);
   refresh(m, initial_);
 }
 
@@ -155,6 +157,10 @@ void Cylinder::compute(const mjModel* m, mjData* d) {
     mjtNum between = 0;
     const mjtNum* held = mj_readCtrl(m, d, actuator_, d->time, &between, m->actuator_history[2 * actuator_ + 1]);
     command_ = held ? *held : between;
+  }
+  if (residual_ >= 0) {
+    command_ += instance_of<Residual>(d, residual_)
+                    ->at(m, d, {d->actuator_length[actuator_], v_, d->actuator_force[actuator_], command_});
   }
 }
 

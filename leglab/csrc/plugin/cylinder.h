@@ -34,7 +34,8 @@ class Cylinder : public Instance<hydraulics::CylinderTable> {
   void check_timestep(const mjModel* m) const;
 
   int actuator_ = -1;
-  int supply_ = -1;  // instance of leglab.supply
+  int supply_ = -1;    // instance of leglab.supply
+  int residual_ = -1;  // instance of leglab.residual that adds to the command
 
   hydraulics::CylinderParameters seen_{};
   double seen_timestep_ = 0;

@@ -85,6 +85,17 @@ LEGLAB_TABLE(Backlash, "leglab.backlash", LEGLAB_BACKLASH_PARAMETERS, LEGLAB_BAC
 LEGLAB_TABLE(Command, "leglab.command_path", LEGLAB_COMMAND_PARAMETERS, LEGLAB_COMMAND_STATES, "actuator",
              "max_delay")
 
+// The coefficients of the splines follow these in the plugin state: position, velocity, load, command.
+#define LEGLAB_RESIDUAL_PARAMETERS(X)                                                              \
+  X(scale, "1", 1.0, -1e3, 1e3, true, "factor on the learned sum")                                 \
+  X(bound, "N", 1e9, 0.0, 1e9, true, "largest magnitude of the sum; of a cylinder in commands")
+
+#define LEGLAB_RESIDUAL_STATES(X) X(load, "N", "actuator force on the joint over the last step")
+LEGLAB_TABLE(Residual, "leglab.residual", LEGLAB_RESIDUAL_PARAMETERS, LEGLAB_RESIDUAL_STATES, "joint",
+             "cylinder", "actuator", "position_knots", "position_coefficients", "velocity_knots",
+             "velocity_coefficients", "load_knots", "load_coefficients", "command_knots",
+             "command_coefficients")
+
 LEGLAB_TABLE(Sensor, "leglab.sensor", LEGLAB_NONE, LEGLAB_NONE, "actuator", "quantity")
 
 struct PluginTable {
@@ -103,7 +114,7 @@ inline constexpr PluginTable kTables[] = {
     PluginTable::of<hydraulics::CylinderTable>(), PluginTable::of<hydraulics::SupplyTable>(),
     PluginTable::of<SpringTable>(),               PluginTable::of<FrictionTable>(),
     PluginTable::of<BacklashTable>(),             PluginTable::of<CommandTable>(),
-    PluginTable::of<SensorTable>(),
+    PluginTable::of<ResidualTable>(),             PluginTable::of<SensorTable>(),
 };
 
 }  // namespace leglab::plugin

@@ -1,0 +1,112 @@
+"""`leglab improve`: a better model from recordings."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from leglab.cli.options import Json, Overwrite
+from leglab.cli.terminal import output, print_json, progress
+
+if TYPE_CHECKING:
+    from leglab.diagnosis.improve import Improvement
+
+# Factor and unit in which errors are printed, by the SI unit.
+_PRINTED = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "Pa": (1e-5, "bar")}
+
+
+def improve(
+    model: Annotated[str, typer.Argument(help="Machine.")],
+    recordings: Annotated[
+        list[Path], typer.Argument(help="Recordings: .parquet, .csv, .mcap, .mat, .npz.")
+    ],
+    out: Annotated[Path, typer.Option(help="Output folder.")] = Path("out/improved"),
+    held_out: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Recording kept from all fits, repeatable; default: chosen by excitation."
+        ),
+    ] = None,
+    columns: Annotated[
+        Path | None,
+        typer.Option(
+            help="TOML file: what the columns of the recordings are called here, and units."
+        ),
+    ] = None,
+    effects: Annotated[
+        bool,
+        typer.Option(help="Look for effects first, and keep those that are sure."),
+    ] = True,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Improves a model by measured recordings: recalibration, sure effects, a learned remainder.
+
+    Writes improvement.json and, where held-out recordings prove a gain, improved.xml. A remainder
+    is a static force of joints, or command offset of cylinders, in `leglab.residual` elements.
+    """
+    from leglab.data import write_atomically
+    from leglab.diagnosis.improve import improve as run_improvement
+    from leglab.diagnosis.recordings import read_recordings, split_held_out
+    from leglab.runs.folder import check_folder
+
+    check_folder(out, overwrite=overwrite, mark="improvement.json")
+    named = read_recordings(recordings, columns)
+    named, held = split_held_out(model, named, held_out or [])
+    with progress("improvement") as show:
+        result, better = run_improvement(
+            model,
+            named,
+            held_out=held,
+            effects=effects,
+            progress=lambda line: show(description=line),
+        )
+    out.mkdir(parents=True, exist_ok=True)
+    if better is None:
+        (out / "improved.xml").unlink(missing_ok=True)
+    else:
+        result = replace(result, model=better.write(out).name)
+    text = json.dumps(result.to_json(), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    write_atomically(out / "improvement.json", lambda stream: stream.write(text.encode()))
+    if as_json:
+        print_json(result.to_json(), ascii_only=False)
+        return
+    output.print(result.words, markup=False, highlight=False)
+    output.print(_table(result))
+    if better is None:
+        output.print("no improved.xml: no gain on held-out recordings", markup=False)
+    else:
+        output.print(
+            f"{result.closed_fraction:.0%} of the held-out gap closed; {out}/improved.xml",
+            markup=False,
+        )
+
+
+def _table(result: "Improvement") -> Table:
+    """Replay errors of all recordings before and after."""
+    title = f"replay error, RMS before > after; of channels after {result.horizon:g} s"
+    table = Table(title=title, title_justify="left")
+    table.add_column("recording")
+    table.add_column("noise levels")
+    units = dict.fromkeys(result.units.values())
+    for si in units:
+        what = "pressures" if si == "Pa" else "positions"
+        table.add_column(f"{what} \\[{_PRINTED[si][1]}]")
+    table.add_column("")
+    for row in result.recordings:
+        cells = []
+        for si in units:
+            errors = [e for c, e in row.at_horizon.items() if result.units[c] == si]
+            before, after = (
+                _PRINTED[si][0] * math.sqrt(sum(e[k] ** 2 for e in errors) / len(errors))
+                for k in (0, 1)
+            )
+            cells.append(f"{before:.3g} > {after:.3g}")
+        before, after = row.noise_levels
+        held = "held out" if row.held_out else ""
+        table.add_row(row.recording, f"{before:.3g} > {after:.3g}", *cells, held)
+    return table

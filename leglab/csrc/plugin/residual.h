@@ -1,0 +1,45 @@
+// Passive plugin `leglab.residual`: a learned static force on a joint, or command offset of a cylinder.
+#pragma once
+
+#include <array>
+#include <vector>
+
+#include "plugin/lifecycle.h"
+
+namespace leglab::plugin {
+
+// bound(scale (s_1(position) + s_2(velocity) + s_3(load) + s_4(command))) with cubic B-splines s_i. Every
+// input is clamped to the range of its knots, so that beyond the data nothing is extrapolated. The
+// coefficients follow the named states in the plugin state, variable after variable.
+class Residual : public Instance<ResidualTable> {
+ public:
+  static constexpr std::size_t kInputs = 4;
+  static constexpr std::array<const char*, kInputs> kNames{"position", "velocity", "load", "command"};
+  using Inputs = std::array<double, kInputs>;
+
+  Residual(const mjModel* m, int instance);
+  void reset(mjtNum* plugin_state) const;
+  void compute(const mjModel* m, mjData* d);
+  void advance(const mjModel* m, mjData* d);
+
+  // The learned sum at some inputs.
+  double at(const mjModel* m, const mjData* d, const Inputs& inputs) const;
+
+  // Instance that acts on a cylinder, -1 where there is none; refuses several.
+  static int of_cylinder(const mjModel* m, int actuator);
+  // Length of the plugin state: parameters, states and coefficients.
+  static int state_count(const mjModel* m, int instance);
+
+ private:
+  struct Spline {
+    std::vector<double> knots;         // clamped: the outermost four times
+    std::vector<double> coefficients;  // of MJCF; those that count are in the plugin state
+  };
+  static Spline spline_attribute(const mjModel* m, int instance, const char* variable);
+
+  std::array<Spline, kInputs> splines_;
+  int qpos_ = -1, dof_ = -1;  // of the joint; -1 at a cylinder
+  int actuator_ = -1;         // whose command the joint's force depends on
+};
+
+}  // namespace leglab::plugin

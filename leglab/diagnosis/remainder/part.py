@@ -1,0 +1,135 @@
+"""Learned parts: static forces of joints and command offsets of cylinders, and models with them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from leglab.diagnosis.effects.joints import insert
+from leglab.diagnosis.hypothesis import Key, Library
+from leglab.diagnosis.model import Change, Machine, Measured, Start, Variant
+from leglab.diagnosis.remainder.splines import Spline
+from leglab.machine.parameters import RESIDUAL, RESIDUAL_VARIABLES
+
+_NO_BOUND = 1e9
+
+
+@dataclass(frozen=True, kw_only=True)
+class Period:
+    """A repetition over the position.
+
+    Attributes:
+        length: rad or m.
+        interval: 95 % interval of the length.
+        amplitudes: Of the harmonics, the first that of the whole period.
+    """
+
+    length: float
+    interval: tuple[float, float]
+    amplitudes: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Part:
+    """A learned static force on a joint, or command offset of a cylinder.
+
+    Attributes:
+        element: Joint or cylinder.
+        joint: Whose motion it goes with.
+        actuator: Whose command it depends on; empty for none.
+        oil: Whether it is a command offset of a cylinder.
+        terms: Splines by variable; their sum counts.
+        period: Of the position, where there is one.
+        bound: Largest magnitude of the sum.
+    """
+
+    element: str
+    joint: str
+    actuator: str
+    oil: bool
+    terms: Mapping[str, Spline]
+    period: Period | None = None
+    bound: float = _NO_BOUND
+
+    @property
+    def name(self) -> str:
+        """Of the plugin instance."""
+        return f"{self.element}_remainder"
+
+    def at(self, inputs: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Force or offset at inputs by variable, of one shape."""
+        total = np.sum([spline(inputs[v]) for v, spline in self.terms.items()], axis=0)
+        return np.clip(total, -self.bound, self.bound)
+
+    def config(self, *, neutral: bool = False) -> dict[str, float | str]:
+        """Attributes of its `leglab.residual`; coefficients are zero where neutral."""
+        out: dict[str, float | str] = {"cylinder" if self.oil else "joint": self.element}
+        if "command" in self.terms and not self.oil:
+            out["actuator"] = self.actuator
+        for variable in RESIDUAL_VARIABLES:
+            if variable in self.terms:
+                spline = self.terms[variable]
+                weights = np.zeros_like(spline.coefficients) if neutral else spline.coefficients
+                out[f"{variable}_knots"] = _numbers(spline.knots)
+                out[f"{variable}_coefficients"] = _numbers(weights)
+        if not neutral and self.bound < _NO_BOUND:
+            out["bound"] = float(f"{self.bound:.6g}")
+        return out
+
+    def apply(self, change: Change) -> None:
+        """Adds it to a change; another one with the same knots needs no other model."""
+        config = self.config(neutral=True)
+        key = ("insert", RESIDUAL, self.name, *sorted(config.items()))
+        change.edit(key, lambda spec: insert(spec, RESIDUAL, self.name, config))
+        change.set_parameter(self.name, "bound", self.bound)
+        for variable, spline in self.terms.items():
+            for number, value in enumerate(spline.coefficients.tolist()):
+                change.set_parameter(self.name, f"{variable}_{number}", value)
+        if "load" in self.terms and not self.oil:
+            change.start(self.name, "load", _load_at_start(change.machine, self.joint))
+
+    def write(self, spec: mujoco.MjSpec) -> None:
+        """Adds its plugin instance to a specification."""
+        insert(spec, RESIDUAL, self.name, self.config())
+
+
+def _numbers(values: np.ndarray) -> str:
+    return " ".join(f"{value:.9g}" for value in values.tolist())
+
+
+def _load_at_start(machine: Machine, joint: str) -> Start:
+    """Actuator force on a joint at window starts."""
+
+    def load(measured: Measured, variant: Variant, plugin: np.ndarray) -> np.ndarray:
+        model = variant.model
+        data = mujoco.MjData(model)
+        dof = int(model.joint(joint).dofadr[0])
+        out = np.empty(len(plugin))
+        for i, k in enumerate(measured.samples.tolist()):
+            data.plugin_state[:] = plugin[i]
+            for name in machine.joints:
+                data.qpos[model.joint(name).qposadr[0]] = measured.position[name][k]
+                data.qvel[model.joint(name).dofadr[0]] = measured.velocity[name][k]
+            for number, name in enumerate(machine.actuators):
+                data.ctrl[number] = measured.command[name][k]
+            mujoco.mj_forward(model, data)
+            out[i] = data.qfrc_actuator[dof]
+        return out
+
+    return load
+
+
+class LearnedLibrary(Library):
+    """A library whose changes all carry learned parts."""
+
+    def __init__(self, library: Library, parts: Sequence[Part]) -> None:
+        self.__dict__.update(library.__dict__)
+        self.parts = tuple(parts)
+
+    def change(self, hypothesis: Mapping[Key, np.ndarray], machine: Machine) -> Change:
+        """The change that a hypothesis makes, with the learned parts."""
+        change = super().change(hypothesis, machine)
+        for part in self.parts:
+            part.apply(change)
+        return change

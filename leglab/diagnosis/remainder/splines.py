@@ -1,0 +1,138 @@
+"""Additive cubic B-splines with a smoothness penalty, and what a recording's blocks say of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+DEGREE = 3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Spline:
+    """A cubic B-spline of one variable, constant beyond its knots.
+
+    Attributes:
+        knots: Increasing, shape (knots,): range of the data.
+        coefficients: Shape (knots + 2,).
+    """
+
+    knots: np.ndarray
+    coefficients: np.ndarray
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """Values at inputs of any shape."""
+        inside = np.clip(x, self.knots[0], self.knots[-1])
+        return BSpline(clamped(self.knots), self.coefficients, DEGREE)(inside)
+
+    def grid(self, count: int = 400) -> np.ndarray:
+        """Inputs over the whole range, shape (count,)."""
+        return np.linspace(self.knots[0], self.knots[-1], count)
+
+    @property
+    def span(self) -> float:
+        """Length of the range."""
+        return float(self.knots[-1] - self.knots[0])
+
+
+def clamped(knots: np.ndarray) -> np.ndarray:
+    """Knots with the outermost four times."""
+    return np.concatenate([[knots[0]] * DEGREE, knots, [knots[-1]] * DEGREE])
+
+
+def basis(knots: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """All B-splines at clamped inputs of shape (n,): (n, knots + 2); rows sum to one."""
+    inside = np.clip(x, knots[0], knots[-1])
+    return np.asarray(BSpline.design_matrix(inside, clamped(knots), DEGREE).toarray())
+
+
+def roughness(knots: np.ndarray) -> np.ndarray:
+    """Penalty matrix of the integrated squared second derivative, scaled to the range.
+
+    Lines cost nothing; a knot's distance and the unit of the input do not matter.
+    """
+    span = knots[-1] - knots[0]
+    points, weights = np.polynomial.legendre.leggauss(2)  # exact: a product of lines
+    left, right = knots[:-1, None], knots[1:, None]
+    x = (0.5 * (left + right) + 0.5 * (right - left) * points).ravel()
+    w = (0.5 * (right - left) * weights).ravel()
+    identity = np.eye(knots.size + 2)
+    bend = BSpline(clamped(knots), identity, DEGREE).derivative(2)(x)
+    return np.asarray(span**3 * (bend * w[:, None]).T @ bend)
+
+
+def project(knots: np.ndarray, function: np.ndarray, grid: np.ndarray) -> np.ndarray:
+    """Coefficients nearest to a function that is given on a grid, shape (knots + 2,)."""
+    design = basis(knots, grid)
+    ridge = 1e-9 * roughness(knots)
+    normal = design.T @ design / grid.size
+    return np.linalg.solve(
+        normal + 1e-12 * np.eye(len(normal)) + ridge, design.T @ function / grid.size
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Blocks:
+    """Weighted least squares by blocks of neighbouring samples, for cross-validation.
+
+    Attributes:
+        matrices: X'WX of each block, (blocks, p, p).
+        rights: X'Wy, (blocks, p).
+        squares: y'Wy, (blocks,).
+        counts: Sum of weights, (blocks,).
+    """
+
+    matrices: np.ndarray
+    rights: np.ndarray
+    squares: np.ndarray
+    counts: np.ndarray
+
+    @classmethod
+    def of(
+        cls, design: np.ndarray, target: np.ndarray, weight: np.ndarray, block: np.ndarray
+    ) -> "Blocks":
+        """Sums over samples: design (n, p), target, weight and number of the block (n,)."""
+        numbers = np.unique(block)
+        rows = [np.flatnonzero(block == k) for k in numbers]
+        weighted = design * weight[:, None]
+        return cls(
+            matrices=np.stack([weighted[r].T @ design[r] for r in rows]),
+            rights=np.stack([weighted[r].T @ target[r] for r in rows]),
+            squares=np.array([weight[r] @ target[r] ** 2 for r in rows]),
+            counts=np.array([weight[r].sum() for r in rows]),
+        )
+
+    def only(self, columns: Sequence[int]) -> "Blocks":
+        """The same with some columns."""
+        index = np.asarray(columns, dtype=int)
+        return Blocks(
+            matrices=self.matrices[:, index[:, None], index],
+            rights=self.rights[:, index],
+            squares=self.squares,
+            counts=self.counts,
+        )
+
+    def solve(self, penalty: np.ndarray, without: np.ndarray | None = None) -> np.ndarray:
+        """Penalised coefficients, (p,), from all blocks but some of a mask."""
+        keep = slice(None) if without is None else ~without
+        matrix = self.matrices[keep].sum(axis=0) + penalty
+        ridge = 1e-10 * np.trace(matrix) / max(len(matrix), 1) + 1e-300
+        matrix = matrix + ridge * np.eye(len(matrix))
+        return np.linalg.solve(matrix, self.rights[keep].sum(axis=0))
+
+    def errors(self, x: np.ndarray) -> np.ndarray:
+        """Sum of squared errors in every block, (blocks,)."""
+        bent = np.einsum("i,bij,j->b", x, self.matrices, x)
+        return np.maximum(self.squares - 2.0 * self.rights @ x + bent, 0.0)
+
+    def validated(self, penalty: np.ndarray, folds: int = 5) -> np.ndarray:
+        """Squared errors of every block under a fit to the blocks of other folds, (blocks,)."""
+        fold = np.arange(self.squares.size) % folds
+        out = np.empty(self.squares.size)
+        for k in range(folds):
+            own = fold == k
+            if own.all():
+                return self.errors(np.zeros(self.rights.shape[1]))
+            out[own] = self.errors(self.solve(penalty, own))[own]
+        return out

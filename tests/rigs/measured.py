@@ -1,0 +1,32 @@
+"""Recordings that are not part of this project: a measured axis and a rough bench."""
+
+from pathlib import Path
+
+import numpy as np
+from scipy.io import loadmat
+
+from leglab import data
+from leglab.base.recording import Recording
+from leglab.studies.shared_data import shared_data
+
+EMPS_MODEL = Path(__file__).parent / "emps.xml"
+EMPS_HELD_OUT = "DATA_EMPS_PULSES"
+_FORCE = 35.15065  # N/V
+
+
+def emps() -> dict[str, Recording]:
+    """The measured ball-screw axis: a recording to fit, and one with pulses."""
+    found = {}
+    for name in ("DATA_EMPS", EMPS_HELD_OUT):
+        raw = loadmat(shared_data("emps") / f"{name}.mat")
+        t, q, u = (np.asarray(raw[k], dtype=float).ravel() for k in ("t", "qm", "vir"))
+        found[name] = Recording(time=t, columns={"slide_position": q, "drive_command": _FORCE * u})
+    return found
+
+
+def rough_bench(specimen: str) -> tuple[dict[str, Recording], tuple[str, ...]]:
+    """Recordings of a specimen that is off everywhere, and the names of all but the healthy."""
+    place = shared_data(f"rough_bench/{specimen}")
+    later = {p.name: data.read(p) for p in sorted(place.glob("*.parquet"))}
+    healthy = sorted((place / "healthy").glob("*.parquet"))
+    return {f"healthy/{p.name}": data.read(p) for p in healthy} | later, tuple(later)
