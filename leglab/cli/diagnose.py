@@ -80,6 +80,7 @@ def diagnose(
     if model is None or not recordings:
         raise LeglabError("diagnose needs a model and at least one recording, or --self-test")
     from leglab.diagnosis import output as results
+    from leglab.diagnosis.improve import improved_model
     from leglab.diagnosis.recordings import read_recordings, split_held_out
     from leglab.diagnosis.verdict import diagnose as run_diagnosis
     from leglab.diagnosis.workflow import DiagnosisSettings
@@ -101,10 +102,10 @@ def diagnose(
             settings=settings,
             progress=lambda line: show(description=line),
         )
+        better = improved_model(found, result, lambda line: show(description=line))
     out.mkdir(parents=True, exist_ok=True)
-    patch = results.improved(found, result)
-    if patch is not None:
-        result = result.with_model(results.write_improved(found, out, patch).name)
+    if better is not None:
+        result = result.with_model(better.write(out).name, better.learned)
     results.write_diagnosis(result, out)
     write_page(result, out, model=Path(model).stem)
     if as_json:

@@ -1,7 +1,8 @@
 """Hypotheses: which effects are there, with which values."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -168,6 +169,13 @@ class Library:
         (_, one), (name, other) = larger, simpler
         joints = (self._driven.get(element, (element,)) for element in (one, other))
         return name in self.sites[larger].effect.contains and len({j[0] for j in joints}) == 1
+
+    def of_specimen(self, specimen: Mapping[Key, np.ndarray]) -> "Library":
+        """The same effects about the values of a specimen."""
+        other = copy(self)
+        other.specimen = dict(specimen)
+        other.sites = {k: replace(s, own=other.specimen.get(k)) for k, s in self.sites.items()}
+        return other
 
     def neutral(self) -> Hypothesis:
         """The hypothesis that the machine is as its model, whatever the specimen."""

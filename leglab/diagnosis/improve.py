@@ -21,9 +21,10 @@ from leglab.diagnosis.remainder.learning import (
     pays,
 )
 from leglab.diagnosis.residual import Problem, robust_cost
+from leglab.diagnosis.result import Diagnosis
 from leglab.diagnosis.search import baseline, thinned
 from leglab.diagnosis.verdict import diagnose
-from leglab.diagnosis.workflow import DiagnosisSettings, set_up
+from leglab.diagnosis.workflow import DiagnosisSettings, Search, set_up
 
 # An effect is written into the model from this confidence on.
 _SURE = 0.8
@@ -93,10 +94,46 @@ class ImprovedModel:
     hypothesis: Hypothesis
     remainder: Remainder | None
 
+    @property
+    def learned(self) -> str:
+        """What was learned beside the effects, in words; empty for nothing."""
+        return self.remainder.words if self.remainder else ""
+
     def write(self, folder: Path) -> Path:
         """Writes DIR/improved.xml."""
         parts = self.remainder.parts if self.remainder else ()
         return write_model(self.problem, self.hypothesis, folder, parts)
+
+
+def improved_model(
+    found: Search, result: Diagnosis, progress: Callable[[str], None] = lambda _: None
+) -> ImprovedModel | None:
+    """The model that a diagnosis leaves: recalibrated, with what has a name, and with a remainder.
+
+    An effect without a name is no improvement, however well it fits. A remainder is learned where
+    much is left. None where the held-out recordings are not met better than by the model as it was.
+    """
+    problem, limits = found.problem, found.problem.thresholds
+    told = {(e.name, e.element) for e in (*result.effects, *result.smaller)}
+    named = tuple(key for key in found.named if key in told and result.verdict != "unexplained")
+    fit = found.fit if named else found.baseline
+    hypothesis = fit.hypothesis
+    if found.rough:
+        problem = problem.calibrated(hypothesis.without(*named))
+        hypothesis = hypothesis.only(named)
+    remainder = None
+    if found.rough and (result.gap.explained or 0.0) < limits.well_explained:
+        remainder = learn_remainder(problem, hypothesis, named=named, progress=progress)
+    final = remainder.hypothesis if remainder else hypothesis
+    after = remainder.problem if remainder else problem
+    held = problem.held if problem.held.any() else problem.fitted
+    levels = [
+        float(p.noise_levels(h)[held].mean())
+        for p, h in ((problem, problem.library.neutral()), (after, final))
+    ]
+    if levels[1] >= limits.improvement**2 * levels[0]:
+        return None
+    return ImprovedModel(problem=problem, hypothesis=final, remainder=remainder)
 
 
 def improve(
@@ -132,13 +169,16 @@ def improve(
         result, found = diagnose(
             model, recordings, held_out=held_out, settings=settings, progress=progress
         )
-        problem = found.problem
         certain = {(e.name, e.element) for e in result.effects if e.confidence >= _SURE}
         sure = tuple(key for key in found.named if key in certain)
         unsure = [key for key in found.named if key not in certain]
         hypothesis = found.fit.hypothesis.without(*unsure)
         if not sure:
             hypothesis = found.baseline.hypothesis
+        problem = found.problem
+        if found.rough:
+            problem = problem.calibrated(hypothesis.without(*sure))
+            hypothesis = hypothesis.only(sure)
     else:
         problem = set_up(model, recordings, held_out, settings)
         every = max(1, round(problem.fitted.sum() / problem.thresholds.screened_windows))
@@ -153,7 +193,7 @@ def improve(
         judged.noise = remainder.problem.noise
     squares = [
         np.mean(p.residual(h) ** 2, axis=1)
-        for p, h in ((judged, Hypothesis()), (after_problem, final))
+        for p, h in ((judged, judged.library.neutral()), (after_problem, final))
     ]
     held = problem.held if problem.held.any() else ~problem.held
     limit = problem.thresholds.robust_limit
@@ -163,7 +203,7 @@ def improve(
         and pays(squares[0][held], squares[1][held], limit, _WORTHWHILE)
     )
     if not improved:
-        remainder, final, after_problem = None, Hypothesis(), judged
+        remainder, final, after_problem = None, judged.library.neutral(), judged
         squares[1] = squares[0]
     rms = [float(np.sqrt(s[held].mean())) for s in squares]
     outcome = Improvement(
@@ -215,7 +255,9 @@ def _words(
 def _errors(
     before: Problem, after: Problem, final: Hypothesis, squares: list[np.ndarray]
 ) -> tuple[ReplayError, ...]:
-    ends = [p.raw_errors(h)[:, :, -1] for p, h in ((before, Hypothesis()), (after, final))]
+    ends = [
+        p.raw_errors(h)[:, :, -1] for p, h in ((before, before.library.neutral()), (after, final))
+    ]
     out = []
     for i, series in enumerate(before.series):
         own = before.replay.recording == i

@@ -26,22 +26,6 @@ def write_diagnosis(result: Diagnosis, folder: Path) -> Path:
     return path
 
 
-def improved(found: Search, result: Diagnosis) -> Hypothesis | None:
-    """What the improved model holds: named effects and refitted tolerances, if they pay.
-
-    An effect without a name is no improvement, however well it fits. None where the held-out
-    recordings are not met better than by the model as it was.
-    """
-    hypothesis = found.fit.hypothesis if result.effects else found.baseline.hypothesis
-    if result.verdict == "unexplained":
-        hypothesis = found.baseline.hypothesis
-    problem = found.problem
-    held = problem.held if problem.held.any() else problem.fitted
-    unmodified = problem.library.neutral()
-    before, after = (problem.noise_levels(h)[held].mean() for h in (unmodified, hypothesis))
-    return hypothesis if after < problem.thresholds.improvement**2 * before else None
-
-
 def write_improved(found: Search, folder: Path, remainder: Remainder | None = None) -> Path:
     """Writes DIR/improved.xml: the model with what was found and learned, checked by loading it.
 
@@ -149,6 +133,8 @@ def summary_tables(result: Diagnosis) -> list[Table]:
 def summary_lines(result: Diagnosis) -> list[str]:
     """Lines for the terminal beside the tables: onsets, rivals, balances, notes."""
     lines = []
+    if result.learned:
+        lines.append(f"learned beside: {result.learned}")
     explained = result.gap.explained
     if explained is not None:
         lines.append(f"what is named closes {100.0 * explained:.0f} % of the gap it opens")

@@ -223,6 +223,14 @@ class Problem:
         other.noise = self.noise.trusting(discrepancy, self.replay.recording)
         return other
 
+    def calibrated(self, hypothesis: Hypothesis) -> "Problem":
+        """The same problem about a specimen of these values, without a discrepancy of the model."""
+        other = self.trusting(None)
+        limits = self.thresholds
+        other.library = self.library.of_specimen(self.library.whole(hypothesis))
+        other.nuisances = within_tolerance(other.library, limits.drift_share)
+        return other
+
     def with_nuisances(self, nuisances: Sequence[Nuisance]) -> "Problem":
         """The same problem with other parameters that follow every fit."""
         other = copy(self)

@@ -267,7 +267,8 @@ class Diagnosis:
         calibration: Of the specimen, where healthy recordings were given.
         rough: Whether the model's own error was counted in, beside the sensors' noise.
         notes: What the reader should know: repairs, missing pressures, bounds that were hit.
-        model: Path of the patched model; empty before it is written.
+        model: Path of the improved model; empty before it is written, or where nothing improves.
+        learned: What the improved model has learned beside the effects, in words.
         rollouts: Replays of all windows that it took.
         seconds: Wall time.
     """
@@ -290,12 +291,13 @@ class Diagnosis:
     calibration: Calibration | None = None
     rough: bool = False
     model: str = ""
+    learned: str = ""
     rollouts: float = 0.0
     seconds: float = 0.0
 
-    def with_model(self, name: str) -> "Diagnosis":
-        """The same with the name of the patched model's file."""
-        return replace(self, model=name)
+    def with_model(self, name: str, learned: str = "") -> "Diagnosis":
+        """The same with the name of the improved model's file, and what was learned for it."""
+        return replace(self, model=name, learned=learned)
 
     def to_json(self) -> dict[str, Any]:
         """The content of diagnosis.json; keys are fixed, readers rely on them."""
@@ -330,6 +332,7 @@ class Diagnosis:
             "ceiling": self.ceiling,
             "next_experiment": self.next_experiment and asdict(self.next_experiment),
             "notes": self.notes,
+            "learned": self.learned or None,
             "model": self.model or None,
         }
         return {key: _plain(value) for key, value in content.items()}

@@ -195,6 +195,9 @@ class Thresholds:
     # An effect whose smallest trial moves whitened errors less than this was not excited.
     detectable: float = 8.0
 
+    # From this share of the gap on, what is named is the model's improvement; below, a remainder is
+    # learned as well.
+    well_explained: float = 0.8
     # An improved model errs by less than this share of the model as it was, where held out.
     improvement: float = 0.97
 

@@ -17,7 +17,7 @@ from pydantic import TypeAdapter
 from rich.table import Table
 from scipy.stats import binomtest
 
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import unknown_name
 from leglab.diagnosis.hypothesis import Library
 from leglab.diagnosis.model import Machine
 from leglab.diagnosis.recordings import held_out_choice
