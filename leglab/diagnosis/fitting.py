@@ -221,7 +221,8 @@ def refit(
 
     def placed(theta: np.ndarray, eta: np.ndarray, base: Hypothesis) -> Hypothesis:
         for site, values in zip(sites, np.split(theta, ends) if sites else (), strict=True):
-            base = base.with_values(site.key, values)
+            # A step to a bound ends beyond it by rounding.
+            base = base.with_values(site.key, np.clip(values, site.lower, site.upper))
         return problem.moved(base, at.nuisances, eta)
 
     base = at.base if start is None else start

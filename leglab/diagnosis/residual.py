@@ -8,8 +8,7 @@ import numpy as np
 from scipy.signal import savgol_coeffs
 
 from leglab.diagnosis.discrepancy import Discrepancy, from_errors
-from leglab.diagnosis.effects.base import EffectParameter
-from leglab.diagnosis.hypothesis import Hypothesis, Key, Library
+from leglab.diagnosis.hypothesis import Hypothesis, Key, Library, Site
 from leglab.diagnosis.model import CHAMBERS, CYLINDER, Change, Machine
 from leglab.diagnosis.replay import Replay
 from leglab.diagnosis.starts import Nudge
@@ -18,6 +17,10 @@ from leglab.diagnosis.windows import Channel, UniformSeries, channel_noise, filt
 
 # Step of columns that rest on one count in every recording: pressures [Pa], positions [rad or m].
 _UNSEEN_STEP = (1e4, 1e-3)
+
+
+# Groups of effects on the way of commands and measurements.
+_PATHS = frozenset({"valve and command", "sensing"})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,31 +87,50 @@ def within_tolerance(library: Library, share: float = 1.0) -> tuple[Nuisance, ..
     )
 
 
-def wide(library: Library, *, share: float, tolerances: float) -> tuple[Nuisance, ...]:
-    """All strengths of a machine that differs from its model everywhere a little.
+def rough_nuisances(library: Library, share: float) -> tuple[Nuisance, ...]:
+    """Parameters that differ on a rough machine of which nothing is known.
+
+    Beside tolerances, what every real command path and sensor has a little of: delay, hysteresis,
+    offset. Any strength of the mechanism would be wider than some of its faults.
 
     Args:
         library: Effects.
-        share: Standard deviations as a share of what is barely noticeable.
+        share: Standard deviation as a share of what is barely noticeable.
+    """
+    found = list(within_tolerance(library))
+    for key, site in library.sites.items():
+        if site.effect.group in _PATHS and site.effect.gradual:
+            found += [n for n in _strengths(key, site, share, 0.0) if n.tolerance > 0.0]
+    unique = {(n.key, n.index): n for n in reversed(found)}  # a tolerance comes first
+    return tuple(sorted(unique.values(), key=lambda n: (n.key, n.index)))
+
+
+def specimen_nuisances(library: Library, tolerances: float) -> tuple[Nuisance, ...]:
+    """All strengths, within what is barely noticeable: what a healthy specimen may have.
+
+    Args:
+        library: Effects.
         tolerances: The least standard deviation of those that have a tolerance, in tolerances.
     """
     return tuple(
+        nuisance
+        for key, site in library.sites.items()
+        if site.effect.gradual
+        for nuisance in _strengths(key, site, 1.0, tolerances)
+    )
+
+
+def _strengths(key: Key, site: Site, share: float, tolerances: float) -> list[Nuisance]:
+    return [
         Nuisance(
             key=key,
             index=i,
             nominal=float(nominal),
-            tolerance=_spread(p, share, tolerances),
+            tolerance=max(tolerances * p.tolerance, share * p.scale),
         )
-        for key, site in library.sites.items()
         for i, (p, nominal) in enumerate(zip(site.parameters, site.nominal, strict=True))
         if p.role == "strength"
-    )
-
-
-def _spread(p: EffectParameter, share: float, tolerances: float) -> float:
-    if p.tolerance > 0.0 and share < 1.0:
-        return tolerances * p.tolerance
-    return max(tolerances * p.tolerance, share * p.scale)
+    ]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

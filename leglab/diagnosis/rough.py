@@ -15,7 +15,7 @@ from leglab.diagnosis.discrepancy import Discrepancy
 from leglab.diagnosis.fitting import Fit, refit
 from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.judging import accepted, simplest_first
-from leglab.diagnosis.residual import Problem, wide, within_tolerance
+from leglab.diagnosis.residual import Problem, rough_nuisances, within_tolerance
 from leglab.diagnosis.search import Contender, Progress, Round, search_round, thinned
 
 
@@ -78,7 +78,7 @@ def rough_search(
     if calibrated:
         nuisances = within_tolerance(problem.library, limits.drift_share)
     else:
-        nuisances = wide(problem.library, share=limits.rough_share, tolerances=1.0)
+        nuisances = rough_nuisances(problem.library, limits.rough_share)
     problem = problem.with_nuisances(nuisances)
     problem, current = settled_baseline(problem, chosen, floor)
     baseline = current

@@ -93,10 +93,10 @@ class Thresholds:
     nuisance_box: float = 4.0
     # Median over windows of the mean square of errors whose mean is 1 and that go together.
     usual_cost: float = 0.7
-    # A machine that differs from its model everywhere: strengths without a tolerance are off by
+    # A machine that differs from its model everywhere: its command paths and sensors are off by
     # this share of what is barely noticeable. Wider, that would hide faults; healthy recordings,
-    # which have none, allow all of it, and tolerances so many times as wide.
-    rough_share: float = 0.2
+    # which have none, allow all of it for all strengths, and tolerances so many times as wide.
+    rough_share: float = 0.3
     healthy_tolerance: float = 3.0
     # The same machine on another day stays within this share of them.
     drift_share: float = 0.5

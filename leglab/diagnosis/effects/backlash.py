@@ -32,6 +32,7 @@ class Backlash(Effect):
     """Gear play: within it motor and joint move apart."""
 
     name = "backlash"
+    gradual = False
     group = "mechanics"
     physics = "J w' = tau - T; the flanks transmit T only when the play is used up."
     source = "Nordin and Gutman 2002; gears 1 to 20 mrad, worn ones more"

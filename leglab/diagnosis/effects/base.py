@@ -75,6 +75,8 @@ class Effect(ABC):
         excitation: Motion that a recording must contain to show it.
         order: Effects are applied by rising order, then by name: one that builds on parameters
             which others change comes later.
+        gradual: Whether a little of it changes little. A little of an effect that inserts a moving
+            part does: no fit of something else can let it follow.
         contains: Names of simpler effects that are special cases of it. Where one of them at the
             same joint does as well, it is that one.
     """
@@ -85,6 +87,7 @@ class Effect(ABC):
     source: ClassVar[str]
     excitation: ClassVar[str]
     order: ClassVar[int] = 0
+    gradual: ClassVar[bool] = True
     contains: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
