@@ -1,4 +1,4 @@
-"""Machines that differ from their model everywhere: `python benchmarks/diagnosis_rough.py [CASE...]`.
+"""Machines that differ from their model: `python benchmarks/diagnosis_rough.py [CASE...]`.
 
 The rough benches of data/rough_bench, with their healthy recordings and without, and the measured
 axis of data/emps. They are looked for in $LEGLAB_DATA and ../shared/data.
