@@ -168,8 +168,9 @@ def _backward(site: Site, difference: np.ndarray) -> float:
     parameter, side = site.parameters[i], np.sign(difference[i])
     if any(side * (trial - parameter.nominal) < 0.0 for trial in parameter.trials):
         return 0.0
-    room = parameter.nominal - parameter.lower if side > 0 else parameter.upper - parameter.nominal
-    return float(room / abs(difference[i]))
+    now = site.nominal[i]
+    room = now - parameter.lower if side > 0 else parameter.upper - now
+    return float(room / abs(difference[i])) if difference[i] else 0.0
 
 
 def beyond_tangents(directions: np.ndarray, tangents: np.ndarray) -> np.ndarray:
