@@ -19,6 +19,8 @@ from leglab.diagnosis.windows import Channel, UniformSeries, channel_noise, filt
 _UNSEEN_STEP = (1e4, 1e-3)
 
 
+# Share of a variance that rounding may take.
+_ROUNDING = 1e-9
 # Groups of effects on the way of commands and measurements.
 _PATHS = frozenset({"valve and command", "sensing"})
 
@@ -47,6 +49,9 @@ class NoiseModel:
         if discrepancy is None:
             return replace(self, whitening=self.sensors, discrepancy=None)
         covariance = self.covariance + discrepancy.covariance(recording)
+        # A model error far above noise has few shapes: what rounding leaves must stay positive.
+        diagonal = np.arange(covariance.shape[1])
+        covariance[:, diagonal, diagonal] *= 1.0 + _ROUNDING
         whitening = np.linalg.inv(np.linalg.cholesky(covariance))
         return replace(self, whitening=whitening, discrepancy=discrepancy)
 

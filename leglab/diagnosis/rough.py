@@ -85,6 +85,8 @@ def rough_search(
     named: list[Key] = []
     found: list[Round] = []
     while len(named) < rounds:
+        if floor is not None and as_healthy(problem, current.hypothesis, floor):
+            break
         trusted = at_least(problem.discrepancy(current.hypothesis), floor)
         problem = problem.trusting(trusted)
         # Strengths that a missing effect has pulled along would mislead the screening.
@@ -102,6 +104,12 @@ def rough_search(
         named.append(winner.key)
         current = winner.fit
     return problem, baseline, current, named, found
+
+
+def as_healthy(problem: Problem, hypothesis: Hypothesis, floor: Discrepancy) -> bool:
+    """Whether a specimen errs as its healthy recordings did: no further effect is looked for."""
+    cost = float(problem.trusting(floor).window_cost(hypothesis).mean())
+    return cost <= problem.thresholds.as_healthy
 
 
 def annealed(

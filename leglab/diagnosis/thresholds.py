@@ -144,6 +144,8 @@ class Thresholds:
     # Cost below which nothing more is missing: windows that start in stick-slip or beside jumps of
     # the command lift it on good models to at most this.
     explained: float = 2.0
+    # Cost, with the discrepancy of its healthy recordings, below which a specimen errs as it did.
+    as_healthy: float = 1.1
     # Cost below which not even a further round is worthwhile.
     clean: float = 1.25
     # A strength must depart from nominal by this share of its smallest trial ...
