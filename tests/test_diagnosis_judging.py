@@ -511,6 +511,39 @@ def test_a_baseline_and_its_discrepancy_are_fitted_in_turn(monkeypatch):
     assert trusted == [64.0, 16.0, 6.4, 6.4]
 
 
+def test_a_round_is_judged_under_the_discrepancy_of_its_best(sketch, monkeypatch):
+    """A rival that the last estimate hid takes the lead, and the discrepancy is made anew."""
+    levels, trusted = {OFFSET: 25.0, COULOMB: 4.0}, []
+
+    def level(hypothesis):
+        return levels[next(iter(hypothesis))]
+
+    def trusting(discrepancy):
+        trusted.append(float(discrepancy.variance[0, 0]))
+        return sketch
+
+    def under(problem, before, contender):
+        cost = np.full(WINDOWS, level(contender.fit.hypothesis) / trusted[-1])
+        return replace(contender, cost=cost)
+
+    def estimated(hypothesis):
+        return Discrepancy(pattern=np.eye(2)[None], variance=np.array([[level(hypothesis)]]))
+
+    sketch.noise_levels = lambda hypothesis: np.full(WINDOWS, level(hypothesis))
+    sketch.trusting, sketch.discrepancy = trusting, estimated
+    monkeypatch.setattr(rough, "_under", under)
+    monkeypatch.setattr(rough, "total_cost", lambda problem, fit: np.full(WINDOWS, 30.0))
+    tried = a_round([contender(sketch.library, k, 1.0) for k in (OFFSET, COULOMB)])
+    _, judged = rough.annealed(sketch, a_fit(sketch.library), tried, None)
+    assert trusted == [25.0, 4.0]
+    assert [c.key for c in judged.contenders] == [COULOMB, OFFSET]
+    assert judged.contenders[0].cost.mean() == 1.0
+    assert judged.base.mean() == 30.0
+    trusted.clear()
+    rough.annealed(sketch, a_fit(sketch.library), tried, estimated({COULOMB: 0}).scaled(4.0))
+    assert trusted == [25.0, 16.0]
+
+
 # The specimen at hand.
 
 
@@ -676,9 +709,10 @@ def test_the_discrepancy_is_that_of_the_best_explanation(ill):
     assert (now < 0.1 * without).all()
     cost = found.problem.window_cost(found.fit.hypothesis)
     assert 0.3 < np.median(cost) < 1.5
-    # So that rivals are told apart.
+    # Under it the contenders of the round were judged: neither all right nor all wrong.
     costs = {c.key[0]: c.cost.mean() for c in found.rounds[0].contenders}
-    assert min(costs.values()) == costs["force_offset"]
+    assert 0.3 < costs.pop("force_offset") < 1.5
+    assert min(costs.values(), default=9.0) > 3.0
 
 
 def test_the_discrepancy_is_at_least_that_of_the_healthy_recordings(ill, well):
