@@ -142,9 +142,8 @@ class Outcome:
 
     @property
     def honest(self) -> bool:
-        """Whether doubt is expressed: unexplained, partial, nothing named, or low confidence."""
-        doubted = self.verdict in ("unexplained", "partial") or not self.named
-        return doubted or max(self.confidence) <= _DOUBT
+        """Whether doubt is expressed: nothing named, or with low confidence, in any verdict."""
+        return not self.named or max(self.confidence) <= _DOUBT
 
     @property
     def onset_right(self) -> bool:
