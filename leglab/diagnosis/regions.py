@@ -14,6 +14,8 @@ _PEAK = 1.3
 _SHOULDER = 0.5
 # A region that holds zero and is narrower than this share of the range is "near zero".
 _NARROW = 0.35
+# Outliers set no ends.
+_OUTER = (0.01, 0.99)
 # A force that repeats: cycles over the range, and share of the variance that it must explain.
 _CYCLES = (2.0, 8.0)
 _REPEATS = 0.3
@@ -60,17 +62,17 @@ def worst_region(error: np.ndarray, states: Mapping[str, tuple[np.ndarray, str]]
             first -= 1
         while last + 1 < len(parts) and size[last + 1] > limit:
             last += 1
-        low, high = float(values[parts[first]].min()), float(values[parts[last]].max())
-        best, text = float(size[peak]), _words(name, low, high, values, unit)
+        outer = np.quantile(values, _OUTER)
+        low = float(max(values[parts[first]].min(), outer[0]))
+        high = float(min(values[parts[last]].max(), outer[1]))
+        narrow = high - low < _NARROW * float(outer[1] - outer[0])
+        best, text = float(size[peak]), _words(name, low, high, unit, narrow=narrow)
     return text
 
 
-def _words(name: str, low: float, high: float, values: np.ndarray, unit: str) -> str:
+def _words(name: str, low: float, high: float, unit: str, *, narrow: bool) -> str:
     """A region: by its ends, or as near zero."""
-    suffix = f" {unit}" if unit else ""
-    ends = f"{low:.3g} to {high:.3g}{suffix}"
-    outer = np.quantile(values, [0.01, 0.99])
-    narrow = high - low < _NARROW * float(outer[1] - outer[0])
+    ends = f"{low:.3g} to {high:.3g}{unit and ' '}{unit}"
     if name in ("velocity", "command") and low <= 0.0 <= high and narrow:
         return f"near zero {name} ({ends})"
     return f"at a {name} of {ends}"
@@ -78,7 +80,7 @@ def _words(name: str, low: float, high: float, values: np.ndarray, unit: str) ->
 
 def _period(error: np.ndarray, position: np.ndarray) -> float | None:
     """Period over the position of what repeats in an error; None where nothing does."""
-    low, high = np.quantile(position, [0.01, 0.99])
+    low, high = np.quantile(position, _OUTER)
     span = float(high - low)
     centred = error - error.mean()
     power = float(centred @ centred)

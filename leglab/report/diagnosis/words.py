@@ -21,8 +21,7 @@ _RECALIBRATED = 5
 _DEPARTED = 0.3
 # Effects that came closest without being named.
 _CLOSEST = 3
-# Units that a rig's engineer reads, where all values are below (above, for pressures) a limit in
-# SI: name, factor and limit.
+# Units that a rig's engineer reads, where all values are below a limit in SI: name, factor, limit.
 _SMALL = {"s": ("ms", 1e3, 1.0), "m": ("mm", 1e3, 1.0), "rad": ("mrad", 1e3, 0.1)}
 
 
@@ -300,8 +299,8 @@ def _before(result: Diagnosis) -> tuple[str, ...]:
     )
     lines = [f"Error of the model in the healthy recordings, in noise levels: {told}."]
     departed = [
-        f"{readable(p.name)} of {readable(effect)} at {element} {parameter_words(p)[0]}, in the "
-        f"model {parameter_words(p)[2]}"
+        f"{_parameter_of(p, effect)} at {element} {parameter_words(p)[0]}, in the model "
+        f"{parameter_words(p)[2]}"
         for effect, element, p in calibration.estimates[:_RECALIBRATED]
     ]
     if departed:
@@ -310,6 +309,12 @@ def _before(result: Diagnosis) -> tuple[str, ...]:
         lines.append("No parameter departs from the model by more than is barely noticeable.")
     lines.append("This was so before; what follows is what changed since.")
     return tuple(lines)
+
+
+def _parameter_of(p: Estimate, effect: str) -> str:
+    if p.name == effect:
+        return readable(effect)
+    return f"{readable(effect)}, {readable(p.name)}"
 
 
 def _missing(result: Diagnosis) -> tuple[str, ...]:
@@ -449,26 +454,10 @@ def _costs(result: Diagnosis) -> tuple[str, ...]:
             share if closed > _HARDLY else f"The gap hardly closes: {100.0 * closed:.0f} %."
         )
     if not result.remaining:
-        return (*lines, *_in_units(result))
+        return tuple(lines)
     rows = [_error_words(one) for one in result.remaining[:_CHANNELS]]
     horizon = f"{result.remaining[0].horizon:g} s after a measured start"
     return (*lines, f"Left {horizon}, RMS: {'; '.join(rows)}.")
-
-
-def _in_units(result: Diagnosis) -> tuple[str, ...]:
-    """Replay errors of the measured channels in units that a person knows."""
-    held = set(result.gap.held_out) or {r.name for r in result.recordings}
-    told = []
-    for channel in list(dict.fromkeys(t.channel for t in result.traces))[:_CHANNELS]:
-        mine = [t for t in result.traces if t.channel == channel and t.recording in held]
-        if not mine:
-            continue
-        factor, unit = shown_unit(mine[0].unit)
-        text = f"{readable(channel)} {number(factor * rms([t.before for t in mine]))} {unit}"
-        if result.effects:
-            text += f", then {number(factor * rms([t.after for t in mine]))} {unit}"
-        told.append(text)
-    return (f"RMS error of the replays: {'; '.join(told)}.",) if told else ()
 
 
 _RESIDUALS = {
@@ -506,7 +495,10 @@ def _untold(result: Diagnosis) -> tuple[str, ...]:
         f"{capital(readable(entry.name))} at {entry.element}: {entry.reason.rstrip('.')}."
         for entry in result.not_testable
     ]
-    lines += [f"{capital(note).rstrip('.')}." for note in result.notes]
+    names = tuple(r.name for r in result.recordings)
+    for note in result.notes:
+        told = note if note.startswith(names) else capital(note)
+        lines.append(f"{told.rstrip('.')}.")
     return tuple(lines) or ("These recordings excite every effect that was tried.",)
 
 
