@@ -462,6 +462,19 @@ def test_unexplained_says_what_was_tried_and_learned():
     assert "No improved model" in section(replace(result, model=""), "What was tried")
 
 
+def test_many_effects_that_cannot_be_told_are_one_sentence_and_a_table(tmp_path):
+    many = tuple(
+        NotTestable(name=f"effect_{i}", element="knee", reason="needs x") for i in range(6)
+    )
+    result = diagnosis(not_testable=many, notes=("walk: 3 samples are missing",))
+    lines = next(s for s in sections(result, "m") if s.title == "What cannot be told").lines
+    assert len(lines) == 2
+    assert "effect 4 at knee or effect 5 at knee; the table below" in lines[0]
+    assert lines[1] == "walk: 3 samples are missing."
+    page = write_page(result, tmp_path, model="m")
+    assert len(table(page, "hardly show")) == 7
+
+
 def test_where_is_told_without_pressures():
     place = Where(
         residual="motion", element="slide", level=40.0, region="near zero velocity (-1 to 1 m/s)"

@@ -1,5 +1,6 @@
 """From recordings to the verdict: names, confusion sets, confidence, gaps."""
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -106,9 +107,13 @@ def assemble(found: Search, settings: DiagnosisSettings, *, seconds: float) -> D
     names = [s.name for s in problem.series]
     judged = [bool(problem.held[own].any()) for own in windows]
     specimen = found.specimen
+    levels = {k: _rms(squares[k][held]) for k in squares}
     gap = Gap(
         held_out=tuple(name for name, held_out in zip(names, judged, strict=True) if held_out),
-        **{k: _rms(squares[k][held]) for k in squares},
+        before=levels["before"],
+        baseline=levels["baseline"],
+        after=levels["after"],
+        unnamed=levels.get("unnamed", math.nan),
         healthy=_healthy_level(found, held) if specimen else None,
     )
     rivals = tuple(

@@ -86,6 +86,7 @@ def _page(result: Diagnosis, figures: Sequence[dict[str, str]], model: str) -> s
             _gap_table(result),
             *_calibration_tables(result),
             _nuisance_table(result),
+            _untestable_table(result),
         ),
         improved=result.model,
         improved_words=improved_words(result),
@@ -163,6 +164,12 @@ def _nuisance_table(result: Diagnosis) -> Table:
     rows = [[n.name, *parameter_words(n)] for n in result.nuisances]
     head = ("parameter", "refitted", "tolerance, 95 %", "in the model")
     return Table(caption="Parameters refitted within their tolerance", head=head, rows=rows)
+
+
+def _untestable_table(result: Diagnosis) -> Table:
+    rows = [[n.name, n.element, n.reason] for n in result.not_testable]
+    head = ("effect", "element", "to see it")
+    return Table(caption="What these recordings hardly show", head=head, rows=rows, words=3)
 
 
 def _put(content: bytes, stream: io.BufferedIOBase) -> None:

@@ -19,6 +19,8 @@ _CHANNELS = 6
 # Recalibrated parameters that are told: so many, from this share of their tolerance on.
 _RECALIBRATED = 5
 _DEPARTED = 0.3
+# Up to so many effects that cannot be told apart from nothing have a line each.
+_UNTOLD = 4
 # Effects that came closest without being named.
 _CLOSEST = 3
 # Units that a rig's engineer reads, where all values are below a limit in SI: name, factor, limit.
@@ -453,11 +455,12 @@ def _costs(result: Diagnosis) -> tuple[str, ...]:
         lines.append(
             share if closed > _HARDLY else f"The gap hardly closes: {100.0 * closed:.0f} %."
         )
-    if not result.remaining:
-        return tuple(lines)
-    rows = [_error_words(one) for one in result.remaining[:_CHANNELS]]
-    horizon = f"{result.remaining[0].horizon:g} s after a measured start"
-    return (*lines, f"Left {horizon}, RMS: {'; '.join(rows)}.")
+    told = main_channels(result)  # They stand at the top of the page.
+    rows = [_error_words(one) for one in result.remaining if one.channel not in told][:_CHANNELS]
+    if rows:
+        horizon = f"{result.remaining[0].horizon:g} s after a measured start"
+        lines.append(f"Elsewhere, {horizon}, RMS: {'; '.join(rows)}.")
+    return tuple(lines)
 
 
 _RESIDUALS = {
@@ -481,7 +484,7 @@ def where_words(result: Diagnosis) -> tuple[str, ...]:
 def _where(result: Diagnosis) -> tuple[str, ...]:
     if not result.where:
         return ("No joint was measured in a way that says where.",)
-    lines = [*where_words(result), "All of it of the model as it was, along the measured motion."]
+    lines = [*where_words(result), "This is the model as it was, along the measured motion."]
     if result.ceiling is not None and math.isfinite(result.ceiling):
         lines.append(
             f"Static functions of position, velocity, pressure and command could explain "
@@ -491,10 +494,18 @@ def _where(result: Diagnosis) -> tuple[str, ...]:
 
 
 def _untold(result: Diagnosis) -> tuple[str, ...]:
-    lines = [
-        f"{capital(readable(entry.name))} at {entry.element}: {entry.reason.rstrip('.')}."
-        for entry in result.not_testable
-    ]
+    lines = []
+    if len(result.not_testable) > _UNTOLD:
+        untold = tuple(f"{readable(n.name)} at {n.element}" for n in result.not_testable)
+        lines.append(
+            f"These recordings hardly show {listed(untold, 'or')}; the table below has what each "
+            "needs."
+        )
+    else:
+        lines += [
+            f"{capital(readable(entry.name))} at {entry.element}: {entry.reason.rstrip('.')}."
+            for entry in result.not_testable
+        ]
     names = tuple(r.name for r in result.recordings)
     for note in result.notes:
         told = note if note.startswith(names) else capital(note)
