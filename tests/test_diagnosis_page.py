@@ -343,6 +343,21 @@ def test_the_first_figure_lays_measured_over_simulated():
     assert "that no fit has seen" in shown.caption
 
 
+def test_a_channel_alone_shows_its_error_below():
+    made = trace("walk", "knee_position", "rad", 0)
+    figure = pictures(diagnosis(traces=(made,), remaining=()))[0].figure
+    window = int(np.argmax(np.abs(made.before.reshape(-1, 6)[:, -1])))
+    below = figure.axes[len(figure.axes) // 2]
+    drawn = below.lines[1].get_ydata()
+    assert np.allclose(drawn, -1e3 * made.before[6 * window : 6 * window + 6])
+    assert "simulated less" in below.get_ylabel()
+
+
+def test_noise_that_no_rig_resolves_has_no_digits():
+    still = replace(left("knee_position", "rad", 0.024), noise=2e-8)
+    assert "sensor noise under 0.001 mrad" in dict(facts(diagnosis(remaining=(still,))))["Left"]
+
+
 def test_recordings_of_the_fit_are_not_in_the_first_figure():
     seen = replace(trace("slow", "knee_position", "rad", 5), measured=np.full(60, 7.0))
     both = diagnosis(traces=(trace("walk", "knee_position", "rad", 0), seen))

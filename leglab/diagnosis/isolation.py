@@ -62,7 +62,7 @@ def _motion(problem: Problem) -> tuple[Where, ...]:
     replay = problem.replay
     errors = problem.raw_errors(Hypothesis())
     places = sample_places(problem)
-    noise = np.median(problem.sensor_noise, axis=0)
+    limit = problem.thresholds.clip
     found = []
     for k, channel in enumerate(problem.channels):
         if channel.chamber:
@@ -77,7 +77,12 @@ def _motion(problem: Problem) -> tuple[Where, ...]:
             rows.append(errors[own, k].ravel())
         error = np.concatenate(rows)
         along = {name: np.concatenate(values) for name, values in states.items()}
-        level = float(np.sqrt(np.mean(errors[:, k] ** 2)) / noise[k]) if noise[k] > 0.0 else 0.0
+        # In the noise levels of the gap: with what the start states carry on.
+        alone = np.zeros_like(errors)
+        alone[:, k] = errors[:, k]
+        white = problem.noise.sensors @ alone.reshape(len(alone), -1, 1)
+        squares = np.clip(white, -limit, limit) ** 2
+        level = float(np.sqrt(squares.sum() / errors[:, k].size))
         region = worst_region(error, _with_units(problem, channel.joint, along))
         found.append(Where(residual="motion", element=channel.joint, level=level, region=region))
     return tuple(sorted(found, key=lambda where: -where.level))

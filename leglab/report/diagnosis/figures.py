@@ -102,9 +102,10 @@ def overlay_picture(result: Diagnosis) -> CaptionedFigure | None:
     if (last := int(np.argmax(after))) not in {place for _, place in chosen}:
         chosen.append(("worst after", last))
     with look():
-        height = 0.85 + 1.55 * len(channels) + 0.4
+        rows = max(2, len(channels))  # A single channel has room for its error.
+        height = 0.85 + 1.55 * rows + 0.4
         figure = Figure(figsize=(_WIDTH, height))
-        grid = figure.subplots(len(channels), len(chosen), sharex=True, squeeze=False)
+        grid = figure.subplots(rows, len(chosen), sharex=True, squeeze=False)
         told = []
         for column, (title, place) in enumerate(chosen):
             for row, channel in enumerate(channels):
@@ -113,6 +114,8 @@ def overlay_picture(result: Diagnosis) -> CaptionedFigure | None:
                 if row == 0:
                     name = short(window.recording, 18)
                     axes.set_title(f"{title}\n{name}, {window.time[0]:.1f} s", fontsize=9)
+            if len(channels) < rows:
+                _draw_window_error(grid[-1, column], windows[place][channels[0]], first=not column)
             grid[-1, column].set_xlabel("time [s]")
         lines = [
             Line2D([], [], color=LIGHT_GREY, linewidth=4.0, label="measured"),
@@ -187,6 +190,18 @@ def _draw_overlay(axes: Axes, window: ResidualTrace, *, first: bool) -> str:
         f"{window.channel} in {window.recording} at {window.time[0]:.1f} s: {number(ends[0])} "
         f"{unit} off at the end before, {number(ends[1])} {unit} after."
     )
+
+
+def _draw_window_error(axes: Axes, window: ResidualTrace, *, first: bool) -> None:
+    """Draws how far the simulations of a window are from what was measured."""
+    factor, unit = shown_unit(window.unit)
+    time = window.time - window.time[0]
+    axes.axhline(0.0, color=LIGHT_GREY, linewidth=4.0)
+    axes.plot(time, -factor * window.before, color=VERMILION, linestyle="--", linewidth=1.3)
+    axes.plot(time, -factor * window.after, color=BLUE, linewidth=1.3)
+    axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+    if first:
+        axes.set_ylabel(f"simulated less\nmeasured [{unit}]")
 
 
 def gap_picture(result: Diagnosis) -> CaptionedFigure | None:

@@ -14,6 +14,7 @@ from leglab.report.diagnosis.words import (
     facts,
     headline,
     improved_words,
+    noise_words,
     parameter_words,
     percent,
     sections,
@@ -118,8 +119,8 @@ def _remaining_table(result: Diagnosis) -> Table:
     rows = []
     for one in result.remaining:
         factor, unit = shown_unit(one.unit)
-        values = [f"{number(factor * v)} {unit}" for v in (one.before, one.after, one.noise)]
-        rows.append([one.channel, *values])
+        values = [f"{number(factor * v)} {unit}" for v in (one.before, one.after)]
+        rows.append([one.channel, *values, noise_words(one)])
     horizon = f"{result.remaining[0].horizon:g} s" if result.remaining else ""
     caption = f"What is left {horizon} after a measured start, RMS over the held-out recordings"
     head = ("measured", "before", "after", "sensor noise")

@@ -19,6 +19,8 @@ _CHANNELS = 6
 # Recalibrated parameters that are told: so many, from this share of their tolerance on.
 _RECALIBRATED = 5
 _DEPARTED = 0.3
+# Noise below this [mrad, mm or bar] is told as such.
+_UNRESOLVED = 0.001
 # Up to so many effects that cannot be told apart from nothing have a line each.
 _UNTOLD = 4
 # Effects that came closest without being named.
@@ -261,9 +263,18 @@ def _left(result: Diagnosis) -> str:
 
 def _error_words(one: Remaining) -> str:
     factor, unit = shown_unit(one.unit)
-    before, after, noise = (number(factor * v) for v in (one.before, one.after, one.noise))
+    before, after = (number(factor * v) for v in (one.before, one.after))
+    noise = noise_words(one)
     name = readable(one.channel)
-    return f"{name} {after} {unit} off (before {before} {unit}, sensor noise {noise} {unit})"
+    return f"{name} {after} {unit} off (before {before} {unit}, sensor noise {noise})"
+
+
+def noise_words(one: Remaining) -> str:
+    """Sensor noise with its unit; what no rig resolves is not told apart."""
+    factor, unit = shown_unit(one.unit)
+    if factor * one.noise < _UNRESOLVED:
+        return f"under {_UNRESOLVED:g} {unit}"
+    return f"{number(factor * one.noise)} {unit}"
 
 
 def _looked_at(result: Diagnosis, model: str) -> tuple[str, ...]:
