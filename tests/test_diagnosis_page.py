@@ -170,7 +170,8 @@ def test_every_verdict_has_its_page(tmp_path, verdict, told):
     page = words(root)
     assert told in page
     titles = [term.text for term in root.iter(f"{SPACE}dt")]
-    assert titles[:2] == (["Missing", "How sure"] if told_sure(verdict) else ["Missing", "Left"])
+    sure = "Left" if verdict == "nothing_missing" else "How sure"
+    assert titles[:2] == ["Missing", sure]
     titles = titles[titles.index("What was looked at") :]
     second = "What was tried" if verdict == "unexplained" else "How sure"
     assert titles[:4] == ["What was looked at", "What is missing", second, "What is left"]
@@ -490,6 +491,16 @@ def test_many_effects_that_cannot_be_told_are_one_sentence_and_a_table(tmp_path)
     assert len(table(page, "hardly show")) == 7
 
 
+def test_an_error_without_a_name_has_a_place_and_a_shape():
+    told = dict(facts(diagnosis("unexplained", learned="a torque that repeats")))
+    assert told["Missing"] == (
+        "Something that has no name among the 3 effects tried; most of it in the hydraulics of "
+        "knee_valve, anywhere."
+    )
+    assert told["Learned"] == "Without a name: a torque that repeats."
+    assert "Explains" not in told
+
+
 def test_where_is_told_without_pressures():
     place = Where(
         residual="motion", element="slide", level=40.0, region="near zero velocity (-1 to 1 m/s)"
@@ -509,7 +520,7 @@ def test_tables_of_the_terminal_have_units():
     head, rest, gaps = summary_tables(diagnosis())
     assert list(rest.columns[1].cells) == ["24 mrad", "4 bar"]
     assert list(rest.columns[3].cells) == ["0.12 mrad", "0.02 bar"]
-    assert list(head.columns[5].cells) == ["91 %"]
+    assert list(head.columns[1].cells) == [r"lap \[1]"]
     assert gaps.row_count == 2
     assert len(summary_tables(diagnosis("nothing_missing", remaining=()))) == 1
 

@@ -2,7 +2,12 @@
 
 import numpy as np
 
+from leglab.diagnosis.hypothesis import Hypothesis
+from leglab.diagnosis.isolation import isolate
 from leglab.diagnosis.regions import EVERYWHERE, worst_region
+from leglab.diagnosis.verdict import traces
+from leglab.diagnosis.workflow import DiagnosisSettings, set_up
+from tests.rigs import MOTOR_ARM, Hidden, record_linkage
 
 RNG = np.random.default_rng(3)
 POSITION = RNG.uniform(-1.0, 1.0, 4000)
@@ -37,3 +42,26 @@ def test_what_repeats_is_told_with_its_period():
 
 def test_a_smooth_slope_does_not_repeat():
     assert "repeating" not in worst_region(NOISE + POSITION**3 - POSITION, STATES)
+
+
+def test_a_machine_without_pressures_has_a_place_joint_by_joint():
+    hidden = Hidden(quadratic=(0.0, 0.4))
+    recordings = {
+        kind: record_linkage(MOTOR_ARM, kind, hidden, seed=seed, seconds=3.0)
+        for seed, kind in enumerate(("multisine", "fast"))
+    }
+    problem = set_up(MOTOR_ARM.model, recordings, ("multisine",), DiagnosisSettings())
+    where, ceiling = isolate(problem)
+    assert ceiling is None
+    assert [w.residual for w in where] == ["motion", "motion"]
+    assert where[0].element == "elbow"
+    assert where[0].level > 2.0 * where[1].level
+    assert all(w.region != EVERYWHERE for w in where)
+    # In the noise levels of the gap.
+    gap = np.sqrt(problem.noise_levels(Hypothesis()).mean())
+    assert abs(np.sqrt(np.mean([w.level**2 for w in where])) / gap - 1.0) < 0.2
+    # Measured less the error is what was simulated: it starts where the measured window does.
+    for trace in traces(problem, Hypothesis()):
+        shown = trace.measured.reshape(-1, trace.bins)
+        assert np.allclose(shown.ravel(), trace.position, atol=0.05)
+        assert shown.size == trace.before.size

@@ -91,7 +91,7 @@ def _absolute_files(spec: mujoco.MjSpec, folder: Path) -> None:
 def summary_tables(result: Diagnosis) -> list[Table]:
     """Verdict, effects and gaps for the terminal."""
     head = Table(title=f"verdict: {result.verdict}", title_justify="left")
-    for name in ("effect", "parameter", "value", "95 % interval", "in the model", "confidence"):
+    for name in ("effect", "parameter", "value", "95 % interval", "model"):
         head.add_column(name, no_wrap=name != "effect")
     rows = [(e, "") for e in result.effects] + [(e, "smaller: ") for e in result.smaller]
     for effect, word in rows:
@@ -102,7 +102,6 @@ def summary_tables(result: Diagnosis) -> list[Table]:
                 f"{p.value:.4g}",
                 f"{p.interval[0]:.4g} … {p.interval[1]:.4g}",
                 f"{p.nominal:.4g}",
-                "" if i else f"{100.0 * effect.confidence:.0f} %",
             )
     gaps = Table(title="normalised replay error (noise alone gives 1)", title_justify="left")
     for name in ("recording", "before", "recalibrated", "after", ""):

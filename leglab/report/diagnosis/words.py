@@ -86,17 +86,31 @@ def facts(result: Diagnosis) -> tuple[tuple[str, str], ...]:
     elif result.verdict == "nothing_missing":
         missing, sure = "nothing that these recordings could show", ""
     else:
-        missing, sure = "something that has no name among the effects tried", ""
+        tried = len({(rank.name, rank.element) for rank in result.ranking})
+        missing = f"something that has no name among the {tried} effects tried{_mostly(result)}"
+        sure = "no name is probable enough to be told"
     rows = [(changed, missing)]
     if sure:
         rows.append(("How sure", sure))
     explained = result.gap.explained
     if result.effects and explained is not None and math.isfinite(explained):
         rows.append(("Explains", f"{100.0 * explained:.0f} % of {_gap_of(result)}"))
+    if result.learned:
+        rows.append(("Learned", f"without a name: {result.learned.rstrip('.')}"))
     left = _left(result)
     if left:
         rows.append(("Left", left))
     return tuple((term, f"{capital(text)}.") for term, text in rows)
+
+
+def _mostly(result: Diagnosis) -> str:
+    """Where most of an error without a name is; empty where nobody knows."""
+    if not result.where:
+        return ""
+    worst = result.where[0]
+    part = {"mechanical": "mechanics", "hydraulic": "hydraulics"}.get(worst.residual, "motion")
+    place = "" if worst.region.startswith("everywhere") else f", {worst.region}"
+    return f"; most of it in the {part} of {worst.element}{place}"
 
 
 def sections(result: Diagnosis, model: str) -> tuple[Section, ...]:
