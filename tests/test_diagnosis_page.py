@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from leglab.cli import main
+from leglab.diagnosis.output import summary_lines, summary_tables
 from leglab.diagnosis.result import (
+    Calibration,
     Diagnosis,
     Estimate,
     Gap,
@@ -19,13 +21,20 @@ from leglab.diagnosis.result import (
     Proposal,
     Rank,
     RecordingGap,
+    Remaining,
     ResidualTrace,
     Rivals,
     Where,
 )
 from leglab.report.diagnosis.figures import pictures, short
 from leglab.report.diagnosis.page import write_page
-from leglab.report.diagnosis.words import parameter_words, sections
+from leglab.report.diagnosis.words import (
+    facts,
+    headline,
+    improved_words,
+    parameter_words,
+    sections,
+)
 from leglab.report.page.wording import number
 
 HOSTILE = "<script>alert('1')</script> & \"$\\frac\" \x00"
@@ -61,6 +70,19 @@ def trace(recording, channel, unit, seed):
         pressure=1e6 * np.sin(3 * time),
         before=rng.normal(size=60) + 2.0,
         after=(0.1 if unit == "rad" else 0.3) * rng.normal(size=60),
+        measured=np.sin(time),
+        bins=6,
+    )
+
+
+def left(channel, unit, before):
+    return Remaining(
+        channel=channel,
+        unit=unit,
+        horizon=0.3,
+        before=before,
+        after=before / 10.0,
+        noise=before / 200.0,
     )
 
 
@@ -75,7 +97,7 @@ def diagnosis(verdict="named", effects=None, recording="walk", **changes):
         effects=effects,
         where=(Where(residual="hydraulic", element="knee_valve", level=27.0, region="anywhere"),),
         not_testable=(NotTestable(name="backlash", element="knee", reason="needs reversals"),),
-        gap=Gap(before=14.2, baseline=12.0, after=1.1, held_out=(recording,)),
+        gap=Gap(before=14.2, baseline=12.0, after=1.1, unnamed=13.0, held_out=(recording,)),
         recordings=(
             RecordingGap(name=recording, held_out=True, before=14.2, baseline=12.0, after=1.1),
             RecordingGap(name="slow", held_out=False, before=9.0, baseline=8.0, after=1.0),
@@ -97,6 +119,7 @@ def diagnosis(verdict="named", effects=None, recording="walk", **changes):
             trace(recording, "knee_position", "rad", 0),
             trace(recording, "knee_pressure_a", "Pa", 1),
         ),
+        remaining=(left("knee_position", "rad", 0.024), left("knee_pressure_a", "Pa", 4e5)),
         nuisances=(),
         next_experiment=Proposal(
             name="slow sine, 1 Hz",
@@ -120,8 +143,16 @@ def parsed(path):
     return text, ElementTree.fromstring(text.removeprefix("<!DOCTYPE html>\n"))
 
 
+def picture(result, name):
+    return next(p for p in pictures(result) if p.name == name)
+
+
 def words(root):
     return re.sub(r"\s+", " ", "".join(root.find(f"{SPACE}body").itertext()))
+
+
+def told_sure(verdict):
+    return verdict in ("named", "confusion_set", "partial")
 
 
 @pytest.mark.parametrize(
@@ -139,12 +170,16 @@ def test_every_verdict_has_its_page(tmp_path, verdict, told):
     page = words(root)
     assert told in page
     titles = [term.text for term in root.iter(f"{SPACE}dt")]
-    assert titles[:4] == ["What was looked at", "What is missing", "How sure", "What it costs"]
+    sure = "Left" if verdict == "nothing_missing" else "How sure"
+    assert titles[:2] == ["Missing", sure]
+    titles = titles[titles.index("What was looked at") :]
+    second = "What was tried" if verdict == "unexplained" else "How sure"
+    assert titles[:4] == ["What was looked at", "What is missing", second, "What is left"]
     assert titles[4:] == ["Where", "What cannot be told", "Next experiment"]
     assert "Backlash at knee: needs reversals." in page
     assert ("slow sine" in page) == (verdict == "confusion_set")
     assert ("Fitted: lap 0.05 (95 %: 0.04 to 0.06), in the model 0.02." in page) == (
-        verdict in ("named", "confusion_set", "partial")
+        told_sure(verdict)
     )
     assert not re.search(r"(src|href)=\"(https?:)?//", text)
 
@@ -157,6 +192,7 @@ def test_the_page_holds_the_figures_that_lie_beside_it(tmp_path):
     inline = {base64.b64decode(i.get("src").removeprefix("data:image/png;base64,")) for i in images}
     assert inline == files
     assert [p.name for p in pictures(result)] == [
+        "overlay",
         "gap",
         "ranking",
         "rivals",
@@ -166,8 +202,8 @@ def test_the_page_holds_the_figures_that_lie_beside_it(tmp_path):
         "residual_time_2_knee_pressure_a",
     ]
     told = [i.get("alt") for i in images]
-    assert "walk: 14.2 before, 1.1 after." in told[0]
-    assert "valve_deadband beats stiction in 83%." in told[2]
+    assert "walk: 14.2 before, 1.1 after." in told[1]
+    assert "valve_deadband beats stiction in 83%." in told[3]
     assert all(told)
 
 
@@ -214,6 +250,7 @@ def test_a_diagnosis_without_evidence_still_has_a_page(tmp_path):
             RecordingGap(name="walk", held_out=False, before=nan, baseline=nan, after=nan),
         ),
         gap=Gap(before=nan, baseline=nan, after=nan, held_out=()),
+        remaining=(),
         ceiling=None,
     )
     _, root = parsed(write_page(result, tmp_path, model="knee_bench"))
@@ -228,7 +265,7 @@ def test_figures_of_an_earlier_diagnosis_do_not_stay(tmp_path):
 
 
 def test_gap_figure_shows_each_recording_at_its_values():
-    axes = pictures(diagnosis())[0].figure.axes[0]
+    axes = picture(diagnosis(), "gap").figure.axes[0]
     assert [label.get_text() for label in axes.get_yticklabels()] == ["walk *", "slow"]
     marks = [line.get_xdata()[0] for line in axes.lines if line.get_marker() == "o"]
     assert marks == [14.2, 1.1, 9.0, 1.0]
@@ -241,7 +278,7 @@ def test_residuals_keep_one_scale_unless_they_shrink_much():
     alike = trace("walk", "knee_position", "rad", 0)
     same = replace(alike, after=0.5 * alike.before)
     for made, shared in ((same, True), (alike, False)):
-        figure = pictures(diagnosis(ranking=(), rivals=(), traces=(made,)))[1].figure
+        figure = picture(diagnosis(traces=(made,)), "residual_state_1_knee_position").figure
         top, bottom = figure.axes[0], figure.axes[3]
         assert (top.get_ylim() == bottom.get_ylim()) is shared
         assert ("finer" in bottom.get_title("left")) is not shared
@@ -251,19 +288,241 @@ def test_residuals_keep_one_scale_unless_they_shrink_much():
 def test_no_line_is_drawn_over_missing_windows():
     whole = trace("walk", "knee_position", "rad", 0)
     kept = np.r_[0:20, 40:60]
-    fields = ("time", "position", "velocity", "pressure", "before", "after")
+    fields = ("time", "position", "velocity", "pressure", "before", "after", "measured")
     cut = replace(whole, **{f: getattr(whole, f)[kept] for f in fields})
     figure = pictures(diagnosis(traces=(cut,)))[-1].figure
     drawn = figure.axes[0].lines[0].get_xdata()
     assert np.flatnonzero(np.isnan(drawn)).tolist() == [20]
 
 
-def test_costs_are_told_in_units_of_the_held_out_recording():
+def section(result, title):
+    return " ".join(next(s for s in sections(result, "m") if s.title == title).lines)
+
+
+def table(path, caption):
+    """Cells of a table of the page, by its caption."""
+    _, root = parsed(path)
+    for found in root.iter(f"{SPACE}table"):
+        if caption in "".join(found.find(f"{SPACE}caption").itertext()):
+            return [[c.text or "" for c in row] for row in found.iter(f"{SPACE}tr")]
+    raise AssertionError(f"no table {caption!r}")
+
+
+def test_what_is_missing_how_sure_and_how_much_is_left_come_first(tmp_path):
+    told = dict(facts(diagnosis()))
+    assert told["Missing"] == (
+        "Valve deadband at knee_valve: lap 0.05 (95 %: 0.04 to 0.06), in the model 0.02."
+    )
+    assert told["How sure"] == "91 % that the name is right."
+    assert told["Explains"] == "99 % of the error beyond sensor noise on walk."
+    assert told["Left"].startswith(
+        "After 0.3 s of simulation: knee position 2.4 mrad off (before 24 mrad, sensor noise 0.12"
+    )
+    assert "knee pressure a 0.4 bar off (before 4 bar, sensor noise 0.02 bar)" in told["Left"]
+    page = words(parsed(write_page(diagnosis(), tmp_path, model="m"))[1])
+    places = [page.index(text) for text in (*told.values(), "What was looked at")]
+    assert places == sorted(places)
+
+
+def test_the_first_figure_lays_measured_over_simulated():
     result = diagnosis()
-    told = " ".join(sections(result, "m")[3].lines)
-    before = np.sqrt(np.mean(result.traces[0].before ** 2)) * 1e3
-    assert f"knee position {number(float(before))} mrad, then" in told
-    assert "99 % of the gap is closed" in told
+    shown = pictures(result)[0]
+    made = result.traces[0]
+    ends = np.abs(made.before.reshape(-1, 6)[:, -1])
+    # Worst and median window by the first channel's error at the end; two channels, three windows.
+    for place, window in ((0, int(np.argmax(ends))), (1, int(np.argsort(ends)[5]))):
+        axes = shown.figure.axes[place]
+        part = slice(6 * window, 6 * window + 6)
+        drawn = [line.get_ydata() for line in axes.lines]
+        measured = 1e3 * (made.measured[part] - made.measured[part][0])
+        assert np.allclose(drawn[0], measured)
+        assert np.allclose(drawn[1], measured - 1e3 * made.before[part])
+        assert np.allclose(drawn[2], measured - 1e3 * made.after[part])
+        assert f"{made.time[part][0]:.1f} s" in axes.get_title("left")
+    assert shown.figure.axes[0].get_ylabel() == "position [mrad]"
+    assert "0.3 s from a measured start" in shown.caption
+    assert "that no fit has seen" in shown.caption
+
+
+def test_a_channel_alone_shows_its_error_below():
+    made = trace("walk", "knee_position", "rad", 0)
+    figure = pictures(diagnosis(traces=(made,), remaining=()))[0].figure
+    window = int(np.argmax(np.abs(made.before.reshape(-1, 6)[:, -1])))
+    below = figure.axes[len(figure.axes) // 2]
+    drawn = below.lines[1].get_ydata()
+    assert np.allclose(drawn, -1e3 * made.before[6 * window : 6 * window + 6])
+    assert "simulated less" in below.get_ylabel()
+
+
+def test_noise_that_no_rig_resolves_has_no_digits():
+    still = replace(left("knee_position", "rad", 0.024), noise=2e-8)
+    assert "sensor noise under 0.001 mrad" in dict(facts(diagnosis(remaining=(still,))))["Left"]
+
+
+def test_recordings_of_the_fit_are_not_in_the_first_figure():
+    seen = replace(trace("slow", "knee_position", "rad", 5), measured=np.full(60, 7.0))
+    both = diagnosis(traces=(trace("walk", "knee_position", "rad", 0), seen))
+    alone = diagnosis(traces=(trace("walk", "knee_position", "rad", 0),))
+    assert pictures(both)[0].alt == pictures(alone)[0].alt
+
+
+def test_smaller_differences_are_no_names():
+    small = replace(
+        effect("command_delay"),
+        contribution=0.02,
+        parameters=(
+            Estimate(name="delay", unit="s", value=0.0011, nominal=0.0, interval=(0.001, 0.0012)),
+        ),
+    )
+    result = diagnosis(smaller=(small,))
+    assert section(result, "What is missing").endswith(
+        "There too, and not the cause: command delay at knee_valve 1.1 ms (closes 2 % of the gap)."
+    )
+    assert "delay" not in headline(result)
+    assert "delay" not in dict(facts(result))["Missing"]
+
+
+CALIBRATION = Calibration(
+    recordings=(("calm", 30.0, 4.0),),
+    estimates=(
+        (
+            "supply_pressure",
+            "supply",
+            Estimate(
+                name="pressure", unit="Pa", value=2.05e7, nominal=2.1e7, interval=(2e7, 2.1e7)
+            ),
+        ),
+    ),
+)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "told"),
+    [
+        ("named", "Since the healthy recordings has changed: valve deadband at knee_valve."),
+        ("confusion_set", "has changed one of these: valve deadband or stiction at knee_valve."),
+        ("partial", "has changed: valve deadband at knee_valve, and more that has no name yet."),
+        ("unexplained", "has changed since the healthy recordings, and no known effect explains"),
+        ("nothing_missing", "Nothing has changed since the healthy recordings that these could"),
+    ],
+)
+def test_healthy_recordings_tell_what_changed_since(tmp_path, verdict, told):
+    result = diagnosis(verdict, calibration=CALIBRATION)
+    assert told in headline(result)
+    assert "calm 30, calibrated 4" in section(result, "The specimen before")
+    page = write_page(result, tmp_path, model="m")
+    assert table(page, "error in the healthy recordings")[1] == ["calm", "30", "4"]
+    assert table(page, "departs most")[1][2:] == ["pressure", "205 bar", "210 bar"]
+    assert section(result, "What changed since")
+
+
+def test_a_round_of_pairs_does_not_repeat_the_screening():
+    result = diagnosis()
+    again = tuple(replace(rank, round=2) for rank in result.ranking)
+    pairs = replace(result, ranking=(*result.ranking, *again))
+    shown = picture(pairs, "ranking")
+    assert len(shown.figure.axes) == 1
+    assert "Round 2 tried the best two effects at once." in shown.caption
+    assert "two at once" in section(pairs, "What was looked at")
+    other = tuple(replace(rank, gain=rank.gain + 1.0) for rank in again)
+    usual = replace(result, ranking=(*result.ranking, *other))
+    assert len(picture(usual, "ranking").figure.axes) == 2
+    assert "two at once" not in section(usual, "What was looked at")
+
+
+def test_a_value_that_says_little_is_called_uncertain(tmp_path):
+    wide = Estimate(name="armature", unit="kg m^2", value=1.9, nominal=0.1, interval=(0.0, 11.9))
+    result = diagnosis(effects=(replace(effect("armature", "knee"), parameters=(wide,)),))
+    assert "Uncertain, check before use: armature of armature at knee 1.9" in improved_words(result)
+    assert "95 %: 0 to 11.9 kg m^2, uncertain" in dict(facts(result))["Missing"]
+    page = words(parsed(write_page(result, tmp_path, model="m"))[1])
+    assert "ncertain, check before use" in page
+    assert "ready to run" not in page
+    assert "ncertain" not in improved_words(diagnosis())
+
+
+def test_the_share_without_an_effect_is_a_factor():
+    result = diagnosis(effects=(replace(effect(), without=12.1),))
+    assert "without it the error is 11 times as large (12.1 instead of 1.1 noise levels)" in (
+        section(result, "How sure")
+    )
+
+
+@pytest.mark.parametrize(
+    ("rough", "verdict", "told", "untold"),
+    [
+        (True, "named", "the size of the model's own error being unknown", "resampled"),
+        (False, "named", "share of resampled data", "more than noise is left"),
+        (False, "partial", "lowered because more than noise is left", "unknown"),
+    ],
+)
+def test_confidence_is_told_as_it_was_computed(rough, verdict, told, untold):
+    text = section(diagnosis(verdict, rough=rough), "How sure")
+    assert told in text
+    assert untold not in text
+
+
+def test_unexplained_says_what_was_tried_and_learned():
+    moved = Estimate(
+        name="supply_pressure", unit="Pa", value=2.05e7, nominal=2.1e7, interval=(2e7, 2.2e7)
+    )
+    still = replace(moved, name="payload_mass", unit="kg", value=2.1e7)
+    result = diagnosis("unexplained", nuisances=(moved, still), learned="a torque that repeats")
+    text = section(result, "What was tried")
+    assert "3 possible effects, each alone; valve deadband and stiction came closest." in text
+    assert "errs by 14.2 noise levels, recalibrated within tolerance by 12" in text
+    assert "Recalibrated: supply pressure 205 bar, in the model 210 bar." in text
+    assert "carries no effect without a name" in text
+    assert "Learned without a name: a torque that repeats." in text
+    assert "no effect without a name is in it" in improved_words(result)
+    assert "No improved model" in section(replace(result, model=""), "What was tried")
+
+
+def test_many_effects_that_cannot_be_told_are_one_sentence_and_a_table(tmp_path):
+    many = tuple(
+        NotTestable(name=f"effect_{i}", element="knee", reason="needs x") for i in range(6)
+    )
+    result = diagnosis(not_testable=many, notes=("walk: 3 samples are missing",))
+    lines = next(s for s in sections(result, "m") if s.title == "What cannot be told").lines
+    assert len(lines) == 2
+    assert "effect 4 at knee or effect 5 at knee; the table below" in lines[0]
+    assert lines[1] == "walk: 3 samples are missing."
+    page = write_page(result, tmp_path, model="m")
+    assert len(table(page, "hardly show")) == 7
+
+
+def test_an_error_without_a_name_has_a_place_and_a_shape():
+    told = dict(facts(diagnosis("unexplained", learned="a torque that repeats")))
+    assert told["Missing"] == (
+        "Something that has no name among the 3 effects tried; most of it in the hydraulics of "
+        "knee_valve, anywhere."
+    )
+    assert told["Learned"] == "Without a name: a torque that repeats."
+    assert "Explains" not in told
+
+
+def test_where_is_told_without_pressures():
+    place = Where(
+        residual="motion", element="slide", level=40.0, region="near zero velocity (-1 to 1 m/s)"
+    )
+    told = section(diagnosis(where=(place,)), "Where")
+    assert (
+        "Motion of slide, replayed from the measured command: 40 noise levels, worst near zero"
+        in told
+    )
+    lines = summary_lines(diagnosis(where=(place,)))
+    assert (
+        lines[0] == "motion of slide: 40 noise levels off, worst near zero velocity (-1 to 1 m/s)"
+    )
+
+
+def test_tables_of_the_terminal_have_units():
+    head, rest, gaps = summary_tables(diagnosis())
+    assert list(rest.columns[1].cells) == ["24 mrad", "4 bar"]
+    assert list(rest.columns[3].cells) == ["0.12 mrad", "0.02 bar"]
+    assert list(head.columns[1].cells) == [r"lap \[1]"]
+    assert gaps.row_count == 2
+    assert len(summary_tables(diagnosis("nothing_missing", remaining=()))) == 1
 
 
 def test_numbers_are_short():

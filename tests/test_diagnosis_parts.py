@@ -10,7 +10,7 @@ from leglab.diagnosis.fitting import Sums, Unknowns
 from leglab.diagnosis.judging import preferences, t_value
 from leglab.diagnosis.model import ForceLeft
 from leglab.diagnosis.onset import change_point
-from leglab.diagnosis.paths import delayed, play
+from leglab.diagnosis.paths import delayed, lagged, play
 from leglab.diagnosis.residual import extrapolation, robust_cost
 from leglab.diagnosis.screening import Candidate
 from leglab.diagnosis.search import chance_gain
@@ -286,3 +286,9 @@ def test_the_period_of_a_force_is_found_beside_friction_and_a_spring():
     assert np.hypot(sine, cosine) == pytest.approx(1.3, abs=0.25)
     still = np.zeros(100)
     assert harmonics(ForceLeft(still, still, still, still)) == []
+
+
+def test_a_lag_a_rounding_error_below_zero_is_none():
+    samples = np.array([0.0, 1.0, 0.5])
+    assert lagged(samples, -1e-20, 0.001).tolist() == samples.tolist()
+    assert lagged(samples, 0.002, 0.001)[1] < 1.0

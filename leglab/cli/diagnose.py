@@ -85,7 +85,7 @@ def diagnose(
     from leglab.diagnosis.verdict import diagnose as run_diagnosis
     from leglab.diagnosis.workflow import DiagnosisSettings
     from leglab.report.diagnosis.page import write_page
-    from leglab.report.diagnosis.words import headline
+    from leglab.report.diagnosis.words import facts, headline, smaller_words
     from leglab.runs.folder import check_folder
 
     check_folder(out, overwrite=overwrite, mark="diagnosis.json")
@@ -112,6 +112,10 @@ def diagnose(
         print_json(result.to_json(), ascii_only=False)
         return
     output.print(headline(result), markup=False, highlight=False)
+    for term, text in facts(result):
+        output.print(f"{term}: {text}", markup=False, highlight=False)
+    for line in smaller_words(result):
+        output.print(line, markup=False, highlight=False)
     for table in results.summary_tables(result):
         output.print(table)
     for line in results.summary_lines(result):

@@ -1,13 +1,15 @@
 """Structural isolation: does the mechanism disagree, or the hydraulics, and where."""
 
 from collections.abc import Mapping
-from itertools import pairwise
 
 import mujoco
 import numpy as np
 from scipy.interpolate import BSpline
 
+from leglab.diagnosis.effects.joints import unit
+from leglab.diagnosis.hypothesis import Hypothesis
 from leglab.diagnosis.model import CYLINDER
+from leglab.diagnosis.regions import worst_region
 from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.result import Where
 from leglab.diagnosis.starts import spool
@@ -28,7 +30,9 @@ def isolate(problem: Problem) -> tuple[tuple[Where, ...], float | None]:
     Returns:
         Residuals, worst first, in levels of their own noise; and the ceiling: share of the worst
         residual's excess variance that static functions of position, velocity, pressure
-        difference and command could explain. Both empty where no pressures were measured.
+        difference and command could explain. Where no pressures were measured there are no
+        balances: the residuals are the errors of the replayed motion, joint by joint, and the
+        ceiling is None.
     """
     machine = problem.machine
     names = {c.column for c in problem.channels}
@@ -44,11 +48,71 @@ def isolate(problem: Problem) -> tuple[tuple[Where, ...], float | None]:
             noise = float(np.median([_noise(t[kind]) for t in tables]))
             residual = table[kind]
             level = 1.4826 * float(np.median(np.abs(residual))) / noise if noise > 0 else 0.0
-            region = _region(residual, regressors)
+            region = worst_region(residual, _with_units(problem, joint, regressors))
             where = Where(residual=kind, element=element, level=level, region=region)
             found.append((where, _static_share(residual, regressors, noise, problem.thresholds)))
+    if not found:
+        return _motion(problem), None
     found.sort(key=lambda entry: -entry[0].level)
-    return tuple(w for w, _ in found), (found[0][1] if found else None)
+    return tuple(w for w, _ in found), found[0][1]
+
+
+def _motion(problem: Problem) -> tuple[Where, ...]:
+    """Errors of the replayed motion of every joint, worst first, of the model as it was."""
+    replay = problem.replay
+    errors = problem.raw_errors(Hypothesis())
+    places = sample_places(problem)
+    limit = problem.thresholds.clip
+    found = []
+    for k, channel in enumerate(problem.channels):
+        if channel.chamber:
+            continue
+        states: dict[str, list[np.ndarray]] = {"position": [], "velocity": []}
+        rows = []
+        for i, series in enumerate(problem.series):
+            own = replay.recording == i
+            q = series.columns[f"{channel.joint}_position"]
+            states["position"].append(q[places[i]])
+            states["velocity"].append(np.gradient(q, series.period)[places[i]])
+            rows.append(errors[own, k].ravel())
+        error = np.concatenate(rows)
+        along = {name: np.concatenate(values) for name, values in states.items()}
+        # In the noise levels of the gap: with what the start states carry on.
+        alone = np.zeros_like(errors)
+        alone[:, k] = errors[:, k]
+        white = problem.noise.sensors @ alone.reshape(len(alone), -1, 1)
+        squares = np.clip(white, -limit, limit) ** 2
+        level = float(np.sqrt(squares.sum() / errors[:, k].size))
+        region = worst_region(error, _with_units(problem, channel.joint, along))
+        found.append(Where(residual="motion", element=channel.joint, level=level, region=region))
+    return tuple(sorted(found, key=lambda where: -where.level))
+
+
+def sample_places(problem: Problem) -> list[np.ndarray]:
+    """Index of the sample in the middle of every bin of the windows, by recording."""
+    replay = problem.replay
+    middle = (np.arange(replay.bins) + 0.5) * (replay.samples // replay.bins)
+    found = []
+    for i, series in enumerate(problem.series):
+        start = replay.start[replay.recording == i]
+        first = np.round((start - series.time[0]) / series.period)
+        index = (first[:, None] + middle).astype(int)
+        found.append(np.minimum(index, series.time.size - 1).ravel())
+    return found
+
+
+def _with_units(
+    problem: Problem, joint: str, states: Mapping[str, np.ndarray]
+) -> dict[str, tuple[np.ndarray, str]]:
+    """States by name with the units in which they are shown."""
+    length = unit(problem.machine, joint)
+    known = {
+        "position": (1.0, length),
+        "velocity": (1.0, f"{length}/s"),
+        "pressure": (1e-5, "bar"),
+        "command": (1.0, ""),
+    }
+    return {name: (known[name][0] * values, known[name][1]) for name, values in states.items()}
 
 
 def _balances(
@@ -121,20 +185,6 @@ def _noise(residual: np.ndarray) -> float:
     if residual.size < 5:
         return 0.0
     return float(1.4826 * np.median(np.abs(np.diff(residual, 2))) / np.sqrt(6.0))
-
-
-def _region(residual: np.ndarray, regressors: Mapping[str, np.ndarray]) -> str:
-    """Regressor and third of its range in which the residual is largest, in words."""
-    best, text = 0.0, "everywhere alike"
-    overall = float(np.mean(np.abs(residual))) or 1.0
-    for name, values in regressors.items():
-        edges = np.quantile(values, [0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0])
-        for low, high in pairwise(edges.tolist()):
-            inside = (values >= low) & (values <= high)
-            share = float(np.mean(np.abs(residual[inside]))) / overall
-            if share > max(best, 1.3):
-                best, text = share, f"{name} in [{low:.3g}, {high:.3g}]"
-    return text
 
 
 def _static_share(

@@ -91,7 +91,7 @@ def _absolute_files(spec: mujoco.MjSpec, folder: Path) -> None:
 def summary_tables(result: Diagnosis) -> list[Table]:
     """Verdict, effects and gaps for the terminal."""
     head = Table(title=f"verdict: {result.verdict}", title_justify="left")
-    for name in ("effect", "parameter", "value", "95 % interval", "nominal", "sure"):
+    for name in ("effect", "parameter", "value", "95 % interval", "model"):
         head.add_column(name, no_wrap=name != "effect")
     rows = [(e, "") for e in result.effects] + [(e, "smaller: ") for e in result.smaller]
     for effect, word in rows:
@@ -102,7 +102,6 @@ def summary_tables(result: Diagnosis) -> list[Table]:
                 f"{p.value:.4g}",
                 f"{p.interval[0]:.4g} … {p.interval[1]:.4g}",
                 f"{p.nominal:.4g}",
-                "" if i else f"{effect.confidence:.2f}",
             )
     gaps = Table(title="normalised replay error (noise alone gives 1)", title_justify="left")
     for name in ("recording", "before", "recalibrated", "after", ""):
@@ -115,8 +114,10 @@ def summary_tables(result: Diagnosis) -> list[Table]:
             f"{row.after:.2f}",
             "held out" if row.held_out else "",
         )
-    left = Table(title="error of a replay at its end, held-out recordings", title_justify="left")
-    for name in ("measured", "before", "after", "after, in noise levels"):
+    horizon = f"{result.remaining[0].horizon:g} s " if result.remaining else ""
+    title = f"error {horizon}after a measured start, held-out recordings"
+    left = Table(title=title, title_justify="left")
+    for name in ("measured", "before", "after", "sensor noise"):
         left.add_column(name, justify="left" if name == "measured" else "right")
     for one in result.remaining:
         factor, unit = shown_unit(one.unit)
@@ -124,25 +125,21 @@ def summary_tables(result: Diagnosis) -> list[Table]:
             one.channel,
             f"{factor * one.before:.3g} {unit}",
             f"{factor * one.after:.3g} {unit}",
-            f"{one.after / one.noise:.1f}" if one.noise > 0.0 else "",
+            f"{factor * one.noise:.3g} {unit}",
         )
-    left.title = f"error {result.remaining[0].horizon:g} s after a measured start, held out"
-    return [head, gaps, left]
+    return [table for table in (head, left, gaps) if table.row_count]
 
 
 def summary_lines(result: Diagnosis) -> list[str]:
     """Lines for the terminal beside the tables: onsets, rivals, balances, notes."""
     lines = []
     if result.learned:
-        lines.append(f"learned beside: {result.learned}")
-    explained = result.gap.explained
-    if explained is not None:
-        lines.append(f"what is named closes {100.0 * explained:.0f} % of the gap it opens")
+        lines.append(f"learned without a name: {result.learned}")
     if result.calibration is not None:
         before, after = ([row[i] for row in result.calibration.recordings] for i in (1, 2))
         lines.append(
-            f"healthy recordings: {max(before):.3g} noise levels by the model as it was, at most "
-            f"{max(after):.3g} by the calibrated specimen"
+            f"healthy recordings: at most {max(before):.3g} noise levels off by the model as it "
+            f"was, {max(after):.3g} by the calibrated specimen"
         )
     for effect in result.effects:
         lines += [f"{effect.name} begins at {time:.2f} s of {name}" for name, time in effect.onset]
@@ -150,10 +147,9 @@ def summary_lines(result: Diagnosis) -> list[str]:
             rivals = ", ".join(effect.indistinguishable_from)
             lines.append(f"{effect.name} is not told apart from {rivals}")
     for where in result.where:
-        lines.append(
-            f"{where.residual} balance of {where.element}: {where.level:.1f} noise levels, worst "
-            f"at {where.region}"
-        )
+        kind = where.residual if where.residual == "motion" else f"{where.residual} balance"
+        region = where.region if where.region.startswith("everywhere") else f"worst {where.region}"
+        lines.append(f"{kind} of {where.element}: {where.level:.3g} noise levels off, {region}")
     if result.next_experiment is not None:
         proposal = result.next_experiment
         lines.append(f"to tell {' from '.join(proposal.rivals)}: {proposal.description}")

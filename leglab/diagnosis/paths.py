@@ -157,6 +157,8 @@ def dead_band(samples: np.ndarray, half_width: float) -> np.ndarray:
 
 def lagged(samples: np.ndarray, time_constant: float, period: float) -> np.ndarray:
     """Mean over each period of the exact first-order response to held samples, shape (n,)."""
+    if time_constant <= 0.0:  # A fit at its bound may end a rounding error below it.
+        return samples
     decay = math.exp(-period / time_constant)
     start = np.array([decay * samples[0]])
     reached, _ = lfilter([1.0 - decay], [1.0, -decay], samples, zi=start)

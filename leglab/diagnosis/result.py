@@ -37,6 +37,7 @@ class NamedEffect:
         confidence: Probability that the name is right against every rival, in [0, 1].
         contribution: Share of the gap that it closes when it is added last.
         indistinguishable_from: Effects that explain these recordings as well.
+        without: Normalised replay error on the held-out recordings where it alone is taken out.
     """
 
     name: str
@@ -48,6 +49,7 @@ class NamedEffect:
     contribution: float
     parameters: tuple[Estimate, ...]
     indistinguishable_from: tuple[str, ...]
+    without: float = math.nan
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +93,7 @@ class Where:
 
     Attributes:
         residual: "mechanical" (pressures to motion), "hydraulic" (command and motion to
-            pressures) or "motion" where there are no pressures.
+            pressures) or "motion" (command to motion) where there are no pressures.
         element: Joint or actuator.
         level: Root mean square in noise levels, of the model as it was.
         region: Where it is worst, in words.
@@ -206,6 +208,8 @@ class ResidualTrace:
         pressure: Pressure difference across the piston [Pa]; None where not measured.
         before: Measured less predicted by the model as it was.
         after: The same with the named effects.
+        measured: The channel itself [unit].
+        bins: Number of bins of a window; windows lie behind each other.
     """
 
     recording: str
@@ -217,6 +221,8 @@ class ResidualTrace:
     pressure: np.ndarray | None
     before: np.ndarray
     after: np.ndarray
+    measured: np.ndarray
+    bins: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -347,7 +353,7 @@ def shown_unit(unit: str) -> tuple[float, str]:
 
 def _effect(effect: NamedEffect) -> dict[str, Any]:
     return {
-        **_fields(effect, "group", "physics"),
+        **_fields(effect, "group", "physics", "without"),
         "onset": dict(effect.onset) or None,
         "parameters": {p.name: _fields(p, "name") for p in effect.parameters},
     }

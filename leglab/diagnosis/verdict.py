@@ -1,5 +1,6 @@
 """From recordings to the verdict: names, confusion sets, confidence, gaps."""
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from leglab.diagnosis.effects.joints import unit
 from leglab.diagnosis.experiment import propose
 from leglab.diagnosis.fitting import Fit
 from leglab.diagnosis.hypothesis import Hypothesis, Key
-from leglab.diagnosis.isolation import isolate
+from leglab.diagnosis.isolation import isolate, sample_places
 from leglab.diagnosis.judging import earns, intervals, posterior, preferences
 from leglab.diagnosis.model import CYLINDER, Machine
 from leglab.diagnosis.remarks import Remark, merged
@@ -106,9 +107,13 @@ def assemble(found: Search, settings: DiagnosisSettings, *, seconds: float) -> D
     names = [s.name for s in problem.series]
     judged = [bool(problem.held[own].any()) for own in windows]
     specimen = found.specimen
+    levels = {k: _rms(squares[k][held]) for k in squares}
     gap = Gap(
         held_out=tuple(name for name, held_out in zip(names, judged, strict=True) if held_out),
-        **{k: _rms(squares[k][held]) for k in squares},
+        before=levels["before"],
+        baseline=levels["baseline"],
+        after=levels["after"],
+        unnamed=levels.get("unnamed", math.nan),
         healthy=_healthy_level(found, held) if specimen else None,
     )
     rivals = tuple(
@@ -279,6 +284,7 @@ def _effects(
 ) -> tuple[NamedEffect, ...]:
     """Named effects, the largest contribution first, with their confidence."""
     problem, final = found.problem, found.fit.hypothesis
+    held = problem.held if problem.held.any() else np.ones_like(problem.held)
     half = intervals(problem, found.fit) if found.named else {}
     effects = []
     for key in found.named:
@@ -307,6 +313,7 @@ def _effects(
                     )
                 ),
                 indistinguishable_from=tied,
+                without=_rms(problem.noise_levels(final.without(key))[held]),
             )
         )
     return tuple(sorted(effects, key=lambda e: -e.contribution))
@@ -504,12 +511,12 @@ def traces(problem: Problem, final: Hypothesis) -> tuple[ResidualTrace, ...]:
     replay = problem.replay
     before = problem.raw_errors(Hypothesis())
     after = problem.raw_errors(final)
-    middle = (np.arange(replay.bins) + 0.5) * (replay.samples // replay.bins)
+    # A channel's sample after the step is what a replay predicts.
+    measured = replay.measured()[:, :, 1:]
+    measured = measured.reshape((*before.shape, -1)).mean(axis=3)
     rows = []
-    for i, series in enumerate(problem.series):
+    for i, (series, index) in enumerate(zip(problem.series, sample_places(problem), strict=True)):
         own, period = replay.recording == i, series.period
-        first = np.round((replay.start[own] - series.time[0]) / period)
-        index = np.minimum((first[:, None] + middle).astype(int), series.time.size - 1).ravel()
         for k, channel in enumerate(problem.channels):
             q = series.columns[f"{channel.joint}_position"]
             a, b = (series.columns.get(f"{channel.joint}_pressure_{c}") for c in "ab")
@@ -524,6 +531,8 @@ def traces(problem: Problem, final: Hypothesis) -> tuple[ResidualTrace, ...]:
                     pressure=None if a is None or b is None else (a - b)[index],
                     before=before[own, k].ravel(),
                     after=after[own, k].ravel(),
+                    measured=measured[own, k].ravel(),
+                    bins=replay.bins,
                 )
             )
     return tuple(rows)

@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import matplotlib as mpl
@@ -15,8 +15,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
+from leglab.diagnosis.regions import equally_filled
 from leglab.diagnosis.result import Diagnosis, Rank, ResidualTrace, Rivals, shown_unit
-from leglab.report.diagnosis.words import rms
+from leglab.report.diagnosis.words import after_words, joint_of, main_channels, pair_rounds, rms
 from leglab.report.figures import add_head
 from leglab.report.page.shell import printable
 from leglab.report.page.wording import number, readable, shortened
@@ -40,9 +41,9 @@ _VALUE: dict[str, Any] = {
 _MOST_CHANNELS, _MOST_ROWS = 6, 6
 _MOST_POINTS = 3000
 _INNER = 0.99  # share of the points within the axes of a cloud: outliers would set the scale
-_BINS = 20
-_FEWEST = 8  # points of a bin whose median is drawn
 _BAR = 1e-5  # bar/Pa
+# A replay that has left its recording altogether is not drawn [SI].
+_DIVERGED = 1e11
 # Both rows share their scale unless the errors shrink by more than this factor.
 _ALIKE = 4.0
 
@@ -72,8 +73,135 @@ def short(name: str, most: int = _LONGEST) -> str:
 
 def pictures(result: Diagnosis) -> tuple[CaptionedFigure, ...]:
     """All figures that the diagnosis has content for, in the order of the page."""
-    found = (gap_picture(result), ranking_picture(result), rivals_picture(result))
+    found = (
+        overlay_picture(result),
+        gap_picture(result),
+        ranking_picture(result),
+        rivals_picture(result),
+    )
     return (*(p for p in found if p is not None), *residual_pictures(result))
+
+
+def overlay_picture(result: Diagnosis) -> CaptionedFigure | None:
+    """Measured over simulated in the worst and the median held-out window; None without any.
+
+    Windows are judged by the first channel's error at the end, of the model as it was; where
+    another is the worst one afterwards, that one is shown as well.
+    """
+    channels = main_channels(result)
+    held = set(result.gap.held_out) or {r.name for r in result.recordings}
+    windows = _windows(result, channels, held)
+    if not windows:
+        return None
+    before, after = (
+        np.array([abs(float(getattr(w[channels[0]], which)[-1])) for w in windows])
+        for which in ("before", "after")
+    )
+    order = np.argsort(before, kind="stable")
+    chosen = [("worst before", int(order[-1])), ("median before", int(order[order.size // 2]))]
+    if (last := int(np.argmax(after))) not in {place for _, place in chosen}:
+        chosen.append(("worst after", last))
+    with look():
+        rows = max(2, len(channels))  # A single channel has room for its error.
+        height = 0.85 + 1.55 * rows + 0.4
+        figure = Figure(figsize=(_WIDTH, height))
+        grid = figure.subplots(rows, len(chosen), sharex=True, squeeze=False)
+        told = []
+        for column, (title, place) in enumerate(chosen):
+            for row, channel in enumerate(channels):
+                axes, window = grid[row, column], windows[place][channel]
+                told.append(_draw_overlay(axes, window, first=column == 0))
+                if row == 0:
+                    name = short(window.recording, 18)
+                    axes.set_title(f"{title}\n{name}, {window.time[0]:.1f} s", fontsize=9)
+            if len(channels) < rows:
+                _draw_window_error(grid[-1, column], windows[place][channels[0]], first=not column)
+            grid[-1, column].set_xlabel("time [s]")
+        lines = [
+            Line2D([], [], color=LIGHT_GREY, linewidth=4.0, label="measured"),
+            Line2D([], [], color=VERMILION, linestyle="--", label="simulated, model as it was"),
+            Line2D([], [], color=BLUE, label=f"simulated, {after_words(result)}"),
+        ]
+        add_head(figure, "Measured over simulated", lines, **_LEGEND)
+        figure.tight_layout(rect=(0, 0, 1, 1 - 0.52 / height))
+        figure.align_ylabels()
+    length = result.remaining[0].horizon if result.remaining else _length(windows[0][channels[0]])
+    kept = " that no fit has seen" if result.gap.held_out else ""
+    return CaptionedFigure(
+        name="overlay",
+        figure=figure,
+        caption=f"Simulations of {length:g} s from a measured start, driven by the measured "
+        f"command, in recordings{kept}; positions from where the window starts. Worst and median "
+        f"are by the error of {readable(channels[0])} at the end. Numbers: error at the end, "
+        "before and after.",
+        alt="Measured over simulated. " + " ".join(told),
+    )
+
+
+def _windows(
+    result: Diagnosis, channels: Sequence[str], held: set[str]
+) -> list[dict[str, ResidualTrace]]:
+    """Single windows of the traces, by channel; those that have all channels with finite values."""
+    found: dict[tuple[str, int], dict[str, ResidualTrace]] = {}
+    for trace in result.traces:
+        if trace.recording not in held or trace.channel not in channels:
+            continue
+        for i in range(trace.time.size // trace.bins):
+            part = slice(i * trace.bins, (i + 1) * trace.bins)
+            kept = ("time", "position", "velocity", "before", "after", "measured")
+            window = replace(trace, **{name: getattr(trace, name)[part] for name in kept})
+            shown = np.concatenate([window.measured, window.before, window.after])
+            if np.isfinite(shown).all() and float(np.abs(shown).max()) < _DIVERGED:
+                found.setdefault((trace.recording, i), {})[trace.channel] = window
+    return [w for w in found.values() if len(w) == len(channels)]
+
+
+def _length(window: ResidualTrace) -> float:
+    step = float(np.median(np.diff(window.time))) if window.time.size > 1 else 0.0
+    return round(step * window.bins, 3)
+
+
+def _draw_overlay(axes: Axes, window: ResidualTrace, *, first: bool) -> str:
+    """Draws a channel of a window; returns what it shows."""
+    factor, unit = shown_unit(window.unit)
+    measured = factor * window.measured
+    errors = [factor * e for e in (window.before, window.after)]
+    origin = 0.0
+    if window.channel.endswith("_position"):
+        origin = measured[0]
+    time = window.time - window.time[0]
+    axes.plot(time, measured - origin, color=LIGHT_GREY, linewidth=4.0)
+    axes.plot(time, measured - errors[0] - origin, color=VERMILION, linestyle="--", linewidth=1.3)
+    axes.plot(time, measured - errors[1] - origin, color=BLUE, linewidth=1.3)
+    axes.margins(y=0.22)
+    ends = [abs(float(error[-1])) for error in errors]
+    text = f"{number(ends[0], 2)} \u2192 {number(ends[1], 2)} {unit}"
+    axes.annotate(
+        text, (0.02, 0.97), xycoords="axes fraction", ha="left", va="top", fontsize=8, zorder=9,
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8, "alpha": 0.8},
+    )  # fmt: skip
+    for axis, most in ((axes.xaxis, 4), (axes.yaxis, 4)):
+        axis.set_major_locator(MaxNLocator(most, steps=[1, 2, 5, 10]))
+    if first:
+        kind = window.channel.removeprefix(f"{joint_of(window.channel)}_") or window.channel
+        label = readable(short(kind, 14))
+        axes.set_ylabel(f"{label} [{unit}]")
+    return (
+        f"{window.channel} in {window.recording} at {window.time[0]:.1f} s: {number(ends[0])} "
+        f"{unit} off at the end before, {number(ends[1])} {unit} after."
+    )
+
+
+def _draw_window_error(axes: Axes, window: ResidualTrace, *, first: bool) -> None:
+    """Draws how far the simulations of a window are from what was measured."""
+    factor, unit = shown_unit(window.unit)
+    time = window.time - window.time[0]
+    axes.axhline(0.0, color=LIGHT_GREY, linewidth=4.0)
+    axes.plot(time, -factor * window.before, color=VERMILION, linestyle="--", linewidth=1.3)
+    axes.plot(time, -factor * window.after, color=BLUE, linewidth=1.3)
+    axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+    if first:
+        axes.set_ylabel(f"simulated less\nmeasured [{unit}]")
 
 
 def gap_picture(result: Diagnosis) -> CaptionedFigure | None:
@@ -114,7 +242,8 @@ def gap_picture(result: Diagnosis) -> CaptionedFigure | None:
 def ranking_picture(result: Diagnosis) -> CaptionedFigure | None:
     """Draws the chi-square that each effect and chance save, a panel a round; None if none does."""
     rounds: dict[int, list[Rank]] = {}
-    for rank in sorted(result.ranking, key=lambda r: r.round):
+    pairs = pair_rounds(result)  # They repeat the screening of the round before.
+    for rank in sorted((r for r in result.ranking if r.round not in pairs), key=lambda r: r.round):
         rounds.setdefault(rank.round, []).append(rank)
     shown = [(n, best) for n, ranks in rounds.items() if (best := _best(ranks))]
     if not shown:
@@ -143,7 +272,8 @@ def ranking_picture(result: Diagnosis) -> CaptionedFigure | None:
         name="ranking",
         figure=figure,
         caption="What adding each effect alone saves; left of the dashed line is what the best of "
-        "all saves by chance in 1 of 100 cases.",
+        "all saves by chance in 1 of 100 cases."
+        + "".join(f" Round {n} tried the best two effects at once." for n in pairs),
         alt=" ".join(
             f"Round {n}: best is {ranks[0].name} at {ranks[0].element} with "
             f"{number(ranks[0].gain)}, chance gives {number(ranks[0].threshold)}."
@@ -416,8 +546,7 @@ def _cloud(axes: Axes, state: np.ndarray, values: np.ndarray, color: str) -> Non
     dots: dict[str, Any] = {"markersize": 2, "alpha": 0.35, "markeredgewidth": 0}
     axes.plot(state[::step], values[::step], ".", color=color, rasterized=True, **dots)
     axes.axhline(0.0, color=DARK_GREY, linewidth=0.6)
-    parts = np.array_split(np.argsort(state, kind="stable"), _BINS)
-    parts = [part for part in parts if part.size >= _FEWEST]
+    parts = equally_filled(state)
     middle = [float(np.median(state[part])) for part in parts]
     axes.plot(middle, [float(np.median(values[part])) for part in parts], color=BLACK)
     if state.size:

@@ -8,13 +8,23 @@ from pathlib import Path
 
 from leglab.base.errors import LeglabError
 from leglab.data import write_atomically
-from leglab.diagnosis.result import Diagnosis
+from leglab.diagnosis.result import Diagnosis, shown_unit
 from leglab.report.diagnosis.figures import look, pictures
-from leglab.report.diagnosis.words import headline, parameter_words, percent, sections
+from leglab.report.diagnosis.words import (
+    facts,
+    headline,
+    improved_words,
+    noise_words,
+    parameter_words,
+    percent,
+    sections,
+    uncertain,
+)
 from leglab.report.page.shell import Table, render
 from leglab.report.page.wording import capital, number
 
 _DPI = 130
+_MOST_DEPARTED = 12
 _KINDS = {
     "named": "named",
     "confusion_set": "confusion set",
@@ -53,7 +63,9 @@ def write_page(result: Diagnosis, folder: Path, *, model: str) -> Path:
         image = stream.getvalue()
         write_atomically(place / f"{picture.name}.png", partial(_put, image))
         data = base64.b64encode(image).decode()
-        drawn.append({"alt": picture.alt, "caption": picture.caption, "data": data})
+        drawn.append(
+            {"name": picture.name, "alt": picture.alt, "caption": picture.caption, "data": data}
+        )
     path = folder / "diagnosis.html"
     write_atomically(path, partial(_put, _page(result, drawn, model).encode()))
     return path
@@ -67,27 +79,76 @@ def _page(result: Diagnosis, figures: Sequence[dict[str, str]], model: str) -> s
         model=model,
         verdict=_KINDS[result.verdict],
         headline=headline(result),
+        facts=facts(result),
         sections=sections(result, model),
-        tables=(_effects_table(result), _gap_table(result), _nuisance_table(result)),
+        tables=(
+            _effects_table(result),
+            _remaining_table(result),
+            _gap_table(result),
+            *_calibration_tables(result),
+            _nuisance_table(result),
+            _untestable_table(result),
+        ),
         improved=result.model,
-        figures=figures,
+        improved_words=improved_words(result),
+        first=[figure for figure in figures if figure["name"] == "overlay"],
+        figures=[figure for figure in figures if figure["name"] != "overlay"],
     )
 
 
 def _effects_table(result: Diagnosis) -> Table:
     rows = []
-    for effect in result.effects:
+    kinds = [(e, "") for e in result.effects] + [(e, " (smaller)") for e in result.smaller]
+    for effect, kind in kinds:
         told = [percent(effect.confidence), percent(effect.contribution)]
         for i, parameter in enumerate(effect.parameters):
-            first = [effect.name, effect.element] if i == 0 else ["", ""]
+            first = [f"{effect.name}{kind}", effect.element] if i == 0 else ["", ""]
             last = told if i == 0 else ["", ""]
-            rows.append([*first, parameter.name, *parameter_words(parameter), *last])
+            name = f"{parameter.name} (uncertain)" if uncertain(parameter) else parameter.name
+            rows.append([*first, name, *parameter_words(parameter), *last])
         if not effect.parameters:
-            rows.append([effect.name, effect.element, "", "", "", "", *told])
+            rows.append([f"{effect.name}{kind}", effect.element, "", "", "", "", *told])
     names = ("effect", "element", "parameter", "value", "95 % interval", "in the model")
-    head = (*names, "confidence", "contribution")
+    head = (*names, "confidence", "of the gap")
+    changed = "What changed" if result.calibration else "Missing effects"
     # A further parameter of an effect has an empty first cell, which heads no row.
-    return Table(caption="Missing effects", head=head, rows=rows, words=3, heads=False)
+    return Table(caption=changed, head=head, rows=rows, words=3, heads=False)
+
+
+def _remaining_table(result: Diagnosis) -> Table:
+    rows = []
+    for one in result.remaining:
+        factor, unit = shown_unit(one.unit)
+        values = [f"{number(factor * v)} {unit}" for v in (one.before, one.after)]
+        rows.append([one.channel, *values, noise_words(one)])
+    horizon = f"{result.remaining[0].horizon:g} s" if result.remaining else ""
+    caption = f"What is left {horizon} after a measured start, RMS over the held-out recordings"
+    head = ("measured", "before", "after", "sensor noise")
+    return Table(caption=caption, head=head, rows=rows)
+
+
+def _calibration_tables(result: Diagnosis) -> tuple[Table, ...]:
+    calibration = result.calibration
+    if calibration is None:
+        return ()
+    errors = [[name, number(b), number(a)] for name, b, a in calibration.recordings]
+    departed = []
+    for effect, element, estimate in calibration.estimates[:_MOST_DEPARTED]:
+        value, _, nominal = parameter_words(estimate)
+        departed.append([effect, element, estimate.name, value, nominal])
+    return (
+        Table(
+            caption="The specimen before: error in the healthy recordings [noise levels]",
+            head=("healthy recording", "model as it was", "calibrated"),
+            rows=errors,
+        ),
+        Table(
+            caption="The specimen before: what departs most from the model",
+            head=("effect", "element", "parameter", "this machine", "in the model"),
+            rows=departed,
+            words=3,
+        ),
+    )
 
 
 def _gap_table(result: Diagnosis) -> Table:
@@ -104,6 +165,12 @@ def _nuisance_table(result: Diagnosis) -> Table:
     rows = [[n.name, *parameter_words(n)] for n in result.nuisances]
     head = ("parameter", "refitted", "tolerance, 95 %", "in the model")
     return Table(caption="Parameters refitted within their tolerance", head=head, rows=rows)
+
+
+def _untestable_table(result: Diagnosis) -> Table:
+    rows = [[n.name, n.element, n.reason] for n in result.not_testable]
+    head = ("effect", "element", "to see it")
+    return Table(caption="What these recordings hardly show", head=head, rows=rows, words=3)
 
 
 def _put(content: bytes, stream: io.BufferedIOBase) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from leglab.diagnosis.result import Diagnosis, Estimate, shown_unit
+from leglab.diagnosis.result import Diagnosis, Estimate, NamedEffect, Remaining, shown_unit
 from leglab.report.page.shell import Section
 from leglab.report.page.wording import capital, listed, number, readable
 
@@ -16,6 +16,17 @@ from leglab.report.page.wording import capital, listed, number, readable
 _HARDLY = 0.05
 # More channels than this make no sentence.
 _CHANNELS = 6
+# Recalibrated parameters that are told: so many, from this share of their tolerance on.
+_RECALIBRATED = 5
+_DEPARTED = 0.3
+# Noise below this [mrad, mm or bar] is told as such.
+_UNRESOLVED = 0.001
+# Up to so many effects that cannot be told apart from nothing have a line each.
+_UNTOLD = 4
+# Effects that came closest without being named.
+_CLOSEST = 3
+# Units that a rig's engineer reads, where all values are below a limit in SI: name, factor, limit.
+_SMALL = {"s": ("ms", 1e3, 1.0), "m": ("mm", 1e3, 1.0), "rad": ("mrad", 1e3, 0.1)}
 
 
 def percent(share: float) -> str:
@@ -34,8 +45,11 @@ def rms(arrays: Sequence[np.ndarray]) -> float:
 
 def headline(result: Diagnosis) -> str:
     """The verdict in one sentence."""
-    found = listed(tuple(f"{readable(e.name)} at {e.element}" for e in result.effects))
+    found = listed(tuple(_at(e) for e in result.effects))
+    since = result.calibration is not None
     if result.verdict == "named":
+        if since:
+            return f"Since the healthy recordings has changed: {found}."
         return f"The simulation is missing: {found}."
     if result.verdict == "confusion_set":
         sets = []
@@ -43,26 +57,80 @@ def headline(result: Diagnosis) -> str:
             names = (effect.name, *effect.indistinguishable_from)
             sets.append(f"{listed(tuple(map(readable, names)), 'or')} at {effect.element}")
         told = "; and ".join(sets)
+        if since:
+            return f"Since the healthy recordings has changed one of these: {told}."
         return f"Something is missing that these recordings do not pin down: {told}."
     if result.verdict == "partial":
+        if since:
+            return (
+                f"Since the healthy recordings has changed: {found}, and more that has no name yet."
+            )
         return f"The simulation is missing {found}, and more that has no name yet."
     if result.verdict == "unexplained":
         ending = f"; {found} explains less than half of it" if found else ""
+        if since:
+            start = "Something has changed since the healthy recordings"
+            return f"{start}, and no known effect explains it{ending}."
         return f"Simulation and recordings disagree, and no known effect explains it{ending}."
+    if since:
+        return "Nothing has changed since the healthy recordings that these could show."
     return "Nothing is missing that these recordings could show."
+
+
+def facts(result: Diagnosis) -> tuple[tuple[str, str], ...]:
+    """What is missing, how sure, how much it explains and how much is left: question, answer."""
+    changed = "Changed" if result.calibration else "Missing"
+    if result.effects:
+        missing = "; ".join(_fitted(effect) for effect in result.effects)
+        sure = "; ".join(_confidence(e, alone=len(result.effects) == 1) for e in result.effects)
+    elif result.verdict == "nothing_missing":
+        missing, sure = "nothing that these recordings could show", ""
+    else:
+        tried = len({(rank.name, rank.element) for rank in result.ranking})
+        missing = f"something that has no name among the {tried} effects tried{_mostly(result)}"
+        sure = "no name is probable enough to be told"
+    rows = [(changed, missing)]
+    if sure:
+        rows.append(("How sure", sure))
+    explained = result.gap.explained
+    if result.effects and explained is not None and math.isfinite(explained):
+        rows.append(("Explains", f"{100.0 * explained:.0f} % of {_gap_of(result)}"))
+    if result.learned:
+        rows.append(("Learned", f"without a name: {result.learned.rstrip('.')}"))
+    left = _left(result)
+    if left:
+        rows.append(("Left", left))
+    return tuple((term, f"{capital(text)}.") for term, text in rows)
+
+
+def _mostly(result: Diagnosis) -> str:
+    """Where most of an error without a name is; empty where nobody knows."""
+    if not result.where:
+        return ""
+    worst = result.where[0]
+    part = {"mechanical": "mechanics", "hydraulic": "hydraulics"}.get(worst.residual, "motion")
+    place = "" if worst.region.startswith("everywhere") else f", {worst.region}"
+    return f"; most of it in the {part} of {worst.element}{place}"
 
 
 def sections(result: Diagnosis, model: str) -> tuple[Section, ...]:
     """Questions a reader has about the diagnosis of a model, in the order in which they ask."""
-    return (
+    since = result.calibration is not None
+    found = [
         Section(title="What was looked at", lines=_looked_at(result, model)),
-        Section(title="What is missing", lines=_missing(result)),
+        Section(title="What changed since" if since else "What is missing", lines=_missing(result)),
         Section(title="How sure", lines=_sure(result)),
-        Section(title="What it costs", lines=_costs(result)),
+        Section(title="What is left", lines=_costs(result)),
         Section(title="Where", lines=_where(result)),
         Section(title="What cannot be told", lines=_untold(result)),
         Section(title="Next experiment", lines=_next(result)),
-    )
+    ]
+    if since:
+        found.insert(1, Section(title="The specimen before", lines=_before(result)))
+    if result.verdict == "unexplained":
+        place = next(i for i, s in enumerate(found) if s.title == "How sure")
+        found[place] = Section(title="What was tried", lines=_tried(result))
+    return tuple(found)
 
 
 def parameter_words(p: Estimate) -> tuple[str, str, str]:
@@ -70,14 +138,157 @@ def parameter_words(p: Estimate) -> tuple[str, str, str]:
 
     As many digits as the interval allows, so that its ends do not read alike.
     """
-    unit = "" if p.unit in ("", "1") else f" {p.unit}"
-    low, high = p.interval
+    factor, unit = _parameter_unit(p)
+    unit = f" {unit}" if unit else ""
+    low, high = (factor * end for end in p.interval)
     half, size = (high - low) / 2.0, max(abs(low), abs(high))
     digits = 3
     if 0.0 < half < size and math.isfinite(size):
         digits = min(max(math.ceil(math.log10(size / half)) + 1, 3), 6)
     ends = f"{number(low, digits)} to {number(high, digits)}"
-    return f"{number(p.value, digits)}{unit}", f"{ends}{unit}", f"{number(p.nominal)}{unit}"
+    value, nominal = number(factor * p.value, digits), number(factor * p.nominal)
+    return f"{value}{unit}", f"{ends}{unit}", f"{nominal}{unit}"
+
+
+def uncertain(p: Estimate) -> bool:
+    """Whether an estimate says little: its interval holds what the model has, or is too wide."""
+    low, high = p.interval
+    if not (math.isfinite(low) and math.isfinite(high)):
+        return True
+    return low < p.nominal < high or high - low > abs(p.value)
+
+
+def pair_rounds(result: Diagnosis) -> tuple[int, ...]:
+    """Rounds that tried two effects at once: they repeat the screening of the round before."""
+    screened: dict[int, list[tuple[str, str, float]]] = {}
+    for rank in result.ranking:
+        screened.setdefault(rank.round, []).append((rank.name, rank.element, rank.gain))
+    return tuple(n for n in sorted(screened) if screened[n] == screened.get(n - 1))
+
+
+def improved_words(result: Diagnosis) -> str:
+    """What stands in the improved model and how far it is to be trusted; after its name."""
+    parts = [readable(e.name) for e in result.effects]
+    if result.verdict == "unexplained":
+        parts = []
+    holds = ["parameters recalibrated within their tolerance", *(parts and [listed(tuple(parts))])]
+    if result.learned:
+        holds.append("a learned remainder")
+    text = f"It holds {listed(tuple(holds))}"
+    text += "." if parts else "; no effect without a name is in it."
+    if result.learned:
+        text += f" Learned: {result.learned.rstrip('.')}."
+    doubtful = []
+    for effect in result.effects if parts else ():
+        for p in filter(uncertain, effect.parameters):
+            value, interval, _ = parameter_words(p)
+            doubtful.append(f"{readable(p.name)} of {_at(effect)} {value} (95 %: {interval})")
+    if doubtful:
+        text += f" Uncertain, check before use: {'; '.join(doubtful)}."
+    return text
+
+
+def main_channels(result: Diagnosis, joints: int = 1) -> tuple[str, ...]:
+    """Positions and pressures of the joints that matter most: with an effect, or most in error."""
+    remaining = {one.channel: one for one in result.remaining}
+    channels = list(dict.fromkeys([*remaining, *(t.channel for t in result.traces)]))
+    elements = [e.element for e in result.effects]
+
+    def weight(channel: str) -> tuple[bool, float]:
+        joint = joint_of(channel)
+        near = any(e == joint or e.startswith(f"{joint}_") for e in elements)
+        one = remaining.get(channel)
+        if one is not None:
+            return near, one.before / one.noise if one.noise > 0.0 else one.before
+        return near, rms([t.before for t in result.traces if t.channel == channel])
+
+    positions = [c for c in channels if c.endswith("_position")] or channels[:1]
+    chosen = [joint_of(c) for c in sorted(positions, key=weight, reverse=True)[:joints]]
+    return tuple(c for joint in chosen for c in channels if joint_of(c) == joint)[: 3 * joints]
+
+
+def joint_of(channel: str) -> str:
+    """The joint that a column belongs to."""
+    for ending in ("_position", "_pressure_a", "_pressure_b", "_velocity"):
+        if channel.endswith(ending):
+            return channel.removesuffix(ending)
+    return channel
+
+
+def after_words(result: Diagnosis) -> str:
+    """What the simulation "after" has more than the model as it was."""
+    if result.effects:
+        return "with what was found"
+    return "with the smaller differences" if result.smaller else "recalibrated"
+
+
+def _parameter_unit(p: Estimate) -> tuple[float, str]:
+    sizes = [abs(v) for v in (p.value, p.nominal, *p.interval) if math.isfinite(v)]
+    largest = max(sizes, default=0.0)
+    if p.unit == "Pa":
+        return (1e-5, "bar") if largest >= 1e3 else (1.0, "Pa")
+    name, factor, limit = _SMALL.get(p.unit, (p.unit, 1.0, 0.0))
+    if 0.0 < largest < limit:
+        return factor, name
+    return 1.0, "" if p.unit == "1" else p.unit
+
+
+def _at(effect: NamedEffect) -> str:
+    return f"{readable(effect.name)} at {effect.element}"
+
+
+def _fitted(effect: NamedEffect) -> str:
+    """An effect with its values."""
+    told = []
+    for p in effect.parameters:
+        value, interval, nominal = parameter_words(p)
+        doubt = ", uncertain" if uncertain(p) else ""
+        told.append(f"{readable(p.name)} {value} (95 %: {interval}{doubt}), in the model {nominal}")
+    return f"{_at(effect)}: {', '.join(told)}" if told else _at(effect)
+
+
+def _confidence(effect: NamedEffect, *, alone: bool) -> str:
+    told = f"{percent(effect.confidence)} that the name is right"
+    return told if alone else f"{readable(effect.name)} {percent(effect.confidence)}"
+
+
+def _gap_of(result: Diagnosis) -> str:
+    """The gap that named effects may close, in words."""
+    gap = result.gap
+    place = f" on {_held(result)}" if gap.held_out else ""
+    if result.calibration is not None:
+        return f"what went wrong{place} since the healthy recordings"
+    return f"the error beyond sensor noise{place}"
+
+
+def _held(result: Diagnosis) -> str:
+    return listed(result.gap.held_out)
+
+
+def _left(result: Diagnosis) -> str:
+    """Errors at the end of a replay in units that a person knows, beside the sensors' noise."""
+    wanted = main_channels(result)
+    rows = [one for one in result.remaining if one.channel in wanted]
+    if not rows:
+        return ""
+    told = "; ".join(_error_words(one) for one in rows)
+    return f"after {rows[0].horizon:g} s of simulation: {told}"
+
+
+def _error_words(one: Remaining) -> str:
+    factor, unit = shown_unit(one.unit)
+    before, after = (number(factor * v) for v in (one.before, one.after))
+    noise = noise_words(one)
+    name = readable(one.channel)
+    return f"{name} {after} {unit} off (before {before} {unit}, sensor noise {noise})"
+
+
+def noise_words(one: Remaining) -> str:
+    """Sensor noise with its unit; what no rig resolves is not told apart."""
+    factor, unit = shown_unit(one.unit)
+    if factor * one.noise < _UNRESOLVED:
+        return f"under {_UNRESOLVED:g} {unit}"
+    return f"{number(factor * one.noise)} {unit}"
 
 
 def _looked_at(result: Diagnosis, model: str) -> tuple[str, ...]:
@@ -94,45 +305,159 @@ def _looked_at(result: Diagnosis, model: str) -> tuple[str, ...]:
         f"{tried} possible effects tried, {result.rollouts:.0f} replays of all windows, "
         f"{result.seconds:.0f} s."
     )
+    if pair_rounds(result):
+        lines.append("No single effect would do, so the best were tried two at once.")
+    if result.rough:
+        lines.append(
+            "The model differs from this machine by more than sensor noise whatever is fitted: its "
+            "own error was counted in."
+        )
     return tuple(lines)
+
+
+def _before(result: Diagnosis) -> tuple[str, ...]:
+    """What the healthy recordings said of the specimen."""
+    calibration = result.calibration
+    if calibration is None:
+        return ()
+    told = "; ".join(
+        f"{name} {number(before)}, calibrated {number(after)}"
+        for name, before, after in calibration.recordings
+    )
+    lines = [f"Error of the model in the healthy recordings, in noise levels: {told}."]
+    departed = [
+        f"{_parameter_of(p, effect)} at {element} {parameter_words(p)[0]}, in the model "
+        f"{parameter_words(p)[2]}"
+        for effect, element, p in calibration.estimates[:_RECALIBRATED]
+    ]
+    if departed:
+        lines.append(f"What departs most from the model: {'; '.join(departed)}.")
+    else:
+        lines.append("No parameter departs from the model by more than is barely noticeable.")
+    lines.append("This was so before; what follows is what changed since.")
+    return tuple(lines)
+
+
+def _parameter_of(p: Estimate, effect: str) -> str:
+    if p.name == effect:
+        return readable(effect)
+    return f"{readable(effect)}, {readable(p.name)}"
 
 
 def _missing(result: Diagnosis) -> tuple[str, ...]:
-    if not result.effects:
-        return ("No effect stands out from what chance gives.",)
     lines = []
     for effect in result.effects:
+        physics = f"{effect.physics.rstrip('.')}." if effect.physics else ""
+        lines.append(f"{capital(_at(effect))}. {physics}".rstrip())
         told = []
         for p in effect.parameters:
             value, interval, nominal = parameter_words(p)
-            told.append(f"{readable(p.name)} {value} (95 %: {interval}), in the model {nominal}")
-        physics = f"{effect.physics.rstrip('.')}." if effect.physics else ""
-        text = f"{capital(readable(effect.name))} at {effect.element}. {physics}"
-        lines.append(f"{text} Fitted: {'; '.join(told)}." if told else text)
+            doubt = ", uncertain" if uncertain(p) else ""
+            told.append(
+                f"{readable(p.name)} {value} (95 %: {interval}{doubt}), in the model {nominal}"
+            )
+        if told:
+            lines.append(f"Fitted: {'; '.join(told)}.")
         if effect.onset:
             times = listed(tuple(f"{time:.2f} s of {name}" for name, time in effect.onset))
             lines.append(f"{capital(readable(effect.name))} begins at {times}.")
-    return tuple(lines)
+    if not lines:
+        lines.append(
+            "No effect stands out from what chance gives."
+            if result.verdict == "nothing_missing"
+            else "No effect that was tried explains it."
+        )
+    return (*lines, *smaller_words(result))
+
+
+def smaller_words(result: Diagnosis) -> tuple[str, ...]:
+    """Differences that are there and are not the cause; empty for none."""
+    if not result.smaller:
+        return ()
+    told = []
+    for effect in result.smaller:
+        values = ", ".join(
+            f"{readable(p.name)} {parameter_words(p)[0]}"
+            if len(effect.parameters) > 1
+            else parameter_words(p)[0]
+            for p in effect.parameters
+        )
+        closes = f"closes {100.0 * effect.contribution:.0f} % of the gap"
+        told.append(f"{_at(effect)} {values}".rstrip() + f" ({closes})")
+    start = "There too, and not the cause" if result.effects else "There, and not the cause"
+    return (f"{start}: {'; '.join(told)}.",)
 
 
 def _sure(result: Diagnosis) -> tuple[str, ...]:
     lines = []
     for effect in result.effects:
         name = capital(readable(effect.name))
-        lines.append(
-            f"{name}: confidence {percent(effect.confidence)}; added last, it closes "
-            f"{percent(effect.contribution)} of what is open without it."
-        )
+        text = f"{name}: confidence {percent(effect.confidence)}"
+        times = effect.without / result.gap.after if result.gap.after > 0.0 else math.nan
+        if math.isfinite(times):
+            text += (
+                f"; without it the error is {number(times, 2)} times as large "
+                f"({number(effect.without)} instead of {number(result.gap.after)} noise levels)"
+            )
+        lines.append(f"{text}.")
         if effect.indistinguishable_from:
             others = listed(tuple(readable(n) for n in effect.indistinguishable_from), "or")
             lines.append(f"{name} is not told apart from {others}.")
     if not lines:
         return ("No effect is named, so there is no confidence to state.",)
-    return (
-        *lines,
-        "Confidence is the share of resampled data that prefers the name to every rival, "
-        "times the quality of the fit.",
+    return (*lines, _confidence_meaning(result))
+
+
+def _confidence_meaning(result: Diagnosis) -> str:
+    if result.rough:
+        return (
+            "Confidence is the probability of the name among the rivals that were tried in its "
+            "place, the size of the model's own error being unknown; causes that were not tried "
+            "are not in it."
+        )
+    text = "Confidence is the share of resampled data that prefers the name to its nearest rival"
+    if result.verdict in ("partial", "unexplained"):
+        text += ", lowered because more than noise is left"
+    return f"{text}."
+
+
+def _tried(result: Diagnosis) -> tuple[str, ...]:
+    """What was done about an error that no effect explains."""
+    tried = len({(rank.name, rank.element) for rank in result.ranking})
+    lines = [f"{tried} possible effects, each alone"]
+    if pair_rounds(result):
+        lines[0] += ", and the best two at once"
+    first = next((r for r in result.rivals if r.round == 1), None)
+    names = tuple(dict.fromkeys(map(readable, first.names)))[:_CLOSEST] if first else ()
+    lines[0] += f"; {listed(names)} came closest." if names else "."
+    gap = result.gap
+    lines.append(
+        f"The model errs by {number(gap.before)} noise levels, recalibrated within tolerance by "
+        f"{number(gap.baseline)}."
     )
+    moved = []
+    for p in result.nuisances:
+        half = (p.interval[1] - p.interval[0]) / 2.0
+        if half > 0.0 and abs(p.value - p.nominal) > _DEPARTED * half:
+            moved.append((abs(p.value - p.nominal) / half, p))
+    moved.sort(key=lambda entry: -entry[0])
+    if moved:
+        told = []
+        for _, p in moved[:_RECALIBRATED]:
+            value, _, nominal = parameter_words(p)
+            told.append(f"{readable(p.name)} {value}, in the model {nominal}")
+        lines.append(f"Recalibrated: {'; '.join(told)}.")
+    for effect in result.effects:
+        lines.append(f"{capital(_at(effect))}: confidence {percent(effect.confidence)}.")
+    if result.effects:
+        lines.append(_confidence_meaning(result))
+    if result.model:
+        lines.append("The improved model carries no effect without a name.")
+    else:
+        lines.append("No improved model is written: nothing makes the held-out recordings better.")
+    if result.learned:
+        lines.append(f"Learned without a name: {result.learned.rstrip('.')}.")
+    return tuple(lines)
 
 
 def _costs(result: Diagnosis) -> tuple[str, ...]:
@@ -142,42 +467,49 @@ def _costs(result: Diagnosis) -> tuple[str, ...]:
         f"{place} the simulation is off by {number(gap.before)} noise levels; recalibrated within "
         f"tolerance, by {number(gap.baseline)}"
     )
-    text += f"; with what was found, by {number(gap.after)}." if result.effects else "."
-    lines = [text, f"Noise of the sensors alone gives {number(gap.noise_floor)}."]
-    closed = gap.closed_fraction
+    found = bool(result.effects or result.smaller)
+    text += f"; {after_words(result)}, by {number(gap.after)}." if found else "."
+    lines = [text]
+    floor = f"Noise of the sensors alone gives {number(gap.noise_floor)}"
+    if gap.healthy is not None:
+        floor += f"; the healthy machine, calibrated, had {number(gap.healthy)}"
+    lines.append(f"{floor}.")
+    closed = gap.explained if gap.explained is not None else gap.closed_fraction
     if result.effects and closed is not None and math.isfinite(closed):
-        share = f"{100.0 * closed:.0f} % of the gap is closed."
+        share = f"{100.0 * closed:.0f} % of {_gap_of(result)} is explained."
         lines.append(
             share if closed > _HARDLY else f"The gap hardly closes: {100.0 * closed:.0f} %."
         )
-    return (*lines, *_in_units(result))
+    told = main_channels(result)  # They stand at the top of the page.
+    rows = [_error_words(one) for one in result.remaining if one.channel not in told][:_CHANNELS]
+    if rows:
+        horizon = f"{result.remaining[0].horizon:g} s after a measured start"
+        lines.append(f"Elsewhere, {horizon}, RMS: {'; '.join(rows)}.")
+    return tuple(lines)
 
 
-def _in_units(result: Diagnosis) -> tuple[str, ...]:
-    """Replay errors of the measured channels in units that a person knows."""
-    held = set(result.gap.held_out) or {r.name for r in result.recordings}
-    told = []
-    for channel in list(dict.fromkeys(t.channel for t in result.traces))[:_CHANNELS]:
-        mine = [t for t in result.traces if t.channel == channel and t.recording in held]
-        if not mine:
-            continue
-        factor, unit = shown_unit(mine[0].unit)
-        text = f"{readable(channel)} {number(factor * rms([t.before for t in mine]))} {unit}"
-        if result.effects:
-            text += f", then {number(factor * rms([t.after for t in mine]))} {unit}"
-        told.append(text)
-    return (f"RMS error of the replays: {'; '.join(told)}.",) if told else ()
+_RESIDUALS = {
+    "mechanical": "Mechanics of {}, force balance from measured pressures and motion",
+    "hydraulic": "Hydraulics of {}, oil balance from measured command, motion and pressures",
+    "motion": "Motion of {}, replayed from the measured command",
+}
+
+
+def where_words(result: Diagnosis) -> tuple[str, ...]:
+    """Where simulation and data disagree, a line an element."""
+    lines = []
+    for w in result.where:
+        place = w.region or "everywhere alike"
+        worst = place if place.startswith("everywhere") else f"worst {place}"
+        told = _RESIDUALS.get(w.residual, f"{capital(w.residual)} balance of {{}}")
+        lines.append(f"{told.format(w.element)}: {number(w.level)} noise levels, {worst}.")
+    return tuple(lines)
 
 
 def _where(result: Diagnosis) -> tuple[str, ...]:
     if not result.where:
-        return ("No balance of torque and oil was possible: it needs chamber pressures.",)
-    lines = [
-        f"{capital(w.residual)} balance of {w.element}: {number(w.level)} noise levels"
-        + (f", worst at {w.region}." if " in [" in w.region else f", {w.region or 'anywhere'}.")
-        for w in result.where
-    ]
-    lines.append("These are balances of the model as it was, along the measured motion.")
+        return ("No joint was measured in a way that says where.",)
+    lines = [*where_words(result), "This is the model as it was, along the measured motion."]
     if result.ceiling is not None and math.isfinite(result.ceiling):
         lines.append(
             f"Static functions of position, velocity, pressure and command could explain "
@@ -187,11 +519,22 @@ def _where(result: Diagnosis) -> tuple[str, ...]:
 
 
 def _untold(result: Diagnosis) -> tuple[str, ...]:
-    lines = [
-        f"{capital(readable(entry.name))} at {entry.element}: {entry.reason.rstrip('.')}."
-        for entry in result.not_testable
-    ]
-    lines += [f"{capital(note).rstrip('.')}." for note in result.notes]
+    lines = []
+    if len(result.not_testable) > _UNTOLD:
+        untold = tuple(f"{readable(n.name)} at {n.element}" for n in result.not_testable)
+        lines.append(
+            f"These recordings hardly show {listed(untold, 'or')}; the table below has what each "
+            "needs."
+        )
+    else:
+        lines += [
+            f"{capital(readable(entry.name))} at {entry.element}: {entry.reason.rstrip('.')}."
+            for entry in result.not_testable
+        ]
+    names = tuple(r.name for r in result.recordings)
+    for note in result.notes:
+        told = note if note.startswith(names) else capital(note)
+        lines.append(f"{told.rstrip('.')}.")
     return tuple(lines) or ("These recordings excite every effect that was tried.",)
 
 

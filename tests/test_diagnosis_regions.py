@@ -1,0 +1,67 @@
+"""Where errors are largest, of errors made up by hand."""
+
+import numpy as np
+
+from leglab.diagnosis.hypothesis import Hypothesis
+from leglab.diagnosis.isolation import isolate
+from leglab.diagnosis.regions import EVERYWHERE, worst_region
+from leglab.diagnosis.verdict import traces
+from leglab.diagnosis.workflow import DiagnosisSettings, set_up
+from tests.rigs import MOTOR_ARM, Hidden, record_linkage
+
+RNG = np.random.default_rng(3)
+POSITION = RNG.uniform(-1.0, 1.0, 4000)
+VELOCITY = RNG.normal(0.0, 1.0, 4000)
+NOISE = 0.1 * RNG.normal(size=4000)
+STATES = {"position": (POSITION, "rad"), "velocity": (VELOCITY, "rad/s")}
+
+
+def test_noise_is_everywhere_alike():
+    assert worst_region(NOISE, STATES) == EVERYWHERE
+    assert worst_region(np.zeros(4000), STATES) == EVERYWHERE
+
+
+def test_a_peak_at_zero_velocity_is_near_zero_velocity():
+    told = worst_region(NOISE + np.exp(-((VELOCITY / 0.15) ** 2)), STATES)
+    assert told.startswith("near zero velocity (-0.")
+    assert told.endswith(" rad/s)")
+
+
+def test_an_error_at_one_end_is_told_by_its_ends():
+    told = worst_region(NOISE + np.where(POSITION > 0.6, 1.0, 0.0), STATES)
+    low, high = (float(x) for x in told.removeprefix("at a position of ")[:-4].split(" to "))
+    assert abs(low - 0.6) < 0.05
+    assert abs(high - 0.99) < 0.03
+
+
+def test_what_repeats_is_told_with_its_period():
+    told = worst_region(NOISE + np.sin(2.0 * np.pi * POSITION / 0.45), STATES)
+    assert told.startswith("repeating every 0.4")
+    assert abs(float(told.split()[2]) - 0.45) < 0.02
+
+
+def test_a_smooth_slope_does_not_repeat():
+    assert "repeating" not in worst_region(NOISE + POSITION**3 - POSITION, STATES)
+
+
+def test_a_machine_without_pressures_has_a_place_joint_by_joint():
+    hidden = Hidden(quadratic=(0.0, 0.4))
+    recordings = {
+        kind: record_linkage(MOTOR_ARM, kind, hidden, seed=seed, seconds=3.0)
+        for seed, kind in enumerate(("multisine", "fast"))
+    }
+    problem = set_up(MOTOR_ARM.model, recordings, ("multisine",), DiagnosisSettings())
+    where, ceiling = isolate(problem)
+    assert ceiling is None
+    assert [w.residual for w in where] == ["motion", "motion"]
+    assert where[0].element == "elbow"
+    assert where[0].level > 2.0 * where[1].level
+    assert all(w.region != EVERYWHERE for w in where)
+    # In the noise levels of the gap.
+    gap = np.sqrt(problem.noise_levels(Hypothesis()).mean())
+    assert abs(np.sqrt(np.mean([w.level**2 for w in where])) / gap - 1.0) < 0.2
+    # Measured less the error is what was simulated: it starts where the measured window does.
+    for trace in traces(problem, Hypothesis()):
+        shown = trace.measured.reshape(-1, trace.bins)
+        assert np.allclose(shown.ravel(), trace.position, atol=0.05)
+        assert shown.size == trace.before.size
