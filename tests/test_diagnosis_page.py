@@ -499,6 +499,7 @@ def test_an_error_without_a_name_has_a_place_and_a_shape():
     )
     assert told["Learned"] == "Without a name: a torque that repeats."
     assert "Explains" not in told
+    assert "Learned" not in dict(facts(diagnosis("nothing_missing", learned="a torque")))
 
 
 def test_where_is_told_without_pressures():

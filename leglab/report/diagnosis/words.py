@@ -95,7 +95,7 @@ def facts(result: Diagnosis) -> tuple[tuple[str, str], ...]:
     explained = result.gap.explained
     if result.effects and explained is not None and math.isfinite(explained):
         rows.append(("Explains", f"{100.0 * explained:.0f} % of {_gap_of(result)}"))
-    if result.learned:
+    if result.learned and result.verdict != "nothing_missing":
         rows.append(("Learned", f"without a name: {result.learned.rstrip('.')}"))
     left = _left(result)
     if left:
