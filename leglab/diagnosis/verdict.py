@@ -106,9 +106,13 @@ def assemble(found: Search, settings: DiagnosisSettings, *, seconds: float) -> D
     names = [s.name for s in problem.series]
     judged = [bool(problem.held[own].any()) for own in windows]
     specimen = found.specimen
+    level = {k: _rms(squares[k][held]) for k in squares}
     gap = Gap(
         held_out=tuple(name for name, held_out in zip(names, judged, strict=True) if held_out),
-        **{k: _rms(squares[k][held]) for k in squares},
+        before=level["before"],
+        baseline=level["baseline"],
+        after=level["after"],
+        unnamed=level.get("unnamed", float("nan")),
         healthy=_healthy_level(found, held) if specimen else None,
     )
     rivals = tuple(
