@@ -58,14 +58,15 @@ _PACKAGE = Path(__file__).parent.parent
 _FILES = {"scenarios": "*.py", "controllers": "*.py", "models": "*.xml"}
 # Several classes may stand behind one name, and loading them takes MuJoCo: so they are listed.
 _EFFECTS = (
-    "actuator_gain", "armature", "asymmetric_friction", "backlash", "base_tilt",
-    "command_bandwidth", "command_bias", "command_deadband", "command_delay",
-    "command_hysteresis", "coulomb_friction", "encoder_offset", "encoder_scale", "entrained_air",
-    "external_leakage", "force_offset", "internal_leakage", "load_dependent_friction",
-    "oil_viscosity", "payload", "pressure_dependent_friction", "quadratic_damping", "sensor_delay",
-    "spring_hardening", "spring_offset", "spring_stiffness", "stiction", "supply_droop",
-    "supply_pressure", "valve_bandwidth", "valve_bias", "valve_deadband", "valve_gain",
-    "valve_gain_asymmetry", "valve_hysteresis", "viscous_friction",
+    "actuator_gain", "armature", "asymmetric_friction", "backlash", "base_tilt", "cogging",
+    "command_bandwidth", "command_bias", "command_deadband", "command_delay", "command_hysteresis",
+    "coulomb_friction", "encoder_offset", "encoder_scale", "entrained_air", "external_leakage",
+    "force_offset", "internal_leakage", "joint_flexibility", "load_dependent_friction",
+    "oil_viscosity", "payload", "pressure_dependent_friction", "pressure_sensor_offset",
+    "pressure_sensor_scale", "quadratic_damping", "sensor_delay", "spring_hardening",
+    "spring_offset", "spring_stiffness", "stiction", "supply_droop", "supply_pressure",
+    "valve_bandwidth", "valve_bias", "valve_deadband", "valve_gain", "valve_gain_asymmetry",
+    "valve_hysteresis", "viscous_friction",
 )  # fmt: skip
 _LISTED = {
     "effects": _EFFECTS,

@@ -49,10 +49,7 @@ class NoiseModel:
         if discrepancy is None:
             return replace(self, whitening=self.sensors, discrepancy=None)
         covariance = self.covariance + discrepancy.covariance(recording)
-        # A model error far above noise has few shapes: what rounding leaves must stay positive.
-        diagonal = np.arange(covariance.shape[1])
-        covariance[:, diagonal, diagonal] *= 1.0 + _ROUNDING
-        whitening = np.linalg.inv(np.linalg.cholesky(covariance))
+        whitening = inverse_roots(covariance)
         return replace(self, whitening=whitening, discrepancy=discrepancy)
 
 
@@ -75,6 +72,17 @@ class Nuisance:
     def value(self, hypothesis: Mapping[Key, np.ndarray]) -> float:
         """Its value under a hypothesis."""
         return hypothesis[self.key][self.index] if self.key in hypothesis else self.nominal
+
+
+def inverse_roots(covariance: np.ndarray) -> np.ndarray:
+    """Inverse Cholesky factors of covariances, shape (windows, size, size).
+
+    Errors far above noise have few shapes; their covariance is positive but for rounding.
+    """
+    diagonal = np.arange(covariance.shape[1])
+    widened = covariance.copy()
+    widened[:, diagonal, diagonal] *= 1.0 + _ROUNDING
+    return np.linalg.inv(np.linalg.cholesky(widened))
 
 
 def departures(hypothesis: Mapping[Key, np.ndarray], nuisances: Sequence[Nuisance]) -> np.ndarray:
@@ -343,7 +351,7 @@ class Problem:
         defect = finer * self._beyond_half[:, None]
         direction = defect.reshape(replay.windows, self.size)
         covariance += direction[:, :, None] * direction[:, None, :]
-        whitening = np.linalg.inv(np.linalg.cholesky(covariance))
+        whitening = inverse_roots(covariance)
         return NoiseModel(
             defect=defect, whitening=whitening, sensors=whitening, covariance=covariance
         )

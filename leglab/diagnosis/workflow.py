@@ -170,13 +170,25 @@ def search(
         specimen: What healthy recordings said.
     """
     floor = specimen.discrepancy_of(problem.series) if specimen else None
+    exact = None
     if floor is None:
-        found = _exact_search(problem, settings, progress)
+        exact = replace(_exact_search(problem, settings, progress), specimen=specimen)
         limits = problem.thresholds
-        left = float(found.problem.window_cost(found.fit.hypothesis).mean())
+        left = float(exact.problem.window_cost(exact.fit.hypothesis).mean())
         if left <= limits.explained:
-            return replace(found, specimen=specimen)
-    return replace(_rough_search(problem, settings, progress, specimen, floor), specimen=specimen)
+            return exact
+        if left > limits.close_cost or not exact.named:
+            exact = None
+    rough = replace(_rough_search(problem, settings, progress, specimen, floor), specimen=specimen)
+    # Little is left after some effects: they may be right, and the model's error none of its own.
+    return exact if exact is not None and _level(exact) <= _level(rough) else rough
+
+
+def _level(found: Search) -> float:
+    """Mean square error of the final fit in noise levels, where held out."""
+    problem = found.problem
+    held = problem.held if problem.held.any() else problem.fitted
+    return float(problem.noise_levels(found.fit.hypothesis)[held].mean())
 
 
 def _rough_search(
