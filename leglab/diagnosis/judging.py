@@ -131,6 +131,17 @@ def posterior(costs: Sequence[float], numbers: float) -> np.ndarray:
     return weights / weights.sum()
 
 
+def within_library(explained: float) -> float:
+    """Probability that the cause is among the effects that were tried, by the share they explain.
+
+    The right cause explains nearly all that a fault opens, a wrong one that imitates it seldom more
+    than half: the odds are taken for the square of the explained to the unexplained share. The
+    self-test on rough specimens says how true the product is (docs/diagnosis.md).
+    """
+    share = min(max(explained, 0.0), 1.0)
+    return share**2 / (share**2 + (1.0 - share) ** 2)
+
+
 def intervals(problem: Problem, fit: Fit) -> dict[Key, np.ndarray]:
     """Half the width of the 95 % intervals of each free effect's parameters, in their units.
 

@@ -17,7 +17,7 @@ from leglab.diagnosis.experiment import propose
 from leglab.diagnosis.fitting import Fit
 from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.isolation import isolate, sample_places
-from leglab.diagnosis.judging import earns, intervals, posterior, preferences
+from leglab.diagnosis.judging import earns, intervals, posterior, preferences, within_library
 from leglab.diagnosis.model import CYLINDER, Machine
 from leglab.diagnosis.remarks import Remark, merged
 from leglab.diagnosis.residual import Problem
@@ -210,14 +210,20 @@ def _judge_rough(found: Search, gap: Gap, held: np.ndarray, rng: np.random.Gener
     def contribution(key: Key) -> float:
         return (_rms(problem.noise_levels(final.without(key))[held]) - gap.after) / room
 
-    effects = _effects(found, contribution, lambda key: _rough_ties(found, key))
+    listed = within_library(gap.explained or 0.0)
+
+    def ties(key: Key) -> tuple[tuple[str, ...], float]:
+        tied, share = _rough_ties(found, key)
+        return tied, share * listed
+
+    effects = _effects(found, contribution, ties)
     causes = tuple(e for e in effects if e.contribution >= limits.smaller_share)
     smaller = tuple(e for e in effects if e.contribution < limits.smaller_share)
     if not causes:
         healthy = found.specimen is not None
         return ("nothing_missing" if healthy and _as_healthy(found) else "unexplained"), (), smaller
     if (gap.explained or 0.0) < limits.explanation_share:
-        return "partial", causes, smaller
+        return "unexplained", causes, smaller
     tied = any(e.indistinguishable_from for e in causes)
     return ("confusion_set" if tied else "named"), causes, smaller
 
@@ -374,7 +380,7 @@ def _ties(found: Search, key: Key, rng: np.random.Generator) -> tuple[tuple[str,
         near = rival.cost.mean() - own.cost.mean() < limits.distance
         if preferred < limits.preference or near:
             tied.append(rival.key[0])
-        confidence = min(confidence, min(preferred, 0.5) if near else preferred)
+        confidence = min(confidence, 0.5 if near else preferred)
     return tuple(tied), float(confidence)
 
 
