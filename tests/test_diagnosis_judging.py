@@ -416,6 +416,13 @@ def test_a_machine_lacks_nothing_only_while_it_errs_as_when_healthy(sketch, cost
     assert rough_verdict(sketch, [], a_gap())[0] == "unexplained"
 
 
+def test_explained_is_that_over_all_where_held_out_hardly_shows_it():
+    """A slow held-out recording does not show a fault of fast motion."""
+    assert a_gap(unnamed=31.8, after=31.9, healthy=30.8).explained == 0.0
+    gap = a_gap(unnamed=31.8, after=31.9, healthy=30.8, overall=(180.0, 21.0, 20.0))
+    assert gap.explained == pytest.approx(159.0 / 160.0)
+
+
 def test_explained_is_the_share_of_what_the_healthy_machine_did_not_show():
     assert a_gap(unnamed=10.0, after=4.0, healthy=4.0).explained == 1.0
     assert a_gap(unnamed=10.0, after=7.0, healthy=4.0).explained == pytest.approx(0.5)

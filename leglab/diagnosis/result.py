@@ -131,6 +131,8 @@ class Gap:
         noise_floor: What noise alone gives.
         healthy: Error that the calibrated specimen had in its healthy recordings; None without any.
         unnamed: Error of the final fit without the named effects; NaN where there are none.
+        overall: `unnamed`, `after` and the healthy error over all recordings, where those held out
+            hardly show what is named; else None.
         held_out: Names of the recordings.
     """
 
@@ -141,6 +143,7 @@ class Gap:
     after: float
     healthy: float | None = None
     unnamed: float = math.nan
+    overall: tuple[float, float, float] | None = None
     held_out: tuple[str, ...]
 
     @property
@@ -149,10 +152,15 @@ class Gap:
 
         What was off before the machine changed, or noise, is no part of the gap.
         """
-        room = self.unnamed - (self.healthy or self.noise_floor)
+        unnamed, after, floor = self.overall or (
+            self.unnamed,
+            self.after,
+            self.healthy or self.noise_floor,
+        )
+        room = unnamed - floor
         if not room > 0.05:
             return None
-        return min(max((self.unnamed - self.after) / room, 0.0), 1.0)
+        return min(max((unnamed - after) / room, 0.0), 1.0)
 
     @property
     def closed_fraction(self) -> float | None:
@@ -315,7 +323,7 @@ class Diagnosis:
             "where": [asdict(where) for where in self.where],
             "not_testable": sorted({n.name for n in self.not_testable}),
             "gap": {
-                **_fields(self.gap, "held_out", "unnamed"),
+                **_fields(self.gap, "held_out", "unnamed", "overall"),
                 "closed_fraction": self.gap.closed_fraction,
                 "held_out": self.gap.held_out,
             },

@@ -182,6 +182,8 @@ class Thresholds:
     rough_numbers: float = 30.0
     # A rival this many times less probable is not told apart.
     rough_tie: float = 4.0
+    # Held-out recordings hardly show an effect if their gap is less than this share of the overall.
+    shown_share: float = 0.3
     # An effect of a rough machine that closes less of the gap is a smaller difference.
     smaller_share: float = 0.1
     # Strengths of a calibrated specimen that are listed depart by this share of barely noticeable.
