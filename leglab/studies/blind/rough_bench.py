@@ -510,7 +510,9 @@ FAULTS: dict[str, RoughFault] = {
         effect="backlash",
     ),
     # A torque that repeats with the position, of a drawn period.
-    "position_torque": RoughFault(size=Size(visible=0.8, low=2.0, high=8.0), change=_ripple),
+    "position_torque": RoughFault(
+        size=Size(visible=0.8, low=2.0, high=8.0), change=_ripple, effect="cogging"
+    ),
 }
 
 
