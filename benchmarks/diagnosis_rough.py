@@ -15,6 +15,7 @@ from diagnosis_bench import named
 
 from leglab.base.recording import Recording
 from leglab.diagnosis.recordings import read_recordings, split_held_out
+from leglab.diagnosis.result import shown_unit
 from leglab.diagnosis.verdict import diagnose
 from leglab.studies.shared_data import shared_data
 
@@ -60,10 +61,9 @@ def run(case: str, *, healthy: bool) -> dict[str, Any]:
         recordings, held, before, hidden = bench(case)
     result, _ = diagnose(model, recordings, held_out=held, healthy=before if healthy else None)
     print(f"{case}: {result.verdict}, {result.seconds:.0f} s", file=sys.stderr, flush=True)
-    units = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "Pa": (1e-5, "bar")}
     left: dict[str, str] = {}
     for one in result.remaining:
-        factor, unit = units[one.unit]
+        factor, unit = shown_unit(one.unit)
         left.setdefault(unit, f"{factor * one.before:.2f} > {factor * one.after:.2f} {unit}")
     return {
         "case": case,

@@ -178,3 +178,24 @@ def test_every_hydraulic_model_runs_reports_and_converts(model, tmp_path, capsys
     assert (folder / "report.html").stat().st_size > 0
     main(["convert", str(folder / "recording.parquet"), str(tmp_path / "run.mcap")])
     assert ("rail_position" in data.read(folder / "recording.parquet")) == (model == "leg_rail")
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        (["--rough"], "--rough, --no-healthy and --sizes are options of --self-test"),
+        (["--no-healthy"], "--rough, --no-healthy and --sizes are options of --self-test"),
+        (["--sizes", "visible"], "--rough, --no-healthy and --sizes are options of --self-test"),
+        (["--healthy", "walk.csv"], "walk.csv is given as a recording and as --healthy"),
+    ],
+)
+def test_diagnose_refuses_options_that_contradict(tmp_path, monkeypatch, capsys, options, reason):
+    monkeypatch.chdir(tmp_path)
+    columns = "time,knee_position,knee_valve_command\n"
+    rows = "".join(f"{0.001 * k},{0.1},{0.0}\n" for k in range(9))
+    (tmp_path / "walk.csv").write_text(columns + rows)
+    command = ("diagnose", "knee_bench", "walk.csv", "--out", "out", *options)
+    status, _, error = leglab(*command, capsys=capsys)
+    assert status == 2
+    assert reason in " ".join(error.split())
+    assert not (tmp_path / "out").exists()

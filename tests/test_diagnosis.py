@@ -16,10 +16,11 @@ from leglab.diagnosis.admission import admit
 from leglab.diagnosis.experiment import catalogue, propose
 from leglab.diagnosis.hypothesis import Hypothesis, Library
 from leglab.diagnosis.model import Change, Machine
+from leglab.diagnosis.naming import exact_twins
 from leglab.diagnosis.output import write_diagnosis, write_improved
 from leglab.diagnosis.recordings import held_out_choice, read_recordings, split_held_out
 from leglab.diagnosis.thresholds import Thresholds
-from leglab.diagnosis.verdict import diagnose, exact_twins
+from leglab.diagnosis.verdict import diagnose
 from leglab.diagnosis.windows import Channel
 from leglab.diagnosis.workflow import DiagnosisSettings, set_up
 from tests.patched_models import reloaded_error

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from leglab.diagnosis.model import Machine
+from leglab.diagnosis.naming import coupled_joints
 from leglab.diagnosis.output import write_improved
-from leglab.diagnosis.verdict import coupled_joints, diagnose
+from leglab.diagnosis.verdict import diagnose
 from tests.patched_models import reloaded_error
 from tests.rigs import (
     GANTRY,

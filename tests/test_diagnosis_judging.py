@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from leglab.diagnosis import improve, rough, verdict
+from leglab.diagnosis import naming, rough
 from leglab.diagnosis.discrepancy import Discrepancy, from_errors
 from leglab.diagnosis.fitting import Fit
 from leglab.diagnosis.hypothesis import Hypothesis, Library
@@ -21,22 +21,16 @@ from leglab.diagnosis.judging import (
     simplest_first,
 )
 from leglab.diagnosis.model import Machine
-from leglab.diagnosis.residual import (
-    Linearisation,
-    NoiseModel,
-    rough_nuisances,
-    specimen_nuisances,
-    within_tolerance,
-)
+from leglab.diagnosis.nuisances import rough_nuisances, specimen_nuisances, within_tolerance
+from leglab.diagnosis.residual import Linearisation, NoiseModel
 from leglab.diagnosis.result import Gap
 from leglab.diagnosis.rough import at_least, settled_baseline
 from leglab.diagnosis.search import Contender, Round
 from leglab.diagnosis.thresholds import DEFAULT
-from leglab.diagnosis.verdict import assemble, diagnose
 from leglab.diagnosis.windows import Channel
-from leglab.diagnosis.workflow import DiagnosisSettings, Search, search, set_up
+from leglab.diagnosis.workflow import Search
 from leglab.studies.blind.selftest import Outcome, scores
-from tests.rigs import PENDULUM, Truth, record
+from tests.rigs import PENDULUM
 
 OFFSET, VISCOUS = ("force_offset", "hinge"), ("viscous_friction", "hinge")
 ASYMMETRIC, COULOMB = ("asymmetric_friction", "hinge"), ("coulomb_friction", "hinge")
@@ -66,7 +60,7 @@ def sketch(machine, library, monkeypatch):
         return np.broadcast_to(costs[frozenset(hypothesis)], WINDOWS).astype(float)
 
     no_width = {OFFSET: np.zeros(1), VISCOUS: np.zeros(1), ASYMMETRIC: np.zeros(4)}
-    monkeypatch.setattr(verdict, "intervals", lambda problem, fit: no_width)
+    monkeypatch.setattr(naming, "intervals", lambda problem, fit: no_width)
     problem = SimpleNamespace(
         machine=machine,
         library=library,
@@ -75,6 +69,7 @@ def sketch(machine, library, monkeypatch):
         series=[],
         size=SIZE,
         held=HELD,
+        judged=HELD,
         fitted=~HELD,
         noise=SimpleNamespace(discrepancy=None),
         costs=costs,
@@ -125,7 +120,14 @@ def a_gap(**levels):
 def exact(problem, named, contenders=()):
     rng = np.random.default_rng(0)
     found = a_search(problem, named, contenders)
-    return verdict._judge_exact(found, a_gap(), problem.held, rng)
+    return naming.judge_exact(found, rng)
+
+
+def rough_ties(found, key):
+    def weigh(own, rivals):
+        return naming._by_posterior(own, rivals, DEFAULT)
+
+    return naming._ties(found, key, weigh)
 
 
 def ripple(mean, size=0.3, seed=0):
@@ -322,7 +324,7 @@ def test_a_larger_effect_that_earns_no_more_is_no_rival(sketch):
     own = contender(sketch.library, VISCOUS, 1.0)
     larger = contender(sketch.library, ASYMMETRIC, 0.999)
     found = a_search(sketch, [VISCOUS], [own, larger])
-    assert verdict._rough_ties(found, VISCOUS) == ((), 1.0)
+    assert rough_ties(found, VISCOUS) == ((), 1.0)
 
 
 # Probability of a name on a rough machine.
@@ -352,7 +354,7 @@ def test_posterior_of_the_best_grows_with_its_margin_and_with_the_numbers():
 def test_confidence_of_a_rough_name_depends_on_its_margin(sketch):
     def confidence(margin):
         tried = [contender(sketch.library, k, c) for k, c in ((OFFSET, 1.0), (COULOMB, margin))]
-        return verdict._rough_ties(a_search(sketch, [OFFSET], tried), OFFSET)
+        return rough_ties(a_search(sketch, [OFFSET], tried), OFFSET)
 
     tied, narrow = confidence(1.02)
     assert tied == ("coulomb_friction",)
@@ -379,7 +381,7 @@ def test_confidence_of_a_rough_name_depends_on_what_it_explains(sketch):
 
 def rough_verdict(problem, named, gap, specimen=None):
     found = a_search(problem, named, specimen=specimen)
-    return verdict._judge_rough(found, gap, problem.held, np.random.default_rng(0))
+    return naming.judge_rough(found, gap, problem.held)
 
 
 def test_what_closes_a_twentieth_of_the_gap_is_a_smaller_difference(sketch):
@@ -647,209 +649,3 @@ def test_effects_depart_from_the_specimen_and_not_from_the_model(machine, own):
         priors = {n.key: n.nominal for n in nuisances}
         assert priors[VISCOUS] == 0.1
     assert priors[OFFSET] == 0.3
-
-
-# A whole diagnosis of a machine that differs from its model everywhere a little.
-
-# Heavier, with a soft gear that loses power, a toothed pull and a thicker grease.
-ROUGH_RIG = replace(PENDULUM, load=0.104, pull=1.02 * PENDULUM.pull)
-ROUGH = {
-    "ripple": (0.05, 0.5, 0.3),
-    "gear_loss": 0.03,
-    "soft": (400.0, 0.4),
-    "viscous_factor": 1.3,
-}
-SETTINGS = DiagnosisSettings(
-    effects=("force_offset", "viscous_friction", "coulomb_friction"), threads=1
-)
-HELD_OUT = "multisine"
-
-
-def recordings(kinds, seed, **fault):
-    truth = Truth(**ROUGH, **fault)
-    return {
-        kind: record(ROUGH_RIG, kind, truth, seed=seed + i, seconds=4.0)
-        for i, kind in enumerate(kinds)
-    }
-
-
-@pytest.fixture(scope="module")
-def healthy():
-    return recordings(("multisine", "stairs"), 10)
-
-
-@pytest.fixture(scope="module")
-def ill(healthy):
-    """A specimen that pulls to one side since it was healthy."""
-    later = recordings((HELD_OUT, "fast", "stairs"), 0, offset=0.4)
-    return diagnose(PENDULUM.model, later, held_out=(HELD_OUT,), healthy=healthy, settings=SETTINGS)
-
-
-@pytest.fixture(scope="module")
-def well(ill, healthy):
-    """The same specimen on another day, nothing changed."""
-    specimen = ill[1].specimen
-    problem = set_up(
-        PENDULUM.model,
-        recordings((HELD_OUT, "fast", "stairs"), 0),
-        (HELD_OUT,),
-        SETTINGS,
-        specimen=specimen.values,
-        beside=healthy,
-    )
-    found = search(problem, SETTINGS, specimen=specimen)
-    return assemble(found, SETTINGS, seconds=0.0), found
-
-
-def test_what_changed_since_a_rough_machine_was_healthy_is_named(ill):
-    result, found = ill
-    assert result.rough
-    assert result.verdict == "named"
-    assert [e.name for e in result.effects] == ["force_offset"]
-    assert result.effects[0].confidence > 0.8
-    (force,) = result.effects[0].parameters
-    # The effect departs from what the specimen was, and says so.
-    assert force.nominal == found.specimen.values[OFFSET][0]
-    assert force.value - force.nominal == pytest.approx(0.4, rel=0.1)
-    half = intervals(found.problem, found.fit)[OFFSET][0]
-    assert force.interval == pytest.approx((force.value - half, force.value + half))
-
-
-def test_a_rough_machine_that_is_as_healthy_as_before_gets_no_name(well):
-    result, _ = well
-    assert result.verdict == "nothing_missing"
-    assert result.effects == ()
-    assert result.smaller == ()
-
-
-def test_the_gap_is_that_of_the_held_out_recordings(ill):
-    result, found = ill
-    problem, final = found.problem, found.fit.hypothesis
-
-    def level(hypothesis, windows):
-        return np.sqrt(problem.noise_levels(hypothesis)[windows].mean())
-
-    held = np.array([problem.series[i].name == HELD_OUT for i in problem.replay.recording])
-    assert result.gap.held_out == (HELD_OUT,)
-    told = {
-        "before": Hypothesis(),
-        "baseline": found.baseline.hypothesis,
-        "after": final,
-        "unnamed": final.without(*found.named),
-    }
-    for name, hypothesis in told.items():
-        assert getattr(result.gap, name) == pytest.approx(level(hypothesis, held)), name
-        assert getattr(result.gap, name) != pytest.approx(level(hypothesis, ~held), rel=0.02), name
-    by_name = dict(zip(("multisine", "stairs"), found.specimen.after, strict=True))
-    assert result.gap.healthy == pytest.approx(by_name["multisine"])
-    assert result.gap.healthy > 5.0  # far from noise alone, and what it is no part of what is open
-    assert result.gap.explained > 0.9
-
-
-def test_no_fit_sees_the_held_out_recordings(ill, well):
-    for _, found in (ill, well):
-        problem = found.problem
-        held = np.array([problem.series[i].name == HELD_OUT for i in problem.replay.recording])
-        np.testing.assert_array_equal(problem.held, held)
-        np.testing.assert_array_equal(problem.fitted, ~held)
-        fits = [found.baseline, found.fit]
-        fits += [c.fit for one in found.rounds for c in one.contenders]
-        for fit in fits:
-            assert fit.at.chosen.any()
-            assert not (fit.at.chosen & held).any()
-
-
-def test_a_round_knows_what_chance_gives(ill):
-    # 99 % of a chi-square with one degree of freedom; of the best of several, more.
-    assert ill[1].rounds[0].threshold > 6.6
-
-
-def test_the_discrepancy_is_that_of_the_best_explanation(ill):
-    """Annealed: an estimate about the model without the effect would be hundreds of times that."""
-    found = ill[1]
-    problem, floor = found.problem, found.specimen.discrepancy_of(found.problem.series)
-    now = problem.noise.discrepancy.variance
-    left = at_least(problem.discrepancy(found.fit.hypothesis), floor).variance
-    without = problem.discrepancy(found.fit.hypothesis.without(OFFSET)).variance
-    assert (now < 4.0 * left).all()
-    assert (now < 0.1 * without).all()
-    cost = found.problem.window_cost(found.fit.hypothesis)
-    assert 0.3 < np.median(cost) < 1.5
-    # Under it the contenders of the round were judged: neither all right nor all wrong.
-    costs = {c.key[0]: c.cost.mean() for c in found.rounds[0].contenders}
-    assert 0.3 < costs.pop("force_offset") < 1.5
-    assert min(costs.values(), default=9.0) > 3.0
-
-
-def test_the_discrepancy_is_at_least_that_of_the_healthy_recordings(ill, well):
-    for _, found in (ill, well):
-        floor = found.specimen.discrepancy_of(found.problem.series)
-        assert (floor.variance > 0.0).all()
-        assert (found.problem.noise.discrepancy.variance >= floor.variance).all()
-
-
-def test_a_discrepancy_gives_errors_their_usual_cost(well):
-    problem, hypothesis = well[1].problem, well[1].fit.hypothesis
-    found = problem.discrepancy(hypothesis)
-    white = problem.trusting(found).residual(hypothesis)
-    usual = np.median(np.mean(white**2, axis=1))
-    assert usual == pytest.approx(DEFAULT.usual_cost, rel=0.1)
-
-
-def test_the_nearest_healthy_recording_is_that_of_the_same_motion(ill):
-    specimen, series = ill[1].specimen, ill[1].problem.series
-    assert [s.name for s in specimen.problem.series] == ["multisine", "stairs"]
-    nearest = dict(zip([s.name for s in series], specimen.nearest(series), strict=True))
-    assert nearest["multisine"] == 0
-    assert nearest["stairs"] == 1
-    shared = specimen.discrepancy_of(series)
-    known = specimen.discrepancy.variance
-    np.testing.assert_array_equal(shared.variance, known[specimen.nearest(series)])
-
-
-# What improved.xml carries.
-
-
-@pytest.fixture
-def unlearned(monkeypatch):
-    """No remainder: what the effects alone are worth."""
-    monkeypatch.setattr(improve, "learn_remainder", lambda *args, **kwargs: None)
-
-
-def test_the_improved_model_carries_what_is_named(ill, unlearned):
-    result, found = ill
-    model = improve.improved_model(found, result)
-    whole = model.problem.library.whole(model.hypothesis)
-    np.testing.assert_array_equal(whole[OFFSET], found.fit.hypothesis[OFFSET])
-
-
-@pytest.mark.parametrize("said", ["unexplained", "named"])
-def test_the_improved_model_carries_no_effect_without_a_name(ill, unlearned, said):
-    """Nor one that the search has found and the verdict does not name."""
-    result, found = ill
-    result = replace(result, verdict=said, effects=() if said == "named" else result.effects)
-    model = improve.improved_model(found, result)
-    if model is not None:  # recalibration alone may pay
-        offset = model.problem.library.whole(model.hypothesis)[OFFSET]
-        assert abs(offset - found.specimen.values[OFFSET]) < 0.1
-        assert not model.hypothesis.only(found.named)
-
-
-def test_no_model_is_written_that_errs_more_where_held_out(ill, unlearned):
-    result, found = ill
-    worse = found.fit.hypothesis.with_values(OFFSET, np.array([-0.4]))
-    found = replace(found, fit=found.fit.with_hypothesis(worse))
-    assert improve.improved_model(found, result) is None
-
-
-def test_no_model_is_written_where_only_fitted_recordings_gain(ill, unlearned, monkeypatch):
-    result, found = ill
-    problem, levels = found.problem, type(found.problem).noise_levels
-
-    def only_fitted(self, hypothesis):
-        """The held-out recordings err as they did before, whatever is said."""
-        found, before = levels(self, hypothesis), levels(self, problem.library.neutral())
-        return np.where(problem.held, before, found)
-
-    monkeypatch.setattr(type(problem), "noise_levels", only_fitted)
-    assert improve.improved_model(found, result) is None

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from leglab.base.errors import LeglabError
-from leglab.cli.options import Json, Overwrite
+from leglab.cli.options import Columns, HeldOut, Json, Overwrite
 from leglab.cli.terminal import output, print_json, progress
 
 
@@ -17,12 +17,7 @@ def diagnose(
         list[Path] | None, typer.Argument(help="Recordings: .parquet, .csv, .mcap, .mat, .npz.")
     ] = None,
     out: Annotated[Path, typer.Option(help="Output folder.")] = Path("out/diagnosis"),
-    held_out: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Recording kept from all fits, repeatable; default: chosen by excitation."
-        ),
-    ] = None,
+    held_out: HeldOut = None,
     healthy: Annotated[
         list[Path] | None,
         typer.Option(
@@ -30,12 +25,7 @@ def diagnose(
             "changed since."
         ),
     ] = None,
-    columns: Annotated[
-        Path | None,
-        typer.Option(
-            help="TOML file: what the columns of the recordings are called here, and units."
-        ),
-    ] = None,
+    columns: Columns = None,
     effect: Annotated[
         list[str] | None,
         typer.Option(help="Effect to consider, of docs/effects.md, repeatable; default: all."),
@@ -77,6 +67,8 @@ def diagnose(
         else:
             _self_test(out, cases, seed, as_json)
         return
+    if rough or no_healthy or sizes != "gross":
+        raise LeglabError("--rough, --no-healthy and --sizes are options of --self-test")
     if model is None or not recordings:
         raise LeglabError("diagnose needs a model and at least one recording, or --self-test")
     from leglab.diagnosis import output as results
@@ -92,6 +84,11 @@ def diagnose(
     named = read_recordings(recordings, columns)
     named, held = split_held_out(model, named, held_out or [])
     before = read_recordings(healthy, columns) if healthy else None
+    both = {path.resolve() for path in recordings} & {path.resolve() for path in healthy or []}
+    if both:
+        raise LeglabError(
+            f"{min(both).name} is given as a recording and as --healthy; allowed: one of both"
+        )
     settings = DiagnosisSettings(effects=tuple(effect) if effect else None, seed=seed)
     with progress("diagnosis") as show:
         result, found = run_diagnosis(

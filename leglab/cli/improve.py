@@ -9,34 +9,19 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from leglab.cli.options import Json, Overwrite
+from leglab.cli.options import Columns, HeldOut, Json, Overwrite, Recordings
 from leglab.cli.terminal import output, print_json, progress
 
 if TYPE_CHECKING:
     from leglab.diagnosis.improve import Improvement
 
-# Factor and unit in which errors are printed, by the SI unit.
-_PRINTED = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "Pa": (1e-5, "bar")}
-
 
 def improve(
     model: Annotated[str, typer.Argument(help="Machine.")],
-    recordings: Annotated[
-        list[Path], typer.Argument(help="Recordings: .parquet, .csv, .mcap, .mat, .npz.")
-    ],
+    recordings: Recordings,
     out: Annotated[Path, typer.Option(help="Output folder.")] = Path("out/improved"),
-    held_out: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Recording kept from all fits, repeatable; default: chosen by excitation."
-        ),
-    ] = None,
-    columns: Annotated[
-        Path | None,
-        typer.Option(
-            help="TOML file: what the columns of the recordings are called here, and units."
-        ),
-    ] = None,
+    held_out: HeldOut = None,
+    columns: Columns = None,
     effects: Annotated[
         bool,
         typer.Option(help="Look for effects first, and keep those that are sure."),
@@ -88,6 +73,8 @@ def improve(
 
 def _table(result: "Improvement") -> Table:
     """Replay errors of all recordings before and after."""
+    from leglab.diagnosis.result import shown_unit
+
     title = f"replay error, RMS before > after; of channels after {result.horizon:g} s"
     table = Table(title=title, title_justify="left")
     table.add_column("recording")
@@ -95,14 +82,14 @@ def _table(result: "Improvement") -> Table:
     units = dict.fromkeys(result.units.values())
     for si in units:
         what = "pressures" if si == "Pa" else "positions"
-        table.add_column(f"{what} \\[{_PRINTED[si][1]}]")
+        table.add_column(f"{what} \\[{shown_unit(si)[1]}]")
     table.add_column("")
     for row in result.recordings:
         cells = []
         for si in units:
             errors = [e for c, e in row.at_horizon.items() if result.units[c] == si]
             before, after = (
-                _PRINTED[si][0] * math.sqrt(sum(e[k] ** 2 for e in errors) / len(errors))
+                shown_unit(si)[0] * math.sqrt(sum(e[k] ** 2 for e in errors) / len(errors))
                 for k in (0, 1)
             )
             cells.append(f"{before:.3g} > {after:.3g}")

@@ -43,6 +43,13 @@ Vary = Annotated[
 ]
 Camera = Annotated[str, typer.Option(help="Camera of the model.")]
 Jobs = Annotated[int, typer.Option(help="Processes at a time; -1: one a core.")]
+Recordings = Annotated[
+    list[Path], typer.Argument(help="Recordings: .parquet, .csv, .mcap, .mat, .npz.")
+]
+HeldOut = Annotated[
+    list[str] | None,
+    typer.Option(help="Recording kept from all fits, repeatable; default: chosen by excitation."),
+]
 Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace the folder of an earlier run.")
 ]

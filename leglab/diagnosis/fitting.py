@@ -8,7 +8,8 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
 from leglab.diagnosis.hypothesis import Hypothesis, Key
-from leglab.diagnosis.residual import Linearisation, Problem, departures, robust_cost, robust_weight
+from leglab.diagnosis.nuisances import departures
+from leglab.diagnosis.residual import Linearisation, Problem, robust_cost, robust_weight
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
 

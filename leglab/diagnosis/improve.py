@@ -1,6 +1,6 @@
 """A better model from recordings: effects that are sure, and a learned remainder."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -113,27 +113,35 @@ def improved_model(
     An effect without a name is no improvement, however well it fits. A remainder is learned where
     much is left. None where the held-out recordings are not met better than by the model as it was.
     """
-    problem, limits = found.problem, found.problem.thresholds
+    limits = found.problem.thresholds
     told = {(e.name, e.element) for e in (*result.effects, *result.smaller)}
     named = tuple(key for key in found.named if key in told and result.verdict != "unexplained")
-    fit = found.fit if named else found.baseline
-    hypothesis = fit.hypothesis
-    if found.rough:
-        problem = problem.calibrated(hypothesis.without(*named))
-        hypothesis = hypothesis.only(named)
+    problem, final = _recalibrated(found, named)
     remainder = None
-    if found.rough and (result.gap.explained or 0.0) < limits.well_explained:
-        remainder = learn_remainder(problem, hypothesis, named=named, progress=progress)
-    final = remainder.hypothesis if remainder else hypothesis
-    after = remainder.problem if remainder else problem
-    held = problem.held if problem.held.any() else problem.fitted
-    levels = [
-        float(p.noise_levels(h)[held].mean())
-        for p, h in ((problem, problem.library.neutral()), (after, final))
-    ]
-    if levels[1] >= limits.improvement**2 * levels[0]:
+    much_left = result.verdict != "nothing_missing" and found.rough
+    if much_left and (result.gap.explained or 0.0) < limits.well_explained:
+        remainder = learn_remainder(problem, final, named=named, progress=progress)
+    before = problem.noise_levels(problem.library.neutral())
+    after = problem.noise_levels(final)
+    if remainder:
+        final, after = remainder.hypothesis, remainder.problem.noise_levels(remainder.hypothesis)
+    judged = problem.judged
+    if after[judged].mean() >= limits.improvement**2 * before[judged].mean():
         return None
     return ImprovedModel(problem=problem, hypothesis=final, remainder=remainder)
+
+
+def _recalibrated(found: Search, named: Sequence[Key]) -> tuple[Problem, Hypothesis]:
+    """The fit with some of the named effects; that without any where there are none of them.
+
+    A rough machine becomes a specimen of its own, about which a remainder is learned as if it were
+    exact.
+    """
+    others = [key for key in found.named if key not in named]
+    hypothesis = (found.fit if named else found.baseline).hypothesis.without(*others)
+    if not found.rough:
+        return found.problem, hypothesis
+    return found.problem.calibrated(hypothesis.without(*named)), hypothesis.only(named)
 
 
 def improve(
@@ -171,14 +179,7 @@ def improve(
         )
         certain = {(e.name, e.element) for e in result.effects if e.confidence >= _SURE}
         sure = tuple(key for key in found.named if key in certain)
-        unsure = [key for key in found.named if key not in certain]
-        hypothesis = found.fit.hypothesis.without(*unsure)
-        if not sure:
-            hypothesis = found.baseline.hypothesis
-        problem = found.problem
-        if found.rough:
-            problem = problem.calibrated(hypothesis.without(*sure))
-            hypothesis = hypothesis.only(sure)
+        problem, hypothesis = _recalibrated(found, sure)
     else:
         problem = set_up(model, recordings, held_out, settings)
         every = max(1, round(problem.fitted.sum() / problem.thresholds.screened_windows))
@@ -195,7 +196,7 @@ def improve(
         np.mean(p.residual(h) ** 2, axis=1)
         for p, h in ((judged, judged.library.neutral()), (after_problem, final))
     ]
-    held = problem.held if problem.held.any() else ~problem.held
+    held = problem.judged
     limit = problem.thresholds.robust_limit
     improved = (
         bool(problem.held.any())

@@ -11,7 +11,6 @@ from rich.table import Table
 import leglab.machine.plugin
 from leglab.data import write_atomically
 from leglab.diagnosis.hypothesis import Hypothesis, Library
-from leglab.diagnosis.remainder.learning import Remainder
 from leglab.diagnosis.remainder.part import Part
 from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.result import Diagnosis, shown_unit
@@ -26,21 +25,19 @@ def write_diagnosis(result: Diagnosis, folder: Path) -> Path:
     return path
 
 
-def write_improved(found: Search, folder: Path, remainder: Remainder | None = None) -> Path:
-    """Writes DIR/improved.xml: the model with what was found and learned, checked by loading it.
+def write_improved(found: Search, folder: Path) -> Path:
+    """Writes DIR/improved.xml: the model with what was found, checked by loading it.
 
     Raises:
         LeglabError: MuJoCo refuses the patched model.
     """
-    if remainder is None:
-        return write_model(found.problem, found.fit.hypothesis, folder)
-    return write_model(found.problem, remainder.hypothesis, folder, remainder.parts)
+    return write_model(found.problem, found.fit.hypothesis, folder)
 
 
 def write_model(
     problem: Problem, hypothesis: Hypothesis, folder: Path, parts: Sequence[Part] = ()
 ) -> Path:
-    """Writes DIR/improved.xml: the model under a hypothesis, with learned parts.
+    """Writes DIR/improved.xml: the model under a hypothesis, checked by loading it.
 
     Args:
         problem: Whose machine and library are meant; learned parts of its own do not count.

@@ -8,8 +8,9 @@ import numpy as np
 from scipy.signal import savgol_coeffs
 
 from leglab.diagnosis.discrepancy import Discrepancy, from_errors
-from leglab.diagnosis.hypothesis import Hypothesis, Key, Library, Site
+from leglab.diagnosis.hypothesis import Hypothesis, Key, Library
 from leglab.diagnosis.model import CHAMBERS, CYLINDER, Change, Machine
+from leglab.diagnosis.nuisances import Nuisance, departures, within_tolerance
 from leglab.diagnosis.replay import Replay
 from leglab.diagnosis.starts import Nudge
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
@@ -17,12 +18,8 @@ from leglab.diagnosis.windows import Channel, UniformSeries, channel_noise, filt
 
 # Step of columns that rest on one count in every recording: pressures [Pa], positions [rad or m].
 _UNSEEN_STEP = (1e4, 1e-3)
-
-
 # Share of a variance that rounding may take.
 _ROUNDING = 1e-9
-# Groups of effects on the way of commands and measurements.
-_PATHS = frozenset({"valve and command", "sensing"})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,25 +50,12 @@ class NoiseModel:
         return replace(self, whitening=whitening, discrepancy=discrepancy)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Nuisance:
-    """One parameter that differs between good machines.
+def whitened(roots: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """Errors of windows as numbers of unit variance, shape (windows, size).
 
-    Attributes:
-        key: Effect and element it belongs to.
-        index: Its place among the effect's parameters.
-        nominal: Expected value.
-        tolerance: Prior standard deviation.
+    Applied hundreds of times: a product of all windows at once beats triangular solves.
     """
-
-    key: Key
-    index: int
-    nominal: float
-    tolerance: float
-
-    def value(self, hypothesis: Mapping[Key, np.ndarray]) -> float:
-        """Its value under a hypothesis."""
-        return hypothesis[self.key][self.index] if self.key in hypothesis else self.nominal
+    return (roots @ errors.reshape(len(errors), -1, 1))[:, :, 0]
 
 
 def inverse_roots(covariance: np.ndarray) -> np.ndarray:
@@ -83,67 +67,6 @@ def inverse_roots(covariance: np.ndarray) -> np.ndarray:
     widened = covariance.copy()
     widened[:, diagonal, diagonal] *= 1.0 + _ROUNDING
     return np.linalg.inv(np.linalg.cholesky(widened))
-
-
-def departures(hypothesis: Mapping[Key, np.ndarray], nuisances: Sequence[Nuisance]) -> np.ndarray:
-    """Departures of nuisances from their expected values, in tolerances, (nuisances,)."""
-    return np.array([(n.value(hypothesis) - n.nominal) / n.tolerance for n in nuisances])
-
-
-def within_tolerance(library: Library, share: float = 1.0) -> tuple[Nuisance, ...]:
-    """Parameters that differ between good machines, by a share of their tolerances."""
-    return tuple(
-        Nuisance(key=key, index=i, nominal=float(nominal), tolerance=share * p.tolerance)
-        for key, site in library.sites.items()
-        for i, (p, nominal) in enumerate(zip(site.parameters, site.nominal, strict=True))
-        if p.tolerance > 0.0
-    )
-
-
-def rough_nuisances(library: Library, share: float) -> tuple[Nuisance, ...]:
-    """Parameters that differ on a rough machine of which nothing is known.
-
-    Beside tolerances, what every real command path and sensor has a little of: delay, hysteresis,
-    offset. Any strength of the mechanism would be wider than some of its faults.
-
-    Args:
-        library: Effects.
-        share: Standard deviation as a share of what is barely noticeable.
-    """
-    found = list(within_tolerance(library))
-    for key, site in library.sites.items():
-        if site.effect.group in _PATHS and site.effect.gradual:
-            found += [n for n in _strengths(key, site, share, 0.0) if n.tolerance > 0.0]
-    unique = {(n.key, n.index): n for n in reversed(found)}  # a tolerance comes first
-    return tuple(sorted(unique.values(), key=lambda n: (n.key, n.index)))
-
-
-def specimen_nuisances(library: Library, tolerances: float) -> tuple[Nuisance, ...]:
-    """All strengths, within what is barely noticeable: what a healthy specimen may have.
-
-    Args:
-        library: Effects.
-        tolerances: The least standard deviation of those that have a tolerance, in tolerances.
-    """
-    return tuple(
-        nuisance
-        for key, site in library.sites.items()
-        if site.effect.gradual
-        for nuisance in _strengths(key, site, 1.0, tolerances)
-    )
-
-
-def _strengths(key: Key, site: Site, share: float, tolerances: float) -> list[Nuisance]:
-    return [
-        Nuisance(
-            key=key,
-            index=i,
-            nominal=float(nominal),
-            tolerance=max(tolerances * p.tolerance, share * p.scale),
-        )
-        for i, (p, nominal) in enumerate(zip(site.parameters, site.nominal, strict=True))
-        if p.role == "strength"
-    ]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -238,6 +161,11 @@ class Problem:
         self._beyond_half = extrapolation((half - errors)[some], quarter - half[some])
         self.noise = self._noise_model(change, errors, half - errors)
 
+    @property
+    def judged(self) -> np.ndarray:
+        """Mask of the windows on which gaps are told, (windows,): those held out, if any are."""
+        return self.held if self.held.any() else self.fitted
+
     def _at(self, share: float) -> Replay:
         """The replay with a share of its time step."""
         return self.replay.on(self.machine.at_timestep(share * self.machine.timestep))
@@ -288,8 +216,7 @@ class Problem:
         errors = errors + self.noise.defect
         use = certain > 0.0
         recording = self.replay.recording
-        white = (self.noise.sensors @ errors.reshape(len(errors), -1, 1))[:, :, 0]
-        squares = (white.reshape(errors.shape) ** 2).mean(axis=2)
+        squares = (whitened(self.noise.sensors, errors).reshape(errors.shape) ** 2).mean(axis=2)
         level = np.ones((len(self.series), len(self.channels)))
         for number in np.unique(recording[use]):
             level[number] = np.median(squares[use & (recording == number)], axis=0)
@@ -397,15 +324,13 @@ class Problem:
         if chosen is not None:
             defect, whitening = defect[chosen], whitening[chosen]
         errors = (errors + defect) * certain[:, None, None]
-        # Applied hundreds of times: a product of all windows at once beats triangular solves.
-        white = (whitening @ errors.reshape(len(errors), -1, 1))[:, :, 0]
-        return np.clip(white, -self.thresholds.clip, self.thresholds.clip)
+        return np.clip(whitened(whitening, errors), -self.thresholds.clip, self.thresholds.clip)
 
     def noise_levels(self, hypothesis: Hypothesis) -> np.ndarray:
         """Mean square of the errors in noise levels of the sensors, whatever the discrepancy."""
         errors, certain = self._errors(self.replay, hypothesis, None)
         errors = (errors + self.noise.defect) * certain[:, None, None]
-        white = (self.noise.sensors @ errors.reshape(len(errors), -1, 1))[:, :, 0]
+        white = whitened(self.noise.sensors, errors)
         return np.mean(np.clip(white, -self.thresholds.clip, self.thresholds.clip) ** 2, axis=1)
 
     def raw_errors(self, hypothesis: Hypothesis) -> np.ndarray:

@@ -147,16 +147,17 @@ class Gap:
     held_out: tuple[str, ...]
 
     @property
+    def shown(self) -> tuple[float, float, float]:
+        """`unnamed`, `after` and what is no part of the gap, where the named effects show."""
+        return self.overall or (self.unnamed, self.after, self.healthy or self.noise_floor)
+
+    @property
     def explained(self) -> float | None:
         """Share of the named effects' gap that they close; None where nothing is named.
 
         What was off before the machine changed, or noise, is no part of the gap.
         """
-        unnamed, after, floor = self.overall or (
-            self.unnamed,
-            self.after,
-            self.healthy or self.noise_floor,
-        )
+        unnamed, after, floor = self.shown
         room = unnamed - floor
         if not room > 0.05:
             return None

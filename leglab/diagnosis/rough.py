@@ -15,7 +15,8 @@ from leglab.diagnosis.discrepancy import Discrepancy
 from leglab.diagnosis.fitting import Fit, refit
 from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.judging import accepted, simplest_first
-from leglab.diagnosis.residual import Problem, rough_nuisances, within_tolerance
+from leglab.diagnosis.nuisances import rough_nuisances, within_tolerance
+from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.search import Contender, Progress, Round, search_round, thinned
 
 
@@ -85,7 +86,7 @@ def rough_search(
     named: list[Key] = []
     found: list[Round] = []
     while len(named) < rounds:
-        if floor is not None and as_healthy(problem, current.hypothesis, floor):
+        if floor is not None and cost_under(problem, current, floor) <= limits.as_healthy:
             break
         trusted = at_least(problem.discrepancy(current.hypothesis), floor)
         problem = problem.trusting(trusted)
@@ -106,10 +107,9 @@ def rough_search(
     return problem, baseline, current, named, found
 
 
-def as_healthy(problem: Problem, hypothesis: Hypothesis, floor: Discrepancy) -> bool:
-    """Whether a specimen errs as its healthy recordings did: no further effect is looked for."""
-    cost = float(problem.trusting(floor).window_cost(hypothesis).mean())
-    return cost <= problem.thresholds.as_healthy
+def cost_under(problem: Problem, fit: Fit, discrepancy: Discrepancy | None) -> float:
+    """Mean cost of a fit under another discrepancy of the model; about 1 if that is its own."""
+    return float(problem.trusting(discrepancy).window_cost(fit.hypothesis).mean())
 
 
 def annealed(

@@ -11,7 +11,8 @@ from leglab.diagnosis.fitting import FreeTangents, Sums, Unknowns, profiled
 from leglab.diagnosis.forces import forces_left
 from leglab.diagnosis.hypothesis import Hypothesis, Key, Site
 from leglab.diagnosis.model import ForceLeft
-from leglab.diagnosis.residual import Linearisation, Problem, departures
+from leglab.diagnosis.nuisances import departures
+from leglab.diagnosis.residual import Linearisation, Problem
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,14 +1,15 @@
 """The specimen at hand, from recordings of it while it was healthy."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from leglab.diagnosis.discrepancy import Discrepancy
 from leglab.diagnosis.fitting import Fit
 from leglab.diagnosis.hypothesis import Hypothesis
-from leglab.diagnosis.residual import Problem, specimen_nuisances
+from leglab.diagnosis.nuisances import specimen_nuisances
+from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.rough import settled_baseline
 from leglab.diagnosis.search import Progress, baseline, thinned
 from leglab.diagnosis.windows import UniformSeries
@@ -29,9 +30,9 @@ class Specimen:
 
     problem: Problem
     fit: Fit
-    before: tuple[float, ...] = field(default=())
-    after: tuple[float, ...] = field(default=())
-    discrepancy: Discrepancy | None = None
+    before: tuple[float, ...]
+    after: tuple[float, ...]
+    discrepancy: Discrepancy | None
 
     @property
     def values(self) -> Hypothesis:

@@ -11,14 +11,14 @@ import numpy as np
 
 from leglab.base.recording import Recording
 from leglab.diagnosis.admission import admit
-from leglab.diagnosis.effects.base import EffectParameter
 from leglab.diagnosis.effects.joints import unit
 from leglab.diagnosis.experiment import propose
 from leglab.diagnosis.fitting import Fit
-from leglab.diagnosis.hypothesis import Hypothesis, Key
+from leglab.diagnosis.hypothesis import Hypothesis
 from leglab.diagnosis.isolation import isolate, sample_places
-from leglab.diagnosis.judging import earns, intervals, posterior, preferences, within_library
+from leglab.diagnosis.judging import preferences
 from leglab.diagnosis.model import CYLINDER, Machine
+from leglab.diagnosis.naming import estimate, judge_exact, judge_rough, rms, twins
 from leglab.diagnosis.remarks import Remark, merged
 from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.result import (
@@ -34,22 +34,17 @@ from leglab.diagnosis.result import (
     Remaining,
     ResidualTrace,
     Rivals,
-    Verdict,
 )
-from leglab.diagnosis.search import Contender
 from leglab.diagnosis.specimen import Specimen, calibrate
-from leglab.diagnosis.windows import Channel, UniformSeries
+from leglab.diagnosis.windows import UniformSeries
 from leglab.diagnosis.workflow import DiagnosisSettings, Search, search, set_up
 
-_DELAYS = frozenset({"command_delay", "sensor_delay"})
 _HARDLY_SHOWN = (
     "the held-out recordings hardly show what is named: the share explained is that over all "
-    "recordings",
+    "recordings"
 )
 # Poses of a recording that are looked at for contacts.
 _POSES = 50
-# Correlation in the mass matrix below which two joints do not feel each other: rounding.
-_COUPLED = 1e-9
 
 
 def diagnose(
@@ -84,8 +79,9 @@ def diagnose(
     held_out = tuple(held_out)
     specimen = None
     if healthy:
-        every = replace(settings, effects=None, excluded=())
-        specimen = calibrate(set_up(model, healthy, (), every, beside=recordings), progress)
+        # A specimen differs in more than the effects that the user asks for.
+        whole = replace(settings, effects=None, excluded=())
+        specimen = calibrate(set_up(model, healthy, (), whole, beside=recordings), progress)
     values = specimen.values if specimen else None
     problem = set_up(model, recordings, held_out, settings, specimen=values, beside=healthy)
     remarks = admit(problem.machine, recordings, held_out, settings.thresholds).notes
@@ -107,11 +103,11 @@ def assemble(found: Search, settings: DiagnosisSettings, *, seconds: float) -> D
         models["unnamed"] = final.without(*found.named)
     squares = {k: problem.noise_levels(h) for k, h in models.items()}
     windows = [problem.replay.recording == i for i in range(len(problem.series))]
-    held = problem.held if problem.held.any() else np.ones_like(problem.held)
+    held = problem.judged
     names = [s.name for s in problem.series]
     judged = [bool(problem.held[own].any()) for own in windows]
     specimen = found.specimen
-    levels = {k: _rms(squares[k][held]) for k in squares}
+    levels = {k: rms(squares[k][held]) for k in squares}
     gap = Gap(
         held_out=tuple(name for name, held_out in zip(names, judged, strict=True) if held_out),
         before=levels["before"],
@@ -120,15 +116,15 @@ def assemble(found: Search, settings: DiagnosisSettings, *, seconds: float) -> D
         unnamed=levels.get("unnamed", math.nan),
         healthy=_healthy_level(found, held) if specimen else None,
     )
-    judged_on = held
+    where_shown = held
     if found.named:
         every = np.ones_like(held)
         floors = [_healthy_level(found, mask) for mask in (held, every)]
-        unnamed = _rms(squares["unnamed"])
+        unnamed = rms(squares["unnamed"])
         if gap.unnamed - floors[0] < limits.shown_share * (unnamed - floors[1]):
             # A slow motion that nobody fitted cannot tell what a fast one would show.
-            gap = replace(gap, overall=(unnamed, _rms(squares["after"]), floors[1]))
-            judged_on = every
+            gap = replace(gap, overall=(unnamed, rms(squares["after"]), floors[1]))
+            where_shown = every
     rivals = tuple(
         Rivals(
             round=i,
@@ -139,8 +135,9 @@ def assemble(found: Search, settings: DiagnosisSettings, *, seconds: float) -> D
         for i, one in enumerate(found.rounds, 1)
         if one.contenders
     )
-    judge = _judge_rough if found.rough else _judge_exact
-    verdict, effects, smaller = judge(found, gap, judged_on, rng)
+    verdict, effects, smaller = (
+        judge_rough(found, gap, where_shown) if found.rough else judge_exact(found, rng)
+    )
     where, ceiling = isolate(problem)
     return Diagnosis(
         verdict=verdict,
@@ -154,7 +151,7 @@ def assemble(found: Search, settings: DiagnosisSettings, *, seconds: float) -> D
             RecordingGap(
                 name=name,
                 held_out=held_out,
-                **{k: _rms(squares[k][own]) for k in ("before", "baseline", "after")},
+                **{k: rms(squares[k][own]) for k in ("before", "baseline", "after")},
             )
             for name, held_out, own in zip(names, judged, windows, strict=True)
         ),
@@ -170,84 +167,10 @@ def assemble(found: Search, settings: DiagnosisSettings, *, seconds: float) -> D
         traces=traces(problem, final),
         nuisances=nuisance_estimates(problem, found.fit),
         next_experiment=_next_experiment(found, effects),
-        notes=notes(problem) + (_HARDLY_SHOWN if gap.overall else ()),
+        notes=(*notes(problem), *([_HARDLY_SHOWN] if gap.overall else ())),
         rollouts=problem.replay.rollouts,
         seconds=seconds,
     )
-
-
-# Verdict, named effects and smaller differences.
-Judged = tuple[Verdict, tuple[NamedEffect, ...], tuple[NamedEffect, ...]]
-
-
-def _judge_exact(found: Search, gap: Gap, held: np.ndarray, rng: np.random.Generator) -> Judged:
-    """The verdict on a model that is taken for exact: the right effects leave noise."""
-    problem, limits = found.problem, found.problem.thresholds
-    start = float(problem.window_cost(found.baseline.hypothesis).mean())
-    end = float(problem.window_cost(found.fit.hypothesis).mean())
-    # Share of the robust misfit of the baseline that the final fit takes away.
-    share = (start - end) / max(start - 1.0, 1e-3)
-    quality = 1.0
-    if end > limits.explained:
-        quality = limits.explained / end * float(np.clip(share, 0.0, 1.0))
-
-    def contribution(key: Key) -> float:
-        lost = float(problem.window_cost(found.fit.hypothesis.without(key)).mean())
-        return (lost - end) / max(lost - 1.0, 1e-3)
-
-    def ties(key: Key) -> tuple[tuple[str, ...], float]:
-        tied, certainty = _ties(found, key, rng)
-        return tied, certainty * quality
-
-    effects = _effects(found, contribution, ties)
-    if not effects:
-        return ("nothing_missing" if start <= limits.explained else "unexplained"), (), ()
-    if end > limits.explained:
-        partial = share >= limits.explanation_share
-        return ("partial" if partial else "unexplained"), effects, ()
-    tied = any(e.indistinguishable_from for e in effects)
-    return ("confusion_set" if tied else "named"), effects, ()
-
-
-def _judge_rough(found: Search, gap: Gap, held: np.ndarray, rng: np.random.Generator) -> Judged:
-    """The verdict on a machine that differs from its model everywhere a little.
-
-    An effect is named as the probable cause, whatever the model's own error leaves; how much it
-    explains is another number.
-    """
-    del rng
-    problem, limits = found.problem, found.problem.thresholds
-    final = found.fit.hypothesis
-    unnamed, after, floor = gap.overall or (gap.unnamed, gap.after, gap.healthy or gap.noise_floor)
-
-    def contribution(key: Key) -> float:
-        lost = _rms(problem.noise_levels(final.without(key))[held]) - after
-        return lost / max(unnamed - floor, 1e-9)
-
-    listed = within_library(gap.explained or 0.0)
-
-    def ties(key: Key) -> tuple[tuple[str, ...], float]:
-        tied, share = _rough_ties(found, key)
-        return tied, share * listed
-
-    effects = _effects(found, contribution, ties)
-    causes = tuple(e for e in effects if e.contribution >= limits.smaller_share)
-    smaller = tuple(e for e in effects if e.contribution < limits.smaller_share)
-    if not causes:
-        healthy = found.specimen is not None
-        return ("nothing_missing" if healthy and _as_healthy(found) else "unexplained"), (), smaller
-    if (gap.explained or 0.0) < limits.explanation_share:
-        return "unexplained", causes, smaller
-    tied = any(e.indistinguishable_from for e in causes)
-    return ("confusion_set" if tied else "named"), causes, smaller
-
-
-def _as_healthy(found: Search) -> bool:
-    """Whether the specimen errs as it did in its healthy recordings."""
-    problem, specimen = found.problem, found.specimen
-    floor = specimen.discrepancy_of(problem.series) if specimen else None
-    cost = problem.trusting(floor).window_cost(found.baseline.hypothesis)
-    return float(cost.mean()) <= problem.thresholds.explained
 
 
 def _healthy_level(found: Search, held: np.ndarray) -> float:
@@ -257,7 +180,7 @@ def _healthy_level(found: Search, held: np.ndarray) -> float:
         return 1.0
     nearest = specimen.nearest(found.problem.series)
     levels = np.array([specimen.after[i] for i in nearest])
-    return _rms(levels[found.problem.replay.recording[held]] ** 2)
+    return rms(levels[found.problem.replay.recording[held]] ** 2)
 
 
 def _remaining(problem: Problem, final: Hypothesis, held: np.ndarray) -> tuple[Remaining, ...]:
@@ -269,8 +192,8 @@ def _remaining(problem: Problem, final: Hypothesis, held: np.ndarray) -> tuple[R
             channel=channel.column,
             unit="Pa" if channel.chamber else unit(problem.machine, channel.joint),
             horizon=problem.thresholds.window,
-            before=_rms(before[:, k] ** 2),
-            after=_rms(after[:, k] ** 2),
+            before=rms(before[:, k] ** 2),
+            after=rms(after[:, k] ** 2),
             noise=float(noise[k]),
         )
         for k, channel in enumerate(problem.channels)
@@ -287,8 +210,7 @@ def _calibration(specimen: Specimen) -> Calibration:
         away = abs(value - n.nominal) / n.tolerance
         if away >= limits.calibration_share:
             p = problem.library.sites[n.key].parameters[n.index]
-            estimate = _estimate(p, n.nominal, value, value, value)
-            rows.append((away, (*n.key, estimate)))
+            rows.append((away, (*n.key, estimate(p, n.nominal, value, value, value))))
     rows.sort(key=lambda row: -row[0])
     names = (series.name for series in problem.series)
     return Calibration(
@@ -297,147 +219,10 @@ def _calibration(specimen: Specimen) -> Calibration:
     )
 
 
-def _effects(
-    found: Search,
-    contribution: Callable[[Key], float],
-    ties: Callable[[Key], tuple[tuple[str, ...], float]],
-) -> tuple[NamedEffect, ...]:
-    """Named effects, the largest contribution first, with their confidence."""
-    problem, final = found.problem, found.fit.hypothesis
-    held = problem.held if problem.held.any() else np.ones_like(problem.held)
-    half = intervals(problem, found.fit) if found.named else {}
-    effects = []
-    for key in found.named:
-        site = problem.library.sites[key]
-        tied, confidence = ties(key)
-        onsets = zip(problem.series, final.onsets.get(key, ()), strict=False)
-        effects.append(
-            NamedEffect(
-                name=key[0],
-                element=key[1],
-                group=site.effect.group,
-                physics=site.effect.physics,
-                onset=tuple(
-                    (series.name, float(time - series.time[0]))
-                    for series, time in onsets
-                    if np.isfinite(time)
-                ),
-                confidence=confidence,
-                contribution=float(np.clip(contribution(key), 0.0, 1.0)),
-                parameters=tuple(
-                    _estimate(
-                        p, n, float(v), max(p.lower, float(v - h)), min(p.upper, float(v + h))
-                    )
-                    for p, n, v, h in zip(
-                        site.parameters, site.nominal, final[key], half[key], strict=True
-                    )
-                ),
-                indistinguishable_from=tied,
-                without=_rms(problem.noise_levels(final.without(key))[held]),
-            )
-        )
-    return tuple(sorted(effects, key=lambda e: -e.contribution))
-
-
-def _rough_ties(found: Search, key: Key) -> tuple[tuple[str, ...], float]:
-    """Rivals on a rough machine that are hardly less probable, and the name's probability."""
-    limits = found.problem.thresholds
-    names = found.problem.library.names
-    twins = tuple(t for t in _twins(found.problem, key) if t in names)
-    if twins:
-        return twins, 1.0 / (1 + len(twins))
-    own, tried = _contest(found, key)
-    if own is None:
-        return (), 1.0
-    rivals = [c for c in tried if c.key != key and c.key not in found.named]
-    rivals = [
-        c
-        for c in rivals
-        if not found.problem.library.contains(c.key, key) or earns(found.problem, c, own)
-    ]
-    costs = [float(c.cost.mean()) for c in (own, *rivals)]
-    share = posterior(costs, limits.rough_numbers)
-    tied = [
-        c.key[0] for c, p in zip(rivals, share[1:], strict=True) if p * limits.rough_tie > share[0]
-    ]
-    return tuple(tied), float(share[0])
-
-
-def _contest(found: Search, key: Key) -> tuple[Contender | None, tuple[Contender, ...]]:
-    """The fit that an effect was named for, and all that were tried in its place.
-
-    Rivals of an early round that lacked the other effects say little: where an effect was checked
-    beside all others, that counts.
-    """
-    sets = [found.checks[key]] if key in found.checks else [r.contenders for r in found.rounds]
-    fits = [(c, tried) for tried in sets for c in tried if c.key == key]
-    return min(fits, key=lambda entry: entry[0].cost.mean()) if fits else (None, ())
-
-
-def _ties(found: Search, key: Key, rng: np.random.Generator) -> tuple[tuple[str, ...], float]:
-    """Rivals that explain the recordings as well, and the name's confidence against all."""
-    limits = found.problem.thresholds
-    names = found.problem.library.names
-    twins = tuple(t for t in _twins(found.problem, key) if t in names)
-    if twins:
-        return twins, 1.0 / (1 + len(twins))
-    own, tried = _contest(found, key)
-    if own is None:
-        return (), 1.0
-    tied, confidence = [], 1.0
-    for rival in tried:
-        if rival.key == key or rival.key in found.named:
-            continue
-        if found.problem.library.contains(rival.key, key) and not earns(found.problem, rival, own):
-            continue  # The rival says the same with more parameters.
-        preferred = preferences([own.cost, rival.cost], rng, limits.resamples)[0, 1]
-        near = rival.cost.mean() - own.cost.mean() < limits.distance
-        if preferred < limits.preference or near:
-            tied.append(rival.key[0])
-        confidence = min(confidence, 0.5 if near else preferred)
-    return tuple(tied), float(confidence)
-
-
-def _twins(problem: Problem, key: Key) -> tuple[str, ...]:
-    """Exact twins of an effect on an element of this machine."""
-    machine = problem.machine
-    joints = machine.driven.get(key[1], (key[1],))
-    if set(joints) & set(coupled_joints(machine)):
-        return ()  # Another joint feels when this one moves, and its position is the third signal.
-    return exact_twins(problem.channels, key[0])
-
-
-def coupled_joints(machine: Machine) -> tuple[str, ...]:
-    """Joints whose acceleration acts on another joint, by the mass matrix at some poses."""
-    model = machine.base.model
-    data = mujoco.MjData(model)
-    found: set[int] = set()
-    for shift in (0.0, 0.4, -0.7):
-        data.qpos[:] = model.qpos0 + shift
-        mujoco.mj_forward(model, data)
-        mass = np.zeros((model.nv, model.nv))
-        mujoco.mj_fullM(model, data, mass)
-        own = np.sqrt(np.diag(mass))
-        share = np.abs(mass) / np.outer(own, own) - np.eye(model.nv)
-        found |= set(np.flatnonzero((share > _COUPLED).any(axis=1)).tolist())
-    return tuple(machine.joints[int(model.dof_jntid[k])] for k in sorted(found))
-
-
-def exact_twins(channels: Sequence[Channel], name: str) -> tuple[str, ...]:
-    """Effects that no recording of these channels can tell from one, whatever the excitation.
-
-    A late command and a late position sensor shift the same motion against the same command. Only
-    a third signal says which, and fits differ merely in where their windows start.
-    """
-    if name in _DELAYS and not any(c.chamber for c in channels):
-        return tuple(sorted(_DELAYS - {name}))
-    return ()
-
-
 def _next_experiment(found: Search, effects: Sequence[NamedEffect]) -> Proposal | None:
     """Experiment that would tell the first effect that is tied from its rival."""
     for effect in effects:
-        if _twins(found.problem, (effect.name, effect.element)):
+        if twins(found.problem, (effect.name, effect.element)):
             continue  # No excitation tells them apart, only a further sensor.
         for tried in (*found.checks.values(), *(one.contenders for one in found.rounds)):
             fits = {c.key[0]: c.fit.hypothesis for c in tried}
@@ -466,7 +251,7 @@ def _not_testable(found: Search) -> tuple[NotTestable, ...]:
 def nuisance_estimates(problem: Problem, fit: Fit) -> tuple[Estimate, ...]:
     """Refitted nuisance parameters, with the range of their tolerance."""
     return tuple(
-        _estimate(
+        estimate(
             problem.library.sites[n.key].parameters[n.index],
             n.nominal,
             float(n.value(fit.hypothesis)),
@@ -474,14 +259,6 @@ def nuisance_estimates(problem: Problem, fit: Fit) -> tuple[Estimate, ...]:
             n.nominal + 1.96 * n.tolerance,
         )
         for n in problem.active_nuisances(fit.free)
-    )
-
-
-def _estimate(
-    p: EffectParameter, nominal: float, value: float, low: float, high: float
-) -> Estimate:
-    return Estimate(
-        name=p.name, unit=p.unit, value=value, nominal=float(nominal), interval=(low, high)
     )
 
 
@@ -556,7 +333,3 @@ def traces(problem: Problem, final: Hypothesis) -> tuple[ResidualTrace, ...]:
                 )
             )
     return tuple(rows)
-
-
-def _rms(squares: np.ndarray) -> float:
-    return float(np.sqrt(squares.mean())) if squares.size else float("nan")

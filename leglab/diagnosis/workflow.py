@@ -187,8 +187,7 @@ def search(
 def _level(found: Search) -> float:
     """Mean square error of the final fit in noise levels, where held out."""
     problem = found.problem
-    held = problem.held if problem.held.any() else problem.fitted
-    return float(problem.noise_levels(found.fit.hypothesis)[held].mean())
+    return float(problem.noise_levels(found.fit.hypothesis)[problem.judged].mean())
 
 
 def _rough_search(

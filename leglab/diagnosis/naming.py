@@ -1,0 +1,236 @@
+"""Which effects are named, how sure each name is, and what is not told apart from it."""
+
+from collections.abc import Callable, Sequence
+
+import mujoco
+import numpy as np
+
+from leglab.diagnosis.effects.base import EffectParameter
+from leglab.diagnosis.hypothesis import Hypothesis, Key
+from leglab.diagnosis.judging import earns, intervals, posterior, preferences, within_library
+from leglab.diagnosis.model import Machine
+from leglab.diagnosis.residual import Problem
+from leglab.diagnosis.result import Estimate, Gap, NamedEffect, Verdict
+from leglab.diagnosis.rough import cost_under
+from leglab.diagnosis.search import Contender
+from leglab.diagnosis.thresholds import Thresholds
+from leglab.diagnosis.windows import Channel
+from leglab.diagnosis.workflow import Search
+
+_DELAYS = frozenset({"command_delay", "sensor_delay"})
+# Correlation in the mass matrix below which two joints do not feel each other: rounding.
+_COUPLED = 1e-9
+
+# Verdict, named effects and smaller differences.
+Judged = tuple[Verdict, tuple[NamedEffect, ...], tuple[NamedEffect, ...]]
+
+
+def judge_exact(found: Search, rng: np.random.Generator) -> Judged:
+    """The verdict on a model that is taken for exact: the right effects leave noise."""
+    problem, limits = found.problem, found.problem.thresholds
+    start = float(problem.window_cost(found.baseline.hypothesis).mean())
+    end = float(problem.window_cost(found.fit.hypothesis).mean())
+    # Share of the robust misfit of the baseline that the final fit takes away.
+    share = (start - end) / max(start - 1.0, 1e-3)
+    quality = 1.0
+    if end > limits.explained:
+        quality = limits.explained / end * float(np.clip(share, 0.0, 1.0))
+
+    def contribution(without: Hypothesis) -> float:
+        lost = float(problem.window_cost(without).mean())
+        return (lost - end) / max(lost - 1.0, 1e-3)
+
+    def weigh(own: Contender, rivals: Sequence[Contender]) -> Ties:
+        return _by_resampling(found, own, rivals, rng)
+
+    effects = _effects(found, contribution, weigh, quality)
+    if not effects:
+        return ("nothing_missing" if start <= limits.explained else "unexplained"), (), ()
+    if end > limits.explained:
+        partial = share >= limits.explanation_share
+        return ("partial" if partial else "unexplained"), effects, ()
+    tied = any(e.indistinguishable_from for e in effects)
+    return ("confusion_set" if tied else "named"), effects, ()
+
+
+def judge_rough(found: Search, gap: Gap, shown: np.ndarray) -> Judged:
+    """The verdict on a machine that differs from its model everywhere a little.
+
+    An effect is named as the probable cause, whatever the model's own error leaves; how much it
+    explains is another number. `shown` are the windows in which the effects show.
+    """
+    problem, limits = found.problem, found.problem.thresholds
+    unnamed, after, floor = gap.shown
+
+    def contribution(without: Hypothesis) -> float:
+        lost = rms(problem.noise_levels(without)[shown]) - after
+        return lost / max(unnamed - floor, 1e-9)
+
+    def weigh(own: Contender, rivals: Sequence[Contender]) -> Ties:
+        return _by_posterior(own, rivals, limits)
+
+    explained = gap.explained or 0.0
+    effects = _effects(found, contribution, weigh, within_library(explained))
+    causes = tuple(e for e in effects if e.contribution >= limits.smaller_share)
+    smaller = tuple(e for e in effects if e.contribution < limits.smaller_share)
+    if not causes:
+        return ("nothing_missing" if _as_healthy(found) else "unexplained"), (), smaller
+    if explained < limits.explanation_share:
+        return "unexplained", causes, smaller
+    tied = any(e.indistinguishable_from for e in causes)
+    return ("confusion_set" if tied else "named"), causes, smaller
+
+
+def _as_healthy(found: Search) -> bool:
+    """Whether a specimen, known from healthy recordings, errs as it did in them."""
+    if found.specimen is None:
+        return False
+    problem = found.problem
+    floor = found.specimen.discrepancy_of(problem.series)
+    return cost_under(problem, found.baseline, floor) <= problem.thresholds.explained
+
+
+# Names that are not told apart from an effect, and its probability.
+Ties = tuple[tuple[str, ...], float]
+
+
+def _effects(
+    found: Search,
+    contribution: Callable[[Hypothesis], float],
+    weigh: Callable[[Contender, Sequence[Contender]], Ties],
+    quality: float,
+) -> tuple[NamedEffect, ...]:
+    """Named effects, the largest contribution first.
+
+    Args:
+        found: The search.
+        contribution: Share of the gap that an effect closes, from the final fit without it.
+        weigh: Rivals that are not told apart from a contender, and its probability among them.
+        quality: Factor of all confidences.
+    """
+    problem, final = found.problem, found.fit.hypothesis
+    half = intervals(problem, found.fit) if found.named else {}
+    effects = []
+    for key in found.named:
+        site = problem.library.sites[key]
+        without = final.without(key)
+        tied, probability = _ties(found, key, weigh)
+        onsets = zip(problem.series, final.onsets.get(key, ()), strict=False)
+        effects.append(
+            NamedEffect(
+                name=key[0],
+                element=key[1],
+                group=site.effect.group,
+                physics=site.effect.physics,
+                onset=tuple(
+                    (series.name, float(time - series.time[0]))
+                    for series, time in onsets
+                    if np.isfinite(time)
+                ),
+                confidence=probability * quality,
+                contribution=float(np.clip(contribution(without), 0.0, 1.0)),
+                parameters=tuple(
+                    estimate(p, n, float(v), max(p.lower, float(v - h)), min(p.upper, float(v + h)))
+                    for p, n, v, h in zip(
+                        site.parameters, site.nominal, final[key], half[key], strict=True
+                    )
+                ),
+                indistinguishable_from=tied,
+                without=rms(problem.noise_levels(without)[problem.judged]),
+            )
+        )
+    return tuple(sorted(effects, key=lambda e: -e.contribution))
+
+
+def _ties(found: Search, key: Key, weigh: Callable[[Contender, Sequence[Contender]], Ties]) -> Ties:
+    """Rivals that explain the recordings as well as a named effect, and the name's probability.
+
+    Rivals of an early round that lacked the other effects say little: where an effect was checked
+    beside all others, that counts.
+    """
+    library = found.problem.library
+    alike = tuple(t for t in twins(found.problem, key) if t in library.names)
+    if alike:
+        return alike, 1.0 / (1 + len(alike))
+    sets = [found.checks[key]] if key in found.checks else [r.contenders for r in found.rounds]
+    fits = [(c, tried) for tried in sets for c in tried if c.key == key]
+    if not fits:
+        return (), 1.0
+    own, tried = min(fits, key=lambda entry: entry[0].cost.mean())
+    others = [c for c in tried if c.key != key and c.key not in found.named]
+    # A rival that says the same with more parameters is none, unless those pay.
+    rivals = [c for c in others if not library.contains(c.key, key) or earns(found.problem, c, own)]
+    return weigh(own, rivals)
+
+
+def _by_resampling(
+    found: Search, own: Contender, rivals: Sequence[Contender], rng: np.random.Generator
+) -> Ties:
+    """Ties of an exact model: the share of resampled windows that prefer the name to a rival."""
+    limits = found.problem.thresholds
+    tied, confidence = [], 1.0
+    for rival in rivals:
+        preferred = preferences([own.cost, rival.cost], rng, limits.resamples)[0, 1]
+        near = rival.cost.mean() - own.cost.mean() < limits.distance
+        if preferred < limits.preference or near:
+            tied.append(rival.key[0])
+        confidence = min(confidence, 0.5 if near else preferred)
+    return tuple(tied), float(confidence)
+
+
+def _by_posterior(own: Contender, rivals: Sequence[Contender], limits: Thresholds) -> Ties:
+    """Ties of a rough machine, whose errors are mostly the model's own."""
+    costs = [float(c.cost.mean()) for c in (own, *rivals)]
+    share = posterior(costs, limits.rough_numbers)
+    tied = [
+        c.key[0] for c, p in zip(rivals, share[1:], strict=True) if p * limits.rough_tie > share[0]
+    ]
+    return tuple(tied), float(share[0])
+
+
+def twins(problem: Problem, key: Key) -> tuple[str, ...]:
+    """Exact twins of an effect on an element of this machine."""
+    machine = problem.machine
+    joints = machine.driven.get(key[1], (key[1],))
+    if set(joints) & set(coupled_joints(machine)):
+        return ()  # Another joint feels when this one moves, and its position is the third signal.
+    return exact_twins(problem.channels, key[0])
+
+
+def coupled_joints(machine: Machine) -> tuple[str, ...]:
+    """Joints whose acceleration acts on another joint, by the mass matrix at some poses."""
+    model = machine.base.model
+    data = mujoco.MjData(model)
+    found: set[int] = set()
+    for shift in (0.0, 0.4, -0.7):
+        data.qpos[:] = model.qpos0 + shift
+        mujoco.mj_forward(model, data)
+        mass = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, mass)
+        own = np.sqrt(np.diag(mass))
+        share = np.abs(mass) / np.outer(own, own) - np.eye(model.nv)
+        found |= set(np.flatnonzero((share > _COUPLED).any(axis=1)).tolist())
+    return tuple(machine.joints[int(model.dof_jntid[k])] for k in sorted(found))
+
+
+def exact_twins(channels: Sequence[Channel], name: str) -> tuple[str, ...]:
+    """Effects that no recording of these channels can tell from one, whatever the excitation.
+
+    A late command and a late position sensor shift the same motion against the same command. Only
+    a third signal says which, and fits differ merely in where their windows start.
+    """
+    if name in _DELAYS and not any(c.chamber for c in channels):
+        return tuple(sorted(_DELAYS - {name}))
+    return ()
+
+
+def estimate(p: EffectParameter, nominal: float, value: float, low: float, high: float) -> Estimate:
+    """A fitted parameter with its interval, beside its value in the model or specimen."""
+    return Estimate(
+        name=p.name, unit=p.unit, value=value, nominal=float(nominal), interval=(low, high)
+    )
+
+
+def rms(squares: np.ndarray) -> float:
+    """Root of the mean of squares; NaN of none."""
+    return float(np.sqrt(squares.mean())) if squares.size else float("nan")
