@@ -77,6 +77,7 @@ def settle(page: Page) -> None:
 def screen(page: Page, part: str) -> bytes:
     """What a phone shows after a touch on one of the links at the top."""
     page.evaluate("part => document.getElementById(part).scrollIntoView()", part)
+    page.wait_for_timeout(500)  # a film that comes into sight is drawn some frames later
     return page.screenshot()
 
 

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from leglab.diagnosis import naming, rough
+from leglab.diagnosis import naming, rough, verdict
 from leglab.diagnosis.discrepancy import Discrepancy, from_errors
 from leglab.diagnosis.fitting import Fit
 from leglab.diagnosis.hypothesis import Hypothesis, Library
@@ -325,6 +325,13 @@ def test_a_larger_effect_that_earns_no_more_is_no_rival(sketch):
     larger = contender(sketch.library, ASYMMETRIC, 0.999)
     found = a_search(sketch, [VISCOUS], [own, larger])
     assert rough_ties(found, VISCOUS) == ((), 1.0)
+
+
+def test_rivals_that_share_a_name_are_told_by_their_elements(sketch):
+    valve = "asymmetric_friction", "valve"
+    tried = [SimpleNamespace(key=key) for key in (ASYMMETRIC, OFFSET, valve)]
+    wanted = ("asymmetric_friction at hinge", "force_offset", "asymmetric_friction at valve")
+    assert verdict._labels(tried) == wanted
 
 
 # Probability of a name on a rough machine.

@@ -1,6 +1,7 @@
 """From recordings to the verdict: names, confusion sets, confidence, gaps."""
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -35,6 +36,7 @@ from leglab.diagnosis.result import (
     ResidualTrace,
     Rivals,
 )
+from leglab.diagnosis.search import Contender
 from leglab.diagnosis.specimen import Specimen, calibrate
 from leglab.diagnosis.windows import UniformSeries
 from leglab.diagnosis.workflow import DiagnosisSettings, Search, search, set_up
@@ -128,7 +130,7 @@ def assemble(found: Search, settings: DiagnosisSettings, *, seconds: float) -> D
     rivals = tuple(
         Rivals(
             round=i,
-            names=tuple(c.key[0] for c in one.contenders),
+            names=_labels(one.contenders),
             cost=tuple(float(c.cost.mean()) for c in one.contenders),
             preference=preferences([c.cost for c in one.contenders], rng, limits.resamples),
         )
@@ -170,6 +172,15 @@ def assemble(found: Search, settings: DiagnosisSettings, *, seconds: float) -> D
         notes=(*notes(problem), *([_HARDLY_SHOWN] if gap.overall else ())),
         rollouts=problem.replay.rollouts,
         seconds=seconds,
+    )
+
+
+def _labels(contenders: Sequence[Contender]) -> tuple[str, ...]:
+    """Names of contenders, with the element where two share a name."""
+    count = Counter(c.key[0] for c in contenders)
+    return tuple(
+        name if count[name] == 1 else f"{name} at {element}"
+        for name, element in (c.key for c in contenders)
     )
 
 

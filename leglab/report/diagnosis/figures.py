@@ -287,8 +287,8 @@ def rivals_picture(result: Diagnosis) -> CaptionedFigure | None:
     rounds = [r for r in result.rivals if len(r.names) > 1]
     if not rounds:
         return None
-    cell, left = 0.72, 2.35
-    longest = max(len(short(name)) for r in rounds for name in r.names)
+    longest = max(len(_rival_label(name)) for r in rounds for name in r.names)
+    cell, left = 0.72, max(2.35, 0.085 * longest)
     above = 0.035 * longest + 0.2  # names at 30 degrees
     heights = [above + 0.36 * len(r.names) for r in rounds]
     total = 0.4 + sum(heights) + 0.15 * len(rounds)
@@ -342,6 +342,12 @@ def _draw_ranks(
         axes.plot(rank.gain, i, "o", color=color, markersize=6)
 
 
+def _rival_label(name: str) -> str:
+    """Name of a rival, which ends with its element where another has the same name."""
+    effect, _, element = name.partition(" at ")
+    return f"{short(readable(effect))}, {element}" if element else short(readable(effect))
+
+
 def _draw_rivals(axes: Axes, rivals: Rivals) -> None:
     count = len(rivals.names)
     share = 100.0 * np.asarray(rivals.preference, dtype=np.float64)
@@ -354,7 +360,7 @@ def _draw_rivals(axes: Axes, rivals: Rivals) -> None:
     axes.set_xticks(np.arange(-0.5, count), minor=True)
     axes.set_yticks(np.arange(-0.5, count), minor=True)
     axes.set_facecolor(GRID)  # the diagonal
-    names = [short(readable(name)) for name in rivals.names]
+    names = [_rival_label(name) for name in rivals.names]
     axes.set_xticks(range(count), names, rotation=30, ha="left", rotation_mode="anchor")
     axes.set_yticks(range(count), names)
     axes.xaxis.tick_top()
