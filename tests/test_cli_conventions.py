@@ -14,7 +14,7 @@ import typer
 from leglab import data
 from leglab.cli import options
 from leglab.cli.app import app, main
-from leglab.cli.conventions import EXAMPLES, explain
+from leglab.cli.conventions import EXAMPLES, explain, spread
 from tests.test_cli import leglab as call
 from tests.test_interop import example
 
@@ -260,3 +260,13 @@ def test_main_without_arguments_shows_help(capsys):
         main([])
     assert exit_.value.code == 2
     assert "Usage: leglab" in capsys.readouterr().out
+
+
+def test_healthy_takes_all_files_of_a_pattern():
+    """Click gives an option one word; the rest would pass for recordings of the fault."""
+    files = ["c.csv", "d.csv", "e.csv"]
+    before, after = ["diagnose", "bench", "a.csv", "b.csv"], ["--out", "here", "--seed", "3"]
+    repeated = [word for file in files for word in ("--healthy", file)]
+    assert spread([*before, "--healthy", *files, *after]) == [*before, *repeated, *after]
+    assert spread([*before, *repeated]) == [*before, *repeated]
+    assert spread(["run", "nominal", "--out", "x"]) == ["run", "nominal", "--out", "x"]

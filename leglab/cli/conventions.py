@@ -35,6 +35,7 @@ EXAMPLES = {
     ),
     "diagnose": (
         "leglab diagnose knee_bench rec/*.parquet --out out/knee",
+        "leglab diagnose knee_bench after/*.parquet --healthy before/*.parquet",
         "leglab diagnose axis.xml log.mcap --columns map.toml --effect backlash",
         "leglab diagnose --self-test --cases 20",
         "leglab diagnose --self-test --rough --sizes visible --out out/rough",
@@ -98,8 +99,12 @@ _COMPLETION: dict[str, Callable[[str], list[str]]] = {
     "models": completion("models"),
     "effect": completion("effects"),
     "recordings": path_completion(*RECORDINGS),
+    "healthy": path_completion(*RECORDINGS),
     "columns": path_completion(".toml"),
 }
+
+# Options that take all words up to the next option: a shell makes several of one `*`.
+_SEVERAL = ("--healthy",)
 
 # What typer raises for wrong arguments; its name is not public.
 _UsageError: Any = typer.BadParameter.__base__
@@ -156,7 +161,7 @@ def execute(app: typer.Typer, arguments: Sequence[str]) -> None:
     end = given.index("--") if "--" in given else len(given)
     kept = [a for a in given[:end] if a not in ("-v", "--verbose")]
     try:
-        status = app(args=kept + given[end:], prog_name="leglab", standalone_mode=False)
+        status = app(args=spread(kept) + given[end:], prog_name="leglab", standalone_mode=False)
     except (LeglabError, _UsageError) as error:
         if len(kept) < end:
             traceback.print_exc()
@@ -166,6 +171,22 @@ def execute(app: typer.Typer, arguments: Sequence[str]) -> None:
         sys.exit(BAD_INPUT)
     if isinstance(status, int) and status:
         sys.exit(status)
+
+
+def spread(arguments: Sequence[str]) -> list[str]:
+    """The same with an option of `_SEVERAL` repeated before each of its words.
+
+    Without that the second file of `--healthy before/*.csv` would be a recording of the fault.
+    """
+    found: list[str] = []
+    option = ""
+    for argument in arguments:
+        if argument.startswith("-"):
+            option = argument if argument in _SEVERAL else ""
+        elif option and found[-1] != option:
+            found.append(option)
+        found.append(argument)
+    return found
 
 
 def _explain(parameter: str, info: ParameterInfo) -> None:

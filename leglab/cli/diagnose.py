@@ -21,8 +21,7 @@ def diagnose(
     healthy: Annotated[
         list[Path] | None,
         typer.Option(
-            help="Recording of the same machine while it was healthy, repeatable: names what "
-            "changed since."
+            help="Recordings of the same machine while it was healthy: names what changed since."
         ),
     ] = None,
     columns: Columns = None,
