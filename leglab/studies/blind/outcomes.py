@@ -9,21 +9,21 @@ from typing import Any, TypeVar
 from leglab.runs.parallel import in_processes
 
 Case = TypeVar("Case")
-Outcome = TypeVar("Outcome")
+Result = TypeVar("Result")
 Key = tuple[str, int]  # kind and number
 
 
 def run_missing(
     path: Path,
     cases: Sequence[Case],
-    run: Callable[[Case], Outcome],
+    run: Callable[[Case], Result],
     *,
-    key: Callable[[Case | Outcome], Key],
-    parse: Callable[[Any], Outcome],
-    done: Callable[[Outcome], bool] = lambda _: True,
+    key: Callable[[Case | Result], Key],
+    parse: Callable[[Any], Result],
+    done: Callable[[Result], bool] = lambda _: True,
     processes: int = 2,
     progress: Callable[[str, int, int], None] = lambda *_: None,
-) -> list[Outcome]:
+) -> list[Result]:
     """Runs the cases whose outcome a file lacks, adds them to it, and returns all.
 
     Args:
@@ -31,7 +31,7 @@ def run_missing(
         cases: All cases; they run in an order in which each kind is always as far as the others.
         run: Makes an outcome, a dataclass.
         key: Kind and number of a case, or of an outcome.
-        parse: Outcome of a decoded line.
+        parse: Result of a decoded line.
         done: Whether an outcome counts; a case without one that does runs again.
         processes: Cases at a time.
         progress: Called with the last case, the number done and the total.
