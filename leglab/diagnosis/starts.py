@@ -21,7 +21,7 @@ from leglab.diagnosis.model import (
     Variant,
 )
 from leglab.diagnosis.paths import play
-from leglab.diagnosis.windows import Channel, Cut, derivative, smoothed
+from leglab.diagnosis.windows import Channel, Cut
 
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 # A bristle forgets over some tenths of a millimetre; this much history is enough.
@@ -365,11 +365,7 @@ def measure(
         column, samples = channel.column, series.columns[channel.column]
         for function, _ in change.corrections.get(column, ()):
             samples = function(samples, period)
-        corrected[column], known = samples, cut.smooth.get(column)
-        if known is None or column in change.corrections:
-            known = smoothed(samples, channel.filter), derivative(samples, channel.filter, period)
-            if column not in change.corrections:
-                cut.smooth[column] = known
+        corrected[column], known = samples, cut.filtered(channel, samples)
         if channel.chamber:
             pressure[column] = known[0]
         else:

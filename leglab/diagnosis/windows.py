@@ -16,6 +16,10 @@ from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 from leglab.machine.simulation import actuator_moments
 
 
+# Filtered versions of a channel that are kept: the present one and those of a trial.
+_KNOWN = 3
+
+
 @dataclass(frozen=True, kw_only=True)
 class Channel:
     """One measured output that a replay predicts.
@@ -128,13 +132,28 @@ class Cut:
         series: The recording.
         firsts: Samples at which windows start, shape (windows,).
         levers: d(actuator length)/d(joint position) of the cylinders, each (n,).
-        smooth: Smoothed samples and their derivative by column, each (n,).
+        known: By column, samples that were filtered lately and what came of them, each (n,).
     """
 
     series: UniformSeries
     firsts: np.ndarray
     levers: dict[str, np.ndarray]
-    smooth: dict[str, tuple[np.ndarray, ...]] = field(default_factory=dict)
+    known: dict[str, list[tuple[np.ndarray, np.ndarray, np.ndarray]]] = field(default_factory=dict)
+
+    def filtered(self, channel: Channel, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Smoothed samples of a channel, as a hypothesis corrects them, and their derivative.
+
+        Most hypotheses of a search correct a channel alike, so the last few are kept.
+        """
+        known = self.known.setdefault(channel.column, [])
+        place = next((i for i, k in enumerate(known) if np.array_equal(k[0], samples)), None)
+        if place is None:
+            slope = derivative(samples, channel.filter, self.series.period)
+            known.append((samples, smoothed(samples, channel.filter), slope))
+            del known[:-_KNOWN]
+        else:
+            known.append(known.pop(place))
+        return known[-1][1:]
 
 
 def cut_series(
