@@ -15,7 +15,6 @@ from leglab.diagnosis.series import UniformSeries, common_period
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 from leglab.machine.simulation import actuator_moments
 
-
 # Filtered versions of a channel that are kept: the present one and those of a trial.
 _KNOWN = 3
 
