@@ -139,6 +139,8 @@ class Thresholds:
     settling: int = 3
     # An early effect may be swapped for a rival that cost at most this factor more.
     near_factor: float = 1.2
+    # A set of effects is challenged anew after it changed, so often at most.
+    challenges: int = 4
 
     # When an effect is named.
     # Cost below which nothing more is missing: windows that start in stick-slip or beside jumps of

@@ -9,10 +9,11 @@ import numpy as np
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.diagnosis.admission import admit
+from leglab.diagnosis.challenge import Checks, challenged
 from leglab.diagnosis.discrepancy import Discrepancy
 from leglab.diagnosis.fitting import Fit, refit
 from leglab.diagnosis.hypothesis import Hypothesis, Key, Library
-from leglab.diagnosis.judging import accepted, simplest_first, t_value
+from leglab.diagnosis.judging import accepted, simplest_first
 from leglab.diagnosis.model import Machine
 from leglab.diagnosis.onset import checked_onsets, suspected_onset
 from leglab.diagnosis.residual import Problem
@@ -22,7 +23,6 @@ from leglab.diagnosis.search import (
     Progress,
     Round,
     baseline,
-    finished,
     pair_search,
     search_round,
     sharpen,
@@ -51,7 +51,7 @@ class DiagnosisSettings:
     excluded: tuple[str, ...] = ()
     threads: int = 2
     seed: int = 0
-    rounds: int = 3
+    rounds: int = 8
     thresholds: Thresholds = DEFAULT
 
 
@@ -170,16 +170,20 @@ def search(
         specimen: What healthy recordings said.
     """
     floor = specimen.discrepancy_of(problem.series) if specimen else None
-    exact = None
+    exact, limits = None, problem.thresholds
     if floor is None:
         exact = replace(_exact_search(problem, settings, progress), specimen=specimen)
-        limits = problem.thresholds
         left = float(exact.problem.window_cost(exact.fit.hypothesis).mean())
         if left <= limits.explained:
             return exact
         if left > limits.close_cost or not exact.named:
             exact = None
     rough = replace(_rough_search(problem, settings, progress, specimen, floor), specimen=specimen)
+    if floor is None and len(rough.named) > 1 and _level(rough) <= limits.hardly_explained:
+        # Several gross effects hid that the model is exact: with them it may leave noise alone.
+        again = _exact_search(problem, settings, progress, rough)
+        if float(again.problem.window_cost(again.fit.hypothesis).mean()) <= limits.explained:
+            return replace(again, specimen=specimen)
     # Little is left after some effects: they may be right, and the model's error none of its own.
     return exact if exact is not None and _level(exact) <= _level(rough) else rough
 
@@ -202,10 +206,10 @@ def _rough_search(
     problem, start, fit, named, rounds = rough_search(
         problem, settings.rounds, rng, progress, floor=floor, calibrated=specimen is not None
     )
-    checks: dict[Key, tuple[Contender, ...]] = {}
+    checks: Checks = {}
     if len(named) > 1:
         progress("checking each effect against the others")
-        fit, named, checks = _pruned(problem, fit, named, rounds)
+        fit, named, checks = challenged(problem, fit, named, rounds)
     return Search(
         problem=problem,
         baseline=start,
@@ -216,8 +220,16 @@ def _rough_search(
     )
 
 
-def _exact_search(problem: Problem, settings: DiagnosisSettings, progress: Progress) -> Search:
-    """The search on a machine that the right effects explain down to the sensors' noise."""
+def _exact_search(
+    problem: Problem,
+    settings: DiagnosisSettings,
+    progress: Progress,
+    begun: Search | None = None,
+) -> Search:
+    """The search on a machine that the right effects explain down to the sensors' noise.
+
+    It goes on from the effects that a search has `begun` with, if there is one.
+    """
     limits = problem.thresholds
     rng = np.random.default_rng(settings.seed)
     every = max(1, round(problem.fitted.sum() / limits.screened_windows))
@@ -229,7 +241,15 @@ def _exact_search(problem: Problem, settings: DiagnosisSettings, progress: Progr
     onset = None
     start = floor.hypothesis
     typical = floor.cost / (problem.size * chosen.sum())
-    if typical >= limits.explained:
+    if begun is not None:
+        named, rounds = list(begun.named), list(begun.rounds)
+        progress("fitting all that was found as if the model were exact")
+        start = begun.fit.hypothesis.only(named)
+        at = problem.linearise(start, chosen, named)
+        current = refit(problem, at, frozenset(named), iterations=6)
+        problem, current = _settled(problem, current, chosen)
+        start = current.hypothesis
+    elif typical >= limits.explained:
         # Nuisances that a missing effect has pulled along would mislead the screening.
         start = Hypothesis()
         progress("looking for an onset")
@@ -237,7 +257,7 @@ def _exact_search(problem: Problem, settings: DiagnosisSettings, progress: Progr
         if suspect is not None:
             onset, current = suspect
             start = current.hypothesis
-    while len(rounds) < settings.rounds:
+    while len(named) < settings.rounds:
         problem, tried = search_round(problem, start, current, rng, progress, onset)
         tried = replace(tried, contenders=simplest_first(problem, tried.contenders))
         rounds.append(tried)
@@ -269,10 +289,10 @@ def _exact_search(problem: Problem, settings: DiagnosisSettings, progress: Progr
         start = current.hypothesis
         if left > limits.explained:
             start = start.only(current.free)
-    checks: dict[Key, tuple[Contender, ...]] = {}
+    checks: Checks = {}
     if len(named) > 1:
         progress("checking each effect against the others")
-        current, named, checks = _pruned(problem, current, named, rounds)
+        current, named, checks = challenged(problem, current, named, rounds)
     if named:
         progress("last refinement")
         chosen = thinned(problem.fitted, max(1, every // 2))
@@ -299,47 +319,3 @@ def _settled(problem: Problem, fit: Fit, chosen: np.ndarray) -> tuple[Problem, F
             break
         cost = now
     return problem, fit
-
-
-def _pruned(
-    problem: Problem, current: Fit, named: list[Key], rounds: list[Round]
-) -> tuple[Fit, list[Key], dict[Key, tuple[Contender, ...]]]:
-    """Drops effects that later ones made needless, and swaps early impostors for their rivals.
-
-    Returns:
-        The fit, the effects that stay, and the `checks` of a search.
-    """
-    limits, at = problem.thresholds, current.at
-    best = problem.window_cost(current.hypothesis)
-    checks: dict[Key, tuple[Contender, ...]] = {}
-    noise = problem.size * at.chosen.sum()
-
-    def fitted(free: frozenset[Key], start: Hypothesis) -> tuple[Fit, np.ndarray]:
-        fit = refit(problem, at, free, start=start, iterations=3, fine=0.3)
-        return fit, problem.window_cost(fit.hypothesis)
-
-    for key in list(named):
-        others = frozenset(named) - {key}
-        without, cost = fitted(others, current.hypothesis.without(key))
-        if (cost - best).mean() < limits.worthwhile * max(1.0, cost.mean() - 1.0):
-            return without, [k for k in named if k in others], {}
-        contenders = (r.contenders for r in rounds)
-        rivals = next((cs for cs in contenders if any(c.key == key for c in cs)), ())
-        limit = limits.near_factor * min((c.cost.mean() for c in rivals if c.key == key), default=0)
-        tried = [Contender(key=key, fit=current, cost=best)]
-        for rival in rivals:
-            if rival.key in named or rival.cost.mean() > limit:
-                continue
-            start = current.hypothesis.without(key)
-            start = start.with_values(rival.key, rival.fit.hypothesis[rival.key])
-            swapped, cost = fitted(others | {rival.key}, start)
-            swap = Contender(key=rival.key, fit=swapped, cost=cost)
-            if swapped.cost < limits.close_cost * noise:
-                swap = finished(problem, swap)
-            tried.append(swap)
-            if t_value(best - swap.cost) > limits.significant:
-                current, best = swap.fit, swap.cost
-                named = [rival.key if k == key else k for k in named]
-                break
-        checks[tried[0].key if current is tried[0].fit else tried[-1].key] = tuple(tried)
-    return current, named, checks

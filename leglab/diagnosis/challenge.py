@@ -1,0 +1,131 @@
+"""Challenges of a set of named effects: is each needed, and would another do as well or better?
+
+A greedy search names what explains most at first, and an early impostor then stays beside the
+effects that it stood in for. So every effect is left out, every one is swapped for what came near
+it when it was named, and where a swap does as well, a further effect that it makes needless goes:
+two effects that imitate one are replaced by that.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from leglab.diagnosis.fitting import Fit, refit
+from leglab.diagnosis.hypothesis import Hypothesis, Key
+from leglab.diagnosis.judging import t_value
+from leglab.diagnosis.residual import Problem
+from leglab.diagnosis.search import Contender, Round, finished
+
+# By effect: the final fit, and what became of it with a rival in the effect's place.
+Checks = Mapping[Key, tuple[Contender, ...]]
+
+
+def challenged(
+    problem: Problem, fit: Fit, named: Sequence[Key], rounds: Sequence[Round]
+) -> tuple[Fit, list[Key], Checks]:
+    """Drops effects that others make needless, and swaps impostors for their rivals.
+
+    Args:
+        problem: With the noise model about the fit.
+        fit: With all named effects.
+        named: In the order of discovery.
+        rounds: Of the search, whose contenders are the rivals.
+
+    Returns:
+        The fit, the effects that stay, and the checks of those that stay.
+    """
+    kept = list(named)
+    checks: Checks = {}
+    for _ in range(problem.thresholds.challenges):
+        fit, kept = _needed(problem, fit, kept)
+        better, checks = _swapped(problem, fit, kept, rounds)
+        if better is None:
+            break
+        fit, kept = better
+    return fit, kept, checks if len(kept) > 1 else {}
+
+
+def _refitted(problem: Problem, fit: Fit, free: frozenset[Key], start: Hypothesis) -> Fit:
+    return refit(problem, fit.at, free, start=start, iterations=3, fine=0.3)
+
+
+def _needless(problem: Problem, best: np.ndarray, cost: np.ndarray) -> bool:
+    """Whether a fit with an effect less, of these costs of windows, does as well as the best."""
+    worthwhile = problem.thresholds.worthwhile * max(1.0, float(cost.mean()) - 1.0)
+    return float((cost - best).mean()) < worthwhile
+
+
+def _needed(problem: Problem, fit: Fit, named: list[Key]) -> tuple[Fit, list[Key]]:
+    """The fit without effects that can go, the least needed first."""
+    while len(named) > 1:
+        best = problem.window_cost(fit.hypothesis)
+        tried = []
+        for key in named:
+            start = fit.hypothesis.without(key)
+            without = _refitted(problem, fit, frozenset(named) - {key}, start)
+            tried.append((problem.window_cost(without.hypothesis), without, key))
+        cost, without, key = min(tried, key=lambda entry: float(entry[0].mean()))
+        if not _needless(problem, best, cost):
+            break
+        fit, named = without, [k for k in named if k != key]
+    return fit, named
+
+
+def _rivals(
+    problem: Problem, key: Key, named: Sequence[Key], rounds: Sequence[Round]
+) -> list[Contender]:
+    """Contenders that cost little more than an effect when it was named."""
+    tried = next((r.contenders for r in rounds if any(c.key == key for c in r.contenders)), ())
+    own = min((float(c.cost.mean()) for c in tried if c.key == key), default=0.0)
+    limit = problem.thresholds.near_factor * own
+    return [c for c in tried if c.key not in named and c.cost.mean() <= limit]
+
+
+def _swapped(
+    problem: Problem, fit: Fit, named: list[Key], rounds: Sequence[Round]
+) -> tuple[tuple[Fit, list[Key]] | None, dict[Key, tuple[Contender, ...]]]:
+    """The first swap that explains more, or as much with an effect less; and what was tried."""
+    best = problem.window_cost(fit.hypothesis)
+    checks: dict[Key, tuple[Contender, ...]] = {}
+    for key in named:
+        tried = [Contender(key=key, fit=fit, cost=best)]
+        for rival in _rivals(problem, key, named, rounds):
+            changed = [rival.key if k == key else k for k in named]
+            start = fit.hypothesis.without(key)
+            start = start.with_values(rival.key, rival.fit.hypothesis[rival.key])
+            swapped = _refitted(problem, fit, frozenset(changed), start)
+            cost = problem.window_cost(swapped.hypothesis)
+            swap = Contender(key=rival.key, fit=swapped, cost=cost)
+            if cost.mean() < _promising(problem, best):
+                swap = finished(problem, swap)
+            if t_value(best - swap.cost) > problem.thresholds.significant:
+                return (swap.fit, changed), checks
+            if _needless(problem, best, swap.cost):
+                fewer = _freed(problem, swap, changed, best)
+                if fewer is not None:
+                    return fewer, checks
+            tried.append(swap)
+        checks[key] = tuple(tried)
+    return None, checks
+
+
+def _promising(problem: Problem, best: np.ndarray) -> float:
+    """Cost below which a swap is fitted to the end, or a tie would pass for a victory."""
+    limits = problem.thresholds
+    if problem.noise.discrepancy is None:
+        return limits.close_cost
+    return limits.near_factor * float(best.mean())
+
+
+def _freed(
+    problem: Problem, swap: Contender, named: list[Key], best: np.ndarray
+) -> tuple[Fit, list[Key]] | None:
+    """The fit without the effect that a swap has made needless, if it did."""
+    for key in named:
+        if key == swap.key:
+            continue
+        start = swap.fit.hypothesis.without(key)
+        fewer = _refitted(problem, swap.fit, frozenset(named) - {key}, start)
+        if _needless(problem, best, problem.window_cost(fewer.hypothesis)):
+            return fewer, [k for k in named if k != key]
+    return None
