@@ -125,7 +125,7 @@ def exact(problem, named, contenders=()):
 
 def rough_ties(found, key):
     def weigh(own, rivals):
-        return naming._by_posterior(own, rivals, DEFAULT)
+        return naming._by_posterior(found.problem, own, rivals)
 
     return naming._ties(found, key, weigh)
 
@@ -388,7 +388,11 @@ def test_confidence_of_a_rough_name_depends_on_what_it_explains(sketch):
 
 def rough_verdict(problem, named, gap, specimen=None):
     found = a_search(problem, named, specimen=specimen)
-    return naming.judge_rough(found, gap, problem.held)
+
+    def level(hypothesis):
+        return naming.rms(problem.noise_levels(hypothesis)[problem.held])
+
+    return naming.judge_rough(found, gap, level)
 
 
 def test_what_closes_a_twentieth_of_the_gap_is_a_smaller_difference(sketch):
@@ -428,7 +432,7 @@ def test_a_machine_lacks_nothing_only_while_it_errs_as_when_healthy(sketch, cost
 def test_explained_is_that_over_all_where_held_out_hardly_shows_it():
     """A slow held-out recording does not show a fault of fast motion."""
     assert a_gap(unnamed=31.8, after=31.9, healthy=30.8).explained == 0.0
-    gap = a_gap(unnamed=31.8, after=31.9, healthy=30.8, overall=(180.0, 21.0, 20.0))
+    gap = a_gap(unnamed=31.8, after=31.9, healthy=30.8, compared=(180.0, 21.0, 20.0))
     assert gap.explained == pytest.approx(159.0 / 160.0)
 
 

@@ -36,14 +36,20 @@ def earns(problem: Problem, larger: Contender, simpler: Contender) -> bool:
 
     The larger one always fits a little better. Further parameters without meaning save a
     chi-square of as many degrees of freedom (Wilks 1938), times the dispersion that is left; in
-    1 of 100 cases more than its quantile. And what they save must hold where held out.
+    1 of 100 cases more than its quantile. And what they save must hold where held out. On a rough
+    machine, whose errors are few numbers, the larger one must be the more probable.
     """
     sites = problem.library.sites
-    further = len(sites[larger.key].parameters) - len(sites[simpler.key].parameters)
+    counts = [len(sites[c.key].parameters) for c in (larger, simpler)]
+    further = counts[0] - counts[1]
     saved = simpler.cost - larger.cost
     spread = max(1.0, float(larger.cost.mean()))
     chance = spread * float(chi2.ppf(0.99, max(further, 1)))
     held = saved[problem.held] if problem.held.sum() > 3 else saved
+    if problem.noise.discrepancy is not None:
+        costs = [float(c.cost.mean()) for c in (larger, simpler)]
+        if posterior(costs, problem.thresholds.rough_numbers, counts)[0] < 0.5:
+            return False
     return bool(
         problem.size * saved[larger.fit.at.chosen].sum() > chance
         and t_value(held) >= problem.thresholds.significant
@@ -115,18 +121,24 @@ def preferences(
     return wins + 0.5 * ties
 
 
-def posterior(costs: Sequence[float], numbers: float) -> np.ndarray:
+def posterior(
+    costs: Sequence[float], numbers: float, parameters: Sequence[int] | None = None
+) -> np.ndarray:
     """Probability of each explanation among some, whose model errors have an unknown size.
 
     With the size of a Gaussian error replaced by its estimate, n numbers of mean square c have the
-    likelihood c^(-n/2) (concentrated likelihood; Seber and Wild 1989, Sec. 2.2). Errors of a model
-    go together in time and across channels, so that they are few numbers.
+    likelihood c^(-n/2) (concentrated likelihood; Seber and Wild 1989, Sec. 2.2), and k fitted
+    parameters cost a factor n^(-k/2) (Schwarz 1978). Errors of a model go together in time and
+    across channels, so that they are few numbers.
 
     Args:
         costs: Mean square of each explanation.
         numbers: How many independent numbers the errors are worth.
+        parameters: How many each explanation has; None for as many.
     """
     log = -0.5 * numbers * np.log(np.maximum(np.asarray(costs, dtype=float), 1e-300))
+    if parameters is not None:
+        log -= 0.5 * np.log(max(numbers, 1.0)) * np.asarray(parameters, dtype=float)
     weights = np.exp(log - log.max())
     return weights / weights.sum()
 

@@ -13,7 +13,6 @@ from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.result import Estimate, Gap, NamedEffect, Verdict
 from leglab.diagnosis.rough import cost_under
 from leglab.diagnosis.search import Contender
-from leglab.diagnosis.thresholds import Thresholds
 from leglab.diagnosis.windows import Channel
 from leglab.diagnosis.workflow import Search
 
@@ -53,21 +52,20 @@ def judge_exact(found: Search, rng: np.random.Generator) -> Judged:
     return ("confusion_set" if tied else "named"), effects, ()
 
 
-def judge_rough(found: Search, gap: Gap, shown: np.ndarray) -> Judged:
+def judge_rough(found: Search, gap: Gap, level: Callable[[Hypothesis], float]) -> Judged:
     """The verdict on a machine that differs from its model everywhere a little.
 
     An effect is named as the probable cause, whatever the model's own error leaves; how much it
-    explains is another number. `shown` are the windows in which the effects show.
+    explains is another number. `level` is the error of a hypothesis as `gap.shown` has it.
     """
-    problem, limits = found.problem, found.problem.thresholds
+    limits = found.problem.thresholds
     unnamed, after, floor = gap.shown
 
     def contribution(without: Hypothesis) -> float:
-        lost = rms(problem.noise_levels(without)[shown]) - after
-        return lost / max(unnamed - floor, 1e-9)
+        return (level(without) - after) / max(unnamed - floor, 1e-9)
 
     def weigh(own: Contender, rivals: Sequence[Contender]) -> Ties:
-        return _by_posterior(own, rivals, limits)
+        return _by_posterior(found.problem, own, rivals)
 
     explained = gap.explained or 0.0
     effects = _effects(found, contribution, weigh, within_library(explained))
@@ -178,10 +176,12 @@ def _by_resampling(
     return tuple(tied), float(confidence)
 
 
-def _by_posterior(own: Contender, rivals: Sequence[Contender], limits: Thresholds) -> Ties:
+def _by_posterior(problem: Problem, own: Contender, rivals: Sequence[Contender]) -> Ties:
     """Ties of a rough machine, whose errors are mostly the model's own."""
-    costs = [float(c.cost.mean()) for c in (own, *rivals)]
-    share = posterior(costs, limits.rough_numbers)
+    limits, sites = problem.thresholds, problem.library.sites
+    tried = (own, *rivals)
+    costs = [float(c.cost.mean()) for c in tried]
+    share = posterior(costs, limits.rough_numbers, [len(sites[c.key].parameters) for c in tried])
     tied = [
         c.key[0] for c, p in zip(rivals, share[1:], strict=True) if p * limits.rough_tie > share[0]
     ]

@@ -131,8 +131,9 @@ class Gap:
         noise_floor: What noise alone gives.
         healthy: Error that the calibrated specimen had in its healthy recordings; None without any.
         unnamed: Error of the final fit without the named effects; NaN where there are none.
-        overall: `unnamed`, `after` and the healthy error over all recordings, where those held out
-            hardly show what is named; else None.
+        compared: What `explained` is taken from, as of `Measure`: error without the named effects,
+            with them, and what is no part of the gap; where held out, or over all recordings where
+            those hardly show what is named. None for `unnamed`, `after` and the floor.
         held_out: Names of the recordings.
     """
 
@@ -143,13 +144,13 @@ class Gap:
     after: float
     healthy: float | None = None
     unnamed: float = math.nan
-    overall: tuple[float, float, float] | None = None
+    compared: tuple[float, float, float] | None = None
     held_out: tuple[str, ...]
 
     @property
     def shown(self) -> tuple[float, float, float]:
-        """`unnamed`, `after` and what is no part of the gap, where the named effects show."""
-        return self.overall or (self.unnamed, self.after, self.healthy or self.noise_floor)
+        """Errors without the named effects and with them, and what is no part of the gap."""
+        return self.compared or (self.unnamed, self.after, self.healthy or self.noise_floor)
 
     @property
     def explained(self) -> float | None:
@@ -324,7 +325,7 @@ class Diagnosis:
             "where": [asdict(where) for where in self.where],
             "not_testable": sorted({n.name for n in self.not_testable}),
             "gap": {
-                **_fields(self.gap, "held_out", "unnamed", "overall"),
+                **_fields(self.gap, "held_out", "unnamed", "compared"),
                 "closed_fraction": self.gap.closed_fraction,
                 "held_out": self.gap.held_out,
             },

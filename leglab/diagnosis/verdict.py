@@ -18,6 +18,7 @@ from leglab.diagnosis.fitting import Fit
 from leglab.diagnosis.hypothesis import Hypothesis
 from leglab.diagnosis.isolation import isolate, sample_places
 from leglab.diagnosis.judging import preferences
+from leglab.diagnosis.measure import Measure
 from leglab.diagnosis.model import CYLINDER, Machine
 from leglab.diagnosis.naming import estimate, judge_exact, judge_rough, rms, twins
 from leglab.diagnosis.remarks import Remark, merged
@@ -110,23 +111,23 @@ def assemble(found: Search, settings: DiagnosisSettings, *, seconds: float) -> D
     judged = [bool(problem.held[own].any()) for own in windows]
     specimen = found.specimen
     levels = {k: rms(squares[k][held]) for k in squares}
+    measure = Measure.of(problem, specimen)
     gap = Gap(
         held_out=tuple(name for name, held_out in zip(names, judged, strict=True) if held_out),
         before=levels["before"],
         baseline=levels["baseline"],
         after=levels["after"],
         unnamed=levels.get("unnamed", math.nan),
-        healthy=_healthy_level(found, held) if specimen else None,
+        healthy=_healthy_level(specimen, problem, held) if specimen else None,
     )
-    where_shown = held
+    shown = held
     if found.named:
         every = np.ones_like(held)
-        floors = [_healthy_level(found, mask) for mask in (held, every)]
-        unnamed = rms(squares["unnamed"])
-        if gap.unnamed - floors[0] < limits.shown_share * (unnamed - floors[1]):
+        compared, overall = (measure.compared(models["unnamed"], final, w) for w in (held, every))
+        if compared[0] - compared[2] < limits.shown_share * (overall[0] - overall[2]):
             # A slow motion that nobody fitted cannot tell what a fast one would show.
-            gap = replace(gap, overall=(unnamed, rms(squares["after"]), floors[1]))
-            where_shown = every
+            compared, shown = overall, every
+        gap = replace(gap, compared=compared)
     rivals = tuple(
         Rivals(
             round=i,
@@ -138,7 +139,9 @@ def assemble(found: Search, settings: DiagnosisSettings, *, seconds: float) -> D
         if one.contenders
     )
     verdict, effects, smaller = (
-        judge_rough(found, gap, where_shown) if found.rough else judge_exact(found, rng)
+        judge_rough(found, gap, lambda h: measure.level(h, shown))
+        if found.rough
+        else judge_exact(found, rng)
     )
     where, ceiling = isolate(problem)
     return Diagnosis(
@@ -169,7 +172,7 @@ def assemble(found: Search, settings: DiagnosisSettings, *, seconds: float) -> D
         traces=traces(problem, final),
         nuisances=nuisance_estimates(problem, found.fit),
         next_experiment=_next_experiment(found, effects),
-        notes=(*notes(problem), *([_HARDLY_SHOWN] if gap.overall else ())),
+        notes=(*notes(problem), *([_HARDLY_SHOWN] if shown is not held else ())),
         rollouts=problem.replay.rollouts,
         seconds=seconds,
     )
@@ -184,14 +187,11 @@ def _labels(contenders: Sequence[Contender]) -> tuple[str, ...]:
     )
 
 
-def _healthy_level(found: Search, held: np.ndarray) -> float:
+def _healthy_level(specimen: Specimen, problem: Problem, held: np.ndarray) -> float:
     """Error to expect of the healthy specimen in the held-out recordings, in noise levels."""
-    specimen = found.specimen
-    if specimen is None:
-        return 1.0
-    nearest = specimen.nearest(found.problem.series)
+    nearest = specimen.nearest(problem.series)
     levels = np.array([specimen.after[i] for i in nearest])
-    return rms(levels[found.problem.replay.recording[held]] ** 2)
+    return rms(levels[problem.replay.recording[held]] ** 2)
 
 
 def _remaining(problem: Problem, final: Hypothesis, held: np.ndarray) -> tuple[Remaining, ...]:
