@@ -73,7 +73,7 @@ _EFFECTS = (
     "pressure_sensor_scale", "quadratic_damping", "sensor_delay", "spring_hardening",
     "spring_offset", "spring_stiffness", "stiction", "supply_droop", "supply_pressure",
     "valve_bandwidth", "valve_bias", "valve_deadband", "valve_gain", "valve_gain_asymmetry",
-    "valve_hysteresis", "viscous_friction",
+    "valve_hysteresis", "valve_null_leakage", "viscous_friction",
 )  # fmt: skip
 _LISTED = {
     "effects": _EFFECTS,

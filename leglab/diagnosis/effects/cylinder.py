@@ -291,6 +291,16 @@ define(
 )
 
 
+define(
+    "valve_null_leakage",
+    "valve and command",
+    "Worn metering edges: rounding eps of each, so that at its lap it is open by eps/2.",
+    "null leakage of servovalves: a few per cent of the rated flow, several times that when worn",
+    "small openings under load, standstill",
+    CylinderRow("edge_rounding", (0.5, 2.0, 4.0), tolerance=0.1, lower=0.02, upper=20.0),
+)
+
+
 @register_effect
 class ValveGainAsymmetry(CylinderEffect):
     """Another flow in one direction of the spool, or in both by different factors."""

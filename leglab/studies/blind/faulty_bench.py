@@ -433,6 +433,7 @@ FAULTS: dict[str, Fault] = {
     "valve_gain": _scaled("rated_flow", (0.6, 0.88), (1.12, 1.4)),
     "valve_gain_asymmetry": _either(_both_gains, _one_gain),
     "valve_hysteresis": _shifted("hysteresis", 0.008, 0.06, signed=False),
+    "valve_null_leakage": _scaled("edge_rounding", (2.5, 6.0)),
     "valve_bandwidth": _scaled("bandwidth_hz", (0.05, 0.3)),
     "command_delay": _set(
         "command_delay", "delay", lambda rng: TIMESTEP * round(rng.uniform(0.003, 0.02) / TIMESTEP)

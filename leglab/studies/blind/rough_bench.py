@@ -324,6 +324,16 @@ def _asymmetric_seal(
     return changed, HiddenValue(parameter=f"coulomb_{side}", value=value)
 
 
+def _rounded(
+    bench: RoughBench, size: float, rng: np.random.Generator
+) -> tuple[RoughBench, HiddenValue]:
+    value = size * bench["edge_rounding"]
+    changed = {"edge_rounding": value}
+    if bench["edge_law"] == 1.0:  # a sharp edge has its clearance instead
+        changed = {"edge_clearance": size * bench["edge_clearance"]}
+    return bench.changed(**changed), HiddenValue(parameter="edge_rounding", value=value)
+
+
 def _one_gain(
     bench: RoughBench, size: float, rng: np.random.Generator
 ) -> tuple[RoughBench, HiddenValue]:
@@ -419,6 +429,9 @@ FAULTS: dict[str, RoughFault] = {
     "valve_hysteresis": RoughFault(
         size=Size(visible=0.004, low=0.01, high=0.06),
         change=_shifted(("hysteresis",), "hysteresis"),
+    ),
+    "valve_null_leakage": RoughFault(
+        size=Size(visible=1.5, low=2.5, high=6.0), change=_rounded
     ),
     "valve_bandwidth": RoughFault(
         size=Size(visible=0.5, low=0.3, high=0.05), change=_scaled("bandwidth_hz", "bandwidth_hz")

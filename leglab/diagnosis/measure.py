@@ -1,0 +1,62 @@
+"""The error that `explained` compares: in noise levels, or beside a healthy specimen's own."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from leglab.diagnosis.hypothesis import Hypothesis
+from leglab.diagnosis.naming import rms
+from leglab.diagnosis.residual import Problem
+from leglab.diagnosis.specimen import Specimen
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Measure:
+    """Errors of hypotheses in some windows, and what is no part of a gap there.
+
+    Where healthy recordings have shown how far the model misses this specimen, errors count by how
+    unusual they are for it, and single windows by their logarithm: else a few windows that start
+    in stick-slip, as healthy ones do, would hide what the fault opens in all others.
+
+    Attributes:
+        problem: Under the discrepancy of the healthy specimen where that has one.
+        weighed: Whether it has.
+        floors: Mean square that the healthy specimen, or noise, gives in each recording,
+            (recordings,).
+    """
+
+    problem: Problem
+    weighed: bool
+    floors: np.ndarray
+
+    @classmethod
+    def of(cls, problem: Problem, specimen: Specimen | None) -> "Measure":
+        """The measure for recordings, with what healthy ones of the specimen said."""
+        if specimen is None:
+            return cls(problem=problem, weighed=False, floors=np.ones(len(problem.series)))
+        nearest = specimen.nearest(problem.series)
+        if specimen.discrepancy is None:
+            floors = np.array(specimen.after)[nearest] ** 2
+            return cls(problem=problem, weighed=False, floors=floors)
+        healthy = specimen.problem.trusting(specimen.discrepancy)
+        costs = healthy.window_cost(specimen.values)
+        recording = healthy.replay.recording
+        own = [costs[recording == i].mean() for i in range(len(healthy.series))]
+        trusted = problem.trusting(specimen.discrepancy_of(problem.series))
+        return cls(problem=trusted, weighed=True, floors=np.array(own)[nearest])
+
+    def level(self, hypothesis: Hypothesis, windows: np.ndarray) -> float:
+        """RMS error of a hypothesis in a mask of windows."""
+        problem = self.problem
+        squares = problem.window_cost if self.weighed else problem.noise_levels
+        return rms(squares(hypothesis)[windows])
+
+    def floor(self, windows: np.ndarray) -> float:
+        """RMS error that is no part of the gap in a mask of windows."""
+        return rms(self.floors[self.problem.replay.recording[windows]])
+
+    def compared(
+        self, unnamed: Hypothesis, after: Hypothesis, windows: np.ndarray
+    ) -> tuple[float, float, float]:
+        """Errors without the named effects and with them, and the floor."""
+        return self.level(unnamed, windows), self.level(after, windows), self.floor(windows)
