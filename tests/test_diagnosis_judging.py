@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from leglab.diagnosis import naming, rough, verdict
 from leglab.diagnosis.discrepancy import Discrepancy, from_errors
@@ -15,6 +16,7 @@ from leglab.diagnosis.fitting import Fit
 from leglab.diagnosis.hypothesis import Hypothesis, Library
 from leglab.diagnosis.judging import (
     accepted,
+    beyond_specimens,
     intervals,
     noticeable,
     posterior,
@@ -80,11 +82,11 @@ def sketch(machine, library, monkeypatch):
     return problem
 
 
-def a_fit(library, *keys):
-    """A fit with effects of two trials' size."""
+def a_fit(library, *keys, trials=4.0):
+    """A fit with effects of so many trials' size."""
     values = {k: library.sites[k].nominal for k in keys}
     for key, value in values.items():
-        value += 2.0 * np.array([p.scale for p in library.sites[key].parameters])
+        value += trials * np.array([p.scale for p in library.sites[key].parameters])
     none = np.zeros((WINDOWS, SIZE))
     at = Linearisation(
         base=Hypothesis(values), residual=none, tangents=none, nuisances=(), chosen=~HELD
@@ -444,6 +446,44 @@ def test_explained_is_the_share_of_what_the_healthy_machine_did_not_show():
     assert a_gap(unnamed=10.0, after=11.0, healthy=4.0).explained == 0.0
     assert a_gap(unnamed=4.0, after=4.0, healthy=4.0).explained is None
     assert a_gap(after=4.0).explained is None
+
+
+@pytest.mark.parametrize(("trials", "expected"), [(0.9, "unexplained"), (3.0, "named")])
+def test_what_a_good_machine_may_have_is_no_fault_unless_healthy_recordings_lack_it(
+    sketch, trials, expected
+):
+    sketch.costs |= {frozenset(): 10.0**2, frozenset([OFFSET]): 1.0}
+    found = replace(a_search(sketch, [OFFSET]), fit=a_fit(sketch.library, OFFSET, trials=trials))
+    gap = a_gap(unnamed=10.0)
+
+    def level(hypothesis):
+        return naming.rms(sketch.noise_levels(hypothesis))
+
+    said, causes, smaller = naming.judge_rough(found, gap, level)
+    assert (said, len(causes), len(smaller)) == (expected, trials > 1.0, trials < 1.0)
+    known = replace(found, specimen=SimpleNamespace(discrepancy_of=lambda series: None))
+    said, (cause,), _ = naming.judge_rough(known, gap, level)
+    assert said == "named"
+    assert cause.confidence > 0.99
+
+
+def test_a_departure_is_a_fault_the_more_probably_the_larger_it_is():
+    shares = [beyond_specimens(d) for d in (0.0, 0.5, 1.0, 1.5, 2.0, 3.0)]
+    assert (np.diff(shares) > 0.0).all()
+    assert shares[2] < 0.5 < shares[3]
+    assert shares[4] > 0.9
+    # Bayes' rule with even odds: |d| normal about the model, or anywhere up to five trials.
+    own = 2.0 * norm.pdf(1.0, scale=DEFAULT.specimen_spread)
+    assert shares[2] == pytest.approx(0.2 / (0.2 + own))
+
+
+def test_parameters_cost_a_rough_explanation_its_probability():
+    few, many = posterior([1.0, 0.9], 30.0, [1, 4])
+    assert few > many
+    assert posterior([1.0, 0.5], 30.0, [1, 4])[1] > 0.95
+    np.testing.assert_allclose(posterior([1.0, 0.9], 30.0, [2, 2]), posterior([1.0, 0.9], 30.0))
+    # Schwarz 1978: half the logarithm of the numbers for every parameter.
+    assert many / few == pytest.approx(0.9**-15.0 * 30.0**-1.5)
 
 
 # The discrepancy of the model.

@@ -69,14 +69,36 @@ def simplest_first(problem: Problem, contenders: Sequence[Contender]) -> tuple[C
     return tuple(out)
 
 
-def noticeable(problem: Problem, key: Key, hypothesis: Mapping[Key, np.ndarray]) -> bool:
-    """Whether a strength departs from nominal by a share of its smallest trial that matters."""
+def departure(problem: Problem, key: Key, hypothesis: Mapping[Key, np.ndarray]) -> float:
+    """How far the strengths of an effect are from nominal, in their smallest trials: the most."""
     site = problem.library.sites[key]
-    return any(
-        abs(value - nominal) > problem.thresholds.noticeable * p.scale
+    return max(
+        abs(value - nominal) / p.scale
         for value, nominal, p in zip(hypothesis[key], site.nominal, site.parameters, strict=True)
         if p.role == "strength"
     )
+
+
+def noticeable(problem: Problem, key: Key, hypothesis: Mapping[Key, np.ndarray]) -> bool:
+    """Whether a strength departs from nominal by a share of its smallest trial that matters."""
+    return departure(problem, key, hypothesis) > problem.thresholds.noticeable
+
+
+def beyond_specimens(departure: float, thresholds: Thresholds = DEFAULT) -> float:
+    """Probability that a departure from the model is a fault and not this specimen's own.
+
+    Strengths of healthy machines scatter normally about their model, by some share of what is
+    barely noticeable; those of faults lie anywhere up to several times that. Bayes' rule with even
+    odds: what shows at all is one or the other.
+
+    Args:
+        departure: In smallest trials.
+        thresholds: Of both spreads.
+    """
+    spread = thresholds.specimen_spread
+    own = np.exp(-0.5 * (departure / spread) ** 2) / (spread * np.sqrt(2.0 * np.pi))
+    fault = 1.0 / thresholds.fault_range
+    return float(fault / (fault + 2.0 * own))
 
 
 def t_value(difference: np.ndarray) -> float:

@@ -1,13 +1,22 @@
 """Which effects are named, how sure each name is, and what is not told apart from it."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 
 from leglab.diagnosis.effects.base import EffectParameter
 from leglab.diagnosis.hypothesis import Hypothesis, Key
-from leglab.diagnosis.judging import earns, intervals, posterior, preferences, within_library
+from leglab.diagnosis.judging import (
+    beyond_specimens,
+    departure,
+    earns,
+    intervals,
+    posterior,
+    preferences,
+    within_library,
+)
 from leglab.diagnosis.model import Machine
 from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.result import Estimate, Gap, NamedEffect, Verdict
@@ -68,9 +77,21 @@ def judge_rough(found: Search, gap: Gap, level: Callable[[Hypothesis], float]) -
         return _by_posterior(found.problem, own, rivals)
 
     explained = gap.explained or 0.0
-    effects = _effects(found, contribution, weigh, within_library(explained))
-    causes = tuple(e for e in effects if e.contribution >= limits.smaller_share)
-    smaller = tuple(e for e in effects if e.contribution < limits.smaller_share)
+    own = dict.fromkeys(found.named, 1.0)
+    if found.specimen is None:
+        # Nothing has said what this machine is like: a good one may differ as much.
+        final = found.fit.hypothesis
+        own = {k: beyond_specimens(departure(found.problem, k, final), limits) for k in own}
+    effects = tuple(
+        replace(e, confidence=e.confidence * own[e.name, e.element])
+        for e in _effects(found, contribution, weigh, within_library(explained))
+    )
+
+    def cause(e: NamedEffect) -> bool:
+        return e.contribution >= limits.smaller_share and own[e.name, e.element] >= limits.fault
+
+    causes = tuple(e for e in effects if cause(e))
+    smaller = tuple(e for e in effects if not cause(e))
     if not causes:
         return ("nothing_missing" if _as_healthy(found) else "unexplained"), (), smaller
     if explained < limits.explanation_share:

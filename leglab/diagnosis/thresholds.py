@@ -186,6 +186,12 @@ class Thresholds:
     rough_tie: float = 4.0
     # Held-out recordings hardly show an effect if their gap is less than this share of the overall.
     shown_share: float = 0.3
+    # Strengths of healthy specimens scatter by this share of what is barely noticeable, those of
+    # faults lie within so many times that.
+    specimen_spread: float = 0.7
+    fault_range: float = 5.0
+    # What is less probably a fault than this is a smaller difference.
+    fault: float = 0.5
     # An effect of a rough machine that closes less of the gap is a smaller difference.
     smaller_share: float = 0.1
     # Strengths of a calibrated specimen that are listed depart by this share of barely noticeable.

@@ -430,9 +430,7 @@ FAULTS: dict[str, RoughFault] = {
         size=Size(visible=0.004, low=0.01, high=0.06),
         change=_shifted(("hysteresis",), "hysteresis"),
     ),
-    "valve_null_leakage": RoughFault(
-        size=Size(visible=1.5, low=2.5, high=6.0), change=_rounded
-    ),
+    "valve_null_leakage": RoughFault(size=Size(visible=1.5, low=2.5, high=6.0), change=_rounded),
     "valve_bandwidth": RoughFault(
         size=Size(visible=0.5, low=0.3, high=0.05), change=_scaled("bandwidth_hz", "bandwidth_hz")
     ),
