@@ -12,6 +12,7 @@ from scipy.stats import norm
 
 from leglab.diagnosis import naming, rough, verdict
 from leglab.diagnosis.discrepancy import Discrepancy, from_errors
+from leglab.diagnosis.effects.base import EffectParameter
 from leglab.diagnosis.fitting import Fit
 from leglab.diagnosis.hypothesis import Hypothesis, Library
 from leglab.diagnosis.judging import (
@@ -215,7 +216,7 @@ def test_a_gain_that_does_not_matter_is_not_accepted(sketch):
     # Nor is a strength that nobody would notice.
     large = contender(sketch.library, OFFSET, base - ripple(9.0))
     assert accepted(sketch, a_round([large], base), large)
-    tiny = Hypothesis({OFFSET: 0.05 * large.fit.hypothesis[OFFSET]})
+    tiny = Hypothesis({OFFSET: 0.03 * large.fit.hypothesis[OFFSET]})
     weak = replace(large, fit=large.fit.with_hypothesis(tiny))
     assert not accepted(sketch, a_round([weak], base), weak)
 
@@ -475,6 +476,16 @@ def test_a_departure_is_a_fault_the_more_probably_the_larger_it_is():
     # Bayes' rule with even odds: |d| normal about the model, or anywhere up to five trials.
     own = 2.0 * norm.pdf(1.0, scale=DEFAULT.specimen_spread)
     assert shares[2] == pytest.approx(0.2 / (0.2 + own))
+
+
+def test_a_tenth_of_the_bandwidth_is_as_severe_as_the_trials_that_it_passes():
+    bandwidth = EffectParameter("f", "Hz", nominal=250.0, upper=500.0, trials=(12.5, 30.0, 87.5))
+    assert bandwidth.departure(250.0, 250.0) == 0.0
+    assert bandwidth.departure(168.75, 250.0) == pytest.approx(0.5)
+    assert bandwidth.departure(30.0, 250.0) == pytest.approx(2.0)
+    assert bandwidth.departure(12.5, 250.0) == pytest.approx(3.0)
+    # A long way in smallest trials counts as such, on a side without trials as well.
+    assert bandwidth.departure(500.0, 250.0) == pytest.approx(250.0 / 162.5)
 
 
 def test_parameters_cost_a_rough_explanation_its_probability():

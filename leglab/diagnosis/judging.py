@@ -73,7 +73,7 @@ def departure(problem: Problem, key: Key, hypothesis: Mapping[Key, np.ndarray]) 
     """How far the strengths of an effect are from nominal, in their smallest trials: the most."""
     site = problem.library.sites[key]
     return max(
-        abs(value - nominal) / p.scale
+        p.departure(float(value), float(nominal))
         for value, nominal, p in zip(hypothesis[key], site.nominal, site.parameters, strict=True)
         if p.role == "strength"
     )

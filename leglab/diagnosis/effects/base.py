@@ -6,6 +6,7 @@ from dataclasses import KW_ONLY, dataclass
 from typing import ClassVar, Literal, TypeVar
 
 import mujoco
+import numpy as np
 
 from leglab.base.errors import LeglabError
 from leglab.diagnosis.model import Change, ForceLeft, Machine, Measured, Variant
@@ -57,6 +58,19 @@ class EffectParameter:
         """Distance from nominal that matters: what finite differences and fits step by."""
         steps = [abs(trial - self.nominal) for trial in self.trials if trial != self.nominal]
         return min(steps) if steps else 0.1 * (self.upper - self.lower)
+
+    def departure(self, value: float, nominal: float) -> float:
+        """How severe a value is: 1 for a barely noticeable distance from `nominal`, more beyond.
+
+        Distance over the smallest trial's, or the trials that it passes where these are more: a
+        bandwidth can fall by no more than itself.
+        """
+        distance = abs(value - nominal)
+        side = sorted(
+            abs(t - self.nominal) for t in self.trials if (t - self.nominal) * (value - nominal) > 0
+        )
+        passed = np.interp(distance, [0.0, *side], range(len(side) + 1)) if side else 0.0
+        return max(distance / self.scale, float(passed))
 
 
 class Effect(ABC):

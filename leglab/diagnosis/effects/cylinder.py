@@ -220,7 +220,7 @@ class AsymmetricSealFriction(CylinderEffect):
                         nominal=own,
                         lower=min(0.3 * own, own),
                         upper=30.0 * size,
-                        trials=(own + 1.5 * size,),
+                        trials=(own + 0.7 * size, own + 1.5 * size),
                     )
                 )
         return tuple(found)

@@ -206,10 +206,10 @@ class AsymmetricFriction(JointEffect):
     contains = ("viscous_friction", "coulomb_friction", "asymmetric_friction")
 
     rows = tuple(
-        JointRow(f"{kind}_{side}", unit, (trial,), upper=upper)
-        for kind, unit, trial, upper in (
-            ("viscous", "{force} s/{length}", 0.1, 10.0),
-            ("coulomb", "{force}", 0.05, 1.0),
+        JointRow(f"{kind}_{side}", unit, trials, upper=upper)
+        for kind, unit, trials, upper in (
+            ("viscous", "{force} s/{length}", (0.02, 0.1), 10.0),
+            ("coulomb", "{force}", (0.01, 0.05), 1.0),
         )
         for side in ("forward", "backward")
     )
