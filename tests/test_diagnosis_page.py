@@ -382,6 +382,17 @@ def test_smaller_differences_are_no_names():
     assert "delay" not in dict(facts(result))["Missing"]
 
 
+def test_what_a_good_machine_may_have_is_said_to_be_so():
+    """The words must not say that nothing explains what a difference does explain."""
+    ordinary = replace(effect("oil_viscosity"), contribution=0.96, parameters=())
+    result = diagnosis("unexplained", smaller=(ordinary,))
+    assert headline(result).startswith("The machine differs from its model by no more than a good")
+    told = section(result, "What is missing")
+    assert "(closes 96 % of the gap, and a good machine may differ as much)" in told
+    little = diagnosis("unexplained", smaller=(replace(ordinary, contribution=0.02),))
+    assert "no known effect explains it" in headline(little)
+
+
 CALIBRATION = Calibration(
     recordings=(("calm", 30.0, 4.0),),
     estimates=(

@@ -277,8 +277,8 @@ class Diagnosis:
         traces: Residual series.
         nuisances: Refitted parameters within their tolerance.
         next_experiment: Where rivals remain.
-        smaller: Effects that are there and close less than a tenth of the gap each: differences,
-            not the cause.
+        smaller: Effects that are there and close less than a tenth of the gap each, or that a good
+            machine may have as well: differences, not the cause.
         remaining: Errors that are left, in units of the channels.
         calibration: Of the specimen, where healthy recordings were given.
         rough: Whether the model's own error was counted in, beside the sensors' noise.

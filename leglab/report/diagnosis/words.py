@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from leglab.diagnosis.result import Diagnosis, Estimate, NamedEffect, Remaining, shown_unit
+from leglab.diagnosis.thresholds import DEFAULT
 from leglab.report.page.shell import Section
 from leglab.report.page.wording import capital, listed, number, readable
 
@@ -67,6 +68,11 @@ def headline(result: Diagnosis) -> str:
             )
         return f"The simulation is missing {found}, and more that has no name yet."
     if result.verdict == "unexplained":
+        if not found and _ordinary(result):
+            return (
+                "The machine differs from its model by no more than a good one may; recordings of "
+                "it while healthy would tell whether anything has changed."
+            )
         ending = f"; {found} explains less than half of it" if found else ""
         if since:
             start = "Something has changed since the healthy recordings"
@@ -75,6 +81,11 @@ def headline(result: Diagnosis) -> str:
     if since:
         return "Nothing has changed since the healthy recordings that these could show."
     return "Nothing is missing that these recordings could show."
+
+
+def _ordinary(result: Diagnosis) -> tuple[NamedEffect, ...]:
+    """Effects that explain much, and that a good machine may have as well."""
+    return tuple(e for e in result.smaller if e.contribution >= DEFAULT.smaller_share)
 
 
 def facts(result: Diagnosis) -> tuple[tuple[str, str], ...]:
@@ -383,6 +394,8 @@ def smaller_words(result: Diagnosis) -> tuple[str, ...]:
             for p in effect.parameters
         )
         closes = f"closes {100.0 * effect.contribution:.0f} % of the gap"
+        if effect in _ordinary(result):
+            closes += ", and a good machine may differ as much"
         told.append(f"{_at(effect)} {values}".rstrip() + f" ({closes})")
     start = "There too, and not the cause" if result.effects else "There, and not the cause"
     return (f"{start}: {'; '.join(told)}.",)

@@ -1,0 +1,152 @@
+"""A named set is challenged: effects that others make needless go, impostors are swapped."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from leglab.diagnosis import challenge
+from leglab.diagnosis.fitting import Fit
+from leglab.diagnosis.hypothesis import Hypothesis, Library
+from leglab.diagnosis.model import Machine
+from leglab.diagnosis.residual import Linearisation
+from leglab.diagnosis.search import Contender, Round
+from leglab.diagnosis.thresholds import DEFAULT
+from tests.rigs import PENDULUM
+
+OFFSET, VISCOUS = ("force_offset", "hinge"), ("viscous_friction", "hinge")
+COULOMB, SPRING = ("coulomb_friction", "hinge"), ("spring_stiffness", "hinge")
+WINDOWS, SIZE = 40, 30
+
+
+@pytest.fixture(scope="module")
+def library():
+    return Library(Machine(PENDULUM.model))
+
+
+@pytest.fixture
+def sketch(library, monkeypatch):
+    """Costs by the set of effects that are there, nothing is replayed or refined."""
+    costs: dict = {}
+
+    def fitted(problem, fit, free, start):
+        return a_fit(library, *free)
+
+    def window_cost(hypothesis):
+        scatter = np.random.default_rng(0).normal(0.0, 0.02, WINDOWS)
+        return costs[frozenset(hypothesis)] + scatter - scatter.mean()
+
+    monkeypatch.setattr(challenge, "_refitted", fitted)
+    monkeypatch.setattr(challenge, "finished", lambda problem, rival: rival)
+    return SimpleNamespace(
+        library=library,
+        thresholds=DEFAULT,
+        size=SIZE,
+        noise=SimpleNamespace(discrepancy=None),
+        costs=costs,
+        window_cost=window_cost,
+    )
+
+
+def a_fit(library, *keys):
+    none = np.zeros((WINDOWS, SIZE))
+    values = {k: np.array([p.scale for p in library.sites[k].parameters]) for k in keys}
+    at = Linearisation(
+        base=Hypothesis(values),
+        residual=none,
+        tangents=none,
+        nuisances=(),
+        chosen=np.ones(WINDOWS, dtype=bool),
+    )
+    return Fit(free=frozenset(keys), cost=0.0, at=at)
+
+
+def a_round(library, *keys):
+    contenders = tuple(
+        Contender(key=k, fit=a_fit(library, k), cost=np.full(WINDOWS, 5.0)) for k in keys
+    )
+    return Round(base=np.full(WINDOWS, 30.0), candidates=(), contenders=contenders, threshold=0.0)
+
+
+def challenged(sketch, named, rounds):
+    fit, kept, checks = challenge.challenged(sketch, a_fit(sketch.library, *named), named, rounds)
+    assert fit.free == frozenset(kept)
+    return kept, checks
+
+
+def costs(sketch, table, other=20.0):
+    """Costs of sets; all others of these effects cost more."""
+    keys = (OFFSET, VISCOUS, COULOMB, SPRING)
+    for code in range(16):
+        chosen = frozenset(k for i, k in enumerate(keys) if code >> i & 1)
+        sketch.costs[chosen] = other
+    sketch.costs |= {frozenset(k): v for k, v in table.items()}
+
+
+def test_an_effect_that_the_others_make_needless_goes(sketch):
+    costs(sketch, {(OFFSET, VISCOUS): 1.0, (VISCOUS,): 1.02, (OFFSET,): 9.0})
+    rounds = [a_round(sketch.library, OFFSET), a_round(sketch.library, VISCOUS)]
+    assert challenged(sketch, [OFFSET, VISCOUS], rounds) == ([VISCOUS], {})
+
+
+def test_the_least_needed_goes_first(sketch):
+    """Either of two alike can go; with both gone all is lost."""
+    costs(
+        sketch,
+        {
+            (OFFSET, VISCOUS, COULOMB): 1.0,
+            (OFFSET, VISCOUS): 1.05,
+            (OFFSET, COULOMB): 1.01,
+            (VISCOUS, COULOMB): 9.0,
+        },
+    )
+    rounds = [a_round(sketch.library, k) for k in (OFFSET, VISCOUS, COULOMB)]
+    kept, _ = challenged(sketch, [OFFSET, VISCOUS, COULOMB], rounds)
+    assert kept == [OFFSET, COULOMB]
+
+
+def test_an_early_impostor_is_swapped_for_its_rival(sketch):
+    costs(sketch, {(OFFSET, VISCOUS): 3.0, (COULOMB, VISCOUS): 1.0})
+    rounds = [a_round(sketch.library, OFFSET, COULOMB), a_round(sketch.library, VISCOUS)]
+    kept, checks = challenged(sketch, [OFFSET, VISCOUS], rounds)
+    assert kept == [COULOMB, VISCOUS]
+    # What was named first stays on record as the rival.
+    assert [c.key for c in checks[COULOMB]] == [COULOMB, OFFSET]
+
+
+def test_two_effects_that_imitate_one_are_replaced_by_it(sketch):
+    costs(
+        sketch,
+        {
+            (OFFSET, VISCOUS, SPRING): 1.0,
+            (OFFSET, COULOMB, SPRING): 1.0,
+            (COULOMB, VISCOUS, SPRING): 1.0,
+            (COULOMB, SPRING): 1.0,
+        },
+    )
+    rounds = [
+        a_round(sketch.library, OFFSET),
+        a_round(sketch.library, VISCOUS, COULOMB),
+        a_round(sketch.library, SPRING),
+    ]
+    kept, _ = challenged(sketch, [OFFSET, VISCOUS, SPRING], rounds)
+    assert kept == [COULOMB, SPRING]
+
+
+def test_what_is_needed_stays_and_a_worse_rival_is_on_record(sketch):
+    costs(sketch, {(OFFSET, VISCOUS): 1.0, (COULOMB, VISCOUS): 3.0, (OFFSET, COULOMB): 3.0})
+    rounds = [a_round(sketch.library, OFFSET, COULOMB), a_round(sketch.library, VISCOUS)]
+    kept, checks = challenged(sketch, [OFFSET, VISCOUS], rounds)
+    assert kept == [OFFSET, VISCOUS]
+    assert {k: [c.key for c in v] for k, v in checks.items()} == {
+        OFFSET: [OFFSET, COULOMB],
+        VISCOUS: [VISCOUS],
+    }
+
+
+def test_a_rival_that_was_far_behind_is_not_tried(sketch):
+    costs(sketch, {(OFFSET, VISCOUS): 3.0, (COULOMB, VISCOUS): 1.0})
+    far = a_round(sketch.library, OFFSET, COULOMB)
+    far.contenders[1].cost[:] = 7.0
+    kept, _ = challenged(sketch, [OFFSET, VISCOUS], [far, a_round(sketch.library, VISCOUS)])
+    assert kept == [OFFSET, VISCOUS]
