@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from leglab.base.errors import LeglabError
 from leglab.studies.blind import rough_selftest
 from leglab.studies.blind.outcomes import run_missing
-from leglab.studies.blind.rough_bench import FAULTS, RoughCase
+from leglab.studies.blind.rough_bench import FAULTS, RoughCase, specimen
 from leglab.studies.blind.rough_figures import confusion_figure, reliability_figure, save_figures
 from leglab.studies.blind.rough_selftest import (
     NOTHING,
@@ -86,6 +86,11 @@ def test_scores_count_the_first_name_and_its_confidence():
     table = rows(seen)
     assert table["single fault: right name first"] == ("3 (60%)", "23% to 88%", "5", "90 %")
     assert table["... with confidence 0.8 or more"][0] == "2 (40%)"
+    # All five have the same specimen, so that one of the two rows is missing.
+    edges = "the model's" if specimen(0)["edge_law"] == 0.0 else "other"
+    question = "... a valve with {} metering edges: right name first"
+    assert table[question.format(edges)][0] == "3 (60%)"
+    assert len([q for q in table if "metering edges" in q]) == 1
     # Whatever the verdict, a wrong name above 0.5 is wrong.
     assert table["... a wrong name above 0.5"][0] == "1 (20%)"
     assert table["... a wrong name above 0.8"][0] == "0 (0%)"

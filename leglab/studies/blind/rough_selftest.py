@@ -24,7 +24,7 @@ from leglab.diagnosis.recordings import held_out_choice
 from leglab.diagnosis.verdict import diagnose
 from leglab.diagnosis.workflow import DiagnosisSettings
 from leglab.studies.blind.outcomes import run_missing
-from leglab.studies.blind.rough_bench import FAULTS, SIZES, effect_of, rough_case
+from leglab.studies.blind.rough_bench import FAULTS, SIZES, effect_of, rough_case, specimen
 
 MODEL = "knee_bench"
 HEAD = ("question", "reached", "95 % interval", "cases", "asked")
@@ -340,6 +340,12 @@ def scores(
     add("single fault: right name first", (o.right_first() for o in single), first)
     question = f"... with confidence {SURE:g} or more"
     add(question, (o.right_first(SURE) for o in single), sure)
+    if rough:
+        # Other edges leave a replay of slow motion ten times as far off as all the rest together.
+        for which, law in (("the model's", True), ("other", False)):
+            edges = [o for o in single if (specimen(o.specimen)["edge_law"] == 0.0) == law]
+            question = f"... a valve with {which} metering edges: right name first"
+            add(question, (o.right_first() for o in edges), "")
     add(f"... a wrong name above {DOUBT:g}", (o.wrong() for o in single), "")
     exact = "" if rough else "at most 2 %"
     add(f"... a wrong name above {SURE:g}", (o.wrong(SURE) for o in single), exact)
