@@ -55,9 +55,9 @@ TWO = {
 }
 
 
-def verdict(rig, hidden):
+def verdict(rig, hidden, seconds=4.0):
     recordings = {
-        kind: record_linkage(rig, kind, Hidden(**hidden), seed=seed, seconds=4.0)
+        kind: record_linkage(rig, kind, Hidden(**hidden), seed=seed, seconds=seconds)
         for seed, kind in enumerate(KINDS)
     }
     return diagnose(rig.model, recordings, held_out=("multisine",))
@@ -121,6 +121,27 @@ def test_two_faults_on_different_joints_are_both_named(name):
     for key, value in expected.items():
         assert effects[key].confidence > 0.8
         assert effects[key].parameters[0].value == pytest.approx(value, rel=0.01)
+
+
+def test_two_faults_on_each_of_two_joints_are_all_named():
+    """So many gross faults look like a rough machine, until all of them are in the model."""
+    hidden = {
+        "delay": (0.0032, 0.0),
+        "gain": (0.7, 1.0),
+        "quadratic": (0.0, 0.56),
+        "armature": (0.0, 0.056),
+    }
+    result, _ = verdict(RIGS["motor_arm"], hidden, seconds=3.0)
+    assert result.verdict == "named"
+    values = {key: e.parameters[0].value for key, e in named(result).items()}
+    assert values == {
+        ("command_delay", "shoulder_drive"): pytest.approx(0.0032, rel=0.02),
+        ("actuator_gain", "shoulder_drive"): pytest.approx(0.7, rel=0.01),
+        ("quadratic_damping", "elbow"): pytest.approx(0.56, rel=0.01),
+        ("armature", "elbow"): pytest.approx(0.056, rel=0.02),
+    }
+    assert min(e.confidence for e in result.effects) > 0.8
+    assert result.gap.after < 1.1
 
 
 def test_joints_feel_each_other_by_the_mass_matrix():
