@@ -24,6 +24,7 @@ def measure(options: argparse.Namespace) -> Any:
         rough=options.rough,
         sizes=options.sizes,
         healthy=options.rough and not options.no_healthy,
+        seed=options.seed,
     )
     outcomes = rough_selftest.rough_self_test(options.out, options.cases, settings)
     save_figures(outcomes, options.out, settings.name)
@@ -50,6 +51,7 @@ def main() -> None:
         "--no-healthy", action="store_true", help="no recordings from before the fault"
     )
     parser.add_argument("--sizes", choices=SIZES, default="gross")
+    parser.add_argument("--seed", type=int, default=0, help="of the rough or drawn specimens")
     results.main(parser, measure, tables)
 
 

@@ -138,7 +138,7 @@ def test_two_faults_on_each_of_two_joints_are_all_named():
         ("command_delay", "shoulder_drive"): pytest.approx(0.0032, rel=0.02),
         ("actuator_gain", "shoulder_drive"): pytest.approx(0.7, rel=0.01),
         ("quadratic_damping", "elbow"): pytest.approx(0.56, rel=0.01),
-        ("armature", "elbow"): pytest.approx(0.056, rel=0.02),
+        ("armature", "elbow"): pytest.approx(0.03 + 0.056, rel=0.02),
     }
     assert min(e.confidence for e in result.effects) > 0.8
     assert result.gap.after < 1.1

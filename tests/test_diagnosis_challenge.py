@@ -15,6 +15,7 @@ from leglab.diagnosis.thresholds import DEFAULT
 from tests.rigs import PENDULUM
 
 OFFSET, VISCOUS = ("force_offset", "hinge"), ("viscous_friction", "hinge")
+ASYMMETRIC = ("asymmetric_friction", "hinge")
 COULOMB, SPRING = ("coulomb_friction", "hinge"), ("spring_stiffness", "hinge")
 WINDOWS, SIZE = 40, 30
 
@@ -38,14 +39,17 @@ def sketch(library, monkeypatch):
 
     monkeypatch.setattr(challenge, "_refitted", fitted)
     monkeypatch.setattr(challenge, "finished", lambda problem, rival: rival)
-    return SimpleNamespace(
+    problem = SimpleNamespace(
         library=library,
         thresholds=DEFAULT,
         size=SIZE,
+        held=np.arange(WINDOWS) >= 25,
         noise=SimpleNamespace(discrepancy=None),
         costs=costs,
         window_cost=window_cost,
     )
+    problem.with_defect_of = lambda hypothesis: problem
+    return problem
 
 
 def a_fit(library, *keys):
@@ -69,7 +73,9 @@ def a_round(library, *keys):
 
 
 def challenged(sketch, named, rounds):
-    fit, kept, checks = challenge.challenged(sketch, a_fit(sketch.library, *named), named, rounds)
+    _, fit, kept, checks = challenge.challenged(
+        sketch, a_fit(sketch.library, *named), named, rounds
+    )
     assert fit.free == frozenset(kept)
     return kept, checks
 
@@ -142,6 +148,18 @@ def test_what_is_needed_stays_and_a_worse_rival_is_on_record(sketch):
         OFFSET: [OFFSET, COULOMB],
         VISCOUS: [VISCOUS],
     }
+
+
+def test_a_special_case_that_does_as_well_takes_the_place(sketch):
+    """Beside what was still missing when it was named, the larger effect fitted better."""
+    everything = (ASYMMETRIC, SPRING), (VISCOUS, SPRING)
+    costs(sketch, {everything[0]: 1.0, everything[1]: 1.001})
+    sketch.costs |= {frozenset([ASYMMETRIC]): 9.0, frozenset([ASYMMETRIC, VISCOUS]): 9.0}
+    rounds = [a_round(sketch.library, ASYMMETRIC, VISCOUS), a_round(sketch.library, SPRING)]
+    assert challenged(sketch, [ASYMMETRIC, SPRING], rounds)[0] == [VISCOUS, SPRING]
+    assert challenged(sketch, [VISCOUS, SPRING], rounds)[0] == [VISCOUS, SPRING]
+    sketch.costs[frozenset(everything[1])] = 2.0
+    assert challenged(sketch, [ASYMMETRIC, SPRING], rounds)[0] == [ASYMMETRIC, SPRING]
 
 
 def test_a_rival_that_was_far_behind_is_not_tried(sketch):

@@ -12,7 +12,7 @@ import numpy as np
 
 from leglab.diagnosis.fitting import Fit, refit
 from leglab.diagnosis.hypothesis import Hypothesis, Key
-from leglab.diagnosis.judging import t_value
+from leglab.diagnosis.judging import earns, t_value
 from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.search import Contender, Round, finished
 
@@ -22,7 +22,7 @@ Checks = Mapping[Key, tuple[Contender, ...]]
 
 def challenged(
     problem: Problem, fit: Fit, named: Sequence[Key], rounds: Sequence[Round]
-) -> tuple[Fit, list[Key], Checks]:
+) -> tuple[Problem, Fit, list[Key], Checks]:
     """Drops effects that others make needless, and swaps impostors for their rivals.
 
     Args:
@@ -32,7 +32,8 @@ def challenged(
         rounds: Of the search, whose contenders are the rivals.
 
     Returns:
-        The fit, the effects that stay, and the checks of those that stay.
+        The problem, with the defect of the time step that the fit has after a swap; the fit, the
+        effects that stay, and their checks.
     """
     kept = list(named)
     checks: Checks = {}
@@ -42,7 +43,8 @@ def challenged(
         if better is None:
             break
         fit, kept = better
-    return fit, kept, checks if len(kept) > 1 else {}
+        problem = problem.with_defect_of(fit.hypothesis)
+    return problem, fit, kept, checks if len(kept) > 1 else {}
 
 
 def _refitted(problem: Problem, fit: Fit, free: frozenset[Key], start: Hypothesis) -> Fit:
@@ -84,7 +86,7 @@ def _rivals(
 def _swapped(
     problem: Problem, fit: Fit, named: list[Key], rounds: Sequence[Round]
 ) -> tuple[tuple[Fit, list[Key]] | None, dict[Key, tuple[Contender, ...]]]:
-    """The first swap that explains more, or as much with an effect less; and what was tried."""
+    """The first swap that explains more, or as much with less; and what was tried."""
     best = problem.window_cost(fit.hypothesis)
     checks: dict[Key, tuple[Contender, ...]] = {}
     for key in named:
@@ -98,7 +100,7 @@ def _swapped(
             swap = Contender(key=rival.key, fit=swapped, cost=cost)
             if cost.mean() < _promising(problem, best):
                 swap = finished(problem, swap)
-            if t_value(best - swap.cost) > problem.thresholds.significant:
+            if _better(problem, swap, tried[0]):
                 return (swap.fit, changed), checks
             if _needless(problem, best, swap.cost):
                 fewer = _freed(problem, swap, changed, best)
@@ -107,6 +109,16 @@ def _swapped(
             tried.append(swap)
         checks[key] = tuple(tried)
     return None, checks
+
+
+def _better(problem: Problem, swap: Contender, own: Contender) -> bool:
+    """Whether a swap explains more, or as much as a special case of what it replaces."""
+    contains = problem.library.contains
+    if contains(own.key, swap.key):
+        return not earns(problem, own, swap)
+    if contains(swap.key, own.key) and not earns(problem, swap, own):
+        return False
+    return t_value(own.cost - swap.cost) > problem.thresholds.significant
 
 
 def _promising(problem: Problem, best: np.ndarray) -> float:

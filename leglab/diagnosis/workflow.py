@@ -209,7 +209,7 @@ def _rough_search(
     checks: Checks = {}
     if len(named) > 1:
         progress("checking each effect against the others")
-        fit, named, checks = challenged(problem, fit, named, rounds)
+        problem, fit, named, checks = challenged(problem, fit, named, rounds)
     return Search(
         problem=problem,
         baseline=start,
@@ -292,7 +292,7 @@ def _exact_search(
     checks: Checks = {}
     if len(named) > 1:
         progress("checking each effect against the others")
-        current, named, checks = challenged(problem, current, named, rounds)
+        problem, current, named, checks = challenged(problem, current, named, rounds)
     if named:
         progress("last refinement")
         chosen = thinned(problem.fitted, max(1, every // 2))

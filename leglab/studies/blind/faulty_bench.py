@@ -181,6 +181,7 @@ NOMINAL = {
     "entrained_air": 0.005,
     "supply_pressure": 16e6,
     "lap": 0.02,
+    "edge_rounding": 0.0216,
     "null_bias": 0.0,
     "rated_flow": 1.25e-4,
     "flow_asymmetry": 0.0,
