@@ -54,6 +54,12 @@ JOBS = (
     _job("diagnosis_bench_without_pressures", 4, "diagnosis_bench", "--without-pressures"),
     _job("diagnosis_rough", 20),
     _job("diagnosis_self_test", 60, options="--out runs/self_test"),
+    _job(
+        "diagnosis_rough_self_test",
+        25,
+        "diagnosis_self_test",
+        "--rough --cases 20 --seed 31 --out runs/rough_self_test",
+    ),
     _job("adaptation_results", 90, "adaptation_claims"),
 )
 

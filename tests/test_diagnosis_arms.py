@@ -123,6 +123,7 @@ def test_two_faults_on_different_joints_are_both_named(name):
         assert effects[key].parameters[0].value == pytest.approx(value, rel=0.01)
 
 
+@pytest.mark.soak
 def test_two_faults_on_each_of_two_joints_are_all_named():
     """So many gross faults look like a rough machine, until all of them are in the model."""
     hidden = {

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from leglab.diagnosis import naming, rough, verdict
+from leglab.diagnosis import naming, rough, verdict, workflow
 from leglab.diagnosis.discrepancy import Discrepancy, from_errors
 from leglab.diagnosis.effects.base import EffectParameter
 from leglab.diagnosis.fitting import Fit
@@ -495,6 +495,48 @@ def test_parameters_cost_a_rough_explanation_its_probability():
     np.testing.assert_allclose(posterior([1.0, 0.9], 30.0, [2, 2]), posterior([1.0, 0.9], 30.0))
     # Schwarz 1978: half the logarithm of the numbers for every parameter.
     assert many / few == pytest.approx(0.9**-15.0 * 30.0**-1.5)
+
+
+# Exact or rough.
+
+
+@pytest.fixture
+def searches(sketch, monkeypatch):
+    """What the searches find: what they leave, in squares of noise levels, by the effects."""
+    left = {(): 900.0, (OFFSET,): 400.0, (OFFSET, VISCOUS): 4.0, (OFFSET, VISCOUS, COULOMB): 1.0}
+    sketch.costs |= {frozenset(keys): cost for keys, cost in left.items()}
+    rough_problem = SimpleNamespace(**{**vars(sketch), "noise": SimpleNamespace(discrepancy=1)})
+    found = {"rough": (OFFSET, VISCOUS), "exact": (OFFSET,), "again": (OFFSET, VISCOUS, COULOMB)}
+
+    def exact(problem, settings, progress, begun=None):
+        if begun is not None:
+            assert begun.named == found["rough"]
+        return a_search(problem, found["exact" if begun is None else "again"])
+
+    def rough_one(problem, settings, progress, specimen, floor):
+        return a_search(rough_problem, found["rough"])
+
+    monkeypatch.setattr(workflow, "_exact_search", exact)
+    monkeypatch.setattr(workflow, "_rough_search", rough_one)
+    return found
+
+
+def test_several_gross_faults_of_an_exact_machine_are_all_found(sketch, searches):
+    found = workflow.search(sketch, workflow.DiagnosisSettings())
+    assert found.named == searches["again"]
+    assert not found.rough
+
+
+def test_a_search_does_not_go_on_as_exact_where_that_leaves_more_than_noise(sketch, searches):
+    sketch.costs[frozenset(searches["again"])] = 3.0
+    assert workflow.search(sketch, workflow.DiagnosisSettings()).named == searches["rough"]
+
+
+def test_a_search_goes_on_as_exact_only_where_little_is_left(sketch, searches):
+    sketch.costs[frozenset(searches["rough"])] = 50.0
+    found = workflow.search(sketch, workflow.DiagnosisSettings())
+    assert found.named == searches["rough"]
+    assert found.rough
 
 
 # The discrepancy of the model.
