@@ -389,6 +389,7 @@ def test_what_a_good_machine_may_have_is_said_to_be_so():
     assert headline(result).startswith("The machine differs from its model by no more than a good")
     told = section(result, "What is missing")
     assert "(closes 96 % of the gap, and a good machine may differ as much)" in told
+    assert dict(facts(result))["Missing"].startswith("Oil viscosity at knee_valve explains most")
     little = diagnosis("unexplained", smaller=(replace(ordinary, contribution=0.02),))
     assert "no known effect explains it" in headline(little)
 

@@ -96,6 +96,10 @@ def facts(result: Diagnosis) -> tuple[tuple[str, str], ...]:
         sure = "; ".join(_confidence(e, alone=len(result.effects) == 1) for e in result.effects)
     elif result.verdict == "nothing_missing":
         missing, sure = "nothing that these recordings could show", ""
+    elif ordinary := _ordinary(result):
+        told = listed(tuple(_at(e) for e in ordinary))
+        missing = f"{told} explains most of it, as it may on a good machine"
+        sure = "no name is probably a fault"
     else:
         tried = len({(rank.name, rank.element) for rank in result.ranking})
         missing = f"something that has no name among the {tried} effects tried{_mostly(result)}"
