@@ -392,6 +392,9 @@ def test_what_a_good_machine_may_have_is_said_to_be_so():
     assert dict(facts(result))["Missing"].startswith("Oil viscosity at knee_valve explains most")
     little = diagnosis("unexplained", smaller=(replace(ordinary, contribution=0.02),))
     assert "no known effect explains it" in headline(little)
+    hardly = replace(result, gap=replace(result.gap, compared=(10.0, 9.0, 1.0)))
+    assert "no known effect explains it" in headline(hardly)
+    assert "good machine" not in section(hardly, "What is missing")
 
 
 CALIBRATION = Calibration(

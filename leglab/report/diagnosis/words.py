@@ -84,7 +84,9 @@ def headline(result: Diagnosis) -> str:
 
 
 def _ordinary(result: Diagnosis) -> tuple[NamedEffect, ...]:
-    """Effects that explain much, and that a good machine may have as well."""
+    """Effects that explain most together, and that a good machine may have as well."""
+    if (result.gap.explained or 0.0) < DEFAULT.explanation_share:
+        return ()
     return tuple(e for e in result.smaller if e.contribution >= DEFAULT.smaller_share)
 
 
