@@ -56,9 +56,9 @@ JOBS = (
     _job("diagnosis_self_test", 60, options="--out runs/self_test"),
     _job(
         "diagnosis_rough_self_test",
-        25,
+        15,
         "diagnosis_self_test",
-        "--rough --cases 20 --seed 31 --out runs/rough_self_test",
+        "--rough --cases 11 --seed 31 --out runs/rough_self_test",
     ),
     _job("adaptation_results", 90, "adaptation_claims"),
 )
