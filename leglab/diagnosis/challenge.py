@@ -44,7 +44,9 @@ def challenged(
             break
         fit, kept = better
         problem = problem.with_defect_of(fit.hypothesis)
-    return problem, fit, kept, checks if len(kept) > 1 else {}
+    else:
+        checks = {}  # They are those of the set before.
+    return problem, fit, kept, checks
 
 
 def _refitted(problem: Problem, fit: Fit, free: frozenset[Key], start: Hypothesis) -> Fit:
@@ -52,7 +54,7 @@ def _refitted(problem: Problem, fit: Fit, free: frozenset[Key], start: Hypothesi
 
 
 def _needless(problem: Problem, best: np.ndarray, cost: np.ndarray) -> bool:
-    """Whether a fit with an effect less, of these costs of windows, does as well as the best."""
+    """Whether a fit of these costs of windows does as well as the best, though it has less."""
     worthwhile = problem.thresholds.worthwhile * max(1.0, float(cost.mean()) - 1.0)
     return float((cost - best).mean()) < worthwhile
 

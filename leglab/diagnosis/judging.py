@@ -40,16 +40,13 @@ def earns(problem: Problem, larger: Contender, simpler: Contender) -> bool:
     machine, whose errors are few numbers, the larger one must be the more probable.
     """
     sites = problem.library.sites
-    counts = [len(sites[c.key].parameters) for c in (larger, simpler)]
-    further = counts[0] - counts[1]
+    further = len(sites[larger.key].parameters) - len(sites[simpler.key].parameters)
     saved = simpler.cost - larger.cost
     spread = max(1.0, float(larger.cost.mean()))
     chance = spread * float(chi2.ppf(0.99, max(further, 1)))
     held = saved[problem.held] if problem.held.sum() > 3 else saved
-    if problem.noise.discrepancy is not None:
-        costs = [float(c.cost.mean()) for c in (larger, simpler)]
-        if posterior(costs, problem.thresholds.rough_numbers, counts)[0] < 0.5:
-            return False
+    if problem.noise.discrepancy is not None and probabilities(problem, (larger, simpler))[0] < 0.5:
+        return False
     return bool(
         problem.size * saved[larger.fit.at.chosen].sum() > chance
         and t_value(held) >= problem.thresholds.significant
@@ -163,6 +160,13 @@ def posterior(
         log -= 0.5 * np.log(max(numbers, 1.0)) * np.asarray(parameters, dtype=float)
     weights = np.exp(log - log.max())
     return weights / weights.sum()
+
+
+def probabilities(problem: Problem, contenders: Sequence[Contender]) -> np.ndarray:
+    """Probability of each contender among some, on a rough machine, shape (contenders,)."""
+    costs = [float(c.cost.mean()) for c in contenders]
+    counts = [len(problem.library.sites[c.key].parameters) for c in contenders]
+    return posterior(costs, problem.thresholds.rough_numbers, counts)
 
 
 def within_library(explained: float) -> float:

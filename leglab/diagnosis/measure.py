@@ -45,18 +45,12 @@ class Measure:
         trusted = problem.trusting(specimen.discrepancy_of(problem.series))
         return cls(problem=trusted, weighed=True, floors=np.array(own)[nearest])
 
-    def level(self, hypothesis: Hypothesis, windows: np.ndarray) -> float:
-        """RMS error of a hypothesis in a mask of windows."""
-        problem = self.problem
-        squares = problem.window_cost if self.weighed else problem.noise_levels
-        return rms(squares(hypothesis)[windows])
+    def squares(self, hypothesis: Hypothesis) -> np.ndarray:
+        """Mean square error of a hypothesis in every window, (windows,)."""
+        if self.weighed:
+            return self.problem.window_cost(hypothesis)
+        return self.problem.noise_levels(hypothesis)
 
     def floor(self, windows: np.ndarray) -> float:
         """RMS error that is no part of the gap in a mask of windows."""
         return rms(self.floors[self.problem.replay.recording[windows]])
-
-    def compared(
-        self, unnamed: Hypothesis, after: Hypothesis, windows: np.ndarray
-    ) -> tuple[float, float, float]:
-        """Errors without the named effects and with them, and the floor."""
-        return self.level(unnamed, windows), self.level(after, windows), self.floor(windows)

@@ -13,8 +13,8 @@ from leglab.diagnosis.judging import (
     departure,
     earns,
     intervals,
-    posterior,
     preferences,
+    probabilities,
     within_library,
 )
 from leglab.diagnosis.model import Machine
@@ -199,13 +199,9 @@ def _by_resampling(
 
 def _by_posterior(problem: Problem, own: Contender, rivals: Sequence[Contender]) -> Ties:
     """Ties of a rough machine, whose errors are mostly the model's own."""
-    limits, sites = problem.thresholds, problem.library.sites
-    tried = (own, *rivals)
-    costs = [float(c.cost.mean()) for c in tried]
-    share = posterior(costs, limits.rough_numbers, [len(sites[c.key].parameters) for c in tried])
-    tied = [
-        c.key[0] for c, p in zip(rivals, share[1:], strict=True) if p * limits.rough_tie > share[0]
-    ]
+    share = probabilities(problem, (own, *rivals))
+    tie = problem.thresholds.rough_tie
+    tied = [c.key[0] for c, p in zip(rivals, share[1:], strict=True) if p * tie > share[0]]
     return tuple(tied), float(share[0])
 
 

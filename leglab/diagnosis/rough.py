@@ -7,7 +7,6 @@ each fit a little; where healthy recordings said what this specimen is like, by 
 one day to the next.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +14,7 @@ import numpy as np
 from leglab.diagnosis.discrepancy import Discrepancy
 from leglab.diagnosis.fitting import Fit, refit
 from leglab.diagnosis.hypothesis import Hypothesis, Key
-from leglab.diagnosis.judging import accepted, posterior, simplest_first
+from leglab.diagnosis.judging import accepted, probabilities, simplest_first
 from leglab.diagnosis.nuisances import rough_nuisances, within_tolerance
 from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.search import Contender, Progress, Round, search_round, thinned
@@ -130,16 +129,10 @@ def annealed(
         trusted = problem.discrepancy(best.fit.hypothesis)
         problem = problem.trusting(at_least(trusted, floor))
         contenders = [_under(problem, before, c) for c in contenders]
-        places = np.argsort(-_probabilities(problem, contenders), kind="stable")
+        places = np.argsort(-probabilities(problem, contenders), kind="stable")
         contenders = [contenders[i] for i in places.tolist()]
     ordered = simplest_first(problem, contenders)
     return problem, replace(tried, base=total_cost(problem, base), contenders=ordered)
-
-
-def _probabilities(problem: Problem, contenders: Sequence[Contender]) -> np.ndarray:
-    costs = [float(c.cost.mean()) for c in contenders]
-    counts = [len(problem.library.sites[c.key].parameters) for c in contenders]
-    return posterior(costs, problem.thresholds.rough_numbers, counts)
 
 
 def _under(problem: Problem, before: Problem, contender: Contender) -> Contender:

@@ -122,8 +122,11 @@ def assemble(found: Search, settings: DiagnosisSettings, *, seconds: float) -> D
     )
     shown = held
     if found.named:
+        errors = [measure.squares(h) for h in (models["unnamed"], final)]
         every = np.ones_like(held)
-        compared, overall = (measure.compared(models["unnamed"], final, w) for w in (held, every))
+        compared, overall = (
+            (rms(errors[0][w]), rms(errors[1][w]), measure.floor(w)) for w in (held, every)
+        )
         if compared[0] - compared[2] < limits.shown_share * (overall[0] - overall[2]):
             # A slow motion that nobody fitted cannot tell what a fast one would show.
             compared, shown = overall, every
@@ -139,7 +142,7 @@ def assemble(found: Search, settings: DiagnosisSettings, *, seconds: float) -> D
         if one.contenders
     )
     verdict, effects, smaller = (
-        judge_rough(found, gap, lambda h: measure.level(h, shown))
+        judge_rough(found, gap, lambda h: rms(measure.squares(h)[shown]))
         if found.rough
         else judge_exact(found, rng)
     )
