@@ -6,32 +6,30 @@ import numpy as np
 import pytest
 
 from leglab.diagnosis import challenge
-from leglab.diagnosis.fitting import Fit
-from leglab.diagnosis.hypothesis import Hypothesis, Library
-from leglab.diagnosis.model import Machine
-from leglab.diagnosis.residual import Linearisation
 from leglab.diagnosis.search import Contender, Round
 from leglab.diagnosis.thresholds import DEFAULT
-from tests.rigs import PENDULUM
+from tests.diagnosis_sketch import (
+    ASYMMETRIC,
+    COULOMB,
+    HELD,
+    LIBRARY,
+    OFFSET,
+    SIZE,
+    VISCOUS,
+    WINDOWS,
+    a_fit,
+)
 
-OFFSET, VISCOUS = ("force_offset", "hinge"), ("viscous_friction", "hinge")
-ASYMMETRIC = ("asymmetric_friction", "hinge")
-COULOMB, SPRING = ("coulomb_friction", "hinge"), ("spring_stiffness", "hinge")
-WINDOWS, SIZE = 40, 30
-
-
-@pytest.fixture(scope="module")
-def library():
-    return Library(Machine(PENDULUM.model))
+SPRING = "spring_stiffness", "hinge"
 
 
 @pytest.fixture
-def sketch(library, monkeypatch):
+def sketch(monkeypatch):
     """Costs by the set of effects that are there, nothing is replayed or refined."""
     costs: dict = {}
 
     def fitted(problem, fit, free, start):
-        return a_fit(library, *free)
+        return a_fit(LIBRARY, *free)
 
     def window_cost(hypothesis):
         scatter = np.random.default_rng(0).normal(0.0, 0.02, WINDOWS)
@@ -40,29 +38,16 @@ def sketch(library, monkeypatch):
     monkeypatch.setattr(challenge, "_refitted", fitted)
     monkeypatch.setattr(challenge, "finished", lambda problem, rival: rival)
     problem = SimpleNamespace(
-        library=library,
+        library=LIBRARY,
         thresholds=DEFAULT,
         size=SIZE,
-        held=np.arange(WINDOWS) >= 25,
+        held=HELD,
         noise=SimpleNamespace(discrepancy=None),
         costs=costs,
         window_cost=window_cost,
     )
     problem.with_defect_of = lambda hypothesis: problem
     return problem
-
-
-def a_fit(library, *keys):
-    none = np.zeros((WINDOWS, SIZE))
-    values = {k: np.array([p.scale for p in library.sites[k].parameters]) for k in keys}
-    at = Linearisation(
-        base=Hypothesis(values),
-        residual=none,
-        tangents=none,
-        nuisances=(),
-        chosen=np.ones(WINDOWS, dtype=bool),
-    )
-    return Fit(free=frozenset(keys), cost=0.0, at=at)
 
 
 def a_round(library, *keys):

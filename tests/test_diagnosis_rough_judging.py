@@ -1,0 +1,238 @@
+"""The judging is judged: each fault that was once put into it turns one of these tests red.
+
+Here: names and their probability on machines that differ from their model everywhere.
+docs/diagnosis.md, "How the judging is tested", lists the faults beside the tests.
+"""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from leglab.diagnosis import naming, workflow
+from leglab.diagnosis.effects.base import EffectParameter
+from leglab.diagnosis.judging import (
+    beyond_specimens,
+    posterior,
+)
+from leglab.diagnosis.thresholds import DEFAULT
+from tests.diagnosis_sketch import (
+    COULOMB,
+    OFFSET,
+    VISCOUS,
+    a_fit,
+    a_gap,
+    a_search,
+    a_sketch,
+    contender,
+    rough_ties,
+)
+
+
+@pytest.fixture
+def sketch(monkeypatch):
+    return a_sketch(monkeypatch)
+
+
+# Probability of a name on a rough machine.
+
+
+def test_posterior_is_a_distribution_that_no_unit_changes():
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        costs = rng.uniform(0.3, 5.0, rng.integers(1, 6))
+        share = posterior(costs, 20.0)
+        assert share.sum() == pytest.approx(1.0)
+        assert (share >= 0.0).all()
+        assert (np.argsort(share) == np.argsort(-costs)).all()
+        np.testing.assert_allclose(posterior(7.0 * costs, 20.0), share, rtol=1e-9)
+    assert posterior([1.0, 2.0], 8.0)[0] == pytest.approx(1.0 / (1.0 + 2.0**-4.0))
+    np.testing.assert_allclose(posterior([0.0, 1.0], 30.0), [1.0, 0.0], atol=1e-9)
+
+
+def test_posterior_of_the_best_grows_with_its_margin_and_with_the_numbers():
+    by_margin = [posterior([1.0, m], 30.0)[0] for m in (1.0, 1.1, 1.5, 3.0)]
+    by_numbers = [posterior([1.0, 1.1], n)[0] for n in (0.0, 10.0, 30.0, 100.0)]
+    assert by_margin[0] == by_numbers[0] == 0.5
+    assert (np.diff(by_margin) > 0.0).all()
+    assert (np.diff(by_numbers) > 0.0).all()
+
+
+def test_confidence_of_a_rough_name_depends_on_its_margin(sketch):
+    def confidence(margin):
+        tried = [contender(sketch.library, k, c) for k, c in ((OFFSET, 1.0), (COULOMB, margin))]
+        return rough_ties(a_search(sketch, [OFFSET], tried), OFFSET)
+
+    tied, narrow = confidence(1.02)
+    assert tied == ("coulomb_friction",)
+    assert 0.5 < narrow < 0.75
+    assert narrow < confidence(1.1)[1] < confidence(1.5)[1]
+    assert confidence(3.0)[0] == ()
+    assert confidence(3.0)[1] > 0.95
+
+
+def test_confidence_of_a_rough_name_depends_on_what_it_explains(sketch):
+    def confidence(after):
+        sketch.costs |= {frozenset(): 10.0**2, frozenset([OFFSET]): after**2}
+        _, causes, _ = rough_verdict(sketch, [OFFSET], a_gap(unnamed=10.0, after=after))
+        return causes[0].confidence
+
+    assert confidence(1.0) > 0.99
+    assert confidence(3.0) > 0.9
+    assert confidence(5.5) == pytest.approx(0.5)
+    assert confidence(8.5) < 0.1
+
+
+# What is named on a rough machine.
+
+
+def rough_verdict(problem, named, gap, specimen=None):
+    found = a_search(problem, named, specimen=specimen)
+
+    def level(hypothesis):
+        return naming.rms(problem.noise_levels(hypothesis)[problem.held])
+
+    return naming.judge_rough(found, gap, level)
+
+
+def test_what_closes_a_twentieth_of_the_gap_is_a_smaller_difference(sketch):
+    after = 4.0
+    both, one, other = frozenset([OFFSET, VISCOUS]), frozenset([OFFSET]), frozenset([VISCOUS])
+    # Levels are squares; without the friction 0.3 of the 6 noise levels of the gap open.
+    sketch.costs |= {both: after**2, one: 4.3**2, other: 9.9**2}
+    gap = a_gap(unnamed=10.0, after=after, healthy=4.0)
+    said, causes, smaller = rough_verdict(sketch, [VISCOUS, OFFSET], gap)
+    assert said == "named"
+    assert [e.name for e in causes] == ["force_offset"]
+    assert [e.name for e in smaller] == ["viscous_friction"]
+    assert smaller[0].contribution == pytest.approx(0.3 / 6.0)
+
+
+def test_smaller_differences_alone_name_nothing(sketch):
+    sketch.costs |= {frozenset(): 10.0**2, frozenset([OFFSET]): 9.8**2}
+    said, causes, smaller = rough_verdict(sketch, [OFFSET], a_gap(unnamed=10.0, after=9.8))
+    assert (said, causes, len(smaller)) == ("unexplained", (), 1)
+
+
+@pytest.mark.parametrize(("after", "expected"), [(2.0, "named"), (7.0, "unexplained")])
+def test_a_cause_that_explains_less_than_half_is_no_explanation(sketch, after, expected):
+    sketch.costs |= {frozenset(): 10.0**2, frozenset([OFFSET]): after**2}
+    said, causes, _ = rough_verdict(sketch, [OFFSET], a_gap(unnamed=10.0, after=after))
+    assert (said, len(causes)) == (expected, 1)
+
+
+@pytest.mark.parametrize(("cost", "expected"), [(1.2, "nothing_missing"), (9.0, "unexplained")])
+def test_a_machine_lacks_nothing_only_while_it_errs_as_when_healthy(sketch, cost, expected):
+    sketch.costs[frozenset()] = cost
+    specimen = SimpleNamespace(discrepancy_of=lambda series: None)
+    assert rough_verdict(sketch, [], a_gap(), specimen)[0] == expected
+    assert rough_verdict(sketch, [], a_gap())[0] == "unexplained"
+
+
+def test_explained_is_that_over_all_where_held_out_hardly_shows_it():
+    """A slow held-out recording does not show a fault of fast motion."""
+    assert a_gap(unnamed=31.8, after=31.9, healthy=30.8).explained == 0.0
+    gap = a_gap(unnamed=31.8, after=31.9, healthy=30.8, compared=(180.0, 21.0, 20.0))
+    assert gap.explained == pytest.approx(159.0 / 160.0)
+
+
+def test_explained_is_the_share_of_what_the_healthy_machine_did_not_show():
+    assert a_gap(unnamed=10.0, after=4.0, healthy=4.0).explained == 1.0
+    assert a_gap(unnamed=10.0, after=7.0, healthy=4.0).explained == pytest.approx(0.5)
+    assert a_gap(unnamed=10.0, after=4.0).explained == pytest.approx(6.0 / 9.0)
+    assert a_gap(unnamed=10.0, after=3.0, healthy=4.0).explained == 1.0
+    assert a_gap(unnamed=10.0, after=11.0, healthy=4.0).explained == 0.0
+    assert a_gap(unnamed=4.0, after=4.0, healthy=4.0).explained is None
+    assert a_gap(after=4.0).explained is None
+
+
+@pytest.mark.parametrize(("trials", "expected"), [(0.9, "unexplained"), (3.0, "named")])
+def test_what_a_good_machine_may_have_is_no_fault_unless_healthy_recordings_lack_it(
+    sketch, trials, expected
+):
+    sketch.costs |= {frozenset(): 10.0**2, frozenset([OFFSET]): 1.0}
+    found = replace(a_search(sketch, [OFFSET]), fit=a_fit(sketch.library, OFFSET, trials=trials))
+    gap = a_gap(unnamed=10.0)
+
+    def level(hypothesis):
+        return naming.rms(sketch.noise_levels(hypothesis))
+
+    said, causes, smaller = naming.judge_rough(found, gap, level)
+    assert (said, len(causes), len(smaller)) == (expected, trials > 1.0, trials < 1.0)
+    known = replace(found, specimen=SimpleNamespace(discrepancy_of=lambda series: None))
+    said, (cause,), _ = naming.judge_rough(known, gap, level)
+    assert said == "named"
+    assert cause.confidence > 0.99
+
+
+def test_a_departure_is_a_fault_the_more_probably_the_larger_it_is():
+    shares = [beyond_specimens(d) for d in (0.0, 0.5, 1.0, 1.5, 2.0, 3.0)]
+    assert (np.diff(shares) > 0.0).all()
+    assert shares[2] < 0.5 < shares[3]
+    assert shares[4] > 0.9
+    # Bayes' rule with even odds: |d| normal about the model, or anywhere up to five trials.
+    own = 2.0 * norm.pdf(1.0, scale=DEFAULT.specimen_spread)
+    assert shares[2] == pytest.approx(0.2 / (0.2 + own))
+
+
+def test_a_tenth_of_the_bandwidth_is_as_severe_as_the_trials_that_it_passes():
+    bandwidth = EffectParameter("f", "Hz", nominal=250.0, upper=500.0, trials=(12.5, 30.0, 87.5))
+    assert bandwidth.departure(250.0, 250.0) == 0.0
+    assert bandwidth.departure(168.75, 250.0) == pytest.approx(0.5)
+    assert bandwidth.departure(30.0, 250.0) == pytest.approx(2.0)
+    assert bandwidth.departure(12.5, 250.0) == pytest.approx(3.0)
+    # A long way in smallest trials counts as such, on a side without trials as well.
+    assert bandwidth.departure(500.0, 250.0) == pytest.approx(250.0 / 162.5)
+
+
+def test_parameters_cost_a_rough_explanation_its_probability():
+    few, many = posterior([1.0, 0.9], 30.0, [1, 4])
+    assert few > many
+    assert posterior([1.0, 0.5], 30.0, [1, 4])[1] > 0.95
+    np.testing.assert_allclose(posterior([1.0, 0.9], 30.0, [2, 2]), posterior([1.0, 0.9], 30.0))
+    # Schwarz 1978: half the logarithm of the numbers for every parameter.
+    assert many / few == pytest.approx(0.9**-15.0 * 30.0**-1.5)
+
+
+# Exact or rough.
+
+
+@pytest.fixture
+def searches(sketch, monkeypatch):
+    """What the searches find: what they leave, in squares of noise levels, by the effects."""
+    left = {(): 900.0, (OFFSET,): 400.0, (OFFSET, VISCOUS): 4.0, (OFFSET, VISCOUS, COULOMB): 1.0}
+    sketch.costs |= {frozenset(keys): cost for keys, cost in left.items()}
+    rough_problem = SimpleNamespace(**{**vars(sketch), "noise": SimpleNamespace(discrepancy=1)})
+    found = {"rough": (OFFSET, VISCOUS), "exact": (OFFSET,), "again": (OFFSET, VISCOUS, COULOMB)}
+
+    def exact(problem, settings, progress, begun=None):
+        if begun is not None:
+            assert begun.named == found["rough"]
+        return a_search(problem, found["exact" if begun is None else "again"])
+
+    def rough_one(problem, settings, progress, specimen, floor):
+        return a_search(rough_problem, found["rough"])
+
+    monkeypatch.setattr(workflow, "_exact_search", exact)
+    monkeypatch.setattr(workflow, "_rough_search", rough_one)
+    return found
+
+
+def test_several_gross_faults_of_an_exact_machine_are_all_found(sketch, searches):
+    found = workflow.search(sketch, workflow.DiagnosisSettings())
+    assert found.named == searches["again"]
+    assert not found.rough
+
+
+def test_a_search_does_not_go_on_as_exact_where_that_leaves_more_than_noise(sketch, searches):
+    sketch.costs[frozenset(searches["again"])] = 3.0
+    assert workflow.search(sketch, workflow.DiagnosisSettings()).named == searches["rough"]
+
+
+def test_a_search_goes_on_as_exact_only_where_little_is_left(sketch, searches):
+    sketch.costs[frozenset(searches["rough"])] = 50.0
+    found = workflow.search(sketch, workflow.DiagnosisSettings())
+    assert found.named == searches["rough"]
+    assert found.rough
