@@ -72,6 +72,13 @@ def test_each_direction_of_the_valve_has_its_gain(machine, gains):
         assert after == pytest.approx(gain * before, rel=2e-3)
 
 
+def test_a_worn_edge_is_open_by_half_its_rounding_at_the_lap(machine):
+    cylinder = changed(Library(machine), machine, ("valve_null_leakage", VALVE), [0.08])
+    # Chambers at the tank's pressure: the edges to it pass nothing.
+    at_lap, wide = (cylinder.native.flows(spool, 16e6, 0.0, 0.0)[0] for spool in (0.02, 1.0))
+    assert at_lap / wide == pytest.approx(0.04 / (0.5 * (0.98 + np.hypot(0.98, 0.08))))
+
+
 def test_stiction_has_the_shape_of_its_curve(machine):
     library = Library(machine)
     cylinder = changed(library, machine, ("stiction", VALVE), [400.0, 0.02, 0.7])
@@ -130,6 +137,10 @@ def curve(plant):
     plant.parameters[VALVE, "stribeck_exponent"] = 1.0
 
 
+def worn(plant):
+    plant.parameters[VALVE, "edge_rounding"] = 4.0 * NOMINAL["edge_rounding"]
+
+
 @pytest.mark.parametrize(
     ("name", "fault", "values"),
     [
@@ -137,6 +148,7 @@ def curve(plant):
         ("pressure_sensor_offset", sensors, [3e5, 0.0]),
         ("pressure_sensor_scale", gains, [1.0, 0.93]),
         ("stiction", curve, [300.0, 0.02, 1.0]),
+        ("valve_null_leakage", worn, [4.0 * NOMINAL["edge_rounding"]]),
     ],
 )
 def test_a_replay_with_the_true_values_leaves_noise(healthy, name, fault, values):

@@ -1,9 +1,12 @@
 """Parts of the diagnosis against independent references."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from leglab.base.errors import LeglabError
+from leglab.diagnosis import windows
 from leglab.diagnosis.effects.base import Effect, EffectParameter, register_effect
 from leglab.diagnosis.effects.cogging import harmonics
 from leglab.diagnosis.fitting import Sums, Unknowns
@@ -15,7 +18,7 @@ from leglab.diagnosis.residual import extrapolation, robust_cost
 from leglab.diagnosis.screening import Candidate
 from leglab.diagnosis.search import chance_gain
 from leglab.diagnosis.starts import bristle, spool
-from leglab.diagnosis.windows import noise_level
+from leglab.diagnosis.windows import Channel, Cut, derivative, noise_level, smoothed
 from leglab.studies.blind.faulty_bench import FAULTS, FaultyBench, detuned, references
 from leglab.studies.blind.selftest import Case, Outcome, cases, make, score_table
 
@@ -173,6 +176,26 @@ def test_an_effect_without_physics_is_refused():
 
     with pytest.raises(LeglabError, match="has no 'physics'"):
         register_effect(Nameless)
+
+
+def test_a_channel_is_filtered_once_for_all_hypotheses_that_correct_it_alike(monkeypatch):
+    counted = []
+
+    def counting(samples, window):
+        counted.append(samples[0])
+        return smoothed(samples, window)
+
+    monkeypatch.setattr(windows, "smoothed", counting)
+    channel = Channel(column="q", joint="hinge")
+    cut = Cut(series=SimpleNamespace(period=1e-3), firsts=np.arange(3), levers={})
+    rng = np.random.default_rng(0)
+    series = [np.concatenate([[k], rng.standard_normal(99)]) for k in range(5)]
+    for k in (0, 1, 0, 2, 0, 3, 0, 1):
+        level, slope = cut.filtered(channel, series[k].copy())
+        np.testing.assert_array_equal(level, smoothed(series[k], channel.filter))
+        np.testing.assert_array_equal(slope, derivative(series[k], channel.filter, 1e-3))
+    # The one that all come back to stays, one of long ago is made anew.
+    assert counted == [0.0, 1.0, 2.0, 3.0, 1.0]
 
 
 @pytest.mark.parametrize("name", sorted(FAULTS))

@@ -13,10 +13,12 @@ from scipy.stats import norm
 
 from leglab.diagnosis import naming, workflow
 from leglab.diagnosis.effects.base import EffectParameter
+from leglab.diagnosis.hypothesis import Hypothesis
 from leglab.diagnosis.judging import (
     beyond_specimens,
     posterior,
 )
+from leglab.diagnosis.measure import Measure
 from leglab.diagnosis.thresholds import DEFAULT
 from tests.diagnosis_sketch import (
     COULOMB,
@@ -194,6 +196,57 @@ def test_parameters_cost_a_rough_explanation_its_probability():
     np.testing.assert_allclose(posterior([1.0, 0.9], 30.0, [2, 2]), posterior([1.0, 0.9], 30.0))
     # Schwarz 1978: half the logarithm of the numbers for every parameter.
     assert many / few == pytest.approx(0.9**-15.0 * 30.0**-1.5)
+
+
+# The measure of a gap.
+
+
+def a_recorded(names, table):
+    """What a measure asks of a problem: costs and noise levels of its windows by recording."""
+    problem = SimpleNamespace(
+        series=list(names),
+        replay=SimpleNamespace(recording=np.repeat(np.arange(len(names)), 3)),
+        noise_levels=lambda hypothesis: np.repeat([table[n] for n in names], 3),
+    )
+
+    def trusting(discrepancy):
+        def window_cost(hypothesis):
+            return problem.noise_levels(hypothesis) / np.repeat([discrepancy[n] for n in names], 3)
+
+        return SimpleNamespace(**{**vars(problem), "window_cost": window_cost})
+
+    problem.trusting = trusting
+    return problem
+
+
+def a_specimen(discrepancy):
+    """Healthy recordings, of which "fast" is like "run" and "slow" like "walk"."""
+    return SimpleNamespace(
+        problem=a_recorded(("fast", "slow"), {"fast": 80.0, "slow": 5.0}),
+        values=Hypothesis(),
+        after=(np.sqrt(80.0), np.sqrt(5.0)),
+        discrepancy=discrepancy,
+        nearest=lambda series: [{"run": 0, "walk": 1}[s] for s in series],
+        discrepancy_of=lambda series: {"run": 100.0, "walk": 4.0},
+    )
+
+
+def test_errors_count_by_how_unusual_they_are_for_the_healthy_machine():
+    problem = a_recorded(("run", "walk"), {"run": 200.0, "walk": 40.0})
+    measure = Measure.of(problem, a_specimen({"fast": 100.0, "slow": 4.0}))
+    np.testing.assert_allclose(measure.squares(Hypothesis()), [2.0] * 3 + [10.0] * 3)
+    np.testing.assert_allclose(measure.floors, [0.8, 1.25])
+    walk = np.arange(6) >= 3
+    assert measure.floor(walk) == pytest.approx(np.sqrt(1.25))
+    assert measure.floor(~walk) == pytest.approx(np.sqrt(0.8))
+
+
+def test_errors_count_in_noise_levels_where_the_healthy_machine_has_none_of_its_own():
+    problem = a_recorded(("run", "walk"), {"run": 200.0, "walk": 40.0})
+    for specimen, floors in ((None, [1.0, 1.0]), (a_specimen(None), [80.0, 5.0])):
+        measure = Measure.of(problem, specimen)
+        np.testing.assert_allclose(measure.squares(Hypothesis()), [200.0] * 3 + [40.0] * 3)
+        np.testing.assert_allclose(measure.floors, floors)
 
 
 # Exact or rough.
