@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from leglab.diagnosis import challenge
+from leglab.diagnosis.judging import t_value
 from leglab.diagnosis.search import Contender, Round
 from leglab.diagnosis.thresholds import DEFAULT
 from tests.diagnosis_sketch import (
@@ -18,6 +19,7 @@ from tests.diagnosis_sketch import (
     VISCOUS,
     WINDOWS,
     a_fit,
+    ripple,
 )
 
 SPRING = "spring_stiffness", "hinge"
@@ -146,6 +148,16 @@ def test_a_special_case_that_does_as_well_takes_the_place(sketch):
     assert challenged(sketch, [VISCOUS, SPRING], rounds)[0] == [VISCOUS, SPRING]
     sketch.costs[frozenset(everything[1])] = 2.0
     assert challenged(sketch, [ASYMMETRIC, SPRING], rounds)[0] == [ASYMMETRIC, SPRING]
+
+
+def test_a_larger_effect_that_gains_surely_but_hardly_takes_no_place(sketch):
+    """Further parameters always gain a little in most windows."""
+    gain = ripple(0.01, size=0.002)
+    costs(sketch, {(VISCOUS, SPRING): 1.0, (ASYMMETRIC, SPRING): 1.0 - gain})
+    sketch.costs |= {frozenset([ASYMMETRIC]): 9.0, frozenset([ASYMMETRIC, VISCOUS]): 9.0}
+    assert t_value(gain) > DEFAULT.significant
+    rounds = [a_round(sketch.library, VISCOUS, ASYMMETRIC), a_round(sketch.library, SPRING)]
+    assert challenged(sketch, [VISCOUS, SPRING], rounds)[0] == [VISCOUS, SPRING]
 
 
 def test_a_rival_that_was_far_behind_is_not_tried(sketch):

@@ -16,11 +16,13 @@ from leglab.diagnosis.effects.base import EffectParameter
 from leglab.diagnosis.hypothesis import Hypothesis
 from leglab.diagnosis.judging import (
     beyond_specimens,
+    earns,
     posterior,
 )
 from leglab.diagnosis.measure import Measure
 from leglab.diagnosis.thresholds import DEFAULT
 from tests.diagnosis_sketch import (
+    ASYMMETRIC,
     COULOMB,
     OFFSET,
     VISCOUS,
@@ -29,6 +31,7 @@ from tests.diagnosis_sketch import (
     a_search,
     a_sketch,
     contender,
+    ripple,
     rough_ties,
 )
 
@@ -85,6 +88,19 @@ def test_confidence_of_a_rough_name_depends_on_what_it_explains(sketch):
     assert confidence(3.0) > 0.9
     assert confidence(5.5) == pytest.approx(0.5)
     assert confidence(8.5) < 0.1
+
+
+def test_a_larger_effect_must_be_the_more_probable_on_a_rough_machine(sketch):
+    """Errors of a model are few numbers: what chi-square calls sure may be one of them."""
+    base = ripple(1.0, size=0.05)
+    simple = contender(sketch.library, VISCOUS, base)
+    little, much = (
+        contender(sketch.library, ASYMMETRIC, base - ripple(g, size=0.02)) for g in (0.1, 0.5)
+    )
+    assert earns(sketch, little, simple)
+    sketch.noise = SimpleNamespace(discrepancy=1)
+    assert not earns(sketch, little, simple)
+    assert earns(sketch, much, simple)
 
 
 # What is named on a rough machine.
