@@ -16,7 +16,7 @@ from leglab.diagnosis.hypothesis import Hypothesis, Library
 from leglab.diagnosis.judging import (
     noticeable,
 )
-from leglab.diagnosis.nuisances import rough_nuisances, specimen_nuisances, within_tolerance
+from leglab.diagnosis.nuisances import all_strengths, rough_nuisances, within_tolerance
 from leglab.diagnosis.residual import NoiseModel
 from leglab.diagnosis.rough import at_least, settled_baseline
 from leglab.diagnosis.thresholds import DEFAULT
@@ -252,7 +252,7 @@ def test_effects_depart_from_the_specimen_and_not_from_the_model(machine, own):
     for nuisances in (
         within_tolerance(about),
         rough_nuisances(about, 0.3),
-        specimen_nuisances(about, 3.0),
+        all_strengths(about, 1.0, 3.0),
     ):
         priors = {n.key: n.nominal for n in nuisances}
         assert priors[VISCOUS] == 0.1

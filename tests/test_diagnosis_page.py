@@ -25,6 +25,7 @@ from leglab.diagnosis.result import (
     ResidualTrace,
     Rivals,
     Where,
+    WholeRecording,
 )
 from leglab.report.diagnosis.figures import pictures, short
 from leglab.report.diagnosis.page import write_page
@@ -86,6 +87,24 @@ def left(channel, unit, before):
     )
 
 
+def whole(recording="walk", **changes):
+    time = 3.0 + np.arange(5000) * 1e-3
+    measured = np.sin(time)
+    found = WholeRecording(
+        recording=recording,
+        joint="knee",
+        unit="rad",
+        actuator="knee_valve",
+        time=time,
+        measured=measured,
+        before=measured + 0.05,
+        after=measured - 0.002,
+        correction_before=np.full(5000, 0.3),
+        correction_after=np.full(5000, -0.01),
+    )
+    return replace(found, **changes)
+
+
 def diagnosis(verdict="named", effects=None, recording="walk", **changes):
     gone = verdict in ("unexplained", "nothing_missing")
     rivals = ("stiction",) if verdict == "confusion_set" else ()
@@ -120,6 +139,7 @@ def diagnosis(verdict="named", effects=None, recording="walk", **changes):
             trace(recording, "knee_pressure_a", "Pa", 1),
         ),
         remaining=(left("knee_position", "rad", 0.024), left("knee_pressure_a", "Pa", 4e5)),
+        whole=whole(recording),
         nuisances=(),
         next_experiment=Proposal(
             name="slow sine, 1 Hz",
@@ -193,6 +213,7 @@ def test_the_page_holds_the_figures_that_lie_beside_it(tmp_path):
     assert inline == files
     assert [p.name for p in pictures(result)] == [
         "overlay",
+        "whole",
         "gap",
         "ranking",
         "rivals",
@@ -202,9 +223,44 @@ def test_the_page_holds_the_figures_that_lie_beside_it(tmp_path):
         "residual_time_2_knee_pressure_a",
     ]
     told = [i.get("alt") for i in images]
-    assert "walk: 14.2 before, 1.1 after." in told[1]
-    assert "valve_deadband beats stiction in 83%." in told[3]
+    assert "walk: 14.2 before, 1.1 after." in told[2]
+    assert "valve_deadband beats stiction in 83%." in told[4]
     assert all(told)
+
+
+def test_a_whole_recording_is_drawn_first_and_told_in_numbers(tmp_path):
+    result = diagnosis()
+    drawn = picture(result, "whole")
+    assert "RMS error of knee: 50 \u2192 2 mrad." in drawn.caption
+    assert "standard deviation: 30 \u2192 1 %." in drawn.caption
+    curves = [axes.get_lines() for axes in drawn.figure.axes]
+    assert curves[0][0].get_xdata()[0] == 0.0
+    away = [np.mean(line.get_ydata()) for line in curves[1] if line.get_color() != "#c8c8c8"][-2:]
+    assert away == pytest.approx([50.0, -2.0])
+    text, _ = parsed(write_page(result, tmp_path, model="knee_bench"))
+    places = [text.index(f'alt="{start}') for start in ("Measured over", "Whole rec", "Replay err")]
+    assert places == sorted(places)
+    told = json.loads(json.dumps(result.to_json()))["whole"]
+    assert told == {
+        "recording": "walk",
+        "joint": "knee",
+        "unit": "rad",
+        "before": 0.05,
+        "after": 0.002,
+        "correction_before": 0.3,
+        "correction_after": 0.01,
+    }
+
+
+def test_a_whole_recording_that_blew_up_is_not_told_as_a_number():
+    gone = np.full(5000, np.nan)
+    result = diagnosis(whole=whole(before=gone))
+    assert "RMS error of knee: beyond bounds \u2192 2 mrad." in picture(result, "whole").caption
+    assert result.to_json()["whole"]["before"] is None
+    for changes in ({"whole": whole(after=gone)}, {"whole": None}):
+        names = [p.name for p in pictures(diagnosis(**changes))]
+        assert "whole" not in names
+    assert diagnosis(whole=None).to_json()["whole"] is None
 
 
 def test_every_effect_with_parameters_and_onset_is_told(tmp_path):
@@ -252,6 +308,7 @@ def test_a_diagnosis_without_evidence_still_has_a_page(tmp_path):
         gap=Gap(before=nan, baseline=nan, after=nan, held_out=()),
         remaining=(),
         ceiling=None,
+        whole=None,
     )
     _, root = parsed(write_page(result, tmp_path, model="knee_bench"))
     assert not list(root.iter(f"{SPACE}img"))
@@ -260,7 +317,7 @@ def test_a_diagnosis_without_evidence_still_has_a_page(tmp_path):
 
 def test_figures_of_an_earlier_diagnosis_do_not_stay(tmp_path):
     write_page(diagnosis(), tmp_path, model="knee_bench")
-    write_page(diagnosis(rivals=(), traces=()), tmp_path, model="knee_bench")
+    write_page(diagnosis(rivals=(), traces=(), whole=None), tmp_path, model="knee_bench")
     assert {p.name for p in (tmp_path / "figures").iterdir()} == {"gap.png", "ranking.png"}
 
 

@@ -65,18 +65,21 @@ def rough_nuisances(library: Library, share: float) -> tuple[Nuisance, ...]:
     return tuple(sorted(unique.values(), key=lambda n: (n.key, n.index)))
 
 
-def specimen_nuisances(library: Library, tolerances: float) -> tuple[Nuisance, ...]:
-    """All strengths, within what is barely noticeable: what a healthy specimen may have.
+def all_strengths(library: Library, share: float, tolerances: float) -> tuple[Nuisance, ...]:
+    """All strengths, within a share of what is barely noticeable.
+
+    All of it is what a healthy specimen may have.
 
     Args:
         library: Effects.
+        share: Standard deviation as a share of what is barely noticeable.
         tolerances: The least standard deviation of those that have a tolerance, in tolerances.
     """
     return tuple(
         nuisance
         for key, site in library.sites.items()
         if site.effect.gradual
-        for nuisance in _strengths(key, site, 1.0, tolerances)
+        for nuisance in _strengths(key, site, share, tolerances)
     )
 
 

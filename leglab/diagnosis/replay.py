@@ -16,6 +16,8 @@ from leglab.diagnosis.windows import Channel, Cut, UniformSeries, cut_series
 from leglab.machine.plugin import headless
 
 _CACHED_VARIANTS = 8
+# Share of the spread of a command by which it is moved, to see what it moves.
+_COURSE_STEP = 0.05
 
 # Windows of one recording, its measured series, and its corrected columns.
 Part = tuple[Cut, Measured, dict[str, np.ndarray]]
@@ -37,6 +39,28 @@ class ReplayErrors:
     def normalised(self) -> np.ndarray:
         """The errors with the sensors' own noise, shape (windows, channels, bins)."""
         return self.values / self.noise_gain[:, None]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Course:
+    """A recording from one of its windows on.
+
+    Attributes:
+        period: Sampling period [s].
+        time: Of the samples [s], (samples,).
+        positions: Of the joints, corrected and smoothed, by joint, each (samples,).
+        state: Full physics state at the start, (nstate,).
+        controls: At every step of the replay, (steps, actuators).
+        moves: How far a command that is larger by 1 moves each joint within half a window and a
+            whole one, the median of windows, (2, actuators, joints).
+    """
+
+    period: float
+    time: np.ndarray
+    positions: dict[str, np.ndarray]
+    state: np.ndarray
+    controls: np.ndarray
+    moves: np.ndarray
 
 
 class Replay:
@@ -157,6 +181,45 @@ class Replay:
         controls = np.repeat(faulty, self.substeps, axis=1)
         states = self._roll(change.variant, np.repeat(start, len(commands), axis=0), controls)
         return self._predicted(change.variant, states)
+
+    def course(self, change: Change, recording: int, after: float) -> Course | None:
+        """A recording from its first window that starts after a time [s], to its end or a gap.
+
+        Returns:
+            None where there is no such window.
+        """
+        cut = self._cuts[recording]
+        cut = replace(cut, firsts=cut.firsts[cut.series.time[cut.firsts] >= after])
+        if not cut.firsts.size:
+            return None
+        measured, corrected = measure(cut, self.channels, change)
+        starts = self._starts(change, [(cut, measured, corrected)])
+        index = cut.firsts[:, None] + np.arange(self.samples)
+        controls = self._controls(measured, index)
+        moves = np.zeros((2, len(self.machine.actuators), len(self.machine.joints)))
+        places = [1 + int(change.variant.model.joint(j).qposadr[0]) for j in self.machine.joints]
+        late = np.array([controls.shape[1] // 2, controls.shape[1]]) - 1
+        seen = np.ix_(np.arange(starts.shape[0]), late, np.array(places))
+        there = self._roll(change.variant, starts, controls)[seen]
+        for i, actuator in enumerate(self.machine.actuators):
+            step = _COURSE_STEP * float(np.std(cut.series.columns[f"{actuator}_command"]))
+            if step > 0.0:
+                moved = controls.copy()
+                moved[:, :, i] += step
+                gone = self._roll(change.variant, starts, moved)[seen] - there
+                moves[:, i] = np.nan_to_num(np.median(gone, axis=0)) / step
+        first = int(cut.firsts[0])
+        gaps = np.flatnonzero(~cut.series.valid[first:])
+        count = int(gaps[0]) if gaps.size else cut.series.time.size - first
+        inside = first + np.arange(count)
+        return Course(
+            period=self._period,
+            time=cut.series.time[inside],
+            positions={joint: q[inside] for joint, q in measured.position.items()},
+            state=starts[0],
+            controls=self._controls(measured, inside[None])[0],
+            moves=moves,
+        )
 
     def measured(self) -> np.ndarray:
         """Samples of all windows as measured, shape (windows, channels, samples + 1)."""

@@ -235,6 +235,52 @@ class ResidualTrace:
     bins: int
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WholeRecording:
+    """A recording simulated in one go, in closed loop; arrays (samples,).
+
+    Attributes:
+        recording: Name.
+        joint: Whose position strays most.
+        unit: "rad" or "m".
+        actuator: Whose command the loop corrects.
+        time: s.
+        measured: Position of the joint [unit].
+        before: The same as simulated by the model as it was; NaN from where that blew up.
+        after: With the named effects.
+        correction_before: What the loop added to the command, as a share of that command's
+            standard deviation, for the model as it was.
+        correction_after: The same with the named effects.
+    """
+
+    recording: str
+    joint: str
+    unit: str
+    actuator: str
+    time: np.ndarray
+    measured: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    correction_before: np.ndarray
+    correction_after: np.ndarray
+
+    def to_json(self) -> dict[str, Any]:
+        """Names, and root mean squares over the recording; None where a simulation blew up."""
+        return {
+            "recording": self.recording,
+            "joint": self.joint,
+            "unit": self.unit,
+            "before": _rms(self.before - self.measured),
+            "after": _rms(self.after - self.measured),
+            "correction_before": _rms(self.correction_before),
+            "correction_after": _rms(self.correction_after),
+        }
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
 @dataclass(frozen=True, kw_only=True)
 class NotTestable:
     """An effect on which these recordings say nothing."""
@@ -280,6 +326,7 @@ class Diagnosis:
         smaller: Effects that are there and close less than a tenth of the gap each, or that a good
             machine may have as well: differences, not the cause.
         remaining: Errors that are left, in units of the channels.
+        whole: A held-out recording simulated in closed loop; None where that cannot be.
         calibration: Of the specimen, where healthy recordings were given.
         rough: Whether the model's own error was counted in, beside the sensors' noise.
         notes: What the reader should know: repairs, missing pressures, bounds that were hit.
@@ -304,6 +351,7 @@ class Diagnosis:
     notes: tuple[str, ...]
     smaller: tuple[NamedEffect, ...] = ()
     remaining: tuple[Remaining, ...] = ()
+    whole: WholeRecording | None = None
     calibration: Calibration | None = None
     rough: bool = False
     model: str = ""
@@ -331,6 +379,7 @@ class Diagnosis:
             },
             "recordings": [_fields(recording) for recording in self.recordings],
             "remaining": [asdict(one) for one in self.remaining],
+            "whole": self.whole and self.whole.to_json(),
             "calibration": self.calibration
             and {
                 "recordings": [

@@ -87,7 +87,12 @@ def chance_gain(
         overdispersion: Mean square of the residuals when nothing is missing.
         rng: Draws the noise.
         draws: Bootstrap samples.
+
+    Returns:
+        Infinity without candidates.
     """
+    if not candidates:
+        return np.inf
     directions = np.stack([c.direction.ravel() for c in candidates], axis=1)
     matrix = beyond_tangents(directions, tangents)
     norm = np.linalg.norm(matrix, axis=0)

@@ -8,7 +8,7 @@ import numpy as np
 from leglab.diagnosis.discrepancy import Discrepancy
 from leglab.diagnosis.fitting import Fit
 from leglab.diagnosis.hypothesis import Hypothesis
-from leglab.diagnosis.nuisances import specimen_nuisances
+from leglab.diagnosis.nuisances import all_strengths
 from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.rough import settled_baseline
 from leglab.diagnosis.search import Progress, baseline, thinned
@@ -75,7 +75,7 @@ def calibrate(problem: Problem, progress: Progress) -> Specimen:
     fit = baseline(problem, chosen)
     exact = float(problem.window_cost(fit.hypothesis).mean()) <= limits.explained
     if not exact:
-        nuisances = specimen_nuisances(problem.library, limits.healthy_tolerance)
+        nuisances = all_strengths(problem.library, 1.0, limits.healthy_tolerance)
         problem, fit = settled_baseline(problem.with_nuisances(nuisances), chosen)
     return Specimen(
         problem=problem,

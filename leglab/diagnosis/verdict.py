@@ -39,6 +39,7 @@ from leglab.diagnosis.result import (
 )
 from leglab.diagnosis.search import Contender
 from leglab.diagnosis.specimen import Specimen, calibrate
+from leglab.diagnosis.whole import whole_recording
 from leglab.diagnosis.windows import UniformSeries
 from leglab.diagnosis.workflow import DiagnosisSettings, Search, search, set_up
 
@@ -164,6 +165,7 @@ def assemble(found: Search, settings: DiagnosisSettings, *, seconds: float) -> D
             for name, held_out, own in zip(names, judged, windows, strict=True)
         ),
         remaining=_remaining(problem, final, held),
+        whole=whole_recording(problem, final),
         calibration=_calibration(specimen) if specimen else None,
         ceiling=ceiling,
         ranking=tuple(

@@ -44,6 +44,12 @@ _INNER = 0.99  # share of the points within the axes of a cloud: outliers would 
 _BAR = 1e-5  # bar/Pa
 # A replay that has left its recording altogether is not drawn [SI].
 _DIVERGED = 1e11
+# Points of a curve over a whole recording.
+_MOST_SAMPLES = 3000
+_BEFORE_AFTER: tuple[dict[str, Any], ...] = (
+    {"color": VERMILION, "linestyle": "--", "linewidth": 1.0},
+    {"color": BLUE, "linewidth": 1.0},
+)
 # Both rows share their scale unless the errors shrink by more than this factor.
 _ALIKE = 4.0
 
@@ -75,6 +81,7 @@ def pictures(result: Diagnosis) -> tuple[CaptionedFigure, ...]:
     """All figures that the diagnosis has content for, in the order of the page."""
     found = (
         overlay_picture(result),
+        whole_picture(result),
         gap_picture(result),
         ranking_picture(result),
         rivals_picture(result),
@@ -202,6 +209,68 @@ def _draw_window_error(axes: Axes, window: ResidualTrace, *, first: bool) -> Non
     axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
     if first:
         axes.set_ylabel(f"simulated less\nmeasured [{unit}]")
+
+
+def whole_picture(result: Diagnosis) -> CaptionedFigure | None:
+    """Draws a held-out recording over its simulations in closed loop; None without one."""
+    whole = result.whole
+    if whole is None or not np.isfinite(whole.after).all():
+        return None
+    factor, unit = shown_unit(whole.unit)
+    every = max(1, whole.time.size // _MOST_SAMPLES)
+    time = (whole.time - whole.time[0])[::every]
+    measured = whole.measured[::every]
+    simulated = [which[::every] for which in (whole.before, whole.after)]
+    corrections = [c[::every] for c in (whole.correction_before, whole.correction_after)]
+    drawn = [
+        [(s, one) for s, one in zip(_BEFORE_AFTER, values, strict=True)]
+        for values in (
+            [factor * s for s in simulated],
+            [factor * (s - measured) for s in simulated],
+            [100.0 * c for c in corrections],
+        )
+    ]
+    labels = (f"position [{unit}]", f"simulated less\nmeasured [{unit}]", "correction\n[%]")
+    with look():
+        height = 5.2
+        figure = Figure(figsize=(_WIDTH, height))
+        rows = figure.subplots(3, 1, sharex=True)
+        rows[0].plot(time, factor * measured, color=LIGHT_GREY, linewidth=4.0)
+        for axes, curves, label in zip(rows, drawn, labels, strict=True):
+            if axes is not rows[0]:
+                axes.axhline(0.0, color=LIGHT_GREY, linewidth=1.6)
+            for look_of, values in curves:
+                axes.plot(time, values, **look_of)
+            axes.set_ylabel(label)
+            axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+        rows[-1].set_xlabel("time [s]")
+        lines = [
+            Line2D([], [], color=LIGHT_GREY, linewidth=4.0, label="measured"),
+            Line2D([], [], **_BEFORE_AFTER[0], label="simulated, model as it was"),
+            Line2D([], [], **_BEFORE_AFTER[1], label=f"simulated, {after_words(result)}"),
+        ]
+        add_head(figure, f"The whole of {short(whole.recording, 40)}", lines, **_LEGEND)
+        figure.tight_layout(rect=(0, 0, 1, 1 - 0.52 / height))
+        figure.align_ylabels()
+    told = whole.to_json()
+
+    def change(key: str, scale: float, ending: str) -> str:
+        before, after = (told[f"{key}{which}"] for which in ("before", "after"))
+        first = number(scale * before, 2) if math.isfinite(before) else "beyond bounds"
+        return f"{first} > {number(scale * after, 2)}{ending}"
+
+    away = change("", factor, f" {unit}").replace(">", "\u2192")
+    help_ = change("correction_", 100.0, " %").replace(">", "\u2192")
+    return CaptionedFigure(
+        name="whole",
+        figure=figure,
+        caption=f"One simulation over the whole recording: the measured command of "
+        f"{readable(whole.actuator)} plus a correction by a slow position loop, without which any "
+        f"model drifts away. RMS error of {readable(whole.joint)}: {away}. RMS correction, in per "
+        f"cent of the command's standard deviation: {help_}.",
+        alt=f"Whole recording {whole.recording} in closed loop. RMS error of {whole.joint} {away}, "
+        f"correction {help_}.",
+    )
 
 
 def gap_picture(result: Diagnosis) -> CaptionedFigure | None:

@@ -25,6 +25,8 @@ from leglab.report.page.wording import capital, number
 
 _DPI = 130
 _MOST_DEPARTED = 12
+# Figures that lay measured over simulated come before all others.
+_FIRST = ("overlay", "whole")
 _KINDS = {
     "named": "named",
     "confusion_set": "confusion set",
@@ -91,8 +93,8 @@ def _page(result: Diagnosis, figures: Sequence[dict[str, str]], model: str) -> s
         ),
         improved=result.model,
         improved_words=improved_words(result),
-        first=[figure for figure in figures if figure["name"] == "overlay"],
-        figures=[figure for figure in figures if figure["name"] != "overlay"],
+        first=[figure for figure in figures if figure["name"] in _FIRST],
+        figures=[figure for figure in figures if figure["name"] not in _FIRST],
     )
 
 
