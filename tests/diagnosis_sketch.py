@@ -35,7 +35,7 @@ def a_sketch(monkeypatch):
         return np.broadcast_to(costs[frozenset(hypothesis)], WINDOWS).astype(float)
 
     no_width = {OFFSET: np.zeros(1), VISCOUS: np.zeros(1), ASYMMETRIC: np.zeros(4)}
-    monkeypatch.setattr(naming, "intervals", lambda problem, fit: no_width)
+    monkeypatch.setattr(naming, "intervals", lambda problem, fit, beside: no_width)
     problem = SimpleNamespace(
         machine=MACHINE,
         library=LIBRARY,

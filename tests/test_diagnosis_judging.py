@@ -9,11 +9,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import t as student
 
 from leglab.diagnosis import naming, verdict
 from leglab.diagnosis.fitting import Fit
 from leglab.diagnosis.hypothesis import Hypothesis
 from leglab.diagnosis.judging import (
+    _sandwich,
     accepted,
     intervals,
     simplest_first,
@@ -252,3 +254,16 @@ def test_rivals_that_share_a_name_are_told_by_their_elements(sketch):
     tried = [SimpleNamespace(key=key) for key in (ASYMMETRIC, OFFSET, valve)]
     wanted = ("asymmetric_friction at hinge", "force_offset", "asymmetric_friction at valve")
     assert verdict._labels(tried) == wanted
+
+
+def test_what_may_be_off_beside_an_effect_widens_its_interval_by_as_much():
+    """Closed form: a twin of prior standard deviation s adds s^2 to the variance 1/(g'g)."""
+    g2, s, windows = 400.0, 0.3, 50
+    matrix = np.array([[g2, g2 * s], [g2 * s, g2 * s**2]])
+    matrices = np.broadcast_to(matrix / windows, (windows, 2, 2))
+    quiet = np.zeros((windows, 2))
+    half = _sandwich(matrices, quiet, np.diag([0.0, 1.0]))[0]
+    quantile = student.ppf(0.975, windows - 1)
+    assert half == pytest.approx(quantile * np.sqrt(1.0 / g2 + s**2), rel=1e-6)
+    alone = _sandwich(matrices[:, :1, :1], quiet[:, :1], np.zeros((1, 1)))[0]
+    assert alone == pytest.approx(quantile / np.sqrt(g2), rel=1e-6)

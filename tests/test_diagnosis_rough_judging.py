@@ -183,6 +183,28 @@ def test_what_a_good_machine_may_have_is_no_fault_unless_healthy_recordings_lack
     said, (cause,), _ = naming.judge_rough(known, gap, level)
     assert said == "named"
     assert cause.confidence > 0.99
+    # What a machine differs by from one day to the next is none either.
+    drifted = replace(known, fit=a_fit(sketch.library, OFFSET, trials=0.2))
+    said, causes, smaller = naming.judge_rough(drifted, gap, level)
+    assert (said, len(causes), len(smaller)) == ("unexplained", 0, 1)
+
+
+def test_intervals_of_a_rough_machine_allow_for_what_else_may_be_off(sketch, monkeypatch):
+    sketch.costs |= {frozenset(): 10.0**2, frozenset([OFFSET]): 1.0}
+    found, asked = a_search(sketch, [OFFSET]), []
+
+    def intervals(problem, fit, beside):
+        asked.append(beside)
+        return {OFFSET: np.zeros(1)}
+
+    monkeypatch.setattr(naming, "intervals", intervals)
+    naming.judge_rough(found, a_gap(unnamed=10.0), lambda h: 1.0)
+    naming.judge_exact(found, np.random.default_rng(0))
+    beside, exact = asked
+    assert exact is None
+    strengths = {(n.key, n.index) for n in beside}
+    assert (OFFSET, 0) in strengths
+    assert len(strengths) > 10
 
 
 def test_a_departure_is_a_fault_the_more_probably_the_larger_it_is():

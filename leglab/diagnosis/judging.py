@@ -8,7 +8,8 @@ from scipy.stats import t as student
 
 from leglab.diagnosis.fitting import Fit, Sums, free_tangents
 from leglab.diagnosis.hypothesis import Key
-from leglab.diagnosis.residual import Problem, robust_weight
+from leglab.diagnosis.nuisances import Nuisance
+from leglab.diagnosis.residual import Linearisation, Problem, robust_weight
 from leglab.diagnosis.search import Contender, Round
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
@@ -81,7 +82,9 @@ def noticeable(problem: Problem, key: Key, hypothesis: Mapping[Key, np.ndarray])
     return departure(problem, key, hypothesis) > problem.thresholds.noticeable
 
 
-def beyond_specimens(departure: float, thresholds: Thresholds = DEFAULT) -> float:
+def beyond_specimens(
+    departure: float, spread: float = DEFAULT.specimen_spread, reach: float = DEFAULT.fault_range
+) -> float:
     """Probability that a departure from the model is a fault and not this specimen's own.
 
     Strengths of healthy machines scatter normally about their model, by some share of what is
@@ -90,11 +93,11 @@ def beyond_specimens(departure: float, thresholds: Thresholds = DEFAULT) -> floa
 
     Args:
         departure: In smallest trials.
-        thresholds: Of both spreads.
+        spread: Standard deviation of healthy ones, in smallest trials.
+        reach: Of faults, likewise.
     """
-    spread = thresholds.specimen_spread
     own = np.exp(-0.5 * (departure / spread) ** 2) / (spread * np.sqrt(2.0 * np.pi))
-    fault = 1.0 / thresholds.fault_range
+    fault = 1.0 / reach
     return float(fault / (fault + 2.0 * own))
 
 
@@ -180,44 +183,80 @@ def within_library(explained: float) -> float:
     return share**2 / (share**2 + (1.0 - share) ** 2)
 
 
-def intervals(problem: Problem, fit: Fit) -> dict[Key, np.ndarray]:
+def intervals(
+    problem: Problem, fit: Fit, beside: Sequence[Nuisance] | None = None
+) -> dict[Key, np.ndarray]:
     """Half the width of the 95 % intervals of each free effect's parameters, in their units.
 
     The larger of two: the sandwich with windows as clusters (Liang and Zeger 1986), and a
     jackknife over recordings, which sees what all windows of a recording share. Both to first
     order about the fit.
+
+    Args:
+        problem: Recordings and machine.
+        fit: With the effects.
+        beside: What else may be off a little, in the sandwich; None for the fit's own nuisances.
     """
-    at = fit.at
-    own = free_tangents(problem, at, fit.free, problem.thresholds.fine_differences)
-    count = own.columns.shape[2]
-    jacobian = np.concatenate([own.columns, at.tangents], axis=2)
-    limit = problem.thresholds.robust_limit
-    weight = robust_weight(np.mean(at.residual**2, axis=1), limit)[:, None]
-    sums = Sums.of(at.residual, jacobian)
-    matrices, gradients = weight[:, :, None] * sums.matrices, weight * sums.gradients
-    prior = np.diag(np.concatenate([np.zeros(count), np.ones(jacobian.shape[2] - count)]))
-    total = matrices.sum(axis=0) + prior
-    total[np.diag_indices_from(total)] *= 1.0 + 1e-9
-    inverse = np.linalg.pinv(total, hermitian=True)
-    mean = gradients.mean(axis=0)
-    centred = gradients - mean
-    bread = inverse @ (centred.T @ centred) @ inverse
-    noise = np.maximum(np.diag(bread), np.diag(inverse))[:count]
-    half = student.ppf(0.975, max(gradients.shape[0] - count, 1)) * np.sqrt(noise)
-    recording = problem.replay.recording[at.chosen]
-    present = np.unique(recording)
-    if present.size > 1:
-        shifts = []
-        for number in present:
-            keep = recording != number
-            part = np.linalg.pinv(matrices[keep].sum(axis=0) + prior, hermitian=True)
-            shifts.append((part @ (keep.sum() * mean - gradients[keep].sum(axis=0)))[:count])
-        spread = np.stack(shifts)
-        share = (present.size - 1) / present.size
-        jack = np.sqrt(share * ((spread - spread.mean(axis=0)) ** 2).sum(axis=0))
-        half = np.maximum(half, student.ppf(0.975, present.size - 1) * jack)
+    fine = problem.thresholds.fine_differences
+    narrow = _sums(problem, fit, fit.at, fine)
+    wide = narrow
+    if beside is not None:
+        other = problem.with_nuisances(beside)
+        at = other.linearise(fit.hypothesis, fit.at.chosen, fit.free, share=fine)
+        wide = _sums(problem, fit, at, fine)
+    count = sum(len(problem.library.sites[key].parameters) for key in fit.free)
+    half = np.maximum(
+        _sandwich(*wide)[:count],
+        _jackknife(*narrow, problem.replay.recording[fit.at.chosen])[:count],
+    )
     found = {}
     for key in sorted(fit.free):
         scales = np.array([p.scale for p in problem.library.sites[key].parameters])
         found[key], half = half[: scales.size] * scales, half[scales.size :]
     return found
+
+
+# Of windows: matrices J'J and gradients J'r with robust weights; and the priors.
+_Weighed = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def _sums(problem: Problem, fit: Fit, at: Linearisation, fine: float) -> _Weighed:
+    own = free_tangents(problem, at, fit.free, fine)
+    count = own.columns.shape[2]
+    jacobian = np.concatenate([own.columns, at.tangents], axis=2)
+    limit = problem.thresholds.robust_limit
+    weight = robust_weight(np.mean(at.residual**2, axis=1), limit)[:, None]
+    sums = Sums.of(at.residual, jacobian)
+    prior = np.diag(np.concatenate([np.zeros(count), np.ones(jacobian.shape[2] - count)]))
+    return weight[:, :, None] * sums.matrices, weight * sums.gradients, prior
+
+
+def _sandwich(matrices: np.ndarray, gradients: np.ndarray, prior: np.ndarray) -> np.ndarray:
+    """Half widths of all unknowns, in their scales."""
+    total = matrices.sum(axis=0) + prior
+    total[np.diag_indices_from(total)] *= 1.0 + 1e-9
+    inverse = np.linalg.pinv(total, hermitian=True)
+    centred = gradients - gradients.mean(axis=0)
+    bread = inverse @ (centred.T @ centred) @ inverse
+    count = int((np.diag(prior) == 0.0).sum())
+    noise = np.maximum(np.diag(bread), np.diag(inverse))
+    return student.ppf(0.975, max(gradients.shape[0] - count, 1)) * np.sqrt(noise)
+
+
+def _jackknife(
+    matrices: np.ndarray, gradients: np.ndarray, prior: np.ndarray, recording: np.ndarray
+) -> np.ndarray:
+    """The same from the shifts without each recording, (windows,); 0 of a single one."""
+    mean = gradients.mean(axis=0)
+    present = np.unique(recording)
+    if present.size < 2:
+        return np.zeros(mean.size)
+    shifts = []
+    for number in present:
+        keep = recording != number
+        part = np.linalg.pinv(matrices[keep].sum(axis=0) + prior, hermitian=True)
+        shifts.append(part @ (keep.sum() * mean - gradients[keep].sum(axis=0)))
+    spread = np.stack(shifts)
+    share = (present.size - 1) / present.size
+    jack = np.sqrt(share * ((spread - spread.mean(axis=0)) ** 2).sum(axis=0))
+    return student.ppf(0.975, present.size - 1) * jack

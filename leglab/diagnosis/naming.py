@@ -18,6 +18,7 @@ from leglab.diagnosis.judging import (
     within_library,
 )
 from leglab.diagnosis.model import Machine
+from leglab.diagnosis.nuisances import Nuisance, all_strengths
 from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.result import Estimate, Gap, NamedEffect, Verdict
 from leglab.diagnosis.rough import cost_under
@@ -76,15 +77,17 @@ def judge_rough(found: Search, gap: Gap, level: Callable[[Hypothesis], float]) -
     def weigh(own: Contender, rivals: Sequence[Contender]) -> Ties:
         return _by_posterior(found.problem, own, rivals)
 
-    explained = gap.explained or 0.0
-    own = dict.fromkeys(found.named, 1.0)
-    if found.specimen is None:
-        # Nothing has said what this machine is like: a good one may differ as much.
-        final = found.fit.hypothesis
-        own = {k: beyond_specimens(departure(found.problem, k, final), limits) for k in own}
+    explained, final = gap.explained or 0.0, found.fit.hypothesis
+    # A good machine may differ as much from its model, or from what it was on another day.
+    spread = limits.specimen_spread if found.specimen is None else limits.day_spread
+    own = {
+        k: beyond_specimens(departure(found.problem, k, final), spread, limits.fault_range)
+        for k in found.named
+    }
+    beside = all_strengths(found.problem.library, limits.rough_share, 1.0)
     effects = tuple(
         replace(e, confidence=e.confidence * own[e.name, e.element])
-        for e in _effects(found, contribution, weigh, within_library(explained))
+        for e in _effects(found, contribution, weigh, within_library(explained), beside)
     )
 
     def cause(e: NamedEffect) -> bool:
@@ -118,6 +121,7 @@ def _effects(
     contribution: Callable[[Hypothesis], float],
     weigh: Callable[[Contender, Sequence[Contender]], Ties],
     quality: float,
+    beside: Sequence[Nuisance] | None = None,
 ) -> tuple[NamedEffect, ...]:
     """Named effects, the largest contribution first.
 
@@ -126,9 +130,10 @@ def _effects(
         contribution: Share of the gap that an effect closes, from the final fit without it.
         weigh: Rivals that are not told apart from a contender, and its probability among them.
         quality: Factor of all confidences.
+        beside: What else may be off a little, as for `intervals`.
     """
     problem, final = found.problem, found.fit.hypothesis
-    half = intervals(problem, found.fit) if found.named else {}
+    half = intervals(problem, found.fit, beside) if found.named else {}
     effects = []
     for key in found.named:
         site = problem.library.sites[key]

@@ -186,9 +186,11 @@ class Thresholds:
     rough_tie: float = 4.0
     # Held-out recordings hardly show an effect if their gap is less than this share of the overall.
     shown_share: float = 0.3
-    # Strengths of healthy specimens scatter by this share of what is barely noticeable, those of
-    # faults lie within so many times that.
+    # Strengths of healthy specimens scatter by this share of what is barely noticeable about their
+    # model, by this one about what they were on another day; those of faults lie within so many
+    # times what is barely noticeable.
     specimen_spread: float = 0.7
+    day_spread: float = 0.15
     fault_range: float = 5.0
     # What is less probably a fault than this is a smaller difference.
     fault: float = 0.5

@@ -1,0 +1,151 @@
+"""The measured axis EMPS beside the method of those who published it.
+
+`python benchmarks/diagnosis_emps.py`: models identified on DATA_EMPS, simulated over the whole of
+DATA_EMPS_PULSES. Free runs get the measured current and the first moments' state, nothing else.
+Peers are identified as Janot, Gautier and Brunot (2019) do: the inverse dynamic model by least
+squares, position filtered without lag, derivatives by central differences. The recordings are
+looked for in $LEGLAB_DATA and ../shared/data.
+"""
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import results
+from scipy.signal import butter, decimate, filtfilt
+
+from leglab.base.recording import Recording
+from leglab.diagnosis.hypothesis import Hypothesis
+from leglab.diagnosis.improve import improved_model
+from leglab.diagnosis.verdict import diagnose
+from leglab.diagnosis.whole import LOOP, follow
+from leglab.diagnosis.workflow import DiagnosisSettings, set_up
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from tests.rigs.measured import EMPS_HELD_OUT, EMPS_MODEL, emps
+
+HEAD = ("model", "what is fitted", "free run, RMS mm", "in closed loop, RMS mm")
+MASS, VISCOUS, COULOMB = 95.1089, 203.5034, 20.3935  # as published, kg, N s/m, N
+_BAND, _DECIMATION = 20.0, 25  # Hz; samples: the band of 20 Hz at 40 Hz
+_SMALL = 1e-4  # m/s over which dry friction changes its sign
+_SUBSTEPS = 10
+
+
+def motion(recording: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Position, velocity, acceleration within the band, each (n,)."""
+    period = float(np.median(np.diff(recording.time)))
+    numerator, denominator = butter(4, 2.0 * _BAND * period)
+    position = filtfilt(numerator, denominator, recording["slide_position"])
+    velocity = np.gradient(position, period)
+    return position, velocity, np.gradient(velocity, period)
+
+
+def regressors(velocity: np.ndarray, acceleration: np.ndarray, form: str) -> list[np.ndarray]:
+    sign = np.sign(velocity)
+    if form == "friction by direction":
+        ahead, back = (velocity > 0).astype(float), (velocity < 0).astype(float)
+        return [acceleration, velocity * ahead, velocity * back, ahead, -back]
+    columns = [acceleration, velocity, sign]
+    return [*columns, np.ones_like(velocity)] if form == "with an offset" else columns
+
+
+def identified(recording: Recording, form: str) -> np.ndarray:
+    """Inverse dynamic identification by least squares."""
+    _, velocity, acceleration = motion(recording)
+    columns = [*regressors(velocity, acceleration, form), recording["drive_command"]]
+    inner = slice(200, -200)  # the filter's ends
+    rows = [decimate(column[inner], _DECIMATION, zero_phase=True) for column in columns]
+    return np.linalg.lstsq(np.stack(rows[:-1], 1), rows[-1], rcond=None)[0]
+
+
+def simulated(recording: Recording, values: np.ndarray, form: str) -> np.ndarray:
+    """Free run of an identified model, (n,)."""
+    position, velocity, _ = motion(recording)
+    step = float(np.median(np.diff(recording.time))) / _SUBSTEPS
+    mass = values[0]
+    q, v = float(position[0]), float(velocity[0])
+    out = np.empty(recording.time.size)
+    for k, force in enumerate(recording["drive_command"].tolist()):
+        out[k] = q
+        for _ in range(_SUBSTEPS):
+            if form == "friction by direction":
+                viscous, dry = (values[1], values[3]) if v > 0 else (values[2], values[4])
+            else:
+                viscous, dry = values[1], values[2]
+            offset = values[3] if form == "with an offset" else 0.0
+            # Implicit in the friction, which is stiff about rest.
+            slope = dry / np.hypot(v, _SMALL)
+            v = (v + step * (force - offset) / mass) / (1.0 + step * (viscous + slope) / mass)
+            q += step * v
+    return out
+
+
+def measure(options: argparse.Namespace) -> Any:
+    recordings = emps()
+    train = next(r for name, r in recordings.items() if name != EMPS_HELD_OUT)
+    test = recordings[EMPS_HELD_OUT]
+    rows: list[dict[str, Any]] = []
+
+    def add(model: str, fitted: str, free: float, closed: float | None = None) -> None:
+        rows.append({"model": model, "fitted": fitted, "free": free, "closed": closed})
+
+    published = np.array([MASS, VISCOUS, COULOMB])
+    for form, values in (
+        ("as published", published),
+        ("symmetric", identified(train, "symmetric")),
+        ("with an offset", identified(train, "with an offset")),
+        ("friction by direction", identified(train, "friction by direction")),
+    ):
+        error = simulated(test, values, form) - test["slide_position"]
+        method = "parameters as published" if form == "as published" else "inverse dynamics"
+        add(f"{method}: {form}" if values is not published else method,
+            ", ".join(f"{v:.4g}" for v in values), float(np.sqrt(np.mean(error**2))))  # fmt: skip
+
+    settings = DiagnosisSettings(threads=2)
+    result, found = diagnose(EMPS_MODEL, recordings, held_out=(EMPS_HELD_OUT,), settings=settings)
+    names = ", ".join(e.name for e in result.effects)
+    with tempfile.TemporaryDirectory() as folder:
+        path = improved_model(found, result).write(Path(folder))
+        better = set_up(path, recordings, (EMPS_HELD_OUT,), settings)
+        for name, problem, hypothesis in (
+            ("leglab: the model as it was", found.problem, Hypothesis()),
+            (f"leglab diagnose: {names}", found.problem, found.fit.hypothesis),
+            ("leglab diagnose: improved.xml", better, Hypothesis()),
+        ):
+            number = [s.name for s in problem.series].index(EMPS_HELD_OUT)
+            errors = []
+            for loop in (0.0, LOOP):
+                followed = follow(problem, hypothesis, number, loop=loop)
+                errors.append(followed.deviation("slide") if followed else float("nan"))
+            add(name, "", *errors)
+    return rows
+
+
+def tables(rows: list[dict[str, Any]]) -> str:
+    """A row a model."""
+    return results.table(
+        HEAD,
+        [
+            (
+                row["model"],
+                row["fitted"],
+                f"{1e3 * row['free']:.2f}",
+                "" if row["closed"] is None else f"{1e3 * row['closed']:.2f}",
+            )
+            for row in rows
+        ],
+    )
+
+
+def main() -> None:
+    """Measures, or prints what is kept."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    results.main(parser, measure, tables)
+
+
+if __name__ == "__main__":
+    main()
