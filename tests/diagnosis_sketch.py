@@ -71,9 +71,13 @@ def contender(library, key, cost):
     return Contender(key=key, fit=a_fit(library, key), cost=np.broadcast_to(cost, WINDOWS))
 
 
-def a_round(contenders, base=10.0, threshold=0.0):
+def a_round(contenders, base=10.0, threshold=0.0, tried=1):
+    """A round of contenders out of so many effects that were tried."""
     base = np.broadcast_to(base, WINDOWS).astype(float)
-    return Round(base=base, candidates=(), contenders=tuple(contenders), threshold=threshold)
+    candidates = tuple(SimpleNamespace() for _ in range(tried))
+    return Round(
+        base=base, candidates=candidates, contenders=tuple(contenders), threshold=threshold
+    )
 
 
 def a_search(problem, named, contenders=(), specimen=None):

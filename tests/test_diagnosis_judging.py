@@ -19,6 +19,7 @@ from leglab.diagnosis.judging import (
     accepted,
     intervals,
     simplest_first,
+    t_value,
 )
 from leglab.diagnosis.residual import Linearisation
 from leglab.diagnosis.thresholds import DEFAULT
@@ -118,6 +119,24 @@ def test_a_rough_machine_may_hide_a_gain_where_held_out_but_not_lose_by_it(sketc
     sketch.noise.discrepancy = a_discrepancy()
     assert accepted(sketch, a_round([chosen], base), chosen)
     assert not accepted(sketch, a_round([worse], base), worse)
+
+
+@pytest.mark.parametrize(("t", "right"), [(3.3, False), (4.2, True)])
+def test_the_best_of_many_effects_must_say_more_than_a_single_one(sketch, t, right):
+    """Bonferroni: of 70 effects chance reaches t = 3.6 in 1 of 100 cases, a single one 2.3."""
+    sketch.noise.discrepancy = a_discrepancy()
+    base = np.full(WINDOWS, 10.0)
+    shape = np.where(HELD, 0.05 * ripple(0.0), 2.0 + ripple(0.0, size=1.0))
+    shape[HELD] += 0.01 - shape[HELD].mean()
+    low, high = 0.0, 100.0
+    for _ in range(60):  # the scatter that gives this t
+        size = 0.5 * (low + high)
+        saved = shape + size * np.where(HELD, 0.0, ripple(0.0, seed=1))
+        low, high = (size, high) if t_value(saved) > t else (low, size)
+    assert t_value(saved) == pytest.approx(t, rel=1e-3)
+    found = contender(sketch.library, OFFSET, base - saved)
+    assert accepted(sketch, a_round([found], base), found)
+    assert accepted(sketch, a_round([found], base, tried=70), found) == right
 
 
 def test_a_gain_that_chance_gives_is_not_accepted(sketch):

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 from scipy.stats import t as student
 
 from leglab.diagnosis.fitting import Fit, Sums, free_tangents
@@ -22,8 +22,10 @@ def accepted(problem: Problem, tried: Round, contender: Contender) -> bool:
     holds = t_value(held) >= limits.significant or rarely_but_surely(held, limits)
     if problem.noise.discrepancy is not None:
         # Held-out motion that hardly shows it, a slow one, is lost in the model's own error there.
-        # It must not get worse, and what all windows say must be beyond doubt.
-        holds |= held.mean() > 0.0 and t_value(saved) >= 2.0 * limits.significant
+        # It must not get worse, and all windows must say more than the best of so many effects
+        # would reach by chance in 1 of 100 cases (Bonferroni).
+        chance = float(norm.isf(0.01 / max(len(tried.candidates), 1)))
+        holds |= held.mean() > 0.0 and t_value(saved) >= max(chance, limits.significant)
     return bool(
         problem.size * saved[contender.fit.at.chosen].sum() >= tried.threshold
         and holds
