@@ -253,7 +253,7 @@ def test_input_output_errors(monkeypatch):
         return find(name, *args, **kwargs)
 
     monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(LeglabError, match=r"pip install 'leglab\[interop\]'"):
+    with pytest.raises(LeglabError, match="pip install nonlinear-benchmarks"):
         data.to_input_output(one, ["u"], ["y"])
 
 

@@ -1,7 +1,6 @@
 """The live viewer: the run's bits, sliders that only the session hears, a real window."""
 
 import os
-import shutil
 import subprocess
 import sys
 import textwrap
@@ -272,22 +271,6 @@ _WINDOW = """
     window.close()
     print("closed")
 """
-
-
-@pytest.fixture
-def screen():
-    """Number of a virtual display with nothing on it."""
-    if shutil.which("Xvfb") is None:
-        pytest.skip("Xvfb is missing: sudo apt-get install -y xvfb")
-    read, write = os.pipe()
-    arguments = ["Xvfb", "-displayfd", str(write), "-screen", "0", "960x720x24"]
-    server = subprocess.Popen(arguments, pass_fds=[write], stderr=subprocess.DEVNULL)
-    os.close(write)
-    with os.fdopen(read) as answer:
-        number = answer.readline().strip()
-    yield f":{number}"
-    server.terminate()
-    server.wait()
 
 
 def test_a_real_window_hears_slider_and_keys(screen):

@@ -136,9 +136,9 @@ def view(
     The scenario's change comes at its time, or when Enter is pressed. The run has no end.
     """
     from leglab.viewer.session import Session
-    from leglab.viewer.window import HELP, Window, check_display
+    from leglab.viewer.window import HELP, Window, check_window
 
-    check_display()
+    check_window()
     session = Session(options.settings_of(context))
     terminal.output.print(HELP)
     window = Window(session, model)

@@ -1,12 +1,10 @@
 """MuJoCo's interactive viewer around a session, in real time."""
 
-import os
 import queue
 import threading
 import time
-import warnings
 
-from leglab.base.errors import LeglabError
+from leglab.machine.display import check_display
 from leglab.viewer.display import Display
 from leglab.viewer.session import Session
 
@@ -30,6 +28,11 @@ _BUDGET = (0.25, 1.0)
 _FAREWELL = 10.0
 
 
+def check_window() -> None:
+    """Raises `LeglabError` where the viewer can open no window."""
+    check_display("the viewer", "leglab run, then leglab video")
+
+
 class Window:
     """The window of a session.
 
@@ -46,7 +49,7 @@ class Window:
     """
 
     def __init__(self, session: Session, model: str) -> None:
-        check_display()
+        check_window()
         import mujoco.viewer
 
         self._session = session
@@ -126,29 +129,3 @@ class Window:
         self._session.restart()
         self.display.reset_sliders()
         self.display.show()
-
-
-def check_display() -> None:
-    """Raises where no window can be opened.
-
-    MuJoCo's viewer opens its window in a thread of its own and would wait there for ever.
-
-    Raises:
-        LeglabError: Names DISPLAY and the way without a window.
-    """
-    without = "without a display: leglab run, then leglab video"
-    where = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    if not where:
-        raise LeglabError(f"the viewer needs a display, but DISPLAY is not set; {without}")
-    import glfw
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        window = None
-        if glfw.init():
-            glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
-            window = glfw.create_window(16, 16, "leglab", None, None)
-            glfw.default_window_hints()
-    if not window:
-        raise LeglabError(f"the viewer cannot open a window on DISPLAY={where}; {without}")
-    glfw.destroy_window(window)
