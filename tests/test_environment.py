@@ -357,7 +357,7 @@ _WINDOW = """
     while not over:
         *_, over, told = env.step([0.0])
     assert time.monotonic() - began > 0.15, "faster than real time"
-    assert window.is_running() and told["time"] > 0.19
+    assert window.handle.is_running() and told["time"] > 0.19
     env.reset()
     env.close()
     print("closed")

@@ -10,7 +10,7 @@ from dm_env import TimeStep, specs
 from gymnasium import spaces
 
 from leglab.base.errors import LeglabError
-from leglab.machine.display import check_display
+from leglab.machine.display import LiveWindow, check_display
 
 if TYPE_CHECKING:
     from dm_control.rl import control
@@ -29,9 +29,10 @@ class LegEnv(gymnasium.Env):
     later episodes draw. An episode ends by truncation at its duration, by termination where the
     simulation blows up or an error exceeds the limit.
 
-    `info` has `time` [s], `tracking_error` [rad], (joints,), the true one, and `command` in [-1, 1],
-    (joints,); of `reset` also the episode's `scenario`, `seed`, `severity`, `onset` [s], None
-    without a change, and `ramp_duration` [s]; of the last step also `ended`: "duration", "error_limit" or "blow_up".
+    `info` has `time` [s], the true `tracking_error` [rad], (joints,), and the `command` in [-1, 1]
+    that was sent, (joints,); of `reset` also the episode's `scenario`, `seed`, `severity`, `onset`
+    [s], None without a change, and `ramp_duration` [s]; of the last step also `ended`: "duration",
+    "error_limit" or "blow_up".
 
     Args:
         env: From `leglab.environment.load`.
@@ -63,8 +64,8 @@ class LegEnv(gymnasium.Env):
         self.metadata = {"render_modes": list(RENDER_MODES), "render_fps": FRAME_RATE}
         self.render_mode = render_mode
         self._env = env
-        self._picture = {"camera_id": camera, "width": width, "height": height}
-        self._window: Any = None
+        self._camera, self._size = camera, {"width": width, "height": height}
+        self._window: LiveWindow | None = None
         self._shown = 0.0  # when the window showed its last picture [s]
         named = env.observation_spec()
         self._flat = tuple(named) == (FLAT_OBSERVATION_KEY,)
@@ -134,7 +135,8 @@ class LegEnv(gymnasium.Env):
         """
         if self.render_mode in (None, "human"):
             return None
-        return self.physics.render(depth=self.render_mode == "depth_array", **self._picture)
+        depth = self.render_mode == "depth_array"
+        return self.physics.render(camera_id=self._camera, depth=depth, **self._size)
 
     def close(self) -> None:
         """Closes window and physics."""
@@ -146,23 +148,19 @@ class LegEnv(gymnasium.Env):
     def _show(self) -> None:
         """Shows the machine in MuJoCo's window, not faster than real time."""
         if self._window is None:
-            import mujoco.viewer
-
-            self._window = mujoco.viewer.launch_passive(
+            self._window = LiveWindow(
                 self.physics.model.ptr,
                 self.physics.data.ptr,
+                camera=self._camera,
                 show_left_ui=False,
                 show_right_ui=False,
             )
-            camera = self.physics.model.name2id(self._picture["camera_id"], "camera")
-            self._window.cam.type = mujoco.mjtCamera.mjCAMERA_FIXED
-            self._window.cam.fixedcamid = camera
             self._clock = time.monotonic()
         passed = self.task.time - self._shown
         if passed > 0:
             time.sleep(max(0.0, passed - (time.monotonic() - self._clock)))
         self._shown, self._clock = self.task.time, time.monotonic()
-        self._window.sync()
+        self._window.handle.sync()
 
     def _observation(self, step: TimeStep) -> Any:
         found = step.observation

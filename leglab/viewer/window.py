@@ -1,10 +1,9 @@
 """MuJoCo's interactive viewer around a session, in real time."""
 
 import queue
-import threading
 import time
 
-from leglab.machine.display import check_display
+from leglab.machine.display import LiveWindow, check_display
 from leglab.viewer.display import Display
 from leglab.viewer.session import Session
 
@@ -24,8 +23,6 @@ _FRAME = 1.0 / 60.0
 # Bounds of the time that a frame may spend on the machine [s], as long as the frame before it;
 # what the machine lacks then is not caught up.
 _BUDGET = (0.25, 1.0)
-# How long the window's thread may take to end [s].
-_FAREWELL = 10.0
 
 
 def check_window() -> None:
@@ -50,22 +47,19 @@ class Window:
 
     def __init__(self, session: Session, model: str) -> None:
         check_window()
-        import mujoco.viewer
-
         self._session = session
         self.display = Display(session, model)
         self._keys: queue.SimpleQueue[int] = queue.SimpleQueue()
         self._paused, self._ghost = False, True
-        threads = set(threading.enumerate())
         # The callback comes from the window's thread.
-        self.handle = mujoco.viewer.launch_passive(
-            self.display.model, self.display.data, key_callback=self._keys.put, show_left_ui=False
+        self._window = LiveWindow(
+            self.display.model,
+            self.display.data,
+            camera="three_quarter",
+            key_callback=self._keys.put,
+            show_left_ui=False,
         )
-        self._threads = set(threading.enumerate()) - threads
-        camera = mujoco.mj_name2id(self.display.model, mujoco.mjtObj.mjOBJ_CAMERA, "three_quarter")
-        if camera >= 0:
-            self.handle.cam.type = mujoco.mjtCamera.mjCAMERA_FIXED
-            self.handle.cam.fixedcamid = camera
+        self.handle = self._window.handle
 
     def run(self, duration: float | None = None) -> None:
         """Shows the session in real time until the window is closed.
@@ -107,10 +101,7 @@ class Window:
 
     def close(self) -> None:
         """Closes the window."""
-        self.handle.close()
-        # A process that ends while this thread still draws gets an error from the X server.
-        for thread in self._threads:
-            thread.join(_FAREWELL)
+        self._window.close()
         self._session.close()
 
     def _use_keys(self) -> None:
