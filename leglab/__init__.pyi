@@ -37,6 +37,9 @@ from .runs.loop import Loop as Loop
 from .runs.preparation import RunSettings as RunSettings
 from .runs.run import Run as Run
 from .runs.run import run_scenario as run_scenario
+from .runs.sweep import Comparison as Comparison
+from .runs.sweep import compare as compare
+from .runs.sweep import run_all as run_all
 from .scenarios import get_scenario as get_scenario
 from .scenarios import scenario_names as scenario_names
 

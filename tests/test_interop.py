@@ -14,7 +14,7 @@ from mujoco.sysid._src.timeseries import SignalType, TimeSeries
 from leglab import data
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
-from leglab.data.units import unit_of
+from leglab.base.units import unit_of
 
 # Not all of Unicode: its tables take Hypothesis seconds on a busy machine.
 CHARACTERS = st.sampled_from("aZ9_ .,;:'\"\\/[]{}%\t\n\x01äΩ膝\u2028😀")

@@ -248,6 +248,17 @@ class Simulation:
             if i not in self._joint_ids and model.jnt_type[i] in simple
         }
 
+    @property
+    def slides(self) -> dict[str, bool]:
+        """Whether a joint slides, by name, of all hinge and slide joints."""
+        model = self.model
+        kinds = {int(mujoco.mjtJoint.mjJNT_HINGE): False, int(mujoco.mjtJoint.mjJNT_SLIDE): True}
+        return {
+            model.joint(i).name: kinds[int(model.jnt_type[i])]
+            for i in range(model.njnt)
+            if int(model.jnt_type[i]) in kinds
+        }
+
     def joint_range(self) -> np.ndarray:
         """Lower and upper joint positions [rad], (joints, 2)."""
         return self.model.jnt_range[self._joint_ids]

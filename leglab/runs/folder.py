@@ -25,6 +25,7 @@ from leglab.runs.record import (
 )
 from leglab.runs.run import Run, run_scenario
 from leglab.runs.sweep import fingerprint
+from leglab.runs.view import draw
 
 
 def check_folder(folder: Path, *, overwrite: bool = False, mark: str = METRICS) -> None:
@@ -105,6 +106,20 @@ class ReportedRun:
     metrics: RunMetrics
     configuration: RunConfiguration
     recording: Recording
+
+    def __repr__(self) -> str:
+        return f"ReportedRun({self.metrics.told()}; {self.folder})"
+
+    def _repr_html_(self) -> str:
+        return self.metrics.as_html()
+
+    def plot(self) -> list[Any]:
+        """Draws the run, as `Run.plot`."""
+        return draw(self.recording, self.configuration.changes)
+
+    def to_pandas(self) -> Any:
+        """Returns the metrics, as `Run.to_pandas`."""
+        return self.metrics.to_pandas()
 
     @property
     def joints(self) -> tuple[str, ...]:
