@@ -322,7 +322,8 @@ def test_a_lag_a_rounding_error_below_zero_is_none():
 AXIS = """<mujoco><option timestep="0.001" integrator="implicitfast"/><worldbody><body>
 <joint name="axis" type="slide" axis="1 0 0" armature="0.4" damping="6"/>
 <geom type="box" size="0.05 0.04 0.02" mass="2"/></body></worldbody>
-<actuator><motor name="drive" joint="axis" ctrllimited="true" ctrlrange="-80 80"/></actuator></mujoco>"""
+<actuator><motor name="drive" joint="axis" ctrllimited="true" ctrlrange="-80 80"/></actuator>
+</mujoco>"""
 
 
 def test_held_out_is_chosen_where_nobody_names_it(tmp_path):
@@ -344,7 +345,7 @@ def test_held_out_is_chosen_where_nobody_names_it(tmp_path):
         return Recording(time=1e-3 * np.arange(len(rows)), columns=columns)
 
     recordings = {"slow": record(2.0, 1), "middle": record(4.0, 2), "fast": record(7.0, 3)}
-    settings = DiagnosisSettings(effects=("force_offset",))
+    settings = DiagnosisSettings(effects=("force_offset", "armature", "command_delay"))
     result, _ = diagnose(path, recordings, settings=settings)
     assert [effect.name for effect in result.effects] == ["force_offset"]
     (held,) = result.gap.held_out
