@@ -178,14 +178,48 @@ def test_the_ghost_stands_at_the_reference():
     live = session(scenario="nominal", model="leg")
     display = Display(live, "leg")
     scene = mujoco.MjvScene(display.model, 2000)
-    display.draw_ghost(scene)
+    eye = np.array([2.0, -1.0, 1.0])
+    display.draw_ghost(scene, eye)
     at_rest = np.array([geom.pos for geom in scene.geoms[: scene.ngeom]])
     run_for(live, 0.6)
-    display.draw_ghost(scene)
+    display.draw_ghost(scene, eye)
     moved = np.array([geom.pos for geom in scene.geoms[: scene.ngeom]])
     assert len(moved) > 20
     assert 0.05 < np.abs(moved - at_rest).max() < 1.0
     assert all(geom.rgba[3] < 0.5 for geom in scene.geoms[: scene.ngeom])
+
+
+def test_a_ghost_on_the_leg_lies_behind_its_surface_and_does_not_flicker():
+    live = session(scenario="nominal", model="leg")
+    display = Display(live, "leg")
+    scene = mujoco.MjvScene(display.model, 2000)
+    live.point = live.point._replace(position=live.simulation.position())  # no error at all
+    camera = mujoco.MjvCamera()
+    camera.azimuth, camera.elevation, camera.distance = 130.0, -20.0, 2.5
+    camera.lookat[:] = 0.1, 0.2, 0.6
+    plain = mujoco.MjvScene(display.model, 2000)
+    option = mujoco.MjvOption()
+    mujoco.mjv_updateScene(
+        display.model, display.data, option, None, camera, mujoco.mjtCatBit.mjCAT_ALL, plain
+    )
+    eye = display.eye(camera)
+    np.testing.assert_allclose(eye, np.mean([e.pos for e in plain.camera], axis=0), atol=1e-6)
+    display.draw_ghost(scene, eye)
+    for ghost in scene.geoms[: scene.ngeom]:
+        if ghost.objtype != mujoco.mjtObj.mjOBJ_GEOM:
+            continue
+        place = display.data.geom_xpos[ghost.objid]
+        farther = np.linalg.norm(ghost.pos - eye) - np.linalg.norm(place - eye)
+        assert 1e-3 < farther < 0.02
+        along = (ghost.pos - eye) / np.linalg.norm(ghost.pos - eye)
+        np.testing.assert_allclose(along, (place - eye) / np.linalg.norm(place - eye), atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["leg", "knee_bench"])
+def test_labels_of_sliders_fit_into_the_panel(name):
+    labels = [slider.label for slider in session(scenario="nominal", model=name).sliders.values()]
+    assert all(len(label) < 14 for label in labels)
+    assert len(set(labels)) == len(labels)
 
 
 def test_texts_and_figures_say_what_happens():
@@ -195,7 +229,15 @@ def test_texts_and_figures_say_what_happens():
     names, values = (text.split("\n") for text in display.texts(paused=True))
     shown = dict(zip(names, values, strict=True))
     assert shown["fault"] == "on"
-    assert shown["seal wear"] == "1 x leakage"
+    assert shown["seal wear"] == "10 x leakage"  # the scenario's, the slider stands at 1
+    live.move("seal_wear", 3.0)
+    live.move("payload", 2.0)
+    live.move("oil_temperature", 60.0)
+    names, values = (text.split("\n") for text in display.texts(paused=True))
+    shown = dict(zip(names, values, strict=True))
+    assert shown["seal wear"] == "30 x leakage"
+    assert shown["payload"] == "2 kg on shank"
+    assert shown["oil temperature"] == "60 deg C"
     assert "paused" in shown
     assert "".join(values).isascii()  # the viewer's font has no more
     (_, error), (_, command) = display.figures(mujoco.MjrRect(0, 0, 1000, 700))

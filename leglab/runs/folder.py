@@ -150,6 +150,13 @@ class ReportedRun:
         return self.last.rms_rad["all"] if end is None else end["all"]
 
     @property
+    def power(self) -> float | None:
+        """Mean power from the supply in `last` [W]; None where it was not recorded."""
+        energy = self.last.energy_j.get("all")
+        seconds = min(self.last.end, self.metrics.duration) - self.last.start
+        return None if energy is None or seconds <= 0 else energy / seconds
+
+    @property
     def judged_over(self) -> str:
         """The time of `error` in words."""
         found = self.metrics.adaptation

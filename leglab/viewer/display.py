@@ -7,6 +7,8 @@ from leglab.machine.simulation import load_model
 from leglab.viewer.session import HISTORY, Session
 
 _GHOST = np.array([0.10, 0.45, 0.75, 0.28], dtype=np.float32)
+# Share of its distance by which the ghost is moved away from the camera.
+_GHOST_SHIFT = 0.003
 _COLOURS = {
     "error": (0.95, 0.45, 0.30),
     "command": (0.85, 0.85, 0.85),
@@ -42,7 +44,7 @@ class Display:
 
         def add_sliders(spec: mujoco.MjSpec) -> None:
             for slider in session.sliders.values():
-                actuator = spec.add_actuator(name=slider.name, target=session.joints[0])
+                actuator = spec.add_actuator(name=slider.label, target=session.joints[0])
                 actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
                 actuator.gainprm[0] = 0.0
                 actuator.ctrllimited = True
@@ -87,8 +89,14 @@ class Display:
         session.simulation.data.xfrc_applied[:] = self.data.xfrc_applied
         return False
 
-    def draw_ghost(self, scene: mujoco.MjvScene) -> None:
-        """Draws the driven joints at their reference, everything else as it is."""
+    def draw_ghost(self, scene: mujoco.MjvScene, eye: np.ndarray) -> None:
+        """Draws the driven joints at their reference, everything else as it is.
+
+        Args:
+            scene: Where to; what it held goes.
+            eye: Place of the camera [m], (3,). The ghost is moved away from it a little, so that it
+                does not flicker on the surface of a leg that is where it should be.
+        """
         ghost, simulation = self._ghost, self._session.simulation
         ghost.qpos[:] = self.data.qpos
         ghost.qpos[simulation.qpos_index] = self._session.point.position
@@ -97,9 +105,18 @@ class Display:
         moving = mujoco.mjtCatBit.mjCAT_DYNAMIC
         mujoco.mjv_addGeoms(self.model, ghost, self._option, self._perturb, moving, scene)
         for geom in scene.geoms[: scene.ngeom]:
+            geom.pos[:] += _GHOST_SHIFT * (geom.pos - eye)
             geom.rgba[:] = _GHOST
             geom.matid = -1
             geom.category = mujoco.mjtCatBit.mjCAT_DECOR
+
+    def eye(self, camera: mujoco.MjvCamera) -> np.ndarray:
+        """Place of a camera [m], (3,)."""
+        if camera.type == mujoco.mjtCamera.mjCAMERA_FIXED:
+            return self.data.cam_xpos[camera.fixedcamid]
+        turn, rise = np.deg2rad([camera.azimuth, camera.elevation])
+        ahead = np.array([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)])
+        return camera.lookat - camera.distance * ahead
 
     def figures(self, viewport: mujoco.MjrRect) -> list[tuple[mujoco.MjrRect, mujoco.MjvFigure]]:
         """Tracking error of all joints, and command and feed-forward of the worst one."""
@@ -131,7 +148,7 @@ class Display:
         rows = {"time": f"{session.time:.1f} s", "scenario": session.scenario.name}
         rows["fault"] = "on" if session.fault else "off" if session.scenario.changes else "none"
         for name, slider in session.sliders.items():
-            rows[name.replace("_", " ")] = f"{session.values[name]:.3g} {slider.unit}"
+            rows[name.replace("_", " ")] = f"{slider.present():.3g} {slider.unit}"
         recent = list(session.moments)[-round(session.window / session.period) :]
         if recent:
             rms = np.sqrt(np.mean([moment.error**2 for moment in recent]))

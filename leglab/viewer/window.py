@@ -13,7 +13,7 @@ keys       Space      pause, go on
            Backspace  start again
            Home       ghost of the reference on or off
            Tab        options of MuJoCo's viewer
-sliders    click "Control" on the right: seal_wear, oil_temperature, payload
+sliders    click "Control" on the right: seal leak, oil temperature, payload
 mouse      double-click a body, then Ctrl + right button pushes it
 close the window to end"""
 
@@ -88,7 +88,7 @@ class Window:
         with handle.lock():
             self.display.show()
             if self._ghost:
-                self.display.draw_ghost(handle.user_scn)
+                self.display.draw_ghost(handle.user_scn, self.display.eye(handle.cam))
             else:
                 handle.user_scn.ngeom = 0
         handle.set_texts((None, None, *self.display.texts(paused=self._paused)))
