@@ -25,6 +25,7 @@ from .diagnosis.output import write_improved as write_improved
 from .diagnosis.result import Diagnosis as Diagnosis
 from .diagnosis.verdict import diagnose as diagnose
 from .diagnosis.workflow import DiagnosisSettings as DiagnosisSettings
+from .machine.library import register_model as register_model
 from .machine.plugin import load_plugin as load_plugin
 from .machine.simulation import Simulation as Simulation
 from .machine.simulation import load_model as load_model

@@ -150,7 +150,7 @@ def test_names_are_those_of_the_registries():
     from leglab.base.scenario import scenario_names
     from leglab.control import controller_names
     from leglab.diagnosis.effects import all_effects
-    from leglab.machine.simulation import model_names
+    from leglab.machine.library import model_names
     from leglab.references import reference_names
 
     assert options.names_of("scenarios") == scenario_names()

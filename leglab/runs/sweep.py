@@ -17,6 +17,7 @@ import leglab.controllers
 import leglab.models
 import leglab.scenarios
 from leglab import __version__
+from leglab.base import plugins
 from leglab.base.errors import LeglabError
 from leglab.base.notebook import data_frame, data_index, html_table, panels
 from leglab.data import write_atomically
@@ -137,9 +138,14 @@ def run_all(
     return [result for result in results if result is not None]
 
 
-@cache
 def fingerprint() -> str:
-    """Digest of all code and data of leglab that a result may depend on."""
+    """Digest of all code and data that a result may depend on, plug-ins included."""
+    return own_fingerprint() + plugins.code_digest()
+
+
+@cache
+def own_fingerprint() -> str:
+    """Digest of all code and data of leglab."""
     packages = (leglab, leglab.controllers, leglab.scenarios, leglab.models, leglab._native)
     folders = {Path(folder) for package in packages for folder in package.__path__}
     files = {
