@@ -46,8 +46,14 @@ def entry_points(kind: str) -> dict[str, importlib.metadata.EntryPoint]:
     Args:
         kind: One of `KINDS`.
     """
-    found = importlib.metadata.entry_points(group=f"leglab.{kind}")
+    found = _all_entry_points().select(group=f"leglab.{kind}")
     return {entry.name: entry for entry in sorted(found, key=lambda entry: entry.name)}
+
+
+@functools.cache
+def _all_entry_points() -> Any:
+    """Those of all groups: looking into every installed package takes 20 ms."""
+    return importlib.metadata.entry_points()
 
 
 def load_entry_points(

@@ -96,7 +96,10 @@ class Simulation:
         self._elements = leglab.machine.plugin.elements(model)
         for name in self.actuators:
             if name not in self._elements or self._elements[name][1].plugin != CYLINDER:
-                raise LeglabError(f"actuator {name!r} is no {CYLINDER}; allowed: only those")
+                raise LeglabError(
+                    f"actuator {name!r} is no {CYLINDER}, and a run needs one on every driven "
+                    "joint; leglab diagnose and leglab improve take native actuators"
+                )
         mujoco.mj_forward(model, self.data)
         self._joint_ids = self._driven_joints()
         self.joints = tuple(model.joint(i).name for i in self._joint_ids)
