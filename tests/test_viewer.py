@@ -13,8 +13,9 @@ from PIL import ImageGrab
 from leglab import RunSettings, run_scenario
 from leglab.base.errors import LeglabError
 from leglab.machine.simulation import load_model
-from leglab.viewer.display import Display
+from leglab.viewer.display import LABEL, Display
 from leglab.viewer.session import Session
+from tests.pages import ROOT, blocks
 
 KNEE = {"scenario": "seal_wear", "model": "knee_bench", "controller": "pd", "duration": 0.4}
 LEAKAGE = ("knee_valve", "internal_leakage")
@@ -215,11 +216,13 @@ def test_a_ghost_on_the_leg_lies_behind_its_surface_and_does_not_flicker():
         np.testing.assert_allclose(along, (place - eye) / np.linalg.norm(place - eye), atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["leg", "knee_bench"])
-def test_labels_of_sliders_fit_into_the_panel(name):
-    labels = [slider.label for slider in session(scenario="nominal", model=name).sliders.values()]
-    assert all(len(label) < 14 for label in labels)
+@pytest.mark.parametrize("name", ["leg", "leg_rail", "knee_bench"])
+def test_labels_fit_into_the_panel_and_differ(name):
+    model = Display(session(scenario="nominal", model=name), name).model
+    labels = [model.actuator(i).name for i in range(model.nu)]
+    assert all(len(label) <= LABEL for label in labels)
     assert len(set(labels)) == len(labels)
+    assert labels[-3:] == ["seal leak x", "oil degC", "payload kg"]
 
 
 def test_texts_and_figures_say_what_happens():
@@ -335,3 +338,21 @@ def test_a_real_window_hears_slider_and_keys(screen):
         process.kill()
     assert ready == "ready", err
     assert "closed" in out, err
+
+
+def test_names_that_a_plugin_refers_to_stay(tmp_path):
+    found = blocks((ROOT / "docs/how_to/model.md").read_text())
+    text = next(block.text for block in found if block.file == "boom.xml")
+    name = "lifting_boom_valve"
+    learned = f'<instance name="rest"><config key="cylinder" value="{name}"/></instance>'
+    text = text.replace("lift_valve", name).replace(
+        "</extension>", f'<plugin plugin="leglab.residual">{learned}</plugin></extension>'
+    )
+    path = tmp_path / "boom.xml"
+    path.write_text(text)
+    settings = RunSettings(
+        scenario="nominal", model=str(path), controller="pd", reference="sine_sweep"
+    )
+    model = Display(Session(settings), str(path)).model
+    assert model.actuator(0).name == name
+    assert model.nu == 4

@@ -1,12 +1,17 @@
 """What the viewer's window shows: a model of its own with sliders, a ghost, figures."""
 
+from functools import partial
+
 import mujoco
 import numpy as np
 
+from leglab.base.errors import LeglabError
 from leglab.machine.simulation import load_model
 from leglab.viewer.session import HISTORY, Session
 
 _GHOST = np.array([0.10, 0.45, 0.75, 0.28], dtype=np.float32)
+# Letters of a label that the control panel shows.
+LABEL = 13
 # Share of its distance by which the ghost is moved away from the camera.
 _GHOST_SHIFT = 0.003
 _COLOURS = {
@@ -42,7 +47,12 @@ class Display:
         simulation = session.simulation
         self._actuators = simulation.model.nu
 
-        def add_sliders(spec: mujoco.MjSpec) -> None:
+        def add_sliders(spec: mujoco.MjSpec, *, short: bool) -> None:
+            if short:  # the panel cuts long names; sensors, which refer to them, are not shown
+                for sensor in list(spec.sensors):
+                    spec.delete(sensor)
+                for actuator in spec.actuators:
+                    actuator.name = short_label(actuator.name)
             for slider in session.sliders.values():
                 actuator = spec.add_actuator(name=slider.label, target=session.joints[0])
                 actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
@@ -52,7 +62,14 @@ class Display:
             for key in spec.keys:
                 key.ctrl = np.zeros(0)
 
-        self.model = load_model(model, timestep=simulation.model.opt.timestep, edit=add_sliders)
+        def load(short: bool) -> mujoco.MjModel:
+            edit = partial(add_sliders, short=short)
+            return load_model(model, timestep=simulation.model.opt.timestep, edit=edit)
+
+        try:
+            self.model = load(short=True)
+        except LeglabError:  # another plugin of the model refers to an actuator by its name
+            self.model = load(short=False)
         self.data = mujoco.MjData(self.model)
         self._ghost = mujoco.MjData(self.model)
         self._option, self._perturb = mujoco.MjvOption(), mujoco.MjvPerturb()
@@ -158,6 +175,12 @@ class Display:
         if session.failure:
             rows["failed"] = session.failure
         return "\n".join(rows), "\n".join(rows.values())
+
+
+def short_label(name: str) -> str:
+    """The name of an actuator as it fits into the control panel."""
+    short = name if len(name) <= LABEL else name.removesuffix("_valve")
+    return short if len(short) <= LABEL else f"{short[: LABEL - 1]}~"
 
 
 def _figure(title: str, lines: dict[str, tuple[np.ndarray, np.ndarray]]) -> mujoco.MjvFigure:
