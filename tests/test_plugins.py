@@ -280,3 +280,13 @@ def test_files_of_one_name_do_not_take_each_others_place(tmp_path, monkeypatch):
     assert json.loads("1") == 1
     with pytest.raises(LeglabError, match="there is no such file"):
         plugins.load(str(Path("nowhere.py")))
+
+
+def test_processes_pass_over_what_only_happened_to_register_something(monkeypatch, tmp_path):
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.setattr(plugins, "_sources", {})
+    luggage = {"path": [str(tmp_path)], "sources": {"no_such_module": False}}
+    plugins.carry(luggage)
+    assert str(tmp_path) in sys.path
+    with pytest.raises(LeglabError, match="there is no module of this name"):
+        plugins.carry({**luggage, "sources": {"no_such_module": True}})

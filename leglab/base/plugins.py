@@ -21,8 +21,9 @@ from leglab.base.errors import LeglabError
 
 KINDS = ("controllers", "scenarios", "references", "effects", "models")
 
-# What was loaded or has registered something, in this order: absolute paths of files, and modules.
-_sources: dict[str, None] = {}
+# What was loaded or has registered something, in this order: absolute paths of files, and modules,
+# with whether the user named it.
+_sources: dict[str, bool] = {}
 # Why an entry point could not be loaded, by kind and name.
 _failures: dict[tuple[str, str], str] = {}
 # Files whose content may decide a result.
@@ -36,7 +37,7 @@ class Carried(TypedDict):
     """What a process needs to know the same names: plain types, which JSON can hold."""
 
     path: list[str]
-    sources: list[str]
+    sources: dict[str, bool]
 
 
 @functools.cache
@@ -116,7 +117,7 @@ def load(source: str) -> None:
         raise LeglabError(f"--load {source}: {_line(error)}") from error
     except Exception as error:
         raise LeglabError(f"--load {source}: {_line(error)}") from error
-    _sources[str(path.resolve()) if is_file else source] = None
+    _sources[str(path.resolve()) if is_file else source] = True
     _files.update(_package_files(module))
 
 
@@ -129,25 +130,33 @@ def note(module_name: str) -> None:
     if module is None or file is None or not Path(file).is_file():
         return  # a notebook or a prompt: no other process can import it
     # What runs as a script is no module that could be imported.
-    _sources[str(Path(file).resolve()) if module_name == "__main__" else module_name] = None
+    _sources.setdefault(
+        str(Path(file).resolve()) if module_name == "__main__" else module_name, False
+    )
     _files.update(_package_files(module))
 
 
 def carried() -> Carried:
     """Returns what another process gives to `carry`."""
-    return {"path": list(sys.path), "sources": list(_sources)}
+    return {"path": list(sys.path), "sources": dict(_sources)}
 
 
 def carry(luggage: Carried) -> None:
     """Loads what another process has loaded.
 
     Raises:
-        LeglabError: As `load`.
+        LeglabError: As `load`, of what the user named.
     """
     sys.path.extend(place for place in luggage["path"] if place not in sys.path)
-    for source in luggage["sources"]:
-        if source not in _sources:
+    for source, named in luggage["sources"].items():
+        if source in _sources:
+            continue
+        try:
             load(source)
+        except LeglabError:
+            # What merely happened to register something may have nothing to do with the work.
+            if named:
+                raise
 
 
 def code_digest() -> str:
