@@ -42,7 +42,7 @@ def dm_env(**settings) -> tuple[Callable[[], None], Callable[[], None]]:
 
 
 def gym() -> tuple[Callable[[], None], Callable[[], None]]:
-    """The same through shimmy."""
+    """The same as Gymnasium has it."""
     env = leglab.environment.load_gymnasium("seal_wear", action="residual")
     action = np.full(env.action_space.shape, 0.02)
     return env.reset, lambda: env.step(action)

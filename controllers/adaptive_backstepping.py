@@ -57,7 +57,8 @@ class BacksteppingConfiguration(Configuration):
 
 @register_controller(
     _NAME,
-    summary="model-based adaptive robust control with measured pressures, leakage adapted",
+    summary="computes the command from the hydraulic equations with measured pressures, and "
+    "adapts the leakage in them",
     configuration=BacksteppingConfiguration,
 )
 class AdaptiveBackstepping:

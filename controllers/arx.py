@@ -20,7 +20,7 @@ class ArxConfiguration(AdaptiveConfiguration):
 
 @register_controller(
     "arx",
-    summary="linear inverse model, learned online with opening gains, beside PD",
+    summary="is bsnn_arx with a map that is linear in the motion, without splines",
     configuration=ArxConfiguration,
 )
 class Arx(AdaptiveController):

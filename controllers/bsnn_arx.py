@@ -16,7 +16,8 @@ class AdaptiveConfiguration(LearningConfiguration, PdConfiguration):
 
 @register_controller(
     "bsnn_arx",
-    summary="the machine's inverse map, learned online with opening gains, beside PD",
+    summary="adds to pd the valve command that the wanted motion needs, by a map that it learns "
+    "while the machine moves",
     configuration=AdaptiveConfiguration,
 )
 class AdaptiveController:

@@ -38,7 +38,8 @@ class PaperConfiguration(PdConfiguration):
 
 @register_controller(
     "bsnn_arx_paper",
-    summary="the paper's BSNN-ARX from velocity to command, plain RLS, beside PD",
+    summary="adds to pd the command of the paper's BSNN-ARX from velocity to command, learned "
+    "online by plain RLS",
     configuration=PaperConfiguration,
 )
 class BsnnArxPaper:

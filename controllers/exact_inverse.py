@@ -10,7 +10,8 @@ from leglab.controllers.pd import Pd, PdConfiguration
 
 @register_controller(
     "exact_inverse",
-    summary="the commands that the true machine needs, found on it beforehand, beside PD: a bound",
+    summary="adds to pd the commands found beforehand on the very machine, which no real "
+    "controller can have: a bound",
     configuration=PdConfiguration,
 )
 class ExactInverse:

@@ -6,7 +6,7 @@ from leglab.controllers.bsnn_arx import AdaptiveConfiguration, AdaptiveControlle
 
 @register_controller(
     "frozen",
-    summary="bsnn_arx, adapting no more from just before the machine changes",
+    summary="is bsnn_arx that stops learning just before the machine changes",
     configuration=AdaptiveConfiguration,
 )
 class Frozen(AdaptiveController):

@@ -13,7 +13,8 @@ _PRIOR = 1e3
 
 @register_controller(
     "oracle",
-    summary="the map of bsnn_arx identified offline on the machine before and after its change",
+    summary="is bsnn_arx with a map identified beforehand on the changed machine, which no real "
+    "controller can have: a bound",
     configuration=AdaptiveConfiguration,
 )
 class Oracle(AdaptiveController):

@@ -20,7 +20,11 @@ class PdConfiguration(Configuration):
     velocity_gain: tuple[float, ...] | None = Field(default=None)
 
 
-@register_controller("pd", summary="PD with tuned gains", configuration=PdConfiguration)
+@register_controller(
+    "pd",
+    summary="acts on position and velocity error alone, with gains tuned on the linearised machine",
+    configuration=PdConfiguration,
+)
 class Pd:
     """u = s (K_p (r - q) + K_v (r' - q')), s the sign with which a command moves the joint.
 

@@ -20,7 +20,11 @@ class PidConfiguration(PdConfiguration):
     limit: float = Field(default=0.3, gt=0, le=1)
 
 
-@register_controller("pid", summary="PD with an integral part", configuration=PidConfiguration)
+@register_controller(
+    "pid",
+    summary="is pd with an integral of the position error, which takes away what lasts",
+    configuration=PidConfiguration,
+)
 class Pid:
     """u = PD + integral of s K_p (r - q)/T_i, limited, and halted while the command saturates."""
 

@@ -34,7 +34,8 @@ class ValveMapTable:
 
 @register_controller(
     "static_feedforward",
-    summary="inverse of the nominal steady valve map, frozen, beside PD",
+    summary="adds to pd the valve command that the calibrated map of the healthy machine gives "
+    "for the wanted motion, and never learns",
     configuration=PdConfiguration,
 )
 class StaticFeedforward:

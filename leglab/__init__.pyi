@@ -25,6 +25,7 @@ from .diagnosis.output import write_improved as write_improved
 from .diagnosis.result import Diagnosis as Diagnosis
 from .diagnosis.verdict import diagnose as diagnose
 from .diagnosis.workflow import DiagnosisSettings as DiagnosisSettings
+from .machine.library import register_model as register_model
 from .machine.plugin import load_plugin as load_plugin
 from .machine.simulation import Simulation as Simulation
 from .machine.simulation import load_model as load_model
@@ -37,6 +38,9 @@ from .runs.loop import Loop as Loop
 from .runs.preparation import RunSettings as RunSettings
 from .runs.run import Run as Run
 from .runs.run import run_scenario as run_scenario
+from .runs.sweep import Comparison as Comparison
+from .runs.sweep import compare as compare
+from .runs.sweep import run_all as run_all
 from .scenarios import get_scenario as get_scenario
 from .scenarios import scenario_names as scenario_names
 

@@ -5,7 +5,7 @@ Fenced blocks are taken in the order of the page, in one folder that is empty at
 - `sh` runs in bash, `python` runs in one namespace for the whole page;
 - a block whose first line is a comment with nothing but a file name is saved under that name;
 - a `text` block right after one that ran says what it printed: numbers may differ by 2 % or by one
-  in the last digit, `...` stands for anything, spaces and the lines of tables do not count. If it
+  in the last digit, `...` stands for something, spaces and the lines of tables do not count. If it
   starts with "error:", the block must end with status 2.
 """
 
@@ -89,7 +89,7 @@ def agrees(said: str, printed: str) -> bool:
     reached = {0}
     for part in pattern:
         if part == "...":
-            reached = set(range(min(reached), len(tokens) + 1)) if reached else set()
+            reached = set(range(min(reached) + 1, len(tokens) + 1)) if reached else set()
         else:
             reached = {i + 1 for i in reached if i < len(tokens) and _same(part, tokens[i])}
     return len(tokens) in reached

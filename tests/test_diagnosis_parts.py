@@ -2,9 +2,11 @@
 
 from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
 
+from leglab import DiagnosisSettings, Recording, diagnose
 from leglab.base.errors import LeglabError
 from leglab.diagnosis import windows
 from leglab.diagnosis.effects.base import Effect, EffectParameter, register_effect
@@ -315,3 +317,39 @@ def test_a_lag_a_rounding_error_below_zero_is_none():
     samples = np.array([0.0, 1.0, 0.5])
     assert lagged(samples, -1e-20, 0.001).tolist() == samples.tolist()
     assert lagged(samples, 0.002, 0.001)[1] < 1.0
+
+
+AXIS = """<mujoco><option timestep="0.001" integrator="implicitfast"/><worldbody><body>
+<joint name="axis" type="slide" axis="1 0 0" armature="0.4" damping="6"/>
+<geom type="box" size="0.05 0.04 0.02" mass="2"/></body></worldbody>
+<actuator><motor name="drive" joint="axis" ctrllimited="true" ctrlrange="-80 80"/></actuator>
+</mujoco>"""
+
+
+def test_held_out_is_chosen_where_nobody_names_it(tmp_path):
+    path = tmp_path / "axis.xml"
+    path.write_text(AXIS)
+    model = mujoco.MjModel.from_xml_string(AXIS)
+
+    def record(rate, seed):
+        data, rng = mujoco.MjData(model), np.random.default_rng(seed)
+        rows = []
+        for k in range(2000):
+            goal = 0.1 * np.sin(rate * 1e-3 * k)
+            data.ctrl[0] = 600.0 * (goal - data.qpos[0]) - 20.0 * data.qvel[0]
+            rows.append((data.qpos[0] + rng.normal(0.0, 5e-5), data.ctrl[0]))
+            data.qfrc_applied[0] = -1.5
+            mujoco.mj_step(model, data)
+        position, command = np.array(rows).T
+        columns = {"axis_position": position, "drive_command": command}
+        return Recording(time=1e-3 * np.arange(len(rows)), columns=columns)
+
+    recordings = {"slow": record(2.0, 1), "middle": record(4.0, 2), "fast": record(7.0, 3)}
+    settings = DiagnosisSettings(effects=("force_offset", "armature", "command_delay"))
+    result, _ = diagnose(path, recordings, settings=settings)
+    assert [effect.name for effect in result.effects] == ["force_offset"]
+    (held,) = result.gap.held_out
+    named, _ = diagnose(path, recordings, held_out=[held], settings=settings)
+    assert named.to_json() == result.to_json()
+    alone, _ = diagnose(path, {"fast": recordings["fast"]}, settings=settings)
+    assert alone.gap.held_out == ("fast (end)",)

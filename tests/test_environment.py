@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+import textwrap
 import warnings
 from pathlib import Path
 
@@ -15,7 +16,6 @@ from absl.testing import absltest
 from dm_control.rl import control
 from dm_env import test_utils
 from gymnasium.utils.env_checker import check_env
-from shimmy import DmControlCompatibilityV0
 
 import leglab.environment
 from leglab import RunSettings, run_scenario
@@ -263,7 +263,8 @@ def test_render_gives_pictures_without_a_display(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "settings", [{}, {"action": "residual", "randomize": {"severity": (2, 9)}}]
+    "settings",
+    [{}, {"action": "residual", "randomize": {"severity": (2, 9)}}, {"flat_observation": True}],
 )
 def test_gymnasium_finds_nothing_wrong(settings):
     env = gymnasium.make("leglab/SealWear-v0", **KNEE, **settings)
@@ -290,12 +291,89 @@ def test_gymnasium_ends_by_time_and_resets_to_the_run_of_its_seed():
         positions.append(env.unwrapped.physics.position())
     assert (terminated, truncated) == (False, True)
     np.testing.assert_array_equal(positions, run.history.position)
-    plain = DmControlCompatibilityV0(load())
-    plain.reset(seed=3)
-    assert plain.step(plain.action_space.sample())[0].keys() == observation.keys() - {
-        "controller_command",
-        "feedforward",
-    }
+
+
+def test_gymnasium_observes_in_float32_and_flat_as_one_box():
+    named = gymnasium.make("leglab/SealWear-v0", **KNEE)
+    flat = gymnasium.make("leglab/SealWear-v0", **KNEE, flat_observation=True)
+    assert isinstance(flat.observation_space, gymnasium.spaces.Box)
+    assert {space.dtype for space in named.observation_space.values()} == {np.dtype(np.float32)}
+    assert flat.observation_space.dtype == flat.action_space.dtype == np.float32
+    parts, _ = named.reset(seed=2)
+    whole, _ = flat.reset(seed=2)
+    np.testing.assert_array_equal(whole, np.concatenate([np.ravel(v) for v in parts.values()]))
+    spaces = named.observation_space.spaces
+    low = np.concatenate([np.ravel(spaces[name].low) for name in parts])
+    np.testing.assert_array_equal(flat.observation_space.low, low)
+
+
+def test_gymnasium_tells_episode_error_and_end():
+    env = gymnasium.make(
+        "leglab/SealWear-v0", **KNEE, randomize={"severity": (2.0, 9.0), "onset": (0.02, 0.1)}
+    )
+    _, told = env.reset(seed=4)
+    settings = env.unwrapped.task.episode.settings
+    assert 2.0 < told["severity"] == settings.severity < 9.0
+    assert 0.02 < told["onset"] == env.unwrapped.task.episode.onset < 0.1
+    assert (told["scenario"], told["seed"], told["time"]) == ("seal_wear", settings.seed, 0.0)
+    _, _, _, _, told = env.step(np.array([0.3], np.float32))
+    assert told["command"] == pytest.approx([0.3])
+    unwrapped = env.unwrapped
+    error = unwrapped.physics.position() - unwrapped.task.transition().reference.position
+    np.testing.assert_array_equal(told["tracking_error"], error)
+    assert told["time"] == pytest.approx(0.002)
+    assert "ended" not in told
+    over = False
+    while not over:
+        *_, over, told = env.step(np.zeros(1))
+    assert told["ended"] == "duration"
+    env = gymnasium.make("leglab/SealWear-v0", **KNEE, error_limit=1e-9)
+    env.reset(seed=4)
+    *_, terminated, _, told = env.step(np.ones(1))
+    assert (terminated, told["ended"]) == (True, "error_limit")
+
+
+def test_gymnasium_draws_as_it_was_asked(monkeypatch):
+    monkeypatch.setenv("MUJOCO_GL", "egl")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    assert gymnasium.make("leglab/SealWear-v0", **KNEE).metadata["render_fps"] == 50
+    with pytest.raises(LeglabError, match="needs a display, but DISPLAY is not set"):
+        gymnasium.make("leglab/SealWear-v0", **KNEE, render_mode="human")
+    with pytest.raises(LeglabError, match="render_mode 'film' is not allowed; choose one of hum"):
+        leglab.environment.load_gymnasium("seal_wear", **KNEE, render_mode="film")
+
+
+_WINDOW = """
+    import gymnasium, time
+    import leglab.environment
+    env = gymnasium.make(
+        "leglab/SealWear-v0", model="knee_bench", duration=0.2, render_mode="human"
+    )
+    env.reset(seed=1)
+    window = env.unwrapped._window
+    began = time.monotonic()
+    over = False
+    while not over:
+        *_, over, told = env.step([0.0])
+    assert time.monotonic() - began > 0.15, "faster than real time"
+    assert window.handle.is_running() and told["time"] > 0.19
+    env.reset()
+    env.close()
+    print("closed")
+"""
+
+
+def test_a_real_window_follows_an_episode(screen):
+    environment = {**os.environ, "DISPLAY": screen, "MUJOCO_GL": "glfw"}
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(_WINDOW)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert (done.returncode, done.stdout.strip()) == (0, "closed"), done.stderr
 
 
 def test_every_scenario_is_registered():
@@ -339,7 +417,7 @@ def test_bad_actions_get_one_line(action, message):
         env.step(action)
 
 
-@pytest.mark.parametrize("missing", ["dm_control", "shimmy"])
+@pytest.mark.parametrize("missing", ["dm_control", "gymnasium"])
 def test_a_missing_package_is_named_with_the_line_that_installs_it(missing):
     code = (
         f"import sys; sys.modules[{missing!r}] = None\n"
@@ -350,7 +428,7 @@ def test_a_missing_package_is_named_with_the_line_that_installs_it(missing):
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert f"needs {missing}" in result.stdout, result.stderr
-    assert 'pip install "leglab[rl]"' in result.stdout
+    assert 'pip install ".[rl]"' in result.stdout
 
 
 def test_the_loads_of_a_payload_are_off_after_the_episode():

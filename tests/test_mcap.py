@@ -103,6 +103,19 @@ def test_other_readers_understand_what_is_written(tmp_path):
     assert (message.header.stamp.sec, message.header.stamp.nanosec) == (0, 3 * MS)
 
 
+def test_units_stand_in_the_file_for_every_reader(tmp_path):
+    recording = example().with_metadata(units={"knee_position": "rad"})
+    with data.write(recording, tmp_path / "a.mcap").open("rb") as stream:
+        found = {record.name: record.metadata for record in make_reader(stream).iter_metadata()}
+    assert found["units"] == {
+        "knee_position": "rad",
+        "knee_velocity": "rad/s or m/s",
+        "hip_position": "rad or m",
+        "knee_valve_command": "1",
+        "knee_pressure_a": "Pa",
+    }
+
+
 def test_recording_without_joints(tmp_path):
     recording = Recording(time=[0.0, 0.5], columns={"oil_temperature": [20.0, 21.0]})
     assert data.read(data.write(recording, tmp_path / "a.mcap")) == recording

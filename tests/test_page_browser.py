@@ -290,6 +290,17 @@ def test_the_toolbar_of_a_plot_holds_what_it_was_given(browser, pages):
             assert bar.locator("[href]").count() == 0
 
 
+def test_on_a_phone_no_toolbar_covers_a_heading_and_the_film_can_be_read(browser, pages):
+    with opened(browser, pages.report, size=PHONE) as page:
+        assert page.locator(".modebar").count() == 6
+        assert page.locator(".modebar:visible").count() == 0
+        film = page.locator("video").bounding_box()
+        assert film["width"] >= 0.7 * 1280  # its text is made for this many pixels
+        assert page.evaluate("document.scrollingElement.scrollWidth") <= PHONE["width"]
+        place = page.get_by_role("region", name="Picture of the film")
+        assert place.evaluate("part => part.scrollWidth > part.clientWidth")
+
+
 @pytest.mark.parametrize("name", ["report", "diagnosis", "index"])
 def test_nothing_that_can_be_pressed_sends_anything(browser, pages, name):
     path = getattr(pages, name)

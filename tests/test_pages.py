@@ -1,6 +1,7 @@
 """Every example of the tutorial and the how-to pages, run in order as it stands there."""
 
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -8,6 +9,7 @@ import sys
 import pytest
 import typer
 
+from leglab import RunSettings, data, run_scenario, scenario_names
 from leglab.cli.app import app
 from tests.pages import ROOT, agrees, blocks, steps
 from tests.tables import pages
@@ -16,6 +18,7 @@ HOW_TO = sorted(f"docs/how_to/{path.name}" for path in ROOT.glob("docs/how_to/*.
 PAGES = ("docs/tutorial.md", *HOW_TO)
 # Their shell lines take hours or install things: Python runs, commands are only looked up.
 OTHERS = ("README.md", "docs/getting_started.md")
+NUMBERS = ("fifteen", "sixteen", "seventeen", "eighteen", "nineteen", "twenty", "twenty-one")
 
 
 @pytest.mark.parametrize(
@@ -33,6 +36,30 @@ def test_the_page_does_what_it_says(page, options, tmp_path):
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_formats_page_does_what_it_says(tmp_path):
+    pytest.importorskip("nonlinear_benchmarks")
+    settings = RunSettings(scenario="nominal", model="knee_bench", duration=0.5)
+    run = run_scenario(settings)
+    data.write(run.recording, tmp_path / "run.parquet")
+    page = ROOT / "docs/data_formats.md"
+    arguments = [str(page), "--keep", str(tmp_path), "--only", "python"]
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.pages", *arguments],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_readme_counts_the_scenarios():
+    told = re.search(r"(\S+) scenarios degrade the machine", (ROOT / "README.md").read_text())
+    assert told is not None
+    faults = len(scenario_names()) - 1  # all but nominal
+    assert told[1].lower() == NUMBERS[faults - 15]
 
 
 def _commands():
@@ -71,6 +98,7 @@ def test_every_example_is_run(page):
         ("verdict: named ...", "verdict: partial", False),
         ("a ... b", "a 1 b 2 b", True),
         ("a b", "a b c", False),
+        ("unexplained ...", "unexplained", False),
         ("12 of 12", "12 of 13", False),
     ],
 )

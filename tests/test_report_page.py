@@ -10,12 +10,21 @@ import numpy as np
 import pytest
 
 from leglab.base.errors import LeglabError
+from leglab.base.settings import documented_units
+from leglab.control import controller_summary
+from leglab.control.contract import CONTROLLERS
+from leglab.controllers import controller_names
+from leglab.references import reference_names
+from leglab.references.base import REFERENCES
 from leglab.report.page.shell import inline_json
+from leglab.report.page.wording import capital
 from leglab.report.run import page as page_module
 from leglab.report.run.page import page, write_report
 from leglab.report.run.plots import plot_data
-from leglab.report.run.words import headline, sections
+from leglab.report.run.tables import run_table, setting_tables
+from leglab.report.run.words import change_words, headline, sections
 from leglab.runs.folder import read_runs
+from leglab.runs.record import ChangeRecord
 from tests.report_folders import HOSTILE, Elements, write_folder
 
 
@@ -55,11 +64,42 @@ def test_the_better_controller_is_named_with_exact_numbers(tmp_path):
         "With adaptation stopped just before it, the change would raise the error by 24 mrad; 75 % "
         "of that is undone in the last 2 s, 90 % of it 1.20 s after the change." in bsnn
     )
-    assert "Hydraulic power drawn: 100 W." in bsnn
+    assert "The supply gave 500 J in the 5 s after the change, 100 W on average." in bsnn
     assert story(runs, "Verdict") == [
-        "bsnn_arx tracks better than pd: 75 % less RMS error in the last 2 s. Of what the change "
-        "did it undoes 75 %, pd nothing."
+        "bsnn_arx follows the reference 4 times as closely as pd: 10 mrad against 40 mrad RMS "
+        "error in the last 2 s.",
+        "Of the accuracy that the change costs, bsnn_arx wins back 75 % and pd wins back nothing.",
+        "Of these, bsnn_arx is the one for a machine that changes like this.",
     ]
+    assert story(runs, "The controllers") == [
+        f"{name}: {capital(controller_summary(name))}." for name in ("pd", "bsnn_arx")
+    ]
+
+
+def test_settings_have_units_and_energy_and_power_one_span(tmp_path):
+    (run,) = read_runs([write_folder(tmp_path / "a", "bsnn_arx")])
+    table = run_table([run])
+    shown = dict(zip(table.head, table.rows[0], strict=True))
+    assert (shown["energy, after [J]"], shown["power, after [W]"]) == ("500", "100")
+    names = {row[0]: row[1] for part in setting_tables([run]) for row in part.rows}
+    assert names["duration [s]"] == "10"
+    assert names["sensors: control period [s]"] == "0.004"
+    assert names["severity (internal leakage ratio)"] == "10"
+    change = ChangeRecord(
+        parameter="oil_temperature", element="*", kind="set", value=0.0, start=1.0
+    )
+    assert change_words(change) == "oil temperature of all elements = 0 \u00b0C"
+
+
+@pytest.mark.parametrize("name", [*controller_names(), *reference_names()])
+def test_units_of_settings_are_read_from_their_docs(name):
+    registry = CONTROLLERS if name in controller_names() else REFERENCES
+    configuration = registry.get(name).configuration
+    units = documented_units(configuration)
+    assert units.keys() <= configuration.model_fields.keys()
+    assert "," not in "".join(units.values())
+    assert units
+    assert units.get("memory") != "1"
 
 
 def test_a_worse_controller_is_called_worse(tmp_path):
@@ -72,10 +112,11 @@ def test_a_worse_controller_is_called_worse(tmp_path):
     )
     assert headline(runs).startswith("In the last 2 s, pd tracked best")
     assert story(runs, "Verdict") == [
-        "arx tracks worse than pd: 50 % more RMS error in the last 2 s. Neither undoes anything "
-        "of what the change did.",
-        "frozen is about as good as pd: 2 % more RMS error in the last 2 s. Neither undoes "
-        "anything of what the change did.",
+        "arx follows the reference less closely than pd: 45 mrad against 30 mrad RMS error in the "
+        "last 2 s.",
+        "frozen follows the reference about as closely as pd: 30.6 mrad against 30 mrad RMS error "
+        "in the last 2 s.",
+        "Of the accuracy that the change costs, pd, arx and frozen win back nothing.",
     ]
     alike = (runs[0], runs[2])
     assert "no controller is clearly better" in headline(alike)
@@ -85,9 +126,10 @@ def test_a_fallback_is_admitted(tmp_path):
     (often,) = read_runs([write_folder(tmp_path / "a", "bsnn_arx", fallback=0.25)])
     (never,) = read_runs([write_folder(tmp_path / "b", "bsnn_arx", fallback=0.0)])
     (told,) = story([often], "What happened")
-    found = re.search(r"fell back to the static feed-forward ([\d.]+) % of the time before", told)
+    found = re.search(r"stood in for what it had learned ([\d.]+) % of the time before", told)
     assert float(found.group(1)) == pytest.approx(25.0, abs=0.5)
-    assert "It never fell back" in story([never], "What happened")[0]
+    assert "What it had learned was in use all the time." in story([never], "What happened")[0]
+    assert "never fell back" not in "".join(Elements(page([never])).texts)
 
 
 def test_a_run_that_stopped_is_reported_as_far_as_it_came(tmp_path):
@@ -103,7 +145,10 @@ def test_a_run_that_stopped_is_reported_as_far_as_it_came(tmp_path):
     assert story(runs, "What happened")[1].startswith(
         "arx: Stopped at 3.00 s of 10 s: the knee blew up. What follows holds as far as it came."
     )
-    assert story(runs, "Verdict") == ["arx stopped early, so it is not compared."]
+    assert story(runs, "Verdict") == [
+        "arx stopped early: it is not judged.",
+        "Of the accuracy that the change costs, pd wins back nothing.",
+    ]
     text = page(runs)
     assert "stopped early" in text
     assert read_runs([tmp_path / "b"])[0].last.name == "before"

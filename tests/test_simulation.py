@@ -10,13 +10,8 @@ import leglab.models
 from leglab.base.errors import LeglabError
 from leglab.commissioning.calibration import holding_forces, settle, speed_limits, valve_maps
 from leglab.machine.cylinder import Cylinder
-from leglab.machine.simulation import (
-    Simulation,
-    SimulationError,
-    load_model,
-    model_names,
-    model_summary,
-)
+from leglab.machine.library import model_names, model_summary
+from leglab.machine.simulation import Simulation, SimulationError, load_model
 
 
 @pytest.fixture(scope="module")

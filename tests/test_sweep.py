@@ -127,12 +127,12 @@ def test_the_fingerprint_covers_controllers_models_and_the_compiled_core(tmp_pat
     before = sweep.fingerprint()
     extra = tmp_path / "extra.py"
     monkeypatch.setattr(leglab.controllers, "__path__", [*leglab.controllers.__path__, tmp_path])
-    sweep.fingerprint.cache_clear()
+    sweep.own_fingerprint.cache_clear()
     assert sweep.fingerprint() == before
     extra.write_text("gain = 1")
-    sweep.fingerprint.cache_clear()
+    sweep.own_fingerprint.cache_clear()
     assert sweep.fingerprint() != before
-    sweep.fingerprint.cache_clear()
+    sweep.own_fingerprint.cache_clear()
 
 
 def fake(controller, seed, after, *, t90=0.5, completed=True):

@@ -1,7 +1,6 @@
 """The live viewer: the run's bits, sliders that only the session hears, a real window."""
 
 import os
-import shutil
 import subprocess
 import sys
 import textwrap
@@ -14,8 +13,9 @@ from PIL import ImageGrab
 from leglab import RunSettings, run_scenario
 from leglab.base.errors import LeglabError
 from leglab.machine.simulation import load_model
-from leglab.viewer.display import Display
+from leglab.viewer.display import LABEL, Display
 from leglab.viewer.session import Session
+from tests.pages import ROOT, blocks
 
 KNEE = {"scenario": "seal_wear", "model": "knee_bench", "controller": "pd", "duration": 0.4}
 LEAKAGE = ("knee_valve", "internal_leakage")
@@ -179,14 +179,50 @@ def test_the_ghost_stands_at_the_reference():
     live = session(scenario="nominal", model="leg")
     display = Display(live, "leg")
     scene = mujoco.MjvScene(display.model, 2000)
-    display.draw_ghost(scene)
+    eye = np.array([2.0, -1.0, 1.0])
+    display.draw_ghost(scene, eye)
     at_rest = np.array([geom.pos for geom in scene.geoms[: scene.ngeom]])
     run_for(live, 0.6)
-    display.draw_ghost(scene)
+    display.draw_ghost(scene, eye)
     moved = np.array([geom.pos for geom in scene.geoms[: scene.ngeom]])
     assert len(moved) > 20
     assert 0.05 < np.abs(moved - at_rest).max() < 1.0
     assert all(geom.rgba[3] < 0.5 for geom in scene.geoms[: scene.ngeom])
+
+
+def test_a_ghost_on_the_leg_lies_behind_its_surface_and_does_not_flicker():
+    live = session(scenario="nominal", model="leg")
+    display = Display(live, "leg")
+    scene = mujoco.MjvScene(display.model, 2000)
+    live.point = live.point._replace(position=live.simulation.position())  # no error at all
+    camera = mujoco.MjvCamera()
+    camera.azimuth, camera.elevation, camera.distance = 130.0, -20.0, 2.5
+    camera.lookat[:] = 0.1, 0.2, 0.6
+    plain = mujoco.MjvScene(display.model, 2000)
+    option = mujoco.MjvOption()
+    mujoco.mjv_updateScene(
+        display.model, display.data, option, None, camera, mujoco.mjtCatBit.mjCAT_ALL, plain
+    )
+    eye = display.eye(camera)
+    np.testing.assert_allclose(eye, np.mean([e.pos for e in plain.camera], axis=0), atol=1e-6)
+    display.draw_ghost(scene, eye)
+    for ghost in scene.geoms[: scene.ngeom]:
+        if ghost.objtype != mujoco.mjtObj.mjOBJ_GEOM:
+            continue
+        place = display.data.geom_xpos[ghost.objid]
+        farther = np.linalg.norm(ghost.pos - eye) - np.linalg.norm(place - eye)
+        assert 1e-3 < farther < 0.02
+        along = (ghost.pos - eye) / np.linalg.norm(ghost.pos - eye)
+        np.testing.assert_allclose(along, (place - eye) / np.linalg.norm(place - eye), atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["leg", "leg_rail", "knee_bench"])
+def test_labels_fit_into_the_panel_and_differ(name):
+    model = Display(session(scenario="nominal", model=name), name).model
+    labels = [model.actuator(i).name for i in range(model.nu)]
+    assert all(len(label) <= LABEL for label in labels)
+    assert len(set(labels)) == len(labels)
+    assert labels[-3:] == ["seal leak x", "oil degC", "payload kg"]
 
 
 def test_texts_and_figures_say_what_happens():
@@ -196,7 +232,15 @@ def test_texts_and_figures_say_what_happens():
     names, values = (text.split("\n") for text in display.texts(paused=True))
     shown = dict(zip(names, values, strict=True))
     assert shown["fault"] == "on"
-    assert shown["seal wear"] == "1 x leakage"
+    assert shown["seal wear"] == "10 x leakage"  # the scenario's, the slider stands at 1
+    live.move("seal_wear", 3.0)
+    live.move("payload", 2.0)
+    live.move("oil_temperature", 60.0)
+    names, values = (text.split("\n") for text in display.texts(paused=True))
+    shown = dict(zip(names, values, strict=True))
+    assert shown["seal wear"] == "30 x leakage"
+    assert shown["payload"] == "2 kg on shank"
+    assert shown["oil temperature"] == "60 deg C"
     assert "paused" in shown
     assert "".join(values).isascii()  # the viewer's font has no more
     (_, error), (_, command) = display.figures(mujoco.MjrRect(0, 0, 1000, 700))
@@ -274,22 +318,6 @@ _WINDOW = """
 """
 
 
-@pytest.fixture
-def screen():
-    """Number of a virtual display with nothing on it."""
-    if shutil.which("Xvfb") is None:
-        pytest.skip("Xvfb is missing: sudo apt-get install -y xvfb")
-    read, write = os.pipe()
-    arguments = ["Xvfb", "-displayfd", str(write), "-screen", "0", "960x720x24"]
-    server = subprocess.Popen(arguments, pass_fds=[write], stderr=subprocess.DEVNULL)
-    os.close(write)
-    with os.fdopen(read) as answer:
-        number = answer.readline().strip()
-    yield f":{number}"
-    server.terminate()
-    server.wait()
-
-
 def test_a_real_window_hears_slider_and_keys(screen):
     environment = {**os.environ, "DISPLAY": screen, "MUJOCO_GL": "glfw"}
     process = subprocess.Popen(
@@ -310,3 +338,21 @@ def test_a_real_window_hears_slider_and_keys(screen):
         process.kill()
     assert ready == "ready", err
     assert "closed" in out, err
+
+
+def test_names_that_a_plugin_refers_to_stay(tmp_path):
+    found = blocks((ROOT / "docs/how_to/model.md").read_text())
+    text = next(block.text for block in found if block.file == "boom.xml")
+    name = "lifting_boom_valve"
+    learned = f'<instance name="rest"><config key="cylinder" value="{name}"/></instance>'
+    text = text.replace("lift_valve", name).replace(
+        "</extension>", f'<plugin plugin="leglab.residual">{learned}</plugin></extension>'
+    )
+    path = tmp_path / "boom.xml"
+    path.write_text(text)
+    settings = RunSettings(
+        scenario="nominal", model=str(path), controller="pd", reference="sine_sweep"
+    )
+    model = Display(Session(settings), str(path)).model
+    assert model.actuator(0).name == name
+    assert model.nu == 4

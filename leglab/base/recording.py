@@ -16,7 +16,11 @@ from typing import Any
 import numpy as np
 
 from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.notebook import data_frame, html_table, panels
+from leglab.base.units import unit_of
 
+# Columns that a recording names in one line, and that its table in a notebook shows.
+_MOST_NAMES, _MOST_ROWS = 4, 40
 # Time stamps count as uniform while no interval leaves the median by more than this share: well
 # above the rounding of a time column in milliseconds, well below a lost sample.
 _UNIFORM_TOLERANCE = 1e-3
@@ -93,6 +97,63 @@ class Recording:
     def __reduce__(self) -> tuple:
         # Mapping proxies cannot be pickled, and runs travel between processes.
         return _rebuild, (self.time, dict(self.columns), dict(self.metadata))
+
+    def __repr__(self) -> str:
+        return f"Recording({self._extent()}; {_listed(self.columns)})"
+
+    def _repr_html_(self) -> str:
+        rows = []
+        for name in list(self.columns)[:_MOST_ROWS]:
+            samples = self[name][np.isfinite(self[name])]
+            ends = (f"{samples.min():.6g}", f"{samples.max():.6g}") if samples.size else ("", "")
+            missing = len(self) - samples.size
+            rows.append((name, unit_of(name, self.metadata), *ends, missing or ""))
+        if len(self.columns) > _MOST_ROWS:
+            rows.append((f"and {len(self.columns) - _MOST_ROWS} more", "", "", "", ""))
+        head = ("column", "unit", "smallest", "largest", "missing")
+        return html_table(f"Recording: {self._extent()}", head, rows)
+
+    def plot(self, *columns: str) -> list[Any]:
+        """Draws columns over time with matplotlib.
+
+        Args:
+            columns: Names; without any, positions with their references, and commands. Those of one
+                unit share a plot.
+
+        Returns:
+            The axes, below each other, of a new figure of `matplotlib.pyplot`.
+
+        Raises:
+            LeglabError: A column does not exist, or there is none to draw.
+        """
+        if not columns:
+            endings = ("_position", "_reference", "_command")
+            columns = tuple(c for c in self.columns if c.endswith(endings)) or tuple(self.columns)
+        if not columns:
+            raise LeglabError("nothing to plot: the recording has no column")
+        groups: dict[str, list[str]] = {}
+        for name in columns:
+            self[name]  # an unknown one is refused before a figure opens
+            groups.setdefault(unit_of(name, self.metadata), []).append(name)
+        axes = panels(len(groups))
+        for axis, (unit, names) in zip(axes, groups.items(), strict=True):
+            for name in names:
+                axis.plot(self.time, self[name], label=name, linewidth=1.0)
+            axis.set_ylabel(unit)
+            axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize="small")
+        axes[-1].set_xlabel("time [s]")
+        return axes
+
+    def to_pandas(self) -> Any:
+        """Returns a `pandas.DataFrame` of the columns in SI units, by time [s].
+
+        Raises:
+            LeglabError: pandas is missing.
+        """
+        columns = {name: samples.copy() for name, samples in self.columns.items()}
+        frame = data_frame(columns, index=self.time.copy())
+        frame.index.name = "time"
+        return frame
 
     @property
     def duration(self) -> float:
@@ -184,8 +245,24 @@ class Recording:
             time=self.time, columns=self.columns, metadata={**self.metadata, **metadata}
         )
 
+    def _extent(self) -> str:
+        """Number of samples, duration and rate in words."""
+        text = f"{len(self)} sample{'s' * (len(self) > 1)}"
+        if len(self) > 1:
+            rate = 1.0 / float(np.median(np.diff(self.time)))
+            text += f" over {self.duration:g} s at {rate:.4g} Hz"
+        return text
+
     def _owners(self, ending: str) -> tuple[str, ...]:
         return tuple(name.removesuffix(ending) for name in self.columns if name.endswith(ending))
+
+
+def _listed(names: Iterable[str]) -> str:
+    names = list(names)
+    more = len(names) - _MOST_NAMES
+    count = f"{len(names)} column{'s' * (len(names) != 1)}"
+    shown = ", ".join(names[:_MOST_NAMES]) + (f" and {more} more" if more > 0 else "")
+    return f"{count}: {shown}" if names else count
 
 
 def _rebuild(time: np.ndarray, columns: dict, metadata: dict) -> Recording:

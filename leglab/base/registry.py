@@ -6,8 +6,10 @@ import pkgutil
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+from leglab.base import plugins
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.settings import Configuration, validate_configuration
 
@@ -31,20 +33,26 @@ class Registry(Generic[Entry]):
         self._entries: dict[str, Entry] = {}
         self._definitions: dict[str, tuple[str, str]] = {}
         self._loaders: list[Callable[[], None]] = []
+        self._with_plugins = f"{kind}s" in plugins.KINDS
+        self._register: Callable[[str, Any], None] | None = None
 
-    def add(self, name: str, entry: Entry, defined_by: Callable) -> None:
+    def add(self, name: str, entry: Entry, defined_by: Callable | Path) -> None:
         """Adds an entry.
 
         Args:
             name: Its name.
             entry: What `get` returns.
-            defined_by: The function or class that defines it. The same definition may come twice
-                (a module that runs as a script is imported under its own name as well).
+            defined_by: The function, class or file that defines it. The same definition may come
+                twice (a module that runs as a script is imported under its own name as well).
 
         Raises:
             LeglabError: Another definition has this name already.
         """
-        definition = _definition_of(defined_by)
+        if isinstance(defined_by, Path):
+            definition = str(defined_by.resolve()), ""
+        else:
+            definition = _definition_of(defined_by)
+            plugins.note(defined_by.__module__)
         taken = self._definitions.get(name)
         if taken not in (None, definition):
             raise LeglabError(
@@ -57,15 +65,20 @@ class Registry(Generic[Entry]):
         """Adds a function that imports modules with entries; it runs once, at the first look-up."""
         self._loaders.append(load)
 
+    def add_plugins(self, register: Callable[[str, Any], None]) -> None:
+        """Says how to register what an entry point of this kind refers to, under its name."""
+        self._register = register
+
     def get(self, name: str) -> Entry:
         """Returns the entry of this name.
 
         Raises:
-            LeglabError: There is none; the known names are listed.
+            LeglabError: There is none; the known names are listed, and plug-ins that failed.
         """
         self._load()
         if name not in self._entries:
-            raise unknown_name(self.kind, name, self._entries)
+            error = unknown_name(self.kind, name, self._entries)
+            raise LeglabError("; ".join((str(error), *plugins.failures(f"{self.kind}s"))))
         return self._entries[name]
 
     def names(self) -> tuple[str, ...]:
@@ -76,6 +89,11 @@ class Registry(Generic[Entry]):
     def _load(self) -> None:
         while self._loaders:
             self._loaders.pop()()
+        if self._with_plugins:
+            self._with_plugins = False  # a plug-in may look names up while it is loaded
+            plugins.load_entry_points(
+                f"{self.kind}s", lambda name: name in self._entries, self._register
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,11 +1,17 @@
 """Settings given by users: named, typed, checked, and refused with one line."""
 
+import inspect
+import re
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from leglab.base.errors import LeglabError, unknown_name
+
+# A setting and its meaning, up to the next one; a unit, but for ranges such as [-1, 1].
+_SETTING = re.compile(r"^    (\w+): (.*(?:\n     .*)*)", re.MULTILINE)
+_UNIT = re.compile(r"\[([^\],]+)\]")
 
 
 class Configuration(BaseModel):
@@ -50,3 +56,24 @@ def validate_configuration(
     if not key:
         raise LeglabError(f"{owner}: {message}")
     raise LeglabError(f"{owner}: setting {key!r} is {problem['input']!r}: {message}")
+
+
+def documented_units(owner: type) -> dict[str, str]:
+    """Returns the units of settings, which stand in brackets in the docs of their class.
+
+    Args:
+        owner: A class whose docstring, or those of its bases, has "Attributes:".
+
+    Returns:
+        Units by name of the setting, without those that have none.
+    """
+    found: dict[str, str] = {}
+    for base in reversed(owner.__mro__):
+        if base.__module__.startswith("pydantic"):
+            continue
+        _, _, text = inspect.cleandoc(base.__doc__ or "").partition("Attributes:\n")
+        for name, meaning in _SETTING.findall(text):
+            units = [unit for unit in _UNIT.findall(meaning) if unit != "1"]
+            if units:
+                found[name] = units[-1]
+    return found

@@ -6,18 +6,22 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from leglab.cli.options import Json
-from leglab.cli.terminal import output, print_json
+from leglab.base import plugins
+from leglab.cli.options import Json, Load, load_plugins
+from leglab.cli.terminal import errors, output, print_json
 
 Markdown = Annotated[bool, typer.Option(help="Print Markdown, as in docs/.")]
 
 
-def list_names(as_json: Json = False, markdown: Markdown = False) -> None:
+def list_names(as_json: Json = False, markdown: Markdown = False, load: Load = None) -> None:
     """Shows scenarios, controllers, references and models."""
+    load_plugins(load)
     if markdown:
         typer.echo(catalogue_page(), nl=False)
         return
     groups = summaries()
+    for failure in plugins.failures():
+        errors.print(f"[yellow]warning:[/yellow] {escape(failure)}")
     if as_json:
         print_json(groups)
         return
@@ -63,7 +67,7 @@ def summaries() -> dict[str, dict[str, str]]:
     import leglab.scenarios  # noqa: F401  registers the scenarios
     from leglab.base.scenario import scenario_names, scenario_summary
     from leglab.control import controller_names, controller_summary
-    from leglab.machine.simulation import model_names, model_summary
+    from leglab.machine.library import model_names, model_summary
     from leglab.references import reference_names, reference_summary
 
     return {

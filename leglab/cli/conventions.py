@@ -75,7 +75,7 @@ EXAMPLES = {
 _PANELS = {
     "What runs": (
         "scenario", "scenarios", "controller", "controllers", "model", "models", "reference",
-        "duration", "severity", "ramp", "seed", "seeds", "timestep", "tolerance",
+        "duration", "severity", "ramp", "seed", "seeds", "timestep", "tolerance", "load",
     ),
     "Data": ("recordings", "held_out", "columns", "to"),
     "Output": ("out", "overwrite", "figures", "as_json", "markdown", "write"),
@@ -101,6 +101,7 @@ _COMPLETION: dict[str, Callable[[str], list[str]]] = {
     "recordings": path_completion(*RECORDINGS),
     "healthy": path_completion(*RECORDINGS),
     "columns": path_completion(".toml"),
+    "load": path_completion(".py"),
 }
 
 # Options that take all words up to the next option: a shell makes several of one `*`.

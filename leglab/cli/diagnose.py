@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from leglab.base.errors import LeglabError
-from leglab.cli.options import Columns, HeldOut, Json, Overwrite
+from leglab.cli.options import Columns, HeldOut, Json, Load, Overwrite, load_plugins
 from leglab.cli.terminal import output, print_json, progress
 
 
@@ -54,12 +54,14 @@ def diagnose(
     ] = "gross",
     overwrite: Overwrite = False,
     as_json: Json = False,
+    load: Load = None,
 ) -> None:
     """Finds the physical effect that a simulation lacks, from measured recordings.
 
     Writes diagnosis.json, improved.xml (the model with the effect), figures and the page
     diagnosis.html, and shows the gap on recordings that were not used to find it.
     """
+    load_plugins(load)
     if self_test:
         if rough or sizes != "gross":
             _rough_self_test(out, cases, seed, as_json, rough, rough and not no_healthy, sizes)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from leglab.cli.options import Columns, HeldOut, Json, Overwrite, Recordings
+from leglab.cli.options import Columns, HeldOut, Json, Load, Overwrite, Recordings, load_plugins
 from leglab.cli.terminal import output, print_json, progress
 
 if TYPE_CHECKING:
@@ -28,12 +28,14 @@ def improve(
     ] = True,
     overwrite: Overwrite = False,
     as_json: Json = False,
+    load: Load = None,
 ) -> None:
     """Improves a model by measured recordings: recalibration, sure effects, a learned remainder.
 
     Writes improvement.json and, where held-out recordings prove a gain, improved.xml. A remainder
     is a static force of joints, or command offset of cylinders, in `leglab.residual` elements.
     """
+    load_plugins(load)
     from leglab.data import write_atomically
     from leglab.diagnosis.improve import improve as run_improvement
     from leglab.diagnosis.recordings import read_recordings, split_held_out

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from leglab.base import plugins
 from leglab.base.errors import LeglabError
 
 if TYPE_CHECKING:
@@ -58,6 +59,15 @@ Columns = Annotated[
     Path | None, typer.Option(help="TOML file: what the columns are called here, and their units.")
 ]
 
+Load = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="FILE_OR_MODULE",
+        help="Python file or module that registers controllers, scenarios, references, effects or "
+        "models; repeatable.",
+    ),
+]
+
 RECORDINGS = (".parquet", ".csv", ".mcap", ".mat", ".npz")
 """Suffixes that `leglab.data.read` knows."""
 
@@ -92,6 +102,16 @@ def settings_of(context: typer.Context) -> "RunSettings":
     return RunSettings(**{f.name: given[f.name] for f in fields(RunSettings) if f.name in given})
 
 
+def load_plugins(sources: list[str] | None) -> None:
+    """Imports what `--load` names.
+
+    Raises:
+        LeglabError: There is no such file or module, or importing it fails.
+    """
+    for source in sources or ():
+        plugins.load(source)
+
+
 def check_jobs(jobs: int) -> None:
     """Raises `LeglabError` for 0 processes."""
     if jobs == 0:
@@ -99,10 +119,17 @@ def check_jobs(jobs: int) -> None:
 
 
 def names_of(kind: str) -> tuple[str, ...]:
-    """Returns the names of all scenarios, controllers, models, effects, references or formats."""
-    if kind in _LISTED:
+    """Returns the names of all scenarios, controllers, models, effects, references or formats.
+
+    Those of plug-ins are the names of their entry points.
+    """
+    if kind == "formats":
         return _LISTED[kind]
-    found = (path.stem for path in (_PACKAGE / kind).glob(_FILES[kind]))
+    if kind in _LISTED:
+        found = set(_LISTED[kind])
+    else:
+        found = {path.stem for path in (_PACKAGE / kind).glob(_FILES[kind])}
+    found.update(plugins.entry_points(kind))
     return tuple(sorted(name for name in found if not name.startswith("_")))
 
 

@@ -10,7 +10,7 @@ import typer
 from rich.markup import escape
 
 from leglab.base.errors import LeglabError
-from leglab.cli.options import Camera, Jobs, Json, check_jobs
+from leglab.cli.options import Camera, Jobs, Json, Load, check_jobs, load_plugins
 from leglab.cli.terminal import errors, make_many, output, print_json, progress
 
 if TYPE_CHECKING:
@@ -58,6 +58,7 @@ def report(
         bool, typer.Option("--overwrite", help="Replace a report; with --scenario repeat its runs.")
     ] = False,
     as_json: Json = False,
+    load: Load = None,
 ) -> None:
     """Writes one page about runs: words, numbers, film and plots in one file.
 
@@ -65,6 +66,7 @@ def report(
     there with the same settings and code is kept. Writes report.html, which needs no other file,
     and report.mp4.
     """
+    load_plugins(load)
     from leglab.report.run.page import check_out, write_report
     from leglab.runs.folder import make_runs, read_runs
     from leglab.runs.preparation import RunSettings
@@ -187,8 +189,10 @@ def video(
     duration: Annotated[float | None, typer.Option(help="Seconds shown; default: all.")] = None,
     camera: Camera = "three_quarter",
     as_json: Json = False,
+    load: Load = None,
 ) -> None:
     """Renders runs side by side to MP4, headless, with EGL or OSMesa."""
+    load_plugins(load)
     from leglab.report.film import FRAME_RATE, SIZE, render_film
 
     path = out or (folders[0] / "video.mp4" if len(folders) == 1 else Path("video.mp4"))

@@ -30,8 +30,10 @@ def run(
     overwrite: options.Overwrite = False,
     figures: Annotated[bool, typer.Option(help="Draw plots.")] = True,
     as_json: options.Json = False,
+    load: options.Load = None,
 ) -> None:
     """Runs a scenario headless and writes metrics, recording, configuration and plots."""
+    options.load_plugins(load)
     from leglab.base.scenario import get_scenario
     from leglab.report.figures import draw_run
     from leglab.runs.folder import check_folder, write_run
@@ -77,12 +79,14 @@ def compare(
     ] = False,
     figures: Annotated[bool, typer.Option(help="Draw a figure a scenario.")] = True,
     as_json: options.Json = False,
+    load: options.Load = None,
 ) -> None:
     """Runs scenarios with several controllers and seeds and compares the tracking errors.
 
     Writes compare.json and a figure a scenario. Runs that the output folder holds with the same
     settings and code are not repeated: an interrupted comparison goes on where it was.
     """
+    options.load_plugins(load)
     from leglab.report.figures import save_comparison_figure
     from leglab.runs.sweep import Comparison, run_all
     from leglab.runs.sweep import compare as summarise
@@ -130,15 +134,17 @@ def view(
     reference: options.Reference = None,
     tolerance: options.Tolerance = 0.0,
     vary: options.Vary = False,
+    load: options.Load = None,
 ) -> None:
     """Opens MuJoCo's viewer: the controller lives, and sliders wear, heat and load the leg.
 
     The scenario's change comes at its time, or when Enter is pressed. The run has no end.
     """
+    options.load_plugins(load)
     from leglab.viewer.session import Session
-    from leglab.viewer.window import HELP, Window, check_display
+    from leglab.viewer.window import HELP, Window, check_window
 
-    check_display()
+    check_window()
     session = Session(options.settings_of(context))
     terminal.output.print(HELP)
     window = Window(session, model)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from leglab.cli.options import Json
+from leglab.cli.options import Json, Load, load_plugins
 from leglab.cli.terminal import FAILED, errors, output, print_json, progress
 
 
@@ -17,8 +17,10 @@ def tune(
     ] = None,
     write: Annotated[bool, typer.Option(help="Write the gains file of the package.")] = False,
     as_json: Json = False,
+    load: Load = None,
 ) -> None:
     """Finds the PD gains that keep 6 dB and 45 degrees of margin on the linearised plant."""
+    load_plugins(load)
     from leglab.commissioning.pd_gains import GAINS_FILE, TUNED_MODELS, gains_text
 
     with progress("tuning") as show:

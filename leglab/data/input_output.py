@@ -31,7 +31,7 @@ def to_input_output(
         from nonlinear_benchmarks import Input_output_data
     except ImportError as error:
         raise LeglabError(
-            "the package nonlinear_benchmarks is missing: pip install 'leglab[interop]'"
+            "the package nonlinear_benchmarks is missing: pip install nonlinear-benchmarks"
         ) from error
     return Input_output_data(
         u=_stacked(recording, inputs, "inputs"),

@@ -18,10 +18,10 @@ import numpy as np
 
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
+from leglab.base.units import own_units, unit_of, usual_unit
 from leglab.data.files import first_line, read_bytes, refuse, write_atomically
 from leglab.data.matlab_check import checked
 from leglab.data.metadata import check_notes, from_json, to_json
-from leglab.data.units import own_units, unit_of, usual_unit
 
 _VARIABLE = "recording"
 _NAME_LENGTH = 63  # MATLAB's namelengthmax until R2025.

@@ -18,6 +18,7 @@ from mcap_ros2.writer import Writer
 
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.recording import Recording
+from leglab.base.units import unit_of
 from leglab.data.alignment import TopicSeries, aligned, overlaps
 from leglab.data.bag import METADATA_NAME, Bag, decode, scan
 from leglab.data.column_map import ColumnMap
@@ -141,6 +142,8 @@ def _write(recording: Recording, stamps: list[int], stream: BinaryIO) -> None:
     rest = {n: s.tolist() for n, s in recording.columns.items() if n not in in_joints}
     with Writer(stream) as writer:
         writer.add_metadata(METADATA_NAME, {"metadata": to_json(recording.metadata)})
+        units = {name: unit_of(name, recording.metadata) for name in recording.columns}
+        writer.add_metadata("units", {name: unit for name, unit in units.items() if unit})
         joint_state = writer.register_msgdef(JOINT_STATE, JOINT_STATE_DEFINITION)
         kinds = {name: scalar_kind(name) for name in rest}
         used = dict.fromkeys(kinds.values())

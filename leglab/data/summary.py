@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from leglab.base.units import unit_of
 from leglab.data.checks import Finding, inspect
-from leglab.data.units import unit_of
 
 
 @dataclass(frozen=True)

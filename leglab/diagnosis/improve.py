@@ -11,6 +11,7 @@ from leglab.base.recording import Recording
 from leglab.diagnosis.effects.joints import unit
 from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.output import write_model
+from leglab.diagnosis.recordings import split_held_out
 from leglab.diagnosis.remainder.learning import (
     CLEAN,
     Remainder,
@@ -94,6 +95,9 @@ class ImprovedModel:
     hypothesis: Hypothesis
     remainder: Remainder | None
 
+    def __repr__(self) -> str:
+        return f"ImprovedModel({self.learned or 'nothing learned'})"
+
     @property
     def learned(self) -> str:
         """What was learned beside the effects, in words; empty for nothing."""
@@ -148,7 +152,7 @@ def improve(
     model: str | Path,
     recordings: Mapping[str, Recording],
     *,
-    held_out: Iterable[str],
+    held_out: Iterable[str] | None = None,
     effects: bool = True,
     settings: DiagnosisSettings | None = None,
     progress: Callable[[str], None] = lambda _: None,
@@ -158,7 +162,8 @@ def improve(
     Args:
         model: MJCF file, or the name of a model that ships with leglab.
         recordings: By name.
-        held_out: Names of those on which the gain is proved.
+        held_out: Names of those on which the gain is proved; None for the choice of
+            `split_held_out`.
         effects: Whether effects are looked for first; those of confidence 0.8 are kept.
         settings: Of the diagnosis.
         progress: Called with a line on what is being done.
@@ -171,6 +176,8 @@ def improve(
         LeglabError: Model or recordings cannot be used.
     """
     settings = settings or DiagnosisSettings()
+    if held_out is None:
+        recordings, held_out = split_held_out(model, recordings, (), settings.thresholds)
     held_out = tuple(held_out)
     sure: tuple[Key, ...] = ()
     if effects:

@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 
 import leglab.machine.plugin
-import leglab.models
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.diagnosis.paths import CommandPath, Correction, take_out
+from leglab.machine.library import model_path
 from leglab.machine.parameters import PluginTable
 from leglab.machine.sensors import CHAMBERS as CHAMBERS
 from leglab.machine.simulation import actuator_moments
@@ -79,10 +79,7 @@ class Machine:
 
     def __init__(self, path: str | Path, *, timestep: float | None = None) -> None:
         leglab.machine.plugin.load_plugin()
-        file = Path(leglab.models.__path__[0]) / f"{path}.xml"
-        self.path = file if file.exists() else Path(path)
-        if not self.path.is_file():
-            raise LeglabError(f"model file {str(path)!r} does not exist")
+        self.path = model_path(path)
         try:
             self._spec = mujoco.MjSpec.from_file(str(self.path))
         except ValueError as error:

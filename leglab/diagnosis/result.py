@@ -6,6 +6,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from leglab.base.notebook import data_frame, html_table, panels
+
 Verdict = Literal["named", "confusion_set", "partial", "unexplained", "nothing_missing"]
 
 
@@ -50,6 +52,11 @@ class NamedEffect:
     parameters: tuple[Estimate, ...]
     indistinguishable_from: tuple[str, ...]
     without: float = math.nan
+
+    def told(self) -> str:
+        """The effect with its element and parameters in a few words."""
+        values = ", ".join(f"{p.name} {p.value:.4g} {p.unit}".strip() for p in self.parameters)
+        return f"{self.name} at {self.element}" + (f" ({values})" if values else "")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -358,6 +365,61 @@ class Diagnosis:
     learned: str = ""
     rollouts: float = 0.0
     seconds: float = 0.0
+
+    def __repr__(self) -> str:
+        told = "; ".join(effect.told() for effect in self.effects) or "no effect"
+        explained = self.gap.explained
+        share = "" if explained is None else f"; {explained:.0%} explained"
+        return f"Diagnosis({self.verdict}: {told}{share})"
+
+    def _repr_html_(self) -> str:
+        rows = []
+        for kind, effects in (("", self.effects), ("smaller", self.smaller)):
+            for effect in effects:
+                first = (effect.name, effect.element, kind, f"{effect.confidence:.0%}")
+                for i, p in enumerate(effect.parameters):
+                    low, high = p.interval
+                    cells = (p.name, f"{p.value:.4g}", p.unit, f"{low:.4g} to {high:.4g}")
+                    rows.append((*(first if i == 0 else ("",) * 4), *cells, f"{p.nominal:.4g}"))
+                if not effect.parameters:
+                    rows.append((*first, "", "", "", "", ""))
+        names = ("effect", "element", "", "confidence", "parameter", "value", "unit")
+        return html_table(repr(self), (*names, "95 % interval", "in the model"), rows)
+
+    def plot(self) -> list[Any]:
+        """Draws the replay error of every recording: before, recalibrated, with the effects.
+
+        Returns:
+            One axis, in a list, of a new figure of `matplotlib.pyplot`.
+        """
+        axes = panels(1, height=1.0 + 0.5 * len(self.recordings))
+        places = np.arange(len(self.recordings))
+        for i, name in enumerate(("before", "baseline", "after")):
+            values = [getattr(recording, name) for recording in self.recordings]
+            label = {"baseline": "recalibrated", "after": "with the effects"}.get(name, name)
+            axes[0].barh(places + 0.25 * i, values, height=0.22, label=label)
+        names = [f"{r.name}{' (held out)' * r.held_out}" for r in self.recordings]
+        axes[0].set_yticks(places + 0.25, names)
+        axes[0].invert_yaxis()
+        axes[0].set_xscale("log")
+        axes[0].set_xlabel(f"{self.gap.metric}; noise alone gives {self.gap.noise_floor:g}")
+        axes[0].legend(fontsize="small")
+        return axes
+
+    def to_pandas(self) -> Any:
+        """Returns the parameters of the effects as a `pandas.DataFrame`, one row a parameter.
+
+        Raises:
+            LeglabError: pandas is missing.
+        """
+        names = ("effect", "element", "smaller", "confidence", "parameter", "value", "unit")
+        rows = [
+            (e.name, e.element, smaller, e.confidence, p.name, p.value, p.unit, *ends, p.nominal)
+            for smaller, effects in ((False, self.effects), (True, self.smaller))
+            for e in effects
+            for p, ends in ((p, p.interval) for p in e.parameters)
+        ]
+        return data_frame(rows, columns=[*names, "lower", "upper", "in_the_model"])
 
     def with_model(self, name: str, learned: str = "") -> "Diagnosis":
         """The same with the name of the improved model's file, and what was learned for it."""

@@ -21,6 +21,7 @@ from leglab.diagnosis.judging import preferences
 from leglab.diagnosis.measure import Measure
 from leglab.diagnosis.model import CYLINDER, Machine
 from leglab.diagnosis.naming import estimate, judge_exact, judge_rough, rms, twins
+from leglab.diagnosis.recordings import split_held_out
 from leglab.diagnosis.remarks import Remark, merged
 from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.result import (
@@ -55,7 +56,7 @@ def diagnose(
     model: str | Path,
     recordings: Mapping[str, Recording],
     *,
-    held_out: Iterable[str],
+    held_out: Iterable[str] | None = None,
     healthy: Mapping[str, Recording] | None = None,
     settings: DiagnosisSettings | None = None,
     progress: Callable[[str], None] = lambda _: None,
@@ -65,7 +66,8 @@ def diagnose(
     Args:
         model: MJCF file, or the name of a model that ships with leglab.
         recordings: By name.
-        held_out: Names of the recordings on which the verdict is judged.
+        held_out: Names of the recordings on which the verdict is judged; None for the choice of
+            `split_held_out`, which cuts the end off a single recording.
         healthy: Recordings of the same specimen before it changed, by name: what is named is what
             changed since.
         settings: How.
@@ -80,6 +82,8 @@ def diagnose(
     began = perf_counter()
     settings = settings or DiagnosisSettings()
     progress("reading the machine")
+    if held_out is None:
+        recordings, held_out = split_held_out(model, recordings, (), settings.thresholds)
     held_out = tuple(held_out)
     specimen = None
     if healthy:

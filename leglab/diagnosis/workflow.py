@@ -78,6 +78,11 @@ class Search:
     checks: Mapping[Key, tuple[Contender, ...]] = field(default_factory=dict)
     specimen: Specimen | None = None
 
+    def __repr__(self) -> str:
+        named = ", ".join(f"{name} at {element}" for name, element in self.named) or "nothing"
+        kind = "rough" if self.rough else "exact"
+        return f"Search({kind}, {len(self.rounds)} rounds, named: {named})"
+
     @property
     def rough(self) -> bool:
         """Whether the machine differs from its model beyond any effect, and was judged so."""

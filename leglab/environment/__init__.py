@@ -1,8 +1,8 @@
 """The leg as a reinforcement-learning environment: dm_env through dm_control, and Gymnasium.
 
 Importing this package registers the Gymnasium environments where Gymnasium is installed;
-dm_control and shimmy are loaded with the first environment. All of them come with
-`pip install "leglab[rl]"`.
+dm_control is loaded with the first environment. All of them come with
+`pip install ".[rl]"` in a clone of leglab.
 """
 
 from leglab.environment.loading import load, load_gymnasium

@@ -1,35 +1,186 @@
-"""The environment as Gymnasium knows it: shimmy's adapter with Gymnasium's seeding."""
+"""The environment as Gymnasium knows it."""
 
-from typing import Any
+import time
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
-from shimmy.dm_control_compatibility import DmControlCompatibilityV0
+import numpy as np
+from dm_control.rl.control import FLAT_OBSERVATION_KEY
+from dm_env import TimeStep, specs
+from gymnasium import spaces
+
+from leglab.base.errors import LeglabError
+from leglab.machine.display import LiveWindow, check_display
+
+if TYPE_CHECKING:
+    from dm_control.rl import control
+
+RENDER_MODES = ("human", "rgb_array", "depth_array")
+# Pictures a second: a window needs no more, and a film of one picture a step is slow motion.
+FRAME_RATE = 50
 
 
-class LegEnv(DmControlCompatibilityV0):
+class LegEnv(gymnasium.Env):
     """An environment of `leglab.environment.load` for Gymnasium.
+
+    Observations are float32: one array with `flat_observation=True`, otherwise a dict of arrays.
 
     A seed given to `reset` is that of the episode's run, as of `leglab run --seed`, and of what
     later episodes draw. An episode ends by truncation at its duration, by termination where the
     simulation blows up or an error exceeds the limit.
+
+    `info` has `time` [s], the true `tracking_error` [rad], (joints,), and the `command` in [-1, 1]
+    that was sent, (joints,); of `reset` also the episode's `scenario`, `seed`, `severity`, `onset`
+    [s], None without a change, and `ramp_duration` [s]; of the last step also `ended`: "duration",
+    "error_limit" or "blow_up".
+
+    Args:
+        env: From `leglab.environment.load`.
+        render_mode: One of `RENDER_MODES`, or None.
+        camera: Name of a camera of the model.
+        width: Of the pictures [px].
+        height: Of the pictures [px].
+
+    Raises:
+        LeglabError: There is no such render mode, or no display for a window.
     """
 
     def __init__(
-        self, env: Any, render_mode: str | None = None, render_kwargs: dict[str, Any] | None = None
+        self,
+        env: "control.Environment",
+        *,
+        render_mode: str | None = None,
+        camera: str = "three_quarter",
+        width: int = 640,
+        height: int = 480,
     ) -> None:
-        super().__init__(env, render_mode, render_kwargs)
-        rate = round(1.0 / env.control_timestep())
-        self.metadata = {"render_modes": ["rgb_array", "depth_array"], "render_fps": rate}
+        if render_mode not in (None, *RENDER_MODES):
+            raise LeglabError(
+                f"render_mode {render_mode!r} is not allowed; choose one of "
+                f"{', '.join(RENDER_MODES)}, or None"
+            )
+        if render_mode == "human":
+            check_display("render_mode 'human'", 'use render_mode="rgb_array" and MUJOCO_GL=egl')
+        self.metadata = {"render_modes": list(RENDER_MODES), "render_fps": FRAME_RATE}
+        self.render_mode = render_mode
+        self._env = env
+        self._camera, self._size = camera, {"width": width, "height": height}
+        self._window: LiveWindow | None = None
+        self._shown = 0.0  # when the window showed its last picture [s]
+        named = env.observation_spec()
+        self._flat = tuple(named) == (FLAT_OBSERVATION_KEY,)
+        self.observation_space = (
+            _box(named[FLAT_OBSERVATION_KEY])
+            if self._flat
+            else spaces.Dict({name: _box(spec) for name, spec in named.items()})
+        )
+        self.action_space = _box(env.action_spec())
+
+    @property
+    def dm_env(self) -> "control.Environment":
+        """The environment of dm_control."""
+        return self._env
+
+    @property
+    def task(self) -> Any:
+        """Its task, a `leglab.environment.task.TrackingTask`."""
+        return self._env.task
+
+    @property
+    def physics(self) -> Any:
+        """Its physics, a `leglab.environment.physics.LegPhysics`."""
+        return self._env.physics
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Starts the next episode; with a seed, the first of that seed's."""
+        super().reset(seed=seed)
         if seed is not None:
-            self._env.task.reseed(seed)
-        gymnasium.Env.reset(self, seed=seed)
+            self.task.reseed(seed)
         step = self._env.reset()
-        return dict(step.observation), {}
+        if self.render_mode == "human":
+            self._show()
+        settings, scenario = self.task.episode.settings, self.task.scenario
+        told = {
+            "scenario": scenario.name,
+            "seed": settings.seed,
+            "severity": scenario.severity,
+            "onset": min(scenario.breakpoints, default=None),
+            "ramp_duration": settings.ramp_duration,
+        }
+        return self._observation(step), {**self._info(), **told}
 
-    # Gymnasium's own generator, which shimmy replaces by the task's; that one is seeded alike.
-    np_random = gymnasium.Env.np_random
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Runs one control period; see `gymnasium.Env.step`.
+
+        Raises:
+            LeglabError: The action has another shape, or is not finite.
+        """
+        step = self._env.step(action)
+        if self.render_mode == "human" and self.task.time - self._shown >= 1.0 / FRAME_RATE:
+            self._show()
+        terminated = step.last() and step.discount == 0.0
+        truncated = step.last() and not terminated
+        info = self._info()
+        if step.last():
+            why = "blow_up" if self.task.diverged else "error_limit"
+            info["ended"] = "duration" if truncated else why
+        return self._observation(step), float(step.reward), terminated, truncated, info
+
+    def render(self) -> np.ndarray | None:
+        """Returns a picture, (height, width, 3) of uint8, or the depth in m, (height, width).
+
+        None without a render mode, and for "human", whose window follows `step`.
+        """
+        if self.render_mode in (None, "human"):
+            return None
+        depth = self.render_mode == "depth_array"
+        return self.physics.render(camera_id=self._camera, depth=depth, **self._size)
+
+    def close(self) -> None:
+        """Closes window and physics."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None
+        self._env.close()
+
+    def _show(self) -> None:
+        """Shows the machine in MuJoCo's window, not faster than real time."""
+        if self._window is None:
+            self._window = LiveWindow(
+                self.physics.model.ptr,
+                self.physics.data.ptr,
+                camera=self._camera,
+                show_left_ui=False,
+                show_right_ui=False,
+            )
+            self._clock = time.monotonic()
+        passed = self.task.time - self._shown
+        if passed > 0:
+            time.sleep(max(0.0, passed - (time.monotonic() - self._clock)))
+        self._shown, self._clock = self.task.time, time.monotonic()
+        self._window.handle.sync()
+
+    def _observation(self, step: TimeStep) -> Any:
+        found = step.observation
+        if self._flat:
+            return found[FLAT_OBSERVATION_KEY].astype(np.float32)
+        return {name: values.astype(np.float32) for name, values in found.items()}
+
+    def _info(self) -> dict[str, Any]:
+        transition = self.task.transition()
+        return {
+            "time": transition.time,
+            "tracking_error": transition.error,
+            "command": transition.command.copy(),
+        }
+
+
+def _box(spec: specs.Array) -> spaces.Box:
+    """The float32 space of a specification."""
+    low, high = (
+        np.broadcast_to(getattr(spec, end, default), spec.shape).astype(np.float32)
+        for end, default in (("minimum", -np.inf), ("maximum", np.inf))
+    )
+    return spaces.Box(low=low, high=high, dtype=np.float32)

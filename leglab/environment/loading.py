@@ -144,13 +144,14 @@ def load_gymnasium(
     height: int = 480,
     **settings: Any,
 ) -> "gymnasium.Env":
-    """Makes a Gymnasium environment of the one that `load` makes, through shimmy.
+    """Makes a Gymnasium environment of the one that `load` makes.
 
     Registered as "leglab/SealWear-v0" and alike, one a scenario.
 
     Args:
         scenario: Name of the scenario.
-        render_mode: "rgb_array" for pictures by `render()`, or None.
+        render_mode: "rgb_array" for pictures by `render()`, "depth_array" for depths, "human" for
+            a window, or None.
         camera: Name of a camera of the model.
         width: Of the pictures [px].
         height: Of the pictures [px].
@@ -160,12 +161,16 @@ def load_gymnasium(
         LeglabError: If a name or a setting does not fit, or a package is missing.
     """
     _require("dm_control.mujoco")
-    _require("shimmy.dm_control_compatibility")
+    _require("gymnasium")
     from leglab.environment.gymnasium_env import LegEnv
 
-    env = load(scenario, **settings)
-    render = {"camera_id": camera, "width": width, "height": height}
-    return LegEnv(env, render_mode=render_mode, render_kwargs=render)
+    return LegEnv(
+        load(scenario, **settings),
+        render_mode=render_mode,
+        camera=camera,
+        width=width,
+        height=height,
+    )
 
 
 def _require(module: str) -> None:
@@ -176,5 +181,6 @@ def _require(module: str) -> None:
             importlib.import_module(module)
     except ImportError as error:
         raise LeglabError(
-            f'the environment needs {module.partition(".")[0]} ({error}): pip install "leglab[rl]"'
+            f'the environment needs {module.partition(".")[0]} ({error}): pip install ".[rl]" '
+            "in a clone of leglab"
         ) from error

@@ -8,6 +8,7 @@ from dm_control.rl.control import FLAT_OBSERVATION_KEY, Task
 from dm_env import specs
 
 from leglab.base.errors import LeglabError
+from leglab.base.scenario import Scenario
 from leglab.environment.episodes import Episode, Episodes
 from leglab.environment.physics import LegPhysics
 from leglab.environment.rewards import Reward, Transition
@@ -60,13 +61,14 @@ class TrackingTask(Task):
         self._begin(self._first)
 
     @property
-    def _random(self) -> np.random.RandomState:
-        # By this name shimmy finds the source of randomness of a task.
-        return self._episodes.random
+    def time(self) -> float:
+        """Time since the start of the episode [s]."""
+        return self._simulation.data.time
 
-    @_random.setter
-    def _random(self, random: np.random.RandomState) -> None:
-        self._episodes.random = random
+    @property
+    def scenario(self) -> Scenario:
+        """What happens to the machine in the present episode."""
+        return self._loop.scenario
 
     def reseed(self, seed: int) -> None:
         """Starts the sequence of episodes of another seed with the next episode."""
@@ -121,7 +123,7 @@ class TrackingTask(Task):
     def transition(self) -> Transition:
         """What the last step did."""
         return Transition(
-            time=self._simulation.data.time,
+            time=self.time,
             position=self._simulation.position(),
             velocity=self._simulation.velocity(),
             reference=self._period.reference,

@@ -8,7 +8,8 @@ import numpy as np
 
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.scenario import Scenario
-from leglab.machine.parameters import Parameter
+from leglab.machine.parameters import Parameter, plugin_tables
+from leglab.machine.sensors import FAULTS
 from leglab.machine.simulation import Simulation
 
 
@@ -121,6 +122,15 @@ class Schedule:
 ADDED_MASS = Parameter(
     "added_mass", "kg", 0.0, 0.0, 1000.0, True, "point mass fixed at the body's centre of mass"
 )
+
+
+def parameter_units() -> dict[str, str]:
+    """Units of all that a scenario can change, by name of the parameter; "1" for none."""
+    units = {entry.name: entry.unit for entry in (ADDED_MASS, *FAULTS.values())}
+    for table in plugin_tables().values():
+        for name, entry in table.parameters.items():
+            units.setdefault(name, entry.unit)
+    return units
 
 
 class Bodies:

@@ -213,7 +213,7 @@ def _number(model: mujoco.MjModel, name: str, otherwise: float) -> float:
 
 _SLIP = "added to every reading, as after a slip of the encoder on its shaft"
 _LOSS = "share of readings that are lost; the last one is repeated"
-_FAULTS = {
+FAULTS = {
     "encoder_offset": Parameter("encoder_offset", "rad", 0.0, -math.pi, math.pi, True, _SLIP),
     "encoder_dropout": Parameter("encoder_dropout", "1", 0.0, 0.0, 1.0, True, _LOSS, offset=1),
 }
@@ -259,7 +259,7 @@ class Encoders:
         self.position, self.velocity = np.zeros(len(joints)), np.zeros(len(joints))
         self.shift = np.zeros(noise.shape)
         self.lost = np.zeros(noise.shape, dtype=bool)
-        self._values = np.zeros((len(_FAULTS), len(joints)))
+        self._values = np.zeros((len(FAULTS), len(joints)))
         self._chance = np.random.default_rng([seed, 2]).random(noise.shape)
         gain = velocity_filter_coefficient(period, sensors.velocity_cutoff) / period
         self._readings = Readings(
@@ -283,7 +283,7 @@ class Encoders:
 
     def has(self, element: str, name: str) -> bool:
         """Says whether a joint has a fault of this name."""
-        return element in self.elements and name in _FAULTS
+        return element in self.elements and name in FAULTS
 
     def parameter(self, element: str, name: str) -> float:
         """Present size of a fault, in its own unit."""
@@ -296,7 +296,7 @@ class Encoders:
             LeglabError: If joint or name do not exist or the value is out of bounds.
         """
         index = self._index(element, name)
-        self._values[index] = _FAULTS[name].check(value, f"encoder of joint {element!r}")
+        self._values[index] = FAULTS[name].check(value, f"encoder of joint {element!r}")
         self._faulty = True
 
     def read(self, k: int) -> None:
@@ -315,8 +315,8 @@ class Encoders:
         self.lost[k] = self._chance[k] < self._values[1]
 
     def _index(self, element: str, name: str) -> tuple[int, int]:
-        if name not in _FAULTS:
-            raise unknown_name("encoder fault", name, _FAULTS)
+        if name not in FAULTS:
+            raise unknown_name("encoder fault", name, FAULTS)
         if element not in self.elements:
             raise unknown_name("joint", element, self.elements)
-        return _FAULTS[name].offset, self.elements.index(element)
+        return FAULTS[name].offset, self.elements.index(element)

@@ -7,9 +7,9 @@ import mujoco
 import numpy as np
 
 import leglab.machine.plugin
-import leglab.models
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.machine.cylinder import Cylinder
+from leglab.machine.library import model_path
 from leglab.machine.parameters import Parameter
 
 CYLINDER = "leglab.cylinder"
@@ -21,18 +21,6 @@ SPEED_LIMIT = 1e3
 
 class SimulationError(LeglabError):
     """The simulation blew up: the message says when and which state."""
-
-
-def model_names() -> tuple[str, ...]:
-    """Names of the models that ship with leglab."""
-    return tuple(sorted(path.stem for path in _model_folder().glob("*.xml")))
-
-
-def model_summary(name: str) -> str:
-    """First sentence of the comment at the head of a shipped model."""
-    text = (_model_folder() / f"{name}.xml").read_text()
-    comment = " ".join(text.partition("<!--")[2].partition("-->")[0].split())
-    return comment.partition(". ")[0].rstrip(".")
 
 
 def load_model(
@@ -55,13 +43,7 @@ def load_model(
         LeglabError: If there is no such model or MuJoCo refuses it; one line.
     """
     leglab.machine.plugin.load_plugin()
-    path = _model_folder() / f"{model}.xml"
-    if not path.exists():
-        path = Path(model)
-        if not path.is_file():
-            if path.suffix == ".xml":
-                raise LeglabError(f"model file {str(model)!r} does not exist")
-            raise unknown_name("model", str(model), model_names())
+    path = model_path(model)
     spec = None
     try:
         spec = mujoco.MjSpec.from_file(str(path))
@@ -114,7 +96,10 @@ class Simulation:
         self._elements = leglab.machine.plugin.elements(model)
         for name in self.actuators:
             if name not in self._elements or self._elements[name][1].plugin != CYLINDER:
-                raise LeglabError(f"actuator {name!r} is no {CYLINDER}; allowed: only those")
+                raise LeglabError(
+                    f"actuator {name!r} is no {CYLINDER}, and a run needs one on every driven "
+                    "joint; leglab diagnose and leglab improve take native actuators"
+                )
         mujoco.mj_forward(model, self.data)
         self._joint_ids = self._driven_joints()
         self.joints = tuple(model.joint(i).name for i in self._joint_ids)
@@ -248,6 +233,17 @@ class Simulation:
             if i not in self._joint_ids and model.jnt_type[i] in simple
         }
 
+    @property
+    def slides(self) -> dict[str, bool]:
+        """Whether a joint slides, by name, of all hinge and slide joints."""
+        model = self.model
+        kinds = {int(mujoco.mjtJoint.mjJNT_HINGE): False, int(mujoco.mjtJoint.mjJNT_SLIDE): True}
+        return {
+            model.joint(i).name: kinds[int(model.jnt_type[i])]
+            for i in range(model.njnt)
+            if int(model.jnt_type[i]) in kinds
+        }
+
     def joint_range(self) -> np.ndarray:
         """Lower and upper joint positions [rad], (joints, 2)."""
         return self.model.jnt_range[self._joint_ids]
@@ -294,7 +290,3 @@ class Simulation:
             if not row.any():
                 raise LeglabError(f"actuator {name!r} moves no joint")
         return self.model.dof_jntid[moments.argmax(axis=1)]
-
-
-def _model_folder() -> Path:
-    return Path(leglab.models.__path__[0])

@@ -121,7 +121,7 @@ class Reference:
 Builder = Callable[[tuple[Joint, ...], Any], tuple[Motion, float]]
 
 
-_references: FactoryRegistry[Builder] = FactoryRegistry("reference")
+REFERENCES: FactoryRegistry[Builder] = FactoryRegistry("reference")
 
 
 def register_reference(
@@ -134,7 +134,7 @@ def register_reference(
         summary: One line for listings.
         configuration: Settings that the builder takes, all with a default.
     """
-    return _references.register(name, summary=summary, configuration=configuration)
+    return REFERENCES.register(name, summary=summary, configuration=configuration)
 
 
 def make_reference(
@@ -156,7 +156,7 @@ def make_reference(
         LeglabError: The name or a setting is not known or not allowed, or no joint moves.
     """
     seeded = {} if seed is None else {"seed": seed}
-    build, settings = _references.configured(name, config, **seeded)
+    build, settings = REFERENCES.configured(name, config, **seeded)
     if not joints:
         raise LeglabError(f"reference {name!r} needs at least one joint")
     motion, period = build(tuple(joints), settings)
@@ -165,17 +165,17 @@ def make_reference(
 
 def reference_names() -> tuple[str, ...]:
     """Returns the names of all reference trajectories."""
-    return _references.names()
+    return REFERENCES.names()
 
 
 def reference_summary(name: str) -> str:
     """Returns the line that describes a reference trajectory."""
-    return _references.get(name).summary
+    return REFERENCES.get(name).summary
 
 
 def reference_settings(name: str) -> tuple[str, ...]:
     """Returns the names of a reference trajectory's settings."""
-    return tuple(_references.get(name).configuration.model_fields)
+    return tuple(REFERENCES.get(name).configuration.model_fields)
 
 
 # Share of the knee's flexion that hip and ankle take. Thigh and shank are about equally long, so

@@ -25,6 +25,7 @@ from leglab.runs.record import (
 )
 from leglab.runs.run import Run, run_scenario
 from leglab.runs.sweep import fingerprint
+from leglab.runs.view import draw
 
 
 def check_folder(folder: Path, *, overwrite: bool = False, mark: str = METRICS) -> None:
@@ -106,6 +107,20 @@ class ReportedRun:
     configuration: RunConfiguration
     recording: Recording
 
+    def __repr__(self) -> str:
+        return f"ReportedRun({self.metrics.told()}; {self.folder})"
+
+    def _repr_html_(self) -> str:
+        return self.metrics.as_html()
+
+    def plot(self) -> list[Any]:
+        """Draws the run, as `Run.plot`."""
+        return draw(self.recording, self.configuration.changes)
+
+    def to_pandas(self) -> Any:
+        """Returns the metrics, as `Run.to_pandas`."""
+        return self.metrics.to_pandas()
+
     @property
     def joints(self) -> tuple[str, ...]:
         """Joints whose tracking was measured."""
@@ -133,6 +148,13 @@ class ReportedRun:
         """RMS error by which the run is judged: its end, or `last` where it is too short [rad]."""
         end = self.metrics.adaptation.end_rad
         return self.last.rms_rad["all"] if end is None else end["all"]
+
+    @property
+    def power(self) -> float | None:
+        """Mean power from the supply in `last` [W]; None where it was not recorded."""
+        energy = self.last.energy_j.get("all")
+        seconds = min(self.last.end, self.metrics.duration) - self.last.start
+        return None if energy is None or seconds <= 0 else energy / seconds
 
     @property
     def judged_over(self) -> str:

@@ -523,6 +523,11 @@ class History:
     wall_time: float
     failure: str = ""
 
+    def __repr__(self) -> str:
+        rows, joints = self.position.shape
+        failed = f", failed: {self.failure}" if self.failure else ""
+        return f"History({rows} periods of {joints} joints, {self.time[-1]:g} s{failed})"
+
     @property
     def error(self) -> np.ndarray:
         """True tracking error, position less reference [rad], (n, joints)."""

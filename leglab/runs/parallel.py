@@ -9,6 +9,8 @@ from typing import TypeVar
 from joblib import Parallel, delayed
 from joblib.externals.loky import get_reusable_executor
 
+from leglab.base import plugins
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -63,11 +65,18 @@ def in_processes(
     worker = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
     try:
         with _interrupts_ignored():
-            results = worker(delayed(make)(item) for item in items)
+            luggage = plugins.carried()
+            results = worker(delayed(_with_plugins)(luggage, make, item) for item in items)
         yield from results
     except KeyboardInterrupt:
         get_reusable_executor().shutdown(wait=False, kill_workers=True)
         raise
+
+
+def _with_plugins(luggage: plugins.Carried, make: Callable[[Item], Result], item: Item) -> Result:
+    """Makes one result where the names that users' own code registers may not be known yet."""
+    plugins.carry(luggage)
+    return make(item)
 
 
 @contextmanager

@@ -10,12 +10,13 @@ import numpy as np
 
 import leglab.controllers
 import leglab.scenarios  # noqa: F401  registers the scenarios
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import LeglabError
 from leglab.base.scenario import Scenario, get_scenario
 from leglab.base.settings import validate_configuration
 from leglab.commissioning.calibration import settle, speed_limits
 from leglab.commissioning.setup import controller_setup
-from leglab.control import ControllerSetup, Foreknowledge, controller_names
+from leglab.control import ControllerSetup, Foreknowledge
+from leglab.control.contract import CONTROLLERS
 from leglab.machine.changes import check_tolerance, vary_bodies, vary_parameters
 from leglab.machine.sensors import SensorConfiguration
 from leglab.machine.simulation import Simulation, load_model
@@ -92,8 +93,7 @@ def check_controllers(names: Sequence[str]) -> None:
         LeglabError: Names the first one.
     """
     for i, name in enumerate(names):
-        if name not in controller_names():
-            raise unknown_name("controller", name, controller_names())
+        CONTROLLERS.get(name)
         if name in names[:i]:
             raise LeglabError(f"controllers: {name!r} is given twice")
 

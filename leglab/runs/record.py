@@ -7,6 +7,7 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BaseModel, Field, FiniteFloat, StringConstraints, ValidationError
 
 from leglab.base.errors import LeglabError
+from leglab.base.notebook import data_frame, data_index, html_table
 
 METRICS, CONFIGURATION, RECORDING = "metrics.json", "run.json", "recording.parquet"
 RUN_FILES = (METRICS, CONFIGURATION, RECORDING)
@@ -110,6 +111,39 @@ class RunMetrics(BaseModel):
     phases: Annotated[list[PhaseMetrics], Field(min_length=1)]
     adaptation: AdaptationMetrics = AdaptationMetrics(reason="it was not stored")
     excess_error_area_rad_s: FiniteFloat | None = None
+
+    def told(self) -> str:
+        """The run in one line."""
+        phases = ", ".join(f"{1e3 * p.rms_rad['all']:.3g} mrad {p.name}" for p in self.phases)
+        failed = f"; ended early: {self.failure}" if self.failure else ""
+        return (
+            f"{self.scenario}, {self.controller} on {self.model}, seed {self.seed}, "
+            f"{self.duration:g} s: RMS error {phases}{failed}"
+        )
+
+    def as_html(self) -> str:
+        """RMS and peak error by joint and phase, as a table for notebooks."""
+        head = ["joint", *(f"{p.name} {p.start:g}-{p.end:g} s" for p in self.phases)]
+        errors = [(p.rms_rad, p.peak_rad) for p in self.phases]
+        rows = [
+            [joint, *(f"{1e3 * rms[joint]:.3g} / {1e3 * peak[joint]:.3g}" for rms, peak in errors)]
+            for joint in self.phases[0].rms_rad
+        ]
+        return html_table(f"{self.told()}; RMS / peak by joint [mrad]", head, rows)
+
+    def to_pandas(self) -> Any:
+        """Returns errors and costs as a `pandas.DataFrame`, by phase and joint; "all" is a joint.
+
+        Raises:
+            LeglabError: pandas is missing.
+        """
+        rows = {}
+        for phase in self.phases:
+            columns = {k: v for k, v in phase.model_dump().items() if isinstance(v, dict)}
+            for joint in phase.rms_rad:
+                rows[phase.name, joint] = {k: v.get(joint) for k, v in columns.items()}
+        frame = data_frame(list(rows.values()), index=data_index(rows, ("phase", "joint")))
+        return frame.dropna(axis="columns", how="all")
 
 
 class ChangeRecord(BaseModel):

@@ -10,12 +10,15 @@ import numpy as np
 from leglab import __version__
 from leglab.base.recording import Recording
 from leglab.base.scenario import Scenario
+from leglab.base.units import units_of_columns
+from leglab.machine.changes import parameter_units
 from leglab.machine.sensors import CHAMBERS, PressureFaults
 from leglab.runs.clock import adaptation
 from leglab.runs.loop import History, Loop, Progress, recorded_positions, recording_noise
 from leglab.runs.metrics import excess_error_area, phase_table, rms, usage_table
 from leglab.runs.preparation import RunSettings, reference_config
 from leglab.runs.record import ChangeRecord, RunConfiguration, RunMetrics, as_json
+from leglab.runs.view import draw
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +49,28 @@ class Run:
     def metrics(self) -> dict[str, Any]:
         """Content of `metrics.json` as plain Python types."""
         return as_json(self.record)
+
+    def __repr__(self) -> str:
+        return f"Run({self.record.told()})"
+
+    def _repr_html_(self) -> str:
+        return self.record.as_html()
+
+    def plot(self) -> list[Any]:
+        """Draws the tracking error and the valve commands of all joints, and the changes.
+
+        Returns:
+            The axes, below each other, of a new figure of `matplotlib.pyplot`.
+        """
+        return draw(self.recording, self.configuration.changes)
+
+    def to_pandas(self) -> Any:
+        """Returns a `pandas.DataFrame` of the metrics, by phase and joint.
+
+        Raises:
+            LeglabError: pandas is missing.
+        """
+        return self.record.to_pandas()
 
 
 def run_scenario(settings: RunSettings, progress: Progress | None = None) -> Run:
@@ -176,7 +201,13 @@ def _recording(loop: Loop, history: History, metadata: dict[str, Any]) -> Record
         columns[f"{name}_position"] = values + noise.normal(
             0.0, sensors.position_noise, len(values)
         )
-    return Recording(time=history.time, columns=columns, metadata=metadata)
+    units = units_of_columns(columns, simulation.slides)
+    changeable = parameter_units()
+    if loop.machine:
+        schedule = loop.machine.schedule
+        for element, parameter in (*schedule.parameters, *schedule.others):
+            units[f"{element}_{parameter}"] = changeable[parameter]
+    return Recording(time=history.time, columns=columns, metadata={**metadata, "units": units})
 
 
 def _configuration(loop: Loop) -> RunConfiguration:

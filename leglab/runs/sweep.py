@@ -17,7 +17,9 @@ import leglab.controllers
 import leglab.models
 import leglab.scenarios
 from leglab import __version__
+from leglab.base import plugins
 from leglab.base.errors import LeglabError
+from leglab.base.notebook import data_frame, data_index, html_table, panels
 from leglab.data import write_atomically
 from leglab.machine.changes import check_tolerance
 from leglab.runs.metrics import sliding_rms
@@ -136,9 +138,14 @@ def run_all(
     return [result for result in results if result is not None]
 
 
-@cache
 def fingerprint() -> str:
-    """Digest of all code and data of leglab that a result may depend on."""
+    """Digest of all code and data that a result may depend on, plug-ins included."""
+    return own_fingerprint() + plugins.code_digest()
+
+
+@cache
+def own_fingerprint() -> str:
+    """Digest of all code and data of leglab."""
     packages = (leglab, leglab.controllers, leglab.scenarios, leglab.models, leglab._native)
     folders = {Path(folder) for package in packages for folder in package.__path__}
     files = {
@@ -205,7 +212,78 @@ def _result(run: Run) -> dict[str, Any]:
 _CONFIDENCE = 0.95
 
 
-def compare(comparison: Comparison, results: Iterable[dict[str, Any]]) -> dict[str, Any]:
+class ComparisonResult(dict[str, Any]):
+    """The content of `compare.json`, as `compare` returns it, with a table and a plot of it."""
+
+    def __repr__(self) -> str:
+        return (
+            f"ComparisonResult({', '.join(self['scenarios'])} by {', '.join(self['controllers'])} "
+            f"on {self['model']}, {self['seeds']} seed{'s' * (self['seeds'] > 1)})"
+        )
+
+    def _cells(self) -> list[tuple[str, str, dict[str, Any]]]:
+        return [
+            (scenario, controller, cell)
+            for scenario, cells in self["results"].items()
+            for controller, cell in cells.items()
+        ]
+
+    def _repr_html_(self) -> str:
+        def told(one: dict[str, Any], factor: float = 1.0) -> str:
+            if one["mean"] is None:
+                return ""
+            half = one["half_width"]
+            return f"{factor * one['mean']:.3g}" + (f" ± {factor * half:.2g}" if half else "")
+
+        rows = [
+            (
+                scenario,
+                controller,
+                *(told(cell[f"{name}_rad"], 1e3) for name in ("before", "after", "end")),
+                told(cell["recovered"], 100.0),
+                told(cell["t90_s"]),
+            )
+            for scenario, controller, cell in self._cells()
+        ]
+        head = ("scenario", "controller", "before", "after", "end", "undone [%]", "90 % undone [s]")
+        return html_table(f"{self!r}; RMS error [mrad], mean ± half of 95 %", head, rows)
+
+    def plot(self) -> list[Any]:
+        """Draws the error after the change, or of the whole run, by scenario and controller.
+
+        Returns:
+            The axes, one a scenario, of a new figure of `matplotlib.pyplot`.
+        """
+        axes = panels(len(self["scenarios"]), height=0.5 + 0.3 * len(self["controllers"]))
+        for axis, (scenario, cells) in zip(axes, self["results"].items(), strict=True):
+            known = {n: c["after_rad"] for n, c in cells.items() if c["after_rad"]["mean"]}
+            means = [1e3 * one["mean"] for one in known.values()]
+            ends = [1e3 * (one["half_width"] or 0.0) for one in known.values()]
+            axis.barh(list(known), means, xerr=ends, color="0.6")
+            axis.set_title(scenario, fontsize="medium", loc="left")
+            axis.invert_yaxis()
+        axes[-1].set_xlabel("RMS tracking error after the change [mrad]")
+        return axes
+
+    def to_pandas(self) -> Any:
+        """Returns means and halves of the 95 % intervals as a `pandas.DataFrame`.
+
+        One row a scenario and controller; columns as in `compare`, `..._half` for the intervals.
+
+        Raises:
+            LeglabError: pandas is missing.
+        """
+        rows = {}
+        for scenario, controller, cell in self._cells():
+            row: dict[str, Any] = {}
+            for name, value in cell.items():
+                if isinstance(value, dict):
+                    row |= {name: value["mean"], f"{name}_half": value["half_width"]}
+            rows[scenario, controller] = {**row, "runs": cell["runs"]}
+        return data_frame(list(rows.values()), index=data_index(rows, ("scenario", "controller")))
+
+
+def compare(comparison: Comparison, results: Iterable[dict[str, Any]]) -> ComparisonResult:
     """Summarises results over seeds: the content of `compare.json`.
 
     Args:
@@ -227,10 +305,10 @@ def compare(comparison: Comparison, results: Iterable[dict[str, Any]]) -> dict[s
         cell = cells.setdefault((metrics["scenario"], metrics["controller"]), {})
         cell[metrics["seed"]] = metrics
     first = comparison.controllers[0]
-    return {
+    return ComparisonResult(
         **asdict(comparison),
-        "version": __version__,
-        "results": {
+        version=__version__,
+        results={
             scenario: {
                 controller: _summary(
                     cells.get((scenario, controller), {}), cells.get((scenario, first), {})
@@ -239,7 +317,7 @@ def compare(comparison: Comparison, results: Iterable[dict[str, Any]]) -> dict[s
             }
             for scenario in comparison.scenarios
         },
-    }
+    )
 
 
 def estimate(values: Iterable[float | None]) -> dict[str, Any]:

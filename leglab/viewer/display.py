@@ -1,12 +1,19 @@
 """What the viewer's window shows: a model of its own with sliders, a ghost, figures."""
 
+from functools import partial
+
 import mujoco
 import numpy as np
 
+from leglab.base.errors import LeglabError
 from leglab.machine.simulation import load_model
 from leglab.viewer.session import HISTORY, Session
 
 _GHOST = np.array([0.10, 0.45, 0.75, 0.28], dtype=np.float32)
+# Letters of a label that the control panel shows.
+LABEL = 13
+# Share of its distance by which the ghost is moved away from the camera.
+_GHOST_SHIFT = 0.003
 _COLOURS = {
     "error": (0.95, 0.45, 0.30),
     "command": (0.85, 0.85, 0.85),
@@ -40,9 +47,14 @@ class Display:
         simulation = session.simulation
         self._actuators = simulation.model.nu
 
-        def add_sliders(spec: mujoco.MjSpec) -> None:
+        def add_sliders(spec: mujoco.MjSpec, *, short: bool) -> None:
+            if short:  # the panel cuts long names; sensors, which refer to them, are not shown
+                for sensor in list(spec.sensors):
+                    spec.delete(sensor)
+                for actuator in spec.actuators:
+                    actuator.name = short_label(actuator.name)
             for slider in session.sliders.values():
-                actuator = spec.add_actuator(name=slider.name, target=session.joints[0])
+                actuator = spec.add_actuator(name=slider.label, target=session.joints[0])
                 actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
                 actuator.gainprm[0] = 0.0
                 actuator.ctrllimited = True
@@ -50,7 +62,14 @@ class Display:
             for key in spec.keys:
                 key.ctrl = np.zeros(0)
 
-        self.model = load_model(model, timestep=simulation.model.opt.timestep, edit=add_sliders)
+        def load(short: bool) -> mujoco.MjModel:
+            edit = partial(add_sliders, short=short)
+            return load_model(model, timestep=simulation.model.opt.timestep, edit=edit)
+
+        try:
+            self.model = load(short=True)
+        except LeglabError:  # another plugin of the model refers to an actuator by its name
+            self.model = load(short=False)
         self.data = mujoco.MjData(self.model)
         self._ghost = mujoco.MjData(self.model)
         self._option, self._perturb = mujoco.MjvOption(), mujoco.MjvPerturb()
@@ -87,8 +106,14 @@ class Display:
         session.simulation.data.xfrc_applied[:] = self.data.xfrc_applied
         return False
 
-    def draw_ghost(self, scene: mujoco.MjvScene) -> None:
-        """Draws the driven joints at their reference, everything else as it is."""
+    def draw_ghost(self, scene: mujoco.MjvScene, eye: np.ndarray) -> None:
+        """Draws the driven joints at their reference, everything else as it is.
+
+        Args:
+            scene: Where to; what it held goes.
+            eye: Place of the camera [m], (3,). The ghost is moved away from it a little, so that it
+                does not flicker on the surface of a leg that is where it should be.
+        """
         ghost, simulation = self._ghost, self._session.simulation
         ghost.qpos[:] = self.data.qpos
         ghost.qpos[simulation.qpos_index] = self._session.point.position
@@ -97,9 +122,18 @@ class Display:
         moving = mujoco.mjtCatBit.mjCAT_DYNAMIC
         mujoco.mjv_addGeoms(self.model, ghost, self._option, self._perturb, moving, scene)
         for geom in scene.geoms[: scene.ngeom]:
+            geom.pos[:] += _GHOST_SHIFT * (geom.pos - eye)
             geom.rgba[:] = _GHOST
             geom.matid = -1
             geom.category = mujoco.mjtCatBit.mjCAT_DECOR
+
+    def eye(self, camera: mujoco.MjvCamera) -> np.ndarray:
+        """Place of a camera [m], (3,)."""
+        if camera.type == mujoco.mjtCamera.mjCAMERA_FIXED:
+            return self.data.cam_xpos[camera.fixedcamid]
+        turn, rise = np.deg2rad([camera.azimuth, camera.elevation])
+        ahead = np.array([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)])
+        return camera.lookat - camera.distance * ahead
 
     def figures(self, viewport: mujoco.MjrRect) -> list[tuple[mujoco.MjrRect, mujoco.MjvFigure]]:
         """Tracking error of all joints, and command and feed-forward of the worst one."""
@@ -131,7 +165,7 @@ class Display:
         rows = {"time": f"{session.time:.1f} s", "scenario": session.scenario.name}
         rows["fault"] = "on" if session.fault else "off" if session.scenario.changes else "none"
         for name, slider in session.sliders.items():
-            rows[name.replace("_", " ")] = f"{session.values[name]:.3g} {slider.unit}"
+            rows[name.replace("_", " ")] = f"{slider.present():.3g} {slider.unit}"
         recent = list(session.moments)[-round(session.window / session.period) :]
         if recent:
             rms = np.sqrt(np.mean([moment.error**2 for moment in recent]))
@@ -141,6 +175,12 @@ class Display:
         if session.failure:
             rows["failed"] = session.failure
         return "\n".join(rows), "\n".join(rows.values())
+
+
+def short_label(name: str) -> str:
+    """The name of an actuator as it fits into the control panel."""
+    short = name if len(name) <= LABEL else name.removesuffix("_valve")
+    return short if len(short) <= LABEL else f"{short[: LABEL - 1]}~"
 
 
 def _figure(title: str, lines: dict[str, tuple[np.ndarray, np.ndarray]]) -> mujoco.MjvFigure:

@@ -16,20 +16,24 @@ class Slider:
     """A slider of the control panel.
 
     Attributes:
-        name: Name of its actuator in the viewer's model.
+        name: How it is called.
+        label: Name of its actuator in the viewer's model, which the panel cuts at 14 letters.
         unit: Unit of its value.
         lowest: Smallest value.
         highest: Largest value.
         initial: Value of the unchanged machine.
         change: Makes the change that a value stands for, from a time [s] on.
+        present: Reads from the machine what the slider and the scenario make together.
     """
 
     name: str
+    label: str
     unit: str
     lowest: float
     highest: float
     initial: float
     change: Callable[[float, float], ParameterChange]
+    present: Callable[[], float]
 
 
 def sliders(simulation: Simulation, bodies: Bodies) -> tuple[Slider, ...]:
@@ -44,12 +48,25 @@ def sliders(simulation: Simulation, bodies: Bodies) -> tuple[Slider, ...]:
             parameter=parameter, element=element, kind=kind, value=value, start=start
         )
 
+    leakage, oil = simulation.slots("internal_leakage"), simulation.slots("oil_temperature")
+    state, masses = simulation.data.plugin_state, simulation.model.body_mass
+    body = simulation.model.body(loaded).id
+    healthy, unloaded = state[leakage].copy(), float(masses[body])
+
+    def wear() -> float:
+        return float((state[leakage] / healthy).max())
+
+    def warmth() -> float:
+        return float(state[oil].mean())
+
+    def load() -> float:
+        return float(masses[body]) - unloaded
+
+    leak = change("internal_leakage", "*", "scale")
+    heat = change("oil_temperature", "*", "set")
+    mass = change(ADDED_MASS.name, loaded, "set")
     return (
-        Slider("seal_wear", "x leakage", 1.0, 50.0, 1.0, change("internal_leakage", "*", "scale")),
-        Slider(
-            "oil_temperature", "deg C", -10.0, 120.0, warm, change("oil_temperature", "*", "set")
-        ),
-        Slider(
-            "payload", f"kg on {loaded}", 0.0, 30.0, 0.0, change(ADDED_MASS.name, loaded, "set")
-        ),
+        Slider("seal_wear", "seal leak x", "x leakage", 1.0, 50.0, 1.0, leak, wear),
+        Slider("oil_temperature", "oil degC", "deg C", -10.0, 120.0, warm, heat, warmth),
+        Slider("payload", "payload kg", f"kg on {loaded}", 0.0, 30.0, 0.0, mass, load),
     )

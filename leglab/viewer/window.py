@@ -1,12 +1,9 @@
 """MuJoCo's interactive viewer around a session, in real time."""
 
-import os
 import queue
-import threading
 import time
-import warnings
 
-from leglab.base.errors import LeglabError
+from leglab.machine.display import LiveWindow, check_display
 from leglab.viewer.display import Display
 from leglab.viewer.session import Session
 
@@ -16,7 +13,7 @@ keys       Space      pause, go on
            Backspace  start again
            Home       ghost of the reference on or off
            Tab        options of MuJoCo's viewer
-sliders    click "Control" on the right: seal_wear, oil_temperature, payload
+sliders    click "Control" on the right: seal leak, oil temperature, payload
 mouse      double-click a body, then Ctrl + right button pushes it
 close the window to end"""
 
@@ -26,8 +23,11 @@ _FRAME = 1.0 / 60.0
 # Bounds of the time that a frame may spend on the machine [s], as long as the frame before it;
 # what the machine lacks then is not caught up.
 _BUDGET = (0.25, 1.0)
-# How long the window's thread may take to end [s].
-_FAREWELL = 10.0
+
+
+def check_window() -> None:
+    """Raises `LeglabError` where the viewer can open no window."""
+    check_display("the viewer", "leglab run, then leglab video")
 
 
 class Window:
@@ -46,23 +46,20 @@ class Window:
     """
 
     def __init__(self, session: Session, model: str) -> None:
-        check_display()
-        import mujoco.viewer
-
+        check_window()
         self._session = session
         self.display = Display(session, model)
         self._keys: queue.SimpleQueue[int] = queue.SimpleQueue()
         self._paused, self._ghost = False, True
-        threads = set(threading.enumerate())
         # The callback comes from the window's thread.
-        self.handle = mujoco.viewer.launch_passive(
-            self.display.model, self.display.data, key_callback=self._keys.put, show_left_ui=False
+        self._window = LiveWindow(
+            self.display.model,
+            self.display.data,
+            camera="three_quarter",
+            key_callback=self._keys.put,
+            show_left_ui=False,
         )
-        self._threads = set(threading.enumerate()) - threads
-        camera = mujoco.mj_name2id(self.display.model, mujoco.mjtObj.mjOBJ_CAMERA, "three_quarter")
-        if camera >= 0:
-            self.handle.cam.type = mujoco.mjtCamera.mjCAMERA_FIXED
-            self.handle.cam.fixedcamid = camera
+        self.handle = self._window.handle
 
     def run(self, duration: float | None = None) -> None:
         """Shows the session in real time until the window is closed.
@@ -91,7 +88,7 @@ class Window:
         with handle.lock():
             self.display.show()
             if self._ghost:
-                self.display.draw_ghost(handle.user_scn)
+                self.display.draw_ghost(handle.user_scn, self.display.eye(handle.cam))
             else:
                 handle.user_scn.ngeom = 0
         handle.set_texts((None, None, *self.display.texts(paused=self._paused)))
@@ -104,10 +101,7 @@ class Window:
 
     def close(self) -> None:
         """Closes the window."""
-        self.handle.close()
-        # A process that ends while this thread still draws gets an error from the X server.
-        for thread in self._threads:
-            thread.join(_FAREWELL)
+        self._window.close()
         self._session.close()
 
     def _use_keys(self) -> None:
@@ -126,29 +120,3 @@ class Window:
         self._session.restart()
         self.display.reset_sliders()
         self.display.show()
-
-
-def check_display() -> None:
-    """Raises where no window can be opened.
-
-    MuJoCo's viewer opens its window in a thread of its own and would wait there for ever.
-
-    Raises:
-        LeglabError: Names DISPLAY and the way without a window.
-    """
-    without = "without a display: leglab run, then leglab video"
-    where = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    if not where:
-        raise LeglabError(f"the viewer needs a display, but DISPLAY is not set; {without}")
-    import glfw
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        window = None
-        if glfw.init():
-            glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
-            window = glfw.create_window(16, 16, "leglab", None, None)
-            glfw.default_window_hints()
-    if not window:
-        raise LeglabError(f"the viewer cannot open a window on DISPLAY={where}; {without}")
-    glfw.destroy_window(window)

@@ -8,6 +8,7 @@ from typing import ClassVar, Literal, TypeVar
 import mujoco
 import numpy as np
 
+from leglab.base import plugins
 from leglab.base.errors import LeglabError
 from leglab.diagnosis.model import Change, ForceLeft, Machine, Measured, Variant
 
@@ -146,6 +147,7 @@ def latest_only(function: Callable[[Measured, Variant], T]) -> Callable[[Measure
 
 
 _REGISTRY: dict[tuple[str, str], Effect] = {}
+_plugins_loaded = False
 
 
 def register_effect(effect: type[Effect]) -> type[Effect]:
@@ -157,10 +159,15 @@ def register_effect(effect: type[Effect]) -> type[Effect]:
     for attribute in ("name", "group", "physics", "source", "excitation"):
         if not getattr(effect, attribute, ""):
             raise LeglabError(f"effect class {effect.__qualname__} has no {attribute!r}")
+    plugins.note(effect.__module__)
     _REGISTRY[effect.name, effect.__qualname__] = effect()
     return effect
 
 
 def all_effects() -> tuple[Effect, ...]:
     """All effects, ordered by name."""
+    global _plugins_loaded
+    if not _plugins_loaded:
+        _plugins_loaded = True
+        plugins.load_entry_points("effects", lambda name: any(n == name for n, _ in _REGISTRY))
     return tuple(effect for _, effect in sorted(_REGISTRY.items()))

@@ -12,7 +12,7 @@ from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.report.film.look import TIMES
 from leglab.report.page.outcome import t90
-from leglab.report.page.wording import readable
+from leglab.report.page.wording import readable, shown_unit
 from leglab.runs import metrics, record
 
 # A run counts as stopped early where it lacks more than this [s].
@@ -211,12 +211,9 @@ def _filled(values: np.ndarray) -> np.ndarray:
 def _changes(
     changes: Sequence[record.ChangeRecord], recording: Recording
 ) -> tuple[ShownChange, ...]:
-    from leglab.machine.parameters import plugin_tables
+    from leglab.machine.changes import parameter_units
 
-    units = {"added_mass": "kg", "encoder_offset": "rad"}
-    for table in plugin_tables().values():
-        for name, entry in table.parameters.items():
-            units.setdefault(name, {"1": "", "degC": "°C"}.get(entry.unit, entry.unit))
+    units = {name: shown_unit(unit) for name, unit in parameter_units().items()}
     told: dict[tuple[float, str], ShownChange] = {}
     for change in changes:
         name, start = change.parameter, change.start

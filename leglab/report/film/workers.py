@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any, NoReturn
 
+from leglab.base import plugins
 from leglab.base.errors import LeglabError
 
 _AHEAD = 6  # frames that a process may be ahead of the film
@@ -57,7 +58,8 @@ def draw_frames(
     """
     # One thread a process: the processes are the parallelism, and few cores do not thrash.
     quiet = {"OMP_NUM_THREADS": "1", "LP_NUM_THREADS": "0", **os.environ, "MUJOCO_GL": backend}
-    workers = [_Worker({**job, "first": i, "step": count}, quiet, frame_size) for i in range(count)]
+    job = {**job, "plugins": plugins.carried(), "step": count}
+    workers = [_Worker({**job, "first": i}, quiet, frame_size) for i in range(count)]
     try:
         for i in range(job["frames"]):
             yield workers[i % count].next_frame()
@@ -145,6 +147,7 @@ def _draw(job: dict[str, Any]) -> None:
     frames = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     _open_gl()
+    plugins.carry(job["plugins"])
     from leglab.report.film.picture import Picture
 
     span = (job["start"], job["last"])

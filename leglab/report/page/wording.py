@@ -22,6 +22,11 @@ def shortened(name: str, most: int) -> str:
     return f"{name[: most // 2]}\u2026{name[len(name) - (most - most // 2 - 1) :]}"
 
 
+def shown_unit(unit: str) -> str:
+    """A unit as one reads it; empty for "1"."""
+    return {"1": "", "degC": "\u00b0C"}.get(unit, unit)
+
+
 def capital(text: str) -> str:
     """The text with its first letter capital, the others as they are."""
     return f"{text[:1].upper()}{text[1:]}"

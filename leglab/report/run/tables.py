@@ -63,7 +63,8 @@ def run_table(runs: Sequence[ReportedRun]) -> Table:
     last = runs[0].last.name
     head = ["run", *[f"before, {span} [mrad]"] * changed, f"{last} [mrad]", f"last {span} [mrad]"]
     head += ["peak [mrad]", *["damage [mrad]", "undone [%]", "90 % undone [s]"] * changed]
-    head += ["RMS command", "energy [J]", "came to [s]"]
+    # All three over the same phase.
+    head += [f"RMS command, {last}", f"energy, {last} [J]", f"power, {last} [W]", "came to [s]"]
     rows = []
     for run in runs:
         found = run.metrics.adaptation
@@ -72,8 +73,8 @@ def run_table(runs: Sequence[ReportedRun]) -> Table:
         if changed:
             row += _damage(run)
         row.append(number(run.last.effort["all"]) if "all" in run.last.effort else _NONE)
-        energies = [p.energy_j["all"] for p in run.metrics.phases if "all" in p.energy_j]
-        row.append(number(sum(energies)) if energies else _NONE)
+        row.append(number(run.last.energy_j["all"]) if "all" in run.last.energy_j else _NONE)
+        row.append(_NONE if run.power is None else number(run.power))
         row.append(f"{run.metrics.duration:g} of {run.planned:g}")
         rows.append(row)
     return Table(caption="RMS tracking error of all joints and its costs", head=head, rows=rows)
@@ -105,7 +106,7 @@ def joint_tables(runs: Sequence[ReportedRun]) -> tuple[Table, ...]:
 def setting_tables(runs: Sequence[ReportedRun]) -> tuple[Table, ...]:
     """Settings, what changed and versions, a column a run."""
     labels = [run.label for run in runs]
-    settings = [_flat(run.configuration.settings) for run in runs]
+    settings = [_flat(run.configuration.settings, _units(run)) for run in runs]
     for run, found in zip(runs, settings, strict=True):
         found["folder"] = run.folder.name
         found["stride, window of the moving error [s]"] = f"{run.configuration.window:g}"
@@ -139,14 +140,44 @@ def _side_by_side(columns: Sequence[dict[str, str]]) -> list[list[str]]:
     return [[readable(name), *(column.get(name, _NONE) for column in columns)] for name in names]
 
 
-def _flat(settings: dict, prefix: str = "") -> dict[str, str]:
+def _units(run: ReportedRun) -> dict[str, str]:
+    """Units of the settings by their name, those of a part after its name and a colon."""
+    import leglab.controllers
+    import leglab.scenarios  # noqa: F401  registers the scenarios
+    from leglab.base.scenario import scenario_names, scenario_severity
+    from leglab.base.settings import documented_units
+    from leglab.control.contract import CONTROLLERS
+    from leglab.machine.sensors import SensorConfiguration
+    from leglab.references.base import REFERENCES
+    from leglab.runs.preparation import RunSettings
+
+    parts = {"": RunSettings, "sensors: ": SensorConfiguration}
+    controller, reference = run.metrics.controller, run.setting("reference")
+    if controller in CONTROLLERS.names():
+        parts["controller_config: "] = CONTROLLERS.get(controller).configuration
+    if reference in REFERENCES.names():
+        parts["reference_config: "] = REFERENCES.get(reference).configuration
+    units = {
+        f"{prefix}{name}": f"[{unit}]"
+        for prefix, owner in parts.items()
+        for name, unit in documented_units(owner).items()
+    }
+    if run.metrics.scenario in scenario_names():
+        severity = scenario_severity(run.metrics.scenario)
+        units["severity"] = f"({severity.meaning})" if severity else ""
+    return units
+
+
+def _flat(settings: dict, units: dict[str, str], prefix: str = "") -> dict[str, str]:
     found = {}
-    for name, value in settings.items():
-        if name in _HIDDEN:
+    for key, value in settings.items():
+        if key in _HIDDEN:
             continue
         if isinstance(value, dict):
-            found.update(_flat(value, f"{prefix}{name}: "))
-        elif isinstance(value, float):
+            found.update(_flat(value, units, f"{prefix}{key}: "))
+            continue
+        name = f"{key} {units.get(prefix + key, '')}".rstrip()
+        if isinstance(value, float):
             found[f"{prefix}{name}"] = f"{value:g}"
         else:
             found[f"{prefix}{name}"] = value if isinstance(value, str) else json.dumps(value)
@@ -164,4 +195,4 @@ def _damage(run: ReportedRun) -> list[str]:
     if found.recovered is None:
         return [damage, _NONE, _NONE]
     undone = "never" if found.t90_s is None else f"{found.t90_s:.2f}"
-    return [damage, f"{100 * found.recovered:.0f}", undone]
+    return [damage, f"{round(100 * found.recovered)}", undone]

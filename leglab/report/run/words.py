@@ -6,9 +6,10 @@ from operator import attrgetter
 
 import numpy as np
 
-from leglab.report.page.outcome import NOTHING, mrad, sentence, share
+from leglab.machine.changes import parameter_units
+from leglab.report.page.outcome import mrad, sentence, share
 from leglab.report.page.shell import Section
-from leglab.report.page.wording import capital, listed, number, readable
+from leglab.report.page.wording import capital, listed, number, readable, shown_unit
 from leglab.runs.folder import ReportedRun
 from leglab.runs.record import ChangeRecord as Change
 
@@ -32,20 +33,12 @@ _ALIKE = 0.05
 _TIMES = "\u00d7"
 # More rivals than this make no headline.
 _MOST_TOLD = 3
+# From this ratio on, it says more than a difference in percent.
+_CLEARLY = 1.5
+# Controllers that know what no real one can.
+_BOUNDS = ("oracle", "exact_inverse")
 # Below this share of the time, a fallback or a saturated valve is not worth a sentence.
 _RARE = 0.001
-
-
-def relative(value: float, base: float) -> str:
-    """A change against a base: "38 % less", "2.5 times as much"."""
-    if not base > 0:
-        return "no ratio"
-    ratio = value / base
-    if abs(ratio - 1.0) < 0.005:
-        return "the same"
-    if ratio >= 2.0:
-        return f"{number(ratio)} times as much"
-    return f"{number(100.0 * abs(ratio - 1.0), 2)} % {'more' if ratio > 1 else 'less'}"
 
 
 def title(runs: Sequence[ReportedRun]) -> str:
@@ -87,6 +80,7 @@ def sections(runs: Sequence[ReportedRun]) -> tuple[Section, ...]:
     happened = tuple(_happened(run) for run in runs)
     parts = (
         Section(title="What was tested", lines=_tested(runs)),
+        _controllers(runs),
         Section(title="What happened", lines=happened, names=names),
         Section(title="Verdict", lines=_verdict(runs)),
         Section(title="What this does not show", lines=_limits(runs)),
@@ -102,8 +96,10 @@ def different(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
 def change_words(change: Change) -> str:
     """One change, for instance "internal leakage of all elements = 2" or with a factor."""
     where = "all elements" if change.element == "*" else change.element
-    sign = _TIMES if change.kind == "scale" else "="
-    return f"{readable(change.parameter)} of {where} {sign} {change.value:g}"
+    if change.kind == "scale":
+        return f"{readable(change.parameter)} of {where} {_TIMES} {change.value:g}"
+    unit = shown_unit(parameter_units().get(change.parameter, ""))
+    return f"{readable(change.parameter)} of {where} = {change.value:g} {unit}".rstrip()
 
 
 def _single(run: ReportedRun) -> str:
@@ -134,6 +130,20 @@ def _tested(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
         f"reference {run.setting('reference')}, {run.planned:g} s, seed {run.metrics.seed}."
     )
     return (text, *(_change(change) for change in run.configuration.changes))
+
+
+def _controllers(runs: Sequence[ReportedRun]) -> Section:
+    """What each controller does; nothing of one that is not installed here."""
+    import leglab.controllers  # noqa: F401  registers the controllers
+    from leglab.control import controller_names, controller_summary
+
+    used = dict.fromkeys(run.metrics.controller for run in runs)
+    names = tuple(name for name in used if name in controller_names())
+    return Section(
+        title="The controllers",
+        lines=tuple(f"{capital(controller_summary(name))}." for name in names),
+        names=tuple(f"{name}:" for name in names),
+    )
 
 
 def _change(change: Change) -> str:
@@ -171,14 +181,15 @@ def _happened(run: ReportedRun) -> str:
     saturated = _saturation(run)
     if saturated > _RARE:
         parts.append(f"A valve was at its limit {number(100 * saturated, 2)} % of the time.")
-    energy, seconds = last.energy_j.get("all"), min(last.end, run.metrics.duration) - last.start
-    if energy is not None and seconds > 0:
-        parts.append(f"Hydraulic power drawn: {number(energy / seconds)} W.")
+    if run.power is not None:
+        span = f"{number(last.end - last.start)} s" + " after the change" * (run.before is not None)
+        energy = number(last.energy_j["all"])
+        parts.append(f"The supply gave {energy} J in the {span}, {number(run.power)} W on average.")
     return " ".join(parts)
 
 
 def _fallback(run: ReportedRun) -> list[str]:
-    """Tells which share of the time the nominal map stood in for the adapted, by phase."""
+    """Tells which share of the time the calibrated map stood in for the adapted, by phase."""
     if not all(f"{joint}_fallback" in run.recording for joint in run.joints):
         return []
     values = run.recording.stack(run.joints, "fallback")
@@ -197,39 +208,61 @@ def _fallback(run: ReportedRun) -> list[str]:
                 text += f" (most at {worst}: {100 * max(shares):.0f} %)"
             told.append(text)
     if not told:
-        return ["It never fell back to the static feed-forward."]
-    return [f"It fell back to the static feed-forward {listed(tuple(told))}."]
+        return ["What it had learned was in use all the time."]
+    return [
+        "The calibrated valve map stood in for what it had learned "
+        f"{listed(tuple(told))}: it falls back where its own prediction is off."
+    ]
 
 
 def _verdict(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
-    if len(runs) < 2 or different(runs):
+    if different(runs):
         return ()
-    first, lines = runs[0], []
-    if not first.metrics.completed:
-        return (f"{first.label}, the first, stopped early: nothing is compared with it.",)
-    for run in runs[1:]:
-        if not run.metrics.completed:
-            lines.append(f"{run.label} stopped early, so it is not compared.")
-            continue
-        ratio = run.error / first.error if first.error > 0 else math.nan
-        if abs(ratio - 1.0) < _ALIKE:
-            word = "is about as good as"
-        else:
-            word = "tracks better than" if ratio < 1 else "tracks worse than"
-        text = (
-            f"{run.label} {word} {first.label}: {relative(run.error, first.error)} RMS "
-            f"error {run.judged_over}."
-        )
-        ours, theirs = run.metrics.adaptation, first.metrics.adaptation
-        if ours.recovered is not None and theirs.recovered is not None:
-            undone = (
-                f"Of what the change did it undoes {share(ours)}, {first.label} {share(theirs)}"
-            )
-            if share(ours) == share(theirs) == NOTHING:
-                undone = "Neither undoes anything of what the change did"
-            text += f" {undone}."
-        lines.append(text)
-    return tuple(lines)
+    whole = [run for run in runs if run.metrics.completed]
+    lines = [f"{run.label} stopped early: it is not judged." for run in runs if run not in whole]
+    lines += [_against(run, whole[0]) for run in whole[1:]]
+    lines += _won_back(whole)
+    return (*lines, *_choice(whole))
+
+
+def _against(run: ReportedRun, first: ReportedRun) -> str:
+    """How closely a run follows, beside the first one."""
+    ratio = first.error / run.error if run.error > 0 else math.inf
+    figures = f"{mrad(run.error)} against {mrad(first.error)} RMS error {run.judged_over}"
+    if abs(ratio - 1.0) < _ALIKE:
+        how = f"about as closely as {first.label}"
+    elif ratio >= _CLEARLY:
+        how = f"{number(ratio, 2)} times as closely as {first.label}"
+    else:
+        more = f"{number(100.0 * abs(ratio - 1.0), 2)} %" if ratio > 1 else ""
+        how = f"{f'{more} more' if ratio > 1 else 'less'} closely than {first.label}"
+    return f"{run.label} follows the reference {how}: {figures}."
+
+
+def _won_back(runs: Sequence[ReportedRun]) -> list[str]:
+    """How much of what the change costs each run wins back, those alike in one phrase."""
+    told: dict[str, list[str]] = {}
+    judged = [run for run in runs if run.metrics.adaptation.recovered is not None]
+    for run in sorted(judged, key=lambda run: -(run.metrics.adaptation.recovered or 0.0)):
+        told.setdefault(share(run.metrics.adaptation), []).append(run.label)
+    if not told:
+        return []
+    phrases = [
+        f"{listed(tuple(who))} {'win' if len(who) > 1 else 'wins'} back {much}"
+        for much, who in told.items()
+    ]
+    return [f"Of the accuracy that the change costs, {listed(tuple(phrases))}."]
+
+
+def _choice(runs: Sequence[ReportedRun]) -> list[str]:
+    """Which controller to take, where one is clearly better than all others."""
+    rivals = sorted(
+        (run for run in runs if run.metrics.controller not in _BOUNDS), key=attrgetter("error")
+    )
+    if len(rivals) < 2 or rivals[1].error <= (1 + _ALIKE) * rivals[0].error:
+        return []
+    change = " that changes like this" if rivals[0].before is not None else ""
+    return [f"Of these, {rivals[0].label} is the one for a machine{change}."]
 
 
 def _limits(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
@@ -239,8 +272,9 @@ def _limits(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
     ]
     if any(not run.metrics.completed for run in runs):
         lines.append("Figures of a run that stopped early cover another time than the others'.")
-    if any(run.label and run.metrics.controller == "oracle" for run in runs):
-        lines.append("oracle knows the changed machine beforehand: it is a bound, no rival.")
+    for name in _BOUNDS:
+        if any(run.metrics.controller == name for run in runs):
+            lines.append(f"{name} knows the changed machine beforehand: it is a bound, no rival.")
     return tuple(lines)
 
 

@@ -1,6 +1,6 @@
 """Units of columns, for formats that can hold them and for summaries."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 # By the end of the name. A joint may hinge or slide: the name does not say.
@@ -12,10 +12,18 @@ _UNITS = {
     "pressure": "Pa",
     "reference": "rad or m",
     "position": "rad or m",
+    "truth": "rad or m",
     "velocity": "rad/s or m/s",
     "command": "1",
+    "feedforward": "1",
+    "feedback": "1",
+    "fallback": "1",
+    "spool": "1",
+    "seal_clearance": "1",
+    "energy_supply": "J",
     "effort": "N m or N",
 }
+_EITHER = " or "
 
 
 def unit_of(name: str, metadata: Mapping[str, Any]) -> str:
@@ -45,3 +53,22 @@ def usual_unit(name: str) -> str:
     if name == "time":
         return "s"
     return next((unit for end, unit in _UNITS.items() if f"_{name}".endswith(f"_{end}")), "")
+
+
+def units_of_columns(columns: Iterable[str], slides: Mapping[str, bool]) -> dict[str, str]:
+    """Returns the units that are known, by column, for a machine whose joints are known.
+
+    Args:
+        columns: Names.
+        slides: By joint, whether it slides; the others hinge.
+    """
+    units = {}
+    for column in columns:
+        unit = usual_unit(column)
+        owners = [joint for joint in slides if column.startswith(f"{joint}_")]
+        if _EITHER in unit and owners:
+            hinge, slide = unit.split(_EITHER)
+            unit = slide if slides[max(owners, key=len)] else hinge
+        if unit:
+            units[column] = unit
+    return units

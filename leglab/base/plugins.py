@@ -1,0 +1,237 @@
+"""Code of others: entry points of installed packages, and files and modules that a user names.
+
+A package offers what it defines by entry points in the groups `leglab.controllers`,
+`leglab.scenarios`, `leglab.references`, `leglab.effects` and `leglab.models`, each called like what
+it defines. They are imported when a name of their kind is first looked up. `load` imports a file
+or module at once. Processes that work for this one get the same by `carried` and `carry`.
+"""
+
+import functools
+import hashlib
+import importlib
+import importlib.metadata
+import importlib.util
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from types import ModuleType
+from typing import Any, TypedDict
+
+from leglab.base.errors import LeglabError
+
+KINDS = ("controllers", "scenarios", "references", "effects", "models")
+
+# What was loaded or has registered something, in this order: absolute paths of files, and modules,
+# with whether the user named it.
+_sources: dict[str, bool] = {}
+# Why an entry point could not be loaded, by kind and name.
+_failures: dict[tuple[str, str], str] = {}
+# Files whose content may decide a result.
+_files: set[Path] = set()
+# Code that is being imported here brings what it registers along by itself.
+_importing = 0
+_SUFFIXES = (".py", ".xml", ".toml")
+
+
+class Carried(TypedDict):
+    """What a process needs to know the same names: plain types, which JSON can hold."""
+
+    path: list[str]
+    sources: dict[str, bool]
+
+
+@functools.cache
+def entry_points(kind: str) -> dict[str, importlib.metadata.EntryPoint]:
+    """Entry points of a kind by name, without importing them.
+
+    Args:
+        kind: One of `KINDS`.
+    """
+    found = _all_entry_points().select(group=f"leglab.{kind}")
+    return {entry.name: entry for entry in sorted(found, key=lambda entry: entry.name)}
+
+
+@functools.cache
+def _all_entry_points() -> Any:
+    """Those of all groups: looking into every installed package takes 20 ms."""
+    return importlib.metadata.entry_points()
+
+
+def load_entry_points(
+    kind: str, known: Callable[[str], bool], register: Callable[[str, Any], None] | None = None
+) -> None:
+    """Imports all entry points of a kind; one that fails is passed over and told by `failures`.
+
+    Args:
+        kind: One of `KINDS`.
+        known: Whether a name is registered.
+        register: Registers what an entry point refers to under its name, unless importing it did.
+    """
+    for name, entry in entry_points(kind).items():
+        owner = "" if entry.dist is None else f" of package {entry.dist.name!r}"
+        where = f"plug-in {name!r}{owner} ({entry.value})"
+        try:
+            with _Importing():
+                found = entry.load()
+            if register is not None and not known(name):
+                register(name, found)
+            if not known(name):
+                raise LeglabError(f"it registers nothing called {name!r} among the {kind}")
+        except Exception as error:
+            _failures[kind, name] = f"{where} cannot be loaded: {_line(error)}"
+        else:
+            module = sys.modules.get(entry.module)
+            if module is not None:
+                _files.update(_package_files(module))
+
+
+def failures(kind: str | None = None) -> tuple[str, ...]:
+    """Why entry points could not be loaded, a line each; of all kinds without one."""
+    return tuple(text for (of, _), text in _failures.items() if kind in (None, of))
+
+
+def load(source: str) -> None:
+    """Imports a Python file or a module, so that what it registers is known.
+
+    Args:
+        source: Path of a `.py` file, or name of a module. The folder of a file is added to the end
+            of `sys.path`, so that it can import its neighbours.
+
+    Raises:
+        LeglabError: There is no such file or module, or importing it fails.
+    """
+    path = Path(source)
+    is_file = path.suffix == ".py" or path.is_file()
+    if is_file and not path.is_file():
+        raise LeglabError(f"--load {source}: there is no such file")
+    try:
+        with _Importing():
+            module = _import_file(path.resolve()) if is_file else importlib.import_module(source)
+    except LeglabError as error:
+        raise LeglabError(f"--load {source}: {error}") from error
+    except ModuleNotFoundError as error:
+        if error.name == source:
+            raise LeglabError(
+                f"--load {source}: there is no module of this name, nor a file"
+            ) from error
+        raise LeglabError(f"--load {source}: {_line(error)}") from error
+    except Exception as error:
+        raise LeglabError(f"--load {source}: {_line(error)}") from error
+    _sources[str(path.resolve()) if is_file else source] = True
+    _files.update(_package_files(module))
+
+
+def note(module_name: str) -> None:
+    """Notes that a module has registered something; those of leglab itself go without saying."""
+    if _importing or module_name.partition(".")[0] == "leglab":
+        return
+    module = sys.modules.get(module_name)
+    file = getattr(module, "__file__", None)
+    if module is None or file is None or not Path(file).is_file():
+        return  # a notebook or a prompt: no other process can import it
+    # What runs as a script is no module that could be imported.
+    _sources.setdefault(
+        str(Path(file).resolve()) if module_name == "__main__" else module_name, False
+    )
+    _files.update(_package_files(module))
+
+
+def carried() -> Carried:
+    """Returns what another process gives to `carry`."""
+    return {"path": list(sys.path), "sources": dict(_sources)}
+
+
+def carry(luggage: Carried) -> None:
+    """Loads what another process has loaded.
+
+    Raises:
+        LeglabError: As `load`, of what the user named.
+    """
+    sys.path.extend(place for place in luggage["path"] if place not in sys.path)
+    for source, named in luggage["sources"].items():
+        if source in _sources:
+            continue
+        try:
+            load(source)
+        except LeglabError:
+            # What merely happened to register something may have nothing to do with the work.
+            if named:
+                raise
+
+
+def code_digest() -> str:
+    """Digest of the files of all that is loaded; what these import from elsewhere is not in it."""
+    digest = hashlib.sha256()
+    for file in sorted(_files):
+        digest.update(file.read_bytes())
+    return digest.hexdigest() if _files else ""
+
+
+class _Importing:
+    def __enter__(self) -> None:
+        global _importing
+        _importing += 1
+
+    def __exit__(self, *_: object) -> None:
+        global _importing
+        _importing -= 1
+
+
+def _import_file(path: Path) -> ModuleType:
+    """Imports a file under its own name, or under another one where that is taken."""
+    if str(path.parent) not in sys.path:
+        sys.path.append(str(path.parent))
+    name = path.stem
+    present: Any = sys.modules.get(name)
+    if present is None and name.isidentifier():
+        present = importlib.util.find_spec(name)
+    if not _is_file(present, path):
+        name = f"leglab_loaded_{hashlib.sha256(str(path).encode()).hexdigest()[:12]}"
+    if name in sys.modules:
+        return sys.modules[name]
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise LeglabError("it is no Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module
+
+
+def _is_file(module: Any, path: Path) -> bool:
+    """Whether a module, or the specification of one, is this file."""
+    file = getattr(module, "__file__", None) or getattr(module, "origin", None)
+    return file is not None and Path(file).resolve() == path
+
+
+def _package_files(module: ModuleType) -> Iterable[Path]:
+    """The file of a module; all code and data of its package where it belongs to one."""
+    file = getattr(module, "__file__", None)
+    if file is None:
+        return
+    path = Path(file).resolve()
+    top = path.parent
+    if not (top / "__init__.py").exists():
+        yield path
+        return
+    while (top.parent / "__init__.py").exists():
+        top = top.parent
+    yield from (found for found in top.rglob("*") if found.suffix in _SUFFIXES)
+
+
+def _line(error: BaseException) -> str:
+    """An error in one line, with the place in the user's code where it can be told."""
+    text = " ".join(str(error).split())
+    if isinstance(error, LeglabError):
+        return text
+    trace, place = error.__traceback__, ""
+    while trace is not None:
+        file = trace.tb_frame.f_code.co_filename
+        if "importlib" not in file and file != __file__:
+            place = f" ({Path(file).name}, line {trace.tb_lineno})"
+        trace = trace.tb_next
+    return f"{type(error).__name__}: {text}{place}"

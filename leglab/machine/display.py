@@ -1,0 +1,76 @@
+"""MuJoCo's window: whether one can be opened, and how it is closed for good."""
+
+import os
+import threading
+import warnings
+from typing import Any
+
+from leglab.base.errors import LeglabError
+
+
+def check_display(what: str, without: str) -> None:
+    """Raises where no window can be opened.
+
+    MuJoCo's viewer opens its window in a thread of its own and would wait there for ever.
+
+    Args:
+        what: What needs the window, for the message.
+        without: The way without one, for the message.
+
+    Raises:
+        LeglabError: Names DISPLAY and the way without a window.
+    """
+    where = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if not where:
+        raise LeglabError(
+            f"{what} needs a display, but DISPLAY is not set; without a display: {without}"
+        )
+    import glfw
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        window = None
+        if glfw.init():
+            glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
+            window = glfw.create_window(16, 16, "leglab", None, None)
+            glfw.default_window_hints()
+    if not window:
+        raise LeglabError(
+            f"{what} cannot open a window on DISPLAY={where}; without a display: {without}"
+        )
+    glfw.destroy_window(window)
+
+
+class LiveWindow:
+    """MuJoCo's viewer in a thread of its own.
+
+    Args:
+        model: `mujoco.MjModel` to be shown.
+        data: Its `mujoco.MjData`.
+        camera: Name of the camera; the free one where the model has none of this name.
+        options: As of `mujoco.viewer.launch_passive`.
+
+    Attributes:
+        handle: MuJoCo's handle of the window.
+    """
+
+    # How long the window's thread may take to end [s].
+    _FAREWELL = 10.0
+
+    def __init__(self, model: Any, data: Any, *, camera: str, **options: Any) -> None:
+        import mujoco.viewer
+
+        threads = set(threading.enumerate())
+        self.handle = mujoco.viewer.launch_passive(model, data, **options)
+        self._threads = set(threading.enumerate()) - threads
+        number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, camera)
+        if number >= 0:
+            self.handle.cam.type = mujoco.mjtCamera.mjCAMERA_FIXED
+            self.handle.cam.fixedcamid = number
+
+    def close(self) -> None:
+        """Closes the window and waits for its thread."""
+        self.handle.close()
+        # A process that ends while this thread still draws gets an error from the X server.
+        for thread in self._threads:
+            thread.join(self._FAREWELL)

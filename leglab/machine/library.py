@@ -1,0 +1,79 @@
+"""Models by name: those that ship with leglab, and those of plug-ins."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import leglab.models
+from leglab.base.errors import LeglabError
+from leglab.base.registry import Registry
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Model:
+    path: Path
+    summary: str
+
+
+MODELS: Registry[_Model] = Registry("model")
+
+
+def register_model(name: str, path: str | Path, *, summary: str | None = None) -> None:
+    """Registers an MJCF file under a name.
+
+    Args:
+        name: Name that users give.
+        path: Of the file.
+        summary: One line for listings; None for the first sentence of the file's first comment.
+
+    Raises:
+        LeglabError: There is no such file, or the name stands for another one.
+    """
+    path = Path(path).resolve()
+    if not path.is_file():
+        raise LeglabError(f"model {name!r}: there is no file {str(path)!r}")
+    entry = _Model(path=path, summary=_first_sentence(path) if summary is None else summary)
+    MODELS.add(name, entry, path)
+
+
+def model_names() -> tuple[str, ...]:
+    """Names of all models."""
+    return MODELS.names()
+
+
+def model_summary(name: str) -> str:
+    """The line that describes a model."""
+    return MODELS.get(name).summary
+
+
+def model_path(model: str | Path) -> Path:
+    """The file of a model.
+
+    Args:
+        model: A name from `model_names()` or the path of an MJCF file.
+
+    Raises:
+        LeglabError: There is no such model.
+    """
+    name, path = str(model), Path(model)
+    if name in MODELS.names():
+        return MODELS.get(name).path
+    if path.is_file():
+        return path
+    if path.suffix == ".xml":
+        raise LeglabError(f"model file {name!r} does not exist")
+    return MODELS.get(name).path  # raises, and lists the names
+
+
+def _first_sentence(path: Path) -> str:
+    text = path.read_text(encoding="utf-8", errors="replace")
+    comment = " ".join(text.partition("<!--")[2].partition("-->")[0].split())
+    return comment.partition(". ")[0].rstrip(".")
+
+
+def _register_shipped() -> None:
+    for path in sorted(Path(leglab.models.__path__[0]).glob("*.xml")):
+        register_model(path.stem, path)
+
+
+MODELS.add_loader(_register_shipped)
+MODELS.add_plugins(register_model)

@@ -1,0 +1,31 @@
+"""Plots of a run for notebooks."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from leglab.base.notebook import panels
+from leglab.base.recording import Recording
+from leglab.runs.record import ChangeRecord
+
+
+def draw(recording: Recording, changes: Sequence[ChangeRecord]) -> list[Any]:
+    """Draws true tracking error [mrad] and command of every joint; changes are dashed lines.
+
+    Returns:
+        The axes, below each other, of a new figure of `matplotlib.pyplot`.
+    """
+    axes = panels(2)
+    for joint in recording.tracked:
+        position = f"{joint}_truth" if f"{joint}_truth" in recording else f"{joint}_position"
+        error = 1e3 * (recording[position] - recording[f"{joint}_reference"])
+        axes[0].plot(recording.time, error, label=joint, linewidth=0.8)
+    for actuator in recording.actuators:
+        command = recording[f"{actuator}_command"]
+        axes[1].plot(recording.time, command, label=actuator, linewidth=0.8)
+    for axis, label in zip(axes, ("tracking error [mrad]", "command"), strict=True):
+        axis.set_ylabel(label)
+        axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize="small")
+        for start in sorted({change.start for change in changes if change.start > 0}):
+            axis.axvline(start, color="0.4", linestyle="--", linewidth=0.8)
+    axes[-1].set_xlabel("time [s]")
+    return axes
