@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from leglab.base.errors import LeglabError
+from leglab.base.output import check_apart, check_folder, new_folder
 from leglab.cli.options import Columns, HeldOut, Json, Overwrite
 from leglab.cli.terminal import output, print_json, progress
 
@@ -77,9 +78,9 @@ def diagnose(
     from leglab.diagnosis.workflow import DiagnosisSettings
     from leglab.report.diagnosis.page import write_page
     from leglab.report.diagnosis.words import facts, headline, smaller_words
-    from leglab.runs.folder import check_folder
 
     check_folder(out, overwrite=overwrite, mark="diagnosis.json")
+    check_apart(out, [Path(model), *recordings, *(healthy or [])])
     named = read_recordings(recordings, columns)
     named, held = split_held_out(model, named, held_out or [])
     before = read_recordings(healthy, columns) if healthy else None
@@ -89,21 +90,21 @@ def diagnose(
             f"{min(both).name} is given as a recording and as --healthy; allowed: one of both"
         )
     settings = DiagnosisSettings(effects=tuple(effect) if effect else None, seed=seed)
-    with progress("diagnosis") as show:
-        result, found = run_diagnosis(
-            model,
-            named,
-            held_out=held,
-            healthy=before,
-            settings=settings,
-            progress=lambda line: show(description=line),
-        )
-        better = improved_model(found, result, lambda line: show(description=line))
-    out.mkdir(parents=True, exist_ok=True)
-    if better is not None:
-        result = result.with_model(better.write(out).name, better.learned)
-    results.write_diagnosis(result, out)
-    write_page(result, out, model=Path(model).stem)
+    with new_folder(out, mark="diagnosis.json", overwrite=overwrite) as partial:
+        with progress("diagnosis") as show:
+            result, found = run_diagnosis(
+                model,
+                named,
+                held_out=held,
+                healthy=before,
+                settings=settings,
+                progress=lambda line: show(description=line),
+            )
+            better = improved_model(found, result, lambda line: show(description=line))
+        if better is not None:
+            result = result.with_model(better.write(partial).name, better.learned)
+        results.write_diagnosis(result, partial)
+        write_page(result, partial, model=Path(model).stem)
     if as_json:
         print_json(result.to_json(), ascii_only=False)
         return

@@ -10,6 +10,7 @@ import typer
 from rich.markup import escape
 
 from leglab.base.errors import LeglabError
+from leglab.base.output import claimed_folder
 from leglab.cli.options import Camera, Jobs, Json, check_jobs
 from leglab.cli.terminal import errors, make_many, output, print_json, progress
 
@@ -66,7 +67,7 @@ def report(
     and report.mp4.
     """
     from leglab.report.run.page import check_out, write_report
-    from leglab.runs.folder import make_runs, read_runs
+    from leglab.runs.folder import check_runs, make_runs, read_runs
     from leglab.runs.preparation import RunSettings
 
     own = {
@@ -87,6 +88,7 @@ def report(
         place = out or (folders[0] if len(folders) == 1 else Path("out/report"))
         check_out(place, overwrite=overwrite)
         span = duration
+        check_runs(folders)
     else:
         if folders:
             raise LeglabError("report takes folders of runs or --scenario, not both")
@@ -106,24 +108,25 @@ def report(
         names = (controllers or "pd,static_feedforward").split(",")
         settings = [replace(common, controller=name.strip()) for name in names if name.strip()]
         make = partial(make_runs, settings, place / "runs", jobs=jobs, overwrite=overwrite)
-        folders = make_many("running", len(settings), make)
-    runs = read_runs(folders)
-    with progress("filming" if video else "writing", 1.0) as show:
+        made = partial(make_many, "running", len(settings), make)
+    with claimed_folder(place) as workplace:
+        runs = read_runs(made() if scenario else folders or ())
+        with progress("filming" if video else "writing", 1.0) as show:
 
-        def film(path: Path) -> Path:
-            from leglab.report.film import render_film
+            def film(path: Path) -> Path:
+                from leglab.report.film import render_film
 
-            return render_film(
-                [run.folder for run in runs],
-                path,
-                start=start,
-                duration=span,
-                camera=camera,
-                progress=lambda share: show(completed=share),
-            )
+                return render_film(
+                    [run.folder for run in runs],
+                    path,
+                    start=start,
+                    duration=span,
+                    camera=camera,
+                    progress=lambda share: show(completed=share),
+                )
 
-        filmer: Filmer | None = film if video else None
-        written = write_report(runs, place, filmer=filmer)
+            filmer: Filmer | None = film if video else None
+            written = write_report(runs, place, filmer=filmer, workplace=workplace)
     _tell(runs, written, as_json=as_json)
 
 

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from leglab.base.output import claimed_folder, new_folder, write_atomically
 from leglab.cli import options, terminal
 
 
@@ -25,7 +26,10 @@ def run(
     vary: options.Vary = False,
     out: Annotated[
         Path | None,
-        typer.Option(help="Output folder; default runs/SCENARIO-CONTROLLER-MODEL-SEED."),
+        typer.Option(
+            help="Output folder; default runs/SCENARIO-CONTROLLER-MODEL-SEED and what else is "
+            "not as by default."
+        ),
     ] = None,
     overwrite: options.Overwrite = False,
     figures: Annotated[bool, typer.Option(help="Draw plots.")] = True,
@@ -34,17 +38,20 @@ def run(
     """Runs a scenario headless and writes metrics, recording, configuration and plots."""
     from leglab.base.scenario import get_scenario
     from leglab.report.figures import draw_run
-    from leglab.runs.folder import check_folder, write_run
+    from leglab.runs.folder import default_folder, fill_folder
+    from leglab.runs.record import METRICS
     from leglab.runs.run import run_scenario
 
-    folder = out or Path("runs") / f"{scenario}-{controller}-{Path(model).stem}-{seed}"
     settings = options.settings_of(context)
-    check_folder(folder, overwrite=overwrite)
+    folder = out or default_folder(settings)
     length = get_scenario(scenario, duration=duration).duration
-    with terminal.progress(f"{scenario} · {controller}", length) as show:
+    with (
+        new_folder(folder, mark=METRICS, overwrite=overwrite) as partial,
+        terminal.progress(f"{scenario} · {controller}", length) as show,
+    ):
         result = run_scenario(settings, lambda now: show(completed=now))
         show(description="writing", completed=length)
-        write_run(result, folder, overwrite=overwrite, draw=draw_run if figures else None)
+        fill_folder(result, partial, draw=draw_run if figures else None)
     if as_json:
         terminal.print_json(result.metrics)
     else:
@@ -102,15 +109,17 @@ def compare(
     )
     runs = comparison.runs()
     make = partial(run_all, runs, out / "runs", jobs=jobs, overwrite=overwrite)
-    results = terminal.make_many("comparing", len(runs), make)
-    summary = summarise(comparison, results)
-    (out / "compare.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n")
-    if figures:
-        with terminal.progress("drawing"):
-            for name in comparison.scenarios:
-                shown = [r for r in results if r["metrics"]["scenario"] == name]
-                title = f"{name}, {Path(model).stem}, {seeds} seed{'s' * (seeds > 1)}"
-                save_comparison_figure(shown, out / f"{name}.png", title=title)
+    with claimed_folder(out):
+        results = terminal.make_many("comparing", len(runs), make)
+        summary = summarise(comparison, results)
+        text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
+        write_atomically(out / "compare.json", lambda stream: stream.write(text.encode()))
+        if figures:
+            with terminal.progress("drawing"):
+                for name in comparison.scenarios:
+                    shown = [r for r in results if r["metrics"]["scenario"] == name]
+                    title = f"{name}, {Path(model).stem}, {seeds} seed{'s' * (seeds > 1)}"
+                    save_comparison_figure(shown, out / f"{name}.png", title=title)
     if as_json:
         terminal.print_json(summary)
     else:

@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 
 from leglab.base.errors import LeglabError
+from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
-from leglab.data.files import first_line, read_bytes, refuse, write_atomically
+from leglab.data.files import first_line, read_bytes, refuse
 from leglab.data.matlab_check import checked
 from leglab.data.metadata import check_notes, from_json, to_json
 from leglab.data.units import own_units, unit_of, usual_unit

@@ -8,9 +8,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from leglab.base.errors import LeglabError
+from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
 from leglab.data.columns import to_arrays
-from leglab.data.files import write_atomically
 from leglab.data.metadata import to_json
 
 _METADATA_KEY = b"leglab"

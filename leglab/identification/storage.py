@@ -10,10 +10,11 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from leglab._native import identification as native
 from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.output import write_atomically
 from leglab.identification.bsnn_arx import BsnnArx
 from leglab.identification.checks import Settings
 from leglab.identification.front import Identifier
@@ -31,7 +32,6 @@ def save(identifier: Identifier, path: str | Path) -> None:
     Raises:
         LeglabError: The file cannot be written.
     """
-    path = Path(path)
     state = identifier._bank.state()
     header = {
         "model": type(identifier).__name__,
@@ -42,20 +42,15 @@ def save(identifier: Identifier, path: str | Path) -> None:
         "size": len(state),
         "sha256": hashlib.sha256(state).hexdigest(),
     }
-    part = path.with_name(f"{path.name}.{os.getpid()}.part")
-    try:
-        try:
-            with part.open("wb") as file:
-                file.write(MAGIC + b" %d\n" % VERSION)
-                file.write(json.dumps(header).encode() + b"\n")
-                file.write(state)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(part, path)
-        finally:
-            part.unlink(missing_ok=True)
-    except OSError as error:
-        raise LeglabError(f"cannot write {path}: {error.strerror}") from None
+
+    def write(stream: BinaryIO) -> None:
+        stream.write(MAGIC + b" %d\n" % VERSION)
+        stream.write(json.dumps(header).encode() + b"\n")
+        stream.write(state)
+        stream.flush()
+        os.fsync(stream.fileno())
+
+    write_atomically(path, write)
 
 
 def load(path: str | Path) -> Identifier:

@@ -13,7 +13,7 @@ from typing import Any, Literal
 from urllib.parse import quote
 
 from leglab.base.errors import LeglabError
-from leglab.data import write_atomically
+from leglab.base.output import write_atomically
 from leglab.report.page.outcome import outcome
 from leglab.report.page.shell import asset, render
 from leglab.runs.folder import read_metrics

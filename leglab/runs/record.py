@@ -7,6 +7,7 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BaseModel, Field, FiniteFloat, StringConstraints, ValidationError
 
 from leglab.base.errors import LeglabError
+from leglab.base.output import write_atomically
 
 METRICS, CONFIGURATION, RECORDING = "metrics.json", "run.json", "recording.parquet"
 RUN_FILES = (METRICS, CONFIGURATION, RECORDING)
@@ -154,8 +155,13 @@ def as_json(content: BaseModel) -> dict[str, Any]:
 
 
 def write(content: BaseModel, path: Path) -> None:
-    """Writes a content as JSON."""
-    path.write_text(json.dumps(as_json(content), indent=2, allow_nan=False) + "\n")
+    """Writes a content as JSON.
+
+    Raises:
+        LeglabError: The file cannot be written.
+    """
+    text = json.dumps(as_json(content), indent=2, allow_nan=False) + "\n"
+    write_atomically(path, lambda stream: stream.write(text.encode()))
 
 
 def read(model: type[_Content], path: Path) -> _Content:

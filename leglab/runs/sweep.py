@@ -18,7 +18,7 @@ import leglab.models
 import leglab.scenarios
 from leglab import __version__
 from leglab.base.errors import LeglabError
-from leglab.data import write_atomically
+from leglab.base.output import claimed_folder, write_atomically
 from leglab.machine.changes import check_tolerance
 from leglab.runs.metrics import sliding_rms
 from leglab.runs.parallel import Progress, make_missing
@@ -117,21 +117,19 @@ def run_all(
         until a first window is full; `travel_rad` of the reference, by joint.
 
     Raises:
-        LeglabError: A run cannot be set up, or the folder cannot be written to.
+        LeglabError: A run cannot be set up, the folder cannot be written to, or another process
+            writes to it.
         KeyboardInterrupt: The user interrupts; finished runs are kept.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise LeglabError(f"{folder}: cannot be written: {error.strerror}") from error
     code = fingerprint()
-    make_missing(
-        runs,
-        partial(_run_and_store, folder=folder, code=code),
-        is_made=lambda run: not overwrite and _stored(run, folder, code) is not None,
-        jobs=jobs,
-        progress=progress,
-    )
+    with claimed_folder(folder):
+        make_missing(
+            runs,
+            partial(_run_and_store, folder=folder, code=code),
+            is_made=lambda run: not overwrite and _stored(run, folder, code) is not None,
+            jobs=jobs,
+            progress=progress,
+        )
     results = [_stored(run, folder, code) for run in runs]
     return [result for result in results if result is not None]
 
