@@ -16,7 +16,7 @@ def to_json(metadata: Mapping[str, Any]) -> str:
     return json.dumps(dict(metadata), allow_nan=False, sort_keys=True)
 
 
-def from_json(text: str) -> Any:
+def from_json(text: str | bytes) -> Any:
     """Returns the value of a JSON text.
 
     Raises:
