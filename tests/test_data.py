@@ -274,9 +274,9 @@ def test_no_flipped_bit_of_a_parquet_file_is_read_as_other_numbers(tmp_path):
     [
         ("{", "Expecting property name"),
         ("[1]", "it holds list, allowed is an object"),
-        ('{"a": NaN}', "not JSON compliant"),
+        ('{"a": NaN}', "NaN is not a finite number"),
         ('{"repairs": 3}', "metadata 'repairs' is 3, allowed is a list"),
-        ("[" * 100_000, "recursion"),
+        ("[" * 100_000, "nested too deep"),
         (b"\xff\xfe\xff", "can't decode"),
     ],
 )

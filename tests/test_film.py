@@ -309,3 +309,12 @@ def test_a_place_that_cannot_be_written_to_is_said(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(LeglabError, match=r"cannot be written"):
         Encoder(tmp_path / "file" / "film.mp4", (320, 240), 30)
+
+
+def test_workers_do_not_run_code_of_the_working_folder(runs, tmp_path, monkeypatch):
+    for name in ("leglab", "mujoco", "numpy"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text("open('ran', 'w'); raise SystemExit('ran')")
+    monkeypatch.chdir(tmp_path)
+    render_film([runs["pd"]], tmp_path / "film.mp4", duration=0.1)
+    assert not (tmp_path / "ran").exists()

@@ -148,7 +148,7 @@ def test_headers_with_anything_in_them_get_one_line(tmp_path, name):
         (b"[" * 900 + b"]" * 900, "damaged in its header"),
         (b'{"joints": NaN}', "damaged in its header"),
         (b'{"model": "BsnnArx", "joints": Infinity}', "damaged in its header"),
-        (b'{"model": "BsnnArx", "joints": 1e400}', "joints is inf: must be an integer"),
+        (b'{"model": "BsnnArx", "joints": 1e400}', "damaged in its header"),
     ],
 )
 def test_headers_that_are_no_json_of_ours_get_one_line(tmp_path, text, reason):

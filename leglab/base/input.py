@@ -1,6 +1,7 @@
 """Input: regular files are read, with a clear error where they cannot be."""
 
 import json
+import math
 import os
 import stat
 from pathlib import Path
@@ -9,8 +10,8 @@ from typing import Any
 from leglab.base.errors import LeglabError
 
 
-def read_bytes(path: str | Path) -> bytes:
-    """Returns the content of a file.
+def read_bytes(path: str | Path, most: int = -1) -> bytes:
+    """Returns the content of a file, or the beginning of so many bytes.
 
     Raises:
         LeglabError: It cannot be read, or is no regular file: a pipe would be waited for.
@@ -21,7 +22,7 @@ def read_bytes(path: str | Path) -> bytes:
         with os.fdopen(handle, "rb") as stream:
             if not stat.S_ISREG(os.fstat(handle).st_mode):
                 raise LeglabError(f"{path}: cannot be read: it is no regular file")
-            return stream.read()
+            return stream.read(most)
     except OSError as error:
         raise LeglabError(f"{path}: cannot be read: {error.strerror or error}") from error
     except MemoryError as error:
@@ -32,7 +33,7 @@ def read_json(path: str | Path) -> Any:
     """Returns the content of a JSON file.
 
     Raises:
-        LeglabError: It cannot be read, is not JSON, nested too deep, or holds NaN or Infinity.
+        LeglabError: It cannot be read, is not JSON, nested too deep, or a number is not finite.
     """
     try:
         return parse_json(read_bytes(path))
@@ -46,14 +47,17 @@ def parse_json(text: str | bytes) -> Any:
     """Returns the value of a JSON text.
 
     Raises:
-        ValueError: It is not JSON, nested too deep, or holds NaN or Infinity, which Python's
+        ValueError: It is not JSON, nested too deep, or a number is not finite, which Python's own
             reader would take.
     """
     try:
-        return json.loads(text, parse_constant=_refuse)
+        return json.loads(text, parse_constant=_finite, parse_float=_finite)
     except RecursionError:
         raise ValueError("it is nested too deep") from None
 
 
-def _refuse(constant: str) -> None:
-    raise ValueError(f"{constant} is no number of JSON")
+def _finite(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"{text[:20]} is not a finite number")
+    return number

@@ -1,10 +1,13 @@
 """Conventions of all commands: examples, groups of options, completion, one-line errors."""
 
 import inspect
+import signal
 import sys
+import threading
 import traceback
 import typing
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import typer
@@ -161,7 +164,8 @@ def execute(app: typer.Typer, arguments: Sequence[str]) -> None:
     end = given.index("--") if "--" in given else len(given)
     kept = [a for a in given[:end] if a not in ("-v", "--verbose")]
     try:
-        status = app(args=spread(kept) + given[end:], prog_name="leglab", standalone_mode=False)
+        with _ends_cleanly():
+            status = app(args=spread(kept) + given[end:], prog_name="leglab", standalone_mode=False)
     except (LeglabError, _UsageError) as error:
         if len(kept) < end:
             traceback.print_exc()
@@ -171,6 +175,25 @@ def execute(app: typer.Typer, arguments: Sequence[str]) -> None:
         sys.exit(BAD_INPUT)
     if isinstance(status, int) and status:
         sys.exit(status)
+
+
+@contextmanager
+def _ends_cleanly() -> Iterator[None]:
+    """Has a signal that ends the process run what tidies up: workers end, partial output goes."""
+
+    def end(number: int, frame: object) -> None:
+        raise SystemExit(128 + number)
+
+    numbers = [n for n in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) == signal.SIG_DFL]
+    if threading.current_thread() is not threading.main_thread():
+        numbers = []
+    for number in numbers:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number in numbers:
+            signal.signal(number, signal.SIG_DFL)
 
 
 def spread(arguments: Sequence[str]) -> list[str]:

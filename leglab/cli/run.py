@@ -39,6 +39,7 @@ def run(
     from leglab.base.scenario import get_scenario
     from leglab.report.figures import draw_run
     from leglab.runs.folder import default_folder, fill_folder
+    from leglab.runs.interrupts import held
     from leglab.runs.record import METRICS
     from leglab.runs.run import run_scenario
 
@@ -46,18 +47,20 @@ def run(
     folder = out or default_folder(settings)
     length = get_scenario(scenario, duration=duration).duration
     with (
+        held(later=True) as hold,
         new_folder(folder, mark=METRICS, overwrite=overwrite) as partial,
         terminal.progress(f"{scenario} · {controller}", length) as show,
     ):
         result = run_scenario(settings, lambda now: show(completed=now))
         show(description="writing", completed=length)
         fill_folder(result, partial, draw=draw_run if figures else None)
+        late = hold.take()
     if as_json:
         terminal.print_json(result.metrics)
     else:
         terminal.output.print(terminal.metrics_table(result.metrics))
         terminal.output.print(f"written to {folder}")
-    failure = result.history.failure
+    failure = result.history.failure or ("interrupted when the run was over" if late else "")
     if failure:
         interrupted = failure.startswith("interrupted")
         terminal.errors.print(f"[red]error:[/red] {failure}; what was recorded is in {folder}")

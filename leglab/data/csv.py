@@ -7,10 +7,10 @@ import pyarrow as pa
 import pyarrow.csv as pc
 
 from leglab.base.errors import LeglabError
+from leglab.base.input import read_bytes
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
 from leglab.data.columns import to_arrays
-from leglab.data.files import read_bytes
 
 # Cells that stand for a missing sample; all other text is refused.
 _MISSING = ["", "nan", "NaN", "NAN", "null", "NULL", "NA", "n/a"]

@@ -1,20 +1,6 @@
-"""Files are read with a clear error."""
-
-from pathlib import Path
+"""What is said of a file that cannot be read."""
 
 from leglab.base.errors import LeglabError
-
-
-def read_bytes(path: Path) -> bytes:
-    """Returns the content of a file.
-
-    Raises:
-        LeglabError: It cannot be read.
-    """
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise LeglabError(f"{path}: cannot be read: {error.strerror}") from error
 
 
 def refuse(column: str, error: LeglabError, left_out: dict[str, str] | None) -> None:

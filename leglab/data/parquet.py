@@ -9,11 +9,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from leglab.base.errors import LeglabError
+from leglab.base.input import parse_json
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
 from leglab.data.columns import to_arrays
 from leglab.data.files import first_line
-from leglab.data.metadata import check_notes, from_json, to_json
+from leglab.data.metadata import check_notes, to_json
 
 _METADATA_KEY, _DIGEST_KEY = b"leglab", b"leglab.sha256"
 
@@ -66,11 +67,11 @@ def _metadata(path: Path, text: bytes | None) -> dict:
     if text is None:
         return {}
     try:
-        found = from_json(text)
+        found = parse_json(text)
         if not isinstance(found, dict):
             raise ValueError(f"it holds {type(found).__name__}, allowed is an object")
         check_notes(found)
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise LeglabError(f"{path}: metadata {_METADATA_KEY.decode()!r}: {error}") from error
     return found
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from leglab import data
 from leglab.base.errors import LeglabError
+from leglab.base.input import read_json
 from leglab.base.output import check_folder, claimed_folder, new_folder
 from leglab.base.recording import Recording
 from leglab.runs import record
@@ -317,8 +318,8 @@ def _is_made(settings: RunSettings, folder: Path, code: str) -> bool:
     if not all((folder / name).is_file() for name in RUN_FILES):
         return False
     try:
-        stored = json.loads((folder / CONFIGURATION).read_text())
-    except (OSError, ValueError):
+        stored = read_json(folder / CONFIGURATION)
+    except LeglabError:
         return False
     if not isinstance(stored, dict):
         return False

@@ -336,7 +336,13 @@ class Loop:
         """Reference positions [rad] so many periods after the present one, (periods, joints)."""
         return self._wanted.position[self.present.number - self._first + periods]
 
-    def run(self, progress: Progress | None = None, *, freeze: bool = False) -> "History":
+    def run(
+        self,
+        progress: Progress | None = None,
+        *,
+        freeze: bool = False,
+        interrupted: Callable[[], bool] = lambda: False,
+    ) -> "History":
         """Runs the scenario headless, from the present state to its end.
 
         It ends early, and keeps what was recorded, if the simulation blows up, the controller gives
@@ -345,6 +351,7 @@ class Loop:
         Args:
             progress: Called now and then with the simulated time [s].
             freeze: Whether the controller stops adapting just before the machine changes.
+            interrupted: Asked now and then whether to end.
 
         Raises:
             LeglabError: If not even one period could be recorded.
@@ -365,6 +372,8 @@ class Loop:
                     step()
                     if k % _CHECK_INTERVAL == 0:
                         simulation.check()
+                        if interrupted():
+                            raise KeyboardInterrupt
                         if progress:
                             progress(self.present.measurement.time)
             simulation.check()

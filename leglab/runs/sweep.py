@@ -18,6 +18,7 @@ import leglab.models
 import leglab.scenarios
 from leglab import __version__
 from leglab.base.errors import LeglabError
+from leglab.base.input import read_json
 from leglab.base.output import claimed_folder, write_atomically
 from leglab.machine.changes import check_tolerance
 from leglab.runs.metrics import sliding_rms
@@ -159,10 +160,14 @@ def _path(settings: RunSettings, folder: Path) -> Path:
 def _stored(settings: RunSettings, folder: Path, code: str) -> dict[str, Any] | None:
     """Result of a run as it was stored; None if there is none with just these settings and code."""
     try:
-        result = json.loads(_path(settings, folder).read_text())
-    except (OSError, ValueError):
+        result = read_json(_path(settings, folder))
+    except LeglabError:
         return None
-    same = result.get("settings") == asdict(settings) and result.get("code") == code
+    same = (
+        isinstance(result, dict)
+        and result.get("settings") == asdict(settings)
+        and result.get("code") == code
+    )
     return result if same else None
 
 
