@@ -11,13 +11,12 @@ from contextlib import contextmanager
 from typing import Any
 
 import typer
-from rich.markup import escape
 from typer.core import TyperGroup
 from typer.models import OptionInfo, ParameterInfo
 
 from leglab.base.errors import LeglabError
 from leglab.cli.options import RECORDINGS, completion, list_completion, names_of, path_completion
-from leglab.cli.terminal import BAD_INPUT, DONE, FAILED, INTERRUPTED, errors
+from leglab.cli.terminal import BAD_INPUT, DONE, FAILED, INTERRUPTED, complain, errors
 
 EXIT_STATUS = {
     DONE: "done",
@@ -171,7 +170,7 @@ def execute(app: typer.Typer, arguments: Sequence[str]) -> None:
             traceback.print_exc()
         text = error.format_message() if isinstance(error, _UsageError) else str(error)
         if text:  # Without a command the help has been printed.
-            errors.print(f"[red]error:[/red] {escape(text)}")
+            complain(text)
         sys.exit(BAD_INPUT)
     if isinstance(status, int) and status:
         sys.exit(status)

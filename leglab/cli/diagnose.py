@@ -9,7 +9,7 @@ import typer
 from leglab.base.errors import LeglabError
 from leglab.base.output import check_apart, check_folder, new_folder
 from leglab.cli.options import Columns, HeldOut, Json, Overwrite
-from leglab.cli.terminal import output, print_json, progress
+from leglab.cli.terminal import output, print_json, progress, tell
 
 
 def diagnose(
@@ -117,7 +117,7 @@ def diagnose(
         output.print(table)
     for line in results.summary_lines(result):
         output.print(line, markup=False)
-    output.print(f"{result.seconds:.1f} s, {result.rollouts:.0f} replays; {out}/diagnosis.html")
+    tell(f"{result.seconds:.1f} s, {result.rollouts:.0f} replays; {out}/diagnosis.html")
 
 
 def _rough_self_test(

@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.markup import escape
 
 from leglab.base.errors import LeglabError
 from leglab.base.output import claimed_folder
 from leglab.cli.options import Camera, Jobs, Json, check_jobs
-from leglab.cli.terminal import errors, make_many, output, print_json, progress
+from leglab.cli.terminal import complain, make_many, output, print_json, progress, tell
 
 if TYPE_CHECKING:
     from leglab.report.run.page import Filmer, Report
@@ -135,10 +134,10 @@ def _tell(runs: Sequence["ReportedRun"], written: "Report", *, as_json: bool) ->
 
     for run in runs:
         if not run.metrics.completed:
-            reason = escape(run.metrics.failure or "no reason was stored")
-            errors.print(f"[yellow]warning:[/yellow] {escape(run.label)} stopped early: {reason}")
+            reason = run.metrics.failure or "no reason was stored"
+            complain(f"{run.label} stopped early: {reason}", "warning")
     if written.why_no_film:
-        errors.print(f"[yellow]warning:[/yellow] no film: {escape(written.why_no_film)}")
+        complain(f"no film: {written.why_no_film}", "warning")
     if as_json:
         content = {
             "page": str(written.page),
@@ -159,7 +158,7 @@ def _tell(runs: Sequence["ReportedRun"], written: "Report", *, as_json: bool) ->
         print_json(content)
         return
     output.print(headline(runs), markup=False, highlight=False)
-    output.print(f"written to {written.page}", markup=False, soft_wrap=True)
+    tell(f"written to {written.page}")
 
 
 def index(
@@ -173,11 +172,11 @@ def index(
     entries, page = write_index(folder, out or folder / "index.html")
     broken = sum(entry.state == "broken" for entry in entries)
     if broken:
-        errors.print(f"[yellow]warning:[/yellow] {broken} of {len(entries)} cannot be read")
+        complain(f"{broken} of {len(entries)} cannot be read", "warning")
     if as_json:
         print_json([asdict(entry) for entry in entries])
         return
-    output.print(f"{len(entries)} listed in {page}", markup=False, soft_wrap=True)
+    tell(f"{len(entries)} listed in {page}")
 
 
 def video(
@@ -214,4 +213,4 @@ def video(
         }
         print_json(content)
     else:
-        output.print(f"written to {path}")
+        tell(f"written to {path}")

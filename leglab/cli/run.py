@@ -59,11 +59,11 @@ def run(
         terminal.print_json(result.metrics)
     else:
         terminal.output.print(terminal.metrics_table(result.metrics))
-        terminal.output.print(f"written to {folder}")
+        terminal.tell(f"written to {folder}")
     failure = result.history.failure or ("interrupted when the run was over" if late else "")
     if failure:
         interrupted = failure.startswith("interrupted")
-        terminal.errors.print(f"[red]error:[/red] {failure}; what was recorded is in {folder}")
+        terminal.complain(f"{failure}; what was recorded is in {folder}")
         raise typer.Exit(terminal.INTERRUPTED if interrupted else terminal.BAD_INPUT)
 
 
@@ -127,7 +127,7 @@ def compare(
         terminal.print_json(summary)
     else:
         terminal.print_wide(terminal.comparison_table(summary))
-        terminal.output.print(f"written to {out}")
+        terminal.tell(f"written to {out}")
 
 
 def view(
@@ -159,5 +159,5 @@ def view(
     finally:
         window.close()
     if session.failure:
-        terminal.errors.print(f"[red]error:[/red] {session.failure}")
+        terminal.complain(session.failure)
         raise typer.Exit(terminal.BAD_INPUT)

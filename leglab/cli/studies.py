@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from leglab.cli.options import Json
-from leglab.cli.terminal import FAILED, errors, output, print_json, progress
+from leglab.cli.terminal import FAILED, errors, output, print_json, progress, tell
 
 
 def tune(
@@ -54,7 +54,7 @@ def replicate(
         return
     output.print(result.table, soft_wrap=True)
     output.print(f"largest deviation of a validation mean: {result.worst_deviation:.1%}")
-    output.print(f"written to {result.page}")
+    tell(f"written to {result.page}")
 
 
 def verify(as_json: Json = False) -> None:
