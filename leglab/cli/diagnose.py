@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
-from leglab.base.errors import LeglabError
-from leglab.base.output import check_apart, check_folder, new_folder
-from leglab.cli.options import Columns, HeldOut, Json, Overwrite
+from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.output import check_apart, check_folder, claimed_folder, new_folder
+from leglab.cli.options import Columns, HeldOut, Json, Overwrite, names_of
 from leglab.cli.terminal import output, print_json, progress, tell
 
 
@@ -61,11 +61,20 @@ def diagnose(
     Writes diagnosis.json, improved.xml (the model with the effect), figures and the page
     diagnosis.html, and shows the gap on recordings that were not used to find it.
     """
+    if seed < 0:
+        raise LeglabError(f"seed is {seed}; allowed: 0 or more")
+    for name in effect or ():
+        if name not in names_of("effects"):
+            raise unknown_name("effect", name, names_of("effects"))
     if self_test:
+        if cases < 1:
+            raise LeglabError(f"cases is {cases}; allowed: 1 or more")
         if rough or sizes != "gross":
-            _rough_self_test(out, cases, seed, as_json, rough, rough and not no_healthy, sizes)
+            with claimed_folder(out):
+                _rough_self_test(out, cases, seed, as_json, rough, rough and not no_healthy, sizes)
         else:
-            _self_test(out, cases, seed, as_json)
+            with claimed_folder(out):
+                _self_test(out, cases, seed, as_json)
         return
     if rough or no_healthy or sizes != "gross":
         raise LeglabError("--rough, --no-healthy and --sizes are options of --self-test")

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from leglab.base.errors import LeglabError
 from leglab.base.output import claimed_folder, new_folder, write_atomically
 from leglab.cli import options, terminal
 
@@ -122,7 +123,10 @@ def compare(
                 for name in comparison.scenarios:
                     shown = [r for r in results if r["metrics"]["scenario"] == name]
                     title = f"{name}, {Path(model).stem}, {seeds} seed{'s' * (seeds > 1)}"
-                    save_comparison_figure(shown, out / f"{name}.png", title=title)
+                    try:
+                        save_comparison_figure(shown, out / f"{name}.png", title=title)
+                    except LeglabError as error:  # The results are there.
+                        terminal.complain(f"no figure of {name}: {error}", "warning")
     if as_json:
         terminal.print_json(summary)
     else:

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from leglab.base.output import claimed_folder
 from leglab.cli.options import Json
 from leglab.cli.terminal import FAILED, errors, output, print_json, progress, tell
 
@@ -45,7 +46,7 @@ def replicate(
     from leglab.studies.replication import replicate as run_replication
 
     chosen = paper.SEED if seed is None else seed
-    with progress("replicating") as show:
+    with claimed_folder(out), progress("replicating") as show:
         result = run_replication(
             instances, out, chosen, progress=lambda line: show(description=line)
         )

@@ -35,6 +35,9 @@ from leglab.runs.preparation import Preparation, RunSettings, scenario_of
 # Periods between two looks at the clock, the blow-up check and the progress report.
 _CHECK_INTERVAL = 50
 
+# A run keeps every period in memory.
+_MOST_PERIODS = 50_000_000
+
 # Columns of a recording by plugin state; `_position` is kept for joints.
 _RECORDED = {
     "pressure_a": "pressure_a",
@@ -240,6 +243,11 @@ class Loop:
         self.reference = preparation.reference(settings, scenario)
         self.simulation = simulation or preparation.machine()
         self.period = preparation.sensors.control_period
+        if scenario.duration > _MOST_PERIODS * self.period:
+            raise LeglabError(
+                f"duration {scenario.duration:g} s has more than {_MOST_PERIODS:g} control periods "
+                f"of {self.period:g} s; allowed: at most {_MOST_PERIODS * self.period:g} s"
+            )
         self.count = round(scenario.duration / self.period) + 1
         self.watch: Callable[[int], None] | None = None
         if pressures is None:
@@ -280,9 +288,17 @@ class Loop:
             point = next(self._points)
         controller, wish = self.controller, None
         if controller is not None:
-            if number == 0:
-                controller.reset(measurement)
-            wish = controller.command(measurement, point)
+            try:
+                if number == 0:
+                    controller.reset(measurement)
+                wish = controller.command(measurement, point)
+            except LeglabError:
+                raise
+            except Exception as error:  # Anybody's code: what was recorded until here is kept.
+                raise LeglabError(
+                    f"controller {self.settings.controller!r} failed at {measurement.time:.6g} s: "
+                    f"{type(error).__name__}: {error}"
+                ) from error
         period = self.present
         period.number, period.measurement = number, measurement
         period.reference, period.command = point, wish

@@ -33,6 +33,8 @@ _TRACE_PERIOD = 0.02
 _SAFETY_WINDOW = 2.0
 
 
+_MOST_SEEDS = 100_000
+
 # Settings in which the runs of a comparison differ.
 _VARIED = ("scenarios", "controllers", "seeds")
 
@@ -66,8 +68,8 @@ class Comparison:
     vary: bool = False
 
     def __post_init__(self) -> None:
-        if self.seeds < 1:
-            raise LeglabError(f"seeds is {self.seeds}; allowed: 1 or more")
+        if not 1 <= self.seeds <= _MOST_SEEDS:
+            raise LeglabError(f"seeds is {self.seeds}; allowed: 1 to {_MOST_SEEDS}")
         check_tolerance(self.tolerance)
         for kind in ("scenarios", "controllers"):
             names = getattr(self, kind)
