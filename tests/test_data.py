@@ -287,3 +287,9 @@ def test_parquet_metadata_that_is_not_ours_gets_one_line(tmp_path, text, told):
     with pytest.raises(LeglabError, match=rf"a\.parquet: metadata 'leglab': .*{told}") as error:
         data.read(path)
     assert "\n" not in str(error.value)
+
+
+def test_a_column_without_a_name_is_told_with_its_file(tmp_path):
+    (tmp_path / "a.csv").write_text("time,,b\n0,1,2\n1,2,3\n")
+    with pytest.raises(LeglabError, match=r"a\.csv: '' cannot name a column"):
+        data.read(tmp_path / "a.csv")
