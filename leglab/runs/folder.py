@@ -42,7 +42,7 @@ def default_folder(settings: RunSettings) -> Path:
         shown = "" if value is True else f"{value:.17g}" if isinstance(value, float) else value
         if isinstance(value, float) and float(f"{value:g}") == value:
             shown = f"{value:g}"
-        parts.append(f"{field.name}{shown}")
+        parts.append(value if isinstance(value, str) else f"{field.name}{shown}")
     return Path("runs") / "-".join(parts)
 
 
