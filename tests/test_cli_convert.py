@@ -125,3 +125,31 @@ def test_inspect_shows_what_cannot_be_read_as_a_recording(capsys, folder):
     status, printed, _ = leglab("inspect", "bad.csv", capsys=capsys)
     assert status == 0
     assert "error: column 'time', row 2: 1 s comes after 2 s" in printed
+
+
+EVIL = "\x1b]0;mine\x07\x1b[2J\x9b31m\u202e[/b]"
+
+
+@pytest.mark.parametrize("options", [(), ("--json",)])
+def test_nothing_in_a_file_reaches_the_terminal_as_a_command(folder, capsys, options):
+    time = np.arange(5) * 0.1
+    evil = Recording(time=time, columns={EVIL: time}, metadata={EVIL: EVIL, "repairs": [EVIL]})
+    data.write(evil, folder / "evil.parquet")
+    for arguments in (
+        ("inspect", "evil.parquet"),
+        ("convert", "evil.parquet", f"{EVIL.replace('/', '')}.csv"),
+        ("convert", f"{EVIL}.parquet", "x.csv"),
+    ):
+        _, printed, told = leglab(*arguments, *options, capsys=capsys)
+        assert printed + told
+        assert not [c for c in printed + told if c in "\x1b\x07\x9b\u202e"]
+        if options and printed:
+            json.loads(printed)
+
+
+def test_a_folder_that_looks_like_markup_is_shown_as_it_is(folder, capsys):
+    run = ("run", "nominal", "--model", "knee_bench", "--duration", "1", "--no-figures")
+    for name in ("q[/b]", "[red]x"):
+        status, printed, told = leglab(*run, "--out", name, capsys=capsys)
+        assert (status, told) == (0, "")
+        assert printed.endswith(f"written to {name}\n")

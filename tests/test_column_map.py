@@ -64,7 +64,7 @@ def test_a_wrong_map_is_refused_with_file_key_value_and_choices(tmp_path, text, 
 
 
 def test_a_missing_map(tmp_path):
-    with pytest.raises(LeglabError, match="none.toml: not a column map"):
+    with pytest.raises(LeglabError, match="none.toml: cannot be read: No such file"):
         data.read_column_map(tmp_path / "none.toml")
 
 

@@ -2,6 +2,8 @@ import os
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -246,3 +248,48 @@ def test_the_measured_knee_bench_is_clean():
         assert recording.actuators == ("knee_valve",)
         assert recording.sampling_period == pytest.approx(0.001)
         assert data.inspect(recording) == ()
+
+
+def test_no_flipped_bit_of_a_parquet_file_is_read_as_other_numbers(tmp_path):
+    recording = example(60, scenario="seal_wear", seed=3)
+    path = data.write(recording, tmp_path / "recording.parquet")
+    content, refusals = path.read_bytes(), []
+    for at in range(0, len(content), 2):
+        spoiled = bytearray(content)
+        spoiled[at] ^= 1 << at % 8
+        path.write_bytes(spoiled)
+        try:
+            found = data.read(path)
+        except LeglabError as error:
+            refusals.append(str(error))
+        else:
+            # A few bits hide the metadata with its checksum.
+            assert found.with_metadata(**recording.metadata) == recording, at
+    assert len(refusals) > len(content) / 4
+    assert all(told.startswith(f"{path}: ") and "\n" not in told for told in refusals)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("{", "Expecting property name"),
+        ("[1]", "it holds list, allowed is an object"),
+        ('{"a": NaN}', "NaN is not a finite number"),
+        ('{"repairs": 3}', "metadata 'repairs' is 3, allowed is a list"),
+        ("[" * 100_000, "nested too deep"),
+        (b"\xff\xfe\xff", "can't decode"),
+    ],
+)
+def test_parquet_metadata_that_is_not_ours_gets_one_line(tmp_path, text, told):
+    path = tmp_path / "a.parquet"
+    table = pa.table({"time": [0.0, 1.0], "a": [1.0, 2.0]})
+    pq.write_table(table.replace_schema_metadata({b"leglab": text}), path)
+    with pytest.raises(LeglabError, match=rf"a\.parquet: metadata 'leglab': .*{told}") as error:
+        data.read(path)
+    assert "\n" not in str(error.value)
+
+
+def test_a_column_without_a_name_is_told_with_its_file(tmp_path):
+    (tmp_path / "a.csv").write_text("time,,b\n0,1,2\n1,2,3\n")
+    with pytest.raises(LeglabError, match=r"a\.csv: '' cannot name a column"):
+        data.read(tmp_path / "a.csv")

@@ -261,12 +261,37 @@ def test_osmesa_steps_in_for_egl(runs, tmp_path, monkeypatch, capsys):
     assert printed["bytes"] == out.stat().st_size > 5000
 
 
-def test_a_full_disk_is_said(tmp_path):
-    (tmp_path / ".film.mp4.partial.mp4").symlink_to("/dev/full")
+def test_a_full_disk_is_said(tmp_path, monkeypatch):
+    import imageio_ffmpeg
+
+    # The real one, which writes to a device that is full.
+    other = tmp_path / "ffmpeg"
+    real = imageio_ffmpeg.get_ffmpeg_exe()
+    other.write_text(f'#!/bin/bash\nexec {real} "${{@:1:$#-1}}" -f mp4 /dev/full\n')
+    other.chmod(0o755)
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(other))
     noise = np.random.default_rng(0).integers(0, 255, 3 * 320 * 240, np.uint8).tobytes()
     with pytest.raises(LeglabError, match=r"film\.mp4: cannot be written: no space left"):
         encode(tmp_path / "film.mp4", noise)
-    assert not list(tmp_path.iterdir())
+    assert [entry.name for entry in tmp_path.iterdir()] == ["ffmpeg"]
+
+
+@pytest.mark.parametrize(
+    ("does", "said"),
+    [
+        ("exec sleep 60", "ffmpeg took nothing for 0.5 s"),
+        ("cat >/dev/null", "ffmpeg wrote nothing"),
+    ],
+)
+def test_an_encoder_that_hangs_or_writes_nothing_is_said(tmp_path, monkeypatch, does, said):
+    other = tmp_path / "ffmpeg"
+    other.write_text(f"#!/bin/sh\n{does}\n")
+    other.chmod(0o755)
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(other))
+    monkeypatch.setattr("leglab.report.film.encoder._PATIENCE", 0.5, raising=False)
+    with pytest.raises(LeglabError, match=rf"film\.mp4: cannot be encoded: {said}"):
+        encode(tmp_path / "film.mp4", bytes(3 * 320 * 240))
+    assert [entry.name for entry in tmp_path.iterdir()] == ["ffmpeg"]
 
 
 def test_an_encoder_that_lacks_h264_is_said(tmp_path, monkeypatch):
@@ -284,3 +309,12 @@ def test_a_place_that_cannot_be_written_to_is_said(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(LeglabError, match=r"cannot be written"):
         Encoder(tmp_path / "file" / "film.mp4", (320, 240), 30)
+
+
+def test_workers_do_not_run_code_of_the_working_folder(runs, tmp_path, monkeypatch):
+    for name in ("leglab", "mujoco", "numpy"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text("open('ran', 'w'); raise SystemExit('ran')")
+    monkeypatch.chdir(tmp_path)
+    render_film([runs["pd"]], tmp_path / "film.mp4", duration=0.1)
+    assert not (tmp_path / "ran").exists()

@@ -196,9 +196,9 @@ def test_restore_refuses_other_settings_and_missing_files(tmp_path):
         restore(BsnnArx(PAPER, joints=2), path)
     with pytest.raises(LeglabError, match="model 'BsnnArx'"):
         restore(SplineNarx(NARX), path)
-    with pytest.raises(LeglabError, match="cannot read"):
+    with pytest.raises(LeglabError, match="cannot be read"):
         load(tmp_path / "none.id")
-    with pytest.raises(LeglabError, match="cannot write"):
+    with pytest.raises(LeglabError, match="cannot be written"):
         save(BsnnArx(PAPER), tmp_path / "none" / "joint.id")
 
 

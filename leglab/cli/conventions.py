@@ -1,20 +1,24 @@
 """Conventions of all commands: examples, groups of options, completion, one-line errors."""
 
 import inspect
+import io
+import os
+import signal
 import sys
+import threading
 import traceback
 import typing
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import typer
-from rich.markup import escape
 from typer.core import TyperGroup
 from typer.models import OptionInfo, ParameterInfo
 
 from leglab.base.errors import LeglabError
 from leglab.cli.options import RECORDINGS, completion, list_completion, names_of, path_completion
-from leglab.cli.terminal import BAD_INPUT, DONE, FAILED, INTERRUPTED, errors
+from leglab.cli.terminal import BAD_INPUT, DONE, FAILED, INTERRUPTED, complain, errors
 
 EXIT_STATUS = {
     DONE: "done",
@@ -104,6 +108,12 @@ _COMPLETION: dict[str, Callable[[str], list[str]]] = {
     "load": path_completion(".py"),
 }
 
+# What MuJoCo takes as MUJOCO_GL.
+_OPENGL = (
+    "egl", "osmesa", "glfw", "glx", "enable", "enabled", "on", "true", "1",
+    "disable", "disabled", "off", "false", "0",
+)  # fmt: skip
+
 # Options that take all words up to the next option: a shell makes several of one `*`.
 _SEVERAL = ("--healthy",)
 
@@ -158,20 +168,77 @@ def execute(app: typer.Typer, arguments: Sequence[str]) -> None:
     Raises:
         SystemExit: With a status of `EXIT_STATUS`, unless all is done.
     """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # A letter that it lacks is written out.
+            stream.reconfigure(errors="backslashreplace")
     given = list(arguments)
     end = given.index("--") if "--" in given else len(given)
     kept = [a for a in given[:end] if a not in ("-v", "--verbose")]
     try:
-        status = app(args=spread(kept) + given[end:], prog_name="leglab", standalone_mode=False)
+        with _ends_cleanly():
+            _check_opengl()
+            status = app(args=spread(kept) + given[end:], prog_name="leglab", standalone_mode=False)
     except (LeglabError, _UsageError) as error:
         if len(kept) < end:
             traceback.print_exc()
         text = error.format_message() if isinstance(error, _UsageError) else str(error)
         if text:  # Without a command the help has been printed.
-            errors.print(f"[red]error:[/red] {escape(text)}")
+            complain(text)
+        sys.exit(BAD_INPUT)
+    except BrokenPipeError:  # Whoever read it has had enough.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        sys.exit(128 + signal.SIGPIPE)
+    except (OSError, MemoryError, ImportError) as error:  # The system has too little of something.
+        if len(kept) < end:
+            traceback.print_exc()
+        if _written_to_the_end():
+            named = getattr(error, "filename", None)
+            what = f"{named}: " if named else ""
+            reason = getattr(error, "strerror", None) or str(error) or "out of memory"
+            complain(f"{what}{reason.splitlines()[0]}")
+        sys.exit(BAD_INPUT)
+    if not _written_to_the_end():
         sys.exit(BAD_INPUT)
     if isinstance(status, int) and status:
         sys.exit(status)
+
+
+def _check_opengl() -> None:
+    """Refuses a MUJOCO_GL that MuJoCo refuses with a traceback when it is imported."""
+    chosen = os.environ.get("MUJOCO_GL", "")
+    if chosen.lower().strip() not in ("", *_OPENGL):
+        raise LeglabError(f"MUJOCO_GL is {chosen!r}; allowed: {', '.join(_OPENGL)}")
+
+
+def _written_to_the_end() -> bool:
+    """Whether standard output took everything; if not, says so."""
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        complain(f"standard output cannot be written: {error.strerror}")
+        # What is left there cannot be written when Python ends, either.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        return False
+    return True
+
+
+@contextmanager
+def _ends_cleanly() -> Iterator[None]:
+    """Has a signal that ends the process run what tidies up: workers end, partial output goes."""
+
+    def end(number: int, frame: object) -> None:
+        raise SystemExit(128 + number)
+
+    numbers = [n for n in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) == signal.SIG_DFL]
+    if threading.current_thread() is not threading.main_thread():
+        numbers = []
+    for number in numbers:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number in numbers:
+            signal.signal(number, signal.SIG_DFL)
 
 
 def spread(arguments: Sequence[str]) -> list[str]:

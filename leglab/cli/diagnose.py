@@ -6,9 +6,10 @@ from typing import Annotated
 
 import typer
 
-from leglab.base.errors import LeglabError
-from leglab.cli.options import Columns, HeldOut, Json, Load, Overwrite, load_plugins
-from leglab.cli.terminal import output, print_json, progress
+from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.output import check_apart, check_folder, claimed_folder, new_folder
+from leglab.cli.options import Columns, HeldOut, Json, Load, Overwrite, load_plugins, names_of
+from leglab.cli.terminal import output, print_json, progress, tell
 
 
 def diagnose(
@@ -62,11 +63,20 @@ def diagnose(
     diagnosis.html, and shows the gap on recordings that were not used to find it.
     """
     load_plugins(load)
+    if seed < 0:
+        raise LeglabError(f"seed is {seed}; allowed: 0 or more")
+    for name in effect or ():
+        if name not in names_of("effects"):
+            raise unknown_name("effect", name, names_of("effects"))
     if self_test:
+        if cases < 1:
+            raise LeglabError(f"cases is {cases}; allowed: 1 or more")
         if rough or sizes != "gross":
-            _rough_self_test(out, cases, seed, as_json, rough, rough and not no_healthy, sizes)
+            with claimed_folder(out):
+                _rough_self_test(out, cases, seed, as_json, rough, rough and not no_healthy, sizes)
         else:
-            _self_test(out, cases, seed, as_json)
+            with claimed_folder(out):
+                _self_test(out, cases, seed, as_json)
         return
     if rough or no_healthy or sizes != "gross":
         raise LeglabError("--rough, --no-healthy and --sizes are options of --self-test")
@@ -79,9 +89,9 @@ def diagnose(
     from leglab.diagnosis.workflow import DiagnosisSettings
     from leglab.report.diagnosis.page import write_page
     from leglab.report.diagnosis.words import facts, headline, smaller_words
-    from leglab.runs.folder import check_folder
 
     check_folder(out, overwrite=overwrite, mark="diagnosis.json")
+    check_apart(out, [Path(model), *recordings, *(healthy or [])])
     named = read_recordings(recordings, columns)
     named, held = split_held_out(model, named, held_out or [])
     before = read_recordings(healthy, columns) if healthy else None
@@ -91,21 +101,21 @@ def diagnose(
             f"{min(both).name} is given as a recording and as --healthy; allowed: one of both"
         )
     settings = DiagnosisSettings(effects=tuple(effect) if effect else None, seed=seed)
-    with progress("diagnosis") as show:
-        result, found = run_diagnosis(
-            model,
-            named,
-            held_out=held,
-            healthy=before,
-            settings=settings,
-            progress=lambda line: show(description=line),
-        )
-        better = improved_model(found, result, lambda line: show(description=line))
-    out.mkdir(parents=True, exist_ok=True)
-    if better is not None:
-        result = result.with_model(better.write(out).name, better.learned)
-    results.write_diagnosis(result, out)
-    write_page(result, out, model=Path(model).stem)
+    with new_folder(out, mark="diagnosis.json", overwrite=overwrite) as partial:
+        with progress("diagnosis") as show:
+            result, found = run_diagnosis(
+                model,
+                named,
+                held_out=held,
+                healthy=before,
+                settings=settings,
+                progress=lambda line: show(description=line),
+            )
+            better = improved_model(found, result, lambda line: show(description=line))
+        if better is not None:
+            result = result.with_model(better.write(partial).name, better.learned)
+        results.write_diagnosis(result, partial)
+        write_page(result, partial, model=Path(model).stem)
     if as_json:
         print_json(result.to_json(), ascii_only=False)
         return
@@ -118,7 +128,7 @@ def diagnose(
         output.print(table)
     for line in results.summary_lines(result):
         output.print(line, markup=False)
-    output.print(f"{result.seconds:.1f} s, {result.rollouts:.0f} replays; {out}/diagnosis.html")
+    tell(f"{result.seconds:.1f} s, {result.rollouts:.0f} replays; {out}/diagnosis.html")
 
 
 def _rough_self_test(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
+from leglab.base.output import check_apart, check_folder, new_folder, write_atomically
 from leglab.cli.options import Columns, HeldOut, Json, Load, Overwrite, Recordings, load_plugins
 from leglab.cli.terminal import output, print_json, progress
 
@@ -36,29 +37,26 @@ def improve(
     is a static force of joints, or command offset of cylinders, in `leglab.residual` elements.
     """
     load_plugins(load)
-    from leglab.data import write_atomically
     from leglab.diagnosis.improve import improve as run_improvement
     from leglab.diagnosis.recordings import read_recordings, split_held_out
-    from leglab.runs.folder import check_folder
 
     check_folder(out, overwrite=overwrite, mark="improvement.json")
+    check_apart(out, [Path(model), *recordings])
     named = read_recordings(recordings, columns)
     named, held = split_held_out(model, named, held_out or [])
-    with progress("improvement") as show:
-        result, better = run_improvement(
-            model,
-            named,
-            held_out=held,
-            effects=effects,
-            progress=lambda line: show(description=line),
-        )
-    out.mkdir(parents=True, exist_ok=True)
-    if better is None:
-        (out / "improved.xml").unlink(missing_ok=True)
-    else:
-        result = replace(result, model=better.write(out).name)
-    text = json.dumps(result.to_json(), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    write_atomically(out / "improvement.json", lambda stream: stream.write(text.encode()))
+    with new_folder(out, mark="improvement.json", overwrite=overwrite) as partial:
+        with progress("improvement") as show:
+            result, better = run_improvement(
+                model,
+                named,
+                held_out=held,
+                effects=effects,
+                progress=lambda line: show(description=line),
+            )
+        if better is not None:
+            result = replace(result, model=better.write(partial).name)
+        text = json.dumps(result.to_json(), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+        write_atomically(partial / "improvement.json", lambda file: file.write(text.encode()))
     if as_json:
         print_json(result.to_json(), ascii_only=False)
         return

@@ -5,6 +5,7 @@ controllers are called like their files, models like their MJCF; the others are 
 compares all of them with the registries.
 """
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -113,9 +114,10 @@ def load_plugins(sources: list[str] | None) -> None:
 
 
 def check_jobs(jobs: int) -> None:
-    """Raises `LeglabError` for 0 processes."""
-    if jobs == 0:
-        raise LeglabError("jobs is 0; allowed: 1 or more, or -1 for one a core")
+    """Raises `LeglabError` for no processes, or far more than there are cores."""
+    most = 16 * (os.cpu_count() or 1)
+    if jobs != -1 and not 1 <= jobs <= most:
+        raise LeglabError(f"jobs is {jobs}; allowed: 1 to {most}, or -1 for one a core")
 
 
 def names_of(kind: str) -> tuple[str, ...]:

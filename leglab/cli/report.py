@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.markup import escape
 
 from leglab.base.errors import LeglabError
+from leglab.base.output import claimed_folder
 from leglab.cli.options import Camera, Jobs, Json, Load, check_jobs, load_plugins
-from leglab.cli.terminal import errors, make_many, output, print_json, progress
+from leglab.cli.terminal import complain, make_many, output, print_json, progress, tell
 
 if TYPE_CHECKING:
     from leglab.report.run.page import Filmer, Report
@@ -68,7 +68,7 @@ def report(
     """
     load_plugins(load)
     from leglab.report.run.page import check_out, write_report
-    from leglab.runs.folder import make_runs, read_runs
+    from leglab.runs.folder import check_runs, make_runs, read_runs
     from leglab.runs.preparation import RunSettings
 
     own = {
@@ -89,6 +89,7 @@ def report(
         place = out or (folders[0] if len(folders) == 1 else Path("out/report"))
         check_out(place, overwrite=overwrite)
         span = duration
+        check_runs(folders)
     else:
         if folders:
             raise LeglabError("report takes folders of runs or --scenario, not both")
@@ -108,24 +109,25 @@ def report(
         names = (controllers or "pd,static_feedforward").split(",")
         settings = [replace(common, controller=name.strip()) for name in names if name.strip()]
         make = partial(make_runs, settings, place / "runs", jobs=jobs, overwrite=overwrite)
-        folders = make_many("running", len(settings), make)
-    runs = read_runs(folders)
-    with progress("filming" if video else "writing", 1.0) as show:
+        made = partial(make_many, "running", len(settings), make)
+    with claimed_folder(place) as workplace:
+        runs = read_runs(made() if scenario else folders or ())
+        with progress("filming" if video else "writing", 1.0) as show:
 
-        def film(path: Path) -> Path:
-            from leglab.report.film import render_film
+            def film(path: Path) -> Path:
+                from leglab.report.film import render_film
 
-            return render_film(
-                [run.folder for run in runs],
-                path,
-                start=start,
-                duration=span,
-                camera=camera,
-                progress=lambda share: show(completed=share),
-            )
+                return render_film(
+                    [run.folder for run in runs],
+                    path,
+                    start=start,
+                    duration=span,
+                    camera=camera,
+                    progress=lambda share: show(completed=share),
+                )
 
-        filmer: Filmer | None = film if video else None
-        written = write_report(runs, place, filmer=filmer)
+            filmer: Filmer | None = film if video else None
+            written = write_report(runs, place, filmer=filmer, workplace=workplace)
     _tell(runs, written, as_json=as_json)
 
 
@@ -134,10 +136,10 @@ def _tell(runs: Sequence["ReportedRun"], written: "Report", *, as_json: bool) ->
 
     for run in runs:
         if not run.metrics.completed:
-            reason = escape(run.metrics.failure or "no reason was stored")
-            errors.print(f"[yellow]warning:[/yellow] {escape(run.label)} stopped early: {reason}")
+            reason = run.metrics.failure or "no reason was stored"
+            complain(f"{run.label} stopped early: {reason}", "warning")
     if written.why_no_film:
-        errors.print(f"[yellow]warning:[/yellow] no film: {escape(written.why_no_film)}")
+        complain(f"no film: {written.why_no_film}", "warning")
     if as_json:
         content = {
             "page": str(written.page),
@@ -158,7 +160,7 @@ def _tell(runs: Sequence["ReportedRun"], written: "Report", *, as_json: bool) ->
         print_json(content)
         return
     output.print(headline(runs), markup=False, highlight=False)
-    output.print(f"written to {written.page}", markup=False, soft_wrap=True)
+    tell(f"written to {written.page}")
 
 
 def index(
@@ -172,11 +174,11 @@ def index(
     entries, page = write_index(folder, out or folder / "index.html")
     broken = sum(entry.state == "broken" for entry in entries)
     if broken:
-        errors.print(f"[yellow]warning:[/yellow] {broken} of {len(entries)} cannot be read")
+        complain(f"{broken} of {len(entries)} cannot be read", "warning")
     if as_json:
         print_json([asdict(entry) for entry in entries])
         return
-    output.print(f"{len(entries)} listed in {page}", markup=False, soft_wrap=True)
+    tell(f"{len(entries)} listed in {page}")
 
 
 def video(
@@ -215,4 +217,4 @@ def video(
         }
         print_json(content)
     else:
-        output.print(f"written to {path}")
+        tell(f"written to {path}")

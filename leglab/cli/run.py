@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from leglab.base.errors import LeglabError
+from leglab.base.output import claimed_folder, new_folder, write_atomically
 from leglab.cli import options, terminal
 
 
@@ -25,7 +27,10 @@ def run(
     vary: options.Vary = False,
     out: Annotated[
         Path | None,
-        typer.Option(help="Output folder; default runs/SCENARIO-CONTROLLER-MODEL-SEED."),
+        typer.Option(
+            help="Output folder; default runs/SCENARIO-CONTROLLER-MODEL-SEED and what else is "
+            "not as by default."
+        ),
     ] = None,
     overwrite: options.Overwrite = False,
     figures: Annotated[bool, typer.Option(help="Draw plots.")] = True,
@@ -36,26 +41,32 @@ def run(
     options.load_plugins(load)
     from leglab.base.scenario import get_scenario
     from leglab.report.figures import draw_run
-    from leglab.runs.folder import check_folder, write_run
+    from leglab.runs.folder import default_folder, fill_folder
+    from leglab.runs.interrupts import held
+    from leglab.runs.record import METRICS
     from leglab.runs.run import run_scenario
 
-    folder = out or Path("runs") / f"{scenario}-{controller}-{Path(model).stem}-{seed}"
     settings = options.settings_of(context)
-    check_folder(folder, overwrite=overwrite)
+    folder = out or default_folder(settings)
     length = get_scenario(scenario, duration=duration).duration
-    with terminal.progress(f"{scenario} · {controller}", length) as show:
+    with (
+        held(later=True) as hold,
+        new_folder(folder, mark=METRICS, overwrite=overwrite) as partial,
+        terminal.progress(f"{scenario} · {controller}", length) as show,
+    ):
         result = run_scenario(settings, lambda now: show(completed=now))
         show(description="writing", completed=length)
-        write_run(result, folder, overwrite=overwrite, draw=draw_run if figures else None)
+        fill_folder(result, partial, draw=draw_run if figures else None)
+        late = hold.take()
     if as_json:
         terminal.print_json(result.metrics)
     else:
         terminal.output.print(terminal.metrics_table(result.metrics))
-        terminal.output.print(f"written to {folder}")
-    failure = result.history.failure
+        terminal.tell(f"written to {folder}")
+    failure = result.history.failure or ("interrupted when the run was over" if late else "")
     if failure:
         interrupted = failure.startswith("interrupted")
-        terminal.errors.print(f"[red]error:[/red] {failure}; what was recorded is in {folder}")
+        terminal.complain(f"{failure}; what was recorded is in {folder}")
         raise typer.Exit(terminal.INTERRUPTED if interrupted else terminal.BAD_INPUT)
 
 
@@ -106,20 +117,25 @@ def compare(
     )
     runs = comparison.runs()
     make = partial(run_all, runs, out / "runs", jobs=jobs, overwrite=overwrite)
-    results = terminal.make_many("comparing", len(runs), make)
-    summary = summarise(comparison, results)
-    (out / "compare.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n")
-    if figures:
-        with terminal.progress("drawing"):
-            for name in comparison.scenarios:
-                shown = [r for r in results if r["metrics"]["scenario"] == name]
-                title = f"{name}, {Path(model).stem}, {seeds} seed{'s' * (seeds > 1)}"
-                save_comparison_figure(shown, out / f"{name}.png", title=title)
+    with claimed_folder(out):
+        results = terminal.make_many("comparing", len(runs), make)
+        summary = summarise(comparison, results)
+        text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
+        write_atomically(out / "compare.json", lambda stream: stream.write(text.encode()))
+        if figures:
+            with terminal.progress("drawing"):
+                for name in comparison.scenarios:
+                    shown = [r for r in results if r["metrics"]["scenario"] == name]
+                    title = f"{name}, {Path(model).stem}, {seeds} seed{'s' * (seeds > 1)}"
+                    try:
+                        save_comparison_figure(shown, out / f"{name}.png", title=title)
+                    except LeglabError as error:  # The results are there.
+                        terminal.complain(f"no figure of {name}: {error}", "warning")
     if as_json:
         terminal.print_json(summary)
     else:
         terminal.print_wide(terminal.comparison_table(summary))
-        terminal.output.print(f"written to {out}")
+        terminal.tell(f"written to {out}")
 
 
 def view(
@@ -153,5 +169,5 @@ def view(
     finally:
         window.close()
     if session.failure:
-        terminal.errors.print(f"[red]error:[/red] {session.failure}")
+        terminal.complain(session.failure)
         raise typer.Exit(terminal.BAD_INPUT)

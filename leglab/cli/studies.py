@@ -6,8 +6,9 @@ from typing import Annotated
 
 import typer
 
+from leglab.base.output import claimed_folder
 from leglab.cli.options import Json, Load, load_plugins
-from leglab.cli.terminal import FAILED, errors, output, print_json, progress
+from leglab.cli.terminal import FAILED, errors, output, print_json, progress, tell
 
 
 def tune(
@@ -47,7 +48,7 @@ def replicate(
     from leglab.studies.replication import replicate as run_replication
 
     chosen = paper.SEED if seed is None else seed
-    with progress("replicating") as show:
+    with claimed_folder(out), progress("replicating") as show:
         result = run_replication(
             instances, out, chosen, progress=lambda line: show(description=line)
         )
@@ -56,7 +57,7 @@ def replicate(
         return
     output.print(result.table, soft_wrap=True)
     output.print(f"largest deviation of a validation mean: {result.worst_deviation:.1%}")
-    output.print(f"written to {result.page}")
+    tell(f"written to {result.page}")
 
 
 def verify(as_json: Json = False) -> None:

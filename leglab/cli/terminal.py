@@ -1,7 +1,8 @@
 """Consoles, exit statuses, progress bars and tables of the commands."""
 
 import json
-from collections.abc import Callable, Iterator
+import sys
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from typing import Any, TypeVar
@@ -9,12 +10,67 @@ from typing import Any, TypeVar
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.errors import MarkupError
+from rich.segment import Segment
 from rich.table import Table
+from rich.text import Text
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
-errors = Console(stderr=True, highlight=False, soft_wrap=True)
-output = Console(highlight=False)
+# What a terminal would obey: C0 but tab and newline, DEL, C1, and what turns the reading direction.
+_COMMANDS = {
+    code: f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
+    for code in (
+        *(c for c in range(0x20) if chr(c) not in "\t\n"),
+        *range(0x7F, 0xA0),
+        *range(0x202A, 0x202F),
+        *range(0x2066, 0x206A),
+    )
+}
+
+
+def harmless(text: str) -> str:
+    """Returns a text with what a terminal would obey written out: names in files may hold it."""
+    return text.translate(_COMMANDS)
+
+
+class _Harmless(Console):
+    """A console that shows every text, whatever is in it; all output of the commands passes it."""
+
+    def render(self, *args: Any, **options: Any) -> Iterable[Segment]:
+        for segment in super().render(*args, **options):
+            if segment.control:
+                yield segment
+            else:
+                yield Segment(harmless(segment.text), segment.style)
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        try:
+            return super().render_str(text, **options)
+        except MarkupError:  # A name that looks like markup.
+            return super().render_str(text, **{**options, "markup": False})
+
+
+errors = _Harmless(stderr=True, highlight=False, soft_wrap=True)
+output = _Harmless(highlight=False)
+
+
+def tell(text: str) -> None:
+    """Prints a line on standard output as it is, however long."""
+    output.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+def complain(text: str, kind: str = "error") -> None:
+    """Prints one line on standard error.
+
+    Args:
+        text: What is wrong; may hold anything.
+        kind: "error" or "warning".
+    """
+    color = {"error": "red", "warning": "yellow"}[kind]
+    line = " ".join(text.split("\n"))
+    errors.print(Text.assemble((f"{kind}:", color), " ", line))
+
 
 _WIDE = 120  # characters
 _Made = TypeVar("_Made")
@@ -22,12 +78,15 @@ _Made = TypeVar("_Made")
 
 def print_wide(table: Table) -> None:
     """Prints a table in full, in a terminal or a file that is too narrow as well."""
-    Console(highlight=False, width=max(output.width, _WIDE)).print(table)
+    _Harmless(highlight=False, width=max(output.width, _WIDE)).print(table)
 
 
 def print_json(content: Any, *, ascii_only: bool = True) -> None:
     """Prints content as JSON on standard output."""
-    typer.echo(json.dumps(content, indent=2, ensure_ascii=ascii_only))
+    plain = ascii_only or "utf" not in (sys.stdout.encoding or "").lower()
+    text = json.dumps(content, indent=2, ensure_ascii=plain)
+    # What is left of it stands within strings, where JSON has \\u for it.
+    typer.echo(text.translate({code: f"\\u{code:04x}" for code in _COMMANDS}))
 
 
 @contextmanager
@@ -48,7 +107,8 @@ def progress(label: str, total: float | None = None) -> Iterator[Callable[..., N
             # The library prints an empty line here where there is no terminal.
             self.live.stop()
 
-    columns = (rich.TextColumn("{task.description}"), rich.BarColumn(), rich.TaskProgressColumn())
+    label_column = rich.TextColumn("{task.description}", markup=False)
+    columns = (label_column, rich.BarColumn(), rich.TaskProgressColumn())
     with Bar(*columns, rich.TimeRemainingColumn(), console=errors, transient=True) as bar:
         yield partial(bar.update, bar.add_task(label, total=total))
 

@@ -289,6 +289,11 @@ def check_command(command: Any, setup: ControllerSetup, controller: str, time: f
             f"controller {controller!r} gave {got} at {time:.6g} s, allowed is an array of shape "
             f"({len(joints)},)"
         )
+    if command.dtype.kind not in "fiu":
+        raise LeglabError(
+            f"controller {controller!r} gave an array of {command.dtype} at {time:.6g} s, allowed "
+            "are numbers"
+        )
     # One dot product instead of isfinite and all: NaN and infinity survive it.
     if not math.isfinite(command.dot(command)):
         finite = np.isfinite(command)

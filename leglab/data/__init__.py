@@ -4,11 +4,11 @@ from pathlib import Path
 from types import ModuleType
 
 from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
 from leglab.data import csv, matlab, mcap, parquet, plotjuggler, sysid
 from leglab.data.checks import Finding, inspect, to_recording
 from leglab.data.column_map import ColumnMap, read_column_map
-from leglab.data.files import write_atomically
 from leglab.data.input_output import from_input_output, to_input_output
 from leglab.data.summary import Summary, summarise
 from leglab.data.sysid import from_time_series, to_time_series

@@ -12,9 +12,10 @@ from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 
 from leglab.base.errors import LeglabError
+from leglab.base.input import parse_json
 from leglab.data.alignment import TopicSeries
 from leglab.data.files import first_line, refuse
-from leglab.data.metadata import check_notes, from_json
+from leglab.data.metadata import check_notes
 from leglab.data.ros_messages import SUPPORTED, header_stamp, numbers
 
 # Our metadata record, with JSON under the key "metadata".
@@ -72,7 +73,7 @@ def scan(path: Path) -> Bag:
                 elif isinstance(record, Message) and record.channel_id in wanted:
                     bag.messages.append(record)
                 elif isinstance(record, Metadata) and record.name == METADATA_NAME:
-                    bag.metadata = from_json(record.metadata["metadata"])
+                    bag.metadata = parse_json(record.metadata["metadata"])
                     check_notes(bag.metadata)
     # Whatever the decompressors and parsers trip over, the cause is the file.
     except Exception as error:

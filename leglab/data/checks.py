@@ -115,7 +115,10 @@ def to_recording(
         more = f" ({len(fatal) - 1} more such findings)" if len(fatal) > 1 else ""
         raise LeglabError(f"{source}: {fatal[0].message}{more}")
     columns = {name: samples for name, samples in table.items() if name != "time"}
-    return Recording(time=table["time"], columns=columns, metadata=metadata)
+    try:
+        return Recording(time=table["time"], columns=columns, metadata=metadata)
+    except LeglabError as error:
+        raise LeglabError(f"{source}: {error}") from error
 
 
 def _inspect_time(table: Mapping[str, np.ndarray]) -> Iterator[Finding]:

@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from leglab.base.errors import LeglabError
+from leglab.base.input import read_bytes
 from leglab.base.settings import Configuration, validate_configuration
 from leglab.data.files import refuse
 
@@ -129,8 +130,10 @@ def read_column_map(path: str | Path) -> ColumnMap:
             and what is allowed.
     """
     try:
-        content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        content = tomllib.loads(read_bytes(path).decode())
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, LeglabError):
+            raise
         raise LeglabError(f"{path}: not a column map in TOML: {error}") from error
     file = validate_configuration(_MapFile, content, str(path))
     rules = {}

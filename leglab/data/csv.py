@@ -7,9 +7,10 @@ import pyarrow as pa
 import pyarrow.csv as pc
 
 from leglab.base.errors import LeglabError
+from leglab.base.input import read_bytes
+from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
 from leglab.data.columns import to_arrays
-from leglab.data.files import read_bytes, write_atomically
 
 # Cells that stand for a missing sample; all other text is refused.
 _MISSING = ["", "nan", "NaN", "NAN", "null", "NULL", "NA", "n/a"]
@@ -61,10 +62,18 @@ def write(recording: Recording, path: Path) -> None:
     """Writes a recording with all digits; its metadata is lost.
 
     Raises:
-        LeglabError: The folder does not exist or cannot be written to.
+        LeglabError: The folder does not exist or cannot be written to, or the name of a column
+            has a line break.
     """
     table = pa.table({"time": recording.time, **recording.columns})
-    options = pc.WriteOptions(quoting_style="needed", quoting_header="none")
+    broken = [name for name in table.column_names if "\n" in name or "\r" in name]
+    if broken:
+        raise LeglabError(f"{path}: column {broken[0]!r} has a line break, which CSV cannot hold")
+    # "needed" quotes all names.
+    special = any(letter in name for name in table.column_names for letter in ',"')
+    options = pc.WriteOptions(
+        quoting_style="needed", quoting_header="needed" if special else "none"
+    )
     write_atomically(path, lambda stream: pc.write_csv(table, stream, options))
 
 

@@ -17,11 +17,13 @@ from typing import Any
 import numpy as np
 
 from leglab.base.errors import LeglabError
+from leglab.base.input import parse_json, read_bytes
+from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
 from leglab.base.units import own_units, unit_of, usual_unit
-from leglab.data.files import first_line, read_bytes, refuse, write_atomically
+from leglab.data.files import first_line, refuse
 from leglab.data.matlab_check import checked
-from leglab.data.metadata import check_notes, from_json, to_json
+from leglab.data.metadata import check_notes, to_json
 
 _VARIABLE = "recording"
 _NAME_LENGTH = 63  # MATLAB's namelengthmax until R2025.
@@ -216,7 +218,7 @@ def _vector(value: Any, name: str) -> np.ndarray:
 
 def _json(content: Mapping[str, Any], field: str) -> dict[str, Any]:
     try:
-        found = from_json(content[field])
+        found = parse_json(content[field])
     except (TypeError, ValueError, RecursionError) as error:
         raise LeglabError(f"field {field!r} of 'recording' is not JSON: {error}") from error
     if not isinstance(found, dict):

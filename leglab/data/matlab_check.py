@@ -18,6 +18,9 @@ _CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE = 1, 2, 3, 4, 5
 _NUMERIC = range(6, 16)
 _COMPLEX = 0x800
 _LARGEST = 2**31  # bytes of a variable, by the format.
+# Of all compressed variables: zeros take a thousandth of their size, and memory several times it.
+_LARGEST_TOTAL = 2**29  # bytes, or
+_LARGEST_RATIO = 20  # times the size of the file.
 _DEEPEST = 20
 _MOST_DIMENSIONS = 32
 
@@ -37,13 +40,17 @@ def checked(content: bytes) -> bytes:
         raise ValueError("the first 128 bytes are not those of version 5")
     # Bytes 116 to 124 point to a workspace of objects, which is not read.
     variables = [content[:116] + bytes(8) + content[124:_HEADER]]
+    left = most = max(_LARGEST_TOTAL, _LARGEST_RATIO * len(content))
     for kind, data in _elements(content[_HEADER:], order, padded=False):
         if kind == _COMPRESSED:
             inflate = zlib.decompressobj()
             try:
-                data = inflate.decompress(data, _LARGEST)
+                data = inflate.decompress(data, min(left + 1, _LARGEST))
             except zlib.error as error:
                 raise ValueError(f"a compressed variable is broken: {error}") from error
+            left -= len(data)
+            if left < 0:
+                raise ValueError(f"compressed variables hold more than {most} bytes")
             if not inflate.eof:
                 raise ValueError("a compressed variable is truncated")
             inner = list(_elements(data, order))

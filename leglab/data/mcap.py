@@ -17,12 +17,13 @@ import numpy as np
 from mcap_ros2.writer import Writer
 
 from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
 from leglab.base.units import unit_of
 from leglab.data.alignment import TopicSeries, aligned, overlaps
 from leglab.data.bag import METADATA_NAME, Bag, decode, scan
 from leglab.data.column_map import ColumnMap
-from leglab.data.files import refuse, write_atomically
+from leglab.data.files import refuse
 from leglab.data.metadata import to_json
 from leglab.data.ros_messages import (
     DEFINITIONS,

@@ -16,17 +16,6 @@ def to_json(metadata: Mapping[str, Any]) -> str:
     return json.dumps(dict(metadata), allow_nan=False, sort_keys=True)
 
 
-def from_json(text: str) -> Any:
-    """Returns the value of a JSON text.
-
-    Raises:
-        ValueError: It is not JSON, or holds NaN, which Python's reader would take.
-    """
-    found = json.loads(text)
-    json.dumps(found, allow_nan=False)
-    return found
-
-
 def check_notes(metadata: Mapping[str, Any]) -> None:
     """Checks that the notes to which reading appends are lists.
 

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from leglab.base.errors import LeglabError
+from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
 from leglab.data import csv
-from leglab.data.files import write_atomically
 
 # Our own reader takes these files as well.
 read_table = csv.read_table

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from leglab.base.errors import LeglabError
+from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
-from leglab.data.files import first_line, write_atomically
+from leglab.data.files import first_line
 
 if TYPE_CHECKING:
     from mujoco.sysid import TimeSeries

@@ -9,7 +9,7 @@ import mujoco
 from rich.table import Table
 
 import leglab.machine.plugin
-from leglab.data import write_atomically
+from leglab.base.output import write_atomically
 from leglab.diagnosis.hypothesis import Hypothesis, Library
 from leglab.diagnosis.remainder.part import Part
 from leglab.diagnosis.residual import Problem

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     import control
     from scipy.interpolate import BSpline
 
+# Least squares keeps half the square of them: 64 MiB.
+MAX_PARAMETERS = 4096
+
 
 @dataclass(frozen=True)
 class Block:
@@ -94,6 +97,8 @@ class SplineNarxSettings(checks.Settings):
         self.guard.check_inputs(len(self.inputs))
         for block in self.blocks:
             self._check(block)
+        count = sum(block.count + block.weights for block in self.blocks)
+        checks.whole("number of parameters", count, least=1, most=MAX_PARAMETERS)
 
     @classmethod
     def standard(

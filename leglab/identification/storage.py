@@ -10,10 +10,13 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from leglab._native import identification as native
 from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.input import parse_json, read_bytes
+from leglab.base.output import write_atomically
+from leglab.identification import checks
 from leglab.identification.bsnn_arx import BsnnArx
 from leglab.identification.checks import Settings
 from leglab.identification.front import Identifier
@@ -22,6 +25,17 @@ from leglab.identification.spline_narx import SplineNarx
 VERSION = 1
 MAGIC = b"leglab-identifier"
 _MODELS: dict[str, type[Identifier]] = {"BsnnArx": BsnnArx, "SplineNarx": SplineNarx}
+# What settings of the wrong types raise in Python and in the core.
+_MALFORMED = (
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    MemoryError,
+    RecursionError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+)
 _PARTS: dict[str, Any] = {part.__name__: part for part in Settings.__subclasses__()}
 
 
@@ -31,7 +45,6 @@ def save(identifier: Identifier, path: str | Path) -> None:
     Raises:
         LeglabError: The file cannot be written.
     """
-    path = Path(path)
     state = identifier._bank.state()
     header = {
         "model": type(identifier).__name__,
@@ -42,31 +55,28 @@ def save(identifier: Identifier, path: str | Path) -> None:
         "size": len(state),
         "sha256": hashlib.sha256(state).hexdigest(),
     }
-    part = path.with_name(f"{path.name}.{os.getpid()}.part")
-    try:
-        try:
-            with part.open("wb") as file:
-                file.write(MAGIC + b" %d\n" % VERSION)
-                file.write(json.dumps(header).encode() + b"\n")
-                file.write(state)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(part, path)
-        finally:
-            part.unlink(missing_ok=True)
-    except OSError as error:
-        raise LeglabError(f"cannot write {path}: {error.strerror}") from None
+
+    def write(stream: BinaryIO) -> None:
+        stream.write(MAGIC + b" %d\n" % VERSION)
+        stream.write(json.dumps(header).encode() + b"\n")
+        stream.write(state)
+        stream.flush()
+        os.fsync(stream.fileno())
+
+    write_atomically(path, write)
 
 
 def load(path: str | Path) -> Identifier:
     """Builds the identifier that `save` wrote; it goes on exactly where the saved one stopped.
 
+    The file may come from anywhere: what no identifier can be is refused.
+
     Raises:
         LeglabError: The file is missing, truncated, damaged or of another version.
     """
     header, state = _read(Path(path))
-    model = _MODELS[header["model"]](header["settings"], joints=header["joints"])
-    model._bank.set_state(state)
+    model = _build(path, header, header["joints"])
+    _set_state(model, state, path)
     return model
 
 
@@ -83,14 +93,11 @@ def restore(identifier: Identifier, path: str | Path) -> None:
         if want != have:
             detail = "" if what == "settings" else f" {have!r}, the identifier {want!r}"
             raise LeglabError(f"{path} has other {what}{detail}: must agree")
-    identifier._bank.set_state(state)
+    _set_state(identifier, state, path)
 
 
 def _read(path: Path) -> tuple[dict[str, Any], bytes]:
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise LeglabError(f"cannot read {path}: {error.strerror}") from None
+    content = read_bytes(path)
     first, _, rest = content.partition(b"\n")
     magic, _, version = first.partition(b" ")
     if magic != MAGIC:
@@ -100,16 +107,16 @@ def _read(path: Path) -> tuple[dict[str, Any], bytes]:
         raise LeglabError(f"{path} has version {shown!r}: this leglab reads {VERSION}")
     line, _, state = rest.partition(b"\n")
     try:
-        header = json.loads(line)
-        header["settings"] = _decode(header["settings"])
+        header = parse_json(line)
         if header["model"] not in _MODELS:
             raise unknown_name("model", header["model"], _MODELS)
+        checks.whole("joints", header["joints"], least=1)
+        header["settings"] = _decode(header["settings"])
         size, digest = header["size"], header["sha256"]
         layout = (header["state_version"], header["byte_order"])
-        int(header["joints"])
     except LeglabError as error:
         raise LeglabError(f"{path} is damaged: {error}") from None
-    except (ValueError, KeyError, TypeError):
+    except _MALFORMED:
         raise LeglabError(f"{path} is truncated or damaged in its header") from None
     if layout != (native.STATE_VERSION, sys.byteorder):
         raise LeglabError(
@@ -117,10 +124,33 @@ def _read(path: Path) -> tuple[dict[str, Any], bytes]:
             f"{native.STATE_VERSION}, {sys.byteorder!r}-endian"
         )
     if len(state) != size:
-        raise LeglabError(f"{path} is truncated: {len(state)} of {size} bytes of state")
+        raise LeglabError(f"{path} is truncated: {len(state)} of {size!r} bytes of state")
     if hashlib.sha256(state).hexdigest() != digest:
         raise LeglabError(f"{path} is damaged: the checksum of its state does not agree")
+    # One joint tells the size of all, before memory is taken for them.
+    joint = len(_build(path, header, 1)._bank.state())
+    if joint * header["joints"] != len(state):
+        raise LeglabError(
+            f"{path} is damaged: {len(state)} bytes of state, its settings need "
+            f"{joint} for each of {header['joints']} joints"
+        )
     return header, state
+
+
+def _build(path: str | Path, header: dict[str, Any], joints: int) -> Identifier:
+    try:
+        return _MODELS[header["model"]](header["settings"], joints=joints)
+    except LeglabError as error:
+        raise LeglabError(f"{path} is damaged: {error}") from None
+    except _MALFORMED as error:
+        raise LeglabError(f"{path} is damaged: its settings cannot be") from error
+
+
+def _set_state(identifier: Identifier, state: bytes, path: str | Path) -> None:
+    try:
+        identifier._bank.load_state(state)
+    except ValueError as error:
+        raise LeglabError(f"{path} is damaged: {error} cannot be") from None
 
 
 def _encode(value: Any) -> Any:

@@ -1,5 +1,6 @@
 """A model with its data: loading, hydraulic states by name, stepping."""
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -42,6 +43,8 @@ def load_model(
     Raises:
         LeglabError: If there is no such model or MuJoCo refuses it; one line.
     """
+    if timestep is not None and not (math.isfinite(timestep) and timestep > 0):
+        raise LeglabError(f"timestep = {timestep:g} s; allowed: more than 0")
     leglab.machine.plugin.load_plugin()
     path = model_path(model)
     spec = None

@@ -18,9 +18,9 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator
 
 from leglab.base.errors import LeglabError
+from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
 from leglab.base.scenario import Phase
-from leglab.data import write_atomically
 from leglab.report.page.wording import readable
 from leglab.report.style import BLACK, BLUE, DARK_GREY, LIGHT_GREY, ORANGE, SERIES, VERMILION, style
 from leglab.runs.metrics import phase_table, sliding_rms

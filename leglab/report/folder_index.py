@@ -1,7 +1,6 @@
 """The index of a folder: a page that lists the runs, reports, comparisons, diagnoses below it."""
 
 import html
-import json
 import os
 import re
 from collections import Counter
@@ -13,7 +12,8 @@ from typing import Any, Literal
 from urllib.parse import quote
 
 from leglab.base.errors import LeglabError
-from leglab.data import write_atomically
+from leglab.base.input import read_bytes, read_json
+from leglab.base.output import write_atomically
 from leglab.report.page.outcome import outcome
 from leglab.report.page.shell import asset, render
 from leglab.runs.folder import read_metrics
@@ -78,11 +78,7 @@ def write_index(folder: Path, path: Path) -> tuple[list[Entry], Path]:
     """
     if path.is_dir():
         raise LeglabError(f"{str(path)!r} is a folder; give the name of a page")
-    try:
-        earlier = path.read_text(encoding="utf-8", errors="replace") if path.exists() else None
-    except OSError as error:
-        raise LeglabError(f"{path}: cannot be read: {error.strerror}") from error
-    if earlier is not None and _OURS not in earlier:
+    if path.exists() and _OURS.encode() not in read_bytes(path):
         raise LeglabError(f"{str(path)!r} is no index of leglab: it is left as it is")
     entries = _find_entries(folder, path.parent)
     text = _page(entries, folder.resolve().name)
@@ -185,7 +181,7 @@ def _comparison(path: Path) -> dict[str, Any]:
             "model": str(content["model"]),
             "told": f"{int(content['seeds'])} seeds",
         }
-    except (KeyError, TypeError, ValueError):
+    except (ArithmeticError, LookupError, TypeError, ValueError):
         return {"state": "broken", "told": f"{path.name} does not have the form of a comparison"}
 
 
@@ -194,7 +190,7 @@ def _diagnosis(place: Path, files: set[str]) -> dict[str, Any]:
     try:
         verdict = str(content["verdict"]).replace("_", " ")
         effects = [f"{effect['name']} at {effect['element']}" for effect in content["effects"]]
-    except (KeyError, TypeError):
+    except (LookupError, TypeError):
         return {"state": "broken", "told": "diagnosis.json does not have the form of a diagnosis"}
     told = f"{verdict}: {', '.join(effects)}" if effects else verdict
     if "diagnosis.html" not in files:
@@ -204,16 +200,15 @@ def _diagnosis(place: Path, files: set[str]) -> dict[str, Any]:
 
 def _content(path: Path) -> Any:
     try:
-        return json.loads(path.read_bytes())
-    except (OSError, ValueError, RecursionError):
+        return read_json(path)
+    except LeglabError:
         return None
 
 
 def _headline(path: Path) -> str:
     try:
-        with path.open(encoding="utf-8", errors="replace") as stream:
-            head = stream.read(_HEAD_LENGTH)
-    except OSError:
+        head = read_bytes(path, _HEAD_LENGTH).decode(errors="replace")
+    except LeglabError:
         return ""
     found = re.search(r"<h1[^>]*>([^<]*)</h1>", head)
     return html.unescape(found.group(1)).strip() if found else ""

@@ -1,15 +1,16 @@
 """Folders of runs as a report reads them; what they hold may come from anywhere."""
 
 import json
-import shutil
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from leglab import data
 from leglab.base.errors import LeglabError
+from leglab.base.input import read_json
+from leglab.base.output import check_folder, claimed_folder, new_folder
 from leglab.base.recording import Recording
 from leglab.runs import record
 from leglab.runs.parallel import Progress, make_missing
@@ -28,23 +29,22 @@ from leglab.runs.sweep import fingerprint
 from leglab.runs.view import draw
 
 
-def check_folder(folder: Path, *, overwrite: bool = False, mark: str = METRICS) -> None:
-    """Refuses a folder that exists, before any work is done.
+def default_folder(settings: RunSettings) -> Path:
+    """Returns where a run goes that was not told where: a name for what decides the run.
 
-    Args:
-        folder: Where results shall go.
-        overwrite: Whether earlier results may be replaced.
-        mark: File by which a folder with earlier results is known.
-
-    Raises:
-        LeglabError: If it exists and may not be replaced, or holds something else.
+    `runs/SCENARIO-CONTROLLER-MODEL-SEED`, and whatever else is not as it is by default.
     """
-    if not folder.exists():
-        return
-    if not overwrite:
-        raise LeglabError(f"output folder {str(folder)!r} exists; remove it or give --overwrite")
-    if not folder.is_dir() or (any(folder.iterdir()) and not (folder / mark).exists()):
-        raise LeglabError(f"{str(folder)!r} holds no {mark}: it is left as it is")
+    told = ("scenario", "controller", "model", "seed")
+    parts = [settings.scenario, settings.controller, Path(settings.model).stem, str(settings.seed)]
+    for field in fields(settings):
+        value = getattr(settings, field.name)
+        if field.name in told or value == field.default or isinstance(value, Mapping):
+            continue
+        shown = "" if value is True else f"{value:.17g}" if isinstance(value, float) else value
+        if isinstance(value, float) and float(f"{value:g}") == value:
+            shown = f"{value:g}"
+        parts.append(value if isinstance(value, str) else f"{field.name}{shown}")
+    return Path("runs") / "-".join(parts)
 
 
 def write_run(
@@ -56,37 +56,41 @@ def write_run(
 ) -> Path:
     """Writes `metrics.json`, `run.json` and `recording.parquet`.
 
-    Everything is written beside the folder first and moved at the end: a folder is there as a
-    whole or not at all.
+    A folder is there as a whole or not at all.
 
     Args:
         run: The run, complete or not.
         folder: Where to; parents are made.
         overwrite: Whether the folder of an earlier run may be replaced.
+        draw: As `fill_folder`.
+
+    Raises:
+        LeglabError: If the folder exists or cannot be written, or another process writes it.
+    """
+    with new_folder(folder, mark=METRICS, overwrite=overwrite) as partial:
+        fill_folder(run, partial, draw=draw)
+    return folder
+
+
+def fill_folder(
+    run: Run, folder: Path, *, draw: Callable[[Run, Path], object] | None = None
+) -> None:
+    """Writes the files of a run into an empty folder.
+
+    Args:
+        run: The run, complete or not.
+        folder: Existing.
         draw: Draws plots of the run into a folder, for instance
             `leglab.report.figures.draw_run`.
 
     Raises:
-        LeglabError: If the folder exists or cannot be written.
+        LeglabError: If a file cannot be written.
     """
-    check_folder(folder, overwrite=overwrite)
-    partial = folder.with_name(f".{folder.name}.partial")
-    try:
-        shutil.rmtree(partial, ignore_errors=True)
-        partial.mkdir(parents=True)
-        data.write(run.recording, partial / RECORDING)
-        record.write(run.record, partial / METRICS)
-        record.write(run.configuration, partial / CONFIGURATION)
-        if draw:
-            draw(run, partial)
-        if folder.exists():
-            shutil.rmtree(folder)
-        partial.rename(folder)
-    except OSError as error:
-        raise LeglabError(f"{folder}: cannot be written: {error.strerror}") from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
-    return folder
+    data.write(run.recording, folder / RECORDING)
+    record.write(run.record, folder / METRICS)
+    record.write(run.configuration, folder / CONFIGURATION)
+    if draw:
+        draw(run, folder)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -193,15 +197,25 @@ def read_runs(folders: Sequence[Path]) -> tuple[ReportedRun, ...]:
     return tuple(replace(run, label=x) for run, x in zip(runs, _labels(runs), strict=True))
 
 
+def check_runs(folders: Sequence[Path]) -> None:
+    """Refuses folders that lack a file of a run, before any work is done.
+
+    Raises:
+        LeglabError: Names the folder and the file.
+    """
+    for folder in folders:
+        for name in RUN_FILES:
+            if not (folder / name).is_file():
+                raise LeglabError(f"{str(folder)!r} is not the folder of a run: it has no {name}")
+
+
 def read_run(folder: Path) -> ReportedRun:
     """Reads one folder; its label is the controller's name.
 
     Raises:
         LeglabError: As `read_runs`.
     """
-    for name in RUN_FILES:
-        if not (folder / name).is_file():
-            raise LeglabError(f"{str(folder)!r} is not the folder of a run: it has no {name}")
+    check_runs([folder])
     metrics = read_metrics(folder)
     configuration = record.read(RunConfiguration, folder / CONFIGURATION)
     recording = data.read(folder / RECORDING)
@@ -296,8 +310,8 @@ def make_runs(
         The folders in the order of the runs.
 
     Raises:
-        LeglabError: As `check_settings`, a run cannot be set up, or a folder cannot be written
-            or holds something other than a run.
+        LeglabError: As `check_settings`, a run cannot be set up, a folder cannot be written or
+            holds something other than a run, or another process writes to it.
         KeyboardInterrupt: The user interrupts; finished runs are kept.
     """
     check_settings(runs)
@@ -310,8 +324,10 @@ def make_runs(
 
     for task in tasks:
         if not is_made(task):
-            check_folder(task[1], overwrite=True)
-    make_missing(tasks, partial(_make, code=code), is_made=is_made, jobs=jobs, progress=progress)
+            check_folder(task[1], mark=METRICS, overwrite=True)
+    make = partial(_make, code=code)
+    with claimed_folder(folder):
+        make_missing(tasks, make, is_made=is_made, jobs=jobs, progress=progress)
     return folders
 
 
@@ -324,8 +340,8 @@ def _is_made(settings: RunSettings, folder: Path, code: str) -> bool:
     if not all((folder / name).is_file() for name in RUN_FILES):
         return False
     try:
-        stored = json.loads((folder / CONFIGURATION).read_text())
-    except (OSError, ValueError):
+        stored = read_json(folder / CONFIGURATION)
+    except LeglabError:
         return False
     if not isinstance(stored, dict):
         return False

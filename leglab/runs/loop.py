@@ -35,6 +35,9 @@ from leglab.runs.preparation import Preparation, RunSettings, scenario_of
 # Periods between two looks at the clock, the blow-up check and the progress report.
 _CHECK_INTERVAL = 50
 
+# A run keeps every period in memory.
+_MOST_PERIODS = 50_000_000
+
 # Columns of a recording by plugin state; `_position` is kept for joints.
 _RECORDED = {
     "pressure_a": "pressure_a",
@@ -240,6 +243,11 @@ class Loop:
         self.reference = preparation.reference(settings, scenario)
         self.simulation = simulation or preparation.machine()
         self.period = preparation.sensors.control_period
+        if scenario.duration > _MOST_PERIODS * self.period:
+            raise LeglabError(
+                f"duration {scenario.duration:g} s has more than {_MOST_PERIODS:g} control periods "
+                f"of {self.period:g} s; allowed: at most {_MOST_PERIODS * self.period:g} s"
+            )
         self.count = round(scenario.duration / self.period) + 1
         self.watch: Callable[[int], None] | None = None
         if pressures is None:
@@ -280,9 +288,17 @@ class Loop:
             point = next(self._points)
         controller, wish = self.controller, None
         if controller is not None:
-            if number == 0:
-                controller.reset(measurement)
-            wish = controller.command(measurement, point)
+            try:
+                if number == 0:
+                    controller.reset(measurement)
+                wish = controller.command(measurement, point)
+            except LeglabError:
+                raise
+            except Exception as error:  # Anybody's code: what was recorded until here is kept.
+                raise LeglabError(
+                    f"controller {self.settings.controller!r} failed at {measurement.time:.6g} s: "
+                    f"{type(error).__name__}: {error}"
+                ) from error
         period = self.present
         period.number, period.measurement = number, measurement
         period.reference, period.command = point, wish
@@ -336,7 +352,13 @@ class Loop:
         """Reference positions [rad] so many periods after the present one, (periods, joints)."""
         return self._wanted.position[self.present.number - self._first + periods]
 
-    def run(self, progress: Progress | None = None, *, freeze: bool = False) -> "History":
+    def run(
+        self,
+        progress: Progress | None = None,
+        *,
+        freeze: bool = False,
+        interrupted: Callable[[], bool] = lambda: False,
+    ) -> "History":
         """Runs the scenario headless, from the present state to its end.
 
         It ends early, and keeps what was recorded, if the simulation blows up, the controller gives
@@ -345,6 +367,7 @@ class Loop:
         Args:
             progress: Called now and then with the simulated time [s].
             freeze: Whether the controller stops adapting just before the machine changes.
+            interrupted: Asked now and then whether to end.
 
         Raises:
             LeglabError: If not even one period could be recorded.
@@ -365,6 +388,8 @@ class Loop:
                     step()
                     if k % _CHECK_INTERVAL == 0:
                         simulation.check()
+                        if interrupted():
+                            raise KeyboardInterrupt
                         if progress:
                             progress(self.present.measurement.time)
             simulation.check()

@@ -1,9 +1,12 @@
 """Many results in parallel processes: each is kept as soon as it is there, the missing are made."""
 
+import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 from typing import TypeVar
 
 from joblib import Parallel, delayed
@@ -13,6 +16,10 @@ from leglab.base import plugins
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+_SAFE = "PYTHONSAFEPATH"
+# Between two looks of a process at the one that started it [s].
+_WATCH_PERIOD = 0.5
 
 # Told after each result: how many are there, how many there will be, which one came.
 Progress = Callable[[int, int, str], None]
@@ -63,30 +70,57 @@ def in_processes(
         KeyboardInterrupt: The user interrupts; the processes are stopped.
     """
     worker = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
+    user = os.getpid()
     try:
-        with _interrupts_ignored():
+        with _starting():
             luggage = plugins.carried()
-            results = worker(delayed(_with_plugins)(luggage, make, item) for item in items)
+            results = worker(delayed(_make)(make, item, user, luggage) for item in items)
         yield from results
-    except KeyboardInterrupt:
+    except BaseException:
         get_reusable_executor().shutdown(wait=False, kill_workers=True)
         raise
 
 
-def _with_plugins(luggage: plugins.Carried, make: Callable[[Item], Result], item: Item) -> Result:
-    """Makes one result where the names that users' own code registers may not be known yet."""
+def _make(
+    make: Callable[[Item], Result], item: Item, user: int, luggage: plugins.Carried
+) -> Result:
+    """Makes one result, in a process of its own or not."""
+    _end_with(user)
+    # The names that users' own code registers may not be known here yet.
     plugins.carry(luggage)
     return make(item)
 
 
-@contextmanager
-def _interrupts_ignored() -> Iterator[None]:
-    """Has processes that start inside ignore Ctrl-C, which reaches them as well."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
+@cache
+def _end_with(user: int) -> None:
+    """Has this process end soon after the one that started it, however that one ended."""
+    if os.getpid() == user:
         return
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def watch() -> None:
+        while os.getppid() == user:
+            time.sleep(_WATCH_PERIOD)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def _starting() -> Iterator[None]:
+    """Has processes that start inside ignore Ctrl-C, which reaches them as well.
+
+    They find modules where this process does: Python would look into the working folder first.
+    """
+    safe = os.environ.get(_SAFE)
+    os.environ[_SAFE] = "1"
+    main = threading.current_thread() is threading.main_thread()
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if main else None
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, handler)
+        if main:
+            signal.signal(signal.SIGINT, handler)
+        if safe is None:
+            del os.environ[_SAFE]
+        else:
+            os.environ[_SAFE] = safe

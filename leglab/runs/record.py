@@ -7,7 +7,9 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BaseModel, Field, FiniteFloat, StringConstraints, ValidationError
 
 from leglab.base.errors import LeglabError
+from leglab.base.input import read_json
 from leglab.base.notebook import data_frame, data_index, html_table
+from leglab.base.output import write_atomically
 
 METRICS, CONFIGURATION, RECORDING = "metrics.json", "run.json", "recording.parquet"
 RUN_FILES = (METRICS, CONFIGURATION, RECORDING)
@@ -188,8 +190,13 @@ def as_json(content: BaseModel) -> dict[str, Any]:
 
 
 def write(content: BaseModel, path: Path) -> None:
-    """Writes a content as JSON."""
-    path.write_text(json.dumps(as_json(content), indent=2, allow_nan=False) + "\n")
+    """Writes a content as JSON.
+
+    Raises:
+        LeglabError: The file cannot be written.
+    """
+    text = json.dumps(as_json(content), indent=2, allow_nan=False) + "\n"
+    write_atomically(path, lambda stream: stream.write(text.encode()))
 
 
 def read(model: type[_Content], path: Path) -> _Content:
@@ -200,11 +207,9 @@ def read(model: type[_Content], path: Path) -> _Content:
             names the file and the entry.
     """
     try:
-        return model.model_validate(json.loads(path.read_bytes()))
+        return model.model_validate(read_json(path))
     except ValidationError as error:
         problem = error.errors(include_url=False)[0]
         where = ".".join(str(part) for part in problem["loc"]) or "content"
         message = problem["msg"][:1].lower() + problem["msg"][1:]
         raise LeglabError(f"{path}: {where}: {message}") from error
-    except (OSError, ValueError, RecursionError) as error:
-        raise LeglabError(f"{path}: cannot be read: {error}") from error

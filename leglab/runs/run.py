@@ -1,6 +1,7 @@
 """One scenario from settings to results: closed loop, recording, metrics."""
 
 import platform
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from typing import Any
@@ -14,6 +15,7 @@ from leglab.base.units import units_of_columns
 from leglab.machine.changes import parameter_units
 from leglab.machine.sensors import CHAMBERS, PressureFaults
 from leglab.runs.clock import adaptation
+from leglab.runs.interrupts import held
 from leglab.runs.loop import History, Loop, Progress, recorded_positions, recording_noise
 from leglab.runs.metrics import excess_error_area, phase_table, rms, usage_table
 from leglab.runs.preparation import RunSettings, reference_config
@@ -81,20 +83,27 @@ def run_scenario(settings: RunSettings, progress: Progress | None = None) -> Run
         progress: Called now and then with the simulated time [s]; half of it while the frozen
             twin of an adaptive controller is still to be run.
 
+    Ctrl-C ends the run: what was recorded comes back. While it is set up, it interrupts.
+
     Raises:
         LeglabError: If a name, a setting or the machine does not fit. A run that fails half way
             does not raise: `history.failure` says why it ended.
     """
     loop = Loop(settings)
-    configuration = _configuration(loop)
+    with held() as hold:
+        return _run(loop, progress, hold.take)
+
+
+def _run(loop: Loop, progress: Progress | None, interrupted: Callable[[], bool]) -> Run:
+    settings, configuration = loop.settings, _configuration(loop)
     twin = _has_twin(loop)
-    history = loop.run(_share(progress, 2 if twin else 1))
+    history = loop.run(_share(progress, 2 if twin else 1), interrupted=interrupted)
     names = {name: str(getattr(settings, name)) for name in ("scenario", "controller", "model")}
     metadata = {**names, "seed": settings.seed}
     recording = _recording(loop, history, metadata)
     twin_error = None
     if twin and not history.failure:
-        twin_history = _twin(loop, progress)
+        twin_history = _twin(loop, progress, interrupted)
         if twin_history.failure.startswith("interrupted"):
             history = replace(history, failure="interrupted in the run of the frozen twin")
         elif not twin_history.failure:
@@ -116,12 +125,12 @@ def _has_twin(loop: Loop) -> bool:
     return bool(loop.scenario.changes) and callable(getattr(loop.controller, "freeze", None))
 
 
-def _twin(loop: Loop, progress: Progress | None) -> History:
+def _twin(loop: Loop, progress: Progress | None, interrupted: Callable[[], bool]) -> History:
     """The same run with adaptation stopped just before the first change."""
     half = loop.scenario.duration / 2
     loop.reset()
     show = None if progress is None else lambda now: progress(half + now / 2)
-    return loop.run(show, freeze=True)
+    return loop.run(show, freeze=True, interrupted=interrupted)
 
 
 def _share(progress: Progress | None, parts: int) -> Progress | None:

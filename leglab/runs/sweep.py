@@ -19,8 +19,9 @@ import leglab.scenarios
 from leglab import __version__
 from leglab.base import plugins
 from leglab.base.errors import LeglabError
+from leglab.base.input import read_json
 from leglab.base.notebook import data_frame, data_index, html_table, panels
-from leglab.data import write_atomically
+from leglab.base.output import claimed_folder, write_atomically
 from leglab.machine.changes import check_tolerance
 from leglab.runs.metrics import sliding_rms
 from leglab.runs.parallel import Progress, make_missing
@@ -33,6 +34,8 @@ _TRACE_PERIOD = 0.02
 # Window of the error that adaptation must not make worse [s].
 _SAFETY_WINDOW = 2.0
 
+
+_MOST_SEEDS = 100_000
 
 # Settings in which the runs of a comparison differ.
 _VARIED = ("scenarios", "controllers", "seeds")
@@ -67,8 +70,8 @@ class Comparison:
     vary: bool = False
 
     def __post_init__(self) -> None:
-        if self.seeds < 1:
-            raise LeglabError(f"seeds is {self.seeds}; allowed: 1 or more")
+        if not 1 <= self.seeds <= _MOST_SEEDS:
+            raise LeglabError(f"seeds is {self.seeds}; allowed: 1 to {_MOST_SEEDS}")
         check_tolerance(self.tolerance)
         for kind in ("scenarios", "controllers"):
             names = getattr(self, kind)
@@ -119,21 +122,19 @@ def run_all(
         until a first window is full; `travel_rad` of the reference, by joint.
 
     Raises:
-        LeglabError: A run cannot be set up, or the folder cannot be written to.
+        LeglabError: A run cannot be set up, the folder cannot be written to, or another process
+            writes to it.
         KeyboardInterrupt: The user interrupts; finished runs are kept.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise LeglabError(f"{folder}: cannot be written: {error.strerror}") from error
     code = fingerprint()
-    make_missing(
-        runs,
-        partial(_run_and_store, folder=folder, code=code),
-        is_made=lambda run: not overwrite and _stored(run, folder, code) is not None,
-        jobs=jobs,
-        progress=progress,
-    )
+    with claimed_folder(folder):
+        make_missing(
+            runs,
+            partial(_run_and_store, folder=folder, code=code),
+            is_made=lambda run: not overwrite and _stored(run, folder, code) is not None,
+            jobs=jobs,
+            progress=progress,
+        )
     results = [_stored(run, folder, code) for run in runs]
     return [result for result in results if result is not None]
 
@@ -168,10 +169,14 @@ def _path(settings: RunSettings, folder: Path) -> Path:
 def _stored(settings: RunSettings, folder: Path, code: str) -> dict[str, Any] | None:
     """Result of a run as it was stored; None if there is none with just these settings and code."""
     try:
-        result = json.loads(_path(settings, folder).read_text())
-    except (OSError, ValueError):
+        result = read_json(_path(settings, folder))
+    except LeglabError:
         return None
-    same = result.get("settings") == asdict(settings) and result.get("code") == code
+    same = (
+        isinstance(result, dict)
+        and result.get("settings") == asdict(settings)
+        and result.get("code") == code
+    )
     return result if same else None
 
 

@@ -19,6 +19,7 @@ void bind_bank(nb::module_& module, const char* name) {
       .def_prop_ro("frozen", &B::frozen)
       .def("state", &B::state)
       .def("set_state", &B::set_state)
+      .def("load_state", &B::load_state)
       .def_prop_ro("parameter_count", &B::parameter_count)
       .def("parameters", &B::parameters)
       .def("set_parameters", &B::set_parameters)

@@ -4,6 +4,7 @@
 #include <cstring>
 #include <memory>
 #include <new>
+#include <string>
 
 #include "bindings/identification_models.h"
 
@@ -110,6 +111,17 @@ class Bank {
   void set_state(nb::bytes state) {
     if (state.size() != state_size()) throw std::invalid_argument("state of another size");
     std::memcpy(block_.get(), state.c_str(), state_size());
+  }
+  // As set_state for a state from outside: one that cannot be is refused, and nothing is changed.
+  void load_state(nb::bytes state) {
+    const std::vector<Line> before(block_.get(), block_.get() + stride_ * models_.size());
+    set_state(state);
+    for (std::size_t j = 0; j < models_.size(); ++j) {
+      if (const char* fault = models_[j].fault()) {
+        std::memcpy(block_.get(), before.data(), before.size() * sizeof(Line));
+        throw std::invalid_argument(std::string(fault) + " of joint " + std::to_string(j));
+      }
+    }
   }
 
   int parameter_count() { return count_parameters(models_[0]); }

@@ -170,7 +170,9 @@ QuadraticBasis<T> make_basis(const T* knots, int p, T* extended, bool full) {
   basis.knot_count = p;
   basis.offset = full ? 0 : 2;
   basis.count = full ? p + 1 : p - 3;
-  basis.inverse_spacing = spacing > T(0) ? T(1) / spacing : T(0);
+  // Knots so close that the inverse is infinite are searched: no index comes from such a product.
+  const T inverse = spacing > T(0) ? T(1) / spacing : T(0);
+  basis.inverse_spacing = is_finite(inverse) ? inverse : T(0);
   return basis;
 }
 

@@ -61,6 +61,22 @@ class Bsnn {
   const Tally& tally() const { return *tally_; }
   void scale_learning(T factor) { tally_->learning_scale = factor; }
 
+  // What a state read from outside cannot be; nullptr where it is sound.
+  const char* fault() const {
+    const Tally& t = *tally_;
+    const bool counts = t.clipped >= 0 && t.violations >= 0;
+    const bool numbers = is_finite(t.bias) && is_finite(t.learning_scale) &&
+                         t.largest_contraction >= T(0);
+    const bool weights = all_finite(weights_, settings_.padded()) &&
+                         all_finite(output_weights_, settings_.inputs);
+    if (!counts || !numbers || !weights) return "weight or count of the network";
+    for (int j = 0; j < settings_.inputs; ++j) {
+      const int first = local_[j].first;
+      if (first < 0 || first > settings_.basis[j].padded() - 3) return "place of a spline";
+    }
+    return nullptr;
+  }
+
   // Network output (Eqs. 10 and 13); remembers the local basis for adapt().
   T output(const T* u) {
     T sum = settings_.bias ? tally_->bias : T(0);

@@ -53,6 +53,15 @@ class BsnnArx {
   int inputs() const { return settings_.network.inputs; }
   T openness() const { return *openness_; }
 
+  // What a state read from outside cannot be; nullptr where it is sound.
+  const char* fault() const {
+    if (!is_finite(*openness_)) return "openness";
+    if (!all_finite(phi_, settings_.na)) return "past output";
+    if (const char* fault = network_.fault()) return fault;
+    if (const char* fault = rls_.fault()) return fault;
+    return guard_.fault();
+  }
+
   // Takes the sample (u(t), y(t)); returns the a-priori prediction of y(t). NaN in y is fine
   // where only a prediction is wanted: the sample then teaches nothing.
   T update(const T* input, T y, bool present = true) {

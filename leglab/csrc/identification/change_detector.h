@@ -57,6 +57,15 @@ class ChangeDetector {
 
   const State& state() const { return *state_; }
 
+  // What a state read from outside cannot be; nullptr where it is sound.
+  const char* fault() const {
+    const State& s = *state_;
+    const bool counts = s.samples >= 0 && s.last_change >= 0 && s.last_change <= s.samples &&
+                        s.changes >= 0 && s.changes <= s.samples;
+    const bool means = is_finite(s.fast) && is_finite(s.slow) && s.fast >= T(0) && s.slow >= T(0);
+    return counts && means ? nullptr : "change detector";
+  }
+
  private:
   ChangeSettings<T> settings_;
   State* state_ = nullptr;

@@ -130,6 +130,18 @@ class Features {
     }
   }
 
+  // What a state read from outside cannot be; nullptr where it is sound.
+  const char* fault() const {
+    const LocalBasis<T>* local = local_;
+    for (int b = 0; b < structure_.block_count; ++b) {
+      const Block<T>& block = structure_.blocks[b];
+      for (int k = 0; k < block.locals(); ++k, ++local) {
+        if (local->first < 0 || local->first > block.basis.count - 3) return "place of a spline";
+      }
+    }
+    return nullptr;
+  }
+
   // theta^T phi.
   T predict(const T* theta) const {
     T sum = T(0);

@@ -62,6 +62,18 @@ class Guard {
   State& state() { return *state_; }
   const State& state() const { return *state_; }
 
+  // What a state read from outside cannot be; nullptr where it is sound.
+  const char* fault() const {
+    const State& s = *state_;
+    for (const std::int64_t count : s.tally) {
+      if (count < 0) return "count of samples";
+    }
+    const bool counts = s.unchanged >= 0 && s.dirty >= 0 && s.dirty <= settings_.memory;
+    if (!counts || !is_flag(s.input_moved) || !is_flag(s.frozen)) return "count of samples";
+    const bool numbers = is_finite(s.output) && all_finite(s.input, settings_.inputs);
+    return numbers ? nullptr : "last good sample";
+  }
+
   // Judges a sample and replaces what must not enter the history by the last good value.
   Sample judge(T* u, T& y, bool present) {
     State& s = *state_;

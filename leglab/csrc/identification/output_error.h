@@ -34,6 +34,15 @@ class OutputError {
   State& state() { return *state_; }
   const State& state() const { return *state_; }
 
+  // What a state read from outside cannot be; nullptr where it is sound. Its numbers may be
+  // anything: a simulation that is lost starts anew.
+  const char* fault() const {
+    const State& s = *state_;
+    const bool sound = s.resynchronised >= 0 && s.samples >= 0 && is_finite(s.mean_square) &&
+                       s.mean_square >= T(0) && is_flag(s.running);
+    return sound ? features_.fault() : "simulation";
+  }
+
   // Sensitivities of the simulated output at this sample: theta first, then the weights.
   const T* sensitivity() const { return psi_; }
 

@@ -69,6 +69,21 @@ class Rls {
   const Tally& tally() const { return *tally_; }
   const typename ChangeDetector<T>::State& change() const { return detector_.state(); }
 
+  // What a state read from outside cannot be; nullptr where it is sound.
+  const char* fault() const {
+    const Tally& t = *tally_;
+    const bool counts = t.rejected >= 0 && t.in_a_row >= 0 && t.restarts >= 0 && t.until >= 0 &&
+                        t.until <= settings_.restore_interval && t.visit >= 0 && t.visit < size();
+    const bool numbers = is_finite(t.factor) && is_finite(t.forgotten);
+    if (!counts || !numbers || !all_finite(restored_, size())) return "count of least squares";
+    if (!all_finite(theta_, size())) return "parameter";
+    for (int i = 0; i < size(); ++i) {
+      if (unit_[i] != T(0)) return "unit vector";
+    }
+    if (const char* fault = detector_.fault()) return fault;
+    return factor_.fault();
+  }
+
   T predict(const T* phi) const {
     T even = T(0), odd = T(0);
     const int n = size();

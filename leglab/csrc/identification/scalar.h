@@ -24,6 +24,20 @@ constexpr bool is_finite(T x) {
   return x - x == T(0);
 }
 
+// Whether all of `count` values are finite.
+template <class T>
+constexpr bool all_finite(const T* values, int count) {
+  for (int i = 0; i < count; ++i) {
+    if (!is_finite(values[i])) return false;
+  }
+  return true;
+}
+
+// Whether a flag read from outside is one: a bool of another byte has no defined value.
+inline bool is_flag(const bool& flag) {
+  return *reinterpret_cast<const unsigned char*>(&flag) <= 1;
+}
+
 // Shifts the newest value into past[0 .. depth]. The carry keeps compilers from calling memmove,
 // which costs more than a few values are worth.
 template <class T>

@@ -82,6 +82,19 @@ class SplineNarx {
   bool refines() const { return settings_.output_error_after > 0; }
   const OutputError<T>& simulation() const { return simulation_; }
 
+  // What a state read from outside cannot be; nullptr where it is sound.
+  const char* fault() const {
+    const State& s = *state_;
+    if (s.learned < 0 || s.clipped < 0 || s.projected < 0) return "count of samples";
+    if (!all_finite(past_.output, past_.depth + 1)) return "past output";
+    if (!all_finite(past_.inputs, (past_.depth + 1) * inputs())) return "past input";
+    if (!all_finite(weights_, weight_count_)) return "weight";
+    if (const char* fault = features_.fault()) return fault;
+    if (const char* fault = refines() ? simulation_.fault() : nullptr) return fault;
+    if (const char* fault = rls_.fault()) return fault;
+    return guard_.fault();
+  }
+
   // Takes the sample (u(t), y(t)); returns the a-priori prediction of y(t).
   T update(const T* input, T y, bool present = true) {
     T u[GuardSettings<T>::max_inputs];

@@ -105,6 +105,15 @@ class UdFactor {
     limit(bound);
   }
 
+  // What a factor read from outside cannot be; nullptr where it is sound.
+  const char* fault() const {
+    if (!all_finite(u_, n_ * (n_ - 1) / 2) || !all_finite(d_, n_)) return "gain";
+    for (int i = 0; i < n_; ++i) {
+      if (!(d_[i] > T(0))) return "gain";
+    }
+    return nullptr;
+  }
+
   T trace() const {
     T sum = T(0);
     for (int j = 0; j < n_; ++j) sum += d_[j] * column_power(j);

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from leglab.base.errors import LeglabError
-from leglab.data import write_atomically
+from leglab.base.output import write_atomically
 from leglab.diagnosis.result import Diagnosis, shown_unit
 from leglab.report.diagnosis.figures import look, pictures
 from leglab.report.diagnosis.words import (

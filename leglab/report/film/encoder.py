@@ -4,14 +4,20 @@ import contextlib
 import os
 import subprocess
 import tempfile
+import threading
+import time
 from collections.abc import Sequence
 from pathlib import Path
+from types import TracebackType
 from typing import Self
 
 from leglab.base.errors import LeglabError
+from leglab.base.output import cannot_write, new_file, regular_file
 
 # What explains a failure best comes first; ffmpeg is told to print nothing but errors.
 _TELLING = ("No space left", "Unknown encoder", "")
+# Longest time that ffmpeg may take for a frame, or for its end [s].
+_PATIENCE = 120.0
 # Share of the wanted size that is aimed at: one pass meets a bit rate roughly.
 _AIM = 0.85
 _ATTEMPTS = 3
@@ -36,15 +42,8 @@ class Encoder:
 
     def __init__(self, out: Path, size: tuple[int, int], rate: int) -> None:
         program = _ffmpeg()
+        check_film(out)
         self._out = out
-        self._partial = out.with_name(f".{out.name}.partial.mp4")
-        try:
-            out.parent.mkdir(parents=True, exist_ok=True)
-            if out.is_dir():
-                raise IsADirectoryError(21, "it is a folder")
-            self._partial.touch()
-        except OSError as error:
-            raise LeglabError(f"{out}: cannot be written: {error.strerror}") from error
         width, height = size
         command = [
             *(program, "-hide_banner", "-loglevel", "error", "-y"),
@@ -53,16 +52,22 @@ class Encoder:
             *("-c:v", "libx264", "-preset", "veryfast", "-crf", "20", "-pix_fmt", "yuv420p"),
             *("-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709"),
             *("-color_range", "tv", "-threads", "1", "-fflags", "+bitexact"),
-            *("-flags:v", "+bitexact", "-movflags", "+faststart", str(self._partial)),
+            *("-flags:v", "+bitexact", "-movflags", "+faststart"),
         ]
-        self._log = tempfile.TemporaryFile()  # noqa: SIM115
-        try:
-            self._process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._log
-            )
-        except OSError as error:
-            self._partial.unlink(missing_ok=True)
-            raise LeglabError(f"{program} cannot be run: {error.strerror}") from error
+        with contextlib.ExitStack() as stack:
+            self._partial = stack.enter_context(new_file(out))
+            self._log = stack.enter_context(tempfile.TemporaryFile())
+            try:
+                self._process = subprocess.Popen(
+                    [*command, str(self._partial)],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.DEVNULL,
+                    stderr=self._log,
+                )
+            except OSError as error:
+                raise LeglabError(f"{program} cannot be run: {error.strerror}") from error
+            self._patience = stack.enter_context(_Patience(self._process))
+            self._stack = stack.pop_all()
 
     def __enter__(self) -> Self:
         return self
@@ -74,27 +79,35 @@ class Encoder:
             LeglabError: The encoder stopped, because the disk is full, for instance.
         """
         assert self._process.stdin is not None
+        self._patience.begin_anew()
         try:
             self._process.stdin.write(frame)
         except OSError:
             self._process.wait()
             raise self._failure() from None
 
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        reason = error
         try:
             if error is not None:
                 self._process.kill()
+            self._patience.begin_anew()
             with contextlib.suppress(OSError):
                 assert self._process.stdin is not None
                 self._process.stdin.close()
             status = self._process.wait()
-            if error is None:
-                if status or self._said():
-                    raise self._failure()
-                os.replace(self._partial, self._out)
-        finally:
-            self._partial.unlink(missing_ok=True)
-            self._log.close()
+            if error is None and (status or self._said() or not self._partial.stat().st_size):
+                raise self._failure()
+        except BaseException as failure:
+            reason = failure
+            raise
+        finally:  # The film takes its place where there is no reason against it.
+            self._stack.__exit__(type(reason) if reason else None, reason, trace)
 
     def _said(self) -> str:
         self._log.seek(0)
@@ -103,6 +116,10 @@ class Encoder:
 
     def _failure(self) -> LeglabError:
         said = self._said()
+        if self._patience.ended:
+            return LeglabError(
+                f"{self._out}: cannot be encoded: ffmpeg took nothing for {_PATIENCE:g} s"
+            )
         if "No space left" in said:
             return LeglabError(f"{self._out}: cannot be written: no space left on the disk")
         if "Unknown encoder" in said:
@@ -110,7 +127,55 @@ class Encoder:
                 "this ffmpeg cannot encode H.264 (it has no libx264); unset IMAGEIO_FFMPEG_EXE "
                 "to use the one that comes with imageio-ffmpeg"
             )
-        return LeglabError(f"{self._out}: cannot be encoded: {said or 'ffmpeg stopped early'}")
+        return LeglabError(f"{self._out}: cannot be encoded: {said or 'ffmpeg wrote nothing'}")
+
+
+class _Patience:
+    """Ends a process that takes nothing for too long: a pipe that is full waits for ever."""
+
+    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+        self._process = process
+        self._over = threading.Event()
+        self.ended = False
+        self.begin_anew()
+        self._watch = threading.Thread(target=self._wait, daemon=True)
+
+    def begin_anew(self) -> None:
+        self._last = time.monotonic() + _PATIENCE
+
+    def __enter__(self) -> Self:
+        self._watch.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._watch.join()
+
+    def _wait(self) -> None:
+        while (left := self._last - time.monotonic()) > 0:
+            if self._over.wait(left):
+                return
+        self.ended = True
+        self._process.kill()
+
+
+def check_film(path: Path) -> None:
+    """Refuses a place where a film would replace something else, before any work is done.
+
+    Raises:
+        LeglabError: The name does not end with .mp4, or a file stands there that is no film.
+    """
+    if path.suffix.lower() != ".mp4":
+        raise LeglabError(f"{path}: a film needs a name that ends with .mp4")
+    try:
+        with regular_file(path).open("rb") as stream:
+            head = stream.read(8)
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise cannot_write(path, error) from error
+    if head and head[4:] != b"ftyp":
+        raise LeglabError(f"{path}: is no film: it is left as it is")
 
 
 def _ffmpeg() -> str:

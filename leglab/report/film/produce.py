@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from leglab.base.errors import LeglabError
-from leglab.report.film.encoder import Encoder
+from leglab.report.film.encoder import Encoder, check_film
 from leglab.report.film.framing import DEFAULT_CAMERA
 from leglab.report.film.look import MAX_RUNS, SIZE
 from leglab.report.film.track import Track, load_track
@@ -55,6 +55,7 @@ def render_film(
     folders, out = [Path(folder) for folder in folders], Path(out)
     if not 1 <= len(folders) <= MAX_RUNS:
         raise LeglabError(f"{len(folders)} runs side by side; allowed: 1 to {MAX_RUNS}")
+    check_film(out)
     first, last = _span([load_track(folder) for folder in folders], start, duration)
     count = max(round((last - first) * FRAME_RATE), 1)
     job = {

@@ -72,7 +72,8 @@ class _Worker:
     def __init__(self, job: dict[str, Any], env: dict[str, str], frame_size: int) -> None:
         self._log = tempfile.TemporaryFile()  # noqa: SIM115
         self._process = subprocess.Popen(
-            [sys.executable, "-c", _CODE, json.dumps(job)],
+            # Modules come from where they are installed, not from the working folder.
+            [sys.executable, "-P", "-c", _CODE, json.dumps(job)],
             env=env,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,

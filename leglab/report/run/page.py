@@ -2,8 +2,6 @@
 
 import base64
 import os
-import shutil
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,7 +9,7 @@ from pathlib import Path
 from markupsafe import Markup
 
 from leglab.base.errors import LeglabError
-from leglab.data import write_atomically
+from leglab.base.output import cannot_write, claimed_folder, write_atomically
 from leglab.report.film.encoder import film_bytes, still_bytes
 from leglab.report.page.shell import asset, render
 from leglab.report.page.wording import listed
@@ -66,7 +64,13 @@ def check_out(folder: Path, *, overwrite: bool) -> None:
         raise LeglabError(f"{str(folder / PAGE)!r} exists; remove it or give --overwrite")
 
 
-def write_report(runs: Sequence[ReportedRun], folder: Path, *, filmer: Filmer | None) -> Report:
+def write_report(
+    runs: Sequence[ReportedRun],
+    folder: Path,
+    *,
+    filmer: Filmer | None,
+    workplace: Path | None = None,
+) -> Report:
     """Writes `report.html` and `report.mp4`, both or none.
 
     Args:
@@ -74,33 +78,30 @@ def write_report(runs: Sequence[ReportedRun], folder: Path, *, filmer: Filmer | 
         folder: Where to; made where it is missing. An earlier report is replaced.
         filmer: Draws the film; None for a page without one. Where it fails with `LeglabError`, the
             page says why, and an earlier film goes.
+        workplace: From `claimed_folder`, where the caller holds the folder already.
 
     Raises:
-        LeglabError: The folder cannot be written to.
+        LeglabError: The folder cannot be written to, or another process writes to it.
     """
+    if workplace is None:
+        with claimed_folder(folder) as own:
+            return write_report(runs, folder, filmer=filmer, workplace=own)
+    film, why_no_film = None, ""
+    if filmer is not None:
+        try:
+            film = filmer(workplace / FILM)
+        except LeglabError as error:
+            why_no_film = str(error)
+    text = page(runs, film=film, no_film=why_no_film)
+    write_atomically(workplace / PAGE, lambda stream: stream.write(text.encode()))
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        workplace = Path(tempfile.mkdtemp(dir=folder, prefix=".report."))
-    except OSError as error:
-        raise LeglabError(f"{folder}: cannot be written: {error.strerror}") from error
-    try:
-        film, why_no_film = None, ""
-        if filmer is not None:
-            try:
-                film = filmer(workplace / FILM)
-            except LeglabError as error:
-                why_no_film = str(error)
-        text = page(runs, film=film, no_film=why_no_film)
-        write_atomically(workplace / PAGE, lambda stream: stream.write(text.encode()))
         if film is None:
             (folder / FILM).unlink(missing_ok=True)
         else:
             os.replace(film, folder / FILM)
         os.replace(workplace / PAGE, folder / PAGE)
     except OSError as error:
-        raise LeglabError(f"{folder}: cannot be written: {error.strerror}") from error
-    finally:
-        shutil.rmtree(workplace, ignore_errors=True)
+        raise cannot_write(folder, error) from error
     return Report(
         page=folder / PAGE, film=None if film is None else folder / FILM, why_no_film=why_no_film
     )

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
-from leglab.data import write_atomically
 from leglab.studies.blind.faulty_bench import FAULTS, FaultyBench, HiddenValue, detuned, references
 
 JITTER = 1e-5  # s, standard deviation of the logger's clock

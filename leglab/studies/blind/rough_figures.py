@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from leglab.data import write_atomically
+from leglab.base.output import write_atomically
 from leglab.report.figures import add_head
 from leglab.report.page.wording import readable
 from leglab.report.style import BLUE, DARK_GREY, GRID, LIGHT_GREY, VERMILION, style

@@ -1,0 +1,63 @@
+"""Input: regular files are read, with a clear error where they cannot be."""
+
+import json
+import math
+import os
+import stat
+from pathlib import Path
+from typing import Any
+
+from leglab.base.errors import LeglabError
+
+
+def read_bytes(path: str | Path, most: int = -1) -> bytes:
+    """Returns the content of a file, or the beginning of so many bytes.
+
+    Raises:
+        LeglabError: It cannot be read, or is no regular file: a pipe would be waited for.
+    """
+    try:
+        # Not to wait for a pipe's other end before it is known to be one.
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        with os.fdopen(handle, "rb") as stream:
+            if not stat.S_ISREG(os.fstat(handle).st_mode):
+                raise LeglabError(f"{path}: cannot be read: it is no regular file")
+            return stream.read(most)
+    except OSError as error:
+        raise LeglabError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except MemoryError as error:
+        raise LeglabError(f"{path}: cannot be read: it does not fit into memory") from error
+
+
+def read_json(path: str | Path) -> Any:
+    """Returns the content of a JSON file.
+
+    Raises:
+        LeglabError: It cannot be read, is not JSON, nested too deep, or a number is not finite.
+    """
+    try:
+        return parse_json(read_bytes(path))
+    except ValueError as error:
+        if isinstance(error, LeglabError):
+            raise
+        raise LeglabError(f"{path}: cannot be read: {error}") from error
+
+
+def parse_json(text: str | bytes) -> Any:
+    """Returns the value of a JSON text.
+
+    Raises:
+        ValueError: It is not JSON, nested too deep, or a number is not finite, which Python's own
+            reader would take.
+    """
+    try:
+        return json.loads(text, parse_constant=_finite, parse_float=_finite)
+    except RecursionError:
+        raise ValueError("it is nested too deep") from None
+
+
+def _finite(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"{text[:20]} is not a finite number")
+    return number

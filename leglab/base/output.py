@@ -1,0 +1,333 @@
+"""Output: a file or folder is there as a whole or not at all, and one process at a time writes it.
+
+What is being made stands under a hidden name that no other process uses, and takes its place at the
+end. What a killed process left behind goes when its place is written to again.
+"""
+
+import errno
+import fcntl
+import os
+import shutil
+import socket
+import stat
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO
+
+from leglab.base.errors import LeglabError
+
+_LOCK = ".leglab.lock"
+_WORKPLACE = ".leglab-work."
+# What flock says on file systems without locks, some of clusters among them.
+_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL, errno.EBADF)
+
+
+def write_atomically(path: str | Path, write: Callable[[BinaryIO], object]) -> None:
+    """Writes a file as a whole or leaves it as it was; of several processes the last one wins.
+
+    Args:
+        path: The file. A symbolic link stays one; its target is replaced.
+        write: Writes the content into the binary stream that it is given.
+
+    Raises:
+        LeglabError: The folder does not exist or cannot be written to, the disk is full, or the
+            path is no regular file.
+    """
+    path = Path(path)
+    try:
+        real = regular_file(path)
+        handle, temporary = tempfile.mkstemp(
+            dir=real.parent, prefix=f".{real.name}.", suffix=".partial"
+        )
+    except OSError as error:
+        raise cannot_write(path, error) from error
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            write(stream)
+        os.chmod(temporary, 0o666 & ~_umask())
+        os.replace(temporary, real)
+    except BaseException as error:
+        with suppress(OSError):
+            os.unlink(temporary)
+        if isinstance(error, OSError) and error.strerror:
+            raise cannot_write(path, error) from error
+        raise
+
+
+@contextmanager
+def new_file(path: Path) -> Iterator[Path]:
+    """Yields where a program is to write a file, which takes its place at the end.
+
+    Args:
+        path: The file; its folder is made. A symbolic link stays one; its target is replaced.
+
+    Yields:
+        An empty file with the same suffix.
+
+    Raises:
+        LeglabError: Another process is writing the file, or it cannot be written or replaced.
+    """
+    try:
+        real = regular_file(path)
+    except OSError as error:
+        raise cannot_write(path, error) from error
+    with _folder(real.parent, path), _claimed(_lock_of(real), path) as alone:
+        if alone:
+            _remove(real.parent.glob(f".{_literal(real.name)}.*.partial{_literal(real.suffix)}"))
+        try:
+            handle, name = tempfile.mkstemp(
+                dir=real.parent, prefix=f".{real.name}.", suffix=f".partial{real.suffix}"
+            )
+            os.fchmod(handle, 0o666 & ~_umask())
+            os.close(handle)
+        except OSError as error:
+            raise cannot_write(path, error) from error
+        try:
+            yield Path(name)
+            try:
+                os.replace(name, real)
+            except OSError as error:
+                raise cannot_write(path, error) from error
+        finally:
+            _remove([Path(name)])
+
+
+def check_folder(folder: Path, *, mark: str, overwrite: bool = False) -> None:
+    """Refuses a folder that exists.
+
+    Args:
+        folder: Where results shall go.
+        mark: File by which a folder with earlier results is known.
+        overwrite: Whether earlier results may be replaced.
+
+    Raises:
+        LeglabError: It exists and may not be replaced, holds something else, or is the working
+            folder or one that holds it.
+    """
+    try:
+        if not os.path.lexists(folder):
+            return
+        if not overwrite:
+            raise LeglabError(
+                f"output folder {str(folder)!r} exists; remove it or give --overwrite"
+            )
+        if not folder.is_dir() or (any(folder.iterdir()) and not (folder / mark).exists()):
+            raise LeglabError(f"{str(folder)!r} holds no {mark}: it is left as it is")
+        if Path.cwd().is_relative_to(os.path.realpath(folder)):
+            raise LeglabError(f"{str(folder)!r} is or holds the working folder: give another one")
+    except OSError as error:
+        raise cannot_write(folder, error) from error
+
+
+def check_apart(folder: Path, inputs: Iterable[Path]) -> None:
+    """Refuses a folder that holds what is read: with earlier results it would be replaced.
+
+    Raises:
+        LeglabError: Names the input.
+    """
+    real = os.path.realpath(folder)
+    for path in inputs:
+        if Path(os.path.realpath(path)).is_relative_to(real):
+            raise LeglabError(f"{path} lies in the output folder {str(folder)!r}: give another one")
+
+
+@contextmanager
+def new_folder(folder: Path, *, mark: str, overwrite: bool = False) -> Iterator[Path]:
+    """Yields where the content of a folder is to be made, which takes its place at the end.
+
+    Args:
+        folder: Where results shall go; parents are made. A symbolic link stays one.
+        mark: File by which a folder with earlier results is known.
+        overwrite: Whether earlier results may be replaced; they stay until the end.
+
+    Yields:
+        An empty folder beside it.
+
+    Raises:
+        LeglabError: As `check_folder`, another process is writing the folder, or it cannot be
+            written.
+    """
+    real = Path(os.path.realpath(folder))
+    check_folder(folder, mark=mark, overwrite=overwrite)
+    with _folder(real.parent, folder), _claimed(_lock_of(real), folder) as alone:
+        earlier = real.with_name(f".{real.name}.earlier")
+        try:
+            if alone:
+                _remove(real.parent.glob(f".{_literal(real.name)}.*.partial"))
+                _recover(real, earlier)
+            check_folder(folder, mark=mark, overwrite=overwrite)
+            name = tempfile.mkdtemp(dir=real.parent, prefix=f".{real.name}.", suffix=".partial")
+            os.chmod(name, 0o777 & ~_umask())
+        except OSError as error:
+            raise cannot_write(folder, error) from error
+        try:
+            yield Path(name)
+            check_folder(folder, mark=mark, overwrite=overwrite)
+            try:
+                _exchange(Path(name), real, earlier)
+            except OSError as error:
+                raise cannot_write(folder, error) from error
+        finally:
+            _remove([Path(name)])
+
+
+@contextmanager
+def claimed_folder(folder: Path) -> Iterator[Path]:
+    """Keeps other processes from writing to a folder whose files are replaced one by one.
+
+    Args:
+        folder: Where results go; it is made, and goes again if it stays empty.
+
+    Yields:
+        An empty folder inside it, which goes at the end: files are made there and moved.
+
+    Raises:
+        LeglabError: Another process is writing to the folder, or it cannot be written to.
+    """
+    with _folder(folder, folder), _claimed(folder / _LOCK, folder) as alone:
+        try:
+            if alone:
+                _remove(folder.glob(f"{_WORKPLACE}*"))
+                _remove(path for path in folder.glob(".*.partial") if path.is_file())
+            workplace = Path(tempfile.mkdtemp(dir=folder, prefix=_WORKPLACE))
+        except OSError as error:
+            raise cannot_write(folder, error) from error
+        try:
+            yield workplace
+        finally:
+            _remove([workplace])
+
+
+def cannot_write(path: Path, error: OSError) -> LeglabError:
+    """Returns the error of a file or folder that cannot be written, with the system's reason."""
+    return LeglabError(f"{path}: cannot be written: {error.strerror or error}")
+
+
+@contextmanager
+def _folder(folder: Path, place: Path) -> Iterator[None]:
+    """Makes a folder with its parents; of those that it made, the empty ones go at the end."""
+    made: list[Path] = []
+    try:
+        above = folder
+        while not above.exists():
+            made.append(above)
+            above = above.parent
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise cannot_write(place, error) from error
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            for empty in made:
+                empty.rmdir()
+
+
+@contextmanager
+def _claimed(lock: Path, place: Path) -> Iterator[bool]:
+    """Holds a lock, which the system frees however the process ends; yields whether there is one.
+
+    A file system without locks has none: what is written there is whole all the same.
+    """
+    try:
+        handle, alone = _acquire(lock, place)
+    except OSError as error:
+        raise cannot_write(place, error) from error
+    try:
+        yield alone
+    finally:
+        if alone:  # Removed while it is held: who opened it meanwhile sees that it is gone.
+            lock.unlink(missing_ok=True)
+        os.close(handle)
+
+
+def _lock_of(path: Path) -> Path:
+    return path.with_name(f".{path.name}.lock")
+
+
+def _acquire(lock: Path, place: Path) -> tuple[int, bool]:
+    while True:
+        handle = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            owner = os.read(handle, 200).decode(errors="replace").strip() or "another process"
+            os.close(handle)
+            raise LeglabError(
+                f"{place}: {owner} is writing it; wait for its end or give another place"
+            ) from error
+        except OSError as error:
+            if error.errno in _NO_LOCKS:
+                return handle, False
+            os.close(handle)
+            raise
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(handle), os.stat(lock)):
+                os.ftruncate(handle, 0)
+                os.write(handle, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
+                return handle, True
+        os.close(handle)  # Its last owner removed it between the two calls.
+
+
+def regular_file(path: Path) -> Path:
+    """Returns the file itself, behind links; refuses what no file may replace.
+
+    Raises:
+        LeglabError: It is a folder, a device, a pipe or a socket.
+        OSError: It cannot be looked at.
+    """
+    real = Path(os.path.realpath(path))
+    try:
+        mode = real.stat().st_mode
+    except FileNotFoundError:
+        return real
+    if not stat.S_ISREG(mode):
+        what = "a folder" if stat.S_ISDIR(mode) else "no regular file"
+        raise LeglabError(f"{path}: cannot be written: it is {what}")
+    return real
+
+
+def _exchange(new: Path, folder: Path, earlier: Path) -> None:
+    """Puts a new folder in the place of an earlier one; `_recover` mends what a kill interrupts."""
+    if folder.exists():
+        folder.rename(earlier)
+    try:
+        new.rename(folder)
+    except OSError:
+        if earlier.exists():
+            earlier.rename(folder)
+        raise
+    _remove([earlier])
+
+
+def _recover(folder: Path, earlier: Path) -> None:
+    """Brings back what a process had moved aside that was killed before it moved the new one in."""
+    if not earlier.exists():
+        return
+    if folder.exists():
+        _remove([earlier])
+    else:
+        earlier.rename(folder)
+
+
+def _remove(paths: Iterator[Path] | list[Path]) -> None:
+    for path in list(paths):
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            with suppress(OSError):
+                path.unlink()
+
+
+def _literal(name: str) -> str:
+    """Returns a name as a pattern that fits nothing else."""
+    return "".join(f"[{letter}]" if letter in "*?[" else letter for letter in name)
+
+
+def _umask() -> int:
+    """Returns which rights new files do not get: a result is as readable as any other new file."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
