@@ -51,13 +51,28 @@ def hidden(folder: Path) -> list[str]:
 
 def test_of_two_runs_into_one_folder_the_second_is_told_by_whom(tmp_path):
     arguments = (*RUN, "--duration", "20", "--out", "a", "--overwrite", "--seed")
-    both = [start(*arguments, seed, cwd=tmp_path) for seed in (1, 2)]
-    told = [process.communicate() for process in both]
-    seed = json.loads((tmp_path / "a" / "run.json").read_text())["settings"]["seed"]
-    assert both[seed - 1].returncode == 0, told
-    assert both[2 - seed].returncode == 2, told
-    assert f"error: a: process {both[seed - 1].pid} on " in told[2 - seed][1], told
+    first = start(*arguments, 1, cwd=tmp_path)
+    wait_for(lambda: hidden(tmp_path), first)
+    first.send_signal(signal.SIGSTOP)
+    try:
+        second = start(*arguments, 2, cwd=tmp_path)
+        told = second.communicate()[1]
+    finally:
+        first.send_signal(signal.SIGCONT)
+    assert second.returncode == 2
+    # Stopped before it could write who it is, it is "another process".
+    known = f"process {first.pid} on "
+    assert f"error: a: {known}" in told or "error: a: another process is writing it" in told
+    assert (first.communicate()[1], first.returncode) == ("", 0)
+    assert json.loads((tmp_path / "a" / "run.json").read_text())["settings"]["seed"] == 1
     assert hidden(tmp_path) == []
+
+
+def test_the_owner_of_a_place_is_told_by_its_process(tmp_path):
+    with new_folder(tmp_path / "a", mark="run.json"):
+        done = start(*RUN, "--out", "a", cwd=tmp_path)
+        assert f"error: a: process {os.getpid()} on " in done.communicate()[1]
+        assert done.returncode == 2
 
 
 def test_a_place_is_claimed_before_any_work_and_the_owner_is_named(tmp_path):

@@ -11,6 +11,7 @@ import shutil
 import socket
 import stat
 import tempfile
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -22,6 +23,7 @@ _LOCK = ".leglab.lock"
 _WORKPLACE = ".leglab-work."
 # What flock says on file systems without locks, some of clusters among them.
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL, errno.EBADF)
+_PATIENCE = 50  # times that the owner of a lock is asked for, in all a second
 
 
 def write_atomically(path: str | Path, write: Callable[[BinaryIO], object]) -> None:
@@ -248,15 +250,21 @@ def _lock_of(path: Path) -> Path:
 
 
 def _acquire(lock: Path, place: Path) -> tuple[int, bool]:
+    patience = _PATIENCE
     while True:
         handle = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            owner = os.read(handle, 200).decode(errors="replace").strip() or "another process"
+            owner = os.read(handle, 200).decode(errors="replace").strip()
             os.close(handle)
+            if not owner and patience > 0:  # Its owner has yet to write who it is.
+                patience -= 1
+                time.sleep(0.02)
+                continue
             raise LeglabError(
-                f"{place}: {owner} is writing it; wait for its end or give another place"
+                f"{place}: {owner or 'another process'} is writing it; wait for its end or give "
+                "another place"
             ) from error
         except OSError as error:
             if error.errno in _NO_LOCKS:

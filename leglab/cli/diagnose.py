@@ -8,7 +8,7 @@ import typer
 
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.output import check_apart, check_folder, claimed_folder, new_folder
-from leglab.cli.options import Columns, HeldOut, Json, Load, Overwrite, load_plugins, names_of
+from leglab.cli.options import Columns, HeldOut, Json, Load, Overwrite, load_plugins
 from leglab.cli.terminal import output, print_json, progress, tell
 
 
@@ -65,9 +65,8 @@ def diagnose(
     load_plugins(load)
     if seed < 0:
         raise LeglabError(f"seed is {seed}; allowed: 0 or more")
-    for name in effect or ():
-        if name not in names_of("effects"):
-            raise unknown_name("effect", name, names_of("effects"))
+    if effect:
+        _check_effects(effect)
     if self_test:
         if cases < 1:
             raise LeglabError(f"cases is {cases}; allowed: 1 or more")
@@ -176,3 +175,13 @@ def _self_test(folder: Path, count: int, seed: int, as_json: bool) -> None:
         return
     output.print(score_table(outcomes))
     output.print(confusion_table(outcomes))
+
+
+def _check_effects(names: list[str]) -> None:
+    """Refuses names of effects that nothing has registered, a plug-in neither."""
+    from leglab.diagnosis.effects import all_effects
+
+    known = sorted({effect.name for effect in all_effects()})
+    for name in names:
+        if name not in known:
+            raise unknown_name("effect", name, known)
