@@ -66,6 +66,7 @@ class Rls {
   T* theta() { return theta_; }
   const T* theta() const { return theta_; }
   const UdFactor<T>& gain() const { return factor_; }
+  UdFactor<T>& gain() { return factor_; }
   const Tally& tally() const { return *tally_; }
   const typename ChangeDetector<T>::State& change() const { return detector_.state(); }
 
