@@ -8,9 +8,6 @@ from leglab.control import ControllerSetup, Measurement, ReferencePoint, registe
 from leglab.control.feedforward.fault_monitor import Event, FaultMonitor, MonitorConfiguration
 from leglab.controllers.bsnn_arx import AdaptiveConfiguration, AdaptiveController
 
-# A detector of the learner's own beside the monitor would open gains that a name has closed.
-_NEVER = 1e12
-
 
 class BankConfiguration(AdaptiveConfiguration):
     """Settings of `bsnn_arx`, and of the monitor that names faults.
@@ -43,10 +40,7 @@ class BankController(AdaptiveController):
     def __init__(self, setup: ControllerSetup, config: BankConfiguration) -> None:
         if setup.fault_bank is None:
             raise LeglabError(f"controller {self.name!r} needs a bank of faults of the machine")
-        if config.corrects:
-            super().__init__(setup, config.model_copy(update={"change_ratio": _NEVER}))
-        else:
-            super().__init__(setup, config)
+        super().__init__(setup, config)
         bank = setup.fault_bank()
         if config.left_out:
             bank = bank.without(config.left_out)
@@ -89,6 +83,8 @@ class BankController(AdaptiveController):
             learner.parameters = advice.parameters.reshape(learner.parameters.shape)
         for joint in np.flatnonzero(np.isfinite(advice.gain)):
             opened = self._config.change_gain * max(float(advice.gain[joint]), 1e-9)
+            # An alarm of the learner's own would open what a name has just closed.
+            learner.hold_alarm(int(joint))
             learner.set_gain(opened * np.eye(parameters.shape[1]), int(joint))
 
     def diagnostics(self) -> dict[str, np.ndarray]:

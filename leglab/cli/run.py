@@ -49,6 +49,8 @@ def run(
         terminal.print_json(result.metrics)
     else:
         terminal.output.print(terminal.metrics_table(result.metrics))
+        for line in terminal.fault_lines(result.metrics):
+            terminal.output.print(line, soft_wrap=True)
         terminal.output.print(f"written to {folder}")
     failure = result.history.failure
     if failure:

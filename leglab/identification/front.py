@@ -217,6 +217,10 @@ class Identifier:
         _require_finite("gain", array)
         self._bank.set_gain(joint, array)
 
+    def hold_alarm(self, joint: int = 0) -> None:
+        """Keeps the change detector of one joint silent for its hold-off, as after an alarm."""
+        self._bank.hold_alarm(joint)
+
     def diagnostics(self, joint: int = 0) -> dict[str, float]:
         """Counts of samples by what became of them, changes, forgetting and gain of one joint.
 

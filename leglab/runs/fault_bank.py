@@ -3,19 +3,26 @@
 A machine of its own runs, never that of the run: what happens to that one cannot get here.
 """
 
+import hashlib
+import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
 from leglab.base.errors import LeglabError
 from leglab.base.scenario import Scenario, get_scenario, scenario_severity
+from leglab.commissioning.setup import model_digest
 from leglab.control.feedforward.fault_bank import ALL, FaultBank, FaultCurve, Moments
 from leglab.controllers.bsnn_arx import AdaptiveController
+from leglab.data import write_atomically
 from leglab.machine.plugin import headless
 from leglab.machine.simulation import Simulation
+from leglab.runs.fingerprint import fingerprint
 from leglab.runs.preparation import Preparation, RunSettings, reference_config
 
 
@@ -73,7 +80,10 @@ MakeLoop = Callable[..., Any]
 
 
 def fault_bank(settings: RunSettings, scenario: Scenario, make_loop: MakeLoop) -> FaultBank:
-    """Makes the bank for a run's model, sensors, reference and map; once a process.
+    """Makes the bank for a run's model, sensors and reference, or reads the one made before.
+
+    Banks are kept in `cache_folder()` by a digest of the nominal machine, the settings and
+    leglab's code: half a minute for the leg the first time.
 
     Args:
         settings: Of the run; what happens in it and its specimen do not matter.
@@ -97,14 +107,62 @@ def fault_bank(settings: RunSettings, scenario: Scenario, make_loop: MakeLoop) -
         reference_config=reference_config(replace(settings, vary=False), scenario),
         vary=False,
     )
-    key = repr(common)
+    preparation = Preparation(common)
+    told = repr(replace(common, model="")).encode()
+    digest = hashlib.sha256(model_digest(preparation.nominal) + told + fingerprint().encode())
+    key = digest.hexdigest()[:32]
     if key not in _banks:
-        _banks[key] = _make(common, make_loop)
+        file = cache_folder() / f"fault_bank_{key}.npz"
+        bank = _read(file)
+        if bank is None:
+            bank = _make(common, preparation, make_loop)
+            _write(bank, file)
+        _banks[key] = bank
     return _banks[key]
 
 
-def _make(settings: RunSettings, make_loop: MakeLoop) -> FaultBank:
-    preparation = Preparation(settings)
+def cache_folder() -> Path:
+    """Where banks are kept: $LEGLAB_CACHE, or leglab in the user's folder of caches."""
+    own = os.environ.get("LEGLAB_CACHE")
+    if own:
+        return Path(own)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "leglab"
+
+
+def _write(bank: FaultBank, file: Path) -> None:
+    """Keeps a bank; where the folder cannot be written to, it is made anew next time."""
+    names = np.array([(curve.fault, curve.element, curve.meaning) for curve in bank.curves])
+    arrays: dict[str, Any] = {"names": names}
+    for i, curve in enumerate(bank.curves):
+        arrays |= {f"sizes_{i}": curve.sizes, f"shifts_{i}": curve.shifts}
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(file, lambda stream: np.savez(stream, **arrays))
+    except (OSError, LeglabError):
+        return
+
+
+def _read(file: Path) -> FaultBank | None:
+    """A kept bank; None where there is none that can be read."""
+    try:
+        with np.load(file, allow_pickle=False) as kept:
+            return FaultBank(
+                curves=tuple(
+                    FaultCurve(
+                        fault=str(fault),
+                        element=str(element),
+                        meaning=str(meaning),
+                        sizes=kept[f"sizes_{i}"],
+                        shifts=kept[f"shifts_{i}"],
+                    )
+                    for i, (fault, element, meaning) in enumerate(kept["names"])
+                )
+            )
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile, LeglabError):
+        return None
+
+
+def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) -> FaultBank:
     moments = partial(_moments, settings, preparation, make_loop)
     healthy = moments(())
     base = _solve(healthy)
@@ -114,7 +172,7 @@ def _make(settings: RunSettings, make_loop: MakeLoop) -> FaultBank:
         shifts, sizes = [np.zeros_like(base)], [faults.healthy]
         for size in faults.sizes:
             scenario = get_scenario(fault, severity=size).changed_from_start()
-            changes = _restricted(scenario, element, preparation.nominal)
+            changes = of_element(scenario, element, preparation.nominal)
             if not changes:
                 break  # the joint has no such part
             try:
@@ -146,8 +204,14 @@ def _cases(joints: tuple[str, ...]) -> Iterator[tuple[str, str, Faults]]:
                     yield fault, joint, faults
 
 
-def _restricted(scenario: Scenario, element: str, machine: Simulation) -> tuple[Any, ...]:
-    """The scenario's changes, of one joint's cylinder and spring alone."""
+def of_element(scenario: Scenario, element: str, machine: Simulation) -> tuple[Any, ...]:
+    """The changes of a scenario, of one joint's cylinder and spring alone.
+
+    Args:
+        scenario: Its changes are of all elements.
+        element: Name of the joint; "all" leaves the changes as they are.
+        machine: Of which the elements are.
+    """
     if element == ALL:
         return scenario.changes
     own = [name for name in machine.elements if name.startswith(f"{element}_")]

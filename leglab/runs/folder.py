@@ -12,6 +12,7 @@ from leglab import data
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.runs import record
+from leglab.runs.fingerprint import fingerprint
 from leglab.runs.parallel import Progress, make_missing
 from leglab.runs.preparation import RunSettings, check_controllers, scenario_of
 from leglab.runs.record import (
@@ -24,7 +25,6 @@ from leglab.runs.record import (
     RunMetrics,
 )
 from leglab.runs.run import Run, run_scenario
-from leglab.runs.sweep import fingerprint
 
 
 def check_folder(folder: Path, *, overwrite: bool = False, mark: str = METRICS) -> None:

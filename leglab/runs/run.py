@@ -10,6 +10,7 @@ import numpy as np
 from leglab import __version__
 from leglab.base.recording import Recording
 from leglab.base.scenario import Scenario
+from leglab.control.feedforward.fault_monitor import plain
 from leglab.machine.sensors import CHAMBERS, PressureFaults
 from leglab.runs.clock import adaptation
 from leglab.runs.loop import History, Loop, Progress, recorded_positions, recording_noise
@@ -67,6 +68,7 @@ def run_scenario(settings: RunSettings, progress: Progress | None = None) -> Run
     names = {name: str(getattr(settings, name)) for name in ("scenario", "controller", "model")}
     metadata = {**names, "seed": settings.seed}
     recording = _recording(loop, history, metadata)
+    events = _events(loop)  # of this run: its twin forgets them
     twin_error = None
     if twin and not history.failure:
         twin_history = _twin(loop, progress)
@@ -79,11 +81,19 @@ def run_scenario(settings: RunSettings, progress: Progress | None = None) -> Run
         scenario=loop.scenario,
         recording=recording,
         history=history,
-        record=RunMetrics.model_validate({**metadata, **_metrics(loop, history, twin_error)}),
+        record=RunMetrics.model_validate(
+            {**metadata, **_metrics(loop, history, twin_error), **events}
+        ),
         configuration=configuration,
         window=loop.reference.period,
         joints=loop.simulation.joints,
     )
+
+
+def _events(loop: Loop) -> dict[str, Any]:
+    """What the controller said of changes, if it is one that does, as `metrics.json` has it."""
+    events = getattr(loop.controller, "events", None)
+    return {} if events is None else {"events": plain(events)}
 
 
 def _has_twin(loop: Loop) -> bool:

@@ -1,25 +1,21 @@
 """Many runs: scenarios by controllers by seeds, in parallel, picked up where they were left."""
 
-import hashlib
 import json
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy import stats
 
-import leglab._native
-import leglab.controllers
-import leglab.models
-import leglab.scenarios
 from leglab import __version__
 from leglab.base.errors import LeglabError
 from leglab.data import write_atomically
 from leglab.machine.changes import check_tolerance
+from leglab.runs.fingerprint import fingerprint
 from leglab.runs.metrics import sliding_rms
 from leglab.runs.parallel import Progress, make_missing
 from leglab.runs.preparation import RunSettings, check_controllers, scenario_of
@@ -134,23 +130,6 @@ def run_all(
     )
     results = [_stored(run, folder, code) for run in runs]
     return [result for result in results if result is not None]
-
-
-@cache
-def fingerprint() -> str:
-    """Digest of all code and data of leglab that a result may depend on."""
-    packages = (leglab, leglab.controllers, leglab.scenarios, leglab.models, leglab._native)
-    folders = {Path(folder) for package in packages for folder in package.__path__}
-    files = {
-        file.resolve()
-        for folder in folders
-        for file in folder.rglob("*")
-        if file.suffix in (".py", ".xml", ".toml", ".so")
-    }
-    digest = hashlib.sha256()
-    for file in sorted(files):
-        digest.update(file.read_bytes())
-    return digest.hexdigest()
 
 
 def _path(settings: RunSettings, folder: Path) -> Path:

@@ -96,6 +96,14 @@ class Moments:
             count=self.count + other.count,
         )
 
+    def __sub__(self, other: "Moments") -> "Moments":
+        return Moments(
+            information=self.information - other.information,
+            correlation=self.correlation - other.correlation,
+            power=self.power - other.power,
+            count=self.count - other.count,
+        )
+
     def about(self, parameters: np.ndarray) -> "Moments":
         """The sums with what a map already predicts taken off the outputs.
 

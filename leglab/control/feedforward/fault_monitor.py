@@ -1,4 +1,4 @@
-"""Notices changes of a machine while a controller learns, names them by a bank, and says what to do.
+"""Notices changes of a machine while a controller learns, and names them by a bank of faults.
 
 It sees the samples that the learner takes and nothing else. A change is noticed by a cumulative sum
 of the learner's own error (Page 1954, Biometrika 41, 100). From its onset on, samples are summed
@@ -9,6 +9,7 @@ and later samples may revise it. What nothing explains is an unknown change.
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -20,19 +21,33 @@ from leglab.control.feedforward.fault_bank import ALL, FaultBank, FaultCurve, Mo
 
 UNKNOWN = "unknown change"
 
-# Times after an onset at which the bank is asked [s]: a decision early, and others as evidence grows.
-_LOOKS = (0.09, 0.12, 0.15, 0.18, 0.22, 0.26, 0.3, 0.36, 0.43, 0.5, 0.6, 0.72, 0.86, 1.0, 1.2, 1.4)
-_LOOKS += (1.7, 2.0, 2.4, 2.8, 3.2)
+# Times after an onset at which the bank is asked [s]: often at first, as the evidence grows. The
+# case is closed at the last one.
+_EARLY = (0.09, 0.12, 0.15, 0.18, 0.22, 0.26, 0.3, 0.36, 0.43, 0.5, 0.6, 0.72, 0.86, 1.0)
+_LOOKS = (*_EARLY, 1.2, 1.4, 1.7, 2.0, 2.4, 2.8, 3.2)
+
+# From when to when after an onset an explanation may become less good, as more is seen [s].
+_GROWN = (0.1, 0.4)
 
 # Samples right after an onset do not count: valves and oil pass over to their new state [s].
 _PASSING = 0.06
 
+# How much of what the cumulative sum reached before is added to the alarm, and the time constant in
+# which that is forgotten [s].
+_MARGIN, _PEAK_TIME = 2.0, 6.0
+
 # A mean square error of a block counts at most so many times the mean before it towards that mean.
 _OUTLIER = 9.0
 
+# Mean square error of a joint, over the normal one, from which on the change concerns it [1].
+_HIT = 2.0
+
 # Mean square error of the map before the change, over what it was, from which on a change that
-# nothing explains is told [1], and how long after its onset [s].
-_UNEXPLAINED, _PATIENCE = 3.0, 0.6
+# nothing explains is told [1], how long after its onset, and over what time [s].
+_UNEXPLAINED, _PATIENCE, _RECENT = 10.0, 1.3, 0.65
+
+# A name that comes later corrects nothing: the learner has found its own way by then [s].
+_LATE = 1.0
 
 
 class MonitorConfiguration(Configuration):
@@ -43,24 +58,28 @@ class MonitorConfiguration(Configuration):
         warm_up: Learned samples before the first alarm, and after a closed case.
         slow_window: Learned samples in the mean square error that is normal.
         error_ratio: Rise of the mean square error that the cumulative sum tests for.
-        alarm: Cumulative log-likelihood ratio at which a change is declared.
+        alarm: Cumulative log-likelihood ratio at which a change is declared, beyond what it
+            reaches while nothing changes.
         correlation: Learned samples that count as one: neighbours err alike.
         discrepancy: Share of the error before the correction that a right fault leaves, since no
             machine is the nominal one; a standard deviation.
-        explained: Least share of the weighted squared error that a named fault takes away.
+        explained: Least share of the weighted squared error that a fault must take away to be
+            named: a tenth of a second after the onset, and from four tenths on.
+        kept: Least share with which a name stays.
         confidence: Least probability among all faults of the bank of one that is named.
         open_share: Gain of the learner after a fault was named, as a share of its gain on a change
             times what the fault leaves of the squared error.
     """
 
     block: int = Field(default=5, ge=1, le=50)
-    warm_up: int = Field(default=1000, ge=1)
+    warm_up: int = Field(default=1250, ge=1)
     slow_window: int = Field(default=600, ge=10)
     error_ratio: float = Field(default=4.0, gt=1)
     alarm: float = Field(default=4.0, gt=0)
     correlation: float = Field(default=20.0, ge=1)
     discrepancy: float = Field(default=0.15, gt=0, lt=1)
-    explained: float = Field(default=0.4, gt=0, lt=1)
+    explained: tuple[float, float] = Field(default=(0.8, 0.7))
+    kept: float = Field(default=0.6, gt=0, lt=1)
     confidence: float = Field(default=0.5, gt=0, lt=1)
     open_share: float = Field(default=0.1, ge=0, le=1)
 
@@ -134,10 +153,11 @@ class _Case:
     base: np.ndarray
     moments: Moments | None = None
     look: int = 0
+    sums: list[tuple[float, Moments]] = field(default_factory=list)
     shift: np.ndarray | None = None
     key: tuple[str, str] | None = None
     event: Event | None = None
-    opened: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
+    hit: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
 
 
 class FaultMonitor:
@@ -189,8 +209,11 @@ class FaultMonitor:
         """Begins to learn what errors are normal."""
         self._normal = np.zeros(len(self._joints))
         self._seen = np.zeros(len(self._joints))
-        self._sum = np.zeros(len(self._joints))
-        self._since = np.full(len(self._joints), np.nan)
+        # Of every joint, and of all together.
+        self._sum = np.zeros(len(self._joints) + 1)
+        self._peak = np.zeros(len(self._joints) + 1)
+        self._top = np.zeros(len(self._joints) + 1)
+        self._since = np.full(len(self._joints) + 1, np.nan)
 
     def take(self, time: float, samples: np.ndarray, parameters: np.ndarray) -> Advice | None:
         """Takes a block of learned samples.
@@ -213,20 +236,29 @@ class FaultMonitor:
                 self._learn_normal(mean, used)
                 return None
             return self._open(time, alarm)
-        return self._follow(time, samples, alarm)
+        return self._follow(time, samples)
 
     def _watch(self, time: float, mean: np.ndarray, used: np.ndarray) -> np.ndarray:
-        """Advances the cumulative sums; where they are at the alarm, (joints,)."""
+        """Advances the cumulative sums; where they are at the alarm, (joints + 1,)."""
         config = self._config
         ratio = mean / np.maximum(self._normal, 1e-300)
         rise = ratio * (1 - 1 / config.error_ratio) - math.log(config.error_ratio)
         step = used / (2 * config.correlation) * rise
-        warm = self._seen >= config.warm_up
-        total = np.where(warm, np.maximum(self._sum + step, 0.0), 0.0)
+        step = np.append(step, step.sum())
+        seen = np.append(self._seen, self._seen.min())
+        # What the sum reaches in every stride, where a motion is hard for a moment, is no alarm.
+        limit = config.alarm + _MARGIN * self._peak
+        total = np.where(seen >= config.slow_window, np.maximum(self._sum + step, 0.0), 0.0)
         begins = (self._sum == 0.0) & (total > 0.0)
-        self._since[begins] = time - (used[begins]) * self._period
+        self._since[begins] = time - used.max() * self._period
         self._sum = total
-        return total > config.alarm
+        alarm = (total > limit) & (seen >= config.warm_up)
+        decay = np.exp(-used.max() * self._period / _PEAK_TIME)
+        self._top = np.maximum(self._top, total)
+        over = np.where(total == 0.0, self._top, 0.0)  # of a rise that has ended without alarm
+        self._peak = np.maximum(decay * self._peak, over)
+        self._top[total == 0.0] = 0.0
+        return alarm
 
     def _learn_normal(self, mean: np.ndarray, used: np.ndarray) -> None:
         self._seen += used
@@ -235,16 +267,37 @@ class FaultMonitor:
         most = np.where(young, mean, _OUTLIER * self._normal)
         self._normal += weight * (np.minimum(mean, most) - self._normal)
 
-    def _open(self, time: float, alarm: np.ndarray) -> Advice:
-        onset = float(np.min(self._since[alarm]))
+    def _open(self, time: float, alarm: np.ndarray) -> Advice | None:
+        onset = self._onset(float(np.min(self._since[alarm])))
         before = [block for block in self._recent if block.time <= onset] or [self._recent[0]]
         self._case = _Case(onset=onset, base=before[-1].parameters)
-        self._case.opened = np.zeros(len(self._joints), bool)
         for block in self._recent:
             self._collect(self._case, block.time, block.samples)
-        return self._act(self._case, time, alarm)
+        return self._act(self._case, time)
 
-    def _follow(self, time: float, samples: np.ndarray, alarm: np.ndarray) -> Advice | None:
+    def _onset(self, since: float) -> float:
+        """The time of the change by maximum likelihood, within the rise of the sums [s].
+
+        The error's variance is the normal one before, and its mean square from then on (Hinkley
+        1970, Biometrika 57, 1), over the joints together; without a rise, the start of the sums.
+        """
+        blocks = [block for block in self._recent if block.time > since]
+        normal = np.maximum(self._normal, 1e-300)
+        ratio = np.array(
+            [np.sum(block.samples[..., -2] ** 2 / normal, axis=(0, 1)) for block in blocks]
+        )
+        count = np.array([block.samples[..., -1].sum() for block in blocks])
+        best, onset = -math.inf, since
+        for first, block in enumerate(blocks):
+            after = count[first:].sum()
+            level = max(ratio[first:].sum() / max(after, 1.0), 1.0)
+            likelihood = -(ratio[:first].sum() + after * (math.log(level) + 1.0))
+            if likelihood > best:
+                best = likelihood
+                onset = block.time - len(block.samples) * self._period
+        return onset
+
+    def _follow(self, time: float, samples: np.ndarray) -> Advice | None:
         case = self._case
         assert case is not None
         self._collect(case, time, samples)
@@ -254,7 +307,7 @@ class FaultMonitor:
             if case.event is None or case.event.withdrawn is not None:
                 self._tell(None)
             return None
-        return self._act(case, time, alarm)
+        return self._act(case, time)
 
     def _collect(self, case: _Case, time: float, samples: np.ndarray) -> None:
         count = len(samples)
@@ -264,8 +317,8 @@ class FaultMonitor:
             own = Moments.of(late[..., :-3], late[..., -3], late[..., -1])
             case.moments = own if case.moments is None else case.moments + own
 
-    def _act(self, case: _Case, time: float, alarm: np.ndarray) -> Advice | None:
-        """What follows from a case now: a decision where one is due, an opened gain where not."""
+    def _act(self, case: _Case, time: float) -> Advice | None:
+        """A decision, where one is due."""
         gain = np.full(len(self._joints), np.nan)
         parameters = None
         if time >= case.onset + _LOOKS[case.look]:
@@ -273,10 +326,7 @@ class FaultMonitor:
                 case.look += 1
             if case.moments is not None:
                 parameters = self._decide(case, time, gain)
-        if case.key is None:
-            fresh = alarm & ~case.opened
-            gain[fresh] = 1.0
-            case.opened |= fresh
+                case.sums.append((time, case.moments))
         if parameters is None and np.isnan(gain).all():
             return None
         return Advice(parameters, gain)
@@ -295,7 +345,11 @@ class FaultMonitor:
         best = int(np.argmin(fit.cost))
         group = int(self._group[best])
         explained = 1.0 - fit.cost[best] / max(fit.without, 1e-300)
-        stands_out = explained >= config.explained and chance[group] >= config.confidence
+        key = self._names[group]
+        least = config.kept
+        if key != case.key:
+            least = float(np.interp(time - case.onset, _GROWN, config.explained))
+        stands_out = explained >= least and chance[group] >= config.confidence
         now = self._recent[-1].parameters
         if stands_out:
             curve = self._bank.curves[best]
@@ -303,30 +357,48 @@ class FaultMonitor:
             self._name(
                 case, time, curve, fit.size[best], fit.spread[best], chance[group], explained
             )
-            key = self._names[group]
             if key == case.key and case.shift is not None:
                 parameters = now + shift - case.shift
             else:
                 parameters = case.base + shift
                 left = moments.about(shift).power / np.maximum(moments.power, 1e-300)
-                hit = (moments.power / count > 2 * self._normal) | case.opened
-                gain[hit] = config.open_share * np.minimum(left[hit], 1.0)
+                case.hit = moments.power / count > _HIT * self._normal
+                gain[case.hit] = config.open_share * np.minimum(left[case.hit], 1.0)
+            if case.shift is None and time > case.onset + _LATE:
+                gain[:] = np.nan
+                case.key = key
+                return None
             case.key, case.shift = key, shift
             return parameters
-        if case.key is not None and explained < config.explained:
+        if case.key is not None and explained < config.kept:
             return self._withdraw(case, time, now, gain)
-        rise = moments.power / count / np.maximum(self._normal, 1e-300)
-        if case.key is None and time >= case.onset + _PATIENCE and np.any(rise > _UNEXPLAINED):
-            self._unknown(case, time, rise > _UNEXPLAINED)
+        if case.key is None and time >= case.onset + _PATIENCE:
+            joints = self._still_off(case, time)
+            if joints.any():
+                self._unknown(case, time, joints)
         return None
 
-    def _withdraw(self, case: _Case, time: float, now: np.ndarray, gain: np.ndarray) -> np.ndarray:
-        assert case.shift is not None
-        parameters = now - case.shift
+    def _still_off(self, case: _Case, time: float) -> np.ndarray:
+        """Joints of which the map before the change predicts badly now, (joints,).
+
+        A motion never made before may err for a moment, a changed machine does so for good.
+        """
+        assert case.moments is not None
+        earlier = [sums for then, sums in case.sums if then <= time - _RECENT]
+        recent = (case.moments - earlier[-1] if earlier else case.moments).about(case.base)
+        mean = recent.power / np.maximum(recent.count, 1.0)
+        return mean > _UNEXPLAINED * self._normal
+
+    def _withdraw(
+        self, case: _Case, time: float, now: np.ndarray, gain: np.ndarray
+    ) -> np.ndarray | None:
+        parameters: np.ndarray | None = None
+        if case.shift is not None:
+            parameters = now - case.shift
+            gain[case.hit] = 1.0
         case.key = case.shift = None
         if case.event is not None:
             case.event.withdrawn = time
-        gain[case.opened] = 1.0
         self._tell(None)
         return parameters
 
@@ -363,6 +435,8 @@ class FaultMonitor:
         )
 
     def _unknown(self, case: _Case, time: float, joints: np.ndarray) -> None:
+        if case.event and case.event.withdrawn is None:
+            return  # it is said already
         names = ",".join(name for name, hit in zip(self._joints, joints, strict=True) if hit)
         element = ALL if joints.all() and len(joints) > 1 else names
         self._say(
@@ -408,8 +482,8 @@ class FaultMonitor:
             self.report[key][hit] = value
 
 
-def plain(events: list[Event]) -> list[dict[str, Any]]:
-    """Events as plain Python types, as metrics.json has them."""
+def plain(events: Sequence[Event]) -> list[dict[str, Any]]:
+    """Events as plain Python types."""
     return [
         {"names": [vars(name) for name in event.names], "withdrawn": event.withdrawn}
         for event in events

@@ -140,6 +140,7 @@ class Bank {
       }
     }
   }
+  void hold_alarm(int joint) { models_[std::size_t(joint)].rls().hold_alarm(); }
   void set_gain(int joint, Input in) {
     auto& factor = models_[std::size_t(joint)].rls().gain();
     const std::size_t n = std::size_t(factor.size());

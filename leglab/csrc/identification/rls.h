@@ -68,6 +68,7 @@ class Rls {
   const UdFactor<T>& gain() const { return factor_; }
   UdFactor<T>& gain() { return factor_; }
   const Tally& tally() const { return *tally_; }
+  void hold_alarm() { detector_.hold(); }
   const typename ChangeDetector<T>::State& change() const { return detector_.state(); }
 
   T predict(const T* phi) const {
