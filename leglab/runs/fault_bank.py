@@ -82,8 +82,8 @@ MakeLoop = Callable[..., Any]
 def fault_bank(settings: RunSettings, scenario: Scenario, make_loop: MakeLoop) -> FaultBank:
     """Makes the bank for a run's model, sensors and reference, or reads the one made before.
 
-    Banks are kept in `cache_folder()` by a digest of the nominal machine, the settings and
-    leglab's code: half a minute for the leg the first time.
+    Banks are kept in `cache_folder()` by a digest of the nominal machine and the settings; one
+    of other code is replaced. The leg's takes half a minute to a minute.
 
     Args:
         settings: Of the run; what happens in it and its specimen do not matter.
@@ -109,8 +109,7 @@ def fault_bank(settings: RunSettings, scenario: Scenario, make_loop: MakeLoop) -
     )
     preparation = Preparation(common)
     told = repr(replace(common, model="")).encode()
-    digest = hashlib.sha256(model_digest(preparation.nominal) + told + fingerprint().encode())
-    key = digest.hexdigest()[:32]
+    key = hashlib.sha256(model_digest(preparation.nominal) + told).hexdigest()[:32]
     if key not in _banks:
         file = cache_folder() / f"fault_bank_{key}.npz"
         bank = _read(file)
@@ -132,7 +131,7 @@ def cache_folder() -> Path:
 def _write(bank: FaultBank, file: Path) -> None:
     """Keeps a bank; where the folder cannot be written to, it is made anew next time."""
     names = np.array([(curve.fault, curve.element, curve.meaning) for curve in bank.curves])
-    arrays: dict[str, Any] = {"names": names}
+    arrays: dict[str, Any] = {"names": names, "code": np.array(fingerprint())}
     for i, curve in enumerate(bank.curves):
         arrays |= {f"sizes_{i}": curve.sizes, f"shifts_{i}": curve.shifts}
     try:
@@ -143,9 +142,11 @@ def _write(bank: FaultBank, file: Path) -> None:
 
 
 def _read(file: Path) -> FaultBank | None:
-    """A kept bank; None where there is none that can be read."""
+    """A kept bank of this code; None where there is none that can be read."""
     try:
         with np.load(file, allow_pickle=False) as kept:
+            if str(kept["code"]) != fingerprint():
+                return None
             return FaultBank(
                 curves=tuple(
                     FaultCurve(
