@@ -26,8 +26,8 @@ from leglab.runs.parallel import in_processes
 from leglab.runs.preparation import Preparation
 
 SEEDS = range(1000, 1010)
-DURATION, CHANGE, STRIDE = 20.0, 10.0, 1.2  # s
-WINDOWS = ((0.0, 0.3), (0.3, 0.6), (0.6, 1.2), (1.2, 2.4), (2.4, 4.8), (6.0, 9.6))  # after, s
+DURATION, CHANGE, STRIDE = 18.0, 10.0, 1.2  # s
+WINDOWS = ((0.0, 0.3), (0.3, 0.6), (0.6, 1.2), (1.2, 2.4), (2.4, 4.8), (4.8, 6.6))  # after, s
 TOLD = (0.5, 2.0)  # s after the change
 
 FROZEN, BEFORE, BANK, WITHOUT = "frozen", "bsnn_arx", "bsnn_arx_bank", "kind left out"
