@@ -271,7 +271,7 @@ def test_a_wrong_bank_does_no_lasting_harm(monkeypatch):
 def test_events_are_in_the_metrics_and_in_words():
     result = run_scenario(
         RunSettings(
-            scenario="seal_wear", controller="bsnn_arx_bank", model="knee_bench", duration=14.0
+            scenario="seal_wear", controller="bsnn_arx_bank", model="knee_bench", duration=17.0
         )
     )
     (event,) = result.metrics["events"]

@@ -55,7 +55,8 @@ class MonitorConfiguration(Configuration):
 
     Attributes:
         block: Learned samples from one look at them to the next.
-        warm_up: Learned samples before the first alarm, and after a closed case.
+        warm_up: Learned samples before the first alarm; after a closed case `slow_window` and half
+            as many again.
         slow_window: Learned samples in the mean square error that is normal.
         error_ratio: Rise of the mean square error that the cumulative sum tests for.
         alarm: Cumulative log-likelihood ratio at which a change is declared, beyond what it
@@ -68,18 +69,18 @@ class MonitorConfiguration(Configuration):
         kept: Least share with which a name stays.
         confidence: Least probability among all faults of the bank of one that is named.
         open_share: Gain of the learner after a fault was named, as a share of its gain on a change
-            times what the fault leaves of the squared error.
+            times the share of the squared error that the fault leaves.
     """
 
     block: int = Field(default=5, ge=1, le=50)
-    warm_up: int = Field(default=1250, ge=1)
+    warm_up: int = Field(default=1900, ge=1)
     slow_window: int = Field(default=600, ge=10)
     error_ratio: float = Field(default=4.0, gt=1)
     alarm: float = Field(default=4.0, gt=0)
     correlation: float = Field(default=20.0, ge=1)
     discrepancy: float = Field(default=0.15, gt=0, lt=1)
-    explained: tuple[float, float] = Field(default=(0.8, 0.7))
-    kept: float = Field(default=0.6, gt=0, lt=1)
+    explained: tuple[float, float] = Field(default=(0.75, 0.6))
+    kept: float = Field(default=0.5, gt=0, lt=1)
     confidence: float = Field(default=0.5, gt=0, lt=1)
     open_share: float = Field(default=0.1, ge=0, le=1)
 
@@ -201,12 +202,13 @@ class FaultMonitor:
         self.events: list[Event] = []
         self._recent: deque[_Block] = deque(maxlen=25)
         self._case: _Case | None = None
-        self._start()
+        self._start(self._config.warm_up)
         for values in self.report.values():
             values[:] = 0.0
 
-    def _start(self) -> None:
-        """Begins to learn what errors are normal."""
+    def _start(self, wait: float) -> None:
+        """Begins to learn what errors are normal; without alarms for so many samples."""
+        self._wait = wait
         self._normal = np.zeros(len(self._joints))
         self._seen = np.zeros(len(self._joints))
         # Of every joint, and of all together.
@@ -252,7 +254,7 @@ class FaultMonitor:
         begins = (self._sum == 0.0) & (total > 0.0)
         self._since[begins] = time - used.max() * self._period
         self._sum = total
-        alarm = (total > limit) & (seen >= config.warm_up)
+        alarm = (total > limit) & (seen >= self._wait)
         decay = np.exp(-used.max() * self._period / _PEAK_TIME)
         self._top = np.maximum(self._top, total)
         over = np.where(total == 0.0, self._top, 0.0)  # of a rise that has ended without alarm
@@ -303,7 +305,7 @@ class FaultMonitor:
         self._collect(case, time, samples)
         if case.look >= len(_LOOKS):
             self._case = None
-            self._start()
+            self._start(1.5 * self._config.slow_window)
             if case.event is None or case.event.withdrawn is not None:
                 self._tell(None)
             return None
