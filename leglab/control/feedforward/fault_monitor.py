@@ -67,6 +67,8 @@ class MonitorConfiguration(Configuration):
         explained: Least share of the weighted squared error that a fault must take away to be
             named: a tenth of a second after the onset, and from four tenths on.
         kept: Least share with which a name stays.
+        evidence: Least log-likelihood ratio of a fault to no change with which it is named: one joint
+            must be seen for longer than many.
         confidence: Least probability among all faults of the bank of one that is named.
         open_share: Gain of the learner after a fault was named, as a share of its gain on a change
             times the share of the squared error that the fault leaves.
@@ -81,6 +83,7 @@ class MonitorConfiguration(Configuration):
     discrepancy: float = Field(default=0.15, gt=0, lt=1)
     explained: tuple[float, float] = Field(default=(0.75, 0.6))
     kept: float = Field(default=0.5, gt=0, lt=1)
+    evidence: float = Field(default=20.0, ge=0)
     confidence: float = Field(default=0.5, gt=0, lt=1)
     open_share: float = Field(default=0.1, ge=0, le=1)
 
@@ -351,7 +354,12 @@ class FaultMonitor:
         least = config.kept
         if key != case.key:
             least = float(np.interp(time - case.onset, _GROWN, config.explained))
-        stands_out = explained >= least and chance[group] >= config.confidence
+        evidence = (fit.without - fit.cost[best]) / (2 * config.correlation)
+        stands_out = (
+            explained >= least
+            and chance[group] >= config.confidence
+            and evidence >= config.evidence
+        )
         now = self._recent[-1].parameters
         if stands_out:
             curve = self._bank.curves[best]
