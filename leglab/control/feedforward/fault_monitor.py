@@ -67,8 +67,8 @@ class MonitorConfiguration(Configuration):
         explained: Least share of the weighted squared error that a fault must take away to be
             named: a tenth of a second after the onset, and from four tenths on.
         kept: Least share with which a name stays.
-        evidence: Least log-likelihood ratio of a fault to no change with which it is named: one joint
-            must be seen for longer than many.
+        evidence: Least log-likelihood ratio of a fault to no change with which it is named: one
+            joint must be seen for longer than many.
         confidence: Least probability among all faults of the bank of one that is named.
         open_share: Gain of the learner after a fault was named, as a share of its gain on a change
             times the share of the squared error that the fault leaves.
