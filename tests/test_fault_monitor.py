@@ -293,6 +293,14 @@ def test_events_are_in_the_metrics_and_in_words():
     assert fault_lines(quiet.metrics) == []
 
 
+def test_a_bank_of_another_machine_is_refused():
+    bank = make_bank(np.random.default_rng(25))
+    with pytest.raises(LeglabError, match="of 2 joints, the machine has 3"):
+        FaultMonitor(bank, ("a", "b", "c"), CONFIG, sample_period=PERIOD)
+    with pytest.raises(LeglabError, match=r"monitor\.explained\.1"):
+        run("bsnn_arx_bank", monitor={"explained": [0.5, 1.5]})
+
+
 def test_a_fault_that_the_bank_has_not_cannot_be_left_out():
     with pytest.raises(LeglabError, match="'rust' is not in the bank"):
         run("bsnn_arx_bank", left_out=["rust"])

@@ -11,11 +11,12 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
+from leglab.base.errors import LeglabError
 from leglab.base.settings import Configuration
 from leglab.control.feedforward.fault_bank import ALL, FaultBank, FaultCurve, Moments
 
@@ -50,6 +51,9 @@ _UNEXPLAINED, _PATIENCE, _RECENT = 10.0, 1.3, 0.65
 _LATE = 1.0
 
 
+_Share = Annotated[float, Field(gt=0, lt=1)]
+
+
 class MonitorConfiguration(Configuration):
     """How changes are noticed and named.
 
@@ -81,7 +85,7 @@ class MonitorConfiguration(Configuration):
     alarm: float = Field(default=4.0, gt=0)
     correlation: float = Field(default=20.0, ge=1)
     discrepancy: float = Field(default=0.15, gt=0, lt=1)
-    explained: tuple[float, float] = Field(default=(0.75, 0.6))
+    explained: tuple[_Share, _Share] = Field(default=(0.75, 0.6))
     kept: float = Field(default=0.5, gt=0, lt=1)
     evidence: float = Field(default=20.0, ge=0)
     confidence: float = Field(default=0.5, gt=0, lt=1)
@@ -101,8 +105,10 @@ class Name:
         low: Lower end of the size's 90 % interval.
         high: Upper end.
         meaning: What the size says, with its unit.
-        confidence: Probability of fault and element among all of the bank [1].
-        explained: Share of the squared error since the onset that it takes away [1].
+        confidence: Probability of fault and element among all of the bank [1]; of an unknown
+            change, the share of the squared error that the best fault of the bank leaves.
+        explained: Share of the weighted squared error since the onset that it takes away [1]; of an
+            unknown change, what the best fault would.
     """
 
     time: float
@@ -191,6 +197,11 @@ class FaultMonitor:
         *,
         sample_period: float,
     ) -> None:
+        had = bank.curves[0].shifts.shape[1]
+        if had != len(joints):
+            raise LeglabError(
+                f"the bank of faults is of {had} joints, the machine has {len(joints)}"
+            )
         self._bank, self._joints, self._config = bank, joints, config
         self._period = sample_period
         self._keys = [(curve.fault, curve.element) for curve in bank.curves]
@@ -385,7 +396,7 @@ class FaultMonitor:
         if case.key is None and time >= case.onset + _PATIENCE:
             joints = self._still_off(case, time)
             if joints.any():
-                self._unknown(case, time, joints)
+                self._unknown(case, time, joints, explained)
         return None
 
     def _still_off(self, case: _Case, time: float) -> np.ndarray:
@@ -444,7 +455,7 @@ class FaultMonitor:
             ),
         )
 
-    def _unknown(self, case: _Case, time: float, joints: np.ndarray) -> None:
+    def _unknown(self, case: _Case, time: float, joints: np.ndarray, explained: float) -> None:
         if case.event and case.event.withdrawn is None:
             return  # it is said already
         names = ",".join(name for name, hit in zip(self._joints, joints, strict=True) if hit)
@@ -456,8 +467,8 @@ class FaultMonitor:
                 onset=case.onset,
                 fault=UNKNOWN,
                 element=element,
-                confidence=1.0,
-                explained=0.0,
+                confidence=1.0 - float(explained),
+                explained=float(explained),
             ),
         )
 
