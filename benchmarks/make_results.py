@@ -49,6 +49,7 @@ JOBS = (
     _job("replication", 1),
     _job("squat_limits", 1),
     _job("long_run", 2.5),
+    _job("live_names", 25),
     _job("tracking_bound", 8),
     _job("diagnosis_bench", 3),
     _job("diagnosis_bench_without_pressures", 4, "diagnosis_bench", "--without-pressures"),

@@ -27,6 +27,7 @@ from leglab.control import (
 )
 from leglab.control.backstepping.data import NominalCylinders
 from leglab.control.contract import CONTROLLERS, Controller
+from leglab.control.feedforward.fault_bank import FaultBank, FaultCurve
 from leglab.machine.changes import vary_bodies, vary_parameters
 from leglab.machine.parameters import plugin_tables
 from leglab.machine.sensors import SensorConfiguration
@@ -92,9 +93,22 @@ def made(name: str) -> tuple[Controller, set[str]]:
         control_period=setup.control_period,
         machine=Witness(setup.machine, "", asked),  # type: ignore[arg-type]
         foreknowledge=Witness(known, "", asked),  # type: ignore[arg-type]
+        fault_bank=lambda: asked.add("fault_bank") or bank(),  # type: ignore[func-returns-value]
     )
     factory, settings = CONTROLLERS.configured(name, None)
     return factory(witness, settings), asked
+
+
+def bank() -> FaultBank:
+    """In place of a bank of faults: one curve, which nothing that happens here will meet."""
+    curve = FaultCurve(
+        fault="seal_wear",
+        element="all",
+        meaning="",
+        sizes=np.array([1.0, 2.0]),
+        shifts=np.stack([np.zeros((1, 1)), np.ones((1, 1))]),
+    )
+    return FaultBank(curves=(curve,))
 
 
 def told(name: str) -> set[str]:
@@ -146,6 +160,8 @@ def told_rows() -> list[tuple[str, str, str]]:
             rows += [(f"{name}.{part}", "told", text) for part, text in meanings(ValveMap)]
         else:
             rows.append((name, "told", first(inspect.getdoc(value) or "")))
+    setup = dict(meanings(ControllerSetup))
+    rows.append(("fault_bank", "told", setup["fault_bank"]))
     rows += [(name, "told of the run", text) for name, text in meanings(Foreknowledge)]
     known = dict(meanings(Measurement))
     return rows + [(name, "measured", known[name]) for name in DISTURBANCE]

@@ -176,6 +176,36 @@ def test_a_failed_sensor_neither_teaches_nor_reaches_the_valve():
     assert np.isfinite(made.adaptation.learner.parameters).all()
 
 
+def test_kept_samples_are_those_that_were_learned():
+    made = controller()
+    made.adaptation.reset()
+    made.adaptation.keep(3)
+    before, rows = made.adaptation.learner.parameters, []
+    for k in range(400):
+        t = 0.002 * k
+        phase = 3.0 * t + np.arange(2)
+        point = ReferencePoint(0.5 * np.sin(phase), 1.5 * np.cos(phase), -4.5 * np.sin(phase))
+        measurement = Measurement(t, 0.5 * np.sin(phase - 0.003), point.velocity)
+        made.command(measurement, point)
+        if made.adaptation.kept_count():
+            (row,) = made.adaptation.kept()
+            regressor, output, error = row[:, :-3], row[:, -3], row[:, -2]
+            expected = output - np.einsum("jp,jp->j", regressor, before)
+            np.testing.assert_allclose(error, expected, atol=1e-12)
+            rows.append(row)
+        before = made.adaptation.learner.parameters
+    used = np.array(rows)[..., -1].sum(axis=0)
+    # The first one only fills the history of the learner.
+    assert used.tolist() == [1 + learned(made, 0), 1 + learned(made, 1)]
+    # No more than asked for are kept, the first ones; none after a reset.
+    for _ in range(20):
+        made.command(measurement, point)
+    assert made.adaptation.kept_count() == 3
+    made.adaptation.reset()
+    drive(made, 100)
+    assert made.adaptation.kept_count() == 0
+
+
 def test_standing_still_teaches_nothing():
     made = controller()
     rest = np.zeros(2)

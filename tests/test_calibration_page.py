@@ -46,7 +46,7 @@ def test_everything_that_can_be_known_has_a_row(page):
     rows = {name.partition(".")[0]: meaning for name, _, meaning in page.told_rows()}
     machine = {name for name in vars(NominalMachine) if not name.startswith("_")}
     readings = set(Measurement._fields) - {"time"}
-    assert rows.keys() == machine | CHANGES | readings
+    assert rows.keys() == machine | CHANGES | readings | {"fault_bank"}
     assert all(rows.values())
 
 

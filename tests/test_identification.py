@@ -11,9 +11,11 @@ from leglab.identification import (
     Basis,
     BsnnArx,
     BsnnArxSettings,
+    ChangeDetection,
     Constant,
     Hammerstein,
     Lags,
+    Rls,
     Signal,
     Spline,
     SplineNarx,
@@ -267,3 +269,49 @@ def test_hammerstein_input_is_learned():
         m.run(u[:4500], y[:4500])
         error[name] = np.std(m.free_run(u[4500:], y[4500:4503]) - y[4500:])
     assert error["hammerstein"] < 0.2 * error["lags"]
+
+
+def test_gain_that_is_set_is_that_of_bayesian_regression():
+    rng = np.random.default_rng(3)
+    n = 4
+    basis = tuple(Signal(name=f"u{i}") for i in range(n))
+    settings = SplineNarxSettings(
+        inputs=basis, features=tuple(Lags(signal=s.name, first=0) for s in basis), rls=Rls()
+    )
+    model = SplineNarx(settings)
+    root = rng.standard_normal((n, n))
+    prior, mean = root @ root.T + 0.1 * np.eye(n), rng.standard_normal(n)
+    model.parameters = mean
+    model.set_gain(prior)
+    np.testing.assert_allclose(model.gain(), prior, rtol=1e-12)
+    phi, y = rng.standard_normal((30, n)), rng.standard_normal(30)
+    skipped = 1  # the first sample fills the history
+    for u, out in zip(phi, y, strict=True):
+        model.update(u, float(out))
+    information = phi[skipped:].T @ phi[skipped:] + np.linalg.inv(prior)
+    wanted = np.linalg.solve(
+        information, phi[skipped:].T @ y[skipped:] + np.linalg.solve(prior, mean)
+    )
+    np.testing.assert_allclose(model.parameters, wanted, rtol=1e-8)
+    np.testing.assert_allclose(model.gain(), np.linalg.inv(information), rtol=1e-8, atol=1e-12)
+    with pytest.raises(LeglabError, match="gain has shape"):
+        model.set_gain(np.eye(n + 1))
+    with pytest.raises(LeglabError, match="gain is nan"):
+        model.set_gain(np.full((n, n), np.nan))
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_an_alarm_that_is_held_does_not_come(held):
+    change = ChangeDetection(ratio=4.0, gain=1.0, fast_window=5, slow_window=50, hold_off=40)
+    settings = SplineNarxSettings(
+        inputs=(Signal(name="u"),),
+        features=(Lags(signal="u", first=0),),
+        rls=Rls(change=change),
+    )
+    model, rng = SplineNarx(settings), np.random.default_rng(4)
+    for k in range(140):
+        if k == 119 and held:
+            model.hold_alarm()
+        u = rng.standard_normal()
+        model.update(u, (0.5 if k < 120 else -0.5) * u + 0.01 * rng.standard_normal())
+    assert model.diagnostics()["changes"] == (0 if held else 1)

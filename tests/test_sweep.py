@@ -17,7 +17,7 @@ from leglab import RunSettings, run_scenario
 from leglab.base.errors import LeglabError
 from leglab.report.figures import comparison_figure
 from leglab.report.style import VERMILION
-from leglab.runs import sweep
+from leglab.runs import fingerprint, sweep
 from leglab.runs.sweep import Comparison, compare, estimate, run_all
 from tests.test_cli import leglab as command_line
 
@@ -124,15 +124,15 @@ def test_finished_runs_are_not_repeated(tmp_path, monkeypatch):
 
 
 def test_the_fingerprint_covers_controllers_models_and_the_compiled_core(tmp_path, monkeypatch):
-    before = sweep.fingerprint()
+    before = fingerprint.fingerprint()
     extra = tmp_path / "extra.py"
     monkeypatch.setattr(leglab.controllers, "__path__", [*leglab.controllers.__path__, tmp_path])
-    sweep.own_fingerprint.cache_clear()
-    assert sweep.fingerprint() == before
+    fingerprint.own_fingerprint.cache_clear()
+    assert fingerprint.fingerprint() == before
     extra.write_text("gain = 1")
-    sweep.own_fingerprint.cache_clear()
-    assert sweep.fingerprint() != before
-    sweep.own_fingerprint.cache_clear()
+    fingerprint.own_fingerprint.cache_clear()
+    assert fingerprint.fingerprint() != before
+    fingerprint.own_fingerprint.cache_clear()
 
 
 def fake(controller, seed, after, *, t90=0.5, completed=True):

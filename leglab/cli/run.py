@@ -62,6 +62,8 @@ def run(
         terminal.print_json(result.metrics)
     else:
         terminal.output.print(terminal.metrics_table(result.metrics))
+        for line in terminal.fault_lines(result.metrics):
+            terminal.output.print(line, soft_wrap=True)
         terminal.tell(f"written to {folder}")
     failure = result.history.failure or ("interrupted when the run was over" if late else "")
     if failure:

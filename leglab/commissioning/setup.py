@@ -87,14 +87,19 @@ def controller_setup(
     )
 
 
+def model_digest(machine: Simulation) -> bytes:
+    """Digest of everything that the model of a machine holds."""
+    content = np.empty(mujoco.mj_sizeModel(machine.model), np.uint8)
+    mujoco.mj_saveModel(machine.model, None, content)
+    return hashlib.sha256(content.tobytes()).digest()
+
+
 _calibrations: dict[bytes, tuple[ValveMap, ...]] = {}
 
 
 def _calibrated(machine: Simulation) -> tuple[ValveMap, ...]:
     """Valve maps of a machine as it is loaded; the same model is calibrated once a process."""
-    content = np.empty(mujoco.mj_sizeModel(machine.model), np.uint8)
-    mujoco.mj_saveModel(machine.model, None, content)
-    key = hashlib.sha256(content.tobytes()).digest()
+    key = model_digest(machine)
     if key not in _calibrations:
         maps = valve_maps(machine)
         for part in (array for m in maps for array in (m.position, m.velocity, m.command)):

@@ -199,12 +199,15 @@ class ControllerSetup:
         control_period: Time from one command to the next [s].
         machine: The nominal machine.
         foreknowledge: Of the run's changes, for yardsticks.
+        fault_bank: Makes a `leglab.control.feedforward.fault_bank.FaultBank` by simulation of the
+            nominal machine; None without a machine that could be simulated.
     """
 
     joints: tuple[str, ...]
     control_period: float
     machine: NominalMachine = field(default_factory=NominalMachine)
     foreknowledge: Foreknowledge = field(default_factory=Foreknowledge)
+    fault_bank: Callable[[], Any] | None = None
 
     def __post_init__(self) -> None:
         if not self.joints or len(set(self.joints)) != len(self.joints):

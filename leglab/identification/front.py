@@ -202,6 +202,25 @@ class Identifier:
         self._bank.gain(joint, out)
         return out
 
+    def set_gain(self, value: ArrayLike, joint: int = 0) -> None:
+        """Sets the gain matrix F of one joint.
+
+        Args:
+            value: Symmetric and positive definite, (n, n); the upper triangle counts.
+            joint: Which joint.
+
+        Raises:
+            LeglabError: The shape is wrong or a value is not finite.
+        """
+        n = len(self._bank.gain_diagonal(joint))
+        array = _array("gain", value, (n, n))
+        _require_finite("gain", array)
+        self._bank.set_gain(joint, array)
+
+    def hold_alarm(self, joint: int = 0) -> None:
+        """Keeps the change detector of one joint silent for its hold-off, as after an alarm."""
+        self._bank.hold_alarm(joint)
+
     def diagnostics(self, joint: int = 0) -> dict[str, float]:
         """Counts of samples by what became of them, changes, forgetting and gain of one joint.
 

@@ -13,6 +13,7 @@ from leglab.base.input import read_json
 from leglab.base.output import check_folder, claimed_folder, new_folder
 from leglab.base.recording import Recording
 from leglab.runs import record
+from leglab.runs.fingerprint import fingerprint
 from leglab.runs.parallel import Progress, make_missing
 from leglab.runs.preparation import RunSettings, check_controllers, scenario_of
 from leglab.runs.record import (
@@ -25,7 +26,6 @@ from leglab.runs.record import (
     RunMetrics,
 )
 from leglab.runs.run import Run, run_scenario
-from leglab.runs.sweep import fingerprint
 from leglab.runs.view import draw
 
 

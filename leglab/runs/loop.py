@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ from leglab.machine.sensors import (
 )
 from leglab.machine.simulation import Simulation, SimulationError
 from leglab.references import Samples
+from leglab.runs.fault_bank import fault_bank
 from leglab.runs.inversion import exact_commands, valve_slopes
 from leglab.runs.preparation import Preparation, RunSettings, scenario_of
 
@@ -234,7 +236,12 @@ class Loop:
         self.settings = settings
         self.scenario = scenario = scenario or scenario_of(settings)
         self.preparation = preparation = preparation or Preparation(settings)
-        self._setup = preparation.setup(scenario, self._bench_runs, self._exact_commands)
+        self._setup = preparation.setup(
+            scenario,
+            self._bench_runs,
+            self._exact_commands,
+            partial(fault_bank, settings, scenario, Loop),
+        )
         self.controller = controller
         if controlled and controller is None:
             self.controller = make_controller(

@@ -17,6 +17,7 @@ from leglab.commissioning.calibration import settle, speed_limits
 from leglab.commissioning.setup import controller_setup
 from leglab.control import ControllerSetup, Foreknowledge
 from leglab.control.contract import CONTROLLERS
+from leglab.control.feedforward.fault_bank import FaultBank
 from leglab.machine.changes import check_tolerance, vary_bodies, vary_parameters
 from leglab.machine.sensors import SensorConfiguration
 from leglab.machine.simulation import Simulation, load_model
@@ -125,6 +126,7 @@ class Preparation:
         scenario: Scenario,
         bench_runs: Callable[[], Any],
         exact_commands: Callable[[], np.ndarray],
+        fault_bank: Callable[[], FaultBank],
     ) -> ControllerSetup:
         """Returns what the controller of a run is made from.
 
@@ -132,6 +134,7 @@ class Preparation:
             scenario: Of the run.
             bench_runs: Makes recordings of the machine before and after its changes.
             exact_commands: Finds the valve commands that the machine needs for its reference.
+            fault_bank: Makes the bank of faults of the nominal machine.
         """
         foreknowledge = Foreknowledge(
             first_change=min(scenario.breakpoints, default=math.inf),
@@ -139,7 +142,7 @@ class Preparation:
             bench_runs=bench_runs,
             exact_commands=exact_commands,
         )
-        return replace(self._setup, foreknowledge=foreknowledge)
+        return replace(self._setup, foreknowledge=foreknowledge, fault_bank=fault_bank)
 
     def reference(self, settings: RunSettings, scenario: Scenario) -> Reference:
         """The trajectory of a run, of the nominal machine's joints."""

@@ -83,6 +83,33 @@ class AdaptationMetrics(BaseModel):
     reason: str | None = None
 
 
+class FaultName(BaseModel):
+    """What a controller said of a change; see `leglab.control.feedforward.fault_monitor.Name`."""
+
+    time: FiniteFloat
+    onset: FiniteFloat
+    fault: Name
+    element: Name
+    size: FiniteFloat | None = None
+    low: FiniteFloat | None = None
+    high: FiniteFloat | None = None
+    meaning: str = ""
+    confidence: FiniteFloat
+    explained: FiniteFloat
+
+
+class FaultEvent(BaseModel):
+    """A change that a controller noticed.
+
+    Attributes:
+        names: What it said of it, the last one in force.
+        withdrawn: When the last name was taken back [s]; None if it stands.
+    """
+
+    names: Annotated[list[FaultName], Field(min_length=1)]
+    withdrawn: FiniteFloat | None = None
+
+
 class RunMetrics(BaseModel):
     """Content of `metrics.json`.
 
@@ -99,6 +126,7 @@ class RunMetrics(BaseModel):
         phases: Errors and costs by phase.
         adaptation: What the change cost, and how much of it was undone how soon.
         excess_error_area_rad_s: Area of the moving error above its value before [rad s].
+        events: Changes that the controller noticed and named, for one that does.
     """
 
     scenario: Name
@@ -113,6 +141,7 @@ class RunMetrics(BaseModel):
     phases: Annotated[list[PhaseMetrics], Field(min_length=1)]
     adaptation: AdaptationMetrics = AdaptationMetrics(reason="it was not stored")
     excess_error_area_rad_s: FiniteFloat | None = None
+    events: list[FaultEvent] = []
 
     def told(self) -> str:
         """The run in one line."""

@@ -12,6 +12,7 @@ from leglab import __version__
 from leglab.base.recording import Recording
 from leglab.base.scenario import Scenario
 from leglab.base.units import units_of_columns
+from leglab.control.feedforward.fault_monitor import plain
 from leglab.machine.changes import parameter_units
 from leglab.machine.sensors import CHAMBERS, PressureFaults
 from leglab.runs.clock import adaptation
@@ -101,6 +102,7 @@ def _run(loop: Loop, progress: Progress | None, interrupted: Callable[[], bool])
     names = {name: str(getattr(settings, name)) for name in ("scenario", "controller", "model")}
     metadata = {**names, "seed": settings.seed}
     recording = _recording(loop, history, metadata)
+    events = _events(loop)  # of this run: its twin forgets them
     twin_error = None
     if twin and not history.failure:
         twin_history = _twin(loop, progress, interrupted)
@@ -113,11 +115,19 @@ def _run(loop: Loop, progress: Progress | None, interrupted: Callable[[], bool])
         scenario=loop.scenario,
         recording=recording,
         history=history,
-        record=RunMetrics.model_validate({**metadata, **_metrics(loop, history, twin_error)}),
+        record=RunMetrics.model_validate(
+            {**metadata, **_metrics(loop, history, twin_error), **events}
+        ),
         configuration=configuration,
         window=loop.reference.period,
         joints=loop.simulation.joints,
     )
+
+
+def _events(loop: Loop) -> dict[str, Any]:
+    """What the controller said of changes, if it is one that does, as `metrics.json` has it."""
+    events = getattr(loop.controller, "events", None)
+    return {} if events is None else {"events": plain(events)}
 
 
 def _has_twin(loop: Loop) -> bool:

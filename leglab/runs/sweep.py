@@ -1,28 +1,23 @@
 """Many runs: scenarios by controllers by seeds, in parallel, picked up where they were left."""
 
-import hashlib
 import json
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy import stats
 
-import leglab._native
-import leglab.controllers
-import leglab.models
-import leglab.scenarios
 from leglab import __version__
-from leglab.base import plugins
 from leglab.base.errors import LeglabError
 from leglab.base.input import read_json
 from leglab.base.notebook import data_frame, data_index, html_table, panels
 from leglab.base.output import claimed_folder, write_atomically
 from leglab.machine.changes import check_tolerance
+from leglab.runs.fingerprint import fingerprint
 from leglab.runs.metrics import sliding_rms
 from leglab.runs.parallel import Progress, make_missing
 from leglab.runs.preparation import RunSettings, check_controllers, scenario_of
@@ -137,28 +132,6 @@ def run_all(
         )
     results = [_stored(run, folder, code) for run in runs]
     return [result for result in results if result is not None]
-
-
-def fingerprint() -> str:
-    """Digest of all code and data that a result may depend on, plug-ins included."""
-    return own_fingerprint() + plugins.code_digest()
-
-
-@cache
-def own_fingerprint() -> str:
-    """Digest of all code and data of leglab."""
-    packages = (leglab, leglab.controllers, leglab.scenarios, leglab.models, leglab._native)
-    folders = {Path(folder) for package in packages for folder in package.__path__}
-    files = {
-        file.resolve()
-        for folder in folders
-        for file in folder.rglob("*")
-        if file.suffix in (".py", ".xml", ".toml", ".so")
-    }
-    digest = hashlib.sha256()
-    for file in sorted(files):
-        digest.update(file.read_bytes())
-    return digest.hexdigest()
 
 
 def _path(settings: RunSettings, folder: Path) -> Path:

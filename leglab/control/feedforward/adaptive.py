@@ -190,11 +190,31 @@ class AdaptiveFeedforward:
         """Forgets everything learned: the feed-forward is the calibration's."""
         self.learner = self._map.learner()
         self._core.reset(self.learner._bank)
+        self._core.keep(0)
         self._out[:] = 0.0
 
     def freeze(self) -> None:
         """Stops learning until the next `reset`."""
         self._core.freeze()
+
+    def keep(self, samples: int) -> None:
+        """Keeps learned samples from now on, so many at most, for `kept`; `reset` ends it."""
+        shape = (samples, self._map.joints, self.learner.parameters.shape[-1] + 3)
+        self._kept = np.empty(shape)
+        self._core.keep(samples)
+
+    def kept_count(self) -> int:
+        """Number of samples kept since `kept` was called last."""
+        return self._core.kept()
+
+    def kept(self) -> np.ndarray:
+        """Returns the samples kept since the last call, (samples, joints, parameters + 3).
+
+        A row is a regressor, its output [share of full speed], the a-priori error and 1; only
+        zeros where the sample taught that joint nothing.
+        """
+        count = self._core.take_kept(self._kept)
+        return self._kept[:count].copy()
 
     def step(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
         """Learns from a measurement and gives the valve commands; call it once a period.

@@ -118,6 +118,21 @@ class Feedforward {
 
   void freeze() { core_.freeze(); }
 
+  void keep(int samples) { core_.keep(samples); }
+  int kept() const { return core_.kept(); }
+
+  // Moves the kept samples to the first rows of `out`, (capacity, joints, parameters + 3); returns
+  // how many they are.
+  int take_kept(Output out) {
+    const std::size_t count =
+        std::size_t(core_.kept()) * tables_.tables().size() * std::size_t(core_.kept_width());
+    if (out.size() < count) throw nb::value_error("too few rows for the kept samples");
+    std::copy_n(core_.kept_samples(), count, out.data());
+    const int kept = core_.kept();
+    core_.drop_kept();
+    return kept;
+  }
+
   void sent(Input command) {
     if (command.size() != tables_.tables().size()) throw nb::value_error("wrong number of values");
     core_.sent(command.data());
@@ -134,6 +149,9 @@ inline void bind_feedforward(nb::module_& module) {
       .def("reset", &Feedforward::reset, nb::keep_alive<1, 2>())
       .def("step", &Feedforward::step)
       .def("sent", &Feedforward::sent)
+      .def("keep", &Feedforward::keep)
+      .def("kept", &Feedforward::kept)
+      .def("take_kept", &Feedforward::take_kept)
       .def("freeze", &Feedforward::freeze);
   nb::class_<ValveMaps>(module, "ValveMaps")
       .def(nb::init<nb::dict>(), nb::arg("parts"))

@@ -152,6 +152,14 @@ class Bank {
       }
     }
   }
+  void hold_alarm(int joint) { models_[std::size_t(joint)].rls().hold_alarm(); }
+  void set_gain(int joint, Input in) {
+    auto& factor = models_[std::size_t(joint)].rls().gain();
+    const std::size_t n = std::size_t(factor.size());
+    if (in.size() != n * n) throw nb::value_error("wrong number of values");
+    const std::vector<T> full(in.data(), in.data() + n * n);
+    factor.assign(full.data());
+  }
   std::vector<double> gain_diagonal(int joint) {
     const auto& factor = models_[std::size_t(joint)].rls().gain();
     return {factor.diagonal(), factor.diagonal() + factor.size()};

@@ -77,6 +77,22 @@ class AdaptiveFeedforward {
   // Nothing is learned from now on, until `reset`.
   void freeze() { frozen_ = true; }
 
+  // Keeps the latest learned samples, so many at most, for who looks at them now and then; 0 keeps
+  // none. Call it after `reset`.
+  void keep(int samples) {
+    capacity_ = samples;
+    kept_ = 0;
+    width_ = learners_.empty() ? 0 : learners_[0]->parameters() + 3;
+    samples_.assign(std::size_t(samples * width_) * learners_.size(), 0.0);
+  }
+
+  // Samples kept since `drop_kept`: (kept, joints, parameters + 3), a regressor, its output, the
+  // a-priori error, and 1; only zeros where the sample taught that joint nothing.
+  const double* kept_samples() const { return samples_.data(); }
+  int kept() const { return kept_; }
+  int kept_width() const { return width_; }
+  void drop_kept() { kept_ = 0; }
+
   // Takes positions and velocities measured now, NaN where there are none, and a reference of now:
   // without a measurement the command is the feed-forward alone.
   void step(double time, const double* measured, const double* measured_velocity,
@@ -145,6 +161,7 @@ class AdaptiveFeedforward {
     map_.take(motion_.data());
     if (!(map_.largest_share() >= settings_.least_speed)) return;  // also for NaN
     for (int j = 0; j < map_.joints(); ++j) learn_joint(j);
+    if (kept_ < capacity_) ++kept_;
   }
 
   // Whether a reading cannot follow from the two before: a lost, shifted or failed encoder. What the
@@ -170,6 +187,17 @@ class AdaptiveFeedforward {
                         motion_[j] < settings_.learn_upper[j];
     const double predicted = learners_[j]->update(inputs_, excess, usable);
     error_[j] = usable ? excess - predicted : 0.0;
+    if (kept_ < capacity_) keep_sample(j, excess, usable);
+  }
+
+  void keep_sample(std::size_t j, double excess, bool usable) {
+    double* row = samples_.data() + (std::size_t(kept_) * learners_.size() + j) * std::size_t(width_);
+    std::fill_n(row, width_, 0.0);
+    if (!usable) return;
+    std::copy_n(learners_[j]->regressor(), width_ - 3, row);
+    row[width_ - 3] = excess;
+    row[width_ - 2] = error_[j];
+    row[width_ - 1] = 1.0;
   }
 
   // The feedback loop forgets a flow error as a first order of its crossover frequency. So the
@@ -206,6 +234,8 @@ class AdaptiveFeedforward {
   std::vector<double> last_, before_last_;  // readings [rad]
   std::vector<double> seen_position_, seen_velocity_;  // the reference as the sensors show it
   double inputs_[identification::GuardSettings<double>::max_inputs] = {};
+  std::vector<double> samples_;  // that are kept
+  int capacity_ = 0, kept_ = 0, width_ = 0;
   long count_ = 0;
   bool frozen_ = false;
 };

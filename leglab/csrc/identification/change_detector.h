@@ -55,6 +55,9 @@ class ChangeDetector {
     return change;
   }
 
+  // No alarm for the hold-off from now on: who calls knows of the change.
+  void hold() { state_->last_change = state_->samples; }
+
   const State& state() const { return *state_; }
 
   // What a state read from outside cannot be; nullptr where it is sound.

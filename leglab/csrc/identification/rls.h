@@ -66,7 +66,9 @@ class Rls {
   T* theta() { return theta_; }
   const T* theta() const { return theta_; }
   const UdFactor<T>& gain() const { return factor_; }
+  UdFactor<T>& gain() { return factor_; }
   const Tally& tally() const { return *tally_; }
+  void hold_alarm() { detector_.hold(); }
   const typename ChangeDetector<T>::State& change() const { return detector_.state(); }
 
   // What a state read from outside cannot be; nullptr where it is sound.

@@ -79,6 +79,8 @@ class SplineNarx {
   Rls<T>& rls() { return rls_; }
   Guard<T>& guard() { return guard_; }
   const State& state() const { return *state_; }
+  // Of the last sample, or of what was asked for after it.
+  const T* regressor() const { return features_.phi(); }
   bool refines() const { return settings_.output_error_after > 0; }
   const OutputError<T>& simulation() const { return simulation_; }
 

@@ -35,6 +35,25 @@ class UdFactor {
     for (int i = 0; i < n_; ++i) d_[i] = gain;
   }
 
+  // Takes the factors of a symmetric positive definite F, n times n: F = U D U^T from the last column
+  // on (Bierman 1977, Factorization Methods, III.3). Where rounding leaves D without a positive
+  // entry, it is the floor.
+  void assign(const T* full) {
+    for (int j = n_ - 1; j >= 0; --j) {
+      T* column = u_ + j * (j - 1) / 2;
+      for (int i = 0; i <= j; ++i) {
+        T sum = full[i * n_ + j];
+        for (int k = j + 1; k < n_; ++k) {
+          const T* later = u_ + k * (k - 1) / 2;
+          sum -= later[i] * d_[k] * later[j];
+        }
+        if (i < j) column[i] = sum;
+        else d_[j] = larger(sum, floor);
+      }
+      for (int i = 0; i < j; ++i) column[i] /= d_[j];
+    }
+  }
+
   int size() const { return n_; }
   const T* upper() const { return u_; }
   const T* diagonal() const { return d_; }

@@ -1,0 +1,281 @@
+"""What naming a fault first gains: `python benchmarks/live_names.py`.
+
+Walking leg, specimens of tolerance 0.1, one fault each, of all cylinders or of one; its size is
+drawn between the bank's smallest and largest, its time within a stride, the machine, the phase of
+the motion and the noise by the seed. `bsnn_arx_bank` stands beside `bsnn_arx`, and beside itself
+with the fault's kind left out of its bank. `frozen`, which learns nothing from the change on, is
+what errors are measured against. The seeds are of no run that a setting was chosen by.
+"""
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import results
+
+from leglab import RunSettings
+from leglab.base.scenario import Scenario, get_scenario
+from leglab.control.feedforward.fault_bank import ALL
+from leglab.control.feedforward.fault_monitor import UNKNOWN, Event
+from leglab.runs.clock import adaptation
+from leglab.runs.fault_bank import FAULTS, of_element
+from leglab.runs.loop import Loop
+from leglab.runs.parallel import in_processes
+from leglab.runs.preparation import Preparation
+
+FIRST_SEED = 1000
+DURATION, CHANGE, STRIDE = 18.0, 10.0, 1.2  # s
+WINDOWS = ((0.0, 0.3), (0.3, 0.6), (0.6, 1.2), (1.2, 2.4), (2.4, 4.8), (4.8, 6.6))  # after, s
+TOLD = (0.5, 2.0)  # s after the change
+
+FROZEN, BEFORE, BANK, WITHOUT = "frozen", "bsnn_arx", "bsnn_arx_bank", "kind left out"
+KINDS = [(fault, side) for fault, sides in FAULTS.items() for side in sides]
+# Asked of the medians, by window; and of t90, median and worst [s].
+ASKED = {(0.3, 0.6): 0.18, (1.2, 2.4): 0.08}
+ASKED_T90 = (0.8, 2.5)
+# Where nothing breaks: scenario, settings, duration [s].
+PEACE: dict[str, tuple[dict[str, Any], float]] = {
+    "nominal walking": ({"scenario": "nominal"}, 180.0),
+    "random strides": ({"scenario": "nominal", "reference": "random_stride"}, 60.0),
+    "cold start": ({"scenario": "cold_start"}, 60.0),
+}
+
+
+def cases(seeds: range) -> Iterator[tuple[int, str, str, float, float]]:
+    """Seed, fault, element, size and time of the change [s] of every case."""
+    joints = Preparation(RunSettings(scenario="nominal")).nominal.joints
+    for seed in seeds:
+        for number, (fault, side) in enumerate(KINDS):
+            rng = np.random.default_rng([seed, number])
+            for alone in (False, True):
+                share, time, place = rng.random(3).tolist()
+                if alone and side.shared:
+                    continue
+                size = side.sizes[0] + share * (side.sizes[-1] - side.sizes[0])
+                element = joints[int(place * len(joints))] if alone else ALL
+                yield seed, fault, element, size, round(CHANGE + STRIDE * time, 3)
+
+
+def judged(case: tuple[int, str, str, float, float]) -> dict[str, Any] | None:
+    """Figures of one case by controller; None where the joint has no part that could break."""
+    seed, fault, element, size, change = case
+    found: dict[str, Any] = dict(zip(("seed", "fault", "element", "size"), case, strict=False))
+    plans = {
+        FROZEN: (FROZEN, {"stop_time": change}),
+        BEFORE: (BEFORE, {}),
+        BANK: (BANK, {}),
+        WITHOUT: (BANK, {"left_out": [fault]}),
+    }
+    base = None
+    for label, (controller, config) in plans.items():
+        settings = RunSettings(
+            scenario="nominal",
+            controller=controller,
+            controller_config=config,
+            tolerance=0.1,
+            seed=seed,
+            vary=True,
+        )
+        preparation = Preparation(settings)
+        whole = get_scenario(fault, duration=DURATION, severity=size)
+        moved = replace(whole, changes=tuple(replace(c, start=change) for c in whole.changes))
+        changes = of_element(moved, element, preparation.nominal)
+        if not changes:
+            return None
+        scenario = Scenario(name=fault, duration=DURATION, changes=changes)
+        loop = Loop(settings, preparation=preparation, scenario=scenario)
+        history = loop.run()
+        assert not history.failure, (case, history.failure)
+        after = history.time - change
+        error = [_rms(history.error, after, *window) for window in WINDOWS]
+        if label == FROZEN:
+            base, twin = np.array(error), history.error
+            found["before_mrad"] = 1e3 * _rms(history.error, after, -2.4, 0.0)
+            found["frozen_mrad"] = [1e3 * value for value in error]
+            continue
+        clock = adaptation(
+            scenario, STRIDE, history.time, history.error, loop.simulation.joints, twin=twin
+        )
+        row: dict[str, Any] = {
+            "ratio": (np.array(error) / base).tolist(),
+            "t90": clock.t90_s,
+            "clocked": clock.level_rad is not None,
+        }
+        if controller == BANK:
+            row |= _told(loop.controller.events, fault, element, change)  # type: ignore[union-attr]
+        found[label] = row
+    return found
+
+
+def _rms(error: np.ndarray, after: np.ndarray, start: float, end: float) -> float:
+    return float(np.sqrt(np.mean(error[(after >= start) & (after < end)] ** 2)))
+
+
+def _told(events: list[Event], fault: str, element: str, change: float) -> dict[str, Any]:
+    """What was said by when: confidence, and whether fault and element were right."""
+    names = [name for event in events for name in event.names if name.time >= change]
+    told: dict[str, Any] = {"early": sum(e.names[0].time < change for e in events)}
+    for limit in TOLD:
+        said = [name for name in names if name.time <= change + limit]
+        last = said[-1] if said else None
+        known = last is not None and last.fault != UNKNOWN
+        told[f"{limit:g}"] = {
+            "said": known,
+            "unknown": last is not None and not known,
+            "fault": bool(known and last and last.fault == fault),
+            "element": bool(known and last and last.element == element),
+            "confidence": last.confidence if known and last else None,
+        }
+    right = names and names[-1].fault == fault and names[-1].size is not None
+    told["size"] = [names[-1].size, names[-1].low, names[-1].high] if right else None
+    return told
+
+
+def peace(task: tuple[str, int]) -> tuple[str, int, list[str]]:
+    """What is said where nothing breaks."""
+    label, seed = task
+    settings, duration = PEACE[label]
+    run = RunSettings(
+        controller=BANK, duration=duration, tolerance=0.1, seed=seed, vary=True, **settings
+    )
+    loop = Loop(run)
+    history = loop.run()
+    assert not history.failure, history.failure
+    events = loop.controller.events  # type: ignore[union-attr]
+    return label, seed, [f"{e.names[-1].fault} {e.names[-1].element}" for e in events]
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """All cases, and the runs in which nothing breaks."""
+    seeds = range(FIRST_SEED, FIRST_SEED + options.specimens)
+    # The bank is made here once; the other processes read it.
+    Loop(RunSettings(scenario="nominal", controller=BANK))
+    Loop(RunSettings(scenario="nominal", controller=BANK, reference="random_stride"))
+    found = [
+        x for x in in_processes(judged, list(cases(seeds)), jobs=options.jobs) if x is not None
+    ]
+    found.sort(key=lambda x: (x["seed"], x["fault"], x["element"], x["size"]))
+    quiet = [(label, seed) for label in PEACE for seed in seeds]
+    said = sorted(in_processes(peace, quiet, jobs=options.jobs))
+    return {"cases": found, "peace": [list(x) for x in said]}
+
+
+def tables(kept: dict[str, Any]) -> str:
+    """Errors, t90, names and false alarms."""
+    found = kept["cases"]
+    parts = [_errors(found), _by_fault(found), _names(found), _peace(kept["peace"])]
+    return "\n".join(parts)
+
+
+def _errors(found: list[dict[str, Any]]) -> str:
+    head = ["error over that of `frozen`, s after the change"]
+    head += [f"{a:g}-{b:g}" for a, b in WINDOWS]
+    rows = []
+    for label in (BEFORE, BANK, WITHOUT):
+        ratio = np.array([case[label]["ratio"] for case in found])
+        rows.append([f"`{label}`, median", *(results.number(x, 2) for x in np.median(ratio, 0))])
+        worst = np.percentile(ratio, 95, axis=0)
+        rows.append([f"`{label}`, 95 %", *(results.number(x, 2) for x in worst)])
+    floor = np.array([np.array(x["before_mrad"]) / np.array(x["frozen_mrad"]) for x in found])
+    rows.append(["before the change, median", *(results.number(x, 2) for x in np.median(floor, 0))])
+    asked = [f"{ASKED[w]:g}" if w in ASKED else "" for w in WINDOWS]
+    rows.append(["asked of the median", *asked])
+    return results.table(head, rows)
+
+
+def _t90(found: list[dict[str, Any]], label: str) -> list[str]:
+    """Median and worst t90, and how many were never undone, of those that a clock can tell."""
+    clocked = [case[label]["t90"] for case in found if case[label]["clocked"]]
+    times = np.array([np.inf if t is None else t for t in clocked])
+    if not len(times):
+        return ["", "", "0"]
+    done = times[np.isfinite(times)]
+    middle = float(np.median(times))
+    return [
+        results.number(middle, 2) if np.isfinite(middle) else "never",
+        results.number(float(done.max()), 2) if len(done) else "",
+        f"{len(times) - len(done)} of {len(times)}",
+    ]
+
+
+def _by_fault(found: list[dict[str, Any]]) -> str:
+    head = ["fault", "cases", "frozen, mrad"]
+    for label in (BEFORE, BANK):
+        head += [f"`{label}` .3-.6", "1.2-2.4", "t90 median", "worst", "never"]
+    kinds = list(dict.fromkeys(case["fault"] for case in found))
+    groups = [(kind, [c for c in found if c["fault"] == kind]) for kind in kinds]
+    groups.append(("all cylinders", [c for c in found if c["element"] == ALL]))
+    groups.append(("one cylinder", [c for c in found if c["element"] != ALL]))
+    hurt = [c for c in found if c["frozen_mrad"][3] > 2 * c["before_mrad"]]
+    groups += [("damage x2 and more", hurt), ("together", found)]
+    rows = []
+    for name, group in groups:
+        frozen = np.median([case["frozen_mrad"][3] for case in group])
+        row = [name, str(len(group)), results.number(float(frozen), 2)]
+        for label in (BEFORE, BANK):
+            ratio = np.median([case[label]["ratio"] for case in group], axis=0)
+            row += [results.number(ratio[1], 2), results.number(ratio[3], 2), *_t90(group, label)]
+        rows.append(row)
+    rows.append(["asked", "", "", *[""] * 5, "0.18", "0.08", *map(str, ASKED_T90), "0"])
+    return results.table(head, rows)
+
+
+def _names(found: list[dict[str, Any]]) -> str:
+    head = ["named", "of", "by, s", "said", "fault right, % of all", "element right", "of said"]
+    head += ["both of said", "claims of 0.9 right"]
+    rows = []
+    whole = {
+        "all cylinders": [c for c in found if c["element"] == ALL],
+        "one cylinder": [c for c in found if c["element"] != ALL],
+        "damage x2 and more": [c for c in found if c["frozen_mrad"][3] > 2 * c["before_mrad"]],
+        "together": found,
+    }
+    for name, group in whole.items():
+        for limit in TOLD:
+            told = [case[BANK][f"{limit:g}"] for case in group]
+            said = [t for t in told if t["said"]]
+            sure = [t for t in said if t["confidence"] >= 0.9]
+            both = [t["fault"] and t["element"] for t in said]
+            rows.append(
+                [
+                    name,
+                    str(len(told)),
+                    f"{limit:g}",
+                    _percent([t["said"] for t in told]),
+                    _percent([t["fault"] for t in told]),
+                    _percent([t["element"] for t in told]),
+                    _percent([t["fault"] for t in said]),
+                    _percent(both),
+                    _percent([t["fault"] and t["element"] for t in sure]),
+                ]
+            )
+    return results.table(head, rows)
+
+
+def _percent(values: list[bool]) -> str:
+    return f"{100 * np.mean(values):.0f}" if values else ""
+
+
+def _peace(said: list[list[Any]]) -> str:
+    rows = []
+    for label, (_, duration) in PEACE.items():
+        own = [names for name, _, names in said if name == label]
+        alarms = [name for names in own for name in names]
+        minutes = len(own) * duration / 60
+        shown = ", ".join(sorted(set(alarms))) or "none"
+        rows.append([label, f"{minutes:g}", str(len(alarms)), shown])
+    return results.table(["where nothing breaks", "minutes", "false alarms", "said"], rows)
+
+
+def main() -> None:
+    """Measures, or prints what is kept."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--specimens", type=int, default=10, help="how many")
+    parser.add_argument("--jobs", type=int, default=1, help="processes at a time")
+    results.main(parser, measure, tables)
+
+
+if __name__ == "__main__":
+    main()

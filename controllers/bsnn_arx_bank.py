@@ -1,0 +1,93 @@
+"""The adaptive feed-forward with a bank of faults: names what broke first, then learns the rest."""
+
+import numpy as np
+from pydantic import Field
+
+from leglab.base.errors import LeglabError
+from leglab.control import ControllerSetup, Measurement, ReferencePoint, register_controller
+from leglab.control.feedforward.fault_monitor import Event, FaultMonitor, MonitorConfiguration
+from leglab.controllers.bsnn_arx import AdaptiveConfiguration, AdaptiveController
+
+
+class BankConfiguration(AdaptiveConfiguration):
+    """Settings of `bsnn_arx`, and of the monitor that names faults.
+
+    Attributes:
+        monitor: How changes are noticed and named.
+        left_out: Faults of the bank that are not used, to see what an unknown one does.
+        corrects: Whether a named fault's shift goes to the parameters; without, the monitor names
+            only.
+    """
+
+    monitor: MonitorConfiguration = Field(default_factory=MonitorConfiguration)
+    left_out: tuple[str, ...] = Field(default=())
+    corrects: bool = Field(default=True)
+
+
+@register_controller(
+    "bsnn_arx_bank",
+    summary="is bsnn_arx that names what broke, corrects its map at once by what that fault does, "
+    "and learns the rest",
+    configuration=BankConfiguration,
+)
+class BankController(AdaptiveController):
+    """As `bsnn_arx`; on a change the most likely fault of the bank corrects the map at once.
+
+    See `leglab.control.feedforward.fault_monitor`.
+    """
+
+    name = "bsnn_arx_bank"
+
+    def __init__(self, setup: ControllerSetup, config: BankConfiguration) -> None:
+        if setup.fault_bank is None:
+            raise LeglabError(f"controller {self.name!r} needs a bank of faults of the machine")
+        super().__init__(setup, config)
+        bank = setup.fault_bank()
+        if config.left_out:
+            bank = bank.without(config.left_out)
+        period = setup.control_period * config.interval
+        self.monitor = FaultMonitor(bank, setup.joints, config.monitor, sample_period=period)
+        self._config, self._joints = config, len(setup.joints)
+        self._report = {**self.adaptation.report, **self.monitor.report}
+        self._corrects, self._stopped = config.corrects, False
+
+    @property
+    def events(self) -> list[Event]:
+        """Changes since `reset`, and what was said of them."""
+        return self.monitor.events
+
+    def reset(self, measurement: Measurement) -> None:
+        """Starts a run with the nominal map."""
+        super().reset(measurement)
+        self.monitor.reset()
+        self.adaptation.keep(2 * self._config.monitor.block)
+        self._stopped = False
+
+    def freeze(self) -> None:
+        """Stops adapting until the next `reset`."""
+        super().freeze()
+        self._stopped = True
+
+    def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
+        """Valve commands, (joints,)."""
+        if self.adaptation.kept_count() >= self._config.monitor.block and not self._stopped:
+            self._look(measurement.time)
+        return super().command(measurement, reference)
+
+    def _look(self, time: float) -> None:
+        learner = self.adaptation.learner
+        parameters = np.atleast_2d(learner.parameters)
+        advice = self.monitor.take(time, self.adaptation.kept(), parameters)
+        if advice is None or not self._corrects:
+            return
+        if advice.parameters is not None:
+            learner.parameters = advice.parameters.reshape(learner.parameters.shape)
+        for joint in np.flatnonzero(np.isfinite(advice.gain)):
+            opened = self._config.change_gain * max(float(advice.gain[joint]), 1e-9)
+            # An alarm of the learner's own would open what a name has just closed.
+            learner.hold_alarm(int(joint))
+            learner.set_gain(opened * np.eye(parameters.shape[1]), int(joint))
+
+    def diagnostics(self) -> dict[str, np.ndarray]:
+        """As `bsnn_arx`, and number, size and confidence of a named fault."""
+        return self._report

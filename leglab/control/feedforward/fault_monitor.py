@@ -1,0 +1,511 @@
+"""Notices changes of a machine while a controller learns, and names them by a bank of faults.
+
+It sees the samples that the learner takes and nothing else. A change is noticed by a cumulative sum
+of the learner's own error (Page 1954, Biometrika 41, 100). From its onset on, samples are summed
+up, and at growing intervals every fault of the bank is fitted to them, its size by least squares
+along its curve. What fits best, by enough, is the name; its shift goes to the parameters at once,
+and later samples may revise it. What nothing explains is an unknown change.
+"""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from leglab.base.errors import LeglabError
+from leglab.base.settings import Configuration
+from leglab.control.feedforward.fault_bank import ALL, FaultBank, FaultCurve, Moments
+
+UNKNOWN = "unknown change"
+
+# Times after an onset at which the bank is asked [s]: often at first, as the evidence grows. The
+# case is closed at the last one.
+_EARLY = (0.09, 0.12, 0.15, 0.18, 0.22, 0.26, 0.3, 0.36, 0.43, 0.5, 0.6, 0.72, 0.86, 1.0)
+_LOOKS = (*_EARLY, 1.2, 1.4, 1.7, 2.0, 2.4, 2.8, 3.2)
+
+# From when to when after an onset an explanation may become less good, as more is seen [s].
+_GROWN = (0.1, 0.4)
+
+# Samples right after an onset do not count: valves and oil pass over to their new state [s].
+_PASSING = 0.06
+
+# How much of what the cumulative sum reached before is added to the alarm, and the time constant in
+# which that is forgotten [s].
+_MARGIN, _PEAK_TIME = 2.0, 6.0
+
+# A mean square error of a block counts at most so many times the mean before it towards that mean.
+_OUTLIER = 9.0
+
+# Mean square error of a joint, over the normal one, from which on the change concerns it [1].
+_HIT = 2.0
+
+# Mean square error of the map before the change, over what it was, from which on a change that
+# nothing explains is told [1], how long after its onset, and over what time [s].
+_UNEXPLAINED, _PATIENCE, _RECENT = 10.0, 1.3, 0.65
+
+# A name that comes later corrects nothing: the learner has found its own way by then [s].
+_LATE = 1.0
+
+
+_Share = Annotated[float, Field(gt=0, lt=1)]
+
+
+class MonitorConfiguration(Configuration):
+    """How changes are noticed and named.
+
+    Attributes:
+        block: Learned samples from one look at them to the next.
+        warm_up: Learned samples before the first alarm; after a closed case `slow_window` and half
+            as many again.
+        slow_window: Learned samples in the mean square error that is normal.
+        error_ratio: Rise of the mean square error that the cumulative sum tests for.
+        alarm: Cumulative log-likelihood ratio at which a change is declared, beyond what it
+            reaches while nothing changes.
+        correlation: Learned samples that count as one: neighbours err alike.
+        discrepancy: Share of the error before the correction that a right fault leaves, since no
+            machine is the nominal one; a standard deviation.
+        explained: Least share of the weighted squared error that a fault must take away to be
+            named: a tenth of a second after the onset, and from four tenths on.
+        kept: Least share with which a name stays.
+        evidence: Least log-likelihood ratio of a fault to no change with which it is named: one
+            joint must be seen for longer than many.
+        confidence: Least probability among all faults of the bank of one that is named.
+        open_share: Gain of the learner after a fault was named, as a share of its gain on a change
+            times the share of the squared error that the fault leaves.
+    """
+
+    block: int = Field(default=5, ge=1, le=50)
+    warm_up: int = Field(default=1900, ge=1)
+    slow_window: int = Field(default=600, ge=10)
+    error_ratio: float = Field(default=4.0, gt=1)
+    alarm: float = Field(default=4.0, gt=0)
+    correlation: float = Field(default=20.0, ge=1)
+    discrepancy: float = Field(default=0.15, gt=0, lt=1)
+    explained: tuple[_Share, _Share] = Field(default=(0.75, 0.6))
+    kept: float = Field(default=0.5, gt=0, lt=1)
+    evidence: float = Field(default=20.0, ge=0)
+    confidence: float = Field(default=0.5, gt=0, lt=1)
+    open_share: float = Field(default=0.1, ge=0, le=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Name:
+    """What the monitor says of a change at one time.
+
+    Attributes:
+        time: When it says so [s].
+        onset: When the change began [s].
+        fault: Name of the fault, or "unknown change".
+        element: Joint whose cylinder or spring has it, or "all"; joints by commas where unknown.
+        size: In the fault's own unit; None where unknown.
+        low: Lower end of the size's 90 % interval.
+        high: Upper end.
+        meaning: What the size says, with its unit.
+        confidence: Probability of fault and element among all of the bank [1]; of an unknown
+            change, the share of the squared error that the best fault of the bank leaves.
+        explained: Share of the weighted squared error since the onset that it takes away [1]; of an
+            unknown change, what the best fault would.
+    """
+
+    time: float
+    onset: float
+    fault: str
+    element: str
+    size: float | None = None
+    low: float | None = None
+    high: float | None = None
+    meaning: str = ""
+    confidence: float
+    explained: float
+
+
+@dataclass(kw_only=True, eq=False)
+class Event:
+    """A change and what was said of it.
+
+    Attributes:
+        names: In the order in which they were said; a name follows where fault or element differ
+            from the last one's, and the last one is kept up to date.
+        withdrawn: When the last name was taken back [s]; None if it stands.
+    """
+
+    names: list[Name] = field(default_factory=list)
+    withdrawn: float | None = None
+
+
+class Advice(NamedTuple):
+    """What is to be done with the learner.
+
+    Attributes:
+        parameters: To be set, (joints, parameters); None leaves them.
+        gain: Gain to be opened, as a share of the one on a change, (joints,); NaN leaves it.
+    """
+
+    parameters: np.ndarray | None
+    gain: np.ndarray
+
+
+class _Block(NamedTuple):
+    time: float
+    samples: np.ndarray
+    parameters: np.ndarray
+
+
+@dataclass(eq=False, kw_only=True)
+class _Case:
+    """An open case: a change whose samples are being collected."""
+
+    onset: float
+    base: np.ndarray
+    moments: Moments | None = None
+    look: int = 0
+    sums: list[tuple[float, Moments]] = field(default_factory=list)
+    shift: np.ndarray | None = None
+    key: tuple[str, str] | None = None
+    event: Event | None = None
+    hit: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
+
+
+class FaultMonitor:
+    """Detects and names changes from the samples of a learner.
+
+    Args:
+        bank: Of the nominal machine.
+        joints: Their names.
+        config: How changes are noticed and named.
+        sample_period: From one learned sample to the next [s].
+
+    Attributes:
+        events: What was said since `reset`.
+        report: By name, each (joints,): `fault` (1 + its number in the bank, -1 for an unknown
+            change, 0 for none), `fault_size` and `fault_confidence`; of the joints that it
+            concerns. The arrays change with the next block.
+
+    Raises:
+        LeglabError: The bank is of another number of joints.
+    """
+
+    def __init__(
+        self,
+        bank: FaultBank,
+        joints: tuple[str, ...],
+        config: MonitorConfiguration,
+        *,
+        sample_period: float,
+    ) -> None:
+        had = bank.curves[0].shifts.shape[1]
+        if had != len(joints):
+            raise LeglabError(
+                f"the bank of faults is of {had} joints, the machine has {len(joints)}"
+            )
+        self._bank, self._joints, self._config = bank, joints, config
+        self._period = sample_period
+        self._keys = [(curve.fault, curve.element) for curve in bank.curves]
+        self._names = list(dict.fromkeys(self._keys))
+        self._group = np.array([self._names.index(key) for key in self._keys])
+        kinds = ("fault", "fault_size", "fault_confidence")
+        self.report = {name: np.zeros(len(joints)) for name in kinds}
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets everything."""
+        self.events: list[Event] = []
+        self._recent: deque[_Block] = deque(maxlen=25)
+        self._case: _Case | None = None
+        self._start(self._config.warm_up)
+        for values in self.report.values():
+            values[:] = 0.0
+
+    def _start(self, wait: float) -> None:
+        """Begins to learn what errors are normal; without alarms for so many samples."""
+        self._wait = wait
+        self._normal = np.zeros(len(self._joints))
+        self._seen = np.zeros(len(self._joints))
+        # Of every joint, and of all together.
+        self._sum = np.zeros(len(self._joints) + 1)
+        self._peak = np.zeros(len(self._joints) + 1)
+        self._top = np.zeros(len(self._joints) + 1)
+        self._since = np.full(len(self._joints) + 1, np.nan)
+
+    def take(self, time: float, samples: np.ndarray, parameters: np.ndarray) -> Advice | None:
+        """Takes a block of learned samples.
+
+        Args:
+            time: Of the last one [s].
+            samples: As `AdaptiveFeedforward.kept`, (n, joints, parameters + 3).
+            parameters: The learner's now, (joints, parameters).
+
+        Returns:
+            What to do with the learner; None for nothing.
+        """
+        self._recent.append(_Block(time, samples, parameters))
+        used = samples[..., -1].sum(axis=0)
+        squared = np.einsum("nj,nj->j", samples[..., -2], samples[..., -2])
+        mean = squared / np.maximum(used, 1.0)
+        alarm = self._watch(time, mean, used)
+        if self._case is None:
+            if not alarm.any():
+                self._learn_normal(mean, used)
+                return None
+            return self._open(time, alarm)
+        return self._follow(time, samples)
+
+    def _watch(self, time: float, mean: np.ndarray, used: np.ndarray) -> np.ndarray:
+        """Advances the cumulative sums; where they are at the alarm, (joints + 1,)."""
+        config = self._config
+        ratio = mean / np.maximum(self._normal, 1e-300)
+        rise = ratio * (1 - 1 / config.error_ratio) - math.log(config.error_ratio)
+        step = used / (2 * config.correlation) * rise
+        step = np.append(step, step.sum())
+        seen = np.append(self._seen, self._seen.min())
+        # What the sum reaches in every stride, where a motion is hard for a moment, is no alarm.
+        limit = config.alarm + _MARGIN * self._peak
+        total = np.where(seen >= config.slow_window, np.maximum(self._sum + step, 0.0), 0.0)
+        begins = (self._sum == 0.0) & (total > 0.0)
+        self._since[begins] = time - used.max() * self._period
+        self._sum = total
+        alarm = (total > limit) & (seen >= self._wait)
+        decay = np.exp(-used.max() * self._period / _PEAK_TIME)
+        self._top = np.maximum(self._top, total)
+        over = np.where(total == 0.0, self._top, 0.0)  # of a rise that has ended without alarm
+        self._peak = np.maximum(decay * self._peak, over)
+        self._top[total == 0.0] = 0.0
+        return alarm
+
+    def _learn_normal(self, mean: np.ndarray, used: np.ndarray) -> None:
+        self._seen += used
+        weight = np.maximum(used / self._config.slow_window, used / np.maximum(self._seen, 1.0))
+        young = self._seen < self._config.slow_window
+        most = np.where(young, mean, _OUTLIER * self._normal)
+        self._normal += weight * (np.minimum(mean, most) - self._normal)
+
+    def _open(self, time: float, alarm: np.ndarray) -> Advice | None:
+        onset = self._onset(float(np.min(self._since[alarm])))
+        before = [block for block in self._recent if block.time <= onset] or [self._recent[0]]
+        self._case = _Case(onset=onset, base=before[-1].parameters)
+        for block in self._recent:
+            self._collect(self._case, block.time, block.samples)
+        return self._act(self._case, time)
+
+    def _onset(self, since: float) -> float:
+        """The time of the change by maximum likelihood, within the rise of the sums [s].
+
+        The error's variance is the normal one before, and its mean square from then on (Hinkley
+        1970, Biometrika 57, 1), over the joints together; without a rise, the start of the sums.
+        """
+        blocks = [block for block in self._recent if block.time > since]
+        normal = np.maximum(self._normal, 1e-300)
+        ratio = np.array(
+            [np.sum(block.samples[..., -2] ** 2 / normal, axis=(0, 1)) for block in blocks]
+        )
+        count = np.array([block.samples[..., -1].sum() for block in blocks])
+        best, onset = -math.inf, since
+        for first, block in enumerate(blocks):
+            after = count[first:].sum()
+            level = max(ratio[first:].sum() / max(after, 1.0), 1.0)
+            likelihood = -(ratio[:first].sum() + after * (math.log(level) + 1.0))
+            if likelihood > best:
+                best = likelihood
+                onset = block.time - len(block.samples) * self._period
+        return onset
+
+    def _follow(self, time: float, samples: np.ndarray) -> Advice | None:
+        case = self._case
+        assert case is not None
+        self._collect(case, time, samples)
+        if case.look >= len(_LOOKS):
+            self._case = None
+            self._start(1.5 * self._config.slow_window)
+            if case.event is None or case.event.withdrawn is not None:
+                self._tell(None)
+            return None
+        return self._act(case, time)
+
+    def _collect(self, case: _Case, time: float, samples: np.ndarray) -> None:
+        count = len(samples)
+        times = time - self._period * np.arange(count)[::-1]
+        late = samples[times >= case.onset + _PASSING]
+        if len(late):
+            own = Moments.of(late[..., :-3], late[..., -3], late[..., -1])
+            case.moments = own if case.moments is None else case.moments + own
+
+    def _act(self, case: _Case, time: float) -> Advice | None:
+        """A decision, where one is due."""
+        gain = np.full(len(self._joints), np.nan)
+        parameters = None
+        if time >= case.onset + _LOOKS[case.look]:
+            while case.look < len(_LOOKS) and time >= case.onset + _LOOKS[case.look]:
+                case.look += 1
+            if case.moments is not None:
+                parameters = self._decide(case, time, gain)
+                case.sums.append((time, case.moments))
+        if parameters is None and np.isnan(gain).all():
+            return None
+        return Advice(parameters, gain)
+
+    def _decide(self, case: _Case, time: float, gain: np.ndarray) -> np.ndarray | None:
+        """Asks the bank; parameters to be set, or None. Sets `gain` where it is to be changed."""
+        assert case.moments is not None
+        config, moments = self._config, case.moments.about(case.base)
+        count = np.maximum(moments.count, 1.0)
+        variance = self._normal + config.discrepancy**2 * moments.power / count
+        fit = self._bank.fit(moments, 1.0 / np.maximum(variance, 1e-300))
+        best_of = np.full(len(self._names), np.inf)
+        np.minimum.at(best_of, self._group, fit.cost)
+        weight = np.exp(-(best_of - best_of.min()) / (2 * config.correlation))
+        chance = weight / weight.sum()
+        best = int(np.argmin(fit.cost))
+        group = int(self._group[best])
+        explained = 1.0 - fit.cost[best] / max(fit.without, 1e-300)
+        key = self._names[group]
+        least = config.kept
+        if key != case.key:
+            least = float(np.interp(time - case.onset, _GROWN, config.explained))
+        evidence = (fit.without - fit.cost[best]) / (2 * config.correlation)
+        stands_out = (
+            explained >= least
+            and chance[group] >= config.confidence
+            and evidence >= config.evidence
+        )
+        now = self._recent[-1].parameters
+        if stands_out:
+            curve = self._bank.curves[best]
+            shift = curve.shift(float(fit.size[best]))
+            self._name(
+                case, time, curve, fit.size[best], fit.spread[best], chance[group], explained
+            )
+            if key == case.key and case.shift is not None:
+                parameters = now + shift - case.shift
+            else:
+                parameters = case.base + shift
+                left = moments.about(shift).power / np.maximum(moments.power, 1e-300)
+                case.hit = moments.power / count > _HIT * self._normal
+                gain[case.hit] = config.open_share * np.minimum(left[case.hit], 1.0)
+            if case.shift is None and time > case.onset + _LATE:
+                gain[:] = np.nan
+                case.key = key
+                return None
+            case.key, case.shift = key, shift
+            return parameters
+        if case.key is not None and explained < config.kept:
+            return self._withdraw(case, time, now, gain)
+        if case.key is None and time >= case.onset + _PATIENCE:
+            joints = self._still_off(case, time)
+            if joints.any():
+                self._unknown(case, time, joints, explained)
+        return None
+
+    def _still_off(self, case: _Case, time: float) -> np.ndarray:
+        """Joints of which the map before the change predicts badly now, (joints,).
+
+        A motion never made before may err for a moment, a changed machine does so for good.
+        """
+        assert case.moments is not None
+        earlier = [sums for then, sums in case.sums if then <= time - _RECENT]
+        recent = (case.moments - earlier[-1] if earlier else case.moments).about(case.base)
+        mean = recent.power / np.maximum(recent.count, 1.0)
+        return mean > _UNEXPLAINED * self._normal
+
+    def _withdraw(
+        self, case: _Case, time: float, now: np.ndarray, gain: np.ndarray
+    ) -> np.ndarray | None:
+        parameters: np.ndarray | None = None
+        if case.shift is not None:
+            parameters = now - case.shift
+            gain[case.hit] = 1.0
+        case.key = case.shift = None
+        if case.event is not None:
+            case.event.withdrawn = time
+        self._tell(None)
+        return parameters
+
+    def _name(
+        self,
+        case: _Case,
+        time: float,
+        curve: FaultCurve,
+        size: float,
+        spread: float,
+        chance: float,
+        explained: float,
+    ) -> None:
+        config = self._config
+        # Samples scatter, and a machine is not the nominal one: its size is off by as much.
+        sampled = math.sqrt(config.correlation) * float(spread)
+        differs = config.discrepancy * abs(size - curve.sizes[0])
+        half = 1.645 * math.hypot(sampled, differs)
+        ends = float(np.min(curve.sizes)), float(np.max(curve.sizes))
+        self._say(
+            case,
+            Name(
+                time=time,
+                onset=case.onset,
+                fault=curve.fault,
+                element=curve.element,
+                size=float(size),
+                low=max(float(size) - half, ends[0]),
+                high=min(float(size) + half, ends[1]),
+                meaning=curve.meaning,
+                confidence=float(chance),
+                explained=float(explained),
+            ),
+        )
+
+    def _unknown(self, case: _Case, time: float, joints: np.ndarray, explained: float) -> None:
+        if case.event and case.event.withdrawn is None:
+            return  # it is said already
+        names = ",".join(name for name, hit in zip(self._joints, joints, strict=True) if hit)
+        element = ALL if joints.all() and len(joints) > 1 else names
+        self._say(
+            case,
+            Name(
+                time=time,
+                onset=case.onset,
+                fault=UNKNOWN,
+                element=element,
+                confidence=1.0 - float(explained),
+                explained=float(explained),
+            ),
+        )
+
+    def _say(self, case: _Case, name: Name) -> None:
+        if case.event is None:
+            case.event = Event()
+            self.events.append(case.event)
+        names = case.event.names
+        again = names and (names[-1].fault, names[-1].element) == (name.fault, name.element)
+        if again and case.event.withdrawn is None:
+            first = names[-1]
+            names[-1] = Name(**{**vars(name), "time": first.time})
+        else:
+            names.append(name)
+        case.event.withdrawn = None
+        self._tell(name)
+
+    def _tell(self, name: Name | None) -> None:
+        """Fills the report."""
+        for values in self.report.values():
+            values[:] = 0.0
+        if name is None:
+            return
+        faults, own = self._bank.faults, name.element.split(",")
+        number = -1.0 if name.fault == UNKNOWN else 1.0 + faults.index(name.fault)
+        hit = [name.element == ALL or joint in own for joint in self._joints]
+        for key, value in zip(
+            ("fault", "fault_size", "fault_confidence"),
+            (number, name.size or 0.0, name.confidence),
+            strict=True,
+        ):
+            self.report[key][hit] = value
+
+
+def plain(events: Sequence[Event]) -> list[dict[str, Any]]:
+    """Events as plain Python types."""
+    return [
+        {"names": [vars(name) for name in event.names], "withdrawn": event.withdrawn}
+        for event in events
+    ]

@@ -1,0 +1,261 @@
+"""Makes the bank of faults: the nominal machine with every fault in simulation, at commissioning.
+
+A machine of its own runs, never that of the run: what happens to that one cannot get here.
+"""
+
+import hashlib
+import os
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+
+from leglab.base.errors import LeglabError
+from leglab.base.scenario import Scenario, get_scenario, scenario_severity
+from leglab.commissioning.setup import model_digest
+from leglab.control.feedforward.fault_bank import ALL, FaultBank, FaultCurve, Moments
+from leglab.controllers.bsnn_arx import AdaptiveController
+from leglab.data import write_atomically
+from leglab.machine.plugin import headless
+from leglab.machine.simulation import Simulation
+from leglab.runs.fingerprint import fingerprint
+from leglab.runs.preparation import Preparation, RunSettings, reference_config
+
+
+@dataclass(frozen=True, kw_only=True)
+class Faults:
+    """Sizes of one scenario's change in the bank.
+
+    Attributes:
+        healthy: Severity that changes nothing.
+        sizes: Severities on one side of it, from small to large change.
+        shared: Whether it cannot happen to one joint alone: supply and oil are common to all, a
+            load hangs on one body.
+    """
+
+    healthy: float
+    sizes: tuple[float, ...]
+    shared: bool = False
+
+
+# By scenario; a second entry is the other side of the healthy value.
+FAULTS: Mapping[str, tuple[Faults, ...]] = {
+    "seal_wear": (Faults(healthy=1.0, sizes=(3.0, 10.0, 25.0)),),
+    "external_leak": (Faults(healthy=0.0, sizes=(2e-13, 5e-13, 1e-12)),),
+    "friction_rise": (Faults(healthy=1.0, sizes=(2.0, 3.0, 5.0)),),
+    "stiction": (Faults(healthy=1.0, sizes=(2.5, 4.0, 7.0)),),
+    "spring_fatigue": (Faults(healthy=1.0, sizes=(0.7, 0.4, 0.1)),),
+    "valve_wear": (Faults(healthy=0.0, sizes=(0.03, 0.06, 0.1)),),
+    "valve_null_shift": (
+        Faults(healthy=0.0, sizes=(0.02, 0.05)),
+        Faults(healthy=0.0, sizes=(-0.02, -0.05)),
+    ),
+    "slow_valve": (Faults(healthy=250.0, sizes=(100.0, 60.0, 40.0, 25.0)),),
+    "air_in_oil": (Faults(healthy=0.005, sizes=(0.05, 0.15)),),
+    "hot_oil": (Faults(healthy=40.0, sizes=(60.0, 80.0, 100.0), shared=True),),
+    "cold_oil": (Faults(healthy=40.0, sizes=(25.0, 15.0, 7.0, 0.0), shared=True),),
+    "supply_drop": (Faults(healthy=160.0, sizes=(130.0, 105.0, 80.0), shared=True),),
+    "supply_droop": (Faults(healthy=1.0, sizes=(0.7, 0.5, 0.35), shared=True),),
+    "payload": (Faults(healthy=0.0, sizes=(2.5, 5.0, 10.0), shared=True),),
+}
+
+# Strides before samples count, and strides of samples; of a motion that does not repeat, as many
+# of its periods.
+_SETTLED, _SAMPLED = 3, 3
+
+# Weight of a squared parameter against the squared errors of all samples: the shift stays small in
+# directions that the motion does not show.
+_RIDGE = 1e-2
+
+_SAMPLES = 64  # kept between two looks
+_banks: dict[str, FaultBank] = {}
+
+
+# Makes a closed loop of settings, with a preparation and a scenario by name.
+MakeLoop = Callable[..., Any]
+
+
+def fault_bank(settings: RunSettings, scenario: Scenario, make_loop: MakeLoop) -> FaultBank:
+    """Makes the bank for a run's model, sensors and reference, or reads the one made before.
+
+    Banks are kept in `cache_folder()` by a digest of the nominal machine and the settings; one
+    of other code is replaced. The leg's takes half a minute to a minute.
+
+    Args:
+        settings: Of the run; what happens in it and its specimen do not matter.
+        scenario: Of the run, whose reference alone counts.
+        make_loop: `leglab.runs.loop.Loop`.
+
+    Raises:
+        LeglabError: A simulation of the nominal machine fails.
+    """
+    common = replace(
+        settings,
+        scenario="nominal",
+        controller="bsnn_arx",
+        controller_config={},
+        duration=None,
+        severity=None,
+        ramp_duration=0.0,
+        seed=0,
+        tolerance=0.0,
+        reference=settings.reference or scenario.reference,
+        reference_config=reference_config(replace(settings, vary=False), scenario),
+        vary=False,
+    )
+    preparation = Preparation(common)
+    told = repr(replace(common, model="")).encode()
+    key = hashlib.sha256(model_digest(preparation.nominal) + told).hexdigest()[:32]
+    if key not in _banks:
+        file = cache_folder() / f"fault_bank_{key}.npz"
+        bank = _read(file)
+        if bank is None:
+            bank = _make(common, preparation, make_loop)
+            _write(bank, file)
+        _banks[key] = bank
+    return _banks[key]
+
+
+def cache_folder() -> Path:
+    """Where banks are kept: $LEGLAB_CACHE, or leglab in the user's folder of caches."""
+    own = os.environ.get("LEGLAB_CACHE")
+    if own:
+        return Path(own)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "leglab"
+
+
+def _write(bank: FaultBank, file: Path) -> None:
+    """Keeps a bank; where the folder cannot be written to, it is made anew next time."""
+    names = np.array([(curve.fault, curve.element, curve.meaning) for curve in bank.curves])
+    arrays: dict[str, Any] = {"names": names, "code": np.array(fingerprint())}
+    for i, curve in enumerate(bank.curves):
+        arrays |= {f"sizes_{i}": curve.sizes, f"shifts_{i}": curve.shifts}
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(file, lambda stream: np.savez(stream, **arrays))
+    except (OSError, LeglabError):
+        return
+
+
+def _read(file: Path) -> FaultBank | None:
+    """A kept bank of this code; None where there is none that can be read."""
+    try:
+        with np.load(file, allow_pickle=False) as kept:
+            if str(kept["code"]) != fingerprint():
+                return None
+            return FaultBank(
+                curves=tuple(
+                    FaultCurve(
+                        fault=str(fault),
+                        element=str(element),
+                        meaning=str(meaning),
+                        sizes=kept[f"sizes_{i}"],
+                        shifts=kept[f"shifts_{i}"],
+                    )
+                    for i, (fault, element, meaning) in enumerate(kept["names"])
+                )
+            )
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile, LeglabError):
+        return None
+
+
+def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) -> FaultBank:
+    moments = partial(_moments, settings, preparation, make_loop)
+    healthy = moments(())
+    base = _solve(healthy)
+    joints = preparation.nominal.joints
+    curves = []
+    for fault, element, faults in _cases(joints):
+        shifts, sizes = [np.zeros_like(base)], [faults.healthy]
+        for size in faults.sizes:
+            scenario = get_scenario(fault, severity=size).changed_from_start()
+            changes = of_element(scenario, element, preparation.nominal)
+            if not changes:
+                break  # the joint has no such part
+            try:
+                found = moments(changes)
+            except LeglabError:
+                break  # the model has no such part, or cannot move with so much of it
+            shifts.append(_solve(found.about(base)))
+            sizes.append(size)
+        if len(sizes) > 1:
+            severity = scenario_severity(fault)
+            curves.append(
+                FaultCurve(
+                    fault=fault,
+                    element=element,
+                    meaning="" if severity is None else severity.meaning,
+                    sizes=np.array(sizes),
+                    shifts=np.array(shifts),
+                )
+            )
+    return FaultBank(curves=tuple(curves))
+
+
+def _cases(joints: tuple[str, ...]) -> Iterator[tuple[str, str, Faults]]:
+    for fault, sides in FAULTS.items():
+        for faults in sides:
+            yield fault, ALL, faults
+            if not faults.shared and len(joints) > 1:
+                for joint in joints:
+                    yield fault, joint, faults
+
+
+def of_element(scenario: Scenario, element: str, machine: Simulation) -> tuple[Any, ...]:
+    """The changes of a scenario, of one joint's cylinder and spring alone.
+
+    Args:
+        scenario: Its changes are of all elements.
+        element: Name of the joint; "all" leaves the changes as they are.
+        machine: Of which the elements are.
+    """
+    if element == ALL:
+        return scenario.changes
+    own = [name for name in machine.elements if name.startswith(f"{element}_")]
+    return tuple(
+        replace(change, element=name)
+        for change in scenario.changes
+        for name in own
+        if change.applies_to(name) and machine.has(name, change.parameter)
+    )
+
+
+def _moments(
+    settings: RunSettings,
+    preparation: Preparation,
+    make_loop: MakeLoop,
+    changes: tuple[Any, ...],
+) -> Moments:
+    """Samples that the controller learns from on a nominal machine with these changes."""
+    told = Scenario(name="nominal", duration=1.0, reference=settings.reference or "")
+    period = preparation.reference(settings, told).period
+    scenario = replace(told, duration=(_SETTLED + _SAMPLED) * period, changes=changes)
+    loop = make_loop(settings, preparation=preparation, scenario=scenario)
+    controller = loop.controller
+    assert isinstance(controller, AdaptiveController)
+    learning, sums = controller.adaptation, None
+    start = round(_SETTLED * period / loop.period)
+    with headless(loop.simulation.model):
+        for k in range(loop.count):
+            loop.step()
+            if k == start:
+                learning.keep(_SAMPLES)
+            if learning.kept_count() == _SAMPLES or (k == loop.count - 1):
+                rows = learning.kept()
+                own = Moments.of(rows[..., :-3], rows[..., -3], rows[..., -1])
+                sums = own if sums is None else sums + own
+    loop.close()
+    loop.simulation.check()
+    assert sums is not None
+    return sums
+
+
+def _solve(moments: Moments) -> np.ndarray:
+    """Parameters of ridge regression, (joints, parameters)."""
+    eye = np.eye(moments.information.shape[-1])
+    solved = np.linalg.solve(moments.information + _RIDGE * eye, moments.correlation[..., None])
+    return solved[..., 0]

@@ -1,0 +1,194 @@
+"""The bank of faults: least squares along curves, and how it is made and kept."""
+
+import numpy as np
+import pytest
+
+import leglab.runs.fault_bank as making
+from leglab import RunSettings
+from leglab.base.errors import LeglabError
+from leglab.base.scenario import get_scenario
+from leglab.control.feedforward.fault_bank import ALL, FaultBank, FaultCurve, Moments
+from leglab.machine.simulation import Simulation, load_model
+from leglab.runs.loop import Loop
+from leglab.runs.preparation import scenario_of
+
+JOINTS, PARAMETERS = 3, 5
+
+
+def curve(rng, fault="wear", element=ALL, sizes=(1.0, 3.0, 10.0), scale=1.0) -> FaultCurve:
+    shifts = scale * rng.standard_normal((len(sizes), JOINTS, PARAMETERS))
+    shifts[0] = 0.0
+    return FaultCurve(
+        fault=fault, element=element, meaning="", sizes=np.array(sizes), shifts=shifts
+    )
+
+
+def samples(rng, parameters, count=40, noise=0.0):
+    regressor = rng.standard_normal((count, JOINTS, PARAMETERS))
+    output = np.einsum("njp,jp->nj", regressor, parameters)
+    return regressor, output + noise * rng.standard_normal((count, JOINTS))
+
+
+def moments(regressor, output) -> Moments:
+    return Moments.of(regressor, output, np.ones(output.shape))
+
+
+@pytest.mark.parametrize("size", [1.7, 3.0, 8.0])
+def test_a_planted_size_is_found_on_a_bent_curve(size):
+    rng = np.random.default_rng(1)
+    planted = curve(rng)
+    bank = FaultBank(curves=(curve(rng, "other"), planted))
+    base = rng.standard_normal((JOINTS, PARAMETERS))
+    seen = moments(*samples(rng, base + planted.shift(size))).about(base)
+    fit = bank.fit(seen, np.array([1.0, 2.0, 0.5]))
+    assert fit.size[1] == pytest.approx(size, rel=1e-9)
+    assert fit.cost[1] == pytest.approx(0.0, abs=1e-9 * fit.without)
+    assert fit.cost[0] > 0.1 * fit.without
+
+
+def test_size_and_cost_are_those_of_a_fine_search_with_noise_and_weights():
+    rng = np.random.default_rng(2)
+    bank = FaultBank(curves=tuple(curve(rng, f"fault_{i}") for i in range(4)))
+    base, weight = rng.standard_normal((JOINTS, PARAMETERS)), np.array([1.0, 3.0, 0.2])
+    true = base + rng.standard_normal((JOINTS, PARAMETERS))
+    regressor, output = samples(rng, true, noise=0.3)
+    fit = bank.fit(moments(regressor, output).about(base), weight)
+
+    def cost(shift):
+        error = output - np.einsum("njp,jp->nj", regressor, base + shift)
+        return float(weight @ np.sum(error**2, axis=0))
+
+    assert fit.without == pytest.approx(cost(0.0))
+    for number, each in enumerate(bank.curves):
+        grid = np.linspace(each.sizes[0], each.sizes[-1], 20_001)
+        costs = [cost(each.shift(size)) for size in grid[::20]]
+        assert fit.cost[number] <= min(costs) + 1e-9
+        assert fit.cost[number] == pytest.approx(cost(each.shift(fit.size[number])))
+
+
+def test_spread_is_the_step_that_raises_the_cost_by_one():
+    rng = np.random.default_rng(3)
+    planted = curve(rng)
+    bank, weight = FaultBank(curves=(planted,)), np.ones(JOINTS)
+    regressor, output = samples(rng, planted.shift(5.0), noise=0.01)
+    fit = bank.fit(moments(regressor, output), weight)
+    moved = moments(regressor, output).about(planted.shift(fit.size[0] + fit.spread[0]))
+    assert float(weight @ moved.power) - fit.cost[0] == pytest.approx(1.0, rel=1e-6)
+
+
+def test_sizes_may_fall_and_shifts_beyond_the_ends_are_those_of_the_ends():
+    rng = np.random.default_rng(4)
+    cold = curve(rng, sizes=(40.0, 15.0, 0.0))
+    np.testing.assert_allclose(cold.shift(15.0), cold.shifts[1])
+    np.testing.assert_allclose(cold.shift(7.5), (cold.shifts[1] + cold.shifts[2]) / 2)
+    np.testing.assert_allclose(cold.shift(-20.0), cold.shifts[2])
+    np.testing.assert_allclose(cold.shift(60.0), 0.0)
+
+
+def test_moments_add_and_subtract():
+    rng = np.random.default_rng(5)
+    base = rng.standard_normal((JOINTS, PARAMETERS))
+    regressor, output = samples(rng, base, noise=0.1)
+    whole, half = moments(regressor, output), moments(regressor[:20], output[:20])
+    other = moments(regressor[20:], output[20:])
+    for name in ("information", "correlation", "power", "count"):
+        np.testing.assert_allclose(getattr(half + other, name), getattr(whole, name))
+        np.testing.assert_allclose(getattr(whole - half, name), getattr(other, name), atol=1e-12)
+    error = output - np.einsum("njp,jp->nj", regressor, base)
+    np.testing.assert_allclose(whole.about(base).power, np.sum(error**2, axis=0))
+
+
+def test_what_is_no_curve_is_refused():
+    rng = np.random.default_rng(6)
+    good = curve(rng)
+    for change, message in (
+        ({"sizes": np.array([1.0, 3.0, 2.0])}, "not monotone"),
+        ({"sizes": np.array([1.0, 3.0])}, "have shape"),
+        ({"shifts": good.shifts + 1.0}, "zero at the healthy size"),
+    ):
+        with pytest.raises(LeglabError, match=message):
+            FaultCurve(**{**vars(good), **change})
+    with pytest.raises(LeglabError, match="'rust' is not in the bank"):
+        FaultBank(curves=(good,)).without(["rust"])
+    with pytest.raises(LeglabError, match="no fault would be left"):
+        FaultBank(curves=(good,)).without(["wear"])
+
+
+def test_changes_of_one_joint_are_those_of_its_cylinder_and_spring():
+    machine = Simulation(load_model("leg", visual=False))
+    worn = get_scenario("seal_wear", severity=5.0)
+    assert making.of_element(worn, ALL, machine) == worn.changes
+    (change,) = making.of_element(worn, "knee", machine)
+    assert (change.element, change.value) == ("knee_valve", 5.0)
+    tired = making.of_element(get_scenario("spring_fatigue"), "knee", machine)
+    assert {change.element for change in tired} == {"knee_spring"}
+    assert making.of_element(get_scenario("spring_fatigue"), "hip_yaw", machine) == ()
+
+
+@pytest.fixture
+def small(tmp_path, monkeypatch):
+    """A cache of its own, and two faults alone."""
+    monkeypatch.setenv("LEGLAB_CACHE", str(tmp_path))
+    monkeypatch.setattr(making, "_banks", {})
+    faults = {name: making.FAULTS[name] for name in ("seal_wear", "supply_drop")}
+    monkeypatch.setattr(making, "FAULTS", faults)
+    return tmp_path
+
+
+def bank_of(**changed) -> FaultBank:
+    settings = RunSettings(
+        **{"scenario": "nominal", "controller": "bsnn_arx_bank", "model": "knee_bench", **changed}
+    )
+    return making.fault_bank(settings, scenario_of(settings), Loop)
+
+
+def same(one: FaultBank, other: FaultBank) -> bool:
+    return all(
+        a.fault == b.fault and np.array_equal(a.shifts, b.shifts)
+        for a, b in zip(one.curves, other.curves, strict=True)
+    )
+
+
+def test_bank_is_of_the_nominal_machine_whatever_the_run_does_to_its_own(small, monkeypatch):
+    first = bank_of()
+    (file,) = small.iterdir()
+    for changed in (
+        {"scenario": "seal_wear", "severity": 30.0},
+        {"tolerance": 0.3, "seed": 7, "vary": True},
+    ):
+        monkeypatch.setattr(making, "_banks", {})
+        file.unlink(missing_ok=True)
+        assert same(first, bank_of(**changed))
+    # Another motion is another bank.
+    monkeypatch.setattr(making, "_banks", {})
+    assert not same(first, bank_of(reference_config={"period": 1.5}))
+
+
+def test_kept_bank_is_read_and_a_damaged_one_is_made_anew(small, monkeypatch):
+    first = bank_of()
+    (file,) = small.iterdir()
+
+    def refuse(*_, **__):
+        raise AssertionError("made again")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(making, "_banks", {})
+        patch.setattr(making, "_make", refuse)
+        assert same(first, bank_of())
+    file.write_bytes(file.read_bytes()[:100])
+    monkeypatch.setattr(making, "_banks", {})
+    assert same(first, bank_of())
+
+
+def test_a_bank_of_other_code_is_replaced(small, monkeypatch):
+    bank_of()
+    monkeypatch.setattr(making, "_banks", {})
+    monkeypatch.setattr(making, "fingerprint", lambda: "other")
+    made = []
+    real = making._make
+    monkeypatch.setattr(making, "_make", lambda *a: made.append(1) or real(*a))
+    bank_of()
+    monkeypatch.setattr(making, "_banks", {})
+    bank_of()
+    assert made == [1]
+    assert len(list(small.iterdir())) == 1

@@ -1,0 +1,306 @@
+"""Changes that are noticed and named: on made-up samples, and in the closed loop."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from leglab import RunSettings, run_scenario
+from leglab.base.errors import LeglabError
+from leglab.base.scenario import get_scenario
+from leglab.cli.terminal import fault_lines
+from leglab.control import Measurement, ReferencePoint, make_controller
+from leglab.control.feedforward.fault_bank import ALL, FaultBank, FaultCurve
+from leglab.control.feedforward.fault_monitor import (
+    UNKNOWN,
+    FaultMonitor,
+    MonitorConfiguration,
+    plain,
+)
+from leglab.runs.loop import Loop
+
+JOINTS, PARAMETERS, PERIOD, BLOCK = ("hip", "knee"), 6, 0.004, 5
+CONFIG = MonitorConfiguration(warm_up=200, slow_window=100)
+CHANGE, END = 4.0, 8.0  # s
+
+
+def curve(rng, fault, element=ALL):
+    shifts = 0.1 * rng.standard_normal((3, len(JOINTS), PARAMETERS))
+    shifts[0] = 0.0
+    if element != ALL:
+        shifts[:, 1 - JOINTS.index(element)] = 0.0
+    sizes = np.array([1.0, 4.0, 9.0])
+    return FaultCurve(fault=fault, element=element, meaning="ratio", sizes=sizes, shifts=shifts)
+
+
+def make_bank(rng):
+    names = [("leak", ALL), ("leak", "knee"), ("rub", ALL), ("rub", "hip"), ("rub", "knee")]
+    return FaultBank(curves=tuple(curve(rng, *name) for name in names))
+
+
+def stream(monitor, true, *, seed=1, learns=True, excited=None, end=END):
+    """Feeds samples of a map `true(time)`; the learner is a fixed one that takes every advice.
+
+    Returns:
+        Its parameters at the end, and every advice with its time.
+    """
+    rng = np.random.default_rng(seed)
+    parameters, given = true(0.0).copy(), []
+    for number in range(int(end / PERIOD / BLOCK)):
+        time = (number + 1) * BLOCK * PERIOD
+        at = time - PERIOD * np.arange(BLOCK)[::-1]
+        regressor = rng.standard_normal((BLOCK, len(JOINTS), PARAMETERS))
+        if excited is not None:
+            regressor *= excited(time)
+        output = np.array(
+            [np.einsum("jp,jp->j", r, true(t)) for r, t in zip(regressor, at, strict=True)]
+        )
+        output += 1e-3 * rng.standard_normal(output.shape)
+        error = output - np.einsum("njp,jp->nj", regressor, parameters)
+        parts = (regressor, output[..., None], error[..., None], np.ones((*error.shape, 1)))
+        advice = monitor.take(time, np.concatenate(parts, axis=-1), parameters)
+        if advice is not None:
+            given.append((time, advice))
+            if learns and advice.parameters is not None:
+                parameters = advice.parameters
+    return parameters, given
+
+
+def planted(shift, rng):
+    base = rng.standard_normal((len(JOINTS), PARAMETERS))
+    return base, lambda time: base + (time > CHANGE) * shift
+
+
+def monitor_of(bank):
+    return FaultMonitor(bank, JOINTS, CONFIG, sample_period=PERIOD)
+
+
+@pytest.mark.parametrize("number", range(5))
+def test_planted_fault_is_named_and_its_shift_advised(number):
+    rng = np.random.default_rng(10 + number)
+    bank = make_bank(rng)
+    right = bank.curves[number]
+    shift = right.shift(6.0)
+    base, true = planted(shift, rng)
+    monitor = monitor_of(bank)
+    parameters, _ = stream(monitor, true)
+    (event,) = monitor.events
+    name = event.names[-1]
+    assert (name.fault, name.element) == (right.fault, right.element)
+    assert name.low < 6.0 < name.high
+    assert name.size == pytest.approx(6.0, rel=0.05)
+    assert name.onset == pytest.approx(CHANGE, abs=BLOCK * PERIOD)
+    assert CHANGE < name.time < CHANGE + 0.3
+    assert name.confidence > 0.9
+    assert name.explained > 0.9
+    assert event.withdrawn is None
+    np.testing.assert_allclose(parameters, base + shift, atol=0.01)
+    hit = np.any(shift != 0.0, axis=1)
+    number_of = 1 + bank.faults.index(right.fault)
+    np.testing.assert_array_equal(monitor.report["fault"], number_of * hit)
+
+
+def test_what_the_bank_does_not_have_is_an_unknown_change_that_is_left_alone():
+    rng = np.random.default_rng(20)
+    bank = make_bank(rng)
+    shift = 0.1 * rng.standard_normal((len(JOINTS), PARAMETERS))
+    shift[0] = 0.0
+    base, true = planted(shift, rng)
+    monitor = monitor_of(bank)
+    parameters, given = stream(monitor, true)
+    assert monitor.events[0].names[0].fault == UNKNOWN
+    assert monitor.events[0].names[0].element == "knee"
+    assert monitor.report["fault"].tolist() == [0.0, -1.0]
+    assert not given
+    np.testing.assert_array_equal(parameters, base)
+
+
+def test_a_passing_disturbance_is_no_change():
+    rng = np.random.default_rng(21)
+    bank = make_bank(rng)
+    base = rng.standard_normal((len(JOINTS), PARAMETERS))
+    odd = 0.1 * rng.standard_normal((len(JOINTS), PARAMETERS))
+    monitor = monitor_of(bank)
+    stream(monitor, lambda time: base + (CHANGE < time < CHANGE + 0.1) * odd)
+    assert monitor.events == []
+
+
+def test_nothing_is_said_while_nothing_changes():
+    rng = np.random.default_rng(22)
+    bank = make_bank(rng)
+    base = rng.standard_normal((len(JOINTS), PARAMETERS))
+    monitor = monitor_of(bank)
+    _, given = stream(monitor, lambda time: base, end=60.0)
+    assert monitor.events == []
+    assert given == []
+
+
+def test_a_later_sample_revises_the_name_and_the_parameters():
+    rng = np.random.default_rng(23)
+    right = curve(rng, "rub")
+    shifts = right.shifts.copy()
+    shifts[..., 3:] *= -1.0
+    rival = replace(right, fault="leak", shifts=shifts)
+    base, true = planted(right.shift(6.0), rng)
+
+    def excited(time):
+        """Only what both have alike is seen at first."""
+        seen = np.ones(PARAMETERS)
+        seen[3:] = not CHANGE - 0.02 < time <= CHANGE + 0.4
+        return seen
+
+    config = CONFIG.model_copy(update={"confidence": 0.4})
+    monitor = FaultMonitor(FaultBank(curves=(rival, right)), JOINTS, config, sample_period=PERIOD)
+    parameters, given = stream(monitor, true, excited=excited)
+    (event,) = monitor.events
+    assert [name.fault for name in event.names] == ["leak", "rub"]
+    assert event.names[0].time < CHANGE + 0.4 < event.names[1].time
+    first = given[0][1].parameters
+    np.testing.assert_allclose(first, base + rival.shift(6.0), atol=0.01)
+    np.testing.assert_allclose(parameters, base + right.shift(6.0), atol=0.01)
+
+
+def test_same_samples_same_words():
+    said = []
+    for _ in range(2):
+        rng = np.random.default_rng(24)
+        bank = make_bank(rng)
+        _, true = planted(bank.curves[2].shift(3.0), rng)
+        monitor = monitor_of(bank)
+        stream(monitor, true)
+        said.append(plain(monitor.events))
+    assert said[0] == said[1]
+    monitor.reset()
+    assert monitor.events == []
+    stream(monitor, true)
+    assert plain(monitor.events) == said[0]
+
+
+def run(controller, fault="seal_wear", *, scenario=None, **config):
+    """A run of the knee bench with a fault at 8 s; controller and history."""
+    settings = RunSettings(
+        scenario="nominal", controller=controller, model="knee_bench", controller_config=config
+    )
+    loop = Loop(settings, scenario=scenario or get_scenario(fault, duration=16.0))
+    measured = []
+    real = loop.controller.command
+
+    def noted(measurement, reference):
+        measured.append(
+            (measurement.time, measurement.position.copy(), measurement.velocity.copy(), reference)
+        )
+        return real(measurement, reference)
+
+    loop.controller.command = noted
+    history = loop.run()
+    loop.controller.command = real
+    assert not history.failure
+    return loop, history, measured
+
+
+def rms(history, start, end):
+    part = (history.time >= 8.0 + start) & (history.time < 8.0 + end)
+    return float(np.sqrt(np.mean(history.error[part] ** 2)))
+
+
+@pytest.fixture(scope="module")
+def worn():
+    return run("bsnn_arx_bank")
+
+
+def test_worn_seal_is_named_in_the_closed_loop_and_undone_sooner(worn):
+    loop, history, _ = worn
+    (event,) = loop.controller.events
+    name = event.names[-1]
+    assert (name.fault, name.element) == ("seal_wear", ALL)
+    assert name.low < 10.0 < name.high
+    assert name.onset == pytest.approx(8.0, abs=0.05)
+    assert name.time < 8.5
+    assert rms(history, 0.3, 1.2) < 0.5 * rms(run("bsnn_arx")[1], 0.3, 1.2)
+
+
+def test_same_seed_same_bits(worn):
+    again = run("bsnn_arx_bank")
+    np.testing.assert_array_equal(again[1].command, worn[1].command)
+    assert plain(again[0].controller.events) == plain(worn[0].controller.events)
+
+
+def test_monitor_says_what_happens_and_not_what_the_simulation_is_told():
+    # The scenario calls itself worn seals and rubs instead.
+    lie = replace(get_scenario("friction_rise", duration=16.0), name="seal_wear", severity=10.0)
+    loop, _, _ = run("bsnn_arx_bank", scenario=lie)
+    assert loop.controller.events[-1].names[-1].fault == "friction_rise"
+
+
+def test_monitor_needs_measurements_and_references_alone(worn):
+    loop, history, measured = worn
+    alone = make_controller("bsnn_arx_bank", replace(loop._setup), {})
+    for number, (time, position, velocity, reference) in enumerate(measured):
+        measurement = Measurement(time, position, velocity)
+        if number == 0:
+            alone.reset(measurement)
+        command = alone.command(measurement, ReferencePoint(*reference))
+        np.testing.assert_array_equal(np.clip(command, -1, 1), history.command[number])
+    assert plain(alone.events) == plain(loop.controller.events)
+
+
+def test_a_monitor_that_corrects_nothing_leaves_the_controller_as_it_is():
+    watched = run("bsnn_arx_bank", corrects=False)
+    np.testing.assert_array_equal(watched[1].command, run("bsnn_arx")[1].command)
+    assert watched[0].controller.events[-1].names[-1].fault == "seal_wear"
+
+
+def reversed_shifts(bank):
+    """Every fault shifts the map the other way."""
+    return FaultBank(curves=tuple(replace(c, shifts=-c.shifts) for c in bank.curves))
+
+
+def without_leaks(bank):
+    """Nothing like what happens."""
+    return bank.without(["seal_wear", "hot_oil"])
+
+
+@pytest.mark.parametrize("wrong", [reversed_shifts, without_leaks])
+def test_a_wrong_bank_does_no_harm(wrong, monkeypatch):
+    import leglab.runs.loop as module
+
+    real = module.fault_bank
+    learned = run("bsnn_arx")[1]
+    monkeypatch.setattr(module, "fault_bank", lambda *arguments: wrong(real(*arguments)))
+    loop, history, _ = run("bsnn_arx_bank")
+    for window in ((0.0, 1.2), (1.2, 2.4), (4.0, 8.0)):
+        assert rms(history, *window) < 1.1 * rms(learned, *window)
+    assert loop.controller.events[-1].names[-1].fault == UNKNOWN
+
+
+def test_events_are_in_the_metrics_and_in_words():
+    result = run_scenario(
+        RunSettings(
+            scenario="seal_wear", controller="bsnn_arx_bank", model="knee_bench", duration=17.0
+        )
+    )
+    (event,) = result.metrics["events"]
+    assert event["names"][-1]["fault"] == "seal_wear"
+    (line,) = fault_lines(result.metrics)
+    assert line.startswith("all cylinders: seal_wear 1")
+    assert "internal leakage ratio" in line
+    number = result.recording["knee_fault"]
+    assert set(np.unique(number)) == {0.0, 1.0}
+    quiet = run_scenario(
+        RunSettings(scenario="seal_wear", controller="pd", model="knee_bench", duration=2.0)
+    )
+    assert "events" not in quiet.metrics
+    assert fault_lines(quiet.metrics) == []
+
+
+def test_a_bank_of_another_machine_is_refused():
+    bank = make_bank(np.random.default_rng(25))
+    with pytest.raises(LeglabError, match="of 2 joints, the machine has 3"):
+        FaultMonitor(bank, ("a", "b", "c"), CONFIG, sample_period=PERIOD)
+    with pytest.raises(LeglabError, match=r"monitor\.explained\.1"):
+        run("bsnn_arx_bank", monitor={"explained": [0.5, 1.5]})
+
+
+def test_a_fault_that_the_bank_has_not_cannot_be_left_out():
+    with pytest.raises(LeglabError, match="'rust' is not in the bank"):
+        run("bsnn_arx_bank", left_out=["rust"])
