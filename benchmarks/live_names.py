@@ -16,11 +16,12 @@ import numpy as np
 import results
 
 from leglab import RunSettings
-from leglab.base.scenario import Scenario, get_scenario
+from leglab.base.errors import LeglabError
+from leglab.base.scenario import Scenario, get_scenario, scenario_per_joint
 from leglab.control.feedforward.fault_bank import ALL
 from leglab.control.feedforward.fault_monitor import UNKNOWN, Event
 from leglab.runs.clock import adaptation
-from leglab.runs.fault_bank import FAULTS, of_element
+from leglab.runs.fault_bank import FAULTS
 from leglab.runs.loop import Loop
 from leglab.runs.parallel import in_processes
 from leglab.runs.preparation import Preparation
@@ -51,7 +52,7 @@ def cases(seeds: range) -> Iterator[tuple[int, str, str, float, float]]:
             rng = np.random.default_rng([seed, number])
             for alone in (False, True):
                 share, time, place = rng.random(3).tolist()
-                if alone and side.shared:
+                if alone and not scenario_per_joint(fault):
                     continue
                 size = side.sizes[0] + share * (side.sizes[-1] - side.sizes[0])
                 element = joints[int(place * len(joints))] if alone else ALL
@@ -79,13 +80,14 @@ def judged(case: tuple[int, str, str, float, float]) -> dict[str, Any] | None:
             vary=True,
         )
         preparation = Preparation(settings)
-        whole = get_scenario(fault, duration=DURATION, severity=size)
-        moved = replace(whole, changes=tuple(replace(c, start=change) for c in whole.changes))
-        changes = of_element(moved, element, preparation.nominal)
-        if not changes:
-            return None
+        joint = None if element == ALL else element
+        whole = get_scenario(fault, duration=DURATION, severity=size, element=joint)
+        changes = tuple(replace(c, start=change) for c in whole.changes)
         scenario = Scenario(name=fault, duration=DURATION, changes=changes)
-        loop = Loop(settings, preparation=preparation, scenario=scenario)
+        try:
+            loop = Loop(settings, preparation=preparation, scenario=scenario)
+        except LeglabError:
+            return None
         history = loop.run()
         assert not history.failure, (case, history.failure)
         after = history.time - change

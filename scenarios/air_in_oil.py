@@ -16,6 +16,7 @@ from leglab.base.scenario import Options, ParameterChange, Severity, register_sc
         lowest=0.0,
         highest=0.3,
     ),
+    per_joint=True,
 )
 def air_in_oil(options: Options) -> tuple[ParameterChange, ...]:
     """Sets the entrained air of every cylinder; chambers keep their pressures."""

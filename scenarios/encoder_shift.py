@@ -11,6 +11,7 @@ from leglab.base.scenario import Options, ParameterChange, Severity, register_sc
     "encoder_shift",
     summary="the knee's encoder slips at half time",
     severity=Severity(meaning="slip of the encoder [rad]", default=0.03, lowest=-0.3, highest=0.3),
+    per_joint=True,
 )
 def encoder_shift(options: Options) -> tuple[ParameterChange, ...]:
     """Adds an offset to the readings of the knee's encoder."""

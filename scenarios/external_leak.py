@@ -16,6 +16,7 @@ from leglab.base.scenario import Options, ParameterChange, Severity, register_sc
         lowest=0.0,
         highest=1e-10,
     ),
+    per_joint=True,
 )
 def external_leak(options: Options) -> tuple[ParameterChange, ...]:
     """Sets the leakage of both chambers of every cylinder to the surroundings."""

@@ -7,6 +7,7 @@ from leglab.base.scenario import Options, ParameterChange, Severity, register_sc
     "friction_rise",
     summary="three times the friction from half time on",
     severity=Severity(meaning="friction ratio", default=3.0, lowest=0.0, highest=20.0),
+    per_joint=True,
 )
 def friction_rise(options: Options) -> tuple[ParameterChange, ...]:
     """Multiplies Coulomb, breakaway and viscous friction."""

@@ -11,6 +11,7 @@ from leglab.base.scenario import Options, ParameterChange, Severity, register_sc
     "seal_wear",
     summary="all piston seals leak ten times as much from half time on",
     severity=Severity(meaning="internal leakage ratio", default=10.0, lowest=1.0, highest=1000.0),
+    per_joint=True,
 )
 def seal_wear(options: Options) -> tuple[ParameterChange, ...]:
     """Multiplies the internal leakage of every cylinder by the severity."""

@@ -11,6 +11,7 @@ from leglab.base.scenario import Options, ParameterChange, Severity, register_sc
     "sensor_dropout",
     summary="the encoders lose a third of their readings from half time on",
     severity=Severity(meaning="share of lost readings", default=0.3, lowest=0.0, highest=0.95),
+    per_joint=True,
 )
 def sensor_dropout(options: Options) -> tuple[ParameterChange, ...]:
     """Sets the share of readings that every encoder loses."""

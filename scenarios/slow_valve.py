@@ -9,6 +9,7 @@ from leglab.base.scenario import Options, ParameterChange, Severity, register_sc
     severity=Severity(
         meaning="natural frequency of the spools [Hz]", default=40.0, lowest=5.0, highest=250.0
     ),
+    per_joint=True,
 )
 def slow_valve(options: Options) -> tuple[ParameterChange, ...]:
     """Sets the bandwidth of every valve."""

@@ -7,6 +7,7 @@ from leglab.base.scenario import Options, ParameterChange, Severity, register_sc
     "spring_fatigue",
     summary="the parallel springs lose half of their stiffness at half time",
     severity=Severity(meaning="stiffness ratio", default=0.5, lowest=0.0, highest=1.0),
+    per_joint=True,
 )
 def spring_fatigue(options: Options) -> tuple[ParameterChange, ...]:
     """Multiplies both stiffnesses of every parallel spring."""

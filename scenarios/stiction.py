@@ -7,6 +7,7 @@ from leglab.base.scenario import Options, ParameterChange, Severity, register_sc
     "stiction",
     summary="four times the breakaway friction from half time on",
     severity=Severity(meaning="breakaway friction ratio", default=4.0, lowest=1.0, highest=20.0),
+    per_joint=True,
 )
 def stiction(options: Options) -> tuple[ParameterChange, ...]:
     """Multiplies the breakaway friction alone."""

@@ -12,6 +12,7 @@ from leglab.base.scenario import Options, ParameterChange, Severity, register_sc
     severity=Severity(
         meaning="null shift, of full command", default=0.03, lowest=-0.3, highest=0.3
     ),
+    per_joint=True,
 )
 def valve_null_shift(options: Options) -> tuple[ParameterChange, ...]:
     """Sets the null bias of every valve."""

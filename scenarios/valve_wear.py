@@ -12,6 +12,7 @@ from leglab.base.scenario import Options, ParameterChange, Severity, register_sc
     severity=Severity(
         meaning="lap and hysteresis, of full spool travel", default=0.06, lowest=0.0, highest=0.3
     ),
+    per_joint=True,
 )
 def valve_wear(options: Options) -> tuple[ParameterChange, ...]:
     """Sets overlap and hysteresis of every valve to the severity."""

@@ -8,6 +8,7 @@ from leglab import RunSettings
 from leglab.base.errors import LeglabError
 from leglab.base.scenario import get_scenario
 from leglab.control.feedforward.fault_bank import ALL, FaultBank, FaultCurve, Moments
+from leglab.machine.changes import Schedule
 from leglab.machine.simulation import Simulation, load_model
 from leglab.runs.loop import Loop
 from leglab.runs.preparation import scenario_of
@@ -116,13 +117,17 @@ def test_what_is_no_curve_is_refused():
 
 def test_changes_of_one_joint_are_those_of_its_cylinder_and_spring():
     machine = Simulation(load_model("leg", visual=False))
-    worn = get_scenario("seal_wear", severity=5.0)
-    assert making.of_element(worn, ALL, machine) == worn.changes
-    (change,) = making.of_element(worn, "knee", machine)
-    assert (change.element, change.value) == ("knee_valve", 5.0)
-    tired = making.of_element(get_scenario("spring_fatigue"), "knee", machine)
-    assert {change.element for change in tired} == {"knee_spring"}
-    assert making.of_element(get_scenario("spring_fatigue"), "hip_yaw", machine) == ()
+
+    def changed(scenario, joint):
+        return set(Schedule(get_scenario(scenario, element=joint), machine).parameters)
+
+    assert changed("seal_wear", "knee") == {("knee_valve", "internal_leakage")}
+    assert changed("spring_fatigue", "knee") == {("knee_spring", "k1"), ("knee_spring", "k2")}
+    assert {element for element, _ in changed("seal_wear", None)} == {
+        f"{joint}_valve" for joint in machine.joints
+    }
+    with pytest.raises(LeglabError, match="of 'hip_yaw,.*parameter of .*knee_spring"):
+        changed("spring_fatigue", "hip_yaw")
 
 
 @pytest.fixture

@@ -19,6 +19,7 @@ from leglab.base.scenario import (
     get_scenario,
     register_scenario,
     scenario_names,
+    scenario_per_joint,
     scenario_severity,
     scenario_summary,
 )
@@ -32,6 +33,26 @@ def leak(start, **settings):
 
 def edges(scenario):
     return [(phase.name, phase.start, phase.end) for phase in scenario.phases]
+
+
+def test_a_change_of_one_joint_is_of_its_cylinder_spring_and_encoder():
+    (alone,) = get_scenario("seal_wear", element="knee").changes
+    taken = [e for e in ("knee", "knee_valve", "knee_spring") if alone.applies_to(e)]
+    assert taken == ["knee", "knee_valve", "knee_spring"]
+    assert not any(alone.applies_to(e) for e in ("hip_valve", "kneecap", "supply", "*"))
+    # A fault that is of one joint by itself may be moved to another one.
+    (moved,) = get_scenario("encoder_shift", element="hip_yaw").changes
+    assert moved.applies_to("hip_yaw")
+    assert not moved.applies_to("knee")
+
+
+def test_what_all_joints_share_has_no_element():
+    for name in ("cold_oil", "supply_drop", "payload", "nominal"):
+        with pytest.raises(LeglabError, match=f"'{name}' does not happen to one joint alone.*seal"):
+            get_scenario(name, element="knee")
+    able = [name for name in scenario_names() if scenario_per_joint(name)]
+    assert {"seal_wear", "valve_wear", "spring_fatigue"} <= set(able)
+    assert not {"hot_oil", "supply_droop", "cold_start"} & set(able)
 
 
 def test_every_file_is_a_scenario_of_its_name():

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
+from glob import escape
 from typing import Any
 
 from leglab.base.errors import LeglabError
@@ -18,7 +19,8 @@ class ParameterChange:
 
     Attributes:
         parameter: Name of the parameter, for instance "internal_leakage".
-        element: Which elements change: a name or a pattern such as "*" or "ankle_*".
+        element: Which elements change: a name or a pattern such as "*" or "ankle_*", several by
+            commas.
         kind: "scale": the value is a factor on what the parameter was; "set": it is the new value.
         value: Factor [1], or value in the parameter's own unit.
         start: When the change begins [s].
@@ -52,7 +54,7 @@ class ParameterChange:
 
     def applies_to(self, element: str) -> bool:
         """Says whether an element changes."""
-        return fnmatchcase(element, self.element)
+        return any(fnmatchcase(element, pattern) for pattern in self.element.split(","))
 
     def value_at(self, time: float, before: float) -> float:
         """Returns the parameter's value.
@@ -260,6 +262,7 @@ class _Entry:
     reference: str
     reference_config: Mapping[str, Any]
     severity: Severity | None
+    per_joint: bool
 
 
 SCENARIOS: Registry[_Entry] = Registry("scenario")
@@ -273,6 +276,7 @@ def register_scenario(
     reference: str = "walking_stride",
     reference_config: Mapping[str, Any] | None = None,
     severity: Severity | None = None,
+    per_joint: bool = False,
 ) -> Callable[[Builder], Builder]:
     """Registers the decorated builder of changes under a name.
 
@@ -283,6 +287,8 @@ def register_scenario(
         reference: Default reference trajectory.
         reference_config: Settings of that trajectory; None for its own.
         severity: How bad the change can be; None where there is nothing to choose.
+        per_joint: Whether it can happen to the cylinder, spring or encoder of one joint alone; oil
+            and supply are common to all.
     """
 
     def register(build: Builder) -> Builder:
@@ -293,6 +299,7 @@ def register_scenario(
             reference=reference,
             reference_config=reference_config or {},
             severity=severity,
+            per_joint=per_joint,
         )
         SCENARIOS.add(name, entry, build)
         return build
@@ -306,6 +313,7 @@ def get_scenario(
     duration: float | None = None,
     severity: float | None = None,
     ramp_duration: float = 0.0,
+    element: str | None = None,
 ) -> Scenario:
     """Builds a scenario.
 
@@ -314,11 +322,19 @@ def get_scenario(
         duration: Duration [s]; None stands for the scenario's own.
         severity: Severity of the change; None stands for the scenario's own.
         ramp_duration: How long the change takes [s]; 0 is a step.
+        element: Joint whose cylinder, spring and encoder change alone; None for all that the
+            scenario changes.
 
     Raises:
         LeglabError: The name is not known, or an option is not allowed for this scenario.
     """
     entry = SCENARIOS.get(name)
+    if element is not None and not entry.per_joint:
+        able = ", ".join(name for name in SCENARIOS.names() if SCENARIOS.get(name).per_joint)
+        raise LeglabError(
+            f"scenario {name!r} does not happen to one joint alone, but element {element!r} was "
+            f"given; these do: {able}"
+        )
     duration = entry.duration if duration is None else duration
     chosen = _choose_severity(name, entry.severity, severity)
     options = Options(
@@ -329,6 +345,9 @@ def get_scenario(
     settled: dict[str, Any] = {"name": name, "summary": entry.summary, "duration": duration}
     Scenario(**settled)  # Refuses a bad duration before changes are built upon it.
     changes = entry.build(options)
+    if element is not None:
+        own = f"{escape(element)},{escape(element)}_*"
+        changes = tuple(replace(change, element=own) for change in changes)
     if ramp_duration and not changes:
         raise LeglabError(f"scenario {name!r} changes nothing, so it has no ramp_duration")
     return Scenario(
@@ -353,6 +372,11 @@ def scenario_summary(name: str) -> str:
 def scenario_severity(name: str) -> Severity | None:
     """Returns what severities a scenario has; None without any."""
     return SCENARIOS.get(name).severity
+
+
+def scenario_per_joint(name: str) -> bool:
+    """Says whether a scenario can happen to one joint alone."""
+    return SCENARIOS.get(name).per_joint
 
 
 def _choose_severity(name: str, severity: Severity | None, asked: float | None) -> float | None:

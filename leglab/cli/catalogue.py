@@ -13,6 +13,9 @@ from leglab.cli.terminal import errors, output, print_json
 Markdown = Annotated[bool, typer.Option(help="Print Markdown, as in docs/.")]
 
 
+_SCENARIO_HEAD = " `--severity`: default | one joint alone: `--element` |"
+
+
 def list_names(as_json: Json = False, markdown: Markdown = False, load: Load = None) -> None:
     """Shows scenarios, controllers, references and models."""
     load_plugins(load)
@@ -28,7 +31,8 @@ def list_names(as_json: Json = False, markdown: Markdown = False, load: Load = N
     for title, entries in groups.items():
         table = Table(title=title, title_justify="left", box=None, show_header=False)
         for name, summary in entries.items():
-            table.add_row(f"  [bold]{name}[/bold]", summary)
+            alone = " [dim](--element)[/dim]" if title == "scenarios" and per_joint(name) else ""
+            table.add_row(f"  [bold]{name}[/bold]", summary + alone)
         output.print(table)
 
 
@@ -87,6 +91,14 @@ def severity_text(scenario: str) -> str:
     return f"{severity.meaning}: {severity.default:g}" if severity else ""
 
 
+def per_joint(scenario: str) -> bool:
+    """Says whether a scenario can happen to one joint alone."""
+    import leglab.scenarios  # noqa: F401  registers the scenarios
+    from leglab.base.scenario import scenario_per_joint
+
+    return scenario_per_joint(scenario)
+
+
 def catalogue_page() -> str:
     """Returns all summaries as Markdown, the content of docs/catalogue.md."""
     lines = [
@@ -97,9 +109,10 @@ def catalogue_page() -> str:
     for kind, entries in summaries().items():
         scenarios = kind == "scenarios"
         lines += ["", f"## {kind.capitalize()}", ""]
-        lines.append("| name | what |" + (" `--severity`: default |" if scenarios else ""))
-        lines.append("|---|---|" + ("---|" if scenarios else ""))
+        lines.append("| name | what |" + (_SCENARIO_HEAD if scenarios else ""))
+        lines.append("|---|---|" + ("---|---|" if scenarios else ""))
         for name, summary in entries.items():
             row = f"| `{name}` | {summary} |"
-            lines.append(row + (f" {severity_text(name)} |" if scenarios else ""))
+            alone = "yes" if scenarios and per_joint(name) else ""
+            lines.append(row + (f" {severity_text(name)} | {alone} |" if scenarios else ""))
     return "\n".join(lines) + "\n"

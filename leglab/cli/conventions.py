@@ -79,7 +79,7 @@ EXAMPLES = {
 _PANELS = {
     "What runs": (
         "scenario", "scenarios", "controller", "controllers", "model", "models", "reference",
-        "duration", "severity", "ramp", "seed", "seeds", "timestep", "tolerance", "load",
+        "duration", "severity", "ramp", "element", "seed", "seeds", "timestep", "tolerance", "load",
     ),
     "Data": ("recordings", "held_out", "columns", "to"),
     "Output": ("out", "overwrite", "figures", "as_json", "markdown", "write"),

@@ -27,6 +27,10 @@ Severity = Annotated[
     float | None, typer.Option(help="How bad the change is, in the scenario's own unit.")
 ]
 Ramp = Annotated[float, typer.Option(help="Seconds the change takes; 0 is a step.")]
+Element = Annotated[
+    str | None,
+    typer.Option(help="Joint to which it happens alone; `leglab list` says which scenarios can."),
+]
 Reference = Annotated[str | None, typer.Option(help="Reference; default: the scenario's.")]
 Tolerance = Annotated[
     float,

@@ -47,6 +47,9 @@ def report(
     severity: Annotated[
         float | None, typer.Option(help="With --scenario: how bad the change is, in its own unit.")
     ] = None,
+    element: Annotated[
+        str | None, typer.Option(help="With --scenario: joint to which it happens alone.")
+    ] = None,
     tolerance: Annotated[
         float | None, typer.Option(help="With --scenario: of the machine, as for run; default: 0.")
     ] = None,
@@ -77,6 +80,7 @@ def report(
         "--reference": reference,
         "--seed": seed,
         "--severity": severity,
+        "--element": element,
         "--tolerance": tolerance,
         "--vary": vary or None,
     }
@@ -102,6 +106,7 @@ def report(
             reference=reference,
             seed=seed or 0,
             severity=severity,
+            element=element,
             duration=duration,
             tolerance=tolerance or 0.0,
             vary=vary,

@@ -32,6 +32,7 @@ def load(
     reference_config: Mapping[str, Any] | None = None,
     severity: float | None = None,
     ramp_duration: float = 0.0,
+    element: str | None = None,
     onset: float | None = None,
     duration: float | None = None,
     control_period: float | None = None,
@@ -59,6 +60,7 @@ def load(
         reference_config: Its settings, over those of the scenario.
         severity: Of the scenario's change, in its own unit; None for its own.
         ramp_duration: How long the change takes [s].
+        element: Joint to which the change happens alone; None for all.
         onset: When the first change begins [s]; None for the scenario's own time.
         duration: Of an episode [s]; None for the scenario's own.
         control_period: [s]; None for the sensors' own.
@@ -102,6 +104,7 @@ def load(
         seed=seed,
         severity=severity,
         ramp_duration=ramp_duration,
+        element=element,
         reference=reference,
         reference_config=reference_config or {},
         controller_config=controller_config or {},

@@ -83,9 +83,16 @@ class Schedule:
                 if change.applies_to(element) and target.has(element, change.parameter)
             ]
             if not matched:
+                able = [
+                    element
+                    for target in self._targets
+                    for element in target.elements
+                    if target.has(element, change.parameter)
+                ]
                 raise LeglabError(
                     f"scenario {scenario.name!r} changes {change.parameter!r} of "
                     f"{change.element!r}, which no element of the model has"
+                    + (f"; it is a parameter of {', '.join(able)}" if able else "")
                 )
             for element, target in matched:
                 key = (element, change.parameter)

@@ -15,13 +15,12 @@ from zipfile import BadZipFile
 import numpy as np
 
 from leglab.base.errors import LeglabError
-from leglab.base.scenario import Scenario, get_scenario, scenario_severity
+from leglab.base.scenario import Scenario, get_scenario, scenario_per_joint, scenario_severity
 from leglab.commissioning.setup import model_digest
 from leglab.control.feedforward.fault_bank import ALL, FaultBank, FaultCurve, Moments
 from leglab.controllers.bsnn_arx import AdaptiveController
 from leglab.data import write_atomically
 from leglab.machine.plugin import headless
-from leglab.machine.simulation import Simulation
 from leglab.runs.fingerprint import fingerprint
 from leglab.runs.preparation import Preparation, RunSettings, reference_config
 
@@ -33,13 +32,10 @@ class Faults:
     Attributes:
         healthy: Severity that changes nothing.
         sizes: Severities on one side of it, from small to large change.
-        shared: Whether it cannot happen to one joint alone: supply and oil are common to all, a
-            load hangs on one body.
     """
 
     healthy: float
     sizes: tuple[float, ...]
-    shared: bool = False
 
 
 # By scenario; a second entry is the other side of the healthy value.
@@ -56,11 +52,11 @@ FAULTS: Mapping[str, tuple[Faults, ...]] = {
     ),
     "slow_valve": (Faults(healthy=250.0, sizes=(100.0, 60.0, 40.0, 25.0)),),
     "air_in_oil": (Faults(healthy=0.005, sizes=(0.05, 0.15)),),
-    "hot_oil": (Faults(healthy=40.0, sizes=(60.0, 80.0, 100.0), shared=True),),
-    "cold_oil": (Faults(healthy=40.0, sizes=(25.0, 15.0, 7.0, 0.0), shared=True),),
-    "supply_drop": (Faults(healthy=160.0, sizes=(130.0, 105.0, 80.0), shared=True),),
-    "supply_droop": (Faults(healthy=1.0, sizes=(0.7, 0.5, 0.35), shared=True),),
-    "payload": (Faults(healthy=0.0, sizes=(2.5, 5.0, 10.0), shared=True),),
+    "hot_oil": (Faults(healthy=40.0, sizes=(60.0, 80.0, 100.0)),),
+    "cold_oil": (Faults(healthy=40.0, sizes=(25.0, 15.0, 7.0, 0.0)),),
+    "supply_drop": (Faults(healthy=160.0, sizes=(130.0, 105.0, 80.0)),),
+    "supply_droop": (Faults(healthy=1.0, sizes=(0.7, 0.5, 0.35)),),
+    "payload": (Faults(healthy=0.0, sizes=(2.5, 5.0, 10.0)),),
 }
 
 # Strides before samples count, and strides of samples; of a motion that does not repeat, as many
@@ -101,6 +97,7 @@ def fault_bank(settings: RunSettings, scenario: Scenario, make_loop: MakeLoop) -
         duration=None,
         severity=None,
         ramp_duration=0.0,
+        element=None,
         seed=0,
         tolerance=0.0,
         reference=settings.reference or scenario.reference,
@@ -172,14 +169,12 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
     for fault, element, faults in _cases(joints):
         shifts, sizes = [np.zeros_like(base)], [faults.healthy]
         for size in faults.sizes:
-            scenario = get_scenario(fault, severity=size).changed_from_start()
-            changes = of_element(scenario, element, preparation.nominal)
-            if not changes:
-                break  # the joint has no such part
+            joint = None if element == ALL else element
+            scenario = get_scenario(fault, severity=size, element=joint).changed_from_start()
             try:
-                found = moments(changes)
+                found = moments(scenario.changes)
             except LeglabError:
-                break  # the model has no such part, or cannot move with so much of it
+                break  # model or joint have no such part, or cannot move with so much of it
             shifts.append(_solve(found.about(base)))
             sizes.append(size)
         if len(sizes) > 1:
@@ -200,28 +195,9 @@ def _cases(joints: tuple[str, ...]) -> Iterator[tuple[str, str, Faults]]:
     for fault, sides in FAULTS.items():
         for faults in sides:
             yield fault, ALL, faults
-            if not faults.shared and len(joints) > 1:
+            if scenario_per_joint(fault) and len(joints) > 1:
                 for joint in joints:
                     yield fault, joint, faults
-
-
-def of_element(scenario: Scenario, element: str, machine: Simulation) -> tuple[Any, ...]:
-    """The changes of a scenario, of one joint's cylinder and spring alone.
-
-    Args:
-        scenario: Its changes are of all elements.
-        element: Name of the joint; "all" leaves the changes as they are.
-        machine: Of which the elements are.
-    """
-    if element == ALL:
-        return scenario.changes
-    own = [name for name in machine.elements if name.startswith(f"{element}_")]
-    return tuple(
-        replace(change, element=name)
-        for change in scenario.changes
-        for name in own
-        if change.applies_to(name) and machine.has(name, change.parameter)
-    )
 
 
 def _moments(

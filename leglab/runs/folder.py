@@ -255,7 +255,7 @@ def read_metrics(folder: Path) -> RunMetrics:
 def _labels(runs: Sequence[ReportedRun]) -> list[str]:
     """The controllers' names with every setting in which runs of one controller differ."""
     labels = [run.metrics.controller for run in runs]
-    told = ("scenario", "model", "reference", "severity", "duration", "ramp_duration")
+    told = ("scenario", "model", "reference", "severity", "duration", "ramp_duration", "element")
     for name in (*told, "tolerance", "vary", "seed"):
         values = [str(run.setting(name)) for run in runs]
         if len(set(labels)) == len(labels):

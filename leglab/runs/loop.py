@@ -482,7 +482,7 @@ def _bench_run(settings: RunSettings, scenario: Scenario, preparation: Preparati
     """
     # Neither name nor severity matters: what has not changed yet is recorded once for all changes.
     told = replace(scenario, name="", summary="", severity=None)
-    common = replace(settings, scenario="nominal", severity=None, ramp_duration=0.0)
+    common = replace(settings, scenario="nominal", severity=None, ramp_duration=0.0, element=None)
     key = f"{common!r} {told!r}"
     if key not in _bench_cache:
         loop = Loop(settings, scenario=scenario, preparation=preparation)

@@ -36,6 +36,8 @@ class RunSettings:
         seed: Of sensor noise and of everything random, a random reference included.
         severity: Of the scenario's change, in its own unit; None for its own.
         ramp_duration: How long the change takes [s].
+        element: Joint whose cylinder, spring and encoder change alone; None for all that the
+            scenario changes.
         reference: Name of the reference; None for the scenario's own.
         reference_config: Settings of the reference, over those of the scenario.
         controller_config: Settings of the controller.
@@ -55,6 +57,7 @@ class RunSettings:
     seed: int = 0
     severity: float | None = None
     ramp_duration: float = 0.0
+    element: str | None = None
     reference: str | None = None
     reference_config: Mapping[str, Any] = field(default_factory=dict)
     controller_config: Mapping[str, Any] = field(default_factory=dict)
@@ -77,6 +80,7 @@ def scenario_of(settings: RunSettings) -> Scenario:
         duration=settings.duration,
         severity=settings.severity,
         ramp_duration=settings.ramp_duration,
+        element=settings.element,
     )
     return scenario.shifted(2 * _draws(settings.seed)[0] - 1) if settings.vary else scenario
 

@@ -48,6 +48,7 @@ class Comparison:
         duration: [s]; None for each scenario's own.
         severity: Of the changes; None for each scenario's own.
         ramp_duration: How long the changes take [s].
+        element: Joint to which the changes happen alone; None for all.
         reference: Name of the reference; None for each scenario's own.
         tolerance: Of the machines about the one that controllers know [1]; a specimen a seed.
         vary: Whether seeds also draw time of the change and phase of the motion.
@@ -60,6 +61,7 @@ class Comparison:
     duration: float | None = None
     severity: float | None = None
     ramp_duration: float = 0.0
+    element: str | None = None
     reference: str | None = None
     tolerance: float = 0.0
     vary: bool = False

@@ -20,6 +20,7 @@ _DECISIVE = (
     "duration",
     "severity",
     "ramp_duration",
+    "element",
     "reference",
     "reference_config",
     "seed",
