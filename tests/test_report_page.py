@@ -89,6 +89,9 @@ def test_settings_have_units_and_energy_and_power_one_span(tmp_path):
         parameter="oil_temperature", element="*", kind="set", value=0.0, start=1.0
     )
     assert change_words(change) == "oil temperature of all elements = 0 \u00b0C"
+    # A joint alone stands for its cylinder, spring and encoder.
+    alone = change.model_copy(update={"element": "knee,knee_*"})
+    assert change_words(alone) == "oil temperature of knee = 0 \u00b0C"
 
 
 @pytest.mark.parametrize("name", [*controller_names(), *reference_names()])

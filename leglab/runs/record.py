@@ -187,6 +187,11 @@ class ChangeRecord(BaseModel):
     start: FiniteFloat
     ramp_duration: FiniteFloat = 0.0
 
+    @property
+    def place(self) -> str:
+        """Where, for people: "all elements", a name or pattern, or a joint for all its elements."""
+        return "all elements" if self.element == "*" else self.element.partition(",")[0]
+
 
 class RunConfiguration(BaseModel):
     """Content of `run.json`.

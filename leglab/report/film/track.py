@@ -221,7 +221,7 @@ def _changes(
             amount = f"{TIMES}{change.value:.4g}"
         else:
             amount = f"{change.value:.4g} {units.get(name, '')}".strip()
-        where = "" if change.element == "*" else f" ({change.element})"
+        where = "" if change.element == "*" else f" ({change.place})"
         text = f"{readable(name)} {amount}{where}"
         if start <= recording.time[-1]:
             end = start + change.ramp_duration

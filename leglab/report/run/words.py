@@ -96,7 +96,7 @@ def different(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
 
 def change_words(change: Change) -> str:
     """One change, for instance "internal leakage of all elements = 2" or with a factor."""
-    where = "all elements" if change.element == "*" else change.element
+    where = change.place
     if change.kind == "scale":
         return f"{readable(change.parameter)} of {where} {_TIMES} {change.value:g}"
     unit = shown_unit(parameter_units().get(change.parameter, ""))
