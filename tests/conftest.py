@@ -2,9 +2,15 @@
 
 import os
 import shutil
+import signal
 import subprocess
 
 import pytest
+
+# Whoever runs the tests in the background, or by nohup, has these ignored, and the processes that
+# the tests start would inherit it.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 @pytest.fixture

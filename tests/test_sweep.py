@@ -42,7 +42,7 @@ def test_the_matrix_has_every_combination_once():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"seeds": 0}, "seeds is 0; allowed: 1 or more"),
+        ({"seeds": 0}, "seeds is 0; allowed: 1 to 100000"),
         ({"controllers": ()}, "no controllers to compare"),
         ({"controllers": ("pd", "pd")}, "controllers: 'pd' is given twice"),
         ({"controllers": ("pdd",)}, "unknown controller 'pdd'.*did you mean 'pd'"),
