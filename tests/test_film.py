@@ -45,6 +45,17 @@ def edited(folder, out, edit=lambda columns: {}, end=None):
     return out
 
 
+def named(folder, out):
+    """A copy of a run whose controller named its change at 1.2 s and took that back at 1.6 s."""
+    shutil.copytree(folder, out)
+    metrics = json.loads((out / "metrics.json").read_text())
+    name = {"time": 1.2, "onset": 1.0, "fault": "seal_wear", "element": "knee", "size": 9.61}
+    name |= {"low": 8.0, "high": 11.0, "confidence": 0.934, "explained": 0.9}
+    metrics["events"] = [{"names": [name], "withdrawn": 1.6}]
+    (out / "metrics.json").write_text(json.dumps(metrics))
+    return out
+
+
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
     """Runs by name, most of them made from the first one."""
@@ -69,6 +80,7 @@ def runs(tmp_path_factory):
         "cap": edited(pd, base / "cap", pressures(160.0, 0.0)),
         "rod": edited(pd, base / "rod", pressures(0.0, 160.0)),
         "half": edited(pd, base / "half", end=0.8),
+        "named": named(pd, base / "named"),
     }
 
 
@@ -81,6 +93,7 @@ def stills(runs, tmp_path_factory):
         "seconds": (["pd"], span, [0.0, 1.0]),
         "perfect": (["perfect"], span, [0.9]),
         "chambers": (["cap", "rod"], span, [0.5]),
+        "named": (["named"], span, [1.15, 1.3, 1.7]),
         "mixed": (["pd", "static", "half", "short"], span, [0.5, 1.5]),
     }
     out = tmp_path_factory.mktemp("stills") / "frames.npz"
@@ -168,6 +181,19 @@ def test_the_change_is_marked_when_it_comes(stills):
     assert like(inside(after, 0, 1), ALARM, 8) > 2000
     traces = slice(720 - look.TRACES, 720)
     assert like(after[traces], ALARM, 10) > like(before[traces], ALARM, 10) + 100
+
+
+def test_a_name_is_shown_while_it_stands(runs, stills):
+    (name,) = load_track(runs["named"]).named
+    assert (name.start, name.end) == (1.2, 1.6)
+    assert name.text == "named: knee seal wear 9.61, 93 %"
+    assert load_track(runs["pd"]).named == ()
+    # Below the change's own tag, before its cylinders are reached.
+    earlier, standing, gone = (
+        like(inside(frame, 0, 1)[40:110, :400], look.NAMED, 8) for frame in stills["named"]
+    )
+    assert standing > 1000
+    assert max(earlier, gone) < 100
 
 
 def test_a_run_that_is_over_says_so(stills):

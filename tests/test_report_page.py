@@ -24,7 +24,7 @@ from leglab.report.run.plots import plot_data
 from leglab.report.run.tables import run_table, setting_tables
 from leglab.report.run.words import change_words, headline, sections
 from leglab.runs.folder import read_runs
-from leglab.runs.record import ChangeRecord
+from leglab.runs.record import ChangeRecord, FaultEvent, FaultName
 from tests.report_folders import HOSTILE, Elements, write_folder
 
 
@@ -92,6 +92,28 @@ def test_settings_have_units_and_energy_and_power_one_span(tmp_path):
     # A joint alone stands for its cylinder, spring and encoder.
     alone = change.model_copy(update={"element": "knee,knee_*"})
     assert change_words(alone) == "oil temperature of knee = 0 \u00b0C"
+
+
+def test_what_a_controller_named_while_it_ran_is_told(tmp_path):
+    (run,) = read_runs([write_folder(tmp_path / "a", "bsnn_arx")])
+    assert "What was named while it ran" not in {part.title for part in sections([run])}
+    name = FaultName(
+        time=10.2, onset=10.0, fault="seal_wear", element="knee", size=9.6, low=8.4, high=10.8,
+        meaning="internal leakage ratio", confidence=0.93, explained=0.9,
+    )  # fmt: skip
+    metrics = run.metrics.model_copy(update={"events": [FaultEvent(names=[name])]})
+    (part,) = (
+        p
+        for p in sections([replace(run, metrics=metrics)])
+        if p.title == "What was named while it ran"
+    )
+    assert part.lines == (
+        "knee: seal_wear 9.6 (8.4 to 10.8; internal leakage ratio), 93 %, since 10.00 s, "
+        "said at 10.20 s.",
+    )
+    gone = FaultEvent(names=[name.model_copy(update={"size": None})], withdrawn=11.0)
+    assert gone.told().endswith("said at 10.20 s, withdrawn at 11.00 s")
+    assert "9.6" not in gone.told()
 
 
 @pytest.mark.parametrize("name", [*controller_names(), *reference_names()])

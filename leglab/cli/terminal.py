@@ -173,20 +173,9 @@ def metrics_table(metrics: dict[str, Any]) -> Table:
 
 def fault_lines(metrics: dict[str, Any]) -> list[str]:
     """A line for each change that the controller noticed, from the content of `metrics.json`."""
-    lines = []
-    for event in metrics.get("events", []):
-        name = event["names"][-1]
-        where = "all cylinders" if name["element"] == "all" else name["element"]
-        line = f"{where}: {name['fault']}"
-        if name["size"] is not None:
-            line += f" {name['size']:.3g} ({name['low']:.3g} to {name['high']:.3g}"
-            line += f"; {name['meaning']})" if name["meaning"] else ")"
-            line += f", {100 * name['confidence']:.0f} %"
-        line += f", since {name['onset']:.2f} s, said at {name['time']:.2f} s"
-        if event["withdrawn"] is not None:
-            line += f", withdrawn at {event['withdrawn']:.2f} s"
-        lines.append(line)
-    return lines
+    from leglab.runs.record import FaultEvent
+
+    return [FaultEvent.model_validate(event).told() for event in metrics.get("events", [])]
 
 
 def comparison_table(summary: dict[str, Any]) -> Table:

@@ -109,6 +109,21 @@ class FaultEvent(BaseModel):
     names: Annotated[list[FaultName], Field(min_length=1)]
     withdrawn: FiniteFloat | None = None
 
+    def told(self) -> str:
+        """The name in force in one line: where, what, size and confidence, since when."""
+        name = self.names[-1]
+        where = "all cylinders" if name.element == "all" else name.element
+        line = f"{where}: {name.fault}"
+        if name.size is not None:
+            ends = "" if name.low is None else f" ({name.low:.3g} to {name.high:.3g}"
+            meaning = f"; {name.meaning}" if name.meaning else ""
+            line += f" {name.size:.3g}{ends}{meaning})" if ends else f" {name.size:.3g}"
+            line += f", {100 * name.confidence:.0f} %"
+        line += f", since {name.onset:.2f} s, said at {name.time:.2f} s"
+        if self.withdrawn is not None:
+            line += f", withdrawn at {self.withdrawn:.2f} s"
+        return line
+
 
 class RunMetrics(BaseModel):
     """Content of `metrics.json`.

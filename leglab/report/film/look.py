@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from leglab.report.style import SERIES, VERMILION
+from leglab.report.style import BLUE, SERIES, VERMILION
 
 SIZE = (1280, 720)
 HEAD = 52  # height of the title above the panels
@@ -86,6 +86,7 @@ def rgb(color: str) -> Rgb:
 
 INK, SOFT, FAINT, PAPER = (24, 28, 34), (92, 100, 110), (222, 226, 231), (255, 255, 255)
 ALARM = rgb(VERMILION)
+NAMED = rgb(BLUE)  # what a controller says of a change
 TIMES = "\N{MULTIPLICATION SIGN}"
 RUNS = tuple(rgb(color) for color in SERIES)  # one a run
 GHOST = (0.02, 0.62, 0.80, 0.42)

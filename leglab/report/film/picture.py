@@ -7,7 +7,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from leglab.report.film import framing, look
-from leglab.report.film.look import ALARM, INK, PAPER, SOFT, Rect, Rgb, fitted, font, write
+from leglab.report.film.look import ALARM, INK, NAMED, PAPER, SOFT, Rect, Rgb, fitted, font, write
 from leglab.report.film.machine import DrawnMachine, DrawnRun
 from leglab.report.film.traces import CommandTrace, ErrorTrace
 from leglab.report.film.track import Track, details, load_track
@@ -178,6 +178,9 @@ class _PanelWriter:
             if change.start <= time < change.end:
                 text += f", {100 * (time - change.start) / (change.end - change.start):.0f} %"
             tag(text, 15, PAPER, (*ALARM, 255))
+        for name in self._track.named:
+            if name.start <= time < name.end:
+                tag(name.text, 15, PAPER, (*NAMED, 255))
         if self._track.undone and time >= self._track.undone[0]:
             tag(self._track.undone[1], 14, INK, _TAG_CARD)
 

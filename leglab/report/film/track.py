@@ -44,6 +44,7 @@ class Track:
         failure: Why the run stopped early; empty if it did not, or nobody knows.
         undone: From when on the film tells that nine tenths of the damage are undone [s], and how;
             None where they never were.
+        named: What the controller said of changes, from when it said so until it took it back [s].
     """
 
     folder: Path
@@ -56,6 +57,7 @@ class Track:
     window: float
     failure: str
     undone: tuple[float, str] | None = None
+    named: tuple[ShownChange, ...] = ()
 
     @property
     def start(self) -> float:
@@ -165,7 +167,18 @@ def load_track(folder: Path) -> Track:
         window=min(run.window, max(0.25 * recording.duration, 1e-3)),
         failure=(told and told.failure) or "",
         undone=None if told is None else _undone(told.adaptation, run.changes),
+        named=() if told is None else tuple(map(_named, told.events)),
     )
+
+
+def _named(event: record.FaultEvent) -> ShownChange:
+    """The name in force, told as "named: knee seal wear 11.4, 100 %"."""
+    name = event.names[-1]
+    where = "" if name.element == "all" else f"{name.element} "
+    size = "" if name.size is None else f" {name.size:.3g}, {100 * name.confidence:.0f} %"
+    end = np.inf if event.withdrawn is None else event.withdrawn
+    text = f"named: {where}{readable(name.fault)}{size}"
+    return ShownChange(start=name.time, end=end, text=text)
 
 
 def _undone(

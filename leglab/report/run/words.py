@@ -83,10 +83,19 @@ def sections(runs: Sequence[ReportedRun]) -> tuple[Section, ...]:
         Section(title="What was tested", lines=_tested(runs)),
         _controllers(runs),
         Section(title="What happened", lines=happened, names=names),
+        _noticed(runs),
         Section(title="Verdict", lines=_verdict(runs)),
         Section(title="What this does not show", lines=_limits(runs)),
     )
     return tuple(part for part in parts if part.lines)
+
+
+def _noticed(runs: Sequence[ReportedRun]) -> Section:
+    """What controllers said of changes while they ran; without lines where none said anything."""
+    told = [(run.label, event.told()) for run in runs for event in run.metrics.events]
+    names = tuple(f"{label}:" for label, _ in told) if len(runs) > 1 else ()
+    lines = tuple(f"{line}." for _, line in told)
+    return Section(title="What was named while it ran", lines=lines, names=names)
 
 
 def different(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
