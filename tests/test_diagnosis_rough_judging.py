@@ -198,10 +198,16 @@ def test_intervals_of_a_rough_machine_allow_for_what_else_may_be_off(sketch, mon
         return {OFFSET: np.zeros(1)}
 
     monkeypatch.setattr(naming, "intervals", intervals)
-    naming.judge_rough(found, a_gap(unnamed=10.0), lambda h: 1.0)
-    naming.judge_exact(found, np.random.default_rng(0))
+    told = naming.judge_rough(found, a_gap(unnamed=10.0), lambda h: 10.0 - 9.0 * (OFFSET in h))
+    sure = naming.judge_exact(found, np.random.default_rng(0))
     beside, exact = asked
     assert exact is None
+    # And a size is sure to a share of the change only, where laws are not the model's.
+    (rough,), (plain,) = (said[1] for said in (told, sure))
+    (force,), (known,) = rough.parameters, plain.parameters
+    half = 0.5 * (force.interval[1] - force.interval[0])
+    assert half == pytest.approx(1.96 * DEFAULT.rough_size * abs(force.value - force.nominal))
+    assert known.interval == (known.value, known.value)
     strengths = {(n.key, n.index) for n in beside}
     assert (OFFSET, 0) in strengths
     assert len(strengths) > 10

@@ -85,7 +85,9 @@ def test_what_changed_since_a_rough_machine_was_healthy_is_named(ill):
     limits, library = found.problem.thresholds, found.problem.library
     beside = all_strengths(library, limits.rough_share, 1.0)
     half = intervals(found.problem, found.fit, beside)[OFFSET][0]
-    assert force.interval == pytest.approx((force.value - half, force.value + half))
+    structure = 1.96 * limits.rough_size * (force.value - force.nominal)
+    wide = np.hypot(half, structure)
+    assert force.interval == pytest.approx((force.value - wide, force.value + wide))
     assert half >= intervals(found.problem, found.fit)[OFFSET][0]
 
 

@@ -134,6 +134,8 @@ def _effects(
     """
     problem, final = found.problem, found.fit.hypothesis
     half = intervals(problem, found.fit, beside) if found.named else {}
+    if beside is not None:
+        half = {k: _allowing_for_structure(problem, k, final[k], half[k]) for k in found.named}
     effects = []
     for key in found.named:
         site = problem.library.sites[key]
@@ -164,6 +166,20 @@ def _effects(
             )
         )
     return tuple(sorted(effects, key=lambda e: -e.contribution))
+
+
+def _allowing_for_structure(
+    problem: Problem, key: Key, values: np.ndarray, half: np.ndarray
+) -> np.ndarray:
+    """Half widths (parameters,) where the machine's laws are not the model's.
+
+    A parameter of another law than the machine's is one thing in a slow motion and another in a
+    fast one: by how much scales with the change, which no spread of errors shows.
+    """
+    site = problem.library.sites[key]
+    change = np.abs(values - site.nominal)
+    strength = np.array([p.role == "strength" for p in site.parameters])
+    return np.hypot(half, 1.96 * problem.thresholds.rough_size * change * strength)
 
 
 def _ties(found: Search, key: Key, weigh: Callable[[Contender, Sequence[Contender]], Ties]) -> Ties:

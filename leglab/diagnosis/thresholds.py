@@ -182,6 +182,8 @@ class Thresholds:
     # Independent numbers that the errors of a rough machine are worth: calibrated by the self-test
     # on rough specimens, docs/diagnosis.md.
     rough_numbers: float = 30.0
+    # Standard deviation of the size of a change that is found on one, as a share of it.
+    rough_size: float = 0.25
     # A rival this many times less probable is not told apart.
     rough_tie: float = 4.0
     # Held-out recordings hardly show an effect if their gap is less than this share of the overall.
