@@ -157,7 +157,9 @@ def test_names_are_those_of_the_registries():
     assert options.names_of("controllers") == controller_names()
     assert options.names_of("references") == reference_names()
     assert options.names_of("models") == model_names()
-    assert options.names_of("effects") == tuple(sorted({effect.name for effect in all_effects()}))
+    assert options.names_of("effects") == tuple(
+        sorted({effect.name for effect in all_effects() if effect.nameable})
+    )
     assert options.names_of("formats") == data.FORMATS
     for suffix in options.RECORDINGS:
         assert data.format_of(f"x{suffix}") in data.FORMATS

@@ -130,7 +130,7 @@ def test_a_discrepancy_is_floored_channel_by_channel():
 
 def test_a_baseline_and_its_discrepancy_are_fitted_in_turn(monkeypatch):
     """Each fit leaves a quarter of the error, down to 1; the discrepancy follows it."""
-    level, trusted = [64.0], []
+    level, trusted, shares = [64.0], [], []
 
     def estimated(hypothesis):
         return Discrepancy(pattern=np.eye(2)[None], variance=np.array([[level[0]]]))
@@ -138,7 +138,7 @@ def test_a_baseline_and_its_discrepancy_are_fitted_in_turn(monkeypatch):
     problem = SimpleNamespace(
         thresholds=DEFAULT,
         discrepancy=estimated,
-        linearise=lambda hypothesis, chosen: None,
+        linearise=lambda hypothesis, chosen, share: shares.append(share),
         noise_levels=lambda hypothesis: np.array([level[0]]),
     )
 
@@ -146,7 +146,7 @@ def test_a_baseline_and_its_discrepancy_are_fitted_in_turn(monkeypatch):
         trusted.append(float(discrepancy.variance[0, 0]))
         return problem
 
-    def fitted(problem, at, free, iterations):
+    def fitted(problem, at, free, iterations, fine):
         level[0] = max(1.0, 0.25 * level[0])
         return SimpleNamespace(hypothesis=Hypothesis())
 
@@ -158,6 +158,10 @@ def test_a_baseline_and_its_discrepancy_are_fitted_in_turn(monkeypatch):
     trusted.clear()
     settled_baseline(problem, np.ones(3, dtype=bool), estimated(None).scaled(0.1))
     assert trusted == [64.0, 16.0, 6.4, 6.4]
+    level[0] = 4096.0  # further rounds, until it stays, with fine differences
+    shares.clear()
+    settled_baseline(problem, np.ones(3, dtype=bool), sharpenings=4)
+    assert shares == [0.5] * 4 + [DEFAULT.fine_differences] * 3
 
 
 def test_a_round_is_judged_under_the_discrepancy_of_its_best(sketch, monkeypatch):

@@ -50,6 +50,7 @@ def random_case(rng):
         "damping_ratio": span(0.3, 2),
         "lap": span(-0.05, 0.05),
         "edge_rounding": span(0, 0.05),
+        "edge_exponent": rng.choice([2.0, span(1.05, 8)]),
         "null_bias": span(-0.1, 0.1),
         "laminar_transition_pressure": 10 ** span(4, 6),
         "supply_pressure": span(5e6, 25e6),

@@ -181,7 +181,7 @@ def _check_effects(names: list[str]) -> None:
     """Refuses names of effects that nothing has registered, a plug-in neither."""
     from leglab.diagnosis.effects import all_effects
 
-    known = sorted({effect.name for effect in all_effects()})
+    known = sorted({effect.name for effect in all_effects() if effect.nameable})
     for name in names:
         if name not in known:
             raise unknown_name("effect", name, known)

@@ -2,7 +2,7 @@
 
 from itertools import groupby
 
-from leglab.diagnosis.effects import all_effects
+from leglab.diagnosis.effects import Effect, all_effects
 
 
 def markdown_table() -> str:
@@ -12,15 +12,26 @@ def markdown_table() -> str:
         "",
         "Made by `python -m leglab.diagnosis.catalogue > docs/effect_table.md`.",
     ]
-    rows = sorted(all_effects(), key=lambda effect: (effect.group, effect.name, effect.physics))
+    known = all_effects()
+    rows = sorted(
+        (e for e in known if e.nameable),
+        key=lambda effect: (effect.group, effect.name, effect.physics),
+    )
     for group, effects in groupby(rows, key=lambda effect: effect.group):
         lines += ["", f"## {group}", ""]
         lines += ["| name | physics | shown by | source |", "|---|---|---|---|"]
-        for effect in effects:
-            cells = (effect.physics, effect.excitation, effect.source)
-            text = " | ".join(" ".join(cell.split()).replace("|", "\\|") for cell in cells)
-            lines.append(f"| `{effect.name}` | {text} |")
+        lines += [_row(effect) for effect in effects]
+    lines += ["", "## Calibrated, never named", ""]
+    lines += ["Laws whose shape differs between good machines; healthy recordings tell it.", ""]
+    lines += ["| name | physics | shown by | source |", "|---|---|---|---|"]
+    lines += [_row(effect) for effect in known if not effect.nameable]
     return "\n".join(lines) + "\n"
+
+
+def _row(effect: Effect) -> str:
+    cells = (effect.physics, effect.excitation, effect.source)
+    text = " | ".join(" ".join(cell.split()).replace("|", "\\|") for cell in cells)
+    return f"| `{effect.name}` | {text} |"
 
 
 if __name__ == "__main__":

@@ -128,6 +128,7 @@ class Library:
 
     Attributes:
         sites: By effect and element: the effects to use, and those that tell of the specimen.
+            Those that no diagnosis names are always there.
         searched: Those to use.
         specimen: As given.
     """
@@ -148,9 +149,10 @@ class Library:
         searched: set[Key] = set()
         for effect in all_effects():
             used = effect.name not in barred and (wanted is None or effect.name in wanted)
+            used = used and effect.nameable
             for element in effect.elements(machine):
                 key = effect.name, element
-                if used or key in self.specimen:
+                if used or key in self.specimen or not effect.nameable:
                     own = effect.parameters(machine, element)
                     self.sites[key] = Site(
                         effect=effect, element=element, parameters=own, own=self.specimen.get(key)

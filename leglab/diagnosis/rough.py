@@ -28,24 +28,38 @@ def at_least(discrepancy: Discrepancy, floor: Discrepancy | None) -> Discrepancy
 
 
 def settled_baseline(
-    problem: Problem, chosen: np.ndarray, floor: Discrepancy | None = None
+    problem: Problem,
+    chosen: np.ndarray,
+    floor: Discrepancy | None = None,
+    *,
+    sharpenings: int = 0,
 ) -> tuple[Problem, Fit]:
     """Nuisances and discrepancy of the model, fitted in turn until they stay.
+
+    Args:
+        problem: Recordings and machine.
+        chosen: Windows to fit, (windows,).
+        floor: Least discrepancy.
+        sharpenings: Further rounds, at most, with differences so fine that bent dependencies (the
+            shape of metering edges, of friction) are followed to their minimum.
 
     Returns:
         The problem under that discrepancy, and the fit.
     """
     limits = problem.thresholds
     hypothesis, level = Hypothesis(), np.inf
-    for _ in range(limits.annealings):
-        problem = problem.trusting(at_least(problem.discrepancy(hypothesis), floor))
-        at = problem.linearise(hypothesis, chosen)
-        fit = refit(problem, at, frozenset(), iterations=3)
-        hypothesis = fit.hypothesis
-        now = float(np.median(problem.noise_levels(hypothesis)))
-        if now > limits.annealed * level:
-            break
-        level = now
+    sharp = limits.fine_differences
+    for share, fine, rounds in ((0.5, 1.0, limits.annealings), (sharp, sharp, sharpenings)):
+        for _ in range(rounds):
+            problem = problem.trusting(at_least(problem.discrepancy(hypothesis), floor))
+            at = problem.linearise(hypothesis, chosen, share=share)
+            fit = refit(problem, at, frozenset(), iterations=3, fine=fine)
+            hypothesis = fit.hypothesis
+            now = float(np.median(problem.noise_levels(hypothesis)))
+            settled = now > limits.annealed * level
+            level = now
+            if settled:
+                break
     return problem, fit
 
 

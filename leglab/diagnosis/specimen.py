@@ -76,7 +76,8 @@ def calibrate(problem: Problem, progress: Progress) -> Specimen:
     exact = float(problem.window_cost(fit.hypothesis).mean()) <= limits.explained
     if not exact:
         nuisances = all_strengths(problem.library, 1.0, limits.healthy_tolerance)
-        problem, fit = settled_baseline(problem.with_nuisances(nuisances), chosen)
+        problem = problem.with_nuisances(nuisances)
+        problem, fit = settled_baseline(problem, chosen, sharpenings=limits.sharpenings)
     return Specimen(
         problem=problem,
         fit=fit,

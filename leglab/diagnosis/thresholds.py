@@ -106,6 +106,8 @@ class Thresholds:
     # noise levels squared stays above this share of the last.
     annealings: int = 4
     annealed: float = 0.9
+    # On healthy recordings so often again with fine differences.
+    sharpenings: int = 4
     # Finite differences of the last fits, as a share of those of the first.
     fine_differences: float = 0.1
 

@@ -47,10 +47,10 @@ def bulk_modulus(gauge, air, index, liquid_modulus):
     return (g + liquid) / (g / (index * p) + liquid / liquid_modulus)
 
 
-def opening(s, lap, eps):
+def opening(s, lap, eps, exponent):
     """Relative opening of a metering edge."""
     d = s - lap
-    return (d + math.sqrt(d * d + eps * eps)) / 2
+    return (d + (abs(d) ** exponent + eps**exponent) ** (1 / exponent)) / 2
 
 
 def orifice(gain, w, dp, dp_cr):
@@ -92,8 +92,8 @@ def terms(p, y, *, command, supply_pressure, mass, load, ideal_valve=False, bloc
     k = p["rated_flow"] / math.sqrt(p["rated_pressure_drop"] / 2)
     forward = k * (1 + p["flow_asymmetry"])
     backward = k * (1 - p["flow_asymmetry"])
-    w_forward = opening(s, p["lap"], p["edge_rounding"])
-    w_backward = opening(-s, p["lap"], p["edge_rounding"])
+    edge = [p[f] for f in ("lap", "edge_rounding", "edge_exponent")]
+    w_forward, w_backward = opening(s, *edge), opening(-s, *edge)
     cr = p["laminar_transition_pressure"]
     q_pa = orifice(forward, w_forward, ps - pa, cr)
     q_at = orifice(backward, w_backward, pa - pt, cr)

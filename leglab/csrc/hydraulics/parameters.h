@@ -91,6 +91,7 @@ inline constexpr double kRequired = __builtin_nan("");
   X(damping_ratio, "1", 0.7, 0.0, 10.0, false, "damping ratio of the spool [V]")                   \
   X(lap, "1", 0.02, -0.5, 0.9, true, "overlap of each metering edge, of full spool travel")        \
   X(edge_rounding, "1", 0.0216, 0.0, 0.5, true, "eps: null leak 0.28 l/min at 210 bar [V]")        \
+  X(edge_exponent, "1", 2.0, 1.0, 20.0, true, "n of the rounding: how soon an edge shuts behind its lap") \
   X(null_bias, "1", 0.0, -1.0, 1.0, true, "null shift, added to the command")                      \
   X(hysteresis, "1", 0.0, 0.0, 1.0, true, "full width of the play between command and spool")      \
   X(laminar_transition_pressure, "Pa", 1e5, 0.0, 1e8, false, "dp_cr of the orifice")               \

@@ -32,8 +32,9 @@ struct Edges {
   double opening[4];  // K w of P -> A, A -> T, P -> B, B -> T
 
   static Edges at(const CylinderParameters& p, const CylinderCoefficients& c, double spool) {
-    const double forward = c.gain_positive * edge_opening(spool, p.lap_, p.edge_rounding_);
-    const double backward = c.gain_negative * edge_opening(-spool, p.lap_, p.edge_rounding_);
+    const EdgeShape edge{p.lap_, p.edge_rounding_, p.edge_exponent_};
+    const double forward = c.gain_positive * edge.opening(spool);
+    const double backward = c.gain_negative * edge.opening(-spool);
     return {{forward, backward, backward, forward}};
   }
 

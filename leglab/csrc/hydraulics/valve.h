@@ -46,11 +46,26 @@ struct SpoolTransition {
   }
 };
 
-// Opening of one edge with overlap and rounding, smooth through the lap: (d + sqrt(d^2 + eps^2))/2.
-inline double edge_opening(double spool, double lap, double rounding) {
-  const double d = spool - lap;
-  return 0.5 * (d + std::sqrt(d * d + rounding * rounding));
-}
+// Metering edge: relative opening at a spool position, smooth through the lap.
+struct EdgeShape {
+  double lap, rounding, exponent;
+
+  // (d + (|d|^n + eps^n)^(1/n))/2 beyond a lap (d = spool - lap): eps/2 at the lap for every n. A
+  // hyperbola with n = 2; with n = 1 it stays open by eps/2 behind the lap, as an edge with radial
+  // clearance does; a larger n shuts sooner.
+  double opening(double spool) const {
+    const double d = spool - lap;
+    return 0.5 * (d + reach(std::abs(d)));
+  }
+
+ private:
+  double reach(double distance) const {
+    if (exponent == 2.0) return std::sqrt(distance * distance + rounding * rounding);
+    const double larger = std::max(distance, rounding), smaller = std::min(distance, rounding);
+    if (larger == 0.0) return 0.0;
+    return larger * std::pow(1.0 + std::pow(smaller / larger, exponent), 1.0 / exponent);
+  }
+};
 
 // Four orifices side by side: Q = w dp / (dp^2 + dp_cr^2)^(1/4), and its slope dQ/d(dp).
 struct OrificeFlows {

@@ -92,6 +92,8 @@ class Effect(ABC):
             which others change comes later.
         gradual: Whether a little of it changes little. A little of an effect that inserts a moving
             part does: no fit of something else can let it follow.
+        nameable: Whether a diagnosis looks for it. What is not, the shape of a law in which good
+            machines differ, is fitted on machines that differ from their model everywhere.
         contains: Names of simpler effects that are special cases of it. Where one of them at the
             same joint does as well, it is that one.
     """
@@ -103,6 +105,7 @@ class Effect(ABC):
     excitation: ClassVar[str]
     order: ClassVar[int] = 0
     gradual: ClassVar[bool] = True
+    nameable: ClassVar[bool] = True
     contains: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod

@@ -74,7 +74,13 @@ class CylinderEffect(Effect):
 
 
 def define(
-    name: str, group: Group, physics: str, source: str, excitation: str, *rows: CylinderRow
+    name: str,
+    group: Group,
+    physics: str,
+    source: str,
+    excitation: str,
+    *rows: CylinderRow,
+    nameable: bool = True,
 ) -> None:
     """Registers an effect that changes parameters of cylinders; arguments as in `Effect`."""
     body = {
@@ -84,6 +90,7 @@ def define(
         "source": source,
         "excitation": excitation,
         "rows": rows,
+        "nameable": nameable,
         "__doc__": physics,
         "__module__": __name__,
     }
@@ -347,4 +354,27 @@ define(
     "servovalves of the E024 class: 250 Hz; clogged first stages fall to a tenth",
     "commands that change within some hundredths of a second",
     CylinderRow("bandwidth_hz", (0.05, 0.12, 0.35), lower=0.015, upper=2.0),
+)
+
+# Shapes of laws in which good machines differ: calibrated, never named.
+
+define(
+    "metering_edges",
+    "valve and command",
+    "How an edge shuts behind its lap: exponent n of its rounding.",
+    "docs/physics.md",
+    "small openings of the valve",
+    CylinderRow("edge_exponent", (-0.8, 1.0), lower=1.02, upper=12.0, relative=False),
+    nameable=False,
+)
+
+define(
+    "friction_curve",
+    "friction",
+    "How friction falls from breakaway to sliding: Stribeck velocity v_s and exponent n.",
+    "docs/physics.md; exponents from 0.5 to above 2 (Armstrong-Helouvry et al. 1994)",
+    "slow motion and reversals",
+    CylinderRow("stribeck_velocity", (0.5, 2.0), lower=0.1, upper=8.0),
+    CylinderRow("stribeck_exponent", (-0.7, 1.0), lower=0.3, upper=4.0, relative=False),
+    nameable=False,
 )
