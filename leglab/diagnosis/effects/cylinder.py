@@ -354,6 +354,8 @@ define(
     "servovalves of the E024 class: 250 Hz; clogged first stages fall to a tenth",
     "commands that change within some hundredths of a second",
     CylinderRow("bandwidth_hz", (0.05, 0.12, 0.35), lower=0.015, upper=2.0),
+    # A large one is a lag of first order, of time constant 2 zeta / w.
+    CylinderRow("damping_ratio", (), lower=0.5, upper=8.0, role="shape"),
 )
 
 # Shapes of laws in which good machines differ: calibrated, never named.
