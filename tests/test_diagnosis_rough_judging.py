@@ -189,6 +189,23 @@ def test_what_a_good_machine_may_have_is_no_fault_unless_healthy_recordings_lack
     assert (said, len(causes), len(smaller)) == ("unexplained", 0, 1)
 
 
+@pytest.mark.parametrize(("now", "faults"), [(1.0, 0), (2.9, 0), (5.0, 1), (-2.0, 1)])
+def test_a_change_that_takes_back_part_of_the_calibration_is_no_fault(sketch, now, faults):
+    """The calibration had moved the offset by three trials from the model's."""
+    scale = sketch.library.sites[OFFSET].parameters[0].scale
+    sketch.library = sketch.library.of_specimen({OFFSET: np.array([3.0 * scale])})
+    sketch.costs |= {frozenset(): 10.0**2, frozenset([OFFSET]): 1.0}
+    specimen = SimpleNamespace(discrepancy_of=lambda series: None)
+    found = a_search(sketch, [OFFSET], specimen=specimen)
+    found = replace(found, fit=a_fit(sketch.library, OFFSET, trials=now - 3.0))
+
+    def level(hypothesis):
+        return naming.rms(sketch.noise_levels(hypothesis))
+
+    _, causes, smaller = naming.judge_rough(found, a_gap(unnamed=10.0), level)
+    assert (len(causes), len(smaller)) == (faults, 1 - faults)
+
+
 def test_intervals_of_a_rough_machine_allow_for_what_else_may_be_off(sketch, monkeypatch):
     sketch.costs |= {frozenset(): 10.0**2, frozenset([OFFSET]): 1.0}
     found, asked = a_search(sketch, [OFFSET]), []

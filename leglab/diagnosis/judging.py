@@ -79,6 +79,22 @@ def departure(problem: Problem, key: Key, hypothesis: Mapping[Key, np.ndarray]) 
     )
 
 
+def departure_from_known(problem: Problem, key: Key, hypothesis: Mapping[Key, np.ndarray]) -> float:
+    """As `departure`, from the nearest value between the model's and the specimen's.
+
+    A calibration also moves strengths to make up for laws that are not the model's. Where a
+    change takes back a part of that, what it made up for shows less now; no part has failed.
+    """
+    site = problem.library.sites[key]
+    ends = np.stack([site.model, site.nominal])
+    known = np.clip(hypothesis[key], ends.min(axis=0), ends.max(axis=0))
+    return max(
+        p.departure(float(value), float(near))
+        for value, near, p in zip(hypothesis[key], known, site.parameters, strict=True)
+        if p.role == "strength"
+    )
+
+
 def noticeable(problem: Problem, key: Key, hypothesis: Mapping[Key, np.ndarray]) -> bool:
     """Whether a strength departs from nominal by a share of its smallest trial that matters."""
     return departure(problem, key, hypothesis) > problem.thresholds.noticeable

@@ -10,7 +10,7 @@ from leglab.diagnosis.effects.base import EffectParameter
 from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.judging import (
     beyond_specimens,
-    departure,
+    departure_from_known,
     earns,
     intervals,
     preferences,
@@ -81,7 +81,9 @@ def judge_rough(found: Search, gap: Gap, level: Callable[[Hypothesis], float]) -
     # A good machine may differ as much from its model, or from what it was on another day.
     spread = limits.specimen_spread if found.specimen is None else limits.day_spread
     own = {
-        k: beyond_specimens(departure(found.problem, k, final), spread, limits.fault_range)
+        k: beyond_specimens(
+            departure_from_known(found.problem, k, final), spread, limits.fault_range
+        )
         for k in found.named
     }
     beside = all_strengths(found.problem.library, limits.rough_share, 1.0)
