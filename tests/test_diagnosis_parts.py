@@ -12,14 +12,16 @@ from leglab.diagnosis import windows
 from leglab.diagnosis.effects.base import Effect, EffectParameter, register_effect
 from leglab.diagnosis.effects.cogging import harmonics
 from leglab.diagnosis.fitting import Sums, Unknowns
+from leglab.diagnosis.hypothesis import Library
 from leglab.diagnosis.judging import preferences, t_value
-from leglab.diagnosis.model import ForceLeft
+from leglab.diagnosis.model import ForceLeft, Machine
 from leglab.diagnosis.onset import change_point
 from leglab.diagnosis.paths import delayed, lagged, play
 from leglab.diagnosis.residual import extrapolation, robust_cost
 from leglab.diagnosis.screening import Candidate
 from leglab.diagnosis.search import chance_gain
 from leglab.diagnosis.starts import bristle, spool
+from leglab.diagnosis.verdict import at_limits
 from leglab.diagnosis.windows import Channel, Cut, derivative, noise_level, smoothed
 from leglab.studies.blind.faulty_bench import FAULTS, FaultyBench, detuned, references
 from leglab.studies.blind.selftest import Case, Outcome, cases, make, score_table
@@ -353,3 +355,18 @@ def test_held_out_is_chosen_where_nobody_names_it(tmp_path):
     assert named.to_json() == result.to_json()
     alone, _ = diagnose(path, {"fast": recordings["fast"]}, settings=settings)
     assert alone.gap.held_out == ("fast (end)",)
+
+
+def test_a_fit_that_ended_at_a_limit_of_its_effect_is_told():
+    library = Library(Machine("knee_bench"))
+    key = ("valve_bandwidth", "knee_valve")
+    site = library.sites[key]
+    assert at_limits(library, {key: site.nominal}) == ()
+    assert at_limits(library, {key: np.array([40.0, 1.5])}) == ()
+    (line,) = at_limits(library, {key: np.array([40.0, site.upper[1]])})
+    assert line.startswith("valve_bandwidth at knee_valve: damping_ratio ended at 5.6, the largest")
+    (line,) = at_limits(library, {key: np.array([site.lower[0] * 1.01, 1.5])})
+    assert "bandwidth_hz ended at 3.75 Hz, the smallest" in line
+    # Where nothing of it is at work an effect is at home, though that is an end as well.
+    leak = ("external_leakage", "knee_valve")
+    assert at_limits(library, {leak: np.array([0.0, 1e-12])}) == ()

@@ -15,7 +15,7 @@ from leglab.diagnosis.admission import admit
 from leglab.diagnosis.effects.joints import unit
 from leglab.diagnosis.experiment import propose
 from leglab.diagnosis.fitting import Fit
-from leglab.diagnosis.hypothesis import Hypothesis
+from leglab.diagnosis.hypothesis import Hypothesis, Key, Library
 from leglab.diagnosis.isolation import isolate, sample_places
 from leglab.diagnosis.judging import preferences
 from leglab.diagnosis.measure import Measure
@@ -181,7 +181,11 @@ def assemble(found: Search, settings: DiagnosisSettings, *, seconds: float) -> D
         traces=traces(problem, final),
         nuisances=nuisance_estimates(problem, found.fit),
         next_experiment=_next_experiment(found, effects),
-        notes=(*notes(problem), *([_HARDLY_SHOWN] if shown is not held else ())),
+        notes=(
+            *notes(problem),
+            *at_limits(problem.library, {k: found.fit.hypothesis[k] for k in found.named}),
+            *([_HARDLY_SHOWN] if shown is not held else ()),
+        ),
         rollouts=problem.replay.rollouts,
         seconds=seconds,
     )
@@ -305,6 +309,29 @@ def notes(problem: Problem) -> tuple[str, ...]:
         if count
     ]
     return (*found, *merged(gaps, lost))
+
+
+def at_limits(library: Library, values: Mapping[Key, np.ndarray]) -> tuple[str, ...]:
+    """A line for every parameter whose fit ended at the smallest or largest value of its effect.
+
+    Args:
+        library: Effects.
+        values: Of the effects that were fitted, each (parameters,).
+    """
+    lines = []
+    for key, fitted in values.items():
+        site = library.sites[key]
+        for p, value, nominal in zip(site.parameters, fitted, site.nominal, strict=True):
+            room = 1e-3 * (p.upper - p.lower)
+            suffix = "" if p.unit == "1" else f" {p.unit}"
+            ends = (("smallest", p.lower, value - p.lower), ("largest", p.upper, p.upper - value))
+            lines += [
+                f"{key[0]} at {key[1]}: {p.name} ended at {end:.4g}{suffix}, the {word} that is "
+                "tried: the true value may lie beyond, and its other parameters are less sure"
+                for word, end, left in ends
+                if left <= room < abs(value - nominal)
+            ]
+    return tuple(lines)
 
 
 def touching_share(machine: Machine, series: Sequence[UniformSeries]) -> float:
