@@ -197,23 +197,31 @@ def test_a_round_is_judged_under_the_discrepancy_of_its_best(sketch, monkeypatch
     assert trusted == [25.0, 16.0]
 
 
+@pytest.mark.parametrize("calibrated", [True, False])
 @pytest.mark.parametrize(("threshold", "expected"), [(100.0, [OFFSET]), (1e6, [])])
-def test_a_rough_search_names_only_what_is_accepted(sketch, monkeypatch, threshold, expected):
+def test_a_rough_search_names_only_what_is_accepted(
+    sketch, monkeypatch, threshold, expected, calibrated
+):
+    """And screens from where no strength has been pulled along by what is missing."""
     base = ripple(10.0)
     tried = a_round([contender(sketch.library, OFFSET, base - 5.0)], base, threshold)
     fitted = []
 
     def settled(problem, chosen, floor):
         fitted.append(chosen)
-        return problem, a_fit(sketch.library)
+        return problem, a_fit(sketch.library, VISCOUS)
+
+    def searched(problem, start, *_):
+        assert start == {}
+        return problem, tried
 
     monkeypatch.setattr(rough, "settled_baseline", settled)
-    monkeypatch.setattr(rough, "search_round", lambda problem, *_: (problem, tried))
+    monkeypatch.setattr(rough, "search_round", searched)
     monkeypatch.setattr(rough, "annealed", lambda problem, *_: (problem, tried))
     sketch.with_nuisances = lambda nuisances: sketch
     sketch.discrepancy = lambda hypothesis: a_discrepancy()
     rng = np.random.default_rng(0)
-    *_, named, rounds = rough.rough_search(sketch, 1, rng, lambda _: None)
+    *_, named, rounds = rough.rough_search(sketch, 1, rng, lambda _: None, calibrated=calibrated)
     assert named == expected
     assert rounds == [tried]
     assert fitted[0].any()

@@ -103,6 +103,21 @@ def test_a_larger_effect_must_be_the_more_probable_on_a_rough_machine(sketch):
     assert earns(sketch, much, simple)
 
 
+@pytest.mark.parametrize(("lost", "expected"), [(0.0, True), (0.2, False)])
+def test_a_larger_effect_may_earn_its_place_where_held_out_motion_hardly_shows_it(
+    sketch, lost, expected
+):
+    base = ripple(1.0, size=0.05)
+    saved = np.where(sketch.held, -lost, 2.0) + ripple(0.0, size=0.02, seed=1)
+    simple, larger = (
+        contender(sketch.library, key, cost)
+        for key, cost in ((VISCOUS, base + 3.0), (ASYMMETRIC, base + 3.0 - saved))
+    )
+    assert not earns(sketch, larger, simple)  # of an exact machine
+    sketch.noise = SimpleNamespace(discrepancy=1)
+    assert earns(sketch, larger, simple) == expected
+
+
 # What is named on a rough machine.
 
 

@@ -25,7 +25,7 @@ def accepted(problem: Problem, tried: Round, contender: Contender) -> bool:
         # It must not get worse, and all windows must say more than the best of so many effects
         # would reach by chance in 1 of 100 cases (Bonferroni).
         chance = float(norm.isf(0.01 / max(len(tried.candidates), 1)))
-        holds |= held.mean() > 0.0 and t_value(saved) >= max(chance, limits.significant)
+        holds |= _no_worse(held) and t_value(saved) >= max(chance, limits.significant)
     return bool(
         problem.size * saved[contender.fit.at.chosen].sum() >= tried.threshold
         and holds
@@ -34,13 +34,19 @@ def accepted(problem: Problem, tried: Round, contender: Contender) -> bool:
     )
 
 
+def _no_worse(held: np.ndarray) -> bool:
+    """Whether held-out windows, (windows,), lose nothing beyond the standard error."""
+    return t_value(held) > -1.0
+
+
 def earns(problem: Problem, larger: Contender, simpler: Contender) -> bool:
     """Whether an effect explains more than a special case of it, beyond its further parameters.
 
     The larger one always fits a little better. Further parameters without meaning save a
     chi-square of as many degrees of freedom (Wilks 1938), times the dispersion that is left; in
     1 of 100 cases more than its quantile. And what they save must hold where held out. On a rough
-    machine, whose errors are few numbers, the larger one must be the more probable.
+    machine, whose errors are few numbers, the larger one must be the more probable; where held-out
+    motion hardly shows what it saves, it must lose nothing there, and all windows must say so.
     """
     sites = problem.library.sites
     further = len(sites[larger.key].parameters) - len(sites[simpler.key].parameters)
@@ -48,12 +54,13 @@ def earns(problem: Problem, larger: Contender, simpler: Contender) -> bool:
     spread = max(1.0, float(larger.cost.mean()))
     chance = spread * float(chi2.ppf(0.99, max(further, 1)))
     held = saved[problem.held] if problem.held.sum() > 3 else saved
-    if problem.noise.discrepancy is not None and probabilities(problem, (larger, simpler))[0] < 0.5:
-        return False
-    return bool(
-        problem.size * saved[larger.fit.at.chosen].sum() > chance
-        and t_value(held) >= problem.thresholds.significant
-    )
+    significant = problem.thresholds.significant
+    holds = t_value(held) >= significant
+    if problem.noise.discrepancy is not None:
+        if probabilities(problem, (larger, simpler))[0] < 0.5:
+            return False
+        holds |= _no_worse(held) and t_value(saved) >= significant
+    return bool(problem.size * saved[larger.fit.at.chosen].sum() > chance and holds)
 
 
 def simplest_first(problem: Problem, contenders: Sequence[Contender]) -> tuple[Contender, ...]:

@@ -104,8 +104,9 @@ def rough_search(
             break
         trusted = at_least(problem.discrepancy(current.hypothesis), floor)
         problem = problem.trusting(trusted)
-        # Strengths that a missing effect has pulled along would mislead the screening.
-        start = current.hypothesis if calibrated else current.hypothesis.only(named)
+        # Strengths that a missing effect has pulled along would mislead the screening: drift of a
+        # calibrated machine can take a size past the trials of the effect that is missing.
+        start = current.hypothesis.only(named)
         problem, tried = search_round(problem, start, current, rng, progress)
         if not tried.contenders:
             found.append(tried)
