@@ -15,6 +15,7 @@ from leglab.cli.improve import improve
 from leglab.cli.report import index, report, video
 from leglab.cli.run import compare, run, view
 from leglab.cli.studies import replicate, tune, verify
+from leglab.cli.sweep import query, sweep
 
 app = typer.Typer(
     cls=Commands,
@@ -25,7 +26,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 _COMMANDS: tuple[Callable[..., None], ...] = (
-    compare, diagnose, improve, convert, inspect, video, report, index, view, run, list_names, tune,
+    compare, sweep, query, diagnose, improve, convert, inspect, video, report, index, view, run, list_names, tune,
     replicate, verify, parameters,
 )  # fmt: skip
 for _command in _COMMANDS:
