@@ -26,8 +26,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 _COMMANDS: tuple[Callable[..., None], ...] = (
-    compare, sweep, query, diagnose, improve, convert, inspect, video, report, index, view, run, list_names, tune,
-    replicate, verify, parameters,
+    compare, sweep, query, diagnose, improve, convert, inspect, video, report, index, view, run,
+    list_names, tune, replicate, verify, parameters,
 )  # fmt: skip
 for _command in _COMMANDS:
     app.command("list" if _command is list_names else None)(_command)

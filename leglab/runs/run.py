@@ -264,5 +264,5 @@ def _configuration(loop: Loop) -> RunConfiguration:
 
 @cache
 def _package_versions() -> dict[str, str]:
-    """Versions of what results depend on: each costs as much as half a second of a simulated knee."""
+    """Versions of what results depend on; looking one up takes milliseconds."""
     return {name: version(name) for name in ("mujoco", "numpy", "scipy", "control", "pyarrow")}

@@ -58,7 +58,8 @@ class SweepResult:
     damaged: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
-        return f"SweepResult({self.done} of {len(self.plan)} runs, {self.failed} failed; {self.folder})"
+        told = f"{self.done} of {len(self.plan)} runs, {self.failed} failed"
+        return f"SweepResult({told}; {self.folder})"
 
     def table(self) -> pa.Table:
         """All rows in the order of the runs, as a `pyarrow.Table`."""
@@ -178,9 +179,7 @@ def _begin(folder: Path, record: store.SweepRecord, *, overwrite: bool) -> None:
         raise cannot_write(folder, error) from error
     leftover = {"runs", "recordings", store.DATASET}
     if any(not (name in leftover or name.startswith("journal-")) for name in others):
-        raise LeglabError(
-            f"{str(folder)!r} holds something other than a sweep: give another folder"
-        )
+        raise LeglabError(f"{str(folder)!r} holds no sweep but other files: give another")
     store.empty(folder)
     store.write_json(record, folder / store.SWEEP)
 

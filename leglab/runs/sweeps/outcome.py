@@ -19,8 +19,8 @@ TRACE_PERIOD, WORST_WINDOW = 0.02, 2.0
 class Outcome(BaseModel):
     """Figures of one run; None where there is none.
 
-    Errors are RMS over the driven joints and over time, of the true positions; what `before`, `end`,
-    `damage`, `recovered` and `t90` mean is in `leglab.runs.record.AdaptationMetrics`.
+    Errors are RMS over the driven joints and over time, of the true positions; what `before`,
+    `end`, `damage`, `recovered` and `t90` mean is in `leglab.runs.record.AdaptationMetrics`.
 
     Attributes:
         came_to_s: How far the run came [s].

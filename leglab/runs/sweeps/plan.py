@@ -74,9 +74,9 @@ class Block(Configuration):
         draw_seed: Seed of the points.
     """
 
-    settings: dict[str, Any] = {}
-    grid: dict[str, Any] = {}
-    ranges: dict[str, Any] = {}
+    settings: dict[str, Any] = Field(default_factory=dict)
+    grid: dict[str, Any] = Field(default_factory=dict)
+    ranges: dict[str, Any] = Field(default_factory=dict)
     draw: Literal["sobol", "random"] = "sobol"
     points: Annotated[int, Field(ge=1, le=MOST_RUNS)] | None = None
     draw_seed: Annotated[int, Field(ge=0)] = 0
@@ -94,9 +94,9 @@ class PlanFile(Configuration):
         memory: Memory that the process of a run may take [MB]; None for its share of this machine.
     """
 
-    settings: dict[str, Any] = {}
+    settings: dict[str, Any] = Field(default_factory=dict)
     block: Annotated[list[Block], Field(min_length=1)]
-    keep: list[Literal["metrics", "traces", "recordings"]] = []
+    keep: list[Literal["metrics", "traces", "recordings"]] = Field(default_factory=list)
     timeout: Annotated[float, Field(gt=0)] = 3600.0
     memory: Annotated[float, Field(ge=500)] | None = None
 
@@ -164,7 +164,6 @@ class Plan:
         keep: What is kept beside the rows.
         timeout: Wall time that a run may take [s].
         memory: Memory that the process of a run may take [MB]; None for its share.
-        axes: Dotted names of the settings in which runs differ.
 
     Raises:
         LeglabError: The content is not allowed; names file, key, value and what is allowed.
@@ -192,6 +191,7 @@ class Plan:
 
     @cached_property
     def axes(self) -> tuple[str, ...]:
+        """Dotted names of the settings in which runs differ."""
         names = dict.fromkeys(
             name for block in self._blocks for name in (*block.grid, *block.ranges)
         )
@@ -388,7 +388,7 @@ def _flat(
     table: Mapping[str, Any], where: str, *, leaf: set[str] | None = None, prefix: str = ""
 ) -> dict[str, Any]:
     """Settings by dotted name; those of tables as `controller_config.NAME`."""
-    found: dict[str, Any] = {}
+    found: dict[str, Any] = Field(default_factory=dict)
     for name, value in table.items():
         full = f"{prefix}{name}"
         owner, _, key = full.partition(".")

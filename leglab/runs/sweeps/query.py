@@ -89,9 +89,7 @@ def ask(folder: Path, sql: str) -> Answer:
             statements = database.extract_statements(sql)
             kinds = (duckdb.StatementType.SELECT, duckdb.StatementType.EXPLAIN)
             if len(statements) != 1 or statements[0].type not in kinds:
-                raise LeglabError(
-                    "the question must be one SELECT, for instance: SELECT * FROM runs"
-                )
+                raise LeglabError("allowed is one SELECT, for instance: SELECT * FROM runs")
             found = database.execute(statements[0])
             names = tuple(column[0] for column in found.description or ())
             return Answer(names=names, rows=tuple(found.fetchall()))
