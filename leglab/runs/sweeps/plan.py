@@ -12,7 +12,6 @@ from typing import Annotated, Any, Literal, get_type_hints
 
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
-from scipy.stats import qmc
 
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.input import read_bytes
@@ -126,6 +125,8 @@ class _Runs:
             return np.empty((self.points, 0))
         size = len(self.ranges)
         if self.draw == "sobol":
+            from scipy.stats import qmc  # half a second that other sweeps do without
+
             engine = qmc.Sobol(size, scramble=True, seed=self.draw_seed)
             # Whole powers of two keep the points balanced; the first of them are taken.
             unit = engine.random_base2(max(self.points - 1, 0).bit_length())[: self.points]
@@ -388,7 +389,7 @@ def _flat(
     table: Mapping[str, Any], where: str, *, leaf: set[str] | None = None, prefix: str = ""
 ) -> dict[str, Any]:
     """Settings by dotted name; those of tables as `controller_config.NAME`."""
-    found: dict[str, Any] = Field(default_factory=dict)
+    found: dict[str, Any] = {}
     for name, value in table.items():
         full = f"{prefix}{name}"
         owner, _, key = full.partition(".")

@@ -20,11 +20,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
-from urllib.parse import quote
+from urllib.parse import quote, unquote
 
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.dataset as pd
 import pyarrow.parquet as pq
 from pydantic import BaseModel, Field, ValidationError
 
@@ -127,15 +126,16 @@ class Rows:
     schema: pa.Schema
     folder: Path
 
-    def parts(self) -> pd.Dataset:
-        """The files as one dataset, whose pages are checked as they are read."""
+    def parts(self) -> Any:
+        """The files as one `pyarrow.dataset.Dataset`, whose pages are checked as they are read."""
+        import pyarrow.dataset as pd  # imports pandas where that is installed
+
         checked = pd.ParquetFragmentScanOptions(page_checksum_verification=True)
-        format_ = pd.ParquetFileFormat(default_fragment_scan_options=checked)
         partition = pa.schema([self.schema.field(name) for name in PARTITION])
         return pd.dataset(
             [str(path) for path in self.files],
             schema=self.schema,
-            format=format_,
+            format=pd.ParquetFileFormat(default_fragment_scan_options=checked),
             partitioning=pd.HivePartitioning(partition, segment_encoding="uri"),
             partition_base_dir=str(self.folder / _RUNS),
         )
@@ -151,16 +151,27 @@ class Rows:
         """
         wanted = list(columns or self.schema.names)
         asked = list(dict.fromkeys([*wanted, "run"]))
-        tables = [self.late.select(asked)]
-        if self.files:
-            try:
-                tables.append(self.parts().to_table(columns=asked))
-            except (pa.ArrowException, OSError) as error:
-                raise LeglabError(
-                    f"{self.folder}: a file of the dataset is damaged ({first_line(error)}); "
-                    "leglab sweep removes it and makes its runs again"
-                ) from error
+        tables = [self.late.select(asked), *(self._part(path, asked) for path in self.files)]
         return pa.concat_tables(tables).sort_by("run").select(wanted)
+
+    def _part(self, path: Path, names: Sequence[str]) -> pa.Table:
+        """Columns of one file; those of the partition stand in its path."""
+        try:
+            with pq.ParquetFile(path, page_checksum_verification=True) as file:
+                found = file.read(columns=[name for name in names if name not in PARTITION])
+                told = dict(part.split("=", 1) for part in path.parts if "=" in part)
+                columns = {
+                    name: pa.repeat(unquote(told[name]), len(found))
+                    if name in PARTITION
+                    else found.column(name)
+                    for name in names
+                }
+                return pa.table(columns, pa.schema([self.schema.field(name) for name in names]))
+        except (pa.ArrowException, OSError, KeyError, ValueError) as error:
+            raise LeglabError(
+                f"{path}: is damaged ({first_line(error)}); leglab sweep removes it and makes its "
+                "runs again"
+            ) from error
 
 
 def read_rows(folder: Path, schema: pa.Schema) -> Rows:

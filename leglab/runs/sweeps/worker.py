@@ -70,7 +70,8 @@ def _outcome(request: dict[str, Any]) -> dict[str, Any]:
         if request["folder"] is not None:
             write_run(run, Path(request["folder"]), overwrite=True)
         if run.history.failure:
-            return {"error": run.history.failure, "kind": "ended early"}
+            memory = "MemoryError" in run.history.failure
+            return {"error": run.history.failure, "kind": "memory" if memory else "ended early"}
         return {"outcome": outcome_of(run, request["keep"])}
     except MemoryError:
         _preparations.clear()
