@@ -3,6 +3,7 @@
 import json
 import os
 from datetime import UTC, datetime
+from functools import cache
 from typing import Any
 
 import pyarrow as pa
@@ -59,11 +60,17 @@ def schema(plan: Plan) -> pa.Schema:
 
     A varied setting of a table has a column of its own, its dotted name with `_` for the dots.
     """
-    left_out = {c for kind, names in _KEPT.items() if kind not in plan.keep for c in names}
+    left_out = _left_out(plan.keep)
     figures = {name: type_ for name, type_ in _FIGURES.items() if name not in left_out}
     own = {column(axis): _type(plan, axis) for axis in plan.axes if "." in axis}
     columns = {**_SETTINGS, **own, **_HOW, **figures, **_MADE}
     return pa.schema([pa.field(name, type_) for name, type_ in columns.items()])
+
+
+@cache
+def _left_out(keep: tuple[str, ...]) -> frozenset[str]:
+    """Columns that a dataset does not have where so much is kept."""
+    return frozenset(c for kind, names in _KEPT.items() if kind not in keep for c in names)
 
 
 def column(axis: str) -> str:
@@ -105,7 +112,7 @@ def row_of(plan: Plan, number: int, answer: dict[str, Any], by: str) -> dict[str
         row |= {"status": FAILED, "failure": problem[0], "error": problem[1]}
     else:
         row["status"] = OK
-        row |= outcome.model_dump()
+        row |= outcome.model_dump(exclude=set(_left_out(plan.keep)))
     row |= {
         "made_at": datetime.now(UTC).isoformat(timespec="milliseconds"),
         "made_by": by,
