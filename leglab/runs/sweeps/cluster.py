@@ -5,10 +5,12 @@ What travels is text: settings there, figures back.
 """
 
 import json
+import logging
 import threading
 from collections import defaultdict
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, suppress
+from concurrent.futures import CancelledError
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import asdict, replace
 from typing import Any
 from uuid import uuid4
@@ -88,6 +90,10 @@ class Cluster(AbstractContextManager[Iterator[Any]]):
             raise LeglabError(
                 "--scheduler needs the package distributed: pip install 'leglab[cluster]'"
             ) from error
+        # What it would log of lost connections is told in one line.
+        self._log = logging.getLogger("distributed")
+        self._level = self._log.level
+        self._log.setLevel(logging.CRITICAL + 1)
         try:
             self._client = Client(self._address, timeout=_PATIENCE, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
@@ -108,6 +114,7 @@ class Cluster(AbstractContextManager[Iterator[Any]]):
             self._client.cancel([future for _, future in self._waiting.values()], force=True)
         with suppress(Exception):
             self._client.close(timeout=5)
+        self._log.setLevel(self._level)
 
     def _answers(self) -> Iterator[tuple[int, dict[str, Any], str]]:
         from distributed import as_completed
@@ -115,30 +122,37 @@ class Cluster(AbstractContextManager[Iterator[Any]]):
         arriving = as_completed(loop=self._client.loop, raise_errors=False)
         token, count, most = uuid4().hex, 0, 0
         while True:
-            if count % _LOOK == 0:  # Workers come and go.
-                most = _AHEAD * max(sum(self._client.nthreads().values()), 1)
-            while len(self._waiting) < most and (task := next(self._requests, None)) is not None:
-                key = f"leglab-{token}-{task[0]}"
-                future = self._client.submit(answer, json.dumps(task[1]), self._terms, key=key)
-                self._waiting[key] = task[0], future
-                arriving.add(future)
-            if not self._waiting:
-                return
-            future = next(arriving)
-            number, _ = self._waiting.pop(str(future.key))
-            found = self._found(future)
+            with self._reached():
+                if count % _LOOK == 0:  # Workers come and go.
+                    most = _AHEAD * max(sum(self._client.nthreads().values()), 1)
+                while len(self._waiting) < most and (task := next(self._requests, None)):
+                    key = f"leglab-{token}-{task[0]}"
+                    future = self._client.submit(answer, json.dumps(task[1]), self._terms, key=key)
+                    self._waiting[key] = task[0], future
+                    arriving.add(future)
+                if not self._waiting:
+                    return
+                future = next(arriving)
+                number, _ = self._waiting.pop(str(future.key))
+                found = self._found(future)
             yield number, found, str(found.pop("by", self._address))
             count += 1
+
+    @contextmanager
+    def _reached(self) -> Iterator[None]:
+        """Tells in one line that the scheduler is gone, however that shows."""
+        try:
+            yield
+        except (OSError, CancelledError) as error:
+            raise LeglabError(
+                f"scheduler {self._address!r} is gone: the same command goes on from here"
+            ) from error
 
     def _found(self, future: Any) -> dict[str, Any]:
         from distributed import KilledWorker
 
-        if future.status == "finished":
-            try:
-                found = parse_json(future.result())
-            except ValueError as error:
-                return {"error": f"it gave no answer that can be read: {error}", "kind": "died"}
-            return found if isinstance(found, dict) else {}
+        if future.status == "cancelled":
+            raise CancelledError
         if future.status == "error":
             problem = future.exception()
             if isinstance(problem, KilledWorker):
@@ -146,6 +160,11 @@ class Cluster(AbstractContextManager[Iterator[Any]]):
             raise LeglabError(
                 f"scheduler {self._address!r}: a worker cannot make runs: {problem}"
             ) from problem
-        raise LeglabError(
-            f"scheduler {self._address!r} is gone: the same command goes on from here"
-        )
+        text = future.result()
+        try:
+            found = parse_json(text)
+            if not isinstance(found, dict):
+                raise ValueError("it is no object")
+        except ValueError as error:
+            return {"error": f"it gave no answer that can be read: {error}", "kind": "died"}
+        return found
