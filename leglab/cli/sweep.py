@@ -11,7 +11,9 @@ from leglab.cli import options, terminal
 
 
 def sweep(
-    file: Annotated[Path, typer.Argument(help="TOML file: what is varied, and how.")],
+    file: Annotated[
+        Path, typer.Argument(help="TOML file: what is varied, and how; or a sweep.json.")
+    ],
     out: Annotated[Path, typer.Option(help="Folder of the dataset.")],
     workers: Annotated[int, typer.Option(help="Processes at a time; -1: one a core.")] = -1,
     scheduler: Annotated[
@@ -24,7 +26,16 @@ def sweep(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Empty the folder of another sweep and begin anew.")
     ] = False,
-    report: Annotated[bool, typer.Option("--report", help="Write the page at the end.")] = False,
+    record: Annotated[
+        list[int] | None,
+        typer.Option(
+            help="Make nothing but the folder of the run of this number, with its recording, below "
+            "OUT/recordings; repeatable."
+        ),
+    ] = None,
+    report: Annotated[
+        bool, typer.Option("--report", help="Write OUT/report.html at the end.")
+    ] = False,
     as_json: options.Json = False,
     load: options.Load = None,
 ) -> None:
@@ -34,12 +45,20 @@ def sweep(
     killed, the same command makes exactly the runs that are missing. `leglab query` asks the rows.
     """
     options.load_plugins(load)
-    from leglab.runs.sweeps.engine import run_sweep
+    from leglab.runs.sweeps.engine import record_runs, run_sweep
     from leglab.runs.sweeps.plan import read_plan
 
     if workers != -1:
         options.check_jobs(workers, "workers")
     plan = read_plan(file)
+    if record:
+        made = partial(record_runs, plan, out, record)
+        places = terminal.make_many("recording", len(record), made)
+        if as_json:
+            terminal.print_json({"folders": [str(place) for place in places]})
+        for place in places if not as_json else ():
+            terminal.tell(f"written to {place}")
+        return
     make = partial(
         run_sweep,
         plan,
@@ -52,6 +71,12 @@ def sweep(
     result = terminal.make_many("sweeping", len(plan), make)
     for line in result.damaged:
         terminal.complain(line, "warning")
+    written = None
+    if report:
+        from leglab.report.sweep.page import write_sweep_page
+
+        with terminal.progress("writing"):
+            written = write_sweep_page(out)
     if as_json:
         content = {
             "folder": str(out),
@@ -59,12 +84,13 @@ def sweep(
             "made": result.made,
             "done": result.done,
             "failed": result.failed,
+            "page": None if written is None else str(written),
         }
         terminal.print_json(content)
     else:
         again = result.done - result.made
         there = f", {again} were there" if again else ""
-        terminal.tell(f"{result.made} of {len(plan)} runs made{there}; written to {out}")
+        terminal.tell(f"{result.made} of {len(plan)} runs made{there}; written to {written or out}")
     if result.failed:
         terminal.complain(
             f"{result.failed} of {len(plan)} runs failed; leglab query {out} "

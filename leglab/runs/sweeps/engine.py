@@ -3,7 +3,7 @@
 import os
 import queue
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -122,13 +122,8 @@ def run_sweep(
         try:
             if retry_failed and kept.failed:
                 kept.forget_failed()
-            terms = Terms(
-                luggage=plugins.carried(),
-                code=record.code,
-                timeout=plan.timeout,
-                memory=plan.memory,
-            )
-            made = _make(plan, folder, kept, _executor(workers, scheduler, terms), progress)
+            executor = _executor(workers, scheduler, _terms(plan))
+            made = _make(plan, folder, kept, executor, progress)
             kept.compact()
         finally:
             kept.close()
@@ -140,6 +135,43 @@ def run_sweep(
         failed=kept.failed,
         damaged=tuple(kept.damaged),
     )
+
+
+def record_runs(
+    plan: Plan, folder: Path, numbers: Sequence[int], *, progress: Progress | None = None
+) -> list[Path]:
+    """Makes the folders of single runs of a sweep, with their recordings, to look at or to film.
+
+    Args:
+        plan: Of the sweep.
+        folder: Of the sweep; the runs go to `recordings` there, its rows stay as they are.
+        numbers: Of the runs.
+        progress: Called with how many are made, of how many.
+
+    Returns:
+        The folders in the order of the numbers.
+
+    Raises:
+        LeglabError: There is no such run, it fails without a recording, or its folder cannot be
+            written.
+    """
+    for number in numbers:
+        if not 0 <= number < len(plan):
+            raise LeglabError(f"there is no run {number}; allowed: 0 to {len(plan) - 1}")
+    keeping = [recording_folder(folder.resolve(), number) for number in numbers]
+    requests = [
+        (number, {**_request(plan, number, folder), "folder": str(place)})
+        for number, place in zip(numbers, keeping, strict=True)
+    ]
+    terms = _terms(plan)
+    with Processes(min(len(requests), os.cpu_count() or 1), terms)(iter(requests)) as answers:
+        for count, (number, answer, _) in enumerate(answers, 1):
+            place = recording_folder(folder.resolve(), number)
+            if "outcome" not in answer and not place.is_dir():
+                raise LeglabError(f"run {number}: {answer.get('error')}")
+            if progress:
+                progress(count, len(requests), f"run {number}")
+    return keeping
 
 
 def read_sweep(folder: Path) -> SweepResult:
@@ -209,6 +241,12 @@ def _request(plan: Plan, number: int, folder: Path) -> Request:
         "keep": list(plan.keep),
         "folder": None if where is None else str(where),
     }
+
+
+def _terms(plan: Plan) -> Terms:
+    return Terms(
+        luggage=plugins.carried(), code=fingerprint(), timeout=plan.timeout, memory=plan.memory
+    )
 
 
 def _executor(workers: int, scheduler: str | None, terms: Terms) -> Executor:

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 
 from leglab.base.errors import LeglabError, unknown_name
-from leglab.base.input import read_bytes
+from leglab.base.input import read_bytes, read_json
 from leglab.base.settings import Configuration, validate_configuration
 from leglab.commissioning.setup import model_digest
 from leglab.control.contract import CONTROLLERS
@@ -340,6 +340,9 @@ def _key(settings: Mapping[str, Any]) -> str:
 def read_plan(path: Path) -> Plan:
     """Reads the file of a sweep.
 
+    Args:
+        path: TOML, or the `sweep.json` of a sweep, which holds the same.
+
     Raises:
         LeglabError: It cannot be read, is not TOML, or asks for something that is not allowed; one
             line with file, key, value and what is allowed.
@@ -347,6 +350,11 @@ def read_plan(path: Path) -> Plan:
     content = read_bytes(path, _MOST_FILE + 1)
     if len(content) > _MOST_FILE:
         raise LeglabError(f"{path}: has more than {_MOST_FILE:,} bytes")
+    if path.suffix == ".json":
+        kept = read_json(path)
+        if not isinstance(kept, dict) or not isinstance(kept.get("plan"), dict):
+            raise LeglabError(f"{path}: holds no plan of a sweep")
+        return Plan(kept["plan"], str(path))
     try:
         found = tomllib.loads(content.decode())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:

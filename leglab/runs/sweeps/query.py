@@ -4,6 +4,8 @@ import csv
 import io
 import math
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -68,6 +70,17 @@ def ask(folder: Path, sql: str) -> Answer:
         LeglabError: The folder holds no sweep, a file is damaged, or the question cannot be
             answered; one line.
     """
+    with questions(folder) as answered:
+        return answered(sql)
+
+
+@contextmanager
+def questions(folder: Path) -> Iterator[Callable[[str], Answer]]:
+    """Yields a function that answers questions as `ask`, all to the rows there are now.
+
+    Raises:
+        LeglabError: As `ask`.
+    """
     import duckdb
 
     record = store.read_record(folder)
@@ -85,16 +98,20 @@ def ask(folder: Path, sql: str) -> Answer:
             database.register("_parts", rows.parts())
             parts.append(f"SELECT {columns} FROM _parts")
         database.execute(f"CREATE VIEW {TABLE} AS {' UNION ALL '.join(parts)}")
-        try:
-            statements = database.extract_statements(sql)
-            kinds = (duckdb.StatementType.SELECT, duckdb.StatementType.EXPLAIN)
-            if len(statements) != 1 or statements[0].type not in kinds:
-                raise LeglabError("allowed is one SELECT, for instance: SELECT * FROM runs")
-            found = database.execute(statements[0])
-            names = tuple(column[0] for column in found.description or ())
-            return Answer(names=names, rows=tuple(found.fetchall()))
-        except duckdb.Error as error:
-            raise LeglabError(f"SQL: {_line(error)}") from error
+
+        def answered(sql: str) -> Answer:
+            try:
+                statements = database.extract_statements(sql)
+                kinds = (duckdb.StatementType.SELECT, duckdb.StatementType.EXPLAIN)
+                if len(statements) != 1 or statements[0].type not in kinds:
+                    raise LeglabError("allowed is one SELECT, for instance: SELECT * FROM runs")
+                found = database.execute(statements[0])
+                names = tuple(column[0] for column in found.description or ())
+                return Answer(names=names, rows=tuple(found.fetchall()))
+            except duckdb.Error as error:
+                raise LeglabError(f"SQL: {_line(error)}") from error
+
+        yield answered
 
 
 def _line(error: Exception) -> str:

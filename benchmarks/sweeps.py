@@ -1,0 +1,240 @@
+"""What a sweep costs beside its runs: `python benchmarks/sweeps.py`. Two processes on two cores.
+
+A thousand one-second runs of the knee bench, and runs of about a second of wall time on the leg, by
+one process, by two, and by two workers of a Dask cluster on this machine (a scheduler and two
+workers as processes of their own). The share of the time that processes spend inside runs, start-up
+included, times the CPU time of a run alone over that of a run beside another, is the efficiency: it
+stays the same where other work slows the machine down. Then the books alone: rows as those of a
+sweep, a hundred thousand of them, kept, put together and read again.
+"""
+
+import argparse
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import results
+
+from leglab.runs.sweeps import store
+from leglab.runs.sweeps.engine import run_sweep
+from leglab.runs.sweeps.plan import Plan
+from leglab.runs.sweeps.query import ask
+from leglab.runs.sweeps.rows import schema
+
+SHORT = {"model": "knee_bench", "duration": 1.0, "controller": "pd", "scenario": "seal_wear"}
+LONG = {"model": "leg", "duration": 40.0, "controller": "bsnn_arx", "scenario": "seal_wear"}
+CASES = {"knee bench, 1 s simulated": (SHORT, 1000), "leg, 40 s simulated": (LONG, 24)}
+WAYS = ("one process", "two processes", "Dask, two workers")
+ROWS = 100_000
+MILLION = 1_000_000
+ASKED = {"thousand": 90.0, "efficiency": 0.9, "dask": 1.05}
+
+
+def plan_of(settings: dict[str, Any], runs: int) -> Plan:
+    """Specimens, one a seed."""
+    shared = {**settings, "tolerance": 0.1}
+    return Plan({"settings": shared, "block": [{"grid": {"seed": {"count": runs}}}]})
+
+
+@contextmanager
+def cluster(folder: Path) -> Iterator[str]:
+    """Address of a Dask scheduler on loopback with two workers of one thread."""
+    from distributed import Client
+
+    address = "tcp://127.0.0.1:28786"
+    workers = [address, "--nthreads", "1", "--no-nanny", "--local-directory", str(folder)]
+    commands = [
+        ["dask_scheduler", "--host", "127.0.0.1", "--port", "28786"],
+        *[["dask_worker", *workers]] * 2,
+    ]
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-m", f"distributed.cli.{c[0]}", *c[1:], "--no-dashboard"],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        for c in commands
+    ]
+    try:
+        with Client(address, timeout=60, set_as_default=False) as client:
+            client.wait_for_workers(2, timeout=60)
+        yield address
+    finally:
+        for process in reversed(processes):
+            process.terminate()
+            process.wait()
+
+
+def sweep(plan: Plan, folder: Path, way: str, address: str) -> dict[str, float]:
+    """Wall time of a sweep [s], share of it inside runs, and CPU time of a run [s]."""
+    options: dict[str, Any] = {"scheduler": address} if way.startswith("Dask") else {}
+    if not options:
+        options = {"workers": WAYS.index(way) + 1}
+    own, start = time.process_time(), time.perf_counter()
+    result = run_sweep(plan, folder, **options)
+    wall = time.perf_counter() - start
+    own = time.process_time() - own
+    if result.failed:
+        raise SystemExit(f"error: {result.failed} runs failed")
+    table = result.table()
+    inside = sum(table.column("made_wall_s").to_pylist())
+    cpu = table.column("made_cpu_s").to_pylist()
+    count = 1 if way == WAYS[0] else 2
+    return {
+        "wall": wall,
+        "inside": inside / (count * wall),
+        "cpu": statistics.median(cpu),
+        "own": own / len(plan),
+    }
+
+
+def books(folder: Path) -> dict[str, float]:
+    """What the books cost a row: CPU time of keeping it [s], size [B], time of reading [s]."""
+    small = run_sweep(plan_of(SHORT, 20), folder / "small", workers=2)
+    templates = small.table().to_pylist()
+    plan = plan_of(SHORT, ROWS)
+    record = store.read_record(folder / "small").model_copy(update={"runs": ROWS})
+    place = folder / "books"
+    place.mkdir()
+    store.write_json(record, place / store.SWEEP)
+    kept = store.Store(place, record, schema(plan))
+    start = time.process_time()
+    for number in range(ROWS):
+        row = dict(templates[number % len(templates)], run=number, seed=number)
+        # No two runs have the same digits, which compression would find.
+        for name, value in row.items():
+            if isinstance(value, float):
+                row[name] = value * (1 + 1e-9 * number)
+        kept.add(row)
+    kept.compact()
+    kept.close()
+    keeping = time.process_time() - start
+    start = time.process_time()
+    store.Store(place, record, schema(plan)).close()
+    opening = time.process_time() - start
+    start = time.process_time()
+    ask(
+        place,
+        "SELECT controller, median(rms_rad), quantile_cont(peak_rad, 0.9) FROM runs GROUP BY 1",
+    )
+    asking = time.process_time() - start
+    start = time.process_time()
+    count = 5000
+    for number in range(count):
+        plan.settings(number)
+    plan_of(SHORT, count).check()
+    checking = (time.process_time() - start) / count
+    files = [path for path in (place / "runs").rglob("*") if path.is_file()]
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return {
+        "keeping": keeping / ROWS,
+        "bytes": sum(path.stat().st_size for path in files) / ROWS,
+        "files": len(files),
+        "opening": opening / ROWS,
+        "asking": asking / ROWS,
+        "checking": checking,
+        "memory": memory * 1024,
+    }
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """All cases by all ways, which take turns, and the books."""
+    found: dict[str, Any] = {}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        with cluster(folder) as address:
+            for case, (settings, runs) in CASES.items():
+                rounds = [
+                    {
+                        way: sweep(
+                            plan_of(settings, runs), folder / f"{turn}{way}{case}", way, address
+                        )
+                        for way in WAYS
+                    }
+                    for turn in range(options.rounds)
+                ]
+                found[case] = {
+                    "runs": runs,
+                    "ways": {
+                        way: {
+                            key: statistics.median(turn[way][key] for turn in rounds)
+                            for key in rounds[0][way]
+                        }
+                        for way in WAYS
+                    },
+                    "dask": statistics.median(
+                        turn[WAYS[2]]["wall"] / turn[WAYS[1]]["wall"] for turn in rounds
+                    ),
+                }
+        found["books"] = books(folder)
+    return found
+
+
+def tables(found: dict[str, Any]) -> str:
+    """Times and efficiency by case and way; what a million runs need."""
+    rows = []
+    for case in CASES:
+        one = found[case]["ways"][WAYS[0]]["cpu"]
+        for way in WAYS:
+            told = found[case]["ways"][way]
+            ratio = f"{found[case]['dask']:.2f}" if way == WAYS[2] else ""
+            rows.append(
+                (
+                    case,
+                    str(found[case]["runs"]),
+                    way,
+                    results.number(told["wall"]),
+                    results.number(1e3 * told["cpu"]),
+                    results.number(1e3 * told["own"], 2),
+                    f"{100 * told['inside']:.1f} %",
+                    f"{told['inside'] * one / told['cpu']:.2f}",
+                    ratio,
+                )
+            )
+    head = ("runs of", "number", "by", "wall time, s", "CPU time of a run, ms")
+    head += ("of the books, ms a run", "inside runs", "efficiency", "wall time over processes'")
+    text = results.table(head, rows)
+    asked = (
+        f"Asked: a thousand one-second runs within {ASKED['thousand']:g} s; efficiency of two at "
+        f"least {ASKED['efficiency']:g}; Dask at most {ASKED['dask']:g} of processes."
+    )
+    return f"{text}\n{asked}\n\n{results.table(('a million runs', 'need'), million(found))}"
+
+
+def million(found: dict[str, Any]) -> list[tuple[str, str]]:
+    """What a sweep of a million runs takes, from what was measured."""
+    told = found["books"]
+    rows = []
+    for case in CASES:
+        ways = found[case]["ways"]
+        hours = ways[WAYS[1]]["cpu"] * MILLION / 3600
+        rows.append((f"CPU time of the runs, {case}", f"{hours:,.0f} h of one core"))
+    own = max(found[case]["ways"][WAYS[2]]["own"] for case in CASES)
+    return [
+        *rows,
+        ("to check before the first run", f"{told['checking'] * MILLION / 60:.1f} min"),
+        ("Parquet files without traces", f"{told['bytes'] * MILLION / 1e6:,.0f} MB"),
+        ("CPU time of the books alone", f"{told['keeping'] * MILLION / 60:.1f} min"),
+        ("CPU time of the process that submits to Dask", f"{own * MILLION / 60:,.0f} min"),
+        ("runs a second that it can keep busy", f"{1 / own:,.0f}"),
+        ("to open the folder again", f"{told['opening'] * MILLION:.1f} s"),
+        ("a question to all rows", f"{told['asking'] * MILLION:.1f} s"),
+    ]
+
+
+def main() -> None:
+    """Measures, or prints what is kept."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--rounds", type=int, default=2, help="of all ways, which take turns")
+    results.main(parser, measure, tables)
+
+
+if __name__ == "__main__":
+    main()
