@@ -24,7 +24,7 @@ import results
 
 from leglab.runs.sweeps import store
 from leglab.runs.sweeps.engine import run_sweep
-from leglab.runs.sweeps.plan import Plan
+from leglab.runs.sweeps.plan import SweepPlan
 from leglab.runs.sweeps.query import ask
 from leglab.runs.sweeps.rows import schema
 
@@ -37,10 +37,10 @@ MILLION = 1_000_000
 ASKED = {"thousand": 90.0, "efficiency": 0.9, "dask": 1.05}
 
 
-def plan_of(settings: dict[str, Any], runs: int) -> Plan:
+def plan_of(settings: dict[str, Any], runs: int) -> SweepPlan:
     """Specimens, one a seed."""
     shared = {**settings, "tolerance": 0.1}
-    return Plan({"settings": shared, "block": [{"grid": {"seed": {"count": runs}}}]})
+    return SweepPlan({"settings": shared, "block": [{"grid": {"seed": {"count": runs}}}]})
 
 
 @contextmanager
@@ -72,7 +72,7 @@ def cluster(folder: Path) -> Iterator[str]:
             process.wait()
 
 
-def sweep(plan: Plan, folder: Path, way: str, address: str) -> dict[str, float]:
+def sweep(plan: SweepPlan, folder: Path, way: str, address: str) -> dict[str, float]:
     """Wall time of a sweep [s], share of it inside runs, and CPU time of a run [s]."""
     options: dict[str, Any] = {"scheduler": address} if way.startswith("Dask") else {}
     if not options:

@@ -20,9 +20,10 @@ from leglab import RunSettings, run_scenario
 from leglab.base import plugins
 from leglab.base.errors import LeglabError
 from leglab.base.output import claimed_folder
+from leglab.control.contract import CONTROLLERS
 from leglab.runs.sweeps import engine, store
 from leglab.runs.sweeps.engine import read_sweep, run_sweep
-from leglab.runs.sweeps.plan import Plan, read_plan
+from leglab.runs.sweeps.plan import SweepPlan, read_plan
 from leglab.runs.sweeps.query import ask
 from leglab.runs.sweeps.rows import MADE
 from tests.test_cli import leglab as command_line
@@ -73,9 +74,9 @@ class Controller:
 '''
 
 
-def plan_of(**content) -> Plan:
+def plan_of(**content) -> SweepPlan:
     base = {"settings": BENCH, "block": [{"grid": {"seed": {"count": 4}}}]}
-    return Plan({**base, **content})
+    return SweepPlan({**base, **content})
 
 
 def rows(folder: Path) -> list[dict]:
@@ -249,7 +250,7 @@ def test_a_sweep_goes_on_where_it_was_and_knows_its_folder(tmp_path, monkeypatch
 def _be_killed(content, folder, journal_rows):
     os.setsid()
     store._JOURNAL_ROWS = journal_rows
-    run_sweep(Plan(content), folder, workers=2)
+    run_sweep(SweepPlan(content), folder, workers=2)
 
 
 def test_thirty_kills_lose_nothing_and_double_nothing(tmp_path):
@@ -260,7 +261,7 @@ def test_thirty_kills_lose_nothing_and_double_nothing(tmp_path):
         "block": [{"grid": {"controller": ["pd", "pid"], "seed": {"count": 300}}}],
     }
     whole = tmp_path / "whole"
-    run_sweep(Plan(content), whole, workers=2)
+    run_sweep(SweepPlan(content), whole, workers=2)
     wanted = rows(whole)
     assert [row["run"] for row in wanted] == list(range(600))
     # Forked: what is imported here need not be imported thirty times.
@@ -279,7 +280,7 @@ def test_thirty_kills_lose_nothing_and_double_nothing(tmp_path):
                 assert len(there) >= before  # Rows that were there stay.
                 assert len({row["run"] for row in there}) == len(there)
                 before = len(there)
-        last = run_sweep(Plan(content), folder, workers=2)
+        last = run_sweep(SweepPlan(content), folder, workers=2)
         assert last.made == 600 - before
         assert rows(folder) == wanted
         parts = sorted(path.name for path in (folder / "runs").rglob("*") if path.is_file())
@@ -401,7 +402,12 @@ def wrong(tmp_path_factory):
     file = tmp_path_factory.mktemp("plugins") / "wrong.py"
     file.write_text(BAD)
     plugins.load(str(file))
-    return "wrong"
+    yield "wrong"
+    # Other tests loop over all controllers.
+    for place in (CONTROLLERS._entries, CONTROLLERS._definitions, sys.modules):
+        place.pop("wrong")
+    plugins._sources.pop(str(file))
+    plugins._files.discard(file)
 
 
 def test_runs_that_go_wrong_are_rows_and_stop_nothing(tmp_path, wrong):
@@ -543,4 +549,4 @@ def test_settings_come_back_as_they_were(tmp_path):
     (settings,) = plan
     assert settings == RunSettings(**{**BENCH, "seed": 5, "sensors": {"latency": 0.001}})
     assert RunSettings(**json.loads(json.dumps(asdict(settings)))) == settings
-    assert Plan(plan.content).digest == plan.digest
+    assert SweepPlan(plan.content).digest == plan.digest

@@ -13,7 +13,7 @@ import pytest
 from leglab.base.errors import LeglabError
 from leglab.runs.sweeps.engine import read_sweep, run_sweep
 from tests.test_cli import leglab as command_line
-from tests.test_sweeps import BENCH, Plan, rows, wrong  # noqa: F401
+from tests.test_sweeps import BENCH, SweepPlan, rows, wrong  # noqa: F401
 
 distributed = pytest.importorskip("distributed")
 
@@ -62,7 +62,7 @@ def two(tmp_path):
 def test_a_cluster_gives_the_same_rows_and_one_of_its_workers_may_be_killed(two, tmp_path):
     address, (_, *workers) = two
     grid = {"controller": ["pd", "pid"], "seed": {"count": 40}}
-    plan = Plan({"settings": BENCH, "block": [{"grid": grid}]})
+    plan = SweepPlan({"settings": BENCH, "block": [{"grid": grid}]})
     killed = []
 
     def kill(done, total, label):
@@ -82,7 +82,7 @@ def test_a_cluster_gives_the_same_rows_and_one_of_its_workers_may_be_killed(two,
 
 def test_runs_that_go_wrong_leave_the_workers_alone(two, tmp_path, wrong):  # noqa: F811
     address, (_, *workers) = two
-    plan = Plan(
+    plan = SweepPlan(
         {
             "settings": {**BENCH, "controller": wrong},
             "block": [{"grid": {"controller_config.how": ["not", "kill", "hang"]}}],
@@ -95,7 +95,7 @@ def test_runs_that_go_wrong_leave_the_workers_alone(two, tmp_path, wrong):  # no
 
 
 def test_a_scheduler_that_ends_is_told_and_the_sweep_goes_on_later(tmp_path, capfd):
-    plan = Plan({"settings": BENCH, "block": [{"grid": {"seed": {"count": 60}}}]})
+    plan = SweepPlan({"settings": BENCH, "block": [{"grid": {"seed": {"count": 60}}}]})
     with cluster(tmp_path, workers=1) as (address, (scheduler, _)):
 
         def end(done, total, label):

@@ -10,7 +10,7 @@ import threading
 from collections import defaultdict
 from collections.abc import Iterator
 from concurrent.futures import CancelledError
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import asdict, replace
 from typing import Any
 from uuid import uuid4
@@ -72,6 +72,7 @@ class Cluster(AbstractContextManager[Iterator[Any]]):
         self._address, self._terms = address, json.dumps(asdict(terms))
         # Number of the run and future, by key.
         self._waiting: dict[str, tuple[int, Any]] = {}
+        self._closing = ExitStack()
 
     def __call__(self, requests: Iterator[tuple[int, dict[str, Any]]]) -> "Cluster":
         """Sets what is to be answered."""
@@ -85,15 +86,24 @@ class Cluster(AbstractContextManager[Iterator[Any]]):
             LeglabError: distributed is missing, or there is no scheduler or no worker.
         """
         try:
-            from distributed import Client
+            import distributed  # noqa: F401
         except ImportError as error:
             raise LeglabError(
                 "--scheduler needs the package distributed: pip install 'leglab[cluster]'"
             ) from error
         # What it would log of lost connections is told in one line.
-        self._log = logging.getLogger("distributed")
-        self._level = self._log.level
-        self._log.setLevel(logging.CRITICAL + 1)
+        log = logging.getLogger("distributed")
+        self._closing.callback(log.setLevel, log.level)
+        log.setLevel(logging.CRITICAL + 1)
+        try:
+            return self._connected()
+        except BaseException:
+            self._closing.close()
+            raise
+
+    def _connected(self) -> Iterator[tuple[int, dict[str, Any], str]]:
+        from distributed import Client
+
         try:
             self._client = Client(self._address, timeout=_PATIENCE, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
@@ -114,7 +124,7 @@ class Cluster(AbstractContextManager[Iterator[Any]]):
             self._client.cancel([future for _, future in self._waiting.values()], force=True)
         with suppress(Exception):
             self._client.close(timeout=5)
-        self._log.setLevel(self._level)
+        self._closing.close()
 
     def _answers(self) -> Iterator[tuple[int, dict[str, Any], str]]:
         from distributed import as_completed

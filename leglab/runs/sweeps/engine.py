@@ -19,7 +19,7 @@ from leglab.runs.fingerprint import fingerprint
 from leglab.runs.parallel import Progress
 from leglab.runs.sweeps import store
 from leglab.runs.sweeps.outcome import recording_folder
-from leglab.runs.sweeps.plan import Plan
+from leglab.runs.sweeps.plan import SweepPlan
 from leglab.runs.sweeps.rows import row_of, schema, this_machine
 from leglab.runs.sweeps.runner import Runner, Terms
 
@@ -51,7 +51,7 @@ class SweepResult:
     """
 
     folder: Path
-    plan: Plan
+    plan: SweepPlan
     made: int
     done: int
     failed: int
@@ -71,7 +71,7 @@ class SweepResult:
 
 
 def run_sweep(
-    plan: Plan,
+    plan: SweepPlan,
     folder: Path,
     *,
     workers: int = -1,
@@ -138,7 +138,7 @@ def run_sweep(
 
 
 def record_runs(
-    plan: Plan, folder: Path, numbers: Sequence[int], *, progress: Progress | None = None
+    plan: SweepPlan, folder: Path, numbers: Sequence[int], *, progress: Progress | None = None
 ) -> list[Path]:
     """Makes the folders of single runs of a sweep, with their recordings, to look at or to film.
 
@@ -181,7 +181,7 @@ def read_sweep(folder: Path) -> SweepResult:
         LeglabError: The folder holds none, or one of its files is damaged.
     """
     record = store.read_record(folder)
-    plan = Plan(record.plan, str(folder / store.SWEEP))
+    plan = SweepPlan(record.plan, str(folder / store.SWEEP))
     status = store.read_rows(folder, schema(plan)).table(["status"]).column("status").to_pylist()
     failed = status.count(store.FAILED)
     return SweepResult(folder=folder, plan=plan, made=0, done=len(status), failed=failed)
@@ -217,7 +217,7 @@ def _begin(folder: Path, record: store.SweepRecord, *, overwrite: bool) -> None:
 
 
 def _make(
-    plan: Plan, folder: Path, kept: store.Store, executor: Executor, progress: Progress | None
+    plan: SweepPlan, folder: Path, kept: store.Store, executor: Executor, progress: Progress | None
 ) -> int:
     failed = kept.failed
     if progress:
@@ -234,7 +234,7 @@ def _make(
     return len(missing)
 
 
-def _request(plan: Plan, number: int, folder: Path) -> Request:
+def _request(plan: SweepPlan, number: int, folder: Path) -> Request:
     where = recording_folder(folder.resolve(), number) if "recordings" in plan.keep else None
     return {
         "settings": asdict(plan.settings(number)),
@@ -243,7 +243,7 @@ def _request(plan: Plan, number: int, folder: Path) -> Request:
     }
 
 
-def _terms(plan: Plan) -> Terms:
+def _terms(plan: SweepPlan) -> Terms:
     return Terms(
         luggage=plugins.carried(), code=fingerprint(), timeout=plan.timeout, memory=plan.memory
     )

@@ -154,7 +154,7 @@ def _scale(value: float, range_: Range) -> float:
     return math.log(value) if range_.log else value
 
 
-class Plan:
+class SweepPlan:
     """All runs of a sweep, numbered from 0; their settings are made when they are asked for.
 
     Args:
@@ -251,7 +251,7 @@ class Plan:
         a run bring about, as a specimen that cannot hold its joint, shows when it runs.
 
         Args:
-            progress: Called now and then with the runs that are checked and all.
+            progress: Called now and then with 0, the number of runs, and how many are checked.
 
         Returns:
             Digests of the compiled models by name.
@@ -263,7 +263,7 @@ class Plan:
         checks = _Checks()
         for number in range(len(self)):
             if progress and number % 1000 == 0:
-                progress(number, len(self), "checking")
+                progress(0, len(self), f"checking, {number:,} of {len(self):,}")
             settings = self.settings(number)
             try:
                 models.setdefault(settings.model, checks(settings))
@@ -337,7 +337,7 @@ def _key(settings: Mapping[str, Any]) -> str:
     return json.dumps(settings, sort_keys=True, default=str)
 
 
-def read_plan(path: Path) -> Plan:
+def read_plan(path: Path) -> SweepPlan:
     """Reads the file of a sweep.
 
     Args:
@@ -354,12 +354,12 @@ def read_plan(path: Path) -> Plan:
         kept = read_json(path)
         if not isinstance(kept, dict) or not isinstance(kept.get("plan"), dict):
             raise LeglabError(f"{path}: holds no plan of a sweep")
-        return Plan(kept["plan"], str(path))
+        return SweepPlan(kept["plan"], str(path))
     try:
         found = tomllib.loads(content.decode())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise LeglabError(f"{path}: is not TOML: {error}") from error
-    return Plan(found, str(path))
+    return SweepPlan(found, str(path))
 
 
 def _runs(block: Block, shared: Mapping[str, Any], where: str) -> _Runs:

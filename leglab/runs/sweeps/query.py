@@ -13,7 +13,7 @@ from typing import Any
 from leglab.base.errors import LeglabError
 from leglab.base.output import write_atomically
 from leglab.runs.sweeps import store
-from leglab.runs.sweeps.plan import Plan
+from leglab.runs.sweeps.plan import SweepPlan
 from leglab.runs.sweeps.rows import schema
 
 TABLE = "runs"
@@ -84,7 +84,7 @@ def questions(folder: Path) -> Iterator[Callable[[str], Answer]]:
     import duckdb
 
     record = store.read_record(folder)
-    rows = store.read_rows(folder, schema(Plan(record.plan, str(folder / store.SWEEP))))
+    rows = store.read_rows(folder, schema(SweepPlan(record.plan, str(folder / store.SWEEP))))
     with duckdb.connect(":memory:") as database:
         # From here on neither files nor the network nor variables of this program can be reached.
         database.execute("SET enable_external_access = false")

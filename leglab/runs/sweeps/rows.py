@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from leglab.base.errors import LeglabError
 from leglab.runs.preparation import RunSettings, scenario_of
 from leglab.runs.sweeps.outcome import Outcome
-from leglab.runs.sweeps.plan import MAPPINGS, Plan
+from leglab.runs.sweeps.plan import MAPPINGS, SweepPlan
 
 OK, FAILED = "ok", "failed"
 
@@ -55,7 +55,7 @@ _KEPT = {
 }
 
 
-def schema(plan: Plan) -> pa.Schema:
+def schema(plan: SweepPlan) -> pa.Schema:
     """Columns of the dataset of a plan: those of every sweep, and what of tables it varies.
 
     A varied setting of a table has a column of its own, its dotted name with `_` for the dots.
@@ -78,14 +78,14 @@ def column(axis: str) -> str:
     return axis.replace(".", "_")
 
 
-def _type(plan: Plan, axis: str) -> pa.DataType:
+def _type(plan: SweepPlan, axis: str) -> pa.DataType:
     kinds = {type(value) for value in plan.values_of(axis)}
     if kinds == {bool}:
         return pa.bool_()
     return _NUMBER if kinds <= {int, float} else _TEXT
 
 
-def row_of(plan: Plan, number: int, answer: dict[str, Any], by: str) -> dict[str, Any]:
+def row_of(plan: SweepPlan, number: int, answer: dict[str, Any], by: str) -> dict[str, Any]:
     """The row of a run; figures that are none make it a failed one.
 
     Args:
@@ -104,7 +104,7 @@ def row_of(plan: Plan, number: int, answer: dict[str, Any], by: str) -> dict[str
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
             where = ".".join(map(str, first["loc"]))
-            problem = "ended early", f"its figures are none: {where}: {first['msg']}"
+            problem = "ended early", f"it gave no valid figures: {where}: {first['msg']}"
     else:
         problem = str(answer.get("kind", "died")), str(answer.get("error", "it gave no answer"))
     if outcome is None:
@@ -122,7 +122,7 @@ def row_of(plan: Plan, number: int, answer: dict[str, Any], by: str) -> dict[str
     return row
 
 
-def _settings_row(plan: Plan, number: int, settings: RunSettings) -> dict[str, Any]:
+def _settings_row(plan: SweepPlan, number: int, settings: RunSettings) -> dict[str, Any]:
     try:
         scenario = scenario_of(settings)
     except LeglabError:  # Checked before: only a plug-in that is not what it was.

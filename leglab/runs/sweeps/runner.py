@@ -17,6 +17,7 @@ from leglab.base.input import parse_json
 
 _START_TIME = 120.0  # s: a process that has imported nothing by then never will
 _MOST_ANSWER = 100_000_000  # bytes
+_MOST_SAID = 1_000_000  # bytes on standard error that are kept for the message of a death
 # Several processes share the cores: within one, linear algebra has one thread. The bits of a run
 # do not depend on how many run beside it, then.
 _THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -69,7 +70,7 @@ class Runner:
         self._process: subprocess.Popen[bytes] | None = None
         self._rest = b""
         self._closed = False
-        self._errors = tempfile.TemporaryFile()  # noqa: SIM115  as long as the runner
+        self._errors = tempfile.TemporaryFile("a+b")  # noqa: SIM115  as long as the runner
 
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:
         """Has one run made, as `leglab.runs.sweeps.worker.answer`.
@@ -81,7 +82,10 @@ class Runner:
         """
         for last in (False, True):
             try:
-                return self._ask(request, self._terms.timeout)
+                found = self._ask(request, self._terms.timeout)
+                if self._errors.seek(0, os.SEEK_END) > _MOST_SAID:
+                    self._errors.truncate(0)
+                return found
             except TimedOutError:
                 self._end()
                 told = f"it took longer than {self._terms.timeout:g} s"
@@ -220,5 +224,4 @@ class Runner:
             if stream is not None:
                 stream.close()
         process.wait()
-        self._errors.seek(0)
-        self._errors.truncate()
+        self._errors.truncate(0)
