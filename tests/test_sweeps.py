@@ -368,9 +368,25 @@ def test_a_line_of_the_journal_that_is_cut_off_or_changed_is_no_row(tmp_path):
     (tmp_path / "journal-9.jsonl").write_bytes(b"".join(lines)[:-40])
     books = store.Store(tmp_path, record, engine.schema(plan))
     assert list(books.missing()) == [1, 3]
+    books.add(wanted[1])  # Behind the line that was cut off.
     books.close()
-    assert run_sweep(plan, tmp_path, workers=1).made == 2
+    books = store.Store(tmp_path, record, engine.schema(plan))
+    assert list(books.missing()) == [3]
+    books.close()
+    assert run_sweep(plan, tmp_path, workers=1).made == 1
     assert rows(tmp_path) == wanted
+
+
+def test_no_flipped_bit_is_read_as_other_rows(tmp_path):
+    run_sweep(plan_of(), tmp_path, workers=1)
+    (part,) = (tmp_path / "runs").rglob("*.parquet")
+    whole, chance = part.read_bytes(), random.Random(1)
+    for _ in range(60):
+        content = bytearray(whole)
+        content[chance.randrange(len(content))] ^= 1 << chance.randrange(8)
+        part.write_bytes(content)
+        with pytest.raises(LeglabError, match="damaged"):
+            rows(tmp_path)
 
 
 @pytest.mark.parametrize("damage", ["cut off", "changed", "missing"])
@@ -405,7 +421,8 @@ def wrong(tmp_path_factory):
     yield "wrong"
     # Other tests loop over all controllers.
     for place in (CONTROLLERS._entries, CONTROLLERS._definitions, sys.modules):
-        place.pop("wrong")
+        place.pop("wrong", None)
+    sys.path.remove(str(file.parent))
     plugins._sources.pop(str(file))
     plugins._files.discard(file)
 

@@ -193,7 +193,7 @@ def index(
     out: Annotated[Path | None, typer.Option(help="Page; default FOLDER/index.html.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Writes a page that lists all runs, reports, comparisons, sweeps and diagnoses below a folder."""
+    """Writes a page that lists runs, reports, comparisons, sweeps and diagnoses below a folder."""
     from leglab.report.folder_index import write_index
 
     entries, page = write_index(folder, out or folder / "index.html")

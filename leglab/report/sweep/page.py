@@ -429,7 +429,9 @@ def _settings(record: SweepRecord) -> Table:
     rows = [(name, _text(value)) for name, value in shared.items()]
     rows += [(f"block {i + 1}", json.dumps(block)) for i, block in enumerate(plan.get("block", []))]
     rows += [("leglab", record.version), ("digest of the code", record.code[:12])]
-    return Table(caption="What all runs share, and the blocks", head=("", ""), rows=rows, words=2)
+    return Table(
+        caption="What all runs share, and the blocks", head=("setting", "value"), rows=rows, words=2
+    )
 
 
 def _scaled(value: float | None, factor: float = 1.0) -> str:

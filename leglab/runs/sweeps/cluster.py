@@ -4,6 +4,7 @@ A run that ends its process, hangs or takes too much memory so leaves the cluste
 What travels is text: settings there, figures back.
 """
 
+import itertools
 import json
 import logging
 import threading
@@ -19,9 +20,11 @@ from leglab.base.errors import LeglabError
 from leglab.base.input import parse_json
 from leglab.runs.sweeps.runner import Runner, Terms
 
-# Runs that the cluster knows of, for each of its threads: one is made, the others are at hand.
+# Batches of runs that the cluster knows of, for each of its threads: one is made.
 _AHEAD = 3
 _PATIENCE = 60.0  # s, for the scheduler and its first worker
+# Runs that are shorter travel together, about so long in all [s].
+_TOGETHER, _MOST_TOGETHER = 0.3, 50
 # Looks at how many threads there are, in answers.
 _LOOK = 50
 
@@ -30,15 +33,15 @@ _idle: defaultdict[str, list[Runner]] = defaultdict(list)
 _lock = threading.Lock()
 
 
-def answer(request: str, terms: str) -> str:
-    """Has a run made by a process beside this worker of a cluster.
+def answers(requests: str, terms: str) -> str:
+    """Has runs made by a process beside this worker of a cluster.
 
     Args:
-        request: As JSON, of `leglab.runs.sweeps.worker.answer`.
+        requests: As JSON, of `leglab.runs.sweeps.worker.answer`.
         terms: As JSON, on what terms.
 
     Returns:
-        The answer as JSON, with the worker's address as `by`.
+        The answers in their order and the worker's address as `by`, as JSON.
 
     Raises:
         LeglabError: The process cannot be started, or has other code.
@@ -54,10 +57,10 @@ def answer(request: str, terms: str) -> str:
         if wanted.memory is None and limit:
             wanted = replace(wanted, memory=limit / 1e6 / worker.state.nthreads)
         runner = Runner(wanted)
-    found = runner.answer(json.loads(request))
+    found = [answer for _, answer in runner.answers(iter(list(enumerate(json.loads(requests)))))]
     with _lock:
         _idle[terms].append(runner)
-    return json.dumps({**found, "by": worker.address})
+    return json.dumps({"answers": found, "by": worker.address})
 
 
 class Cluster(AbstractContextManager[Iterator[Any]]):
@@ -70,8 +73,8 @@ class Cluster(AbstractContextManager[Iterator[Any]]):
 
     def __init__(self, address: str, terms: Terms) -> None:
         self._address, self._terms = address, json.dumps(asdict(terms))
-        # Number of the run and future, by key.
-        self._waiting: dict[str, tuple[int, Any]] = {}
+        # Numbers of the runs and future, by key.
+        self._waiting: dict[str, tuple[list[int], Any]] = {}
         self._closing = ExitStack()
 
     def __call__(self, requests: Iterator[tuple[int, dict[str, Any]]]) -> "Cluster":
@@ -130,22 +133,31 @@ class Cluster(AbstractContextManager[Iterator[Any]]):
         from distributed import as_completed
 
         arriving = as_completed(loop=self._client.loop, raise_errors=False)
-        token, count, most = uuid4().hex, 0, 0
+        token, count, most, together = uuid4().hex, 0, 0, 1
         while True:
             with self._reached():
                 if count % _LOOK == 0:  # Workers come and go.
                     most = _AHEAD * max(sum(self._client.nthreads().values()), 1)
-                while len(self._waiting) < most and (task := next(self._requests, None)):
-                    key = f"leglab-{token}-{task[0]}"
-                    future = self._client.submit(answer, json.dumps(task[1]), self._terms, key=key)
-                    self._waiting[key] = task[0], future
+                while len(self._waiting) < most:
+                    tasks = list(itertools.islice(self._requests, together))
+                    if not tasks:
+                        break
+                    key = f"leglab-{token}-{tasks[0][0]}"
+                    text = json.dumps([request for _, request in tasks])
+                    future = self._client.submit(answers, text, self._terms, key=key)
+                    self._waiting[key] = [number for number, _ in tasks], future
                     arriving.add(future)
                 if not self._waiting:
                     return
                 future = next(arriving)
-                number, _ = self._waiting.pop(str(future.key))
-                found = self._found(future)
-            yield number, found, str(found.pop("by", self._address))
+                numbers, _ = self._waiting.pop(str(future.key))
+                found, by = self._found(future, len(numbers))
+            for number, answer in zip(numbers, found, strict=True):
+                yield number, answer, by
+            walls = [one["wall_s"] for one in found if isinstance(one.get("wall_s"), float)]
+            if walls:
+                mean = max(sum(walls) / len(walls), 1e-3)
+                together = max(1, min(int(_TOGETHER / mean), _MOST_TOGETHER))
             count += 1
 
     @contextmanager
@@ -158,7 +170,8 @@ class Cluster(AbstractContextManager[Iterator[Any]]):
                 f"scheduler {self._address!r} is gone: the same command goes on from here"
             ) from error
 
-    def _found(self, future: Any) -> dict[str, Any]:
+    def _found(self, future: Any, count: int) -> tuple[list[dict[str, Any]], str]:
+        """So many answers, and what made them."""
         from distributed import KilledWorker
 
         if future.status == "cancelled":
@@ -166,15 +179,18 @@ class Cluster(AbstractContextManager[Iterator[Any]]):
         if future.status == "error":
             problem = future.exception()
             if isinstance(problem, KilledWorker):
-                return {"error": "the workers that made it ended each time", "kind": "died"}
+                told = {"error": "the workers that made it ended each time", "kind": "died"}
+                return [told] * count, self._address
             raise LeglabError(
                 f"scheduler {self._address!r}: a worker cannot make runs: {problem}"
             ) from problem
         text = future.result()
         try:
-            found = parse_json(text)
-            if not isinstance(found, dict):
-                raise ValueError("it is no object")
-        except ValueError as error:
-            return {"error": f"it gave no answer that can be read: {error}", "kind": "died"}
-        return found
+            content = parse_json(text)
+            found = [dict(answer) for answer in content["answers"]]
+            if len(found) != count:
+                raise ValueError(f"it has {len(found)} answers to {count} requests")
+            return found, str(content["by"])
+        except (ValueError, LookupError, TypeError) as error:
+            told = {"error": f"it gave no answer that can be read: {error}", "kind": "died"}
+            return [told] * count, self._address

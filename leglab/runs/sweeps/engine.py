@@ -21,9 +21,8 @@ from leglab.runs.sweeps import store
 from leglab.runs.sweeps.outcome import recording_folder
 from leglab.runs.sweeps.plan import SweepPlan
 from leglab.runs.sweeps.rows import row_of, schema, this_machine
-from leglab.runs.sweeps.runner import Runner, Terms
+from leglab.runs.sweeps.runner import Runner, Task, Terms
 
-Request = dict[str, Any]
 # Number of the run, answer to its request, and what made it.
 Answered = tuple[int, dict[str, Any], str]
 
@@ -31,9 +30,7 @@ Answered = tuple[int, dict[str, Any], str]
 class Executor(Protocol):
     """Has requests answered, several at a time."""
 
-    def __call__(
-        self, requests: Iterator[tuple[int, Request]]
-    ) -> AbstractContextManager[Iterator[Answered]]:
+    def __call__(self, requests: Iterator[Task]) -> AbstractContextManager[Iterator[Answered]]:
         """Yields answers as they come; at the end of the context nothing is running any more."""
 
 
@@ -234,7 +231,7 @@ def _make(
     return len(missing)
 
 
-def _request(plan: SweepPlan, number: int, folder: Path) -> Request:
+def _request(plan: SweepPlan, number: int, folder: Path) -> dict[str, Any]:
     where = recording_folder(folder.resolve(), number) if "recordings" in plan.keep else None
     return {
         "settings": asdict(plan.settings(number)),
@@ -274,7 +271,7 @@ class Processes(AbstractContextManager[Iterator[Answered]]):
         # Bounded: whoever keeps the rows may be slower for a while.
         self._answers: queue.Queue[Answered | BaseException | None] = queue.Queue(1000)
 
-    def __call__(self, requests: Iterator[tuple[int, Request]]) -> "Processes":
+    def __call__(self, requests: Iterator[Task]) -> "Processes":
         """Sets what is to be answered."""
         self._requests = requests
         return self
@@ -313,18 +310,17 @@ class Processes(AbstractContextManager[Iterator[Answered]]):
             else:
                 yield found
 
-    def _next(self) -> tuple[int, Request] | None:
+    def _next(self) -> Task | None:
         with self._lock:
             return None if self._over.is_set() else next(self._requests, None)
 
     def _serve(self, runner: Runner, number: int) -> None:
         by = f"{this_machine()}, process {number}"
         try:
-            while (task := self._next()) is not None:
-                answer = runner.answer(task[1])
+            for run, answer in runner.answers(iter(self._next, None)):
                 if self._over.is_set():
                     break
-                self._answers.put((task[0], answer, by))
+                self._answers.put((run, answer, by))
             self._answers.put(None)
         except BaseException as error:
             self._answers.put(error)

@@ -8,6 +8,8 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import deque
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,9 +20,16 @@ from leglab.base.input import parse_json
 _START_TIME = 120.0  # s: a process that has imported nothing by then never will
 _MOST_ANSWER = 100_000_000  # bytes
 _MOST_SAID = 1_000_000  # bytes on standard error that are kept for the message of a death
+# A run that is shorter [s] has its successor sent ahead, if that is no longer [bytes].
+_SHORT, _MOST_AHEAD = 0.5, 30_000
+_TRIES = 2  # of a run whose process dies
 # Several processes share the cores: within one, linear algebra has one thread. The bits of a run
 # do not depend on how many run beside it, then.
 _THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+
+# Number of a run, and what is asked of the process.
+Task = tuple[int, dict[str, Any]]
 
 
 class DiedError(Exception):
@@ -70,31 +79,53 @@ class Runner:
         self._process: subprocess.Popen[bytes] | None = None
         self._rest = b""
         self._closed = False
+        self._sent = 0
         self._errors = tempfile.TemporaryFile("a+b")  # noqa: SIM115  as long as the runner
 
-    def answer(self, request: dict[str, Any]) -> dict[str, Any]:
-        """Has one run made, as `leglab.runs.sweeps.worker.answer`.
+    def answers(self, tasks: Iterator[Task]) -> Iterator[tuple[int, dict[str, Any]]]:
+        """Has runs made, one after the other.
 
         A process that dies gets a second try in a new one: it may have been somebody else's doing.
+
+        Args:
+            tasks: Number of each run, and request as of `leglab.runs.sweeps.worker.answer`.
+
+        Yields:
+            The numbers with their answers.
 
         Raises:
             LeglabError: The process cannot be started, or has other code.
         """
-        for last in (False, True):
+        # The first of them is being made; a short run has its successor at hand.
+        asked: deque[Task] = deque()
+        ahead, tries = 1, 0
+        while True:
+            while len(asked) < ahead and (task := next(tasks, None)) is not None:
+                asked.append(task)
+            if not asked:
+                return
             try:
-                found = self._ask(request, self._terms.timeout)
-                if self._errors.seek(0, os.SEEK_END) > _MOST_SAID:
-                    self._errors.truncate(0)
-                return found
+                self._send_all([request for _, request in asked])
+                found = self._line(self._terms.timeout)
             except TimedOutError:
                 self._end()
-                told = f"it took longer than {self._terms.timeout:g} s"
-                return {"error": told, "kind": "time-out"}
+                found = {
+                    "error": f"it took longer than {self._terms.timeout:g} s",
+                    "kind": "time-out",
+                }
             except DiedError as death:
                 self._end()
-                if last or self._closed:
-                    return {"error": str(death), "kind": "died"}
-        raise AssertionError
+                tries += 1
+                if tries < _TRIES and not self._closed:
+                    continue
+                found = {"error": str(death), "kind": "died"}
+            tries = 0
+            self._sent = max(self._sent - 1, 0)
+            if self._errors.seek(0, os.SEEK_END) > _MOST_SAID:
+                self._errors.truncate(0)
+            wall = found.get("wall_s")
+            ahead = 2 if isinstance(wall, float) and wall < _SHORT else 1
+            yield asked.popleft()[0], found
 
     def stop(self) -> None:
         """Has the process end in the middle of a run; may be called from any thread."""
@@ -109,13 +140,18 @@ class Runner:
         self._end()
         self._errors.close()
 
-    def _ask(self, request: dict[str, Any], timeout: float) -> dict[str, Any]:
-        if self._process is not None and self._process.poll() is not None:
+    def _send_all(self, requests: Sequence[dict[str, Any]]) -> None:
+        """Sends what has not been sent to this process."""
+        if self._process is not None and self._process.poll() is not None and not self._sent:
             self._end()  # Idle for long, it has ended by itself.
         if self._process is None:
             self._start()
-        self._send(request)
-        return self._line(timeout)
+        for request in requests[self._sent :]:
+            text = _line_of(request)
+            if self._sent and len(text) > _MOST_AHEAD:
+                return  # Both sides could wait for the other to read.
+            self._send(text)
+            self._sent += 1
 
     def _start(self) -> None:
         terms = self._terms
@@ -135,7 +171,7 @@ class Runner:
             raise DiedError("the sweep is over")
         start = {"luggage": terms.luggage, "user": os.getpid(), "memory": terms.memory}
         try:
-            self._send(start)
+            self._send(_line_of(start))
             found = self._line(_START_TIME)
         except (DiedError, TimedOutError) as error:
             if self._closed:
@@ -153,10 +189,10 @@ class Runner:
                 "install the same version with the same plug-ins"
             )
 
-    def _send(self, content: dict[str, Any]) -> None:
+    def _send(self, content: bytes) -> None:
         assert self._process is not None
         assert self._process.stdin is not None
-        text = memoryview(json.dumps(content).encode() + b"\n")
+        text = memoryview(content)
         try:
             while text:
                 text = text[self._process.stdin.write(text) or 0 :]
@@ -216,7 +252,7 @@ class Runner:
         return " ".join(lines[-1].split())[:300] if lines else ""
 
     def _end(self) -> None:
-        process, self._process = self._process, None
+        process, self._process, self._sent = self._process, None, 0
         if process is None:
             return
         process.kill()
@@ -225,3 +261,7 @@ class Runner:
                 stream.close()
         process.wait()
         self._errors.truncate(0)
+
+
+def _line_of(content: dict[str, Any]) -> bytes:
+    return json.dumps(content).encode() + b"\n"

@@ -16,7 +16,7 @@ import os
 import shutil
 import zlib
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -43,11 +43,19 @@ _MISSING, _DONE, _BROKEN = 0, 1, 2
 
 
 class Part(BaseModel):
-    """A Parquet file of the dataset: its path below the folder, its rows and its size."""
+    """A Parquet file of the dataset.
+
+    Attributes:
+        file: Its path below the folder.
+        rows: How many it has.
+        bytes: Its size.
+        checksum: CRC-32 of its content: those of pages leave out what describes them.
+    """
 
     file: str
     rows: Annotated[int, Field(ge=0)]
     bytes: Annotated[int, Field(ge=0)]
+    checksum: Annotated[int, Field(ge=0)]
 
 
 class Dataset(BaseModel):
@@ -195,27 +203,32 @@ def read_rows(folder: Path, schema: pa.Schema) -> Rows:
     for problem in problems:
         if problem:
             raise LeglabError(f"{problem}; leglab sweep removes it and makes its runs again")
-    late = _last_of_each(lines)
     return Rows(
         files=files,
-        late=pa.Table.from_pylist(late, schema=schema),
+        late=pa.Table.from_pylist(lines, schema=schema),
         schema=schema,
         folder=folder,
     )
 
 
-def _last_of_each(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    return list({row["run"]: row for row in rows}.values())
-
-
 def _problem(folder: Path, part: Part) -> str:
-    """What is wrong with a file as one sees without reading it; empty if nothing is."""
+    """What is wrong with a file; empty if nothing is."""
     path = folder / part.file
     try:
-        size = path.stat().st_size
+        size, found = path.stat().st_size, _checksum(path)
     except OSError as error:
         return f"{path}: cannot be read: {error.strerror}"
-    return "" if size == part.bytes else f"{path}: has {size} bytes of {part.bytes}: it is cut off"
+    if size != part.bytes:
+        return f"{path}: has {size} bytes of {part.bytes}: it is cut off"
+    return "" if found == part.checksum else f"{path}: is damaged: its checksum is another"
+
+
+def _checksum(path: Path) -> int:
+    found = 0
+    with path.open("rb") as stream:
+        while content := stream.read(1 << 20):
+            found = zlib.crc32(content, found)
+    return found
 
 
 def _line(row: dict[str, Any]) -> bytes:
@@ -355,7 +368,7 @@ class Store:
         self._state[row["run"]] = _BROKEN if row["status"] == FAILED else _DONE
 
     def _take_pending(self) -> pa.Table:
-        rows, self._pending = _last_of_each(self._pending), []
+        rows, self._pending = self._pending, []
         return pa.Table.from_pylist(rows, schema=self._schema).sort_by("run")
 
     def _table(self, parts: Sequence[Part]) -> pa.Table:
@@ -409,7 +422,8 @@ class Store:
             raise cannot_write(path.parent, error) from error
         write_atomically(path, lambda stream: pq.write_table(table, stream, **options))
         file = path.relative_to(self._folder).as_posix()
-        return Part(file=file, rows=len(table), bytes=path.stat().st_size)
+        size = path.stat().st_size
+        return Part(file=file, rows=len(table), bytes=size, checksum=_checksum(path))
 
     def _sweep_out(self) -> None:
         """Removes what the dataset does not name."""

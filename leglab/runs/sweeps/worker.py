@@ -13,6 +13,7 @@ import sys
 import time
 import traceback
 from collections import OrderedDict
+from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -85,7 +86,18 @@ def _outcome(request: dict[str, Any]) -> dict[str, Any]:
         return {"error": f"{type(error).__name__}: {text} ({place})", "kind": "exception"}
 
 
-def _serve(requests: BinaryIO, answers: BinaryIO) -> None:
+def _lines(place: int) -> Iterator[bytes]:
+    """Lines from a file descriptor, until it ends or has nothing to say for long."""
+    rest = b""
+    while select.select([place], [], [], _IDLE)[0]:
+        part = os.read(place, 1 << 16)
+        if not part:
+            return
+        *lines, rest = (rest + part).split(b"\n")
+        yield from lines
+
+
+def _serve(requests: int, answers: BinaryIO) -> None:
     def say(content: dict[str, Any]) -> None:
         try:
             text = json.dumps(content, allow_nan=False)
@@ -94,7 +106,8 @@ def _serve(requests: BinaryIO, answers: BinaryIO) -> None:
         answers.write(text.encode() + b"\n")
         answers.flush()
 
-    start = json.loads(requests.readline())
+    lines = _lines(requests)
+    start = json.loads(next(lines))
     end_with(start["user"])
     if start["memory"] is not None:
         limit = int(start["memory"] * 1e6)
@@ -105,10 +118,7 @@ def _serve(requests: BinaryIO, answers: BinaryIO) -> None:
     except LeglabError as error:
         say({"refused": str(error)})
         return
-    while select.select([requests], [], [], _IDLE)[0]:
-        line = requests.readline()
-        if not line:
-            return
+    for line in lines:
         say(answer(json.loads(line)))
 
 
@@ -117,9 +127,7 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    # Unbuffered: what waits in a buffer, `select` would not see.
-    with os.fdopen(os.dup(sys.stdin.fileno()), "rb", buffering=0) as requests:
-        _serve(requests, answers)
+    _serve(sys.stdin.fileno(), answers)
 
 
 if __name__ == "__main__":
