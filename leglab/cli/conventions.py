@@ -41,6 +41,10 @@ EXAMPLES = {
         "leglab sweep sweep.toml --out out/sweep",
         "leglab sweep sweep.toml --out out/sweep --scheduler tcp://10.0.0.1:8786",
     ),
+    "benchmark": (
+        "leglab benchmark adaptation --controllers bsnn_arx,arx",
+        "leglab benchmark adaptation --controllers overlap --load overlap.py --specimens 3",
+    ),
     "query": (
         'leglab query out/sweep "SELECT controller, median(t90_s) FROM runs GROUP BY controller"',
         "leglab query out/sweep \"SELECT run, error FROM runs WHERE status = 'failed'\" --json",

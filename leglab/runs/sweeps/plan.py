@@ -287,6 +287,15 @@ def _told(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
+def check_run(settings: RunSettings) -> None:
+    """Refuses a run that cannot be set up.
+
+    Raises:
+        LeglabError: Names the setting and what is allowed.
+    """
+    _Checks()(settings)
+
+
 class _Checks:
     """Checks settings; what has been looked at once is not looked at again."""
 
