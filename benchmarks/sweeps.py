@@ -4,8 +4,8 @@ A thousand one-second runs of the knee bench, and runs of about a second of wall
 one process, by two, and by two workers of a Dask cluster on this machine (a scheduler and two
 workers as processes of their own). Where other work slows the machine down, wall times say little.
 So CPU times are taken of all processes that have part in a sweep: the efficiency is the share of
-them that goes into runs, start-up apart (that of a sweep of two runs). Then the books alone: rows as
-those of a sweep, a hundred thousand of them, kept, put together and read again.
+them that goes into runs, start-up apart (that of a sweep of two runs). Then the books alone: rows
+as those of a sweep, a hundred thousand of them, kept, put together and read again.
 """
 
 import argparse
