@@ -1,11 +1,11 @@
 """What a sweep costs beside its runs: `python benchmarks/sweeps.py`. Two processes on two cores.
 
-A thousand one-second runs of the knee bench, and runs of about a second of wall time on the leg, by
+One-second runs of the knee bench, and runs of about a second of wall time on the leg, by
 one process, by two, and by two workers of a Dask cluster on this machine (a scheduler and two
 workers as processes of their own). Where other work slows the machine down, wall times say little.
 So CPU times are taken of all processes that have part in a sweep: the efficiency is the share of
 them that goes into runs, start-up apart (that of a sweep of two runs). Then the books alone: rows
-as those of a sweep, a hundred thousand of them, kept, put together and read again.
+as those of a sweep, kept, put together and read again.
 """
 
 import argparse
@@ -30,9 +30,8 @@ from leglab.runs.sweeps.rows import schema
 
 SHORT = {"model": "knee_bench", "duration": 1.0, "controller": "pd", "scenario": "seal_wear"}
 LONG = {"model": "leg", "duration": 40.0, "controller": "bsnn_arx", "scenario": "seal_wear"}
-CASES = {"knee bench, 1 s simulated": (SHORT, 1000), "leg, 40 s simulated": (LONG, 12)}
+CASES = {"knee bench, 1 s simulated": (SHORT, "short"), "leg, 40 s simulated": (LONG, "long")}
 WAYS = ("one process", "two processes", "Dask, two workers")
-ROWS = 100_000
 MILLION = 1_000_000
 ASKED = {"thousand": 90.0, "efficiency": 0.9, "dask": 1.05}
 
@@ -99,18 +98,18 @@ def sweep(plan: SweepPlan, folder: Path, way: str, address: str) -> dict[str, fl
     return {**found, "runs": sum(table.column("made_cpu_s").to_pylist())}
 
 
-def books(folder: Path) -> dict[str, float]:
+def books(folder: Path, count: int) -> dict[str, float]:
     """What the books cost a row: CPU time of keeping it [s], size [B], time of reading [s]."""
     small = run_sweep(plan_of(SHORT, 20), folder / "small", workers=2)
     templates = small.table().to_pylist()
-    plan = plan_of(SHORT, ROWS)
-    record = store.read_record(folder / "small").model_copy(update={"runs": ROWS})
+    plan = plan_of(SHORT, count)
+    record = store.read_record(folder / "small").model_copy(update={"runs": count})
     place = folder / "books"
     place.mkdir()
     store.write_json(record, place / store.SWEEP)
     kept = store.Store(place, record, schema(plan))
     start = time.process_time()
-    for number in range(ROWS):
+    for number in range(count):
         row = dict(templates[number % len(templates)], run=number, seed=number)
         # No two runs have the same digits, which compression would find.
         for name, value in row.items():
@@ -130,19 +129,16 @@ def books(folder: Path) -> dict[str, float]:
     )
     asking = time.process_time() - start
     start = time.process_time()
-    count = 5000
-    for number in range(count):
-        plan.settings(number)
-    plan_of(SHORT, count).check()
-    checking = (time.process_time() - start) / count
+    plan_of(SHORT, 5000).check()
+    checking = (time.process_time() - start) / 5000
     files = [path for path in (place / "runs").rglob("*") if path.is_file()]
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return {
-        "keeping": keeping / ROWS,
-        "bytes": sum(path.stat().st_size for path in files) / ROWS,
+        "keeping": keeping / count,
+        "bytes": sum(path.stat().st_size for path in files) / count,
         "files": len(files),
-        "opening": opening / ROWS,
-        "asking": asking / ROWS,
+        "opening": opening / count,
+        "asking": asking / count,
         "checking": checking,
         "memory": memory * 1024,
     }
@@ -154,7 +150,8 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         with cluster(folder) as address:
-            for case, (settings, runs) in CASES.items():
+            for case, (settings, option) in CASES.items():
+                runs = getattr(options, option)
                 found[case] = {"runs": runs, "ways": {}}
                 for way in WAYS:
                     place = folder / f"{case} {way}"
@@ -164,7 +161,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
                     told["beside"] = beside / runs
                     told["efficiency"] = told["runs"] / (told["runs"] + beside)
                     found[case]["ways"][way] = told
-        found["books"] = books(folder)
+        found["books"] = books(folder, options.rows)
     return found
 
 
@@ -227,6 +224,9 @@ def million(found: dict[str, Any]) -> list[tuple[str, str]]:
 def main() -> None:
     """Measures, or prints what is kept."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--short", type=int, default=1000, help="runs of the knee bench")
+    parser.add_argument("--long", type=int, default=12, help="runs of the leg")
+    parser.add_argument("--rows", type=int, default=100_000, help="rows of the books alone")
     results.main(parser, measure, tables)
 
 

@@ -69,7 +69,7 @@ class SweepResult:
 
 def run_sweep(
     plan: SweepPlan,
-    folder: Path,
+    folder: str | Path,
     *,
     workers: int = -1,
     scheduler: str | None = None,
@@ -100,6 +100,7 @@ def run_sweep(
             scheduler cannot be reached.
         KeyboardInterrupt: The user interrupts; finished runs are kept.
     """
+    folder = Path(folder)
     if scheduler is not None and workers != -1:
         raise LeglabError("workers are processes of this machine: they go without a scheduler")
     models = plan.check(progress)
@@ -135,7 +136,7 @@ def run_sweep(
 
 
 def record_runs(
-    plan: SweepPlan, folder: Path, numbers: Sequence[int], *, progress: Progress | None = None
+    plan: SweepPlan, folder: str | Path, numbers: Sequence[int], *, progress: Progress | None = None
 ) -> list[Path]:
     """Makes the folders of single runs of a sweep, with their recordings, to look at or to film.
 
@@ -152,6 +153,7 @@ def record_runs(
         LeglabError: There is no such run, it fails without a recording, or its folder cannot be
             written.
     """
+    folder = Path(folder)
     for number in numbers:
         if not 0 <= number < len(plan):
             raise LeglabError(f"there is no run {number}; allowed: 0 to {len(plan) - 1}")
@@ -171,12 +173,13 @@ def record_runs(
     return keeping
 
 
-def read_sweep(folder: Path) -> SweepResult:
+def read_sweep(folder: str | Path) -> SweepResult:
     """Reads a sweep, also one that is being made.
 
     Raises:
         LeglabError: The folder holds none, or one of its files is damaged.
     """
+    folder = Path(folder)
     record = store.read_record(folder)
     plan = SweepPlan(record.plan, str(folder / store.SWEEP))
     status = store.read_rows(folder, schema(plan)).table(["status"]).column("status").to_pylist()

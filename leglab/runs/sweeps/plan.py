@@ -346,7 +346,7 @@ def _key(settings: Mapping[str, Any]) -> str:
     return json.dumps(settings, sort_keys=True, default=str)
 
 
-def read_plan(path: Path) -> SweepPlan:
+def read_plan(path: str | Path) -> SweepPlan:
     """Reads the file of a sweep.
 
     Args:
@@ -356,6 +356,7 @@ def read_plan(path: Path) -> SweepPlan:
         LeglabError: It cannot be read, is not TOML, or asks for something that is not allowed; one
             line with file, key, value and what is allowed.
     """
+    path = Path(path)
     content = read_bytes(path, _MOST_FILE + 1)
     if len(content) > _MOST_FILE:
         raise LeglabError(f"{path}: has more than {_MOST_FILE:,} bytes")

@@ -59,7 +59,7 @@ class Answer:
             write_atomically(path, lambda stream: stream.write(text.getvalue().encode()))
 
 
-def ask(folder: Path, sql: str) -> Answer:
+def ask(folder: str | Path, sql: str) -> Answer:
     """Answers a question to the rows of a sweep, also while it is being made.
 
     Args:
@@ -70,7 +70,7 @@ def ask(folder: Path, sql: str) -> Answer:
         LeglabError: The folder holds no sweep, a file is damaged, or the question cannot be
             answered; one line.
     """
-    with questions(folder) as answered:
+    with questions(Path(folder)) as answered:
         return answered(sql)
 
 
