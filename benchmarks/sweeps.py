@@ -195,7 +195,9 @@ def tables(found: dict[str, Any]) -> str:
     asked = (
         f"Asked: a thousand one-second runs within {ASKED['thousand']:g} s; efficiency of two at "
         f"least {ASKED['efficiency']:g}; Dask at most {ASKED['dask']:g} of processes, here by CPU "
-        f"time {ratios}. Wall times are those of a machine that did other work as well."
+        f"time {ratios}. On a machine that does other work as well, wall times say "
+        "little, and the start-up that is taken off scatters by a second of CPU time: so do "
+        "efficiencies of sweeps as short as these, of which one can come out above 1."
     )
     return f"{text}\n{asked}\n\n{results.table(('a million runs', 'need'), million(found))}"
 
