@@ -10,14 +10,13 @@ import results
 
 from leglab import RunSettings
 from leglab.data import write_atomically
+from leglab.studies.adaptation import SAFE_FROM
 
 # Results by scenario, severity (None for the default) and controller, one a seed.
 Cells = dict[tuple[str, float | None, str], list[dict[str, Any]]]
 
 DATA = results.DATA / "adaptation_results.json"
 ADAPTIVE, CALIBRATED = "bsnn_arx", "static_feedforward"
-# The first windows see the start of learning; from here on a window counts [s].
-_SAFE_FROM = 7.0
 
 
 def condense(cells: Cells) -> Cells:
@@ -115,6 +114,6 @@ def _safety(run: dict[str, Any], statics: list[dict[str, Any]]) -> tuple[float, 
             continue
         pairs = zip(run["time"], run["safety_error_rad"], other["safety_error_rad"], strict=False)
         for t, ours, theirs in pairs:
-            if t >= _SAFE_FROM and ours is not None and theirs:
+            if t >= SAFE_FROM and ours is not None and theirs:
                 worst = max(worst, (ours / theirs, t, 1e3 * ours, 1e3 * theirs))
     return worst

@@ -47,6 +47,7 @@ JOBS = (
     _job("two_routes", 0.5),
     _job("real_data", 0.2),
     _job("replication", 1),
+    _job("sweeps", 2, options="--short 1000 --long 6 --rows 20000"),
     _job("squat_limits", 1),
     _job("long_run", 2.5),
     _job("live_names", 25),

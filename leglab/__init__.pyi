@@ -41,6 +41,13 @@ from .runs.run import run_scenario as run_scenario
 from .runs.sweep import Comparison as Comparison
 from .runs.sweep import compare as compare
 from .runs.sweep import run_all as run_all
+from .runs.sweeps.engine import SweepResult as SweepResult
+from .runs.sweeps.engine import read_sweep as read_sweep
+from .runs.sweeps.engine import record_runs as record_runs
+from .runs.sweeps.engine import run_sweep as run_sweep
+from .runs.sweeps.plan import SweepPlan as SweepPlan
+from .runs.sweeps.plan import read_plan as read_plan
+from .runs.sweeps.query import ask as ask
 from .scenarios import get_scenario as get_scenario
 from .scenarios import scenario_names as scenario_names
 

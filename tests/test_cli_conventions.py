@@ -4,6 +4,7 @@ import json
 import os
 import re
 import runpy
+import shlex
 import shutil
 import subprocess
 import sys
@@ -59,7 +60,7 @@ def test_every_command_explains_itself(name, capsys):
 @pytest.mark.parametrize("name", [name for name in EXAMPLES if name in COMMANDS])
 def test_examples_parse(name):
     for line in EXAMPLES[name]:
-        words = line.partition(" | ")[0].partition(" > ")[0].split()
+        words = shlex.split(line.partition(" | ")[0].partition(" > ")[0])
         assert words[:2] == ["leglab", name]
         COMMANDS[name].make_context(name, words[2:])
 

@@ -14,9 +14,11 @@ import pytest
 from leglab.report.diagnosis.page import write_page
 from leglab.report.folder_index import write_index
 from leglab.report.run.page import write_report
+from leglab.report.sweep.page import write_sweep_page
 from leglab.runs.folder import read_runs
 from tests import page_watch
 from tests.report_folders import HOSTILE, write_folder
+from tests.sweep_folders import write_sweep
 from tests.test_diagnosis_page import diagnosis
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -53,8 +55,12 @@ def pages(tmp_path_factory):
     found = write_page(diagnosis("confusion_set"), root / "diagnosis", model="knee_bench")
     write_folder(root / "slow", "pd", seed=10, after=0.2, stopped=8.0)
     write_folder(root / "quick", "oracle", seed=9, after=0.005)
+    write_sweep(root / "sweep", (HOSTILE, "bsnn_arx"), failed=(3,))
+    sweep = write_sweep_page(root / "sweep")
     _, index = write_index(root, root / "index.html")
-    return SimpleNamespace(report=report, hostile=hostile, diagnosis=found, index=index)
+    return SimpleNamespace(
+        sweep=sweep, report=report, hostile=hostile, diagnosis=found, index=index
+    )
 
 
 def _film(path):
@@ -107,7 +113,7 @@ def report(browser, pages):
         yield page
 
 
-@pytest.mark.parametrize("name", ["report", "index", "diagnosis", "hostile"])
+@pytest.mark.parametrize("name", ["report", "index", "diagnosis", "hostile", "sweep"])
 @pytest.mark.parametrize("look", ["desktop", "dark phone"])
 def test_pages_are_accessible_and_never_scroll_sideways(browser, pages, name, look):
     size, scheme = (DESKTOP, "light") if look == "desktop" else (PHONE, "dark")

@@ -37,6 +37,18 @@ EXAMPLES = {
         "leglab compare seal_wear hot_oil --controllers pd,bsnn_arx --seeds 5",
         "leglab compare seal_wear --tolerance 0.1 --out runs/specimens --jobs 2",
     ),
+    "sweep": (
+        "leglab sweep sweep.toml --out out/sweep",
+        "leglab sweep sweep.toml --out out/sweep --scheduler tcp://10.0.0.1:8786",
+    ),
+    "benchmark": (
+        "leglab benchmark adaptation --controllers bsnn_arx,arx",
+        "leglab benchmark adaptation --controllers overlap --load overlap.py --specimens 3",
+    ),
+    "query": (
+        'leglab query out/sweep "SELECT controller, median(t90_s) FROM runs GROUP BY controller"',
+        "leglab query out/sweep \"SELECT run, error FROM runs WHERE status = 'failed'\" --json",
+    ),
     "diagnose": (
         "leglab diagnose knee_bench rec/*.parquet --out out/knee",
         "leglab diagnose knee_bench after/*.parquet --healthy before/*.parquet",
@@ -82,7 +94,7 @@ _PANELS = {
         "duration", "severity", "ramp", "element", "seed", "seeds", "timestep", "tolerance", "load",
     ),
     "Data": ("recordings", "held_out", "columns", "to"),
-    "Output": ("out", "overwrite", "figures", "as_json", "markdown", "write"),
+    "Output": ("out", "overwrite", "figures", "as_json", "markdown", "write", "csv"),
 }  # fmt: skip
 
 # Kind of the names that the help lists, by the name of a parameter.

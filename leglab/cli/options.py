@@ -117,11 +117,11 @@ def load_plugins(sources: list[str] | None) -> None:
         plugins.load(source)
 
 
-def check_jobs(jobs: int) -> None:
+def check_jobs(jobs: int, name: str = "jobs") -> None:
     """Raises `LeglabError` for no processes, or far more than there are cores."""
     most = 16 * (os.cpu_count() or 1)
     if jobs != -1 and not 1 <= jobs <= most:
-        raise LeglabError(f"jobs is {jobs}; allowed: 1 to {most}, or -1 for one a core")
+        raise LeglabError(f"{name} is {jobs}; allowed: 1 to {most}, or -1 for one a core")
 
 
 def names_of(kind: str) -> tuple[str, ...]:

@@ -1,6 +1,7 @@
 """The commands `leglab report`, `leglab index` and `leglab video`: pages and films of runs."""
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -20,7 +21,8 @@ if TYPE_CHECKING:
 
 def report(
     folders: Annotated[
-        list[Path] | None, typer.Argument(help="Folders of runs, side by side on one page.")
+        list[Path] | None,
+        typer.Argument(help="Folders of runs, side by side on one page; or that of a sweep."),
     ] = None,
     out: Annotated[
         Path | None,
@@ -67,12 +69,13 @@ def report(
 
     Give the folders of runs, or a scenario: its runs are made below OUT/runs, and a run that is
     there with the same settings and code is kept. Writes report.html, which needs no other file,
-    and report.mp4.
+    and report.mp4. The page of a sweep has heat maps and the worst runs, and no film.
     """
     load_plugins(load)
     from leglab.report.run.page import check_out, write_report
     from leglab.runs.folder import check_runs, make_runs, read_runs
     from leglab.runs.preparation import RunSettings
+    from leglab.runs.sweeps.store import is_sweep
 
     own = {
         "--controllers": controllers,
@@ -84,6 +87,9 @@ def report(
         "--tolerance": tolerance,
         "--vary": vary or None,
     }
+    if folders and len(folders) == 1 and is_sweep(folders[0]):
+        _report_sweep(folders[0], out, overwrite=overwrite, as_json=as_json)
+        return
     if scenario is None:
         given = [name for name, value in own.items() if value is not None]
         if given:
@@ -136,6 +142,20 @@ def report(
     _tell(runs, written, as_json=as_json)
 
 
+def _report_sweep(folder: Path, out: Path | None, *, overwrite: bool, as_json: bool) -> None:
+    from leglab.report.run.page import PAGE, check_out
+    from leglab.report.sweep.page import write_sweep_page
+
+    place = out or folder
+    check_out(place, overwrite=overwrite)
+    with claimed_folder(place) if out else nullcontext(), progress("writing"):
+        written = write_sweep_page(folder, place / PAGE)
+    if as_json:
+        print_json({"page": str(written)})
+    else:
+        tell(f"written to {written}")
+
+
 def _tell(runs: Sequence["ReportedRun"], written: "Report", *, as_json: bool) -> None:
     from leglab.report.run.words import headline
 
@@ -173,7 +193,7 @@ def index(
     out: Annotated[Path | None, typer.Option(help="Page; default FOLDER/index.html.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Writes a page that lists all runs, reports, comparisons and diagnoses below a folder."""
+    """Writes a page that lists runs, reports, comparisons, sweeps and diagnoses below a folder."""
     from leglab.report.folder_index import write_index
 
     entries, page = write_index(folder, out or folder / "index.html")

@@ -1,14 +1,27 @@
 """The commands `leglab tune`, `leglab replicate` and `leglab verify`: gains and fixed questions."""
 
 import tomllib
+from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from leglab.base.output import claimed_folder
-from leglab.cli.options import Json, Load, load_plugins
-from leglab.cli.terminal import FAILED, errors, output, print_json, progress, tell
+from leglab.cli.options import Json, Load, Model, check_jobs, load_plugins
+from leglab.cli.terminal import (
+    FAILED,
+    complain,
+    errors,
+    make_many,
+    output,
+    plain_table,
+    print_json,
+    print_wide,
+    progress,
+    tell,
+)
 
 
 def tune(
@@ -58,6 +71,74 @@ def replicate(
     output.print(result.table, soft_wrap=True)
     output.print(f"largest deviation of a validation mean: {result.worst_deviation:.1%}")
     tell(f"written to {result.page}")
+
+
+class Benchmark(StrEnum):
+    """Benchmarks of controllers."""
+
+    ADAPTATION = "adaptation"
+
+
+def benchmark(
+    name: Annotated[Benchmark, typer.Argument(help="Which one.")],
+    controllers: Annotated[str, typer.Option(help="Names, separated by commas.")] = "bsnn_arx",
+    model: Model = "leg",
+    specimens: Annotated[int, typer.Option(help="Machines off the drawing, a seed each.")] = 10,
+    faults: Annotated[
+        str | None, typer.Option(help="Scenarios, separated by commas; default: all sixteen.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder of the dataset.")] = Path("out/adaptation"),
+    workers: Annotated[int, typer.Option(help="Processes at a time; -1: one a core.")] = -1,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="Dask scheduler whose workers make the runs, as tcp://HOST:PORT."),
+    ] = None,
+    by_fault: Annotated[
+        bool, typer.Option("--by-fault", help="Print a line for each fault as well.")
+    ] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Empty the folder of another sweep and begin anew.")
+    ] = False,
+    as_json: Json = False,
+    load: Load = None,
+) -> None:
+    """Compares controllers, anybody's, on sixteen faults in three sizes on many specimens.
+
+    All meet the same machines, motions, times of the fault and noise; static_feedforward and pd
+    run beside them. OUT is the folder of a sweep: an interrupted benchmark goes on where it was,
+    and leglab query and report know it.
+    """
+    load_plugins(load)
+    from leglab.runs.sweeps.engine import run_sweep
+    from leglab.studies import adaptation
+
+    if workers != -1:
+        check_jobs(workers, "workers")
+    plan, missing = adaptation.adaptation_plan(
+        _names(controllers),
+        model=model,
+        specimens=specimens,
+        only=None if faults is None else _names(faults),
+    )
+    make = partial(run_sweep, plan, out, workers=workers, scheduler=scheduler, overwrite=overwrite)
+    result = make_many(name.value, len(plan), make)
+    found = adaptation.scores(result.table().to_pylist())
+    if missing:
+        complain(f"{Path(model).stem} cannot have {', '.join(missing)}: left out", "warning")
+    if as_json:
+        print_json({"runs": len(plan), "left_out": missing, "scores": adaptation.as_json(found)})
+        return
+    groups = dict.fromkeys(score.fault for score in found)
+    for fault in groups if by_fault else ("all",):
+        lines = [adaptation.cells(score) for score in found if score.fault == fault]
+        table = plain_table(adaptation.HEAD, lines)
+        table.title, table.title_justify = "all faults" if fault == "all" else fault, "left"
+        print_wide(table)
+    tell(f"{len(plan)} runs in {out}")
+
+
+def _names(text: str) -> list[str]:
+    return [part.strip() for part in text.split(",") if part.strip()]
 
 
 def verify(as_json: Json = False) -> None:

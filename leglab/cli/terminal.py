@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from typing import Any, TypeVar
@@ -141,6 +141,25 @@ def make_many(label: str, total: int, make: Callable[..., _Made]) -> _Made:
             "the same command goes on from there"
         )
         raise typer.Exit(INTERRUPTED) from None
+
+
+def plain_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> Table:
+    """A table of text as it is; columns that hold nothing but numbers are aligned on the right."""
+    rows = list(rows)
+    table = Table(box=SIMPLE_HEAD)
+    for i, name in enumerate(head):
+        numbers = all(_is_number(row[i]) for row in rows)
+        table.add_column(Text(name), justify="right" if numbers else "left")
+    for row in rows:
+        table.add_row(*map(Text, row))
+    return table
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return not text or isinstance(float(text), float)
+    except ValueError:
+        return False
 
 
 def metrics_table(metrics: dict[str, Any]) -> Table:

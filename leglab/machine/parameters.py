@@ -179,6 +179,40 @@ def parameter_vector(plugin: str, values: Mapping[str, float]) -> np.ndarray:
     return vector
 
 
+def placed_parameters(
+    parameters: Mapping[str, float], elements: Mapping[str, str]
+) -> dict[tuple[str, str], float]:
+    """Finds the elements whose parameters are meant.
+
+    Args:
+        parameters: Values by NAME, for all elements that have it, or by ELEMENT.NAME, which goes
+            before.
+        elements: Plugin by name of the element.
+
+    Returns:
+        Values by element and name, in the parameter's own unit.
+
+    Raises:
+        LeglabError: There is no such element or parameter, or a value is out of bounds.
+    """
+    tables = plugin_tables()
+    owned = {element: tables[plugin].parameters for element, plugin in elements.items()}
+    found = {}
+    for key, value in sorted(parameters.items(), key=lambda item: "." in item[0]):
+        element, dot, name = key.rpartition(".")
+        if dot and element not in owned:
+            raise unknown_name("element", element, owned)
+        having = [e for e, rows in owned.items() if name in rows and element in ("", e)]
+        if not having:
+            known = owned[element] if dot else {row for rows in owned.values() for row in rows}
+            raise unknown_name(f"parameter of {element or 'the model'}", name, known)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise LeglabError(f"parameters: {key} is {value!r}; allowed: a number")
+        for each in having:
+            found[each, name] = owned[each][name].check(value, f"parameters: {each}")
+    return found
+
+
 def markdown_tables(tables: Iterable[PluginTable]) -> str:
     """Parameters and states as Markdown, the content of docs/parameters.md."""
     lines = [

@@ -1,4 +1,4 @@
-"""The index of a folder: a page that lists the runs, reports, comparisons, diagnoses below it."""
+"""The index of a folder: a page that lists the runs, reports, sweeps and so on below it."""
 
 import html
 import os
@@ -34,7 +34,7 @@ class Entry:
     Attributes:
         name: Path below the folder.
         link: To the page, or to the best other file there is; relative and quoted. Empty for none.
-        kind: run, report, comparison or diagnosis.
+        kind: run, report, comparison, sweep or diagnosis.
         state: Whether it is whole, stopped half way, or cannot be read.
         told: What it says, or what is wrong with it.
         written: When, in UTC.
@@ -132,6 +132,10 @@ def _entries(place: Path, files: set[str], folder: Path, base: Path) -> Iterator
     if "diagnosis.json" in files:
         link = "diagnosis.html" if "diagnosis.html" in files else "diagnosis.json"
         yield entry("diagnosis", "diagnosis.json", link, **_diagnosis(place, files))
+    if "sweep.json" in files:
+        link = "report.html" if "report.html" in files else "sweep.json"
+        yield entry("sweep", "dataset.json", link, **_sweep(place / "sweep.json"))
+        return
     present = [f for f in _RUN_FILES if f in files]
     if "run.json" in files or "metrics.json" in files or place.name.endswith(".partial"):
         best = ("report.html", "tracking.png", "metrics.json", *_RUN_FILES)
@@ -183,6 +187,15 @@ def _comparison(path: Path) -> dict[str, Any]:
         }
     except (ArithmeticError, LookupError, TypeError, ValueError):
         return {"state": "broken", "told": f"{path.name} does not have the form of a comparison"}
+
+
+def _sweep(path: Path) -> dict[str, Any]:
+    content = _content(path)
+    try:
+        axes = ", ".join(map(str, content["axes"]))
+        return {"told": f"{int(content['runs']):,} runs over {axes or 'nothing'}"}
+    except (ArithmeticError, LookupError, TypeError, ValueError):
+        return {"state": "broken", "told": f"{path.name} does not have the form of a sweep"}
 
 
 def _diagnosis(place: Path, files: set[str]) -> dict[str, Any]:

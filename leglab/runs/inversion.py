@@ -13,7 +13,6 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 # Low pass of errors and corrections, and of the random commands [Hz]; their RMS.
 _CUTOFF, _EXCITATION, _AMPLITUDE = 20.0, 8.0, 0.02
@@ -108,6 +107,8 @@ def valve_slopes(
 
 
 def _filter(order: int, cutoff: float, period: float) -> Callable[[np.ndarray], np.ndarray]:
+    from scipy.signal import butter, sosfiltfilt  # half a second that few runs need
+
     return partial(sosfiltfilt, butter(order, 2 * cutoff * period, output="sos"), axis=0)
 
 

@@ -85,15 +85,19 @@ def _make(
     make: Callable[[Item], Result], item: Item, user: int, luggage: plugins.Carried
 ) -> Result:
     """Makes one result, in a process of its own or not."""
-    _end_with(user)
+    end_with(user)
     # The names that users' own code registers may not be known here yet.
     plugins.carry(luggage)
     return make(item)
 
 
 @cache
-def _end_with(user: int) -> None:
-    """Has this process end soon after the one that started it, however that one ended."""
+def end_with(user: int) -> None:
+    """Has this process end soon after the one that started it, however that one ended.
+
+    Args:
+        user: Identifier of the process that started it; nothing happens if it is this one.
+    """
     if os.getpid() == user:
         return
 

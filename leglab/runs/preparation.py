@@ -4,8 +4,10 @@ import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
+import mujoco
 import numpy as np
 
 import leglab.controllers
@@ -19,6 +21,7 @@ from leglab.control import ControllerSetup, Foreknowledge
 from leglab.control.contract import CONTROLLERS
 from leglab.control.feedforward.fault_bank import FaultBank
 from leglab.machine.changes import check_tolerance, vary_bodies, vary_parameters
+from leglab.machine.parameters import placed_parameters
 from leglab.machine.sensors import SensorConfiguration
 from leglab.machine.simulation import Simulation, load_model
 from leglab.references import Joint, Reference, make_reference, reference_settings
@@ -42,6 +45,9 @@ class RunSettings:
         reference_config: Settings of the reference, over those of the scenario.
         controller_config: Settings of the controller.
         sensors: Settings of sensors and timing.
+        parameters: Physical parameters in place of those of the model's file, by NAME, for all
+            elements that have it, or by ELEMENT.NAME. The controller is calibrated on the model so
+            changed; gains that are stored for a model stay.
         timestep: Of the simulation [s]; None for the model's own.
         tolerance: Relative standard deviation of the machine's parameters about those that the
             controller knows [1]; the seed picks the specimen.
@@ -62,6 +68,7 @@ class RunSettings:
     reference_config: Mapping[str, Any] = field(default_factory=dict)
     controller_config: Mapping[str, Any] = field(default_factory=dict)
     sensors: Mapping[str, Any] = field(default_factory=dict)
+    parameters: Mapping[str, float] = field(default_factory=dict)
     timestep: float | None = None
     tolerance: float = 0.0
     vary: bool = False
@@ -121,6 +128,10 @@ class Preparation:
         check_tolerance(settings.tolerance)
         self._model, self._timestep = settings.model, settings.timestep
         self._tolerance = settings.tolerance
+        self._parameters: dict[tuple[str, str], float] = {}
+        if settings.parameters:
+            plain = Simulation(self._load(visual=False))
+            self._parameters = placed_parameters(settings.parameters, plain.elements)
         self.sensors = validate_configuration(SensorConfiguration, settings.sensors, "sensors")
         self.nominal = Simulation(self._load(visual=False))
         self._setup = controller_setup(self.nominal, settings.model, self.sensors)
@@ -186,7 +197,17 @@ class Preparation:
         settle(simulation)
 
     def _load(self, *, visual: bool) -> Any:
-        return load_model(self._model, timestep=self._timestep, visual=visual)
+        edit = partial(_edit, self._parameters) if self._parameters else None
+        return load_model(self._model, timestep=self._timestep, visual=visual, edit=edit)
+
+
+def _edit(parameters: Mapping[tuple[str, str], float], spec: mujoco.MjSpec) -> None:
+    """Writes parameters into a specification, by element and name."""
+    plugins = {plugin.name: plugin for plugin in spec.plugins if plugin.name}
+    plugins |= {a.name: plugins.get(a.plugin.name, a.plugin) for a in spec.actuators}
+    for (element, name), value in parameters.items():
+        plugin = plugins[element]
+        plugin.config = {**plugin.config, name: repr(value)}
 
 
 def reference_config(settings: RunSettings, scenario: Scenario) -> dict[str, Any]:

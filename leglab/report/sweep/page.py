@@ -1,0 +1,448 @@
+"""The page of a sweep: tables, heat maps, distributions, and the runs that went worst."""
+
+import json
+import math
+import shlex
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from leglab.base.output import write_atomically
+from leglab.report.page.shell import Section, Table, render
+from leglab.report.page.wording import listed, number, readable
+from leglab.report.run.page import PAGE
+from leglab.runs.sweeps.outcome import recording_folder
+from leglab.runs.sweeps.query import Answer, questions
+from leglab.runs.sweeps.rows import column
+from leglab.runs.sweeps.store import SWEEP, SweepRecord, read_record
+
+# Rows and columns of a heat map, bars of a distribution, runs of the list of the worst.
+_MOST_ROWS, _MOST_COLUMNS, _BARS, _WORST = 120, 20, 24, 12
+# Sizes that are drawn, not listed, are shown in so many classes.
+_CLASSES = 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantity:
+    """What a heat map or a distribution shows.
+
+    Attributes:
+        name: Column of the dataset.
+        title: What it is, with the unit.
+        factor: To the unit.
+        bad: +1 where more is worse, -1 where less is.
+        never: What stands for runs that have none though one could be told.
+    """
+
+    name: str
+    title: str
+    factor: float
+    bad: int
+    never: str = ""
+
+
+T90 = Quantity(name="t90_s", title="90 % undone after, s", factor=1.0, bad=1, never="never")
+RECOVERED = Quantity(name="recovered", title="undone at the end, %", factor=100.0, bad=-1)
+END = Quantity(name="end_rad", title="error at the end, mrad", factor=1e3, bad=1)
+WHOLE = Quantity(name="rms_rad", title="error of the whole run, mrad", factor=1e3, bad=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """One field of a heat map: its text, and how bad it is from 0 to 1; None for nothing there."""
+
+    text: str
+    shade: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeatMap:
+    """A table whose fields are the darker the worse they are."""
+
+    caption: str
+    head: Sequence[str]
+    rows: Sequence[tuple[str, Sequence[Cell]]]
+    folded: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Distribution:
+    """How many runs have which value, as bars from low to high: heights from 0 to 1."""
+
+    name: str
+    told: str
+    bars: Sequence[float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Distributions:
+    """Distributions of one quantity with one axis."""
+
+    title: str
+    low: str
+    high: str
+    rows: Sequence[Distribution]
+
+
+def write_sweep_page(folder: Path, path: Path | None = None) -> Path:
+    """Writes the page of a sweep, also of one that is not whole yet.
+
+    Args:
+        folder: Of the sweep.
+        path: The page; None for report.html in the folder. An earlier one is replaced.
+
+    Raises:
+        LeglabError: The folder holds no sweep, one of its files is damaged, or the page cannot be
+            written.
+    """
+    path = path or folder / PAGE
+    text = page(folder)
+    write_atomically(path, lambda stream: stream.write(text.encode()))
+    return path
+
+
+def page(folder: Path) -> str:
+    """The page as one file that needs no other and runs no script."""
+    record = read_record(folder)
+    with questions(folder) as answered:
+        return _render(_Facts(folder, record, answered))
+
+
+def _render(facts: "_Facts") -> str:
+    return render(
+        "sweep.html",
+        kind="sweep",
+        title=f"Sweep {facts.folder.resolve().name}",
+        headline=_headline(facts),
+        sections=_sections(facts),
+        table=_groups(facts),
+        maps=_maps(facts),
+        distributions=_distributions(facts),
+        worst=_worst(facts),
+        commands=_commands(facts),
+        failed=_failed(facts),
+        settings=_settings(facts.record),
+    )
+
+
+class _Facts:
+    """Answers of the dataset that several parts of the page need."""
+
+    def __init__(
+        self, folder: Path, record: SweepRecord, answered: Callable[[str], Answer]
+    ) -> None:
+        self.folder, self.record, self._answered = folder, record, answered
+        self.columns = set(answered("SELECT * FROM runs LIMIT 0").names)
+        first = self.rows(
+            "SELECT count(*), count(*) FILTER (status = 'failed'), count(t90_s),"
+            " count(recovered), count(end_rad), count(DISTINCT severity), count(DISTINCT seed)"
+            " FROM runs"
+        )[0]
+        self.done, self.failed, _, told, ends, self.sizes, self.seeds = first
+        # Short runs have no strides to take errors over.
+        self.told, self.error = bool(told), END if ends else WHOLE
+
+    def rows(self, sql: str) -> tuple[tuple[Any, ...], ...]:
+        return self._answered(sql).rows
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        return (T90, RECOVERED, self.error) if self.told else (self.error,)
+
+
+def _headline(facts: _Facts) -> str:
+    total = facts.record.runs
+    parts = [
+        f"{facts.done:,} of {total:,} runs are made" if facts.done < total else f"{total:,} runs"
+    ]
+    if facts.failed:
+        parts.append(f"{facts.failed:,} of them failed")
+    if facts.told:
+        (t90, never, told, recovered) = facts.rows(
+            "SELECT median(coalesce(t90_s, 1e9)), count(*) FILTER (t90_s IS NULL), count(*),"
+            " median(recovered) FROM runs WHERE recovered IS NOT NULL"
+        )[0]
+        when = "never" if t90 >= 1e9 else f"after {number(t90)} s"
+        parts.append(
+            f"in the median {number(100 * recovered)} % of the damage is undone at the end, "
+            f"nine tenths {when}"
+        )
+        if never:
+            parts.append(f"{never:,} of {told:,} never undid nine tenths")
+    return "; ".join(parts)
+
+
+def _sections(facts: _Facts) -> list[Section]:
+    axes = []
+    for axis in facts.record.axes:
+        name = column(axis)
+        if name not in facts.columns:
+            continue
+        (count, low, high) = facts.rows(
+            f'SELECT count(DISTINCT "{name}"), min("{name}"), max("{name}") FROM runs'
+        )[0]
+        if count <= 8:
+            found = facts.rows(f'SELECT DISTINCT "{name}" FROM runs ORDER BY 1')
+            axes.append((readable(axis), listed(tuple(_text(row[0]) for row in found))))
+        else:
+            axes.append((readable(axis), f"{count:,} values, {_text(low)} to {_text(high)}"))
+    sections = [
+        Section(
+            title="What was varied?",
+            lines=tuple(told for _, told in axes) or ("Nothing: it is one run.",),
+            names=tuple(name for name, _ in axes),
+        )
+    ]
+    best = facts.rows(
+        f"SELECT controller, median({facts.error.name}) AS e, count(*) FROM runs"
+        f" WHERE status = 'ok' AND {facts.error.name} IS NOT NULL GROUP BY 1 ORDER BY e"
+    )
+    if len(best) > 1:
+        lines = tuple(
+            f"{number(1e3 * error)} mrad in the median of {count:,} runs"
+            for _, error, count in best
+        )
+        sections.append(
+            Section(
+                title=f"Who follows most closely ({facts.error.title.partition(',')[0]})?",
+                lines=lines,
+                names=tuple(name for name, _, _ in best),
+            )
+        )
+    return sections
+
+
+def _groups(facts: _Facts) -> Table:
+    """One line a scenario and controller."""
+    found = facts.rows(
+        "SELECT scenario, controller, count(*), count(*) FILTER (status = 'failed'),"
+        " median(before_rad), median(rms_rad), median(end_rad), median(damage_rad),"
+        " median(recovered), min(recovered),"
+        " median(CASE WHEN recovered IS NULL THEN NULL ELSE coalesce(t90_s, 1e9) END), max(t90_s),"
+        " count(*) FILTER (t90_s IS NULL AND recovered IS NOT NULL), max(worst_2s_rad),"
+        " median(valve_travel / came_to_s), median(energy_j / came_to_s)"
+        f" FROM runs GROUP BY ALL ORDER BY 1, 2 LIMIT {_MOST_ROWS}"
+    )
+    rows = []
+    for scenario, controller, count, failed, *values in found:
+        before, whole, end, damage, undone, least, t90, last, never, worst, travel, power = values
+        rows.append(
+            (
+                scenario,
+                controller,
+                f"{count:,}",
+                f"{failed:,}" if failed else "",
+                *(_scaled(value, 1e3) for value in (before, whole, end, damage)),
+                *(_scaled(value, 100.0) for value in (undone, least)),
+                "never" if t90 is not None and t90 >= 1e9 else _scaled(t90),
+                _scaled(last),
+                f"{never:,}" if never else "",
+                _scaled(worst, 1e3),
+                _scaled(travel),
+                _scaled(power),
+            )
+        )
+    head = [
+        *("scenario", "controller", "runs", "failed", "before, mrad", "whole run", "end", "damage"),
+        *("undone, %", "least", "90 % after, s", "last", "never", "worst 2 s, mrad"),
+        *("valve travel, 1/s", "power, W"),
+    ]
+    return Table(
+        caption="Medians over runs; errors are RMS over joints and time. least, last and worst are "
+        "of single runs; never: runs that did not undo nine tenths",
+        head=head,
+        rows=rows,
+        words=2,
+    )
+
+
+def _maps(facts: _Facts) -> list[HeatMap]:
+    classes = facts.sizes > 3 * _CLASSES
+    sized = (
+        "SELECT *, median(severity) OVER (PARTITION BY scenario, class) AS size FROM (SELECT *,"
+        f" ntile({_CLASSES}) OVER (PARTITION BY scenario ORDER BY severity) AS class FROM runs)"
+        if classes
+        else "SELECT *, severity AS size FROM runs"
+    )
+    maps = []
+    for quantity in facts.quantities:
+        maps += _map(facts, quantity, sized, "controller", "median", folded=False)
+        if facts.seeds > 1:
+            controllers = facts.rows("SELECT DISTINCT controller FROM runs ORDER BY 1")
+            for (controller,) in controllers[:_MOST_COLUMNS]:
+                own = f"SELECT * FROM ({sized}) WHERE controller = {_quoted(controller)}"
+                maps += _map(facts, quantity, own, "seed", controller, folded=True)
+    return maps
+
+
+def _map(
+    facts: _Facts, quantity: Quantity, source: str, across: str, label: str, *, folded: bool
+) -> list[HeatMap]:
+    """Medians by scenario and size, over something; none where there is no value at all."""
+    value = quantity.name
+    if quantity.never:
+        value = f"CASE WHEN recovered IS NULL THEN NULL ELSE coalesce({value}, 1e9) END"
+    found = facts.rows(
+        f"SELECT scenario, size, {across} AS across, median({value}) FROM ({source})"
+        " WHERE status = 'ok' GROUP BY ALL HAVING median("
+        f"{value}) IS NOT NULL ORDER BY scenario, size, across"
+    )
+    if not found:
+        return []
+    columns = list(dict.fromkeys(sorted(row[2] for row in found)))[:_MOST_COLUMNS]
+    places = list(dict.fromkeys((row[0], row[1]) for row in found))[:_MOST_ROWS]
+    values = {(row[0], row[1], row[2]): row[3] for row in found}
+    known = [v for v in values.values() if v < 1e9]
+    low, high = (min(known), max(known)) if known else (0.0, 1.0)
+    rows = []
+    for scenario, size in places:
+        told = f"{scenario}, {number(size)}" if size is not None else scenario
+        cells = [_field(values.get((scenario, size, x)), quantity, low, high) for x in columns]
+        rows.append((told, cells))
+    over = "specimen (seed)" if across == "seed" else across
+    caption = f"{quantity.title}, by scenario with size and {over}"
+    if folded:
+        caption += f": {label}"
+    head = ("scenario, size", *(str(x) for x in columns))
+    return [HeatMap(caption=caption, head=head, rows=rows, folded=folded)]
+
+
+def _field(value: float | None, quantity: Quantity, low: float, high: float) -> Cell:
+    if value is None:
+        return Cell(text="", shade=None)
+    if value >= 1e9:
+        return Cell(text=quantity.never, shade=1.0)
+    share = (value - low) / (high - low) if high > low else 0.0
+    shade = share if quantity.bad > 0 else 1.0 - share
+    return Cell(text=number(quantity.factor * value), shade=round(shade, 3))
+
+
+def _distributions(facts: _Facts) -> list[Distributions]:
+    return [found for quantity in facts.quantities if (found := _distribution(facts, quantity))]
+
+
+def _distribution(facts: _Facts, quantity: Quantity) -> Distributions | None:
+    name = quantity.name
+    # A few far ones would press all others into the first bar.
+    ends = facts.rows(
+        f"SELECT quantile_cont({name}, 0.01), quantile_cont({name}, 0.99) FROM runs"
+        f" WHERE status = 'ok' AND {name} IS NOT NULL"
+    )[0]
+    if ends[0] is None or not ends[1] > ends[0]:
+        return None
+    low, high = ends
+    step = (high - low) / _BARS
+    found = facts.rows(
+        f"SELECT controller, least({_BARS - 1}, greatest(0, floor(({name} - {low!r}) / {step!r})))"
+        f" AS bar, count(*) FROM runs WHERE status = 'ok' AND {name} IS NOT NULL GROUP BY ALL"
+    )
+    told = facts.rows(
+        f"SELECT controller, quantile_cont({name}, [0.05, 0.5, 0.95]) FROM runs"
+        f" WHERE status = 'ok' AND {name} IS NOT NULL GROUP BY 1 ORDER BY 1"
+    )
+    rows = []
+    for controller, quantiles in told[:_MOST_COLUMNS]:
+        counts = [0] * _BARS
+        for other, bar, count in found:
+            if other == controller:
+                counts[int(bar)] = count
+        most = max(counts)
+        middle = " · ".join(number(quantity.factor * q) for q in quantiles)
+        rows.append(
+            Distribution(name=controller, told=middle, bars=[round(c / most, 3) for c in counts])
+        )
+    return Distributions(
+        title=quantity.title,
+        low=number(quantity.factor * low),
+        high=number(quantity.factor * high),
+        rows=rows,
+    )
+
+
+def _worst_runs(facts: _Facts) -> tuple[tuple[Any, ...], ...]:
+    """Number, scenario, controller, size, seed, element, error, t90, share undone."""
+    if facts.told:
+        rule = "WHERE recovered IS NOT NULL ORDER BY recovered, run"
+    else:
+        rule = f"WHERE {facts.error.name} IS NOT NULL ORDER BY {facts.error.name} DESC, run"
+    return facts.rows(
+        f"SELECT run, scenario, controller, severity, seed, element, {facts.error.name}, t90_s,"
+        f" recovered FROM runs {rule} LIMIT {_WORST}"
+    )
+
+
+def _worst(facts: _Facts) -> Table:
+    by = "by the share of the damage that is undone" if facts.told else f"by {facts.error.title}"
+    found = _worst_runs(facts)
+    rows = [
+        (
+            str(run),
+            scenario,
+            controller,
+            element or "",
+            _scaled(severity),
+            str(seed),
+            _scaled(error, 1e3),
+            "" if recovered is None else _scaled(t90) or "never",
+            _scaled(recovered, 100.0),
+        )
+        for run, scenario, controller, severity, seed, element, error, t90, recovered in found
+    ]
+    head = ("run", "scenario", "controller", "element", "size", "seed", facts.error.title)
+    return Table(
+        caption=f"The worst runs, {by}",
+        head=(*head, "90 % undone after, s", "undone, %"),
+        rows=rows,
+        words=4,
+    )
+
+
+def _commands(facts: _Facts) -> list[str]:
+    """How to film the worst runs."""
+    place = shlex.quote(str(facts.folder))
+    load = "".join(f" --load {shlex.quote(source)}" for source in facts.record.load)
+    return [
+        f"leglab sweep {place}/{SWEEP} --out {place} --record {row[0]}{load} && "
+        f"leglab video {shlex.quote(str(recording_folder(facts.folder, row[0])))}{load}"
+        for row in _worst_runs(facts)
+    ]
+
+
+def _failed(facts: _Facts) -> Table:
+    found = facts.rows(
+        "SELECT failure, count(*), min(run), min_by(error, run) FROM runs WHERE status = 'failed'"
+        f" GROUP BY 1 ORDER BY 2 DESC LIMIT {_MOST_ROWS}"
+    )
+    rows = [(failure, error, str(first), f"{count:,}") for failure, count, first, error in found]
+    return Table(
+        caption="Runs that failed, by kind, with the error of the first of each",
+        head=("kind", "error", "run", "runs"),
+        rows=rows,
+        words=2,
+    )
+
+
+def _settings(record: SweepRecord) -> Table:
+    plan = record.plan
+    shared = plan.get("settings", {})
+    rows = [(name, _text(value)) for name, value in shared.items()]
+    rows += [(f"block {i + 1}", json.dumps(block)) for i, block in enumerate(plan.get("block", []))]
+    rows += [("leglab", record.version), ("digest of the code", record.code[:12])]
+    return Table(
+        caption="What all runs share, and the blocks", head=("setting", "value"), rows=rows, words=2
+    )
+
+
+def _scaled(value: float | None, factor: float = 1.0) -> str:
+    return "" if value is None or not math.isfinite(value) else number(factor * value)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, float):
+        return number(value)
+    return "none" if value is None else str(value)
+
+
+def _quoted(text: str) -> str:
+    return "'" + text.replace("'", "''") + "'"

@@ -1,0 +1,1 @@
+"""Sweeps: many runs from one file, resumable, on this machine's processes or on a Dask cluster."""

@@ -1,0 +1,331 @@
+"""Makes the runs of a sweep that are missing, on this machine or on a Dask cluster."""
+
+import os
+import queue
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import pyarrow as pa
+
+from leglab import __version__
+from leglab.base import plugins
+from leglab.base.errors import LeglabError
+from leglab.base.output import cannot_write, claimed_folder
+from leglab.runs.fingerprint import fingerprint
+from leglab.runs.parallel import Progress
+from leglab.runs.sweeps import store
+from leglab.runs.sweeps.outcome import recording_folder
+from leglab.runs.sweeps.plan import SweepPlan
+from leglab.runs.sweeps.rows import row_of, schema, this_machine
+from leglab.runs.sweeps.runner import Runner, Task, Terms
+
+# Number of the run, answer to its request, and what made it.
+Answered = tuple[int, dict[str, Any], str]
+
+
+class Executor(Protocol):
+    """Has requests answered, several at a time."""
+
+    def __call__(self, requests: Iterator[Task]) -> AbstractContextManager[Iterator[Answered]]:
+        """Yields answers as they come; at the end of the context nothing is running any more."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepResult:
+    """A sweep that was made, as far as it could be.
+
+    Attributes:
+        folder: Where it lies.
+        plan: What it is.
+        made: Number of runs that this call made.
+        done: Number of rows there are.
+        failed: Number of them that tell of a failed run.
+        damaged: What was wrong with files whose runs had to be made again.
+    """
+
+    folder: Path
+    plan: SweepPlan
+    made: int
+    done: int
+    failed: int
+    damaged: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        told = f"{self.done} of {len(self.plan)} runs, {self.failed} failed"
+        return f"SweepResult({told}; {self.folder})"
+
+    def table(self) -> pa.Table:
+        """All rows in the order of the runs, as a `pyarrow.Table`."""
+        return store.read_rows(self.folder, schema(self.plan)).table()
+
+    def to_pandas(self) -> Any:
+        """Returns all rows as a `pandas.DataFrame`."""
+        return self.table().to_pandas()
+
+
+def run_sweep(
+    plan: SweepPlan,
+    folder: str | Path,
+    *,
+    workers: int = -1,
+    scheduler: str | None = None,
+    retry_failed: bool = False,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> SweepResult:
+    """Makes all runs of a plan that a folder does not hold yet.
+
+    A row is kept as soon as its run is over: an end at any moment loses the runs that were being
+    made, and the same call makes exactly the missing ones. A run that fails (no finite figures, an
+    exception, a time-out, too much memory, a process that dies twice) is a row that says so, and
+    stops nothing.
+
+    Args:
+        plan: From `read_plan`, or made in Python.
+        folder: Where the dataset lies; it is made.
+        workers: Processes at a time; -1 is one a core. Not with a scheduler.
+        scheduler: Address of a Dask scheduler, for instance "tcp://10.0.0.1:8786", whose workers
+            make the runs.
+        retry_failed: Whether runs that failed are made again.
+        overwrite: Whether the folder of another sweep, or of other code, is emptied first.
+        progress: Called with the number of rows there are, of all runs, and what came last.
+
+    Raises:
+        LeglabError: A run cannot be set up; the folder holds another sweep, was begun with other
+            code, or is being written to by another process; a process cannot be started; the
+            scheduler cannot be reached.
+        KeyboardInterrupt: The user interrupts; finished runs are kept.
+    """
+    folder = Path(folder)
+    if scheduler is not None and workers != -1:
+        raise LeglabError("workers are processes of this machine: they go without a scheduler")
+    models = plan.check(progress)
+    record = store.SweepRecord(
+        plan=plan.content,
+        digest=plan.digest,
+        code=fingerprint(),
+        models=models,
+        runs=len(plan),
+        axes=list(plan.axes),
+        version=__version__,
+        load=[source for source, named in plugins.carried()["sources"].items() if named],
+    )
+    with claimed_folder(folder):
+        _begin(folder, record, overwrite=overwrite)
+        kept = store.Store(folder, record, schema(plan))
+        try:
+            if retry_failed and kept.failed:
+                kept.forget_failed()
+            executor = _executor(workers, scheduler, _terms(plan))
+            made = _make(plan, folder, kept, executor, progress)
+            kept.compact()
+        finally:
+            kept.close()
+    return SweepResult(
+        folder=folder,
+        plan=plan,
+        made=made,
+        done=kept.done,
+        failed=kept.failed,
+        damaged=tuple(kept.damaged),
+    )
+
+
+def record_runs(
+    plan: SweepPlan, folder: str | Path, numbers: Sequence[int], *, progress: Progress | None = None
+) -> list[Path]:
+    """Makes the folders of single runs of a sweep, with their recordings, to look at or to film.
+
+    Args:
+        plan: Of the sweep.
+        folder: Of the sweep; the runs go to `recordings` there, its rows stay as they are.
+        numbers: Of the runs.
+        progress: Called with how many are made, of how many.
+
+    Returns:
+        The folders in the order of the numbers.
+
+    Raises:
+        LeglabError: There is no such run, it fails without a recording, or its folder cannot be
+            written.
+    """
+    folder = Path(folder)
+    for number in numbers:
+        if not 0 <= number < len(plan):
+            raise LeglabError(f"there is no run {number}; allowed: 0 to {len(plan) - 1}")
+    keeping = [recording_folder(folder.resolve(), number) for number in numbers]
+    requests = [
+        (number, {**_request(plan, number, folder), "folder": str(place)})
+        for number, place in zip(numbers, keeping, strict=True)
+    ]
+    terms = _terms(plan)
+    with Processes(min(len(requests), os.cpu_count() or 1), terms)(iter(requests)) as answers:
+        for count, (number, answer, _) in enumerate(answers, 1):
+            place = recording_folder(folder.resolve(), number)
+            if "outcome" not in answer and not place.is_dir():
+                raise LeglabError(f"run {number}: {answer.get('error')}")
+            if progress:
+                progress(count, len(requests), f"run {number}")
+    return keeping
+
+
+def read_sweep(folder: str | Path) -> SweepResult:
+    """Reads a sweep, also one that is being made.
+
+    Raises:
+        LeglabError: The folder holds none, or one of its files is damaged.
+    """
+    folder = Path(folder)
+    record = store.read_record(folder)
+    plan = SweepPlan(record.plan, str(folder / store.SWEEP))
+    status = store.read_rows(folder, schema(plan)).table(["status"]).column("status").to_pylist()
+    failed = status.count(store.FAILED)
+    return SweepResult(folder=folder, plan=plan, made=0, done=len(status), failed=failed)
+
+
+def _begin(folder: Path, record: store.SweepRecord, *, overwrite: bool) -> None:
+    """Writes what the sweep is, or sees that it is the same."""
+    if overwrite and store.is_sweep(folder):
+        store.empty(folder)
+    if store.is_sweep(folder):
+        there = store.read_record(folder)
+        problem = ""
+        if there.digest != record.digest:
+            problem = "holds another sweep"
+        elif there.code != record.code:
+            problem = "was begun with other code of leglab or of a plug-in"
+        elif there.models != record.models:
+            problem = "was begun with other files of its models"
+        if problem:
+            raise LeglabError(
+                f"{str(folder)!r} {problem}: give another folder, or --overwrite to begin anew"
+            )
+        return
+    try:
+        others = [p.name for p in folder.iterdir() if not p.name.startswith(".")]
+    except OSError as error:
+        raise cannot_write(folder, error) from error
+    leftover = {"runs", "recordings", store.DATASET}
+    if any(not (name in leftover or name.startswith("journal-")) for name in others):
+        raise LeglabError(f"{str(folder)!r} holds no sweep but other files: give another")
+    store.empty(folder)
+    store.write_json(record, folder / store.SWEEP)
+
+
+def _make(
+    plan: SweepPlan, folder: Path, kept: store.Store, executor: Executor, progress: Progress | None
+) -> int:
+    failed = kept.failed
+    if progress:
+        progress(kept.done, len(plan), "")
+    missing = list(kept.missing())
+    if not missing:
+        return 0
+    with executor((number, _request(plan, number, folder)) for number in missing) as answers:
+        for number, answer, by in answers:
+            kept.add(row_of(plan, number, answer, by))
+            if progress:
+                told = f"{kept.failed} failed" if kept.failed > failed else "sweeping"
+                progress(kept.done, len(plan), told)
+    return len(missing)
+
+
+def _request(plan: SweepPlan, number: int, folder: Path) -> dict[str, Any]:
+    where = recording_folder(folder.resolve(), number) if "recordings" in plan.keep else None
+    return {
+        "settings": asdict(plan.settings(number)),
+        "keep": list(plan.keep),
+        "folder": None if where is None else str(where),
+    }
+
+
+def _terms(plan: SweepPlan) -> Terms:
+    return Terms(
+        luggage=plugins.carried(), code=fingerprint(), timeout=plan.timeout, memory=plan.memory
+    )
+
+
+def _executor(workers: int, scheduler: str | None, terms: Terms) -> Executor:
+    if scheduler is not None:
+        from leglab.runs.sweeps.cluster import Cluster
+
+        return Cluster(scheduler, terms)
+    count = (os.cpu_count() or 1) if workers == -1 else workers
+    return Processes(count, terms.limited(count))
+
+
+class Processes(AbstractContextManager[Iterator[Answered]]):
+    """Processes of this machine, each asked by a thread of this one.
+
+    Args:
+        count: How many.
+        terms: On what terms.
+    """
+
+    def __init__(self, count: int, terms: Terms) -> None:
+        self._count, self._terms = count, terms
+        self._runners: list[Runner] = []
+        self._threads: list[threading.Thread] = []
+        self._lock, self._over = threading.Lock(), threading.Event()
+        # Bounded: whoever keeps the rows may be slower for a while.
+        self._answers: queue.Queue[Answered | BaseException | None] = queue.Queue(1000)
+
+    def __call__(self, requests: Iterator[Task]) -> "Processes":
+        """Sets what is to be answered."""
+        self._requests = requests
+        return self
+
+    def __enter__(self) -> Iterator[Answered]:
+        """Starts."""
+        for number in range(self._count):
+            runner = Runner(self._terms)
+            self._runners.append(runner)
+            self._threads.append(
+                threading.Thread(target=self._serve, args=(runner, number), daemon=True)
+            )
+        for thread in self._threads:
+            thread.start()
+        return self._all()
+
+    def __exit__(self, *_: object) -> None:
+        """Ends all processes, in the middle of a run as well."""
+        self._over.set()
+        for runner in self._runners:
+            runner.stop()
+        while any(thread.is_alive() for thread in self._threads):
+            try:  # A thread may wait for room.
+                self._answers.get(timeout=0.05)
+            except queue.Empty:
+                continue
+
+    def _all(self) -> Iterator[Answered]:
+        serving = self._count
+        while serving:
+            found = self._answers.get()
+            if isinstance(found, BaseException):
+                raise found
+            if found is None:
+                serving -= 1
+            else:
+                yield found
+
+    def _next(self) -> Task | None:
+        with self._lock:
+            return None if self._over.is_set() else next(self._requests, None)
+
+    def _serve(self, runner: Runner, number: int) -> None:
+        by = f"{this_machine()}, process {number}"
+        try:
+            for run, answer in runner.answers(iter(self._next, None)):
+                if self._over.is_set():
+                    break
+                self._answers.put((run, answer, by))
+            self._answers.put(None)
+        except BaseException as error:
+            self._answers.put(error)
+        finally:
+            runner.close()

@@ -1,0 +1,157 @@
+"""What a sweep keeps of one run: the columns of its dataset that are measured."""
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, FiniteFloat
+
+from leglab.runs.metrics import sliding_rms
+from leglab.runs.run import Run
+
+# Distance of the samples of the traces [s], and window of the worst error [s].
+TRACE_PERIOD, WORST_WINDOW = 0.02, 2.0
+
+
+class Outcome(BaseModel):
+    """Figures of one run; None where there is none.
+
+    Errors are RMS over the driven joints and over time, of the true positions; what `before`,
+    `end`, `damage`, `recovered` and `t90` mean is in `leglab.runs.record.AdaptationMetrics`.
+
+    Attributes:
+        came_to_s: How far the run came [s].
+        rms_rad: Error of the whole run [rad].
+        peak_rad: Largest error of a joint [rad].
+        before_rad: Error over the whole strides before the change [rad]: the nominal error.
+        after_rad: Error after the change, of a run without one the whole [rad].
+        end_rad: Error over the last strides [rad].
+        damage_rad: What the change costs [rad].
+        twin_end_rad: Error of the frozen twin over the last strides [rad].
+        recovered: Share of the damage that is undone at the end.
+        t90_s: From the change until nine tenths are undone [s].
+        level_rad: Error at which nine tenths are undone [rad].
+        not_told: Why `recovered` and `t90_s` cannot be told.
+        worst_2s_rad: Largest error over 2 s that end after the change, of a run without one in all
+            of it [rad].
+        excess_error_area_rad_s: Area of the moving error above its value before [rad s].
+        valve_travel: Sum of all movements of the valve commands, over all joints; full stroke is 2.
+        effort: RMS valve command.
+        energy_j: Energy drawn from the supply [J].
+        named: Faults that the controller named and did not withdraw, as FAULT at ELEMENT.
+        named_after_s: From the change until the first name that came after it [s].
+        metrics: Content of `metrics.json` as text, where it is kept.
+        trace_s: Times of the traces [s], where they are kept.
+        windowed_rad: Error over one stride that ends then [rad].
+        worst_rad: Error over 2 s that end then [rad].
+        changes_s: When the machine begins to change [s], with the traces.
+        window_s: One stride [s], with the traces.
+        travel_rad: Travel of the reference by joint [rad], with the traces, as text.
+    """
+
+    model_config = ConfigDict(extra="forbid")
+
+    came_to_s: FiniteFloat
+    rms_rad: FiniteFloat
+    peak_rad: FiniteFloat
+    before_rad: FiniteFloat | None = None
+    after_rad: FiniteFloat | None = None
+    end_rad: FiniteFloat | None = None
+    damage_rad: FiniteFloat | None = None
+    twin_end_rad: FiniteFloat | None = None
+    recovered: FiniteFloat | None = None
+    t90_s: FiniteFloat | None = None
+    level_rad: FiniteFloat | None = None
+    not_told: str | None = None
+    worst_2s_rad: FiniteFloat | None = None
+    excess_error_area_rad_s: FiniteFloat | None = None
+    valve_travel: FiniteFloat
+    effort: FiniteFloat
+    energy_j: FiniteFloat | None = None
+    named: list[str] = []
+    named_after_s: FiniteFloat | None = None
+    metrics: str | None = None
+    trace_s: list[FiniteFloat] | None = None
+    windowed_rad: list[FiniteFloat | None] | None = None
+    worst_rad: list[FiniteFloat | None] | None = None
+    changes_s: list[FiniteFloat] | None = None
+    window_s: FiniteFloat | None = None
+    travel_rad: str | None = None
+
+
+def outcome_of(run: Run, keep: Sequence[str]) -> dict[str, Any]:
+    """Figures of a run that came to its end, by name as `Outcome` has them.
+
+    Args:
+        run: The run.
+        keep: What is kept beside the figures: `metrics`, `traces`.
+    """
+    metrics, found, history = run.record, run.record.adaptation, run.history
+    phases = metrics.phases
+    time, error = history.time, history.error
+    change = min(run.scenario.breakpoints, default=None)
+    worst = sliding_rms(time, error, WORST_WINDOW)
+    since = worst if change is None else worst[time >= change]
+    energy = [phase.energy_j.get("all") for phase in phases]
+    names = [event.names[-1] for event in metrics.events if event.withdrawn is None]
+    said = [n.time for event in metrics.events for n in event.names]
+    after = [when - change for when in said if change is not None and when >= change]
+    kept: dict[str, Any] = {
+        "came_to_s": metrics.duration,
+        "rms_rad": float(np.sqrt(np.mean(error**2))),
+        "peak_rad": float(np.max(np.abs(error))),
+        "before_rad": found.before_rad and found.before_rad["all"],
+        "after_rad": phases[-1].rms_rad["all"] if phases[-1].name != "before" else None,
+        "end_rad": found.end_rad and found.end_rad["all"],
+        "damage_rad": found.damage_rad,
+        "twin_end_rad": found.twin_end_rad,
+        "recovered": found.recovered,
+        "t90_s": found.t90_s,
+        "level_rad": found.level_rad,
+        "not_told": found.reason,
+        "worst_2s_rad": _largest(since),
+        "excess_error_area_rad_s": metrics.excess_error_area_rad_s,
+        "valve_travel": float(np.abs(np.diff(history.command, axis=0)).sum()),
+        "effort": float(np.sqrt(np.mean(history.command**2))),
+        "energy_j": None if None in energy else float(sum(e for e in energy if e is not None)),
+        "named": [f"{name.fault} at {name.element}" for name in names],
+        "named_after_s": min(after, default=None),
+    }
+    if "metrics" in keep:
+        kept["metrics"] = json.dumps(run.metrics, allow_nan=False)
+    if "traces" in keep:
+        kept |= _traces(run, worst)
+    return kept
+
+
+def _traces(run: Run, worst: np.ndarray) -> dict[str, Any]:
+    history = run.history
+    # Steps of whole samples: the control period divides the trace's period, or is its step itself.
+    step = max(round(TRACE_PERIOD / history.time[1]), 1) if len(history.time) > 1 else 1
+    windowed = sliding_rms(history.time, history.error, run.window)
+    travel = np.ptp(history.reference.position, axis=0).tolist()
+    return {
+        "trace_s": history.time[::step].tolist(),
+        "windowed_rad": _numbers(windowed[::step]),
+        "worst_rad": _numbers(worst[::step]),
+        "changes_s": list(run.scenario.breakpoints),
+        "window_s": run.window,
+        "travel_rad": json.dumps(dict(zip(run.joints, travel, strict=True))),
+    }
+
+
+def _largest(values: np.ndarray) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(known.max()) if known.size else None
+
+
+def _numbers(values: np.ndarray) -> list[float | None]:
+    return [None if math.isnan(value) else value for value in values.tolist()]
+
+
+def recording_folder(folder: Path, number: int) -> Path:
+    """Where the recording of a run of a sweep lies, a thousand in a folder."""
+    return folder / "recordings" / f"{number // 1000:05d}" / str(number)

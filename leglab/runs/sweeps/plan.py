@@ -1,0 +1,485 @@
+"""The plan of a sweep: blocks of runs from a TOML file, as grids and drawn points."""
+
+import hashlib
+import json
+import math
+import tomllib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cache, cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_type_hints
+
+import numpy as np
+from pydantic import Field, TypeAdapter, ValidationError
+
+from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.input import read_bytes, read_json
+from leglab.base.settings import Configuration, validate_configuration
+from leglab.commissioning.setup import model_digest
+from leglab.control.contract import CONTROLLERS
+from leglab.machine.changes import check_tolerance
+from leglab.machine.parameters import placed_parameters
+from leglab.references.base import REFERENCES
+from leglab.runs.loop import Loop
+from leglab.runs.preparation import Preparation, RunSettings, reference_config, scenario_of
+
+# A sweep beyond this would not fit into the memory of the process that keeps its books.
+MOST_RUNS = 10_000_000
+_MOST_FILE = 10_000_000  # bytes
+# Settings that are a table of names and values.
+MAPPINGS = ("controller_config", "reference_config", "sensors", "parameters")
+_COUNT, _RANGE = {"first", "count"}, {"low", "high", "log"}
+_FIELDS = {field.name: field for field in fields(RunSettings)}
+
+KEEP = ("metrics", "traces", "recordings")
+
+
+class Range(Configuration):
+    """Between which values points are drawn.
+
+    Attributes:
+        low: Lowest value.
+        high: Highest value.
+        log: Whether logarithms are drawn evenly.
+    """
+
+    low: float
+    high: float
+    log: bool = False
+
+
+class Count(Configuration):
+    """Whole numbers that follow each other.
+
+    Attributes:
+        first: The first one.
+        count: How many.
+    """
+
+    first: int = 0
+    count: Annotated[int, Field(ge=1, le=MOST_RUNS)]
+
+
+class Block(Configuration):
+    """Runs that are varied together: every drawn point in every combination of the grid.
+
+    Attributes:
+        settings: What its runs share, over the settings of the whole plan.
+        grid: Lists of values by setting; every combination is run.
+        ranges: Ranges by setting, from which points are drawn.
+        draw: How: `sobol` (scrambled, Owen 1998, by `scipy.stats.qmc`) or `random`.
+        points: How many; needed where there are ranges.
+        draw_seed: Seed of the points.
+    """
+
+    settings: dict[str, Any] = Field(default_factory=dict)
+    grid: dict[str, Any] = Field(default_factory=dict)
+    ranges: dict[str, Any] = Field(default_factory=dict)
+    draw: Literal["sobol", "random"] = "sobol"
+    points: Annotated[int, Field(ge=1, le=MOST_RUNS)] | None = None
+    draw_seed: Annotated[int, Field(ge=0)] = 0
+
+
+class PlanFile(Configuration):
+    """Content of the file of a sweep.
+
+    Attributes:
+        settings: What all runs share, by the names of `RunSettings`.
+        block: Blocks of runs.
+        keep: What is kept beside a row a run: `metrics` (all of `metrics.json`, as text), `traces`
+            (the windowed errors), `recordings` (the folder of each run).
+        timeout: Wall time that a run may take [s].
+        memory: Memory that the process of a run may take [MB]; None for its share of this machine.
+    """
+
+    settings: dict[str, Any] = Field(default_factory=dict)
+    block: Annotated[list[Block], Field(min_length=1)]
+    keep: list[Literal["metrics", "traces", "recordings"]] = Field(default_factory=list)
+    timeout: Annotated[float, Field(gt=0)] = 3600.0
+    memory: Annotated[float, Field(ge=500)] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Runs:
+    """The runs of one block: numbers to settings."""
+
+    settings: Mapping[str, Any]
+    grid: Mapping[str, Sequence[Any]]
+    ranges: Mapping[str, Range]
+    draw: str
+    points: int
+    draw_seed: int
+
+    @cached_property
+    def shape(self) -> tuple[int, ...]:
+        return (*(len(values) for values in self.grid.values()), self.points)
+
+    def __len__(self) -> int:
+        return math.prod(self.shape)
+
+    @cached_property
+    def drawn(self) -> np.ndarray:
+        """Values of the ranges, (points, ranges)."""
+        if not self.ranges:
+            return np.empty((self.points, 0))
+        size = len(self.ranges)
+        if self.draw == "sobol":
+            from scipy.stats import qmc  # half a second that other sweeps do without
+
+            engine = qmc.Sobol(size, scramble=True, seed=self.draw_seed)
+            # Whole powers of two keep the points balanced; the first of them are taken.
+            unit = engine.random_base2(max(self.points - 1, 0).bit_length())[: self.points]
+        else:
+            unit = np.random.default_rng(self.draw_seed).random((self.points, size))
+        low = np.array([_scale(r.low, r) for r in self.ranges.values()])
+        high = np.array([_scale(r.high, r) for r in self.ranges.values()])
+        values = low + unit * (high - low)
+        logs = [r.log for r in self.ranges.values()]
+        values[:, logs] = np.exp(values[:, logs])
+        return values
+
+    def values(self, number: int) -> dict[str, Any]:
+        """Settings of a run by dotted name."""
+        *places, point = np.unravel_index(number, self.shape)
+        chosen = {
+            name: values[int(i)]
+            for (name, values), i in zip(self.grid.items(), places, strict=True)
+        }
+        drawn = zip(self.ranges, self.drawn[int(point)].tolist(), strict=True)
+        return {**self.settings, **chosen, **dict(drawn)}
+
+
+def _scale(value: float, range_: Range) -> float:
+    return math.log(value) if range_.log else value
+
+
+class SweepPlan:
+    """All runs of a sweep, numbered from 0; their settings are made when they are asked for.
+
+    Args:
+        content: Content of the file.
+        name: Of the file, for messages.
+
+    Attributes:
+        keep: What is kept beside the rows.
+        timeout: Wall time that a run may take [s].
+        memory: Memory that the process of a run may take [MB]; None for its share.
+
+    Raises:
+        LeglabError: The content is not allowed; names file, key, value and what is allowed.
+    """
+
+    def __init__(self, content: Mapping[str, Any], name: str = "sweep") -> None:
+        self._name = name
+        found = validate_configuration(PlanFile, content, name)
+        self.keep = tuple(sorted(set(found.keep)))
+        self.timeout, self.memory = found.timeout, found.memory
+        shared = _flat(found.settings, f"{name}: settings")
+        _check_values(shared, f"{name}: settings")
+        self._blocks = [
+            _runs(block, shared, f"{name}: block {i + 1}") for i, block in enumerate(found.block)
+        ]
+        self._starts = np.cumsum([0, *map(len, self._blocks)])
+        if len(self) > MOST_RUNS:
+            raise LeglabError(
+                f"{name}: asks for {len(self):,} runs; allowed: at most {MOST_RUNS:,}"
+            )
+        self._content = found
+
+    def __len__(self) -> int:
+        return int(self._starts[-1])
+
+    @cached_property
+    def axes(self) -> tuple[str, ...]:
+        """Dotted names of the settings in which runs differ."""
+        names = dict.fromkeys(
+            name for block in self._blocks for name in (*block.grid, *block.ranges)
+        )
+        # A setting that blocks share each in their own way tells their runs apart, too.
+        shared = [block.settings for block in self._blocks]
+        for name in dict.fromkeys(name for settings in shared for name in settings):
+            if any(settings.get(name) != shared[0].get(name) for settings in shared):
+                names.setdefault(name)
+        return tuple(names)
+
+    def values_of(self, axis: str) -> list[Any]:
+        """Some values of an axis, at least one of every block that has it."""
+        found: list[Any] = []
+        for block in self._blocks:
+            if axis in block.ranges:
+                found.append(block.ranges[axis].low)
+            elif axis in block.grid:
+                found += block.grid[axis]
+            elif axis in block.settings:
+                found.append(block.settings[axis])
+        return found
+
+    @cached_property
+    def digest(self) -> str:
+        """Digest of what decides the runs and their rows; time-out and memory do not."""
+        content = self._content.model_dump(exclude={"timeout", "memory"})
+        content["keep"] = self.keep
+        text = json.dumps(content, sort_keys=True, default=str)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """The content of the file, as JSON can hold it."""
+        return self._content.model_dump(mode="json", exclude_unset=True)
+
+    def values(self, number: int) -> dict[str, Any]:
+        """Settings of a run by dotted name, those alone that the file gives."""
+        block = int(np.searchsorted(self._starts, number, side="right")) - 1
+        return self._blocks[block].values(number - int(self._starts[block]))
+
+    def settings(self, number: int) -> RunSettings:
+        """Settings of a run."""
+        given = self.values(number)
+        plain = {k: v for k, v in given.items() if k in _FIELDS}
+        for name, value in given.items():
+            owner, _, key = name.partition(".")
+            if key:
+                plain[owner] = {**plain.get(owner, {}), key: value}
+        return RunSettings(**plain)
+
+    def check(self, progress: Callable[[int, int, str], None] | None = None) -> dict[str, str]:
+        """Refuses a plan with a run that cannot be set up, before any run is made.
+
+        Names, sizes and settings of every run are checked; a closed loop without its controller is
+        set up for each kind of run (model, scenario, element, reference). What only the numbers of
+        a run bring about, as a specimen that cannot hold its joint, shows when it runs.
+
+        Args:
+            progress: Called now and then with 0, the number of runs, and how many are checked.
+
+        Returns:
+            Digests of the compiled models by name.
+
+        Raises:
+            LeglabError: Names the run, the setting and what is allowed.
+        """
+        models: dict[str, str] = {}
+        checks = _Checks()
+        for number in range(len(self)):
+            if progress and number % 1000 == 0:
+                progress(0, len(self), f"checking, {number:,} of {len(self):,}")
+            settings = self.settings(number)
+            try:
+                models.setdefault(settings.model, checks(settings))
+            except LeglabError as error:
+                raise LeglabError(
+                    f"{self._name}: run {number} ({self.told(number)}): {error}"
+                ) from (error)
+        return models
+
+    def told(self, number: int) -> str:
+        """What tells a run from the others, in one line."""
+        given = self.values(number)
+        parts = [f"{name} {_told(given[name])}" for name in self.axes if name in given]
+        return ", ".join(parts) or "the only one"
+
+    def __iter__(self) -> Iterator[RunSettings]:
+        return map(self.settings, range(len(self)))
+
+
+def _told(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def check_run(settings: RunSettings) -> None:
+    """Refuses a run that cannot be set up.
+
+    Raises:
+        LeglabError: Names the setting and what is allowed.
+    """
+    _Checks()(settings)
+
+
+class _Checks:
+    """Checks settings; what has been looked at once is not looked at again."""
+
+    def __init__(self) -> None:
+        self._preparations: dict[Any, Preparation] = {}
+        self._seen: set[Any] = set()
+        self._digests: dict[str, str] = {}
+
+    def __call__(self, settings: RunSettings) -> str:
+        scenario = scenario_of(settings)
+        check_tolerance(settings.tolerance)
+        self._once(
+            ("controller", settings.controller, _key(settings.controller_config)),
+            lambda: CONTROLLERS.configured(settings.controller, settings.controller_config),
+        )
+        reference = settings.reference or scenario.reference
+        config = reference_config(settings, scenario)
+        self._once(
+            ("reference", reference, _key(config)), lambda: REFERENCES.configured(reference, config)
+        )
+        # A model with other parameters has the same parts: their bounds are checked by the table.
+        machine = (settings.model, settings.timestep, _key(settings.sensors))
+        if machine not in self._preparations:
+            plain = replace(settings, parameters={}, tolerance=0.0)
+            self._preparations[machine] = Preparation(plain)
+        preparation = self._preparations[machine]
+        placed_parameters(settings.parameters, preparation.nominal.elements)
+        kind = (machine, settings.scenario, settings.element, reference, settings.ramp_duration > 0)
+        self._once(
+            ("loop", kind),
+            lambda: Loop(
+                replace(settings, parameters={}, tolerance=0.0),
+                preparation=preparation,
+                controlled=False,
+            ),
+        )
+        if settings.model not in self._digests:
+            self._digests[settings.model] = model_digest(preparation.nominal).hex()
+        return self._digests[settings.model]
+
+    def _once(self, key: Any, check: Callable[[], object]) -> None:
+        if key not in self._seen:
+            check()
+            self._seen.add(key)
+
+
+def _key(settings: Mapping[str, Any]) -> str:
+    return json.dumps(settings, sort_keys=True, default=str)
+
+
+def read_plan(path: str | Path) -> SweepPlan:
+    """Reads the file of a sweep.
+
+    Args:
+        path: TOML, or the `sweep.json` of a sweep, which holds the same.
+
+    Raises:
+        LeglabError: It cannot be read, is not TOML, or asks for something that is not allowed; one
+            line with file, key, value and what is allowed.
+    """
+    path = Path(path)
+    content = read_bytes(path, _MOST_FILE + 1)
+    if len(content) > _MOST_FILE:
+        raise LeglabError(f"{path}: has more than {_MOST_FILE:,} bytes")
+    if path.suffix == ".json":
+        kept = read_json(path)
+        if not isinstance(kept, dict) or not isinstance(kept.get("plan"), dict):
+            raise LeglabError(f"{path}: holds no plan of a sweep")
+        return SweepPlan(kept["plan"], str(path))
+    try:
+        found = tomllib.loads(content.decode())
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise LeglabError(f"{path}: is not TOML: {error}") from error
+    return SweepPlan(found, str(path))
+
+
+def _runs(block: Block, shared: Mapping[str, Any], where: str) -> _Runs:
+    own = _flat(block.settings, f"{where}: settings")
+    _check_values(own, f"{where}: settings")
+    grid = {
+        name: _list(name, value, f"{where}: grid")
+        for name, value in _flat(block.grid, f"{where}: grid", leaf=_COUNT).items()
+    }
+    ranges = {
+        name: _range(name, value, f"{where}: ranges")
+        for name, value in _flat(block.ranges, f"{where}: ranges", leaf=_RANGE).items()
+    }
+    for name in ranges:
+        if name in grid:
+            raise LeglabError(f"{where}: {name!r} stands in grid and in ranges")
+    if ranges and block.points is None:
+        raise LeglabError(f"{where}: ranges need 'points', the number of points to draw")
+    if block.points is not None and not ranges:
+        raise LeglabError(f"{where}: points is {block.points}, but there are no ranges")
+    settings = {**shared, **own}
+    if "scenario" not in {*settings, *grid}:
+        raise LeglabError(f"{where}: needs 'scenario', in settings or grid")
+    return _Runs(
+        settings=settings,
+        grid=grid,
+        ranges=ranges,
+        draw=block.draw,
+        points=block.points or 1,
+        draw_seed=block.draw_seed,
+    )
+
+
+def _flat(
+    table: Mapping[str, Any], where: str, *, leaf: set[str] | None = None, prefix: str = ""
+) -> dict[str, Any]:
+    """Settings by dotted name; those of tables as `controller_config.NAME`."""
+    found: dict[str, Any] = {}
+    for name, value in table.items():
+        full = f"{prefix}{name}"
+        owner, _, key = full.partition(".")
+        if owner not in _FIELDS or (key and owner not in MAPPINGS):
+            raise LeglabError(f"{where}: {unknown_name('setting of a run', full, _FIELDS)}")
+        is_leaf = not isinstance(value, dict) or (leaf is not None and {*value} <= leaf and value)
+        if is_leaf and (key or owner not in MAPPINGS):
+            found[full] = value
+        elif isinstance(value, dict) and owner in MAPPINGS:
+            found |= _flat(value, where, leaf=leaf, prefix=f"{full}.")
+        else:
+            raise LeglabError(f"{where}: {full} is {value!r}; {_allowed_form(owner)}")
+    return found
+
+
+def _allowed_form(owner: str) -> str:
+    if owner in MAPPINGS:
+        return f"allowed: a table, or {owner}.NAME"
+    return "allowed: a value or a list of values"
+
+
+def _list(name: str, value: Any, where: str) -> Sequence[Any]:
+    place = f"{where}.{name}"
+    if isinstance(value, dict):
+        count = validate_configuration(Count, value, place)
+        value = list(range(count.first, count.first + count.count))
+    if not isinstance(value, list) or not value:
+        raise LeglabError(f"{place} is {value!r}; allowed: a list, or {{ first = 0, count = 10 }}")
+    keys = [json.dumps(item, default=str) for item in value]
+    for i, key in enumerate(keys):
+        if key in keys[:i] and len(keys) < 10_000:
+            raise LeglabError(f"{place}: {value[i]!r} is given twice")
+    for i, item in enumerate(value):
+        _check_value(name, item, f"{place}[{i}]")
+    return value
+
+
+def _range(name: str, value: Any, where: str) -> Range:
+    place = f"{where}.{name}"
+    if isinstance(value, list) and len(value) == 2:
+        value = {"low": value[0], "high": value[1]}
+    if not isinstance(value, dict):
+        raise LeglabError(
+            f"{place} is {value!r}; allowed: [low, high] or {{ low = 1, high = 10, log = true }}"
+        )
+    found = validate_configuration(Range, value, place)
+    if not found.low < found.high:
+        raise LeglabError(f"{place}: low {found.low:g} is not below high {found.high:g}")
+    if found.log and found.low <= 0:
+        raise LeglabError(f"{place}: low is {found.low:g}; with log = true allowed: more than 0")
+    for end in (found.low, found.high):
+        _check_value(name, end, place)
+    return found
+
+
+def _check_values(values: Mapping[str, Any], where: str) -> None:
+    for name, value in values.items():
+        _check_value(name, value, f"{where}.{name}")
+
+
+def _check_value(name: str, value: Any, place: str) -> None:
+    if isinstance(value, float) and not math.isfinite(value):
+        raise LeglabError(f"{place} is {value!r}; allowed: a finite number")
+    if name not in _FIELDS:
+        return  # of a table: checked by the model of its owner
+    try:
+        _adapter(name).validate_python(value, strict=True)
+    except ValidationError as error:
+        message = error.errors(include_url=False)[0]["msg"]
+        raise LeglabError(f"{place} is {value!r}: {message[:1].lower()}{message[1:]}") from None
+
+
+@cache
+def _adapter(name: str) -> TypeAdapter[Any]:
+    return TypeAdapter(get_type_hints(RunSettings)[name])

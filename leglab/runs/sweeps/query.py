@@ -1,0 +1,137 @@
+"""Questions in SQL to the rows of a sweep, answered by DuckDB: read only, and of no other file."""
+
+import csv
+import io
+import math
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from leglab.base.errors import LeglabError
+from leglab.base.output import write_atomically
+from leglab.runs.sweeps import store
+from leglab.runs.sweeps.plan import SweepPlan
+from leglab.runs.sweeps.rows import schema
+
+TABLE = "runs"
+_FEW = 4  # significant digits in a table
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """Rows that answer a question.
+
+    Attributes:
+        names: Of the columns.
+        rows: Values of the columns.
+    """
+
+    names: tuple[str, ...]
+    rows: tuple[tuple[Any, ...], ...]
+
+    def records(self) -> list[dict[str, Any]]:
+        """The rows as JSON can hold them; what is not finite becomes None."""
+        return [dict(zip(self.names, map(_plain, row), strict=True)) for row in self.rows]
+
+    def cells(self) -> list[list[str]]:
+        """The rows as text with few digits."""
+        return [[_cell(value) for value in row] for row in self.rows]
+
+    def write_csv(self, path: Path | None) -> None:
+        """Writes the rows with all digits.
+
+        Args:
+            path: The file; None for standard output.
+
+        Raises:
+            LeglabError: It cannot be written.
+        """
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(self.names)
+        writer.writerows([_plain(value) for value in row] for row in self.rows)
+        if path is None:
+            sys.stdout.write(text.getvalue())
+        else:
+            write_atomically(path, lambda stream: stream.write(text.getvalue().encode()))
+
+
+def ask(folder: str | Path, sql: str) -> Answer:
+    """Answers a question to the rows of a sweep, also while it is being made.
+
+    Args:
+        folder: Of the sweep.
+        sql: One SELECT in DuckDB's SQL; the table is called `runs`.
+
+    Raises:
+        LeglabError: The folder holds no sweep, a file is damaged, or the question cannot be
+            answered; one line.
+    """
+    with questions(Path(folder)) as answered:
+        return answered(sql)
+
+
+@contextmanager
+def questions(folder: Path) -> Iterator[Callable[[str], Answer]]:
+    """Yields a function that answers questions as `ask`, all to the rows there are now.
+
+    Raises:
+        LeglabError: As `ask`.
+    """
+    import duckdb
+
+    record = store.read_record(folder)
+    rows = store.read_rows(folder, schema(SweepPlan(record.plan, str(folder / store.SWEEP))))
+    with duckdb.connect(":memory:") as database:
+        # From here on neither files nor the network nor variables of this program can be reached.
+        database.execute("SET enable_external_access = false")
+        database.execute("SET python_enable_replacements = false")
+        database.execute("SET lock_configuration = true")
+        # Columns in the order of the rows, not partitions last.
+        columns = ", ".join(f'"{name}"' for name in rows.schema.names)
+        database.register("_late", rows.late)
+        parts = [f"SELECT {columns} FROM _late"]
+        if rows.files:
+            database.register("_parts", rows.parts())
+            parts.append(f"SELECT {columns} FROM _parts")
+        database.execute(f"CREATE VIEW {TABLE} AS {' UNION ALL '.join(parts)}")
+
+        def answered(sql: str) -> Answer:
+            try:
+                statements = database.extract_statements(sql)
+                kinds = (duckdb.StatementType.SELECT, duckdb.StatementType.EXPLAIN)
+                if len(statements) != 1 or statements[0].type not in kinds:
+                    raise LeglabError("allowed is one SELECT, for instance: SELECT * FROM runs")
+                found = database.execute(statements[0])
+                names = tuple(column[0] for column in found.description or ())
+                return Answer(names=names, rows=tuple(found.fetchall()))
+            except duckdb.Error as error:
+                raise LeglabError(f"SQL: {_line(error)}") from error
+
+        yield answered
+
+
+def _line(error: Exception) -> str:
+    text = str(error).partition("\n\nLINE ")[0]
+    return " ".join(text.split())
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    return value if isinstance(value, int | str | None) else str(value)
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, float):
+        return f"{value:.{_FEW}g}"
+    return str(_plain(value))

@@ -1,0 +1,154 @@
+"""The rows of a sweep's dataset: one a run, its settings, how it went, its figures."""
+
+import json
+import os
+from datetime import UTC, datetime
+from functools import cache
+from typing import Any
+
+import pyarrow as pa
+from pydantic import ValidationError
+
+from leglab.base.errors import LeglabError
+from leglab.runs.preparation import RunSettings, scenario_of
+from leglab.runs.sweeps.outcome import Outcome
+from leglab.runs.sweeps.plan import MAPPINGS, SweepPlan
+
+OK, FAILED = "ok", "failed"
+
+# By these the files of the dataset lie in folders.
+PARTITION = ("scenario", "controller")
+
+_TEXT, _NUMBER, _NUMBERS = pa.string(), pa.float64(), pa.list_(pa.float64())
+_SETTINGS = {
+    "run": pa.int64(),
+    "scenario": _TEXT,
+    "controller": _TEXT,
+    "model": _TEXT,
+    "reference": _TEXT,
+    "element": _TEXT,
+    "severity": _NUMBER,
+    "ramp_duration": _NUMBER,
+    "duration": _NUMBER,
+    "seed": pa.int64(),
+    "tolerance": _NUMBER,
+    "vary": pa.bool_(),
+    "timestep": _NUMBER,
+    **dict.fromkeys(MAPPINGS, _TEXT),
+}
+_HOW = {"status": _TEXT, "failure": _TEXT, "error": _TEXT}
+_OTHER_FIGURES = {
+    "not_told": _TEXT,
+    "named": pa.list_(_TEXT),
+    "metrics": _TEXT,
+    "travel_rad": _TEXT,
+    **dict.fromkeys(("trace_s", "windowed_rad", "worst_rad", "changes_s"), _NUMBERS),
+}
+_FIGURES = {name: _OTHER_FIGURES.get(name, _NUMBER) for name in Outcome.model_fields}
+# What differs between two makes of the same sweep.
+_MADE = {"made_at": _TEXT, "made_by": _TEXT, "made_wall_s": _NUMBER, "made_cpu_s": _NUMBER}
+MADE = tuple(_MADE)
+
+_KEPT = {
+    "metrics": ("metrics",),
+    "traces": ("trace_s", "windowed_rad", "worst_rad", "changes_s", "window_s", "travel_rad"),
+}
+
+
+def schema(plan: SweepPlan) -> pa.Schema:
+    """Columns of the dataset of a plan: those of every sweep, and what of tables it varies.
+
+    A varied setting of a table has a column of its own, its dotted name with `_` for the dots.
+    """
+    left_out = _left_out(plan.keep)
+    figures = {name: type_ for name, type_ in _FIGURES.items() if name not in left_out}
+    own = {column(axis): _type(plan, axis) for axis in plan.axes if "." in axis}
+    columns = {**_SETTINGS, **own, **_HOW, **figures, **_MADE}
+    return pa.schema([pa.field(name, type_) for name, type_ in columns.items()])
+
+
+@cache
+def _left_out(keep: tuple[str, ...]) -> frozenset[str]:
+    """Columns that a dataset does not have where so much is kept."""
+    return frozenset(c for kind, names in _KEPT.items() if kind not in keep for c in names)
+
+
+def column(axis: str) -> str:
+    """Name of the column of a setting."""
+    return axis.replace(".", "_")
+
+
+def _type(plan: SweepPlan, axis: str) -> pa.DataType:
+    kinds = {type(value) for value in plan.values_of(axis)}
+    if kinds == {bool}:
+        return pa.bool_()
+    return _NUMBER if kinds <= {int, float} else _TEXT
+
+
+def row_of(plan: SweepPlan, number: int, answer: dict[str, Any], by: str) -> dict[str, Any]:
+    """The row of a run; figures that are none make it a failed one.
+
+    Args:
+        plan: Of the sweep.
+        number: Of the run.
+        answer: From `leglab.runs.sweeps.worker.answer`; not trusted.
+        by: What made it.
+    """
+    settings = plan.settings(number)
+    row = _settings_row(plan, number, settings)
+    row |= dict.fromkeys(_HOW)
+    outcome, problem = None, None
+    if "outcome" in answer:
+        try:
+            outcome = Outcome.model_validate(answer["outcome"])
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            where = ".".join(map(str, first["loc"]))
+            problem = "ended early", f"it gave no valid figures: {where}: {first['msg']}"
+    else:
+        problem = str(answer.get("kind", "died")), str(answer.get("error", "it gave no answer"))
+    if outcome is None:
+        assert problem is not None
+        row |= {"status": FAILED, "failure": problem[0], "error": problem[1]}
+    else:
+        row["status"] = OK
+        row |= outcome.model_dump(exclude=set(_left_out(plan.keep)))
+    row |= {
+        "made_at": datetime.now(UTC).isoformat(timespec="milliseconds"),
+        "made_by": by,
+        "made_wall_s": _time(answer.get("wall_s")),
+        "made_cpu_s": _time(answer.get("cpu_s")),
+    }
+    return row
+
+
+def _settings_row(plan: SweepPlan, number: int, settings: RunSettings) -> dict[str, Any]:
+    try:
+        scenario = scenario_of(settings)
+    except LeglabError:  # Checked before: only a plug-in that is not what it was.
+        scenario = None
+    row: dict[str, Any] = {"run": number}
+    for name in _SETTINGS:
+        if name == "run":
+            continue
+        value = getattr(settings, name)
+        row[name] = json.dumps(dict(value), sort_keys=True) if name in MAPPINGS else value
+    if scenario is not None:
+        row["severity"], row["duration"] = scenario.severity, scenario.duration
+        row["reference"] = settings.reference or scenario.reference
+    given = plan.values(number)
+    for axis in plan.axes:
+        if "." in axis:
+            value = given.get(axis)
+            text = _type(plan, axis) == _TEXT and value is not None
+            row[column(axis)] = json.dumps(value) if text and not isinstance(value, str) else value
+    return row
+
+
+def _time(value: Any) -> float | None:
+    return float(value) if isinstance(value, int | float) else None
+
+
+def this_machine() -> str:
+    """Name of this machine, for `made_by`."""
+    return os.uname().nodename

@@ -1,0 +1,267 @@
+"""A process that makes runs, seen from the one that asks: it may die, hang, or say nonsense."""
+
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from leglab.base import plugins
+from leglab.base.errors import LeglabError
+from leglab.base.input import parse_json
+
+_START_TIME = 120.0  # s: a process that has imported nothing by then never will
+_MOST_ANSWER = 100_000_000  # bytes
+_MOST_SAID = 1_000_000  # bytes on standard error that are kept for the message of a death
+# A run that is shorter [s] has its successor sent ahead, if that is no longer [bytes].
+_SHORT, _MOST_AHEAD = 0.5, 30_000
+_TRIES = 2  # of a run whose process dies
+# Several processes share the cores: within one, linear algebra has one thread. The bits of a run
+# do not depend on how many run beside it, then.
+_THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+
+# Number of a run, and what is asked of the process.
+Task = tuple[int, dict[str, Any]]
+
+
+class DiedError(Exception):
+    """The process ended in the middle of a run; the message says how."""
+
+
+class TimedOutError(Exception):
+    """A run took longer than it may."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Terms:
+    """On what terms processes make runs; JSON can hold them.
+
+    Attributes:
+        luggage: What plug-ins they load.
+        code: Digest of leglab's code that they must have.
+        timeout: Wall time that a run may take [s].
+        memory: Memory that a process may take [MB]; None without a limit.
+    """
+
+    luggage: plugins.Carried
+    code: str
+    timeout: float
+    memory: float | None
+
+    def limited(self, processes: int) -> "Terms":
+        """The same with each process limited to its share of this machine, unless it is already.
+
+        So a run that asks for too much ends by itself, before the system ends any process.
+        """
+        if self.memory is not None:
+            return self
+        total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e6
+        return replace(self, memory=max(0.9 * total / processes, 1000.0))
+
+
+class Runner:
+    """One process that makes runs; it is started when it is first asked, and again when it died.
+
+    Args:
+        terms: On what terms.
+    """
+
+    def __init__(self, terms: Terms) -> None:
+        self._terms = terms
+        self._process: subprocess.Popen[bytes] | None = None
+        self._rest = b""
+        self._closed = False
+        self._sent = 0
+        self._errors = tempfile.TemporaryFile("a+b")  # noqa: SIM115  as long as the runner
+
+    def answers(self, tasks: Iterator[Task]) -> Iterator[tuple[int, dict[str, Any]]]:
+        """Has runs made, one after the other.
+
+        A process that dies gets a second try in a new one: it may have been somebody else's doing.
+
+        Args:
+            tasks: Number of each run, and request as of `leglab.runs.sweeps.worker.answer`.
+
+        Yields:
+            The numbers with their answers.
+
+        Raises:
+            LeglabError: The process cannot be started, or has other code.
+        """
+        # The first of them is being made; a short run has its successor at hand.
+        asked: deque[Task] = deque()
+        ahead, tries = 1, 0
+        while True:
+            while len(asked) < ahead and (task := next(tasks, None)) is not None:
+                asked.append(task)
+            if not asked:
+                return
+            try:
+                self._send_all([request for _, request in asked])
+                found = self._line(self._terms.timeout)
+            except TimedOutError:
+                self._end()
+                found = {
+                    "error": f"it took longer than {self._terms.timeout:g} s",
+                    "kind": "time-out",
+                }
+            except DiedError as death:
+                self._end()
+                tries += 1
+                if tries < _TRIES and not self._closed:
+                    continue
+                found = {"error": str(death), "kind": "died"}
+            tries = 0
+            self._sent = max(self._sent - 1, 0)
+            if self._errors.seek(0, os.SEEK_END) > _MOST_SAID:
+                self._errors.truncate(0)
+            wall = found.get("wall_s")
+            ahead = 2 if isinstance(wall, float) and wall < _SHORT else 1
+            yield asked.popleft()[0], found
+
+    def stop(self) -> None:
+        """Has the process end in the middle of a run; may be called from any thread."""
+        self._closed = True
+        process = self._process
+        if process is not None:
+            process.kill()
+
+    def close(self) -> None:
+        """Ends the process; not while `answer` waits in another thread."""
+        self._closed = True
+        self._end()
+        self._errors.close()
+
+    def _send_all(self, requests: Sequence[dict[str, Any]]) -> None:
+        """Sends what has not been sent to this process."""
+        if self._process is not None and self._process.poll() is not None and not self._sent:
+            self._end()  # Idle for long, it has ended by itself.
+        if self._process is None:
+            self._start()
+        for request in requests[self._sent :]:
+            text = _line_of(request)
+            if self._sent and len(text) > _MOST_AHEAD:
+                return  # Both sides could wait for the other to read.
+            self._send(text)
+            self._sent += 1
+
+    def _start(self) -> None:
+        terms = self._terms
+        self._rest = b""
+        process = subprocess.Popen(
+            # -P: Python would look for modules in the working folder first.
+            [sys.executable, "-P", "-m", "leglab.runs.sweeps.worker"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._errors,
+            bufsize=0,
+            start_new_session=True,  # Ctrl-C is for the process that asks.
+            env={**os.environ, **_THREADS},
+        )
+        self._process = process
+        if self._closed:
+            raise DiedError("the sweep is over")
+        start = {"luggage": terms.luggage, "user": os.getpid(), "memory": terms.memory}
+        try:
+            self._send(_line_of(start))
+            found = self._line(_START_TIME)
+        except (DiedError, TimedOutError) as error:
+            if self._closed:
+                raise DiedError("the sweep is over") from error
+            reason = str(error) or f"it said nothing for {_START_TIME:g} s"
+            self._end()
+            raise LeglabError(f"a process for runs cannot be started: {reason}") from error
+        if "refused" in found:
+            self._end()
+            raise LeglabError(f"a process for runs cannot be started: {found['refused']}")
+        if found.get("code") != terms.code:
+            self._end()
+            raise LeglabError(
+                f"{os.uname().nodename}: the leglab there is of other code than the one here: "
+                "install the same version with the same plug-ins"
+            )
+
+    def _send(self, content: bytes) -> None:
+        assert self._process is not None
+        assert self._process.stdin is not None
+        text = memoryview(content)
+        try:
+            while text:
+                text = text[self._process.stdin.write(text) or 0 :]
+        except OSError as error:
+            raise DiedError(self._death()) from error
+
+    def _line(self, timeout: float) -> dict[str, Any]:
+        """One line of the process."""
+        assert self._process is not None
+        assert self._process.stdout is not None
+        end = time.monotonic() + timeout
+        parts = [self._rest]
+        size = len(self._rest)
+        while b"\n" not in parts[-1]:
+            left = end - time.monotonic()
+            try:
+                ready = left > 0 and select.select([self._process.stdout], [], [], left)[0]
+                if not ready:
+                    raise TimedOutError
+                part = os.read(self._process.stdout.fileno(), 1 << 20)
+            except OSError as error:
+                raise DiedError(self._death()) from error
+            size += len(part)
+            if not part or size > _MOST_ANSWER:
+                raise DiedError(self._death())
+            parts.append(part)
+        line, _, self._rest = b"".join(parts).partition(b"\n")
+        try:
+            found = parse_json(line)
+            if not isinstance(found, dict):
+                raise ValueError("it is no object")
+        except ValueError as error:
+            raise DiedError(
+                f"the process that made it gave no answer that can be read: {error}"
+            ) from (error)
+        return found
+
+    def _death(self) -> str:
+        process = self._process
+        assert process is not None
+        try:
+            status = process.wait(timeout=5)
+        except subprocess.TimeoutExpired:
+            return "the process that made it closed its output"
+        if status < 0:
+            name = signal.Signals(-status).name if -status in set(signal.Signals) else ""
+            what = f"the process that made it was ended by signal {-status} {name}".rstrip()
+        else:
+            what = f"the process that made it ended with status {status}"
+        last = self._last_words()
+        return f"{what}: {last}" if last else what
+
+    def _last_words(self) -> str:
+        size = self._errors.seek(0, os.SEEK_END)
+        self._errors.seek(max(size - 2000, 0))
+        lines = self._errors.read().decode(errors="replace").strip().splitlines()
+        return " ".join(lines[-1].split())[:300] if lines else ""
+
+    def _end(self) -> None:
+        process, self._process, self._sent = self._process, None, 0
+        if process is None:
+            return
+        process.kill()
+        for stream in (process.stdin, process.stdout):
+            if stream is not None:
+                stream.close()
+        process.wait()
+        self._errors.truncate(0)
+
+
+def _line_of(content: dict[str, Any]) -> bytes:
+    return json.dumps(content).encode() + b"\n"

@@ -1,0 +1,247 @@
+"""The benchmark of adaptation: sixteen faults in three sizes on specimens, for any controller.
+
+Every controller meets the same machines, motions, times of the change and noise: the seed draws
+them all. `static_feedforward` and `pd` run beside it, as what it must not be worse than and what
+its valve travel and energy are compared with.
+"""
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.scenario import scenario_names
+from leglab.runs.fault_bank import FAULTS
+from leglab.runs.preparation import RunSettings, check_controllers
+from leglab.runs.sweeps.plan import SweepPlan, check_run
+
+STATIC, PD = "static_feedforward", "pd"
+
+# Faults that the bank of faults does not have.
+_OTHER_SIZES = {
+    "seal_wear_supply_drop": (3.0, 10.0, 25.0),
+    "viscosity_change": (68.0, 100.0, 220.0),
+}
+# Standard deviation of the logarithm of every parameter about the drawing; length of a run [s].
+TOLERANCE, DURATION = 0.1, 20.0
+# The first windows see the start of learning; from here on a window counts [s].
+SAFE_FROM = 7.0
+_MOST_SPECIMENS = 1000
+
+
+def faults() -> dict[str, tuple[float, float, float]]:
+    """Sizes of each fault, small, middle and large: those of the bank of faults, and others.
+
+    What is not in them is no fault of the machine that a controller could adapt to: a cold start,
+    and what an encoder says.
+    """
+    sizes = dict(_OTHER_SIZES)
+    for name, sides in FAULTS.items():
+        own = sides[0].sizes
+        if len(own) < 3:
+            own = (own[0], (own[0] + own[-1]) / 2, own[-1])
+        sizes[name] = (own[0], own[len(own) // 2], own[-1])
+    return {name: sizes[name] for name in scenario_names() if name in sizes}
+
+
+def adaptation_plan(
+    controllers: Sequence[str],
+    *,
+    model: str = "leg",
+    specimens: int = 10,
+    only: Sequence[str] | None = None,
+) -> tuple[SweepPlan, tuple[str, ...]]:
+    """Returns the sweep of the benchmark, and the faults that the model cannot have.
+
+    Args:
+        controllers: Names; those that others are compared with are added.
+        model: Name of a model or path of an MJCF file.
+        specimens: How many, a seed each.
+        only: Names of faults; None for all.
+
+    Raises:
+        LeglabError: A controller or fault is not known or given twice, or the model cannot run.
+    """
+    check_controllers(controllers)
+    if not controllers:
+        raise LeglabError("no controllers to compare; give one or more")
+    if not 1 <= specimens <= _MOST_SPECIMENS:
+        raise LeglabError(f"specimens is {specimens}; allowed: 1 to {_MOST_SPECIMENS}")
+    settings: dict[str, Any] = {
+        "model": model,
+        "duration": DURATION,
+        "tolerance": TOLERANCE,
+        "vary": True,
+    }
+    check_run(RunSettings(scenario="nominal", **settings))
+    possible, missing = {}, []
+    known = faults()
+    for name in only or ():
+        if name not in known:
+            raise unknown_name("fault of the benchmark", name, known)
+    for name, sizes in known.items():
+        if only is not None and name not in only:
+            continue
+        try:
+            check_run(RunSettings(scenario=name, severity=sizes[0], **settings))
+            possible[name] = sizes
+        except LeglabError:  # The model has no such part: the bench has no pump.
+            missing.append(name)
+    if not possible:
+        raise LeglabError(f"model {model!r} can have none of {', '.join(missing) or 'no faults'}")
+    names = list(dict.fromkeys([STATIC, PD, *controllers]))
+    shared: dict[str, Any] = {"controller": names, "seed": {"count": specimens}}
+    blocks = [
+        {"grid": {"scenario": [name], "severity": list(sizes), **shared}}
+        for name, sizes in possible.items()
+    ]
+    return SweepPlan({"settings": settings, "block": blocks, "keep": ["traces"]}), tuple(missing)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """How a controller took one fault, or all of them.
+
+    Attributes:
+        controller: Its name.
+        fault: Name of the scenario; "all" for all together.
+        runs: Number of runs.
+        failed: Number of those that failed, which no other figure counts.
+        before_mrad: Median of the error before the change: the nominal error [mrad].
+        recovered: Median share of the damage that is undone at the end.
+        t90_median_s: Median time to nine tenths of that [s]; infinite where most never do.
+        t90_worst_s: The longest of those that there are [s].
+        never: Number of runs that never undo nine tenths.
+        told: Number of runs that the change damaged, of which these three tell.
+        worst_over_static: Largest ratio of its error over 2 s to that of `static_feedforward` over
+            the same 2 s, from 7 s on.
+        travel_over_pd: Median ratio of valve travel to that of `pd`.
+        energy_over_pd: Median ratio of energy from the supply to that of `pd`.
+    """
+
+    controller: str
+    fault: str
+    runs: int
+    failed: int
+    before_mrad: float | None
+    recovered: float | None
+    t90_median_s: float | None
+    t90_worst_s: float | None
+    never: int
+    told: int
+    worst_over_static: float | None
+    travel_over_pd: float | None
+    energy_over_pd: float | None
+
+
+def scores(rows: Sequence[Mapping[str, Any]]) -> list[Score]:
+    """Sums up the rows of the benchmark's sweep, by controller and fault, all together first.
+
+    Args:
+        rows: Of the dataset, with traces.
+    """
+    machines: dict[tuple[Any, ...], dict[str, Mapping[str, Any]]] = defaultdict(dict)
+    for row in rows:
+        place = row["scenario"], row["severity"], row["seed"]
+        machines[place][row["controller"]] = row
+    figures: dict[tuple[str, str], list[dict[str, Any]]] = defaultdict(list)
+    for (fault, _, _), by_controller in machines.items():
+        for controller, row in by_controller.items():
+            found = _figures(row, by_controller.get(STATIC), by_controller.get(PD))
+            for group in ("all", fault):
+                figures[controller, group].append(found)
+    order = sorted(figures, key=lambda key: (key[1] != "all", key[1]))
+    return [_score(*key, figures[key]) for key in order]
+
+
+def _figures(
+    row: Mapping[str, Any], static: Mapping[str, Any] | None, pd: Mapping[str, Any] | None
+) -> dict[str, Any]:
+    """What a run adds to its group; None where it has no such figure."""
+    if row["status"] != "ok":
+        return {"failed": True}
+    found: dict[str, Any] = {"failed": False, "before": row["before_rad"], "told": False}
+    if row["recovered"] is not None:
+        t90 = np.inf if row["t90_s"] is None else row["t90_s"]
+        found |= {"told": True, "recovered": row["recovered"], "t90": t90}
+    if static is not None and static["status"] == "ok":
+        found["worst"] = worst_window(row, static)
+    if pd is not None and pd["status"] == "ok":
+        found["travel"] = row["valve_travel"] / pd["valve_travel"]
+        if row["energy_j"] is not None and pd["energy_j"]:
+            found["energy"] = row["energy_j"] / pd["energy_j"]
+    return found
+
+
+def worst_window(row: Mapping[str, Any], other: Mapping[str, Any]) -> float | None:
+    """Largest ratio of the errors of two runs over the same 2 s, from 7 s on; None without one."""
+    pairs = zip(row["trace_s"], row["worst_rad"], other["worst_rad"], strict=True)
+    ratios = [ours / theirs for t, ours, theirs in pairs if t >= SAFE_FROM and ours and theirs]
+    return max(ratios, default=None)
+
+
+def _score(controller: str, fault: str, found: Sequence[Mapping[str, Any]]) -> Score:
+    def values(name: str) -> np.ndarray:
+        return np.array([one[name] for one in found if one.get(name) is not None], dtype=float)
+
+    def middle(name: str, factor: float = 1.0) -> float | None:
+        known = values(name)
+        return factor * float(np.median(known)) if known.size else None
+
+    times, worst = values("t90"), values("worst")
+    done = times[np.isfinite(times)]
+    return Score(
+        controller=controller,
+        fault=fault,
+        runs=len(found),
+        failed=sum(one["failed"] for one in found),
+        before_mrad=middle("before", 1e3),
+        recovered=middle("recovered"),
+        t90_median_s=middle("t90"),
+        t90_worst_s=float(done.max()) if done.size else None,
+        never=int(len(times) - len(done)),
+        told=len(times),
+        worst_over_static=float(worst.max()) if worst.size else None,
+        travel_over_pd=middle("travel"),
+        energy_over_pd=middle("energy"),
+    )
+
+
+HEAD = (
+    "controller", "runs", "failed", "before, mrad", "undone, %", "90 % after, s", "worst", "never",
+    "worst 2 s over static", "valve travel over pd", "energy over pd",
+)  # fmt: skip
+
+
+def cells(score: Score) -> list[str]:
+    """A line of the table, below `HEAD`."""
+    median = score.t90_median_s
+    never = f"{score.never} of {score.told}" if score.told else ""
+    return [
+        score.controller,
+        str(score.runs),
+        str(score.failed) if score.failed else "",
+        _number(score.before_mrad),
+        _number(None if score.recovered is None else 100.0 * score.recovered),
+        "never" if median is not None and np.isinf(median) else _number(median),
+        _number(score.t90_worst_s),
+        never,
+        _number(score.worst_over_static),
+        _number(score.travel_over_pd),
+        _number(score.energy_over_pd),
+    ]
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.3g}"
+
+
+def as_json(found: Sequence[Score]) -> list[dict[str, Any]]:
+    """The scores as JSON can hold them; a median that is never becomes None."""
+    return [
+        {k: None if isinstance(v, float) and np.isinf(v) else v for k, v in asdict(one).items()}
+        for one in found
+    ]

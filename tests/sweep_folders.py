@@ -1,0 +1,57 @@
+"""Folders of sweeps with made-up figures, written by the real books."""
+
+from pathlib import Path
+from statistics import median
+
+from leglab.runs.sweeps import store
+from leglab.runs.sweeps.plan import SweepPlan
+from leglab.runs.sweeps.rows import row_of, schema
+
+SIZES, SEEDS = (3.0, 25.0), 3
+
+
+def write_sweep(folder: Path, controllers=("pd", "bsnn_arx"), *, failed=(), scenario="seal_wear"):
+    """Writes a sweep over controllers, sizes and specimens.
+
+    Returns:
+        Made-up t90 [s] by controller and size, one a specimen; None for never.
+    """
+    grid = {
+        "controller": list(controllers),
+        "severity": list(SIZES),
+        "seed": {"count": SEEDS},
+    }
+    shared = {"scenario": scenario, "model": "knee_bench", "duration": 10.0}
+    plan = SweepPlan({"settings": shared, "block": [{"grid": grid}]})
+    record = store.SweepRecord(
+        plan=plan.content,
+        digest=plan.digest,
+        code="0" * 64,
+        models={},
+        runs=len(plan),
+        axes=list(plan.axes),
+        version="0.1.0",
+        load=["it's.py"],
+    )
+    folder.mkdir(parents=True)
+    store.write_json(record, folder / store.SWEEP)
+    books, times = store.Store(folder, record, schema(plan)), {}
+    for number, settings in enumerate(plan):
+        t90 = round(0.2 + 0.1 * number, 3) if number % 5 else None
+        if number in failed:
+            answer = {"error": f"no <b>figures</b> of {settings.controller}", "kind": "died"}
+        else:
+            times.setdefault((settings.controller, settings.severity), []).append(t90)
+            figures = {"rms_rad": 0.01, "end_rad": 0.01 * (number + 1), "peak_rad": 0.1}
+            figures |= {"recovered": 1.0 - 0.02 * number, "t90_s": t90, "came_to_s": 10.0}
+            answer = {"outcome": {**figures, "valve_travel": 5.0, "effort": 0.1}}
+        books.add(row_of(plan, number, answer, "here"))
+    books.compact()
+    books.close()
+    return times
+
+
+def middle(times) -> float | None:
+    """Median of times, of which those that never came are later than all; None for never."""
+    found = median(1e9 if time is None else time for time in times)
+    return None if found >= 1e9 else found
