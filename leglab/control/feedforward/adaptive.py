@@ -149,10 +149,6 @@ class AdaptiveFeedforward:
     ) -> None:
         self._map = inverse_map
         width = table.end - table.start
-        # Speed per command of the calibrated valve at half of its range.
-        low, high = np.searchsorted(table.share, [-0.5, 0.5])
-        middle = table.command[:, table.command.shape[1] // 2]
-        rise = np.abs(middle[:, high] - middle[:, low]) / (table.share[high] - table.share[low])
         self._core = Feedforward(
             {
                 **config.model_dump(),
@@ -177,7 +173,7 @@ class AdaptiveFeedforward:
                 # Calibrated positions end a little before the stops.
                 "learn_lower": table.start - 0.02 * width,
                 "learn_upper": table.end + 0.02 * width,
-                "bandwidth": np.abs(position_gain) * table.full_speed / rise,
+                "bandwidth": np.abs(position_gain) * table.full_speed / table.command_per_share(),
                 "position_gain": position_gain,
                 "velocity_gain": velocity_gain,
             }
