@@ -48,6 +48,7 @@ JOBS = (
     _job("real_data", 0.2),
     _job("replication", 1),
     _job("squat_limits", 1),
+    _job("peers", 1.5),
     _job("long_run", 2.5),
     _job("live_names", 25),
     _job("tracking_bound", 8),

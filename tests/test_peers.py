@@ -273,7 +273,9 @@ def test_stored_filters_contract_on_every_linearised_plant(model):
 
 def errors_of(controller, **settings):
     """RMS errors [mrad] in whole strides before, and at the end after, a change at half time."""
-    run = RunSettings(controller=controller, **{"scenario": "seal_wear", "duration": 20, **settings})
+    run = RunSettings(
+        controller=controller, **{"scenario": "seal_wear", "duration": 20, **settings}
+    )
     loop = Loop(run)
     history = loop.run()
     assert not history.failure, history.failure

@@ -35,6 +35,8 @@ CASES = {
     "knee_bench arx": {"model": "knee_bench", "controller": "arx"},
     "knee_bench paper": {"model": "knee_bench", "controller": "bsnn_arx_paper"},
     "knee_bench backstepping": {"model": "knee_bench", "controller": "adaptive_backstepping"},
+    "leg walking adrc": {"controller": "adrc"},
+    "leg walking ilc": {"controller": "ilc"},
 }
 DURATION = 10.0
 
