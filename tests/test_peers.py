@@ -160,7 +160,7 @@ CROSSOVER = np.array([30.0, 25.0])
 
 
 def test_kernels_are_the_filters():
-    """Impulse responses against the functions that they are made of, at frequencies of their own."""
+    """Impulse responses against the functions that they are made of."""
     half, shift = 400, 0.3 * PERIOD
     smoothing, learning = kernels_of(
         cutoff=50.0,

@@ -291,7 +291,7 @@ def stored_gains(
 ) -> list[tuple[float, float]] | None:
     """Gains of a shipped model from `GAINS_FILE`; None where it has none for this loop."""
     rows = stored_rows(GAINS_FILE, model, simulation, sensors)
-    return rows and [(row["position"], row["velocity"]) for row in rows]
+    return None if rows is None else [(row["position"], row["velocity"]) for row in rows]
 
 
 def stored_rows(
