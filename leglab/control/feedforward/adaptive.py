@@ -9,6 +9,7 @@ from pydantic import Field, field_validator
 from leglab._native.identification import Feedforward
 from leglab.base.settings import Configuration
 from leglab.control import Measurement, ReferencePoint
+from leglab.control.backstepping.data import NominalCylinders
 from leglab.control.feedforward.inverse_map import ACCELERATION, JERK, InverseMap
 from leglab.control.feedforward.motion import smoothing_kernel
 from leglab.control.feedforward.valve_table import ValveTable
@@ -124,12 +125,16 @@ class AdaptiveFeedforward:
         position_gain: Of the feedback [1/rad], (joints,); how fast it forgets an error.
         velocity_gain: Of the feedback [s/rad], (joints,).
         config: How it is learned.
+        loads: Structure of the map from motion to load; None without pressures.
+        cylinders: Data sheets of the cylinders; None without pressures.
         control_period: [s].
         latency: Age of a measurement when its command takes effect [s].
         velocity_delay: Age of a velocity estimate then [s].
 
     Attributes:
         learner: The learned map.
+        loads: The learned map from motion to load [share of the piston's force at nominal supply
+            pressure]; None without pressures.
         report: Values of the last period, by name, each (joints,): `feedforward` and `feedback`
             [valve command], `model_error` of the last sample [share of full speed], and `fallback`,
             1 where the calibrated map stands in. The arrays change with the next period.
@@ -143,11 +148,13 @@ class AdaptiveFeedforward:
         velocity_gain: np.ndarray,
         config: LearningConfiguration,
         *,
+        loads: InverseMap | None = None,
+        cylinders: NominalCylinders | None = None,
         control_period: float,
         latency: float,
         velocity_delay: float,
     ) -> None:
-        self._map = inverse_map
+        self._map, self._load_map = inverse_map, loads
         width = table.end - table.start
         self._core = Feedforward(
             {
@@ -176,6 +183,7 @@ class AdaptiveFeedforward:
                 "bandwidth": np.abs(position_gain) * table.full_speed / table.command_per_share(),
                 "position_gain": position_gain,
                 "velocity_gain": velocity_gain,
+                **({} if cylinders is None else _sheets(cylinders)),
             }
         )
         self._out = np.zeros((1 + len(_REPORTED), inverse_map.joints))
@@ -185,7 +193,8 @@ class AdaptiveFeedforward:
     def reset(self) -> None:
         """Forgets everything learned: the feed-forward is the calibration's."""
         self.learner = self._map.learner()
-        self._core.reset(self.learner._bank)
+        self.loads = None if self._load_map is None else self._load_map.learner()
+        self._core.reset(self.learner._bank, None if self.loads is None else self.loads._bank)
         self._core.keep(0)
         self._out[:] = 0.0
 
@@ -215,14 +224,36 @@ class AdaptiveFeedforward:
     def step(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
         """Learns from a measurement and gives the valve commands; call it once a period.
 
-        Feedback holds the reference against the measurement at the time it was taken. Where a
-        measurement is NaN the command is the feed-forward alone. What is sent counts as clipped to
-        [-1, 1]. The array (joints,) changes with the next period.
+        Where there are data sheets the measurement has pressures. Feedback holds the reference
+        against the measurement at the time it was taken. Where a measurement is NaN the command is
+        the feed-forward alone. What is sent counts as clipped to [-1, 1]. The array (joints,)
+        changes with the next period.
         """
-        time, position, velocity, *_ = measurement
-        self._core.step(time, position, velocity, *reference, self._out)
+        time, position, velocity, *pressures = measurement
+        if self.loads is None:
+            self._core.step(time, position, velocity, *reference, self._out)
+        else:
+            self._core.step(time, position, velocity, *reference, self._out, *pressures)
         return self._out[0]
 
     def sent(self, command: np.ndarray) -> None:
         """Takes the commands (joints,) that were sent, where they are not what `step` gave."""
         self._core.sent(command)
+
+
+def _sheets(cylinders: NominalCylinders) -> dict[str, np.ndarray]:
+    """Data sheets as the core reads them."""
+    names = ("stroke", "orifice_gain", "laminar_transition_pressure", "lap", "edge_rounding")
+    names += ("supply_pressure", "tank_pressure", "bulk_modulus", "entrained_air")
+    position = cylinders.position
+    return {
+        **{name: getattr(cylinders, name) for name in (*names, "polytropic_index")},
+        "area_a": cylinders.area[0],
+        "area_b": cylinders.area[1],
+        "dead_volume_a": cylinders.dead_volume[0],
+        "dead_volume_b": cylinders.dead_volume[1],
+        "position_start": position[:, 0],
+        "position_step": position[:, 1] - position[:, 0],
+        "lever": cylinders.lever,
+        "piston": cylinders.piston,
+    }
