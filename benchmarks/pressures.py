@@ -1,8 +1,8 @@
 """What measured pressures gain: `python benchmarks/pressures.py`.
 
 Walking leg, specimens of tolerance 0.1, one fault each of all cylinders, sizes and times drawn as
-in `live_names.py`. `bsnn_arx_pressure` stands beside `bsnn_arx`, `bsnn_arx_bank`, which have positions
-only, and `adaptive_backstepping`, which has the same sensors; `frozen` is what errors are measured
+in `live_names.py`. `bsnn_arx_pressure` stands beside `bsnn_arx` and `bsnn_arx_bank`, with positions
+only, and `adaptive_backstepping`, with the same sensors; `frozen` is what errors are measured
 against, `oracle` the bound for one fixed map of `bsnn_arx`.
 """
 
