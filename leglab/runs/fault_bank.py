@@ -75,7 +75,9 @@ _banks: dict[str, FaultBank] = {}
 MakeLoop = Callable[..., Any]
 
 
-def fault_bank(settings: RunSettings, scenario: Scenario, make_loop: MakeLoop) -> FaultBank:
+def fault_bank(
+    settings: RunSettings, scenario: Scenario, make_loop: MakeLoop, controller: str = "bsnn_arx"
+) -> FaultBank:
     """Makes the bank for a run's model, sensors and reference, or reads the one made before.
 
     Banks are kept in `cache_folder()` by a digest of the nominal machine and the settings; one
@@ -85,6 +87,7 @@ def fault_bank(settings: RunSettings, scenario: Scenario, make_loop: MakeLoop) -
         settings: Of the run; what happens in it and its specimen do not matter.
         scenario: Of the run, whose reference alone counts.
         make_loop: `leglab.runs.loop.Loop`.
+        controller: Name of the one whose learned map the faults shift.
 
     Raises:
         LeglabError: A simulation of the nominal machine fails.
@@ -92,7 +95,7 @@ def fault_bank(settings: RunSettings, scenario: Scenario, make_loop: MakeLoop) -
     common = replace(
         settings,
         scenario="nominal",
-        controller="bsnn_arx",
+        controller=controller,
         controller_config={},
         duration=None,
         severity=None,
