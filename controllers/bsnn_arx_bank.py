@@ -37,13 +37,12 @@ class BankController(AdaptiveController):
     """
 
     name = "bsnn_arx_bank"
-    learns_as = "bsnn_arx"  # whose learned map the bank's faults shift
 
     def __init__(self, setup: ControllerSetup, config: BankConfiguration) -> None:
         if setup.fault_bank is None:
             raise LeglabError(f"controller {self.name!r} needs a bank of faults of the machine")
         super().__init__(setup, config)
-        bank = setup.fault_bank(self.learns_as)
+        bank = setup.fault_bank()
         if config.left_out:
             bank = bank.without(config.left_out)
         period = setup.control_period * config.interval

@@ -105,7 +105,7 @@ def made(name: str) -> tuple[Controller, set[str]]:
         machine=Witness(setup.machine, "", asked),  # type: ignore[arg-type]
         reference_period=1.0,
         foreknowledge=Witness(known, "", asked),  # type: ignore[arg-type]
-        fault_bank=lambda controller: asked.add("fault_bank") or bank(),  # type: ignore[func-returns-value]
+        fault_bank=lambda: asked.add("fault_bank") or bank(),  # type: ignore[func-returns-value]
     )
     object.__setattr__(witness, "asked", asked)
     factory, settings = CONTROLLERS.configured(name, None)

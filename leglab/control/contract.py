@@ -212,8 +212,7 @@ class ControllerSetup:
             where it does not; None where nothing is planned.
         foreknowledge: Of the run's changes, for yardsticks.
         fault_bank: Makes a `leglab.control.feedforward.fault_bank.FaultBank` by simulation of the
-            nominal machine, for the controller of a name; None without a machine that could be
-            simulated.
+            nominal machine; None without a machine that could be simulated.
     """
 
     joints: tuple[str, ...]
@@ -221,7 +220,7 @@ class ControllerSetup:
     machine: NominalMachine = field(default_factory=NominalMachine)
     reference_period: float | None = None
     foreknowledge: Foreknowledge = field(default_factory=Foreknowledge)
-    fault_bank: Callable[[str], Any] | None = None
+    fault_bank: Callable[[], Any] | None = None
 
     def __post_init__(self) -> None:
         if not self.joints or len(set(self.joints)) != len(self.joints):

@@ -75,9 +75,7 @@ _banks: dict[str, FaultBank] = {}
 MakeLoop = Callable[..., Any]
 
 
-def fault_bank(
-    settings: RunSettings, scenario: Scenario, make_loop: MakeLoop, controller: str = "bsnn_arx"
-) -> FaultBank:
+def fault_bank(settings: RunSettings, scenario: Scenario, make_loop: MakeLoop) -> FaultBank:
     """Makes the bank for a run's model, sensors and reference, or reads the one made before.
 
     Banks are kept in `cache_folder()` by a digest of the nominal machine and the settings; one
@@ -87,7 +85,6 @@ def fault_bank(
         settings: Of the run; what happens in it and its specimen do not matter.
         scenario: Of the run, whose reference alone counts.
         make_loop: `leglab.runs.loop.Loop`.
-        controller: Name of the one whose learned map the faults shift.
 
     Raises:
         LeglabError: A simulation of the nominal machine fails.
@@ -95,7 +92,7 @@ def fault_bank(
     common = replace(
         settings,
         scenario="nominal",
-        controller=controller,
+        controller="bsnn_arx",
         controller_config={},
         duration=None,
         severity=None,
