@@ -37,6 +37,7 @@ CASES = {
     "knee_bench backstepping": {"model": "knee_bench", "controller": "adaptive_backstepping"},
     "leg walking adrc": {"controller": "adrc"},
     "leg walking ilc": {"controller": "ilc"},
+    "leg walking pressure": {"controller": "bsnn_arx_pressure"},
 }
 DURATION = 10.0
 

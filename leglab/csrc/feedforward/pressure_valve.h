@@ -101,7 +101,7 @@ class PressureValve {
     const double eps = sheet_.edge_rounding, quarter = 0.25 * eps * eps;
     const double one = (rate > 0.0 ? rate / slope.up : -rate / slope.down) + 0.3 * eps;
     double spool = std::copysign(std::max(sheet_.lap + one - quarter / one, 0.0), rate);
-    for (int k = 0; k < 3; ++k) {
+    for (int k = 0; k < 5; ++k) {
       const double d_up = spool - sheet_.lap, d_down = -spool - sheet_.lap;
       const double root_up = std::sqrt(d_up * d_up + eps * eps);
       const double root_down = std::sqrt(d_down * d_down + eps * eps);
