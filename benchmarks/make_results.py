@@ -51,6 +51,7 @@ JOBS = (
     _job("peers", 1.5),
     _job("long_run", 2.5),
     _job("live_names", 25),
+    _job("pressures", 6, options="--specimens 1 --controllers bsnn_arx,bsnn_arx_pressure"),
     _job("tracking_bound", 8),
     _job("diagnosis_bench", 3),
     _job("diagnosis_bench_without_pressures", 4, "diagnosis_bench", "--without-pressures"),
