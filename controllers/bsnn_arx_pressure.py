@@ -1,5 +1,6 @@
 """The adaptive feed-forward with measured pressures: a cascade of two learned maps."""
 
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -7,6 +8,7 @@ from pydantic import Field
 
 from leglab.base.errors import LeglabError
 from leglab.control import ControllerSetup, Measurement, register_controller
+from leglab.control.backstepping.data import NominalCylinders
 from leglab.control.feedforward.adaptive import AdaptiveFeedforward
 from leglab.control.feedforward.inverse_map import InverseMap
 from leglab.control.feedforward.valve_table import ValveTable
@@ -52,20 +54,22 @@ class PressureController(AdaptiveController):
         rls: Rls,
     ) -> AdaptiveFeedforward:
         machine, joints = setup.machine, len(setup.joints)
-        structure = {
-            "velocity_splines": config.velocity_splines,
-            "position_splines": config.position_splines,
-            "least_memory": config.least_memory,
-        }
+        structure = partial(
+            InverseMap,
+            joints,
+            velocity_splines=config.velocity_splines,
+            position_splines=config.position_splines,
+            least_memory=config.least_memory,
+        )
         load_rls = config.model_copy(update={"noise": config.load_noise}).rls
         return AdaptiveFeedforward(
-            InverseMap(joints, rls, leaks=config.leak_gain, **structure),
+            structure(rls=rls, leaks=config.leak_gain),
             ValveTable.of(machine.valve_maps, np.asarray(machine.direction)),
             self._feedback.position_gain,
             self._feedback.velocity_gain,
             config,
-            loads=InverseMap(joints, load_rls, **structure),
-            cylinders=machine.cylinders,
+            loads=structure(rls=load_rls),
+            sheets=data_sheets(machine.cylinders),
             control_period=setup.control_period,
             latency=machine.latency,
             velocity_delay=machine.latency + machine.velocity_delay,
@@ -81,3 +85,22 @@ class PressureController(AdaptiveController):
         if any(pressure is None for pressure in pressures):
             raise LeglabError(f"controller {self.name!r} needs measured pressures, there are none")
         super().reset(measurement)
+
+
+def data_sheets(cylinders: NominalCylinders) -> dict[str, np.ndarray]:
+    """Data sheets as the core reads them, by name."""
+    names = ["stroke", "orifice_gain", "laminar_transition_pressure", "lap", "edge_rounding"]
+    names += ["supply_pressure", "tank_pressure", "bulk_modulus", "entrained_air"]
+    names += ["polytropic_index"]
+    position = cylinders.position
+    return {
+        **{name: getattr(cylinders, name) for name in names},
+        "area_a": cylinders.area[0],
+        "area_b": cylinders.area[1],
+        "dead_volume_a": cylinders.dead_volume[0],
+        "dead_volume_b": cylinders.dead_volume[1],
+        "position_start": position[:, 0],
+        "position_step": position[:, 1] - position[:, 0],
+        "lever": cylinders.lever,
+        "piston": cylinders.piston,
+    }

@@ -9,6 +9,7 @@ from leglab.control.backstepping.data import NominalCylinders
 from leglab.control.feedforward.adaptive import AdaptiveFeedforward, LearningConfiguration
 from leglab.control.feedforward.inverse_map import InverseMap
 from leglab.control.feedforward.valve_table import ValveTable
+from leglab.controllers.bsnn_arx_pressure import data_sheets
 from leglab.identification import ChangeDetection, Rls
 from leglab.machine.sensors import SensorConfiguration
 from leglab.machine.simulation import Simulation, load_model
@@ -139,7 +140,7 @@ def test_core_with_pressures_agrees_with_numpy(monkeypatch):
     structure = {"velocity_splines": 10, "position_splines": 4}
     inverse_map = InverseMap(2, RLS, leaks=4.0, **structure)
     loads = InverseMap(2, RLS, **structure)
-    more = {"loads": loads, "cylinders": cylinders}
+    more = {"loads": loads, "sheets": data_sheets(cylinders)}
     gain = 2.0 * signs
     made, parts = parts_of(module, table, inverse_map, SETTINGS, gain, monkeypatch, **more)
     made.reset()

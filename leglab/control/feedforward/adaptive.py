@@ -1,6 +1,7 @@
 """Learns the inverse map while the machine moves, and gives the feed-forward from it, safely."""
 
 import math
+from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
@@ -9,7 +10,6 @@ from pydantic import Field, field_validator
 from leglab._native.identification import Feedforward
 from leglab.base.settings import Configuration
 from leglab.control import Measurement, ReferencePoint
-from leglab.control.backstepping.data import NominalCylinders
 from leglab.control.feedforward.inverse_map import ACCELERATION, JERK, InverseMap
 from leglab.control.feedforward.motion import smoothing_kernel
 from leglab.control.feedforward.valve_table import ValveTable
@@ -126,7 +126,8 @@ class AdaptiveFeedforward:
         velocity_gain: Of the feedback [s/rad], (joints,).
         config: How it is learned.
         loads: Structure of the map from motion to load; None without pressures.
-        cylinders: Data sheets of the cylinders; None without pressures.
+        sheets: Data sheets of the cylinders by the names of `csrc/feedforward/pressure_valve.h`,
+            (joints,) or (joints, p) each; None without pressures.
         control_period: [s].
         latency: Age of a measurement when its command takes effect [s].
         velocity_delay: Age of a velocity estimate then [s].
@@ -149,7 +150,7 @@ class AdaptiveFeedforward:
         config: LearningConfiguration,
         *,
         loads: InverseMap | None = None,
-        cylinders: NominalCylinders | None = None,
+        sheets: Mapping[str, np.ndarray] | None = None,
         control_period: float,
         latency: float,
         velocity_delay: float,
@@ -183,7 +184,7 @@ class AdaptiveFeedforward:
                 "bandwidth": np.abs(position_gain) * table.full_speed / table.command_per_share(),
                 "position_gain": position_gain,
                 "velocity_gain": velocity_gain,
-                **({} if cylinders is None else _sheets(cylinders)),
+                **(sheets or {}),
             }
         )
         self._out = np.zeros((1 + len(_REPORTED), inverse_map.joints))
@@ -229,31 +230,15 @@ class AdaptiveFeedforward:
         the feed-forward alone. What is sent counts as clipped to [-1, 1]. The array (joints,)
         changes with the next period.
         """
-        time, position, velocity, *pressures = measurement
-        if self.loads is None:
+        time, position, velocity, pressure_a, pressure_b, supply = measurement
+        if self.loads is None or supply is None:
             self._core.step(time, position, velocity, *reference, self._out)
         else:
-            self._core.step(time, position, velocity, *reference, self._out, *pressures)
+            self._core.step(
+                time, position, velocity, *reference, self._out, pressure_a, pressure_b, supply
+            )
         return self._out[0]
 
     def sent(self, command: np.ndarray) -> None:
         """Takes the commands (joints,) that were sent, where they are not what `step` gave."""
         self._core.sent(command)
-
-
-def _sheets(cylinders: NominalCylinders) -> dict[str, np.ndarray]:
-    """Data sheets as the core reads them."""
-    names = ("stroke", "orifice_gain", "laminar_transition_pressure", "lap", "edge_rounding")
-    names += ("supply_pressure", "tank_pressure", "bulk_modulus", "entrained_air")
-    position = cylinders.position
-    return {
-        **{name: getattr(cylinders, name) for name in (*names, "polytropic_index")},
-        "area_a": cylinders.area[0],
-        "area_b": cylinders.area[1],
-        "dead_volume_a": cylinders.dead_volume[0],
-        "dead_volume_b": cylinders.dead_volume[1],
-        "position_start": position[:, 0],
-        "position_step": position[:, 1] - position[:, 0],
-        "lever": cylinders.lever,
-        "piston": cylinders.piston,
-    }
