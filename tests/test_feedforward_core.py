@@ -176,6 +176,8 @@ def test_core_with_pressures_agrees_with_numpy(monkeypatch):
         made.sent(command)
         other.sent = np.clip(command, -1, 1)
     np.testing.assert_allclose(mine, theirs, rtol=0, atol=1e-8)
+    for have, expected in zip((made.learner, made.loads), learners, strict=True):
+        np.testing.assert_allclose(have.parameters, expected.parameters, rtol=0, atol=1e-6)
     assert np.abs(np.diff(theirs, axis=0)).max() > 1e-3
     for learner in (made.learner, made.loads):
         assert learner.diagnostics(0)["learned"] > 200
