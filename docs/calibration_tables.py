@@ -69,6 +69,17 @@ class Witness:
         return value
 
 
+class WitnessSetup(ControllerSetup):
+    """Notes when somebody asks for the period of the planned motion."""
+
+    asked: set[str]
+
+    def __getattribute__(self, name: str) -> Any:
+        if name == "reference_period":
+            object.__getattribute__(self, "asked").add(name)
+        return object.__getattribute__(self, name)
+
+
 class BenchRun:
     """In place of a recording: a fit to it gives the parameters that the controller starts with."""
 
@@ -88,13 +99,15 @@ def made(name: str) -> tuple[Controller, set[str]]:
         bench_runs=lambda: [BenchRun(), BenchRun()],
         exact_commands=lambda: np.zeros((PERIODS, 1)),
     )
-    witness = ControllerSetup(
+    witness = WitnessSetup(
         joints=setup.joints,
         control_period=setup.control_period,
         machine=Witness(setup.machine, "", asked),  # type: ignore[arg-type]
+        reference_period=1.0,
         foreknowledge=Witness(known, "", asked),  # type: ignore[arg-type]
         fault_bank=lambda: asked.add("fault_bank") or bank(),  # type: ignore[func-returns-value]
     )
+    object.__setattr__(witness, "asked", asked)
     factory, settings = CONTROLLERS.configured(name, None)
     return factory(witness, settings), asked
 
@@ -161,7 +174,7 @@ def told_rows() -> list[tuple[str, str, str]]:
         else:
             rows.append((name, "told", first(inspect.getdoc(value) or "")))
     setup = dict(meanings(ControllerSetup))
-    rows.append(("fault_bank", "told", setup["fault_bank"]))
+    rows += [(name, "told", setup[name]) for name in ("reference_period", "fault_bank")]
     rows += [(name, "told of the run", text) for name, text in meanings(Foreknowledge)]
     known = dict(meanings(Measurement))
     return rows + [(name, "measured", known[name]) for name in DISTURBANCE]

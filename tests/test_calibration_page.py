@@ -40,13 +40,15 @@ def test_what_is_told_is_what_is_asked_for(page):
     assert "valve_maps.command" in page.told("static_feedforward")
     assert "valve_maps.velocity" in page.told("bsnn_arx_paper")
     assert "valve_maps.command" not in page.told("bsnn_arx_paper")
+    assert "reference_period" in page.told("ilc")
+    assert "reference_period" not in page.told("adrc")
 
 
 def test_everything_that_can_be_known_has_a_row(page):
     rows = {name.partition(".")[0]: meaning for name, _, meaning in page.told_rows()}
     machine = {name for name in vars(NominalMachine) if not name.startswith("_")}
     readings = set(Measurement._fields) - {"time"}
-    assert rows.keys() == machine | CHANGES | readings | {"fault_bank"}
+    assert rows.keys() == machine | CHANGES | readings | {"fault_bank", "reference_period"}
     assert all(rows.values())
 
 

@@ -3,11 +3,16 @@
 import numpy as np
 import pytest
 
+from leglab.commissioning.setup import controller_setup
 from leglab.control import Measurement, ReferencePoint
+from leglab.control.backstepping.data import NominalCylinders
 from leglab.control.feedforward.adaptive import AdaptiveFeedforward, LearningConfiguration
 from leglab.control.feedforward.inverse_map import InverseMap
 from leglab.control.feedforward.valve_table import ValveTable
+from leglab.controllers.bsnn_arx_pressure import data_sheets
 from leglab.identification import ChangeDetection, Rls
+from leglab.machine.sensors import SensorConfiguration
+from leglab.machine.simulation import Simulation, load_model
 from tests.reference import feedforward_oracle as oracle
 
 PERIOD = 0.002
@@ -35,14 +40,14 @@ class CalibratedMap:
         self.command = np.clip(sign * (opening + load), -1, 1)
 
 
-def parts_of(feedforward, table, inverse_map, settings, position_gain, monkeypatch):
+def parts_of(feedforward, table, inverse_map, settings, position_gain, monkeypatch, **more):
     """The constants that the front-end hands to the core."""
     seen = {}
     real = feedforward.Feedforward
     monkeypatch.setattr(feedforward, "Feedforward", lambda parts: seen.update(parts) or real(parts))
     gains = position_gain, 0.1 * position_gain
     timing = {"control_period": PERIOD, "latency": 0.001, "velocity_delay": 0.004}
-    made = AdaptiveFeedforward(inverse_map, table, *gains, settings, **timing)
+    made = AdaptiveFeedforward(inverse_map, table, *gains, settings, **timing, **more)
     monkeypatch.undo()
     return made, seen
 
@@ -112,6 +117,71 @@ def test_core_agrees_with_numpy(splines, supervised, forward, monkeypatch):
     assert made.learner.diagnostics(0)["dropped"] > 0
     if supervised and splines[0] and not forward:
         assert 0 < fell_back < 4000, "the case does not exercise the supervisor"
+
+
+def test_core_with_pressures_agrees_with_numpy(monkeypatch):
+    import leglab.control.feedforward.adaptive as module
+
+    simulation = Simulation(load_model("leg", visual=False))
+    machine = controller_setup(simulation, "leg", SensorConfiguration()).machine
+    chosen = [1, 3]  # hip roll and knee, which a positive command moves to either side
+    signs = np.asarray(machine.direction)[chosen]
+    table = ValveTable.of([machine.valve_maps[j] for j in chosen], signs)
+    sheets = [machine.cylinders.joint(j) for j in chosen]
+    cylinders = NominalCylinders(
+        **{
+            name: np.concatenate(
+                [getattr(sheet, name) for sheet in sheets],
+                axis=0 if name in ("position", "lever", "piston") else -1,
+            )
+            for name in vars(sheets[0])
+        }
+    )
+    structure = {"velocity_splines": 10, "position_splines": 4}
+    inverse_map = InverseMap(2, RLS, leaks=4.0, **structure)
+    loads = InverseMap(2, RLS, **structure)
+    more = {"loads": loads, "sheets": data_sheets(cylinders)}
+    gain = 2.0 * signs
+    made, parts = parts_of(module, table, inverse_map, SETTINGS, gain, monkeypatch, **more)
+    made.reset()
+    learners = inverse_map.learner(), loads.learner()
+    other = oracle.PressureFeedforward(parts, table, *learners, cylinders)
+
+    rng = np.random.default_rng(4)
+    middle = np.array([0.5 * (low + high) for low, high in simulation.joint_range()[chosen]])
+    mine, theirs = [], []
+    for k in range(600):
+        t = k * PERIOD
+        phase = np.array([3.0, 4.1]) * t + np.array([0.0, 1.0])
+        reference = ReferencePoint(
+            middle + 0.2 * np.sin(phase),
+            0.2 * np.array([3.0, 4.1]) * np.cos(phase),
+            -0.2 * np.array([9.0, 16.81]) * np.sin(phase),
+        )
+        lag = 0.01 if k < 350 else -0.06
+        position = middle + 0.2 * np.sin(phase - lag) + 1e-5 * rng.standard_normal(2)
+        pressure_a = 6e6 + 3e6 * np.sin(phase + 0.3) + 1e4 * rng.standard_normal(2)
+        pressure_b = 9e6 - 4e6 * np.cos(phase) + 1e4 * rng.standard_normal(2)
+        supply = 16e6 if k < 450 else 11e6
+        if k in (300, 301):
+            pressure_a[0] = supply = np.nan
+        velocity = reference.velocity
+        measured = Measurement(t, position, velocity, pressure_a, pressure_b, supply)
+        made.step(measured, reference)
+        other.take(pressure_a, pressure_b, supply)
+        want, _ = other.step(t, position, reference)
+        mine.append(made.report["feedforward"].copy())
+        theirs.append(want)
+        command = want + 0.3 * signs * (reference.position - position)
+        made.sent(command)
+        other.sent = np.clip(command, -1, 1)
+    np.testing.assert_allclose(mine, theirs, rtol=0, atol=1e-8)
+    for have, expected in zip((made.learner, made.loads), learners, strict=True):
+        np.testing.assert_allclose(have.parameters, expected.parameters, rtol=0, atol=1e-6)
+    assert np.abs(np.diff(theirs, axis=0)).max() > 1e-3
+    for learner in (made.learner, made.loads):
+        assert learner.diagnostics(0)["learned"] > 200
+        assert np.abs(learner.parameters).max() > 1e-2
 
 
 def test_table_directions_are_inverse_to_each_other():

@@ -170,7 +170,7 @@ def test_save_and_load_resume_bit_exactly(kind, tmp_path):
         (lambda data: b"\x80pickle" + data, "no saved identifier"),
         (lambda data: data.replace(b"identifier 1\n", b"identifier 99\n", 1), "version '99'"),
         (lambda data: data[:-9] + bytes([data[-9] ^ 1]) + data[-8:], "checksum"),
-        (lambda data: data.replace(b'"state_version": 2', b'"state_version": 7'), "version 7"),
+        (lambda data: data.replace(b'"state_version": 3', b'"state_version": 7'), "version 7"),
         (lambda data: data.replace(b'"BsnnArx"', b'"BsnnArk"', 1), "unknown model"),
     ],
 )

@@ -35,6 +35,9 @@ CASES = {
     "knee_bench arx": {"model": "knee_bench", "controller": "arx"},
     "knee_bench paper": {"model": "knee_bench", "controller": "bsnn_arx_paper"},
     "knee_bench backstepping": {"model": "knee_bench", "controller": "adaptive_backstepping"},
+    "leg walking adrc": {"controller": "adrc"},
+    "leg walking ilc": {"controller": "ilc"},
+    "leg walking pressure": {"controller": "bsnn_arx_pressure"},
 }
 DURATION = 10.0
 

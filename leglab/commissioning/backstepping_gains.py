@@ -5,7 +5,6 @@ Those of the shipped models stand in `backstepping_gains.toml`, which
 """
 
 import math
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -14,8 +13,8 @@ import mujoco
 import numpy as np
 
 from leglab.base.errors import LeglabError
-from leglab.commissioning.nominal import inertia_matrix, nominal_cylinders
-from leglab.commissioning.pd_gains import SPEEDS, TUNED_MODELS, joint_plant
+from leglab.commissioning.nominal import nominal_cylinders
+from leglab.commissioning.pd_gains import SPEEDS, TUNED_MODELS, joint_plant, stored_rows
 from leglab.control.backstepping.cylinder import CylinderModel
 from leglab.control.backstepping.data import (
     FORCE_CUTOFF,
@@ -99,9 +98,7 @@ def _point(
     import control  # takes a second
 
     lever = float(simulation.levers()[joint])
-    plant = joint_plant(simulation, joint, speed)
-    if held:  # the mass with the other joints free, over that with them held
-        plant.A[0] *= _mass_ratio(simulation, joint)
+    plant = joint_plant(simulation, joint, speed, held=held)
     # States: piston velocity, both pressures, spool and its velocity, joint position.
     c = np.zeros((3, 6))
     c[0, 5], c[1, 1], c[2, 2] = lever, 1.0, 1.0
@@ -152,12 +149,6 @@ def _point(
         spool_per_force=(spool(step * by_force) - spool(-step * by_force)) / (2 * step),
         spool_per_sum=per_sum,
     )
-
-
-def _mass_ratio(simulation: Simulation, joint: int) -> float:
-    """Inertia of a joint with the others free, as a share of that with the others held."""
-    inertia, dof = inertia_matrix(simulation), simulation.dof_index[joint]
-    return float(1.0 / (np.linalg.inv(inertia)[dof, dof] * inertia[dof, dof]))
 
 
 # Largest sensitivity |1/(1 + L)|: 2 leaves a gain margin of 6 dB and a phase margin of 29 degrees.
@@ -413,12 +404,8 @@ def backstepping_gains(
         simulation: The nominal machine in its rest pose, where it is left.
         sensors: Sensors and timing.
     """
-    file = tomllib.loads(GAINS_FILE.read_text()) if GAINS_FILE.exists() else {}
-    stored = file.get(str(model), {})
-    joints = stored.get("joints", {})
-    known = all(stored.get(name) == getattr(sensors, name) for name in _TIMING)
-    if known and all(name in joints for name in simulation.joints):
-        rows = [joints[name] for name in simulation.joints]
+    rows = stored_rows(GAINS_FILE, model, simulation, sensors)
+    if rows:
         return BacksteppingGains(**{key: np.array([row[key] for row in rows]) for key in _NAMES})
     tuned = [tuned_gains(simulation, joint, sensors) for joint in range(len(simulation.joints))]
     return BacksteppingGains(

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 from leglab.base.errors import LeglabError
+from leglab.commissioning.nominal import inertia_matrix
 from leglab.machine.cylinder import CONTINUOUS_STATES, Cylinder
 from leglab.machine.sensors import SensorConfiguration, velocity_filter_coefficient
 from leglab.machine.simulation import Simulation, load_model
@@ -53,11 +54,13 @@ class Gains:
     crossover: float
 
 
-def joint_plant(simulation: Simulation, joint: int, speed: float) -> "control.StateSpace":
+def joint_plant(
+    simulation: Simulation, joint: int, speed: float, *, held: bool = False
+) -> "control.StateSpace":
     """Linear plant of one joint from valve command to joint position [rad] in the present pose.
 
     The piston runs at `speed` [m/s] under the load of the pose; the other joints are free, so
-    that the cylinder sees the effective mass 1/(J M^-1 J').
+    that the cylinder sees the effective mass 1/(J M^-1 J'), or held.
     """
     import control  # takes a second, and most runs find their gains in the file
 
@@ -98,6 +101,9 @@ def joint_plant(simulation: Simulation, joint: int, speed: float) -> "control.St
     b = np.zeros((6, 1))
     b[:5, 0] = (slope(zero, 1e-6) - slope(zero, -1e-6))[rows] / 2e-6
     a[5, 0] = 1.0 / lever  # joint speed from piston speed
+    if held:  # the mass with the other joints free, over that with them held
+        inertia, dof = inertia_matrix(simulation), simulation.dof_index[joint]
+        a[0] *= 1.0 / (np.linalg.inv(inertia)[dof, dof] * inertia[dof, dof])
     return control.ss(a, b, np.eye(6)[5:], 0)
 
 
@@ -124,17 +130,45 @@ def sampled_plant(
     return control.ss(a, b, c, 0, period)
 
 
-def _loops(
-    simulation: Simulation, joint: int, poses: Sequence[np.ndarray], period: float, latency: float
+def sampled_plants(
+    simulation: Simulation,
+    joint: int,
+    sensors: SensorConfiguration,
+    poses: Sequence[np.ndarray] | None = None,
+    *,
+    held: bool = False,
 ) -> list["control.StateSpace"]:
+    """Linear plants of one joint, sampled: where gains are tuned.
+
+    Args:
+        simulation: The nominal machine; its positions are changed.
+        joint: Index of the joint.
+        sensors: Control period and latency of the loop.
+        poses: Positions (nq,) at which to linearise; None for the present one and the joint at a
+            quarter and three quarters of its range.
+        held: Whether the other joints are held; without, they are free.
+
+    Returns:
+        From valve command, with the sign that moves the joint forward, to measured position [rad],
+        one a pose and piston speed.
+    """
     plants = []
     data = simulation.data
+    period, latency = sensors.control_period, sensors.latency
+    if poses is None:
+        home = data.qpos.copy()
+        low, high = simulation.joint_range()[joint]
+        poses = [home]
+        for fraction in (0.25, 0.75):
+            pose = home.copy()
+            pose[simulation.qpos_index[joint]] = low + fraction * (high - low)
+            poses.append(pose)
     for pose in poses:
         data.qpos[:], data.qvel[:] = pose, 0.0
         mujoco.mj_forward(simulation.model, data)
         for speed in SPEEDS:
             try:
-                plant = joint_plant(simulation, joint, speed)
+                plant = joint_plant(simulation, joint, speed, held=held)
             except LeglabError:
                 continue  # the cylinder cannot run at this speed under this load
             direction = float(np.sign(simulation.levers()[joint]))
@@ -158,21 +192,12 @@ def tune(
         simulation: The nominal machine; its positions are changed.
         joint: Index of the joint.
         sensors: Control period, latency and velocity filter of the loop.
-        poses: Positions (nq,) at which to linearise; None for the present one and the joint at a
-            quarter and three quarters of its range.
+        poses: As `sampled_plants`.
     """
-    if poses is None:
-        home = simulation.data.qpos.copy()
-        low, high = simulation.joint_range()[joint]
-        poses = [home]
-        for fraction in (0.25, 0.75):
-            pose = home.copy()
-            pose[simulation.qpos_index[joint]] = low + fraction * (high - low)
-            poses.append(pose)
-    period, latency = sensors.control_period, sensors.latency
+    period = sensors.control_period
     frequencies = np.geomspace(0.05, math.pi / period * 0.999, 4000)
     z = np.exp(1j * frequencies * period)
-    responses = [plant(z).ravel() for plant in _loops(simulation, joint, poses, period, latency)]
+    responses = [plant(z).ravel() for plant in sampled_plants(simulation, joint, sensors, poses)]
     alpha = velocity_filter_coefficient(period, sensors.velocity_cutoff)
     derivative = alpha * (1 - 1 / z) / period / (1 - (1 - alpha) / z)
 
@@ -180,7 +205,8 @@ def tune(
         worst = [math.inf, math.inf, math.inf]
         for plant in responses:
             loop = plant * (kp + kv * derivative)
-            worst = [min(a, b) for a, b in zip(worst, _margins(loop, frequencies), strict=True)]
+            found = stability_margins(loop, frequencies)
+            worst = [min(a, b) for a, b in zip(worst, found, strict=True)]
         return worst[0], worst[1], worst[2]
 
     def greatest(kv: float) -> float:
@@ -202,7 +228,7 @@ def tune(
     )
 
 
-def _margins(loop: np.ndarray, frequencies: np.ndarray) -> tuple[float, float, float]:
+def stability_margins(loop: np.ndarray, frequencies: np.ndarray) -> tuple[float, float, float]:
     """Gain margin [dB], phase margin [deg] and crossover [rad/s] of a sampled frequency response.
 
     Every crossing counts: a resonance crosses the unit circle more than once.
@@ -264,16 +290,31 @@ def stored_gains(
     model: str, simulation: Simulation, sensors: SensorConfiguration
 ) -> list[tuple[float, float]] | None:
     """Gains of a shipped model from `GAINS_FILE`; None where it has none for this loop."""
-    if not GAINS_FILE.exists():
+    rows = stored_rows(GAINS_FILE, model, simulation, sensors)
+    return None if rows is None else [(row["position"], row["velocity"]) for row in rows]
+
+
+def stored_rows(
+    file: Path, model: str, simulation: Simulation, sensors: SensorConfiguration
+) -> list[dict[str, float]] | None:
+    """What a file of gains says of each joint; None where it has none for this loop.
+
+    Args:
+        file: TOML with a table a model: the timing that it was tuned for, and `joints`.
+        model: Name or path of the model.
+        simulation: The machine, for the names of its joints.
+        sensors: Sensors and timing of the loop.
+    """
+    entry = tomllib.loads(file.read_text()).get(str(model)) if file.exists() else None
+    if entry is None:
         return None
-    entry = tomllib.loads(GAINS_FILE.read_text()).get(str(model))
-    timing = ("control_period", "latency", "velocity_cutoff")
-    if entry is None or any(entry[name] != getattr(sensors, name) for name in timing):
-        return None
+    timing = entry.keys() & SensorConfiguration.model_fields
     joints = entry["joints"]
+    if any(entry[name] != getattr(sensors, name) for name in timing):
+        return None
     if any(name not in joints for name in simulation.joints):
         return None
-    return [(joints[name]["position"], joints[name]["velocity"]) for name in simulation.joints]
+    return [joints[name] for name in simulation.joints]
 
 
 def tuned_gains(model: str, sensors: SensorConfiguration) -> list[tuple[float, float]]:

@@ -7,12 +7,16 @@ from functools import cached_property
 import mujoco
 import numpy as np
 
+from leglab.commissioning.adrc_gains import adrc_gains
 from leglab.commissioning.backstepping_gains import backstepping_gains
 from leglab.commissioning.calibration import ValveMap, directions, valve_maps
+from leglab.commissioning.ilc_gains import ilc_gains
 from leglab.commissioning.nominal import NominalDynamics, nominal_cylinders
 from leglab.commissioning.pd_gains import stored_gains, tuned_gains
 from leglab.control import ControllerSetup, NominalMachine
 from leglab.control.backstepping.data import BacksteppingGains, NominalCylinders
+from leglab.control.extended_state_observer import DisturbanceGains
+from leglab.control.iterative_learning import LearningFilter
 from leglab.machine.sensors import SensorConfiguration, position_uncertainty, velocity_delay
 from leglab.machine.simulation import Simulation
 
@@ -65,6 +69,16 @@ class CommissionedMachine(NominalMachine):
     def backstepping_gains(self) -> BacksteppingGains:
         """Gains of `adaptive_backstepping`."""
         return backstepping_gains(self._model, self._own(), self._sensors)
+
+    @cached_property
+    def adrc_gains(self) -> DisturbanceGains:
+        """Bandwidths of `adrc`."""
+        return adrc_gains(self._model, self._own(), self._sensors)
+
+    @cached_property
+    def ilc_gains(self) -> LearningFilter:
+        """Learning filter of `ilc`."""
+        return ilc_gains(self._model, self._own(), self._sensors)
 
     @cached_property
     def _gains(self) -> list[tuple[float, float]]:

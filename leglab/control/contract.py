@@ -147,6 +147,16 @@ class NominalMachine:
         raise self._missing("backstepping_gains")
 
     @cached_property
+    def adrc_gains(self) -> Any:
+        """Tuned bandwidths, a `leglab.control.extended_state_observer.DisturbanceGains`."""
+        raise self._missing("adrc_gains")
+
+    @cached_property
+    def ilc_gains(self) -> Any:
+        """Tuned learning filter, a `leglab.control.iterative_learning.LearningFilter`."""
+        raise self._missing("ilc_gains")
+
+    @cached_property
     def latency(self) -> float:
         """Age of a measurement when its command takes effect [s]."""
         raise self._missing("latency")
@@ -198,6 +208,8 @@ class ControllerSetup:
         joints: Names of the joints; all arrays follow this order.
         control_period: Time from one command to the next [s].
         machine: The nominal machine.
+        reference_period: Time after which the planned motion repeats [s], or its slowest period
+            where it does not; None where nothing is planned.
         foreknowledge: Of the run's changes, for yardsticks.
         fault_bank: Makes a `leglab.control.feedforward.fault_bank.FaultBank` by simulation of the
             nominal machine; None without a machine that could be simulated.
@@ -206,6 +218,7 @@ class ControllerSetup:
     joints: tuple[str, ...]
     control_period: float
     machine: NominalMachine = field(default_factory=NominalMachine)
+    reference_period: float | None = None
     foreknowledge: Foreknowledge = field(default_factory=Foreknowledge)
     fault_bank: Callable[[], Any] | None = None
 

@@ -10,7 +10,7 @@ from leglab.identification.checks import a_number, a_whole
 Forgetting = Literal["none", "exponential", "directional", "variable"]
 ChangeAction = Literal["reset", "inflate"]
 Scalar = Literal["float64", "float32"]
-MAX_INPUTS = 32  # of any identifier, as in the core (guard.h)
+MAX_INPUTS = 40  # of any identifier, as in the core (guard.h)
 
 
 @dataclass(frozen=True, kw_only=True)

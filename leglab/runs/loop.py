@@ -236,8 +236,10 @@ class Loop:
         self.settings = settings
         self.scenario = scenario = scenario or scenario_of(settings)
         self.preparation = preparation = preparation or Preparation(settings)
+        self.reference = preparation.reference(settings, scenario)
         self._setup = preparation.setup(
             scenario,
+            self.reference,
             self._bench_runs,
             self._exact_commands,
             partial(fault_bank, settings, scenario, Loop),
@@ -247,7 +249,6 @@ class Loop:
             self.controller = make_controller(
                 settings.controller, self._setup, settings.controller_config
             )
-        self.reference = preparation.reference(settings, scenario)
         self.simulation = simulation or preparation.machine()
         self.period = preparation.sensors.control_period
         if scenario.duration > _MOST_PERIODS * self.period:

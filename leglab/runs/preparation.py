@@ -139,6 +139,7 @@ class Preparation:
     def setup(
         self,
         scenario: Scenario,
+        reference: Reference,
         bench_runs: Callable[[], Any],
         exact_commands: Callable[[], np.ndarray],
         fault_bank: Callable[[], FaultBank],
@@ -147,6 +148,7 @@ class Preparation:
 
         Args:
             scenario: Of the run.
+            reference: Of the run.
             bench_runs: Makes recordings of the machine before and after its changes.
             exact_commands: Finds the valve commands that the machine needs for its reference.
             fault_bank: Makes the bank of faults of the nominal machine.
@@ -157,7 +159,12 @@ class Preparation:
             bench_runs=bench_runs,
             exact_commands=exact_commands,
         )
-        return replace(self._setup, foreknowledge=foreknowledge, fault_bank=fault_bank)
+        return replace(
+            self._setup,
+            reference_period=reference.period,
+            foreknowledge=foreknowledge,
+            fault_bank=fault_bank,
+        )
 
     def reference(self, settings: RunSettings, scenario: Scenario) -> Reference:
         """The trajectory of a run, of the nominal machine's joints."""

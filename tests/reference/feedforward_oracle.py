@@ -50,6 +50,7 @@ class Feedforward:
         self.applied, self.withheld = np.zeros(self.joints), np.zeros(self.joints)
         self.squares = np.zeros((2, self.joints))
         self.fallback = np.zeros(self.joints, dtype=bool)
+        self.measured = ()  # pressures of both chambers [Pa], (joints,) each
 
     def inputs(self, motion, flow=None):
         p, n = self.p, self.joints
@@ -76,13 +77,13 @@ class Feedforward:
             most = p["greatest_acceleration"] * p["control_period"] ** 2
             if not (np.abs(c - 2 * b + a) <= most).all():
                 self.rows = []
-        flow = [table_share(self.table, j, position[j], self.sent[j]) for j in range(self.joints)]
-        self.rows = [*self.rows, (position, np.array(flow), self.sent)][-p["kernel"].shape[1] :]
+        row = (position, np.array(self.flow(position)), self.sent, *self.measured)
+        self.rows = [*self.rows, row][-p["kernel"].shape[1] :]
         if self.count % p["interval"] or time >= p["stop_time"]:
             return
         if len(self.rows) < p["kernel"].shape[1]:
             return
-        positions, flows, commands = (np.array(part) for part in zip(*self.rows, strict=True))
+        positions, flows, commands, *more = (np.array(x) for x in zip(*self.rows, strict=True))
         motion = np.array([weights @ positions for weights in self.kernel])
         flow = self.kernel[0] @ flows
         inputs, v = self.inputs(motion, flow if p["forward"] else None)
@@ -93,7 +94,24 @@ class Feedforward:
             & (motion[0] > p["learn_lower"])
             & (motion[0] < p["learn_upper"])
         )
-        self.learner.update(inputs, np.where(usable, flow - v, np.nan))
+        middle = [self.kernel[0] @ part for part in (commands, *more)]
+        self.update(inputs, motion, flow - v, usable, middle)
+
+    def flow(self, position):
+        """Shares of full speed that the last commands give at these positions."""
+        return [table_share(self.table, j, position[j], self.sent[j]) for j in range(self.joints)]
+
+    def update(self, inputs, motion, excess, usable, middle):
+        self.learner.update(inputs, np.where(usable, excess, np.nan))
+
+    def wanted(self, motion, inputs, v):
+        """Commands for the flow that the learned map asks for."""
+        excess = self.learner.predict(inputs)
+        for _ in range(3 if self.p["forward"] else 0):
+            excess = self.learner.predict(self.inputs(motion, v + excess)[0])
+        return [
+            table_command(self.table, j, motion[0, j], v[j] + excess[j]) for j in range(self.joints)
+        ]
 
     def step(self, time, position, reference):
         """The feed-forward, and the reference's position and velocity as the sensors show them."""
@@ -113,16 +131,12 @@ class Feedforward:
 
         motion = np.array(at(p["lead"]))
         inputs, v = self.inputs(motion)
-        excess = self.learner.predict(inputs)
-        for _ in range(3 if p["forward"] else 0):
-            excess = self.learner.predict(self.inputs(motion, v + excess)[0])
+        wanted = self.wanted(motion, inputs, v)
         seen = at(-p["position_delay"])[0]
         out = np.empty(self.joints)
         for j in range(self.joints):
             limit = p["limit"]
-            learned = np.clip(
-                table_command(self.table, j, motion[0, j], v[j] + excess[j]), -limit, limit
-            )
+            learned = np.clip(wanted[j], -limit, limit)
             plain = np.clip(table_command(self.table, j, motion[0, j], v[j]), -limit, limit)
             if p["supervised"]:
                 gained = table_share(self.table, j, motion[0, j], learned) - table_share(
@@ -153,3 +167,110 @@ class Feedforward:
             self.fallback[j] = learned > plain / p["margin"] ** 2
         else:
             self.fallback[j] = learned > p["margin"] ** 2 * plain + p["noise"] ** 2
+
+
+class PressureFeedforward(Feedforward):
+    """The cascade; `cylinders` are data sheets, `loads` the learner of the load."""
+
+    def __init__(self, parts, table, learner, loads, cylinders):
+        super().__init__(parts, table, learner)
+        self.loads, self.sheets = loads, [cylinders.joint(j) for j in range(self.joints)]
+
+    def take(self, pressure_a, pressure_b, supply):
+        """Pressures of this period [Pa]; the last ones for what is lost."""
+        before = self.measured or (np.zeros(self.joints),) * 2
+        new = (pressure_a, pressure_b)
+        self.measured = tuple(np.where(np.isnan(n), b, n) for n, b in zip(new, before, strict=True))
+        self.supply = self.supply if np.isnan(supply) else supply
+
+    def chambers(self, j, position, pressure):
+        """Lever [m/rad] and weights A beta/V [N/m^3] of both chambers."""
+        d = self.sheets[j]
+        lever = np.interp(position, d.position[0], d.lever[0])
+        piston = np.interp(position, d.position[0], d.piston[0])
+        volume = [
+            d.area[0, 0] * piston + d.dead_volume[0, 0],
+            d.area[1, 0] * (d.stroke[0] - piston) + d.dead_volume[1, 0],
+        ]
+        weights = []
+        for p, area, v in zip(pressure, d.area[:, 0], volume, strict=True):
+            absolute = p + 101325.0
+            gas = d.entrained_air[0] * (101325.0 / absolute) ** (1 / d.polytropic_index[0])
+            oil = (1 - d.entrained_air[0]) * np.exp((101325.0 - absolute) / d.bulk_modulus[0])
+            slope = gas / (d.polytropic_index[0] * absolute) + oil / d.bulk_modulus[0]
+            weights.append(area * (gas + oil) / slope / v)
+        return lever, np.array(weights)
+
+    def valve_share(self, j, position, pressure, near, command):
+        """Share of full speed at pressures; stiffness and volumes at the pressures `near`."""
+        d = self.sheets[j]
+        lever, weights = self.chambers(j, position, near)
+
+        def edge(x, drop):
+            drop = max(drop, 0.02 * d.supply_pressure[0])
+            opening = 0.5 * (x - d.lap[0] + np.hypot(x - d.lap[0], d.edge_rounding[0]))
+            root = (drop**2 + d.laminar_transition_pressure[0] ** 2) ** 0.25
+            return d.orifice_gain[0] * opening * drop / root
+
+        a, b, tank = *pressure, d.tank_pressure[0]
+        flow_a = edge(command, self.supply - a) - edge(-command, a - tank)
+        flow_b = edge(-command, self.supply - b) - edge(command, b - tank)
+        speed = (weights[0] * flow_a - weights[1] * flow_b) / (weights @ d.area[:, 0])
+        return speed / lever / self.p["full_speed"][j]
+
+    def expected(self, j, position, near, load):
+        """Pressures with this load, and what each leak path takes at them."""
+        d = self.sheets[j]
+        lever, (weight_a, weight_b) = self.chambers(j, position, near)
+        area_a, area_b = d.area[:, 0]
+        full = area_a * d.supply_pressure[0]
+        # F = A_A p_A - A_B p_B and the common mode w_B p_A + w_A p_B, solved for both pressures.
+        system = np.array([[area_a, -area_b], [weight_b, weight_a]])
+        sums = [np.sign(lever) * load * full, weight_b * near[0] + weight_a * near[1]]
+        pressure = np.clip(np.linalg.solve(system, sums), 0.0, self.supply)
+        stiffness = weight_a * area_a + weight_b * area_b
+        scale = np.sign(lever) * area_a / stiffness / d.supply_pressure[0]
+        across, out_a, out_b = pressure[0] - pressure[1], pressure[0], pressure[1]
+        leaks = [(weight_a + weight_b) * across, weight_a * out_a, -weight_b * out_b]
+        return pressure, scale * np.array(leaks)
+
+    def flow(self, position):
+        rows = np.array(self.measured).T
+        return [
+            np.nan
+            if np.isnan(position[j])
+            else self.valve_share(j, position[j], rows[j], rows[j], self.sent[j])
+            for j in range(self.joints)
+        ]
+
+    def update(self, inputs, motion, excess, usable, middle):
+        command, *pressures = middle
+        rows, loads, leaks = np.array(pressures).T, self.loads.predict(inputs), []
+        targets = np.empty(self.joints)
+        for j in range(self.joints):
+            q, near, d = motion[0, j], rows[j], self.sheets[j]
+            pressure, leak = self.expected(j, q, near, loads[j])
+            leaks.append(leak)
+            shares = [self.valve_share(j, q, p, near, command[j]) for p in (pressure, near)]
+            excess[j] += shares[0] - shares[1]
+            force = d.area[0, 0] * near[0] - d.area[1, 0] * near[1]
+            sign = np.sign(np.interp(q, d.position[0], d.lever[0]))
+            targets[j] = sign * force / (d.area[0, 0] * d.supply_pressure[0])
+        self.loads.update(inputs, np.where(usable, targets, np.nan))
+        self.learner.update(np.hstack([inputs, leaks]), np.where(usable, excess, np.nan))
+
+    def wanted(self, motion, inputs, v):
+        rows, loads = np.array(self.measured).T, self.loads.predict(inputs)
+        found = [self.expected(j, motion[0, j], rows[j], loads[j]) for j in range(self.joints)]
+        leaks = [leak for _, leak in found]
+        share = v + self.learner.predict(np.hstack([inputs, leaks]))
+
+        def root(j):
+            return brentq(
+                lambda u: self.valve_share(j, motion[0, j], found[j][0], rows[j], u) - share[j],
+                -10.0,
+                10.0,
+                xtol=1e-15,
+            )
+
+        return [root(j) for j in range(self.joints)]

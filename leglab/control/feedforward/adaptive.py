@@ -1,6 +1,7 @@
 """Learns the inverse map while the machine moves, and gives the feed-forward from it, safely."""
 
 import math
+from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
@@ -124,12 +125,17 @@ class AdaptiveFeedforward:
         position_gain: Of the feedback [1/rad], (joints,); how fast it forgets an error.
         velocity_gain: Of the feedback [s/rad], (joints,).
         config: How it is learned.
+        loads: Structure of the map from motion to load; None without pressures.
+        sheets: Data sheets of the cylinders by the names of `csrc/feedforward/pressure_valve.h`,
+            (joints,) or (joints, p) each; None without pressures.
         control_period: [s].
         latency: Age of a measurement when its command takes effect [s].
         velocity_delay: Age of a velocity estimate then [s].
 
     Attributes:
         learner: The learned map.
+        loads: The learned map from motion to load [share of the piston's force at nominal supply
+            pressure]; None without pressures.
         report: Values of the last period, by name, each (joints,): `feedforward` and `feedback`
             [valve command], `model_error` of the last sample [share of full speed], and `fallback`,
             1 where the calibrated map stands in. The arrays change with the next period.
@@ -143,16 +149,14 @@ class AdaptiveFeedforward:
         velocity_gain: np.ndarray,
         config: LearningConfiguration,
         *,
+        loads: InverseMap | None = None,
+        sheets: Mapping[str, np.ndarray] | None = None,
         control_period: float,
         latency: float,
         velocity_delay: float,
     ) -> None:
-        self._map = inverse_map
+        self._map, self._load_map = inverse_map, loads
         width = table.end - table.start
-        # Speed per command of the calibrated valve at half of its range.
-        low, high = np.searchsorted(table.share, [-0.5, 0.5])
-        middle = table.command[:, table.command.shape[1] // 2]
-        rise = np.abs(middle[:, high] - middle[:, low]) / (table.share[high] - table.share[low])
         self._core = Feedforward(
             {
                 **config.model_dump(),
@@ -177,9 +181,10 @@ class AdaptiveFeedforward:
                 # Calibrated positions end a little before the stops.
                 "learn_lower": table.start - 0.02 * width,
                 "learn_upper": table.end + 0.02 * width,
-                "bandwidth": np.abs(position_gain) * table.full_speed / rise,
+                "bandwidth": np.abs(position_gain) * table.full_speed / table.command_per_share(),
                 "position_gain": position_gain,
                 "velocity_gain": velocity_gain,
+                **(sheets or {}),
             }
         )
         self._out = np.zeros((1 + len(_REPORTED), inverse_map.joints))
@@ -189,7 +194,8 @@ class AdaptiveFeedforward:
     def reset(self) -> None:
         """Forgets everything learned: the feed-forward is the calibration's."""
         self.learner = self._map.learner()
-        self._core.reset(self.learner._bank)
+        self.loads = None if self._load_map is None else self._load_map.learner()
+        self._core.reset(self.learner._bank, None if self.loads is None else self.loads._bank)
         self._core.keep(0)
         self._out[:] = 0.0
 
@@ -219,12 +225,18 @@ class AdaptiveFeedforward:
     def step(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
         """Learns from a measurement and gives the valve commands; call it once a period.
 
-        Feedback holds the reference against the measurement at the time it was taken. Where a
-        measurement is NaN the command is the feed-forward alone. What is sent counts as clipped to
-        [-1, 1]. The array (joints,) changes with the next period.
+        Where there are data sheets the measurement has pressures. Feedback holds the reference
+        against the measurement at the time it was taken. Where a measurement is NaN the command is
+        the feed-forward alone. What is sent counts as clipped to [-1, 1]. The array (joints,)
+        changes with the next period.
         """
-        time, position, velocity, *_ = measurement
-        self._core.step(time, position, velocity, *reference, self._out)
+        time, position, velocity, pressure_a, pressure_b, supply = measurement
+        if self.loads is None or supply is None:
+            self._core.step(time, position, velocity, *reference, self._out)
+        else:
+            self._core.step(
+                time, position, velocity, *reference, self._out, pressure_a, pressure_b, supply
+            )
         return self._out[0]
 
     def sent(self, command: np.ndarray) -> None:

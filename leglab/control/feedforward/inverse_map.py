@@ -24,6 +24,10 @@ ACCELERATION, JERK = 50.0, 2000.0
 # times the offline fit's error, with 5 at 1.2; with 20 worn valves burst on the ground.
 _PRIOR = {"a": 1.0, "q": 0.3, "v": 1.0, "j": 1.0, "product": 5.0}
 
+# Leak paths whose flows the pressures tell, as `csrc/feedforward/pressure_valve.h` has them: from
+# the cap side to the rod side, and from either to the outside.
+LEAKS = ("leak", "leak_a", "leak_b")
+
 # Knots of the velocity splines are dense within this share of full speed around standstill, where
 # valve overlap and friction bend the map.
 _DENSE = 0.05
@@ -45,6 +49,8 @@ class InverseMap:
         rls: How it is learned.
         velocity_splines: Splines in s; 0 for a linear map: v_i and a constant, no products.
         position_splines: Splines in p; 0 for a term linear in q_i.
+        leaks: Prior deviation of the parameters of leak paths, whose flows at measured pressures
+            are the last three inputs; 0 where there are no pressures.
         least_memory: Samples a parameter that forgetting always keeps: the forgetting factor of
             `rls`, then, is 1 - 1 / (least_memory * parameters). None leaves it as it is.
     """
@@ -56,11 +62,12 @@ class InverseMap:
         *,
         velocity_splines: int,
         position_splines: int,
+        leaks: float = 0.0,
         least_memory: float | None = None,
     ) -> None:
         self.joints = joints
         self.products = velocity_splines > 0
-        self.settings = _structure(joints, rls, velocity_splines, position_splines)
+        self.settings = _structure(joints, rls, velocity_splines, position_splines, leaks)
         if least_memory is not None:
             parameters = self.learner().parameters.shape[-1]
             factor = 1.0 - 1.0 / (least_memory * parameters)
@@ -72,7 +79,7 @@ class InverseMap:
 
 
 def _structure(
-    joints: int, rls: Rls, velocity_splines: int, position_splines: int
+    joints: int, rls: Rls, velocity_splines: int, position_splines: int, leaks: float
 ) -> SplineNarxSettings:
     """The learner's settings; inputs in the order of `csrc/feedforward/inverse_map.h`."""
     products = velocity_splines > 0
@@ -94,6 +101,8 @@ def _structure(
         if products:
             add(f"|v|a{number}", "product")
             add(f"|v|q{number}", "product")
+    if leaks:
+        inputs += [Signal(name=path, lower=-1 / leaks, upper=1 / leaks) for path in LEAKS]
     basis = Basis.asinh(-1, 1, max(velocity_splines, 3), width=_DENSE)
     features: list = [Spline(signal="v", lag=0, basis=basis)]
     if not products:
@@ -105,5 +114,10 @@ def _structure(
         linear.remove("q")
     features += [Lags(signal=name, first=0) for name in linear]
     return SplineNarxSettings(
-        output=Signal(name="flow"), inputs=tuple(inputs), features=tuple(features), rls=rls
+        output=Signal(name="flow"),
+        inputs=tuple(inputs),
+        features=tuple(features),
+        rls=rls,
+        # A wide prior is a short range: leaks pass it without being wrong.
+        plausible_range=0.0 if leaks else 5.0,
     )

@@ -56,6 +56,13 @@ class ValveTable:
             command=np.stack(rows),
         )
 
+    def command_per_share(self) -> np.ndarray:
+        """Command per share of full speed of the calibrated valves at half range, (joints,)."""
+        low, high = np.searchsorted(self.share, [-0.5, 0.5])
+        middle = self.command[:, self.command.shape[1] // 2]
+        rise = np.abs(middle[:, high] - middle[:, low])
+        return rise / (self.share[high] - self.share[low])
+
 
 def _repaired(command: np.ndarray, share: np.ndarray, sign: float) -> np.ndarray:
     """Rows without their saturated ends, strictly monotone; hopeless ones from the next row."""

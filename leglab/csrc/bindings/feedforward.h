@@ -62,6 +62,33 @@ class ValveMaps {
   Numbers full_speed_;
 };
 
+// Data sheets of all joints; none where the settings have no "lever".
+inline std::vector<ff::PressureValve> read_valves(const nb::dict& parts) {
+  std::vector<ff::PressureValve> out;
+  if (!parts.contains("lever")) return out;
+  const Numbers lever = get<Numbers>(parts, "lever"), piston = get<Numbers>(parts, "piston");
+  const std::size_t joints = get<Numbers>(parts, "stroke").size(), rows = lever.size() / joints;
+  for (std::size_t j = 0; j < joints; ++j) {
+    ff::CylinderSheet sheet;
+    const auto row = [&](const Numbers& table) {
+      return Numbers(table.begin() + std::ptrdiff_t(j * rows),
+                     table.begin() + std::ptrdiff_t((j + 1) * rows));
+    };
+    sheet.lever = row(lever);
+    sheet.piston = row(piston);
+#define LEGLAB_SHEET(name) sheet.name = get<Numbers>(parts, #name)[j];
+    LEGLAB_SHEET(area_a) LEGLAB_SHEET(area_b) LEGLAB_SHEET(dead_volume_a)
+    LEGLAB_SHEET(dead_volume_b) LEGLAB_SHEET(stroke) LEGLAB_SHEET(orifice_gain)
+    LEGLAB_SHEET(laminar_transition_pressure) LEGLAB_SHEET(lap) LEGLAB_SHEET(edge_rounding)
+    LEGLAB_SHEET(supply_pressure) LEGLAB_SHEET(tank_pressure) LEGLAB_SHEET(bulk_modulus)
+    LEGLAB_SHEET(entrained_air) LEGLAB_SHEET(polytropic_index) LEGLAB_SHEET(full_speed)
+    LEGLAB_SHEET(position_start) LEGLAB_SHEET(position_step)
+#undef LEGLAB_SHEET
+    out.emplace_back(std::move(sheet));
+  }
+  return out;
+}
+
 inline ff::AdaptiveSettings read_adaptive(const nb::dict& settings) {
   ff::AdaptiveSettings out;
   LEGLAB_READ_4(control_period, interval, stop_time, limit)
@@ -90,30 +117,39 @@ class Feedforward {
               {tables_.joints(), get<Numbers>(parts, "kernel")},
               {tables_.joints(), get<double>(parts, "control_period"), get<double>(parts, "lead"),
                get<double>(parts, "position_delay"), get<double>(parts, "velocity_delay")},
-              tables_.tables()) {}
+              tables_.tables(), read_valves(parts)),
+        pressures_(parts.contains("lever")) {}
 
   Feedforward(const Feedforward&) = delete;
   Feedforward& operator=(const Feedforward&) = delete;
 
-  // The bank must outlive this object: Python keeps it.
-  void reset(SplineNarxBank64& bank) {
-    std::vector<id::SplineNarx<double>*> learners;
-    for (int j = 0; j < bank.joints(); ++j) learners.push_back(&bank.model(j));
-    core_.reset(std::move(learners));
+  // The banks must outlive this object: Python keeps them. The second one is that of the loads.
+  void reset(SplineNarxBank64& bank, SplineNarxBank64* loads) {
+    if (pressures_ != (loads != nullptr)) throw nb::value_error("loads go with data sheets");
+    core_.reset(learners(bank), loads ? learners(*loads) : Learners{});
   }
 
   // Rows of `out`: command, feed-forward, feedback, error of the model, whether the calibration
   // stands in. (5, joints)
   void step(double time, Input measured, Input measured_velocity, Input position, Input velocity,
-            Input acceleration, Output out) {
+            Input acceleration, Output out, nb::object pressure_a, nb::object pressure_b,
+            double supply_pressure) {
     const std::size_t n = tables_.tables().size();
     for (const Input* array : {&measured, &measured_velocity, &position, &velocity, &acceleration}) {
       if (array->size() != n) throw nb::value_error("wrong number of values");
     }
     double* row = out.data();
+    ff::Pressures pressures;
+    Input a, b;
+    if (pressures_) {
+      a = nb::cast<Input>(pressure_a);
+      b = nb::cast<Input>(pressure_b);
+      if (a.size() != n || b.size() != n) throw nb::value_error("wrong number of pressures");
+      pressures = {a.data(), b.data(), supply_pressure};
+    }
     core_.step(time, measured.data(), measured_velocity.data(),
                {position.data(), velocity.data(), acceleration.data()},
-               {row, row + n, row + 2 * n, row + 3 * n, row + 4 * n});
+               {row, row + n, row + 2 * n, row + 3 * n, row + 4 * n}, pressures);
   }
 
   void freeze() { core_.freeze(); }
@@ -139,15 +175,28 @@ class Feedforward {
   }
 
  private:
+  using Learners = std::vector<id::SplineNarx<double>*>;
+
+  static Learners learners(SplineNarxBank64& bank) {
+    Learners out;
+    for (int j = 0; j < bank.joints(); ++j) out.push_back(&bank.model(j));
+    return out;
+  }
+
   ValveTables tables_;  // the core's point into them
   ff::AdaptiveFeedforward core_;
+  bool pressures_;
 };
 
 inline void bind_feedforward(nb::module_& module) {
   nb::class_<Feedforward>(module, "Feedforward")
       .def(nb::init<nb::dict>(), nb::arg("parts"))
-      .def("reset", &Feedforward::reset, nb::keep_alive<1, 2>())
-      .def("step", &Feedforward::step)
+      .def("reset", &Feedforward::reset, nb::arg("bank"), nb::arg("loads").none() = nb::none(),
+           nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>())
+      .def("step", &Feedforward::step, nb::arg("time"), nb::arg("measured"),
+           nb::arg("measured_velocity"), nb::arg("position"), nb::arg("velocity"),
+           nb::arg("acceleration"), nb::arg("out"), nb::arg("pressure_a").none() = nb::none(),
+           nb::arg("pressure_b").none() = nb::none(), nb::arg("supply_pressure") = 0.0)
       .def("sent", &Feedforward::sent)
       .def("keep", &Feedforward::keep)
       .def("kept", &Feedforward::kept)

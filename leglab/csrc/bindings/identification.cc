@@ -42,7 +42,7 @@ using SplineNarxBank = Bank<id::SplineNarx<T>, id::SplineNarxSettings<T>, T>;
 }  // namespace
 
 // Raise whenever the memory layout of any identifier changes: saved files carry it.
-constexpr int state_version = 2;
+constexpr int state_version = 3;
 
 NB_MODULE(identification, module) {
   module.attr("STATE_VERSION") = state_version;

@@ -7,6 +7,7 @@
 
 #include "feedforward/inverse_map.h"
 #include "feedforward/motion.h"
+#include "feedforward/pressure_valve.h"
 #include "feedforward/valve_table.h"
 #include "identification/spline_narx.h"
 
@@ -35,6 +36,12 @@ struct Reference {
   const double *position, *velocity, *acceleration;  // [rad], [rad/s], [rad/s^2]
 };
 
+// Measured pressures [Pa]; none where `a` is null.
+struct Pressures {
+  const double *a = nullptr, *b = nullptr;
+  double supply = 0.0;
+};
+
 // What one control period gives; arrays of one value a joint.
 struct Period {
   double *command, *feedforward, *feedback;
@@ -47,23 +54,31 @@ struct Period {
 // leaks, is compressed or is lost to load. The calibrated valve map turns flow into command and
 // back, so a model that says zero is the calibration, and an error of the model is an error of
 // speed, which is what the joint integrates.
+// With data sheets and measured pressures it is a cascade: a second map, learned from the measured
+// load, gives the load that a motion takes; the valve's equation at the pressures of that load takes
+// the place of the calibrated map, and what its leak paths lose are further inputs of the first.
 class AdaptiveFeedforward {
  public:
   using Learner = identification::SplineNarx<double>;
 
   AdaptiveFeedforward(AdaptiveSettings settings, InverseMap map, SmoothingWindow window,
-                      ReferenceMotion reference, std::vector<ValveTable> tables)
+                      ReferenceMotion reference, std::vector<ValveTable> tables,
+                      std::vector<PressureValve> valves = {})
       : settings_(std::move(settings)), map_(std::move(map)), window_(std::move(window)),
-        reference_(std::move(reference)), tables_(std::move(tables)) {
+        reference_(std::move(reference)), tables_(std::move(tables)), valves_(std::move(valves)) {
     const std::size_t n = tables_.size();
     motion_.resize(4 * n);
     feedforward_ = error_ = sent_ = flow_ = learned_ = calibrated_ = std::vector<double>(n);
     applied_ = withheld_ = fallback_ = last_ = before_last_ = feedforward_;
     seen_position_ = seen_velocity_ = feedforward_;
+    pressure_a_ = pressure_b_ = middle_a_ = middle_b_ = middle_command_ = feedforward_;
   }
 
-  void reset(std::vector<Learner*> learners) {
+  // The second map is needed where pressures are measured.
+  void reset(std::vector<Learner*> learners, std::vector<Learner*> load_learners = {}) {
     learners_ = std::move(learners);
+    load_learners_ = std::move(load_learners);
+    supply_ = 0.0;
     window_.clear();
     reference_.clear();
     for (auto* values : {&feedforward_, &error_, &sent_, &learned_, &calibrated_, &applied_,
@@ -96,7 +111,8 @@ class AdaptiveFeedforward {
   // Takes positions and velocities measured now, NaN where there are none, and a reference of now:
   // without a measurement the command is the feed-forward alone.
   void step(double time, const double* measured, const double* measured_velocity,
-            const Reference& reference, const Period& out) {
+            const Reference& reference, const Period& out, const Pressures& pressures = {}) {
+    if (!valves_.empty()) read(pressures);
     learn(time, measured);
     reference_.take(reference.position, reference.velocity, reference.acceleration,
                     motion_.data(), seen_position_.data(), seen_velocity_.data());
@@ -106,7 +122,9 @@ class AdaptiveFeedforward {
       const std::size_t j = std::size_t(i);
       const double share = map_.share(i);
       const ValveTable& table = tables_[j];
-      const double learned = allowed(table.command(motion_[j], wanted_flow(i, share)));
+      const double learned = allowed(valves_.empty()
+                                         ? table.command(motion_[j], wanted_flow(i, share))
+                                         : wanted_command(i, share));
       const double calibrated = allowed(table.command(motion_[j], share));
       if (settings_.supervised) {
         supervise(j, measured[j] - seen_position_[j],
@@ -144,22 +162,65 @@ class AdaptiveFeedforward {
     return flow;
   }
 
+  // The same with pressures, and the command for it.
+  double wanted_command(int i, double share) {
+    const std::size_t j = std::size_t(i);
+    map_.inputs(i, share, inputs_);
+    const ChamberPressures now{pressure_a_[j], pressure_b_[j]};
+    const PressureValve::Place at = valves_[j].at(motion_[j], now, supply_);
+    const ChamberPressures expected = expect(j, at, now);
+    return valves_[j].command(at, expected, share + learners_[j]->peek(inputs_));
+  }
+
+  // Pressures under the load that the second map gives for the inputs; their leaks join the inputs.
+  // With the measured load the inverse of the valve would take away, late, the damping that valve
+  // and leakage give the oil spring; the common mode of the chambers can be measured.
+  ChamberPressures expect(std::size_t j, const PressureValve::Place& at,
+                          const ChamberPressures& measured) {
+    const double load = load_learners_[j]->peek(inputs_);
+    const ChamberPressures expected = valves_[j].with_load(at, measured, load);
+    valves_[j].leak(at, expected, inputs_ + map_.inputs());
+    return expected;
+  }
+
+  // Takes pressures; the last ones where a reading is lost.
+  void read(const Pressures& now) {
+    const auto keep = [](double value, double& last) {
+      if (std::isfinite(value)) last = value;
+    };
+    for (std::size_t j = 0; j < tables_.size(); ++j) {
+      keep(now.a[j], pressure_a_[j]);
+      keep(now.b[j], pressure_b_[j]);
+    }
+    keep(now.supply, supply_);
+  }
+
   double allowed(double command) const {
     return std::clamp(command, -settings_.limit, settings_.limit);
   }
 
   void learn(double time, const double* position) {
     for (std::size_t j = 0; j < tables_.size(); ++j) {
-      flow_[j] = tables_[j].share(position[j], sent_[j]);
+      if (valves_.empty()) {
+        flow_[j] = tables_[j].share(position[j], sent_[j]);
+        continue;
+      }
+      const ChamberPressures now{pressure_a_[j], pressure_b_[j]};
+      const PressureValve& valve = valves_[j];
+      flow_[j] = valve.share(valve.at(position[j], now, supply_), now, sent_[j]);
     }
     if (jumps(position)) window_.clear();
     window_.push(position, flow_.data(), sent_.data());
+    if (!valves_.empty()) window_.push_pressures(pressure_a_.data(), pressure_b_.data());
     ++count_;
     const bool stopped = frozen_ || time >= settings_.stop_time;
     if (count_ % settings_.interval || stopped || !window_.full()) return;
     window_.middle(motion_.data(), flow_.data());
     map_.take(motion_.data());
     if (!(map_.largest_share() >= settings_.least_speed)) return;  // also for NaN
+    if (!valves_.empty()) {
+      window_.middle_pressures(middle_a_.data(), middle_b_.data(), middle_command_.data());
+    }
     for (int j = 0; j < map_.joints(); ++j) learn_joint(j);
     if (kept_ < capacity_) ++kept_;
   }
@@ -181,13 +242,28 @@ class AdaptiveFeedforward {
   void learn_joint(int i) {
     const std::size_t j = std::size_t(i);
     map_.inputs(i, settings_.forward ? flow_[j] : map_.share(i), inputs_);
-    const double excess = flow_[j] - map_.share(i);
+    double excess = flow_[j] - map_.share(i);
     const bool usable = window_.largest_command(i) < settings_.saturation &&
                         motion_[j] > settings_.learn_lower[j] &&
                         motion_[j] < settings_.learn_upper[j];
+    if (!valves_.empty()) excess += learn_load(j, usable);
     const double predicted = learners_[j]->update(inputs_, excess, usable);
     error_[j] = usable ? excess - predicted : 0.0;
     if (kept_ < capacity_) keep_sample(j, excess, usable);
+  }
+
+  // The second map learns. Returns the flow of the sample's command at the pressures that this map
+  // expects, beyond that at the measured ones: the first map learns for the pressures that its
+  // answer is used with.
+  double learn_load(std::size_t j, bool usable) {
+    const PressureValve& valve = valves_[j];
+    const ChamberPressures measured{middle_a_[j], middle_b_[j]};
+    const PressureValve::Place at = valve.at(motion_[j], measured, supply_);
+    const ChamberPressures expected = expect(j, at, measured);
+    const double command = middle_command_[j];
+    const double excess = valve.share(at, expected, command) - valve.share(at, measured, command);
+    load_learners_[j]->update(inputs_, valve.load(at, measured), usable);
+    return excess;
   }
 
   void keep_sample(std::size_t j, double excess, bool usable) {
@@ -226,13 +302,17 @@ class AdaptiveFeedforward {
   SmoothingWindow window_;
   ReferenceMotion reference_;
   std::vector<ValveTable> tables_;
-  std::vector<Learner*> learners_;
+  std::vector<PressureValve> valves_;  // none without pressures
+  std::vector<Learner*> learners_, load_learners_;
   std::vector<double> motion_, feedforward_, error_, sent_, flow_, learned_, calibrated_;
   // What the excess in use adds to the tracking error, and what the one not in use would [rad].
   std::vector<double> applied_, withheld_;
   std::vector<double> fallback_;  // 1 where the calibration stands in
   std::vector<double> last_, before_last_;  // readings [rad]
   std::vector<double> seen_position_, seen_velocity_;  // the reference as the sensors show it
+  std::vector<double> pressure_a_, pressure_b_;  // last readings [Pa]
+  std::vector<double> middle_a_, middle_b_, middle_command_;
+  double supply_ = 0.0;
   double inputs_[identification::GuardSettings<double>::max_inputs] = {};
   std::vector<double> samples_;  // that are kept
   int capacity_ = 0, kept_ = 0, width_ = 0;

@@ -10,7 +10,8 @@ namespace leglab::feedforward {
 // Position and its first three derivatives of all joints: [order][joint].
 using Motion = std::vector<double>;
 
-// Recent positions, flows and commands of all joints, and what they were in the window's middle.
+// Recent positions, flows, commands and, where they are measured, pressures of all joints, and what
+// they were in the window's middle.
 class SmoothingWindow {
  public:
   // kernel: 4 times window, oldest sample first; gives value and three derivatives in the middle.
@@ -18,7 +19,7 @@ class SmoothingWindow {
       : joints_(joints), window_(int(kernel.size()) / 4), kernel_(std::move(kernel)) {
     // Every sample is written twice, a window apart, so that the latest are always in order.
     position_.resize(std::size_t(2 * window_ * joints));
-    flow_ = command_ = position_;
+    flow_ = command_ = pressure_a_ = pressure_b_ = position_;
   }
 
   void clear() { next_ = filled_ = 0; }
@@ -46,6 +47,25 @@ class SmoothingWindow {
     accumulate(flow_.data() + next_ * joints_, kernel_.data(), flow);
   }
 
+  // Pressures of the sample that `push` took last.
+  void push_pressures(const double* a, const double* b) {
+    for (int copy = 0; copy < 2; ++copy) {
+      const int row = (next_ + window_ - 1) % window_ + copy * window_;
+      std::copy_n(a, joints_, pressure_a_.data() + std::size_t(row * joints_));
+      std::copy_n(b, joints_, pressure_b_.data() + std::size_t(row * joints_));
+    }
+  }
+
+  // Smoothed pressures and command (joints) in the middle.
+  void middle_pressures(double* a, double* b, double* command) const {
+    const std::vector<double>* from[] = {&pressure_a_, &pressure_b_, &command_};
+    double* to[] = {a, b, command};
+    for (int k = 0; k < 3; ++k) {
+      std::fill_n(to[k], joints_, 0.0);
+      accumulate(from[k]->data() + next_ * joints_, kernel_.data(), to[k]);
+    }
+  }
+
   double largest_command(int joint) const {
     double most = 0.0;
     for (int k = 0; k < window_; ++k) {
@@ -62,7 +82,7 @@ class SmoothingWindow {
   }
 
   int joints_, window_;
-  std::vector<double> kernel_, position_, flow_, command_;
+  std::vector<double> kernel_, position_, flow_, command_, pressure_a_, pressure_b_;
   int next_ = 0, filled_ = 0;
 };
 

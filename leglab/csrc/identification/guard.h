@@ -23,7 +23,7 @@ enum class Sample : int {
 
 template <class T>
 struct GuardSettings {
-  static constexpr int max_inputs = 32;
+  static constexpr int max_inputs = 40;
   int inputs = 1;
   T output_centre = T(0);
   T output_limit = T(0);  // largest plausible distance of y from its centre; 0: any

@@ -1,0 +1,79 @@
+"""Peers of the adaptive feed-forward on one specimen: `python benchmarks/peers.py`."""
+
+import argparse
+from typing import Any
+
+import numpy as np
+import results
+
+from leglab import RunSettings
+from leglab.runs.loop import Loop
+from leglab.runs.parallel import in_processes
+
+CONTROLLERS = ("static_feedforward", "adrc", "ilc", "bsnn_arx")
+CASES = (
+    ("leg", "walking_stride", "seal_wear"),
+    ("leg", "walking_stride", "cold_oil"),
+    ("leg", "walking_stride", "supply_drop"),
+    ("leg", "walking_stride", "friction_rise"),
+    ("leg", "walking_stride", "valve_wear"),
+    ("leg", "walking_stride", "slow_valve"),
+    ("leg", "squat", "seal_wear"),
+    ("leg", "random_stride", "seal_wear"),
+    ("leg_rail", "squat", "seal_wear"),
+    ("knee_bench", "walking_stride", "seal_wear"),
+)
+SEED = 3
+# After the change [s].
+PARTS = ((-2.4, 0.0), (0.0, 1.2), (1.2, 2.4), (2.4, 4.8), (4.8, 8.0))
+
+
+def judged(task: tuple[str, str, str, str]) -> tuple[str, list[float]]:
+    """The task in words, and RMS errors [mrad] of its run in each part."""
+    model, reference, scenario, controller = task
+    loop = Loop(
+        RunSettings(
+            scenario=scenario,
+            controller=controller,
+            model=model,
+            reference=reference,
+            seed=SEED,
+            tolerance=0.1,
+            vary=True,
+            duration=20,
+        )
+    )
+    history, change = loop.run(), min(loop.scenario.breakpoints)
+    assert not history.failure, history.failure
+    after = history.time - change
+    return " ".join(task), [
+        1e3 * float(np.sqrt(np.mean(history.error[(after >= start) & (after < end)] ** 2)))
+        for start, end in PARTS
+    ]
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """All cases and controllers."""
+    tasks = [(*case, controller) for case in CASES for controller in CONTROLLERS]
+    return dict(in_processes(judged, tasks, jobs=options.jobs))
+
+
+def table(kept: dict[str, Any]) -> str:
+    """Errors before / in the first and second stride / 2.4-4.8 s / from 4.8 s on."""
+    head = ["model", "reference", "scenario", *(f"`{name}`" for name in CONTROLLERS)]
+    rows = []
+    for case in CASES:
+        cells = [kept[" ".join((*case, name))] for name in CONTROLLERS]
+        rows.append([*case, *(" / ".join(results.number(x, 2) for x in row) for row in cells)])
+    return results.table(head, rows)
+
+
+def main() -> None:
+    """Measures, or prints what is kept."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--jobs", type=int, default=1, help="processes at a time")
+    results.main(parser, measure, table)
+
+
+if __name__ == "__main__":
+    main()

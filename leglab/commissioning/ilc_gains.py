@@ -1,0 +1,152 @@
+"""Learning filter of `ilc` from the linearised plant: the widest that surely converges.
+
+Those of the shipped models stand in `ilc_gains.toml`, which
+`python -m leglab.commissioning.ilc_gains` writes anew.
+"""
+
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+
+from leglab.commissioning.adrc_gains import speeds_per_command
+from leglab.commissioning.pd_gains import (
+    TUNED_MODELS,
+    sampled_plants,
+    stored_gains,
+    stored_rows,
+    tuned_gains,
+)
+from leglab.control.iterative_learning import LearningFilter, learning_function, q_filter
+from leglab.machine.sensors import SensorConfiguration, velocity_filter_coefficient
+from leglab.machine.simulation import Simulation, load_model
+
+GAINS_FILE = Path(__file__).with_name("ilc_gains.toml")
+
+# Largest share of an error of any frequency that one stride may leave to the next.
+CONTRACTION = 0.7
+# Cutoffs [rad/s] and leads, in control periods, that are tried.
+_CUTOFFS = np.geomspace(3.0, 300.0, 93)
+_LEADS = np.arange(13) / 2
+_NAMES = tuple(field.name for field in fields(LearningFilter))
+
+
+def closed_loops(
+    simulation: Simulation,
+    joint: int,
+    sensors: SensorConfiguration,
+    gains: tuple[float, float],
+    frequency: np.ndarray,
+) -> np.ndarray:
+    """Responses of measured position [rad] to a command beside the one of `pd`, (points, n).
+
+    Args:
+        simulation: The nominal machine; its positions are changed.
+        joint: Index of the joint.
+        sensors: Sensors and timing.
+        gains: Of `pd` [1/rad], [s/rad].
+        frequency: [rad/s], (n,).
+    """
+    z = np.exp(1j * frequency * sensors.control_period)
+    alpha = velocity_filter_coefficient(sensors.control_period, sensors.velocity_cutoff)
+    derivative = alpha * (1 - 1 / z) / sensors.control_period / (1 - (1 - alpha) / z)
+    feedback = gains[0] + gains[1] * derivative
+    home = simulation.data.qpos.copy()
+    responses = []
+    for held in (False, True):
+        simulation.data.qpos[:] = home
+        plants = sampled_plants(simulation, joint, sensors, held=held)
+        responses += [plant(z).ravel() for plant in plants]
+    return np.array([response / (1 + response * feedback) for response in responses])
+
+
+def tuned_filter(
+    simulation: Simulation,
+    joint: int,
+    sensors: SensorConfiguration,
+    gains: tuple[float, float],
+    speed_per_command: float,
+) -> tuple[float, float]:
+    """Finds the lead d with the greatest cutoff at which |Q (1 - L G)| stays below 0.7 everywhere.
+
+    Everywhere: at every frequency, pose and piston speed, with the other joints free and held.
+    That is the condition for errors that shrink from stride to stride without growing first
+    (Bristow, Tharayil and Alleyne 2006, monotonic convergence in the frequency domain).
+
+    Args:
+        simulation: The nominal machine; its positions are changed.
+        joint: Index of the joint.
+        sensors: Sensors and timing.
+        gains: Of `pd` [1/rad], [s/rad].
+        speed_per_command: b_0 [rad/s].
+
+    Returns:
+        Cutoff [rad/s] and lead [s]; the least cutoff that is tried where none suffices.
+    """
+    frequency = np.geomspace(0.1, 2 * _CUTOFFS[-1], 1500)
+    loops = closed_loops(simulation, joint, sensors, gains, frequency)
+    best = (float(_CUTOFFS[0]), 0.0)
+    for lead in _LEADS * sensors.control_period:
+        learning = learning_function(
+            frequency,
+            lead=float(lead),
+            speed_per_command=speed_per_command,
+            crossover=gains[0] * speed_per_command,
+        )
+        left = np.abs(1 - learning * loops).max(axis=0)
+        for cutoff in _CUTOFFS:
+            if (q_filter(frequency, cutoff) * left).max() > CONTRACTION:
+                break
+            if cutoff > best[0]:
+                best = (float(cutoff), float(lead))
+    return best
+
+
+def _all_filters(model: str, simulation: Simulation, sensors: SensorConfiguration) -> list[dict]:
+    speeds = speeds_per_command(simulation)
+    gains = stored_gains(model, simulation, sensors) or tuned_gains(model, sensors)
+    rows = []
+    for joint, speed in enumerate(speeds.tolist()):
+        simulation.reset()
+        cutoff, lead = tuned_filter(simulation, joint, sensors, gains[joint], speed)
+        rows.append({"cutoff": cutoff, "lead": lead, "speed_per_command": speed})
+    return rows
+
+
+def gains_text(models: Sequence[str]) -> str:
+    """Tunes models for the default sensors and formats the filters as TOML."""
+    sensors = SensorConfiguration()
+    lines = [
+        "# Learning filters by `python -m leglab.commissioning.ilc_gains`: the greatest cutoff",
+        f"# at which a stride leaves at most {CONTRACTION:g} of any error to the next, at every",
+        "# pose and piston speed of the linearised nominal plant. Not to be edited by hand.",
+    ]
+    for model in models:
+        timing = ("control_period", "latency", "velocity_cutoff")
+        lines += ["", f"[{model}]", *(f"{name} = {getattr(sensors, name)!r}" for name in timing)]
+        simulation = Simulation(load_model(model))
+        for name, row in zip(
+            simulation.joints, _all_filters(model, simulation, sensors), strict=True
+        ):
+            values = [f"{key} = {row[key]:.4g}" for key in _NAMES]
+            lines.append(f"joints.{name} = {{ {', '.join(values)} }}")
+    return "\n".join(lines) + "\n"
+
+
+def ilc_gains(model: str, simulation: Simulation, sensors: SensorConfiguration) -> LearningFilter:
+    """Filters of a shipped model from `GAINS_FILE`; for others, and other timing, tuned now.
+
+    Args:
+        model: Name or path of the model.
+        simulation: The nominal machine in its rest pose; its positions are changed.
+        sensors: Sensors and timing.
+    """
+    rows = stored_rows(GAINS_FILE, model, simulation, sensors)
+    if rows is None:
+        rows = _all_filters(model, simulation, sensors)
+    return LearningFilter(**{key: np.array([row[key] for row in rows]) for key in _NAMES})
+
+
+if __name__ == "__main__":
+    GAINS_FILE.write_text(gains_text(TUNED_MODELS))

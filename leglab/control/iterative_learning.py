@@ -1,0 +1,205 @@
+"""Iterative learning: the command of this stride from command and error of the last one.
+
+Bristow, Tharayil and Alleyne 2006, "A survey of iterative learning control", IEEE Control Systems
+Magazine 26(3), 96: learning function by inversion of the plant, Q-filter, and the condition in the
+frequency domain under which every stride's error is smaller than the last one's. A stride follows
+on the other without a pause, so nothing is reset between them: the same instant of the last stride
+is so many control periods ago.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+# gamma of the learning function: share of an error that a perfect plant would undo in one stride.
+LEARNING_GAIN = 0.5
+
+# Half length of the filters' impulse responses, in 1/cutoff: what lies beyond is below 1 %.
+_HALF_LENGTH = 12.0
+
+# Time in which a correction comes into use, or goes [s].
+_FADE = 0.1
+
+# Samples of the inverse Fourier transform that makes them.
+_TRANSFORM = 1 << 14
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearningFilter:
+    """Tuning of `IterativeLearning`, one value a joint.
+
+    Attributes:
+        cutoff: Frequency up to which the Q-filter passes everything; from twice it on it passes
+            nothing [rad/s], (joints,).
+        lead: d, delay of the plant that is made good [s], (joints,).
+        speed_per_command: b_0, speed that a command gives the calibrated joint [rad/s], (joints,).
+    """
+
+    cutoff: np.ndarray
+    lead: np.ndarray
+    speed_per_command: np.ndarray
+
+
+def q_filter(frequency: np.ndarray, cutoff: float) -> np.ndarray:
+    """Q: 1 up to the cutoff [rad/s], 0 from twice it on, half a cosine between; without phase."""
+    place = np.clip(np.abs(frequency) / cutoff - 1.0, 0.0, 1.0)
+    return 0.5 + 0.5 * np.cos(math.pi * place)
+
+
+def learning_function(
+    frequency: np.ndarray, *, lead: float, speed_per_command: float, crossover: float
+) -> np.ndarray:
+    """L: gamma times the inverse of the loop from command to position, as a first order.
+
+    A joint integrates the command, and its feedback loop forgets as a first order of its
+    crossover: G = b_0 exp(-i w d)/(i w + w_x), L = gamma/G.
+
+    Args:
+        frequency: w [rad/s].
+        lead: d [s].
+        speed_per_command: b_0 [rad/s].
+        crossover: w_x, position gain times b_0 [rad/s].
+    """
+    inverse = (1j * frequency + crossover) / speed_per_command
+    return LEARNING_GAIN * inverse * np.exp(1j * frequency * lead)
+
+
+class IterativeLearning:
+    """c(t) = Q [c + L e](t - stride): what a command needs beyond what it is given otherwise.
+
+    While the reference is that of a stride ago, and has been for a whole stride, c is in use;
+    otherwise it is zero and nothing is learned. The filters look ahead of t - stride, at what the
+    last stride knows of the future.
+
+    Args:
+        filters: Tuning.
+        crossover: w_x of each joint's feedback loop [rad/s], (joints,).
+        direction: Sign of the joint velocity that a positive command gives, (joints,).
+        stride: Time after which the reference is expected to repeat [s]; need not be a multiple of
+            the control period.
+        period: Control period [s].
+        tolerance: References that differ by less are the same [rad].
+
+    Attributes:
+        repeats: Whether c is in use.
+    """
+
+    def __init__(
+        self,
+        filters: LearningFilter,
+        crossover: np.ndarray,
+        direction: np.ndarray,
+        *,
+        stride: float,
+        period: float,
+        tolerance: float,
+    ) -> None:
+        self._joints, self._tolerance = len(filters.cutoff), tolerance
+        self._nothing, self._step = np.zeros(self._joints), period / _FADE
+        self._count = math.floor(stride / period)
+        self._part = stride / period - self._count  # of a period that the stride is longer
+        longest = math.ceil(_HALF_LENGTH / float(np.min(filters.cutoff)) / period)
+        self._half = half = min(longest, self._count - 2)
+        kernels = [
+            kernels_of(
+                cutoff=float(filters.cutoff[j]),
+                lead=float(filters.lead[j]),
+                speed_per_command=float(filters.speed_per_command[j]),
+                crossover=float(crossover[j]),
+                period=period,
+                half=half,
+                # A sample is sought that lies between two: the filters shift by the rest.
+                shift=-self._part * period,
+            )
+            for j in range(self._joints)
+        ]
+        sign = np.asarray(direction, dtype=float)
+        self._smoothing = np.array([kernel[0] for kernel in kernels]).T
+        self._learning = sign * np.array([kernel[1] for kernel in kernels]).T
+        # What is used first, a stride ago less the half length, up to now.
+        self._length = self._count + half + 1
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets everything learned."""
+        shape = (2 * self._length, self._joints)
+        self._correction, self._error, self._reference = (np.zeros(shape) for _ in range(3))
+        self._next = self._periods = self._same = 0
+        self._frozen, self._share, self.repeats = False, 0.0, False
+
+    def freeze(self) -> None:
+        """Stops learning: from now on the correction of the last stride is repeated."""
+        self._frozen = True
+
+    def correction(self, reference: np.ndarray) -> np.ndarray:
+        """Corrections of the command, (joints,), for reference positions [rad], (joints,)."""
+        half, last = self._half, slice(self._next, self._next + self._length)
+        # Row `half + 1` of what is kept, oldest first, is so many whole periods ago.
+        then = self._reference[last][half : half + 2]
+        earlier = then[1] + self._part * (then[0] - then[1])
+        known = self._periods > self._count
+        same = known and bool(np.abs(reference - earlier).max() <= self._tolerance)
+        self._same = self._same + 1 if same else 0
+        self._store(self._reference, reference)
+        self.repeats = self._same > self._count + half
+        step = self._step if self.repeats else -self._step
+        self._share = min(max(self._share + step, 0.0), 1.0)
+        if not self._share:
+            return self._nothing
+        if self._frozen:
+            before, now = self._correction[last][half : half + 2]
+            return self._share * (now + self._part * (before - now))
+        window = slice(self._next + 1, self._next + 2 * half + 2)
+        correction = np.einsum("kj,kj->j", self._smoothing, self._correction[window])
+        correction += np.einsum("kj,kj->j", self._learning, self._error[window])
+        return self._share * correction
+
+    def take(self, error: np.ndarray, correction: np.ndarray) -> None:
+        """Ends a period; call it once after `correction`.
+
+        Args:
+            error: Measured tracking errors of this period [rad], (joints,); NaN where none is.
+            correction: What was sent of the correction, (joints,).
+        """
+        self._store(self._error, np.nan_to_num(error))
+        self._store(self._correction, correction)
+        self._next = (self._next + 1) % self._length
+        self._periods += 1
+
+    def _store(self, rows: np.ndarray, values: np.ndarray) -> None:
+        # Every row is written twice, so that a slice is always in order.
+        rows[self._next] = rows[self._next + self._length] = values
+
+
+def kernels_of(
+    *,
+    cutoff: float,
+    lead: float,
+    speed_per_command: float,
+    crossover: float,
+    period: float,
+    half: int,
+    shift: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Impulse responses of Q and Q L, oldest sample first, (2 half + 1,) each.
+
+    Args:
+        cutoff: Of Q [rad/s].
+        lead: As `learning_function`.
+        speed_per_command: As `learning_function`.
+        crossover: As `learning_function`.
+        period: Control period [s].
+        half: Samples before and after the one that is asked for.
+        shift: How much later than the middle sample is asked for [s]; negative for earlier.
+    """
+    frequency = 2 * math.pi * np.fft.rfftfreq(_TRANSFORM, period)
+    passed = q_filter(frequency, cutoff) * np.exp(1j * frequency * shift)
+    learning = learning_function(
+        frequency, lead=lead, speed_per_command=speed_per_command, crossover=crossover
+    )
+    # Response h at sample n weighs the input n samples earlier; oldest first, that is -n.
+    wanted = np.arange(half, -half - 1, -1)
+    return tuple(  # type: ignore[return-value]
+        np.fft.irfft(response, _TRANSFORM)[wanted] for response in (passed, passed * learning)
+    )
