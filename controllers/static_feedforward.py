@@ -53,7 +53,7 @@ class StaticFeedforward:
     def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
         """Valve commands, (joints,)."""
         self._feedforward = self._map(reference.position, reference.velocity)
-        return self._feedforward + self._pd.command(measurement, reference)
+        return self._feedforward + self._pd.correct(measurement, reference)
 
     def diagnostics(self) -> dict[str, np.ndarray]:
         """Feed-forward and feedback parts of the command, each (joints,)."""

@@ -127,8 +127,17 @@ class NominalMachine:
         raise self._missing("velocity_gain")
 
     @cached_property
+    def setpoint(self) -> np.ndarray | None:
+        """What a drive with a position or velocity loop of its own is sent to follow a reference.
+
+        Rows are the command at rest, its slopes over position [1/rad] and over velocity [s/rad],
+        (3, joints), with zeros for drives without such a loop; None where no drive has one.
+        """
+        return None
+
+    @cached_property
     def valve_maps(self) -> Sequence[Any]:
-        """Steady valve command over position and velocity, a `ValveMap` a joint."""
+        """Steady command over position and velocity, a `ValveMap` a joint."""
         raise self._missing("valve_maps")
 
     @cached_property

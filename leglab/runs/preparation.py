@@ -18,10 +18,23 @@ from leglab.commissioning.setup import controller_setup
 from leglab.control import ControllerSetup, Foreknowledge
 from leglab.control.contract import CONTROLLERS
 from leglab.control.feedforward.fault_bank import FaultBank
-from leglab.machine.changes import check_tolerance, vary_bodies, vary_parameters
+from leglab.machine.changes import (
+    NATIVE_FIELDS,
+    check_tolerance,
+    fitted,
+    vary_bodies,
+    vary_parameters,
+)
 from leglab.machine.sensors import SensorConfiguration
 from leglab.machine.simulation import Simulation, load_model
-from leglab.references import Joint, Reference, make_reference, reference_settings
+from leglab.references import (
+    GAIT,
+    LEG_REFERENCES,
+    Joint,
+    Reference,
+    make_reference,
+    reference_settings,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,6 +161,19 @@ class Preparation:
         )
         return replace(self._setup, foreknowledge=foreknowledge, fault_bank=fault_bank)
 
+    def fitted(self, scenario: Scenario) -> Scenario:
+        """The scenario as the machine can carry it out, with a motion that it can make.
+
+        References for a leg give way to `multisine` where no joint is one of a leg.
+
+        Raises:
+            LeglabError: The machine has nothing that the scenario changes; lists those that fit.
+        """
+        known = fitted(scenario, self.nominal)
+        if known.reference in LEG_REFERENCES and not set(self.nominal.joints) & set(GAIT):
+            known = replace(known, reference="multisine", reference_config={})
+        return known
+
     def reference(self, settings: RunSettings, scenario: Scenario) -> Reference:
         """The trajectory of a run, of the nominal machine's joints."""
         return make_reference(
@@ -179,6 +205,9 @@ class Preparation:
             model = simulation.model
             model.body_mass[:] = self.nominal.model.body_mass
             model.body_inertia[:] = self.nominal.model.body_inertia
+            for field in NATIVE_FIELDS if simulation.native else ():
+                if hasattr(model, field):
+                    getattr(model, field)[:] = getattr(self.nominal.model, field)
             vary_bodies(model, self._tolerance, seed)
         simulation.reset()
         if self._tolerance:
