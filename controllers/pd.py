@@ -37,6 +37,8 @@ class Pd:
         feedback: The last commands, (joints,).
     """
 
+    joint_wise = True
+
     def __init__(self, setup: ControllerSetup, config: PdConfiguration) -> None:
         direction = np.asarray(setup.machine.direction, dtype=float)
         gains = []

@@ -41,6 +41,8 @@ class ValveMapTable:
 class StaticFeedforward:
     """u = map(r, r') + PD, with the map calibrated on the nominal machine."""
 
+    joint_wise = True
+
     def __init__(self, setup: ControllerSetup, config: PdConfiguration) -> None:
         self._pd = Pd(setup, config)
         self._map = ValveMapTable(setup.machine.valve_maps)

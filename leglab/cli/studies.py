@@ -22,10 +22,10 @@ def tune(
 ) -> None:
     """Finds the PD gains that keep 6 dB and 45 degrees of margin on the linearised plant."""
     load_plugins(load)
-    from leglab.commissioning.pd_gains import GAINS_FILE, PD_MODELS, gains_text
+    from leglab.commissioning.pd_gains import GAINS_FILE, TUNED_MODELS, gains_text
 
     with progress("tuning") as show:
-        text = gains_text(models or list(PD_MODELS), lambda label: show(description=label))
+        text = gains_text(models or list(TUNED_MODELS), lambda label: show(description=label))
     if write:
         GAINS_FILE.write_text(text)
         (errors if as_json else output).print(f"written to {GAINS_FILE}")

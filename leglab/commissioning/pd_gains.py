@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 
 # Tuned once by `leglab tune`, and not touched afterwards.
 GAINS_FILE = Path(__file__).with_name("pd_gains.toml")
-TUNED_MODELS = ("knee_bench", "leg", "leg_rail")  # of cylinders
-PD_MODELS = (*TUNED_MODELS, "leg_motor")
+TUNED_MODELS = ("knee_bench", "leg", "leg_rail")
 
 GAIN_MARGIN_DB = 6.0
 PHASE_MARGIN_DEG = 45.0

@@ -55,6 +55,11 @@ class Schedule:
         self._target: dict[tuple[str, str], Target] = {}
         self._begin(scenario)
 
+    @property
+    def next(self) -> float:
+        """When `apply` has something to do again [s]; infinite if never."""
+        return self._next
+
     def follow(self, scenario: Scenario, now: float) -> None:
         """Carries out another scenario from now on; what only the last one changed is undone.
 

@@ -91,6 +91,7 @@ class Simulation:
         native: Those that are MuJoCo's own, by name.
         centre: Control that a command of 0 stands for, (actuators,); 0 of a cylinder.
         half: Control per command beyond it, (actuators,); 1 of a cylinder.
+        varied: Whether the model is that of a specimen.
 
     Raises:
         LeglabError: If an actuator is of another kind, moves no joint or several, or two move one.
@@ -98,6 +99,7 @@ class Simulation:
 
     def __init__(self, model: mujoco.MjModel, *, keyframe: str | None = "home") -> None:
         self.model = model
+        self.varied = False
         self.data = mujoco.MjData(model)
         count = model.nactuator
         if not count:

@@ -87,6 +87,7 @@ class SampledMachine:
         send: Function that sends commands (joints,) to valves and native actuators, clipped to
             [-1, 1]; False, and nothing sent, for what is no array of finite numbers.
         row: Number of the present period within the drawn noise.
+        exact: Whether the model gives its sensors no faults of their own.
 
     Raises:
         LeglabError: If the timing or a change does not fit the machine.
@@ -135,6 +136,7 @@ class SampledMachine:
         self._supply_slot = simulation.supply_slot if hydraulic else -1
         self._cylinders, self._count = len(hydraulic), count
         self._sampled_pressures = self._state.take(self._pressure_slots)
+        self.exact = not (self._pressure_faults or self.encoders.built_in)
         self._periods = 0
         self.row = -1
 
@@ -156,6 +158,15 @@ class SampledMachine:
             noisy = self._pressure_faults.seen(noisy)
         supply = float(self._state[self._supply_slot])
         return Measurement(now, *self._readings, noisy[:count], noisy[count:], supply)
+
+    def pressure_noise(self, count: int) -> np.ndarray:
+        """Draws the noise of pressures for as many periods as are measured one by one otherwise.
+
+        Returns:
+            [Pa], (count, 2 cylinders); without columns where no pressure is measured.
+        """
+        columns = 2 * self._cylinders if self._pressures else 0
+        return self._noise.normal(0.0, self._pressure_noise, (count, columns))
 
     def advance(self) -> None:
         """Ends a period: the command is held, and the next sample taken ahead of its end."""
@@ -270,7 +281,7 @@ class Loop:
     def reset(self) -> None:
         """Starts the run anew: the seed's specimen at rest, the noise drawn, nothing learned."""
         self.close()
-        self.preparation.start(self.simulation, self.settings.seed)
+        self.preparation.start(self.simulation, self.settings.seed, self.settings.tolerance)
         self.machine = machine = SampledMachine(
             self.simulation,
             self.scenario,
@@ -358,6 +369,11 @@ class Loop:
         """Returns where the joints should be in the next period, before it is observed."""
         row = self._next - self._first
         return ReferencePoint(*(part[row] for part in self._wanted))
+
+    @property
+    def wanted(self) -> Samples:
+        """Samples of the reference, one a period and `ahead` more, each (periods, joints)."""
+        return self._wanted
 
     def reference_ahead(self, periods: np.ndarray) -> np.ndarray:
         """Reference positions [rad] so many periods after the present one, (periods, joints)."""

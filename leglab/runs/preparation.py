@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import mujoco
 import numpy as np
 
 import leglab.controllers
@@ -117,7 +118,7 @@ def check_controllers(names: Sequence[str]) -> None:
 
 
 class Preparation:
-    """What runs with the same model, sensors and tolerance share.
+    """What runs with the same model and sensors share.
 
     Args:
         settings: Of a run.
@@ -125,6 +126,7 @@ class Preparation:
     Attributes:
         sensors: Sensors and timing.
         nominal: The nominal machine in its rest pose; a run moves a machine of its own.
+        controller_setup: What every controller may know.
 
     Raises:
         LeglabError: If the model or a setting does not fit.
@@ -133,10 +135,9 @@ class Preparation:
     def __init__(self, settings: RunSettings) -> None:
         check_tolerance(settings.tolerance)
         self._model, self._timestep = settings.model, settings.timestep
-        self._tolerance = settings.tolerance
         self.sensors = validate_configuration(SensorConfiguration, settings.sensors, "sensors")
         self.nominal = Simulation(self._load(visual=False))
-        self._setup = controller_setup(self.nominal, settings.model, self.sensors)
+        self.controller_setup = controller_setup(self.nominal, settings.model, self.sensors)
 
     def setup(
         self,
@@ -159,7 +160,7 @@ class Preparation:
             bench_runs=bench_runs,
             exact_commands=exact_commands,
         )
-        return replace(self._setup, foreknowledge=foreknowledge, fault_bank=fault_bank)
+        return replace(self.controller_setup, foreknowledge=foreknowledge, fault_bank=fault_bank)
 
     def fitted(self, scenario: Scenario) -> Scenario:
         """The scenario as the machine can carry it out, with a motion that it can make.
@@ -191,28 +192,36 @@ class Preparation:
         """
         return Simulation(self._load(visual=True) if visual else copy.copy(self.nominal.model))
 
-    def start(self, simulation: Simulation, seed: int) -> None:
+    def start(self, simulation: Simulation, seed: int, tolerance: float = 0.0) -> None:
         """Puts a machine where a run starts: the seed's specimen, at rest in its rest pose.
 
         Args:
             simulation: From `machine`, in any state, its bodies without loads.
             seed: Picks the specimen, where there is a tolerance.
+            tolerance: Relative standard deviation of its parameters [1].
 
         Raises:
             LeglabError: If a cylinder cannot hold its joint there.
         """
-        if self._tolerance:
-            model = simulation.model
-            model.body_mass[:] = self.nominal.model.body_mass
-            model.body_inertia[:] = self.nominal.model.body_inertia
-            for field in NATIVE_FIELDS if simulation.native else ():
-                if hasattr(model, field):
-                    getattr(model, field)[:] = getattr(self.nominal.model, field)
-            vary_bodies(model, self._tolerance, seed)
+        check_tolerance(tolerance)
+        if tolerance or simulation.varied:
+            self._restore(simulation)
+            simulation.varied = bool(tolerance)
+        if tolerance:
+            vary_bodies(simulation.model, tolerance, seed)
         simulation.reset()
-        if self._tolerance:
-            vary_parameters(simulation, self._tolerance, seed)
+        if tolerance:
+            vary_parameters(simulation, tolerance, seed)
         settle(simulation)
+
+    def _restore(self, simulation: Simulation) -> None:
+        """Undoes what `vary_bodies` and `vary_parameters` did to a model."""
+        model, nominal = simulation.model, self.nominal.model
+        fields = ("body_mass", "body_inertia", *(NATIVE_FIELDS if simulation.native else ()))
+        for name in fields:
+            if hasattr(model, name):
+                getattr(model, name)[:] = getattr(nominal, name)
+        mujoco.mj_setConst(model, mujoco.MjData(model))
 
     def _load(self, *, visual: bool) -> Any:
         return load_model(self._model, timestep=self._timestep, visual=visual)
