@@ -28,7 +28,6 @@ from leglab.control import (
 from leglab.control.contract import CONTROLLERS
 from leglab.environment.episodes import Episode, Episodes
 from leglab.environment.rewards import Reward, Transition
-from leglab.machine.plugin import unobserved
 from leglab.machine.sensors import loop_timing, velocity_filter_coefficient
 from leglab.machine.simulation import SPEED_LIMIT, Simulation
 from leglab.runs.loop import Loop
@@ -69,6 +68,7 @@ class Batch:
         joints: Names of the joints.
         observation: As one array of `LegEnv` with `flat_observation=True`, float32.
         command: Commands that were sent last, in [-1, 1], (machines, joints).
+        error: True tracking error, position less reference [rad], (machines, joints).
         steps: Control periods since the start of the episodes, (machines,).
         terminated: Where a simulation blew up or an error exceeded the limit, (machines,).
         truncated: Where the duration is over, (machines,).
@@ -107,6 +107,7 @@ class Batch:
         self._pressure = np.zeros((self.count, 2 * hydraulic + bool(hydraulic)))
         self.command, self.previous = np.zeros(shape), np.zeros(shape)
         self.action, self._wish, self._forward = (np.zeros(shape) for _ in range(3))
+        self.error = np.zeros(shape)
         self.steps = np.zeros(self.count, dtype=np.int64)
         self._due = np.full(self.count, np.inf)
         self.diverged = np.zeros(self.count, dtype=bool)
@@ -151,11 +152,6 @@ class Batch:
         )
 
     @property
-    def error(self) -> np.ndarray:
-        """True tracking error, position less reference [rad], (machines, joints)."""
-        return self.true_position - self.reference.position
-
-    @property
     def time(self) -> np.ndarray:
         """Time since the start of the episodes [s], (machines,)."""
         return self.steps * self.period
@@ -190,6 +186,7 @@ class Batch:
             values[chosen] = 0.0
         self._command_of_controllers(chosen, first=True)
         self._complete()
+        self.error = self.true_position - self.reference.position
 
     def step(self, action: np.ndarray, rests: np.ndarray | None = None) -> np.ndarray:
         """Runs one control period of machines whose episode is not over.
@@ -226,16 +223,19 @@ class Batch:
         self.steps[moves] += 1
         # The time of a period as the loop reckons it.
         late = self._due <= self.steps * self.period
-        with unobserved():
-            self._core.step(commands=self.command, late=late, rests=~moves)
+        self._core.step(commands=self.command, late=late, rests=~moves)
         for i in np.flatnonzero(late & moves & ~self.diverged).tolist():
             self._change(i)
             self._core.measure(i)
         self._command_of_controllers(moves & ~self.diverged, first=False)
         self._complete()
-        error = np.abs(self.error).max(axis=1)
-        self.terminated[moves] = (self.diverged | (error > self._error_limit))[moves]
-        self.truncated[moves] = (~self.terminated & (self.steps >= self._last))[moves]
+        self.error = self.true_position - self.reference.position
+        np.copyto(
+            self.terminated,
+            self.diverged | (np.abs(self.error).max(axis=1) > self._error_limit),
+            where=moves,
+        )
+        np.copyto(self.truncated, ~self.terminated & (self.steps >= self._last), where=moves)
         reward = np.asarray(self._reward(self.transition()), dtype=float)
         if reward.shape != (self.count,):
             raise LeglabError(

@@ -138,7 +138,7 @@ class LegVectorEnv(gymnasium.vector.VectorEnv):
         return {
             "time": batch.time,
             "_time": every,
-            "tracking_error": batch.error,
+            "tracking_error": batch.error.copy(),
             "_tracking_error": every,
             "command": batch.command.copy(),
             "_command": every,

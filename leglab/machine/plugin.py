@@ -215,20 +215,13 @@ without_warnings, _without_clock = _Suspension(_swap_warnings), _Suspension(_swa
 
 
 @contextlib.contextmanager
-def unobserved() -> Iterator[None]:
-    """Steps models without warnings and without the times that MuJoCo takes of itself."""
-    with without_warnings(), _without_clock():
-        yield
-
-
-@contextlib.contextmanager
 def headless(model: mujoco.MjModel) -> Iterator[None]:
     """Steps a model without warnings, its sensors and the times that MuJoCo takes of itself.
 
     The motion is the same, to the bit, in about four fifths of the time.
     """
     flags = model.opt.disableflags
-    with unobserved():
+    with without_warnings(), _without_clock():
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
         try:
             yield

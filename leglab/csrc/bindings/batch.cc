@@ -1,6 +1,10 @@
 // Python module leglab._native.batch: control periods of many machines, in threads. A machine is a
 // MuJoCo model and its data, which Python made and keeps; here they are stepped, and what sensors and
 // reference say of the next period is written into arrays with a row a machine.
+//
+// Each thread steps on data of its own and takes a machine's state in and out: that of hundreds of
+// machines fits the caches, their whole data does not, and bare steps then take twice the time. What
+// follows from the state in a machine's data (places of bodies, forces) is not kept up to date.
 #include <mujoco/mujoco.h>
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
@@ -9,6 +13,7 @@
 #include <cmath>
 #include <cstdint>
 #include <memory>
+#include <new>
 #include <vector>
 
 #include "loop/sensing.h"
@@ -37,6 +42,26 @@ struct Series {
   Constants noise, shift, pressure_noise;  // (periods, joints), the same, (periods, pressures)
   Array<const bool> lost;                  // (periods, joints)
   Constants position, velocity, acceleration;  // of the reference, (periods + ahead, joints)
+};
+
+// MuJoCo's clock, and its warnings, which go to a log file, taken away for a while: whoever steps
+// looks for what they warn of.
+class Quiet {
+ public:
+  Quiet() : clock_(mjcb_time), warning_(mju_user_warning) {
+    mjcb_time = nullptr;
+    mju_user_warning = [](const char*) {};
+  }
+  ~Quiet() {
+    mjcb_time = clock_;
+    mju_user_warning = warning_;
+  }
+  Quiet(const Quiet&) = delete;
+  Quiet& operator=(const Quiet&) = delete;
+
+ private:
+  mjfTime clock_;
+  void (*warning_)(const char*);
 };
 
 struct Machine {
@@ -95,6 +120,10 @@ class Batch {
         pressure_noise.size() * joints_ != noise.size() * pressures_.size()) {
       throw nb::value_error("arrays of different shapes");
     }
+    while (scratch_.size() < threads_.size()) {
+      scratch_.emplace_back(mj_makeData(m.model), mj_deleteData);
+      if (!scratch_.back()) throw std::bad_alloc();
+    }
     check(qpos_, std::size_t(m.model->nq));
     check(dof_, std::size_t(m.model->nv));
     check(pressures_, std::size_t(m.model->npluginstate));
@@ -107,7 +136,7 @@ class Batch {
     m.pressures.resize(pressures_.size());
     m.row = 0;
     diverged_.data()[i] = false;
-    sample(m);
+    sample(m, m.data);
     m.sensing->start(m.sample.data(), disturbance(m));
     look(i);
   }
@@ -124,10 +153,11 @@ class Batch {
         throw nb::index_error("an episode that is over, or was not begun");
       }
     }
-    nb::gil_scoped_release release;
-    threads_.each(n, [&](std::size_t i) {
+    const Quiet quiet;
+    const nb::gil_scoped_release release;
+    threads_.each(n, [&](std::size_t i, std::size_t thread) {
       if (rests.data()[i]) return;
-      advance(i, commands.data() + i * joints_);
+      advance(i, commands.data() + i * joints_, scratch_[thread].get());
       if (!diverged_.data()[i] && !late.data()[i]) measure(i);
     });
   }
@@ -194,22 +224,24 @@ class Batch {
     return {m.series.noise.data() + first, m.series.shift.data() + first, lost};
   }
 
-  void sample(Machine& m) const {
-    for (std::size_t j = 0; j < joints_; ++j) m.sample[j] = m.data->qpos[qpos_.data()[j]];
+  void sample(Machine& m, const mjData* data) const {
+    for (std::size_t j = 0; j < joints_; ++j) m.sample[j] = data->qpos[qpos_.data()[j]];
     for (std::size_t k = 0; k < m.pressures.size(); ++k) {
-      m.pressures[k] = m.data->plugin_state[pressures_.data()[k]];
+      m.pressures[k] = data->plugin_state[pressures_.data()[k]];
     }
   }
 
-  void advance(std::size_t i, const double* command) {
+  void advance(std::size_t i, const double* command, mjData* data) {
     Machine& m = machines_[i];
     for (std::size_t j = 0; j < joints_; ++j) {
       const double u = std::clamp(command[j], -1.0, 1.0);
       m.data->ctrl[j] = centre_.data()[j] + half_.data()[j] * u;
     }
-    for (int k = 0; k < shape_.to_sample; ++k) mj_step(m.model, m.data);
-    sample(m);
-    for (int k = 0; k < shape_.to_command; ++k) mj_step(m.model, m.data);
+    mj_copyState(m.model, m.data, data, mjSTATE_INTEGRATION);
+    for (int k = 0; k < shape_.to_sample; ++k) mj_step(m.model, data);
+    sample(m, data);
+    for (int k = 0; k < shape_.to_command; ++k) mj_step(m.model, data);
+    mj_copyState(m.model, data, m.data, mjSTATE_INTEGRATION);
     ++m.row;
     look(i);
   }
@@ -239,6 +271,7 @@ class Batch {
   Array<float> observation_;
   Array<bool> diverged_;
   std::vector<Machine> machines_;
+  std::vector<std::unique_ptr<mjData, void (*)(mjData*)>> scratch_;  // one a thread
   loop::Threads threads_;
 };
 

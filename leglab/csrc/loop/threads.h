@@ -16,7 +16,9 @@ namespace leglab::loop {
 class Threads {
  public:
   explicit Threads(int count) {
-    for (int i = 1; i < count; ++i) others_.emplace_back([this] { wait(); });
+    for (int i = 1; i < count; ++i) {
+      others_.emplace_back([this, i] { wait(std::size_t(i)); });
+    }
   }
 
   ~Threads() {
@@ -31,8 +33,12 @@ class Threads {
   Threads(const Threads&) = delete;
   Threads& operator=(const Threads&) = delete;
 
-  // Calls work(0) to work(count - 1), each once, and returns when all are done.
-  void each(std::size_t count, const std::function<void(std::size_t)>& work) {
+  std::size_t size() const { return others_.size() + 1; }
+
+  using Work = std::function<void(std::size_t item, std::size_t thread)>;
+
+  // Calls `work` for the items 0 to count - 1, each once, and returns when all are done.
+  void each(std::size_t count, const Work& work) {
     {
       const std::lock_guard lock(mutex_);
       work_ = &work;
@@ -42,17 +48,17 @@ class Threads {
       ++round_;
     }
     begin_.notify_all();
-    take();
+    take(0);
     std::unique_lock lock(mutex_);
     end_.wait(lock, [this] { return busy_ == 0; });
   }
 
  private:
-  void take() {
-    for (std::size_t i = next_++; i < count_; i = next_++) (*work_)(i);
+  void take(std::size_t thread) {
+    for (std::size_t i = next_++; i < count_; i = next_++) (*work_)(i, thread);
   }
 
-  void wait() {
+  void wait(std::size_t thread) {
     for (long seen = 0;;) {
       {
         std::unique_lock lock(mutex_);
@@ -60,7 +66,7 @@ class Threads {
         if (stop_) return;
         seen = round_;
       }
-      take();
+      take(thread);
       const std::lock_guard lock(mutex_);
       if (--busy_ == 0) end_.notify_one();
     }
@@ -68,7 +74,7 @@ class Threads {
 
   std::mutex mutex_;
   std::condition_variable begin_, end_;
-  const std::function<void(std::size_t)>* work_ = nullptr;
+  const Work* work_ = nullptr;
   std::size_t count_ = 0, busy_ = 0;
   std::atomic<std::size_t> next_{0};
   long round_ = 0;
