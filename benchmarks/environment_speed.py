@@ -223,7 +223,7 @@ def main() -> None:
     parser.add_argument(
         "--rounds", type=int, default=100, help="bursts on all cores, some hundredths of a second"
     )
-    parser.add_argument("--machines", type=int, default=256, help="in a batch")
+    parser.add_argument("--machines", type=int, default=64, help="in a batch")
     results.main(parser, measure, tables)
 
 
