@@ -212,7 +212,9 @@ def tables(found: dict[str, Any]) -> str:
     return "\n\n".join(
         (
             results.table((f"{head}, one core", "steps/s", "time over bare physics"), one),
-            results.table((f"{head}, {found['cores']} cores", "steps/s of all", "of bare physics"), every),
+            results.table(
+                (f"{head}, {found['cores']} cores", "steps/s of all", "of bare physics"), every
+            ),
         )
     )
 
