@@ -97,7 +97,7 @@ class BsnnArxPaper:
         wish = np.reshape(self._driver.predict(velocity), self._joints)
         self._feedforward = np.nan_to_num(wish).clip(-self._limit, self._limit)
         self._driver.update(*self._samples(later[1], self._feedforward))
-        command = self._feedforward + self._pd.command(measurement, reference)
+        command = self._feedforward + self._pd.correct(measurement, reference)
         self._sent = command.clip(-1.0, 1.0)
         return command
 

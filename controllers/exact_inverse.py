@@ -60,7 +60,7 @@ class ExactInverse:
         self._feedforward = self.commands[min(self._row, len(self.commands) - 1)]
         self._row += 1
         _, seen = self._motion.take(reference)
-        return self._feedforward + self._pd.command(measurement, seen)
+        return self._feedforward + self._pd.correct(measurement, seen)
 
     def diagnostics(self) -> dict[str, np.ndarray]:
         """Feed-forward and feedback parts of the command, each (joints,)."""

@@ -28,11 +28,16 @@ class PdConfiguration(Configuration):
 class Pd:
     """u = s (K_p (r - q) + K_v (r' - q')), s the sign with which a command moves the joint.
 
+    To drives with a position or velocity loop of their own it sends the reference, too: `command`
+    adds it, `correct` does not.
+
     Attributes:
         position_gain: s K_p [1/rad], (joints,).
         velocity_gain: s K_v [s/rad], (joints,).
         feedback: The last commands, (joints,).
     """
+
+    joint_wise = True
 
     def __init__(self, setup: ControllerSetup, config: PdConfiguration) -> None:
         direction = np.asarray(setup.machine.direction, dtype=float)
@@ -45,13 +50,27 @@ class Pd:
                 raise setup.wrong_length(name, values, "pd")
             gains.append(direction * np.asarray(values, dtype=float))
         self.position_gain, self.velocity_gain = gains
+        self._setpoint = setup.machine.setpoint
         self.feedback = np.zeros(len(setup.joints))
 
     def reset(self, measurement: Measurement) -> None:
         """Starts a run; the law has no memory."""
 
     def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
-        """Valve commands in [-1, 1] before clipping, (joints,)."""
+        """Commands in [-1, 1] before clipping, (joints,)."""
+        feedback = self.correct(measurement, reference)
+        if self._setpoint is None:
+            return feedback
+        rest, per_position, per_velocity = self._setpoint
+        return (
+            feedback
+            + rest
+            + per_position * reference.position
+            + (per_velocity * reference.velocity)
+        )
+
+    def correct(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
+        """The feedback alone, (joints,): what a controller with another feed-forward adds to it."""
         wanted, wanted_velocity, _ = reference
         feedback = self.position_gain * (wanted - measurement.position)
         feedback += self.velocity_gain * (wanted_velocity - measurement.velocity)

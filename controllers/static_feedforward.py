@@ -41,6 +41,8 @@ class ValveMapTable:
 class StaticFeedforward:
     """u = map(r, r') + PD, with the map calibrated on the nominal machine."""
 
+    joint_wise = True
+
     def __init__(self, setup: ControllerSetup, config: PdConfiguration) -> None:
         self._pd = Pd(setup, config)
         self._map = ValveMapTable(setup.machine.valve_maps)
@@ -53,7 +55,7 @@ class StaticFeedforward:
     def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
         """Valve commands, (joints,)."""
         self._feedforward = self._map(reference.position, reference.velocity)
-        return self._feedforward + self._pd.command(measurement, reference)
+        return self._feedforward + self._pd.correct(measurement, reference)
 
     def diagnostics(self) -> dict[str, np.ndarray]:
         """Feed-forward and feedback parts of the command, each (joints,)."""

@@ -1,7 +1,8 @@
 """The knee's encoder slips on its shaft at half time.
 
 What the controller believes to be tracked is off by the slip: nothing but another sensor can tell.
-The tracking error counts from the true position.
+The tracking error counts from the true position. On a machine without a knee it is the last
+joint's encoder.
 """
 
 from leglab.base.scenario import Options, ParameterChange, Severity, register_scenario
@@ -15,7 +16,7 @@ from leglab.base.scenario import Options, ParameterChange, Severity, register_sc
 )
 def encoder_shift(options: Options) -> tuple[ParameterChange, ...]:
     """Adds an offset to the readings of the knee's encoder."""
-    return (options.set("encoder_offset", options.severity, "knee"),)
+    return (options.set("encoder_offset", options.severity, "knee", fallback=True),)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,8 @@ from leglab.base.scenario import Options, ParameterChange, Severity, register_sc
 def friction_rise(options: Options) -> tuple[ParameterChange, ...]:
     """Multiplies Coulomb, breakaway and viscous friction."""
     return tuple(
-        options.scale(friction, options.severity) for friction in ("coulomb", "static", "viscous")
+        options.scale(friction, options.severity, optional=True)
+        for friction in ("coulomb", "static", "viscous")
     )
 
 

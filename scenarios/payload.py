@@ -1,7 +1,7 @@
 """The shank carries a load from half time on.
 
 The point mass sits at the shank's centre of mass: 5 kg weigh as much again as the shank of the
-knee bench (4.5 kg).
+knee bench (4.5 kg). On a machine without a shank the last moving body carries it.
 """
 
 from leglab.base.scenario import Options, ParameterChange, Severity, register_scenario
@@ -14,7 +14,7 @@ from leglab.base.scenario import Options, ParameterChange, Severity, register_sc
 )
 def payload(options: Options) -> tuple[ParameterChange, ...]:
     """Fixes a point mass at the shank's centre of mass."""
-    return (options.set("added_mass", options.severity, "shank"),)
+    return (options.set("added_mass", options.severity, "shank", fallback=True),)
 
 
 if __name__ == "__main__":

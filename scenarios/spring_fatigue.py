@@ -11,7 +11,7 @@ from leglab.base.scenario import Options, ParameterChange, Severity, register_sc
 )
 def spring_fatigue(options: Options) -> tuple[ParameterChange, ...]:
     """Multiplies both stiffnesses of every parallel spring."""
-    return (options.scale("k1", options.severity), options.scale("k2", options.severity))
+    return tuple(options.scale(k, options.severity, optional=True) for k in ("k1", "k2"))
 
 
 if __name__ == "__main__":

@@ -36,7 +36,7 @@ def test_pressures_are_used_by_those_that_say_so_alone(name, page):
 
 
 def test_what_is_told_is_what_is_asked_for(page):
-    assert page.told("pd") == {"direction", "position_gain", "velocity_gain"}
+    assert page.told("pd") == {"direction", "position_gain", "velocity_gain", "setpoint"}
     assert "valve_maps.command" in page.told("static_feedforward")
     assert "valve_maps.velocity" in page.told("bsnn_arx_paper")
     assert "valve_maps.command" not in page.told("bsnn_arx_paper")

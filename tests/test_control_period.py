@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from leglab._native.loop import Readings, Rows, Valves
+from leglab._native.loop import Drives, Readings, Rows
 from leglab.machine.plugin import headless
 from leglab.machine.sensors import (
     Encoders,
@@ -52,9 +52,9 @@ def test_readings_and_velocities_are_those_of_numpy(counts):
         np.testing.assert_allclose(speed[k], velocity, rtol=1e-9, atol=1e-9)
 
 
-def test_valves_take_finite_arrays_only_and_clip_them():
+def test_drives_take_finite_arrays_only_clip_and_scale_them():
     ctrl = np.zeros(3)
-    send = Valves(ctrl).send
+    send = Drives(ctrl, np.zeros(3), np.ones(3)).send
     assert send(np.array([0.5, -3.0, 2.0]))
     np.testing.assert_array_equal(ctrl, [0.5, -1.0, 1.0])
     assert send(np.arange(6.0)[::2] / 10)
@@ -71,6 +71,9 @@ def test_valves_take_finite_arrays_only_and_clip_them():
     ):
         assert not send(wrong), wrong
         np.testing.assert_array_equal(ctrl, [0.0, 0.2, 0.4])
+    scaled = Drives(ctrl, np.array([1.0, 0.0, -2.0]), np.array([3.0, 10.0, 0.5])).send
+    assert scaled(np.array([0.5, -3.0, 2.0]))
+    np.testing.assert_array_equal(ctrl, [2.5, -10.0, -1.5])
 
 
 def test_rows_gather_and_stay_inside():

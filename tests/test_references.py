@@ -14,6 +14,7 @@ SMOOTH = {
     "random_stride": {"seed": 5},
     "squat": {},
     "sine_sweep": {"duration": 6.0, "end_frequency": 3.0},
+    "multisine": {"period": 2.5, "motion": 3},
     "step": {"start": 0.3, "hold": 0.7, "rise_time": 0.25},
 }
 
@@ -269,3 +270,42 @@ def test_a_random_stride_without_variation_is_the_walking_stride():
     regular = make_reference("walking_stride", LEG).sample(times)
     for ours, theirs in zip(random, regular, strict=True):
         np.testing.assert_allclose(ours, theirs, atol=1e-9)
+
+
+def test_multisine_stays_within_range_speed_and_acceleration_and_reaches_one_of_them():
+    joints = (
+        Joint(name="wide", rest=0.0, lower=-3.0, upper=3.0, velocity_limit=2.0),
+        Joint(name="at_its_stop", rest=1.0, lower=-0.2, upper=1.0, velocity_limit=50.0),
+        Joint(name="slow", rest=0.1, lower=0.0, upper=0.4, velocity_limit=0.2),
+        Joint(name="free"),
+    )
+    settings = {"amplitude": 0.4, "speed": 0.25, "period": 3.0}
+    motion = make_reference("multisine", joints, settings)
+    assert motion.period == 3.0
+    times = np.arange(2.0, 5.0, 1e-4)  # a period, after the start
+    position, velocity, acceleration = motion.sample(times)
+    np.testing.assert_allclose(motion.sample(times + 3.0).position, position, atol=1e-12)
+    for i, joint in enumerate(joints[:3]):
+        width = joint.upper - joint.lower
+        shares = (
+            np.ptp(position[:, i]) / (0.4 * width),  # peak to peak: below twice the amplitude
+            np.abs(velocity[:, i]).max() / (0.25 * joint.velocity_limit),
+            np.abs(acceleration[:, i]).max() / (0.25 * joint.velocity_limit**2 / width),
+        )
+        assert max(shares) <= 1.001, joint.name
+        assert max(shares) > 0.7, joint.name
+        assert joint.lower <= position[:, i].min() <= position[:, i].max() <= joint.upper
+    assert np.abs(position[:, 3]).max() == pytest.approx(0.2, rel=1e-3)
+    other = make_reference("multisine", joints, {**settings, "motion": 1}).sample(times)
+    assert np.abs(other.position - position).max() > 0.05
+    shifted = make_reference("multisine", joints, {**settings, "phase": 0.25})
+    np.testing.assert_allclose(
+        shifted.sample(times).position, motion.sample(times + 0.75).position, atol=1e-12
+    )
+
+
+def test_multisine_moves_the_joints_that_are_named():
+    joints = (Joint(name="a"), Joint(name="b"))
+    position = make_reference("multisine", joints, {"joints": ("b",)}).sample(np.linspace(0, 5, 99))
+    np.testing.assert_array_equal(position.position[:, 0], 0.0)
+    assert np.ptp(position.position[:, 1]) > 0.1

@@ -5,6 +5,8 @@ Columns are named after the MJCF element they belong to: `<joint>_position` [rad
 [Pa], `supply_pressure` [Pa], `oil_temperature` [°C]; a run of ours adds `<joint>_reference`,
 `<joint>_reference_velocity` and `<joint>_reference_acceleration`, and what no sensor sees:
 `<joint>_truth` [rad or m], `<joint>_oil_temperature` [°C], `<joint>_seal_clearance` [1, new is 1].
+The command of a native actuator is the control of its model, in its own unit; `<joint>_effort` is
+what it gives the joint [N m or N].
 """
 
 import json
@@ -19,6 +21,8 @@ from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.notebook import data_frame, html_table, panels
 from leglab.base.units import unit_of
 
+# Metadata of a run: the native actuator of a joint, and the middle and half range of its control.
+DRIVES = "drives"
 # Columns that a recording names in one line, and that its table in a notebook shows.
 _MOST_NAMES, _MOST_ROWS = 4, 40
 # Time stamps count as uniform while no interval leaves the median by more than this share: well
@@ -193,6 +197,41 @@ class Recording:
     def actuators(self) -> tuple[str, ...]:
         """Actuators with an `<actuator>_command` column, in column order."""
         return self._owners("_command")
+
+    @property
+    def actuators_are_valves(self) -> bool:
+        """Whether no joint is driven by a native actuator, as far as the metadata tells."""
+        return all(self._drive(joint) is None for joint in self.joints)
+
+    def actuator_of(self, joint: str) -> str | None:
+        """Name of the actuator that drives a joint; None where none was recorded.
+
+        It is in the metadata of a run with native actuators; other actuators are called as their
+        joint, or `<joint>_valve`.
+        """
+        drive = self._drive(joint)
+        names = (drive[0],) if drive else (joint, f"{joint}_valve")
+        return next((name for name in names if f"{name}_command" in self), None)
+
+    def command_of(self, joint: str) -> np.ndarray | None:
+        """Commands of a joint as shares [-1, 1] of what its actuator takes, (n,); None without.
+
+        A valve's column holds them, a native actuator's the control that was sent in its own unit.
+        """
+        actuator, drive = self.actuator_of(joint), self._drive(joint)
+        if actuator is None:
+            return None
+        sent = self[f"{actuator}_command"]
+        return (sent - drive[1]) / drive[2] if drive else sent
+
+    def _drive(self, joint: str) -> tuple[str, float, float] | None:
+        """Name, middle and half range of a joint's native actuator, if the metadata tells them."""
+        drives = self.metadata.get(DRIVES)
+        told: Any = drives.get(joint) if isinstance(drives, Mapping) else None
+        try:
+            return str(told["actuator"]), float(told["centre"]), float(told["half"])
+        except (TypeError, KeyError, ValueError):
+            return None
 
     def stack(self, elements: Iterable[str], quantity: str) -> np.ndarray:
         """Puts one quantity of several elements side by side.

@@ -25,6 +25,9 @@ class ParameterChange:
         value: Factor [1], or value in the parameter's own unit.
         start: When the change begins [s].
         ramp_duration: How long it takes [s]; 0 is a step.
+        optional: Whether a machine without the parameter takes the scenario's other changes alone.
+        fallback: Whether, on a machine without such an element, the last one changes that has the
+            parameter: its outermost body or joint.
     """
 
     parameter: str
@@ -33,6 +36,8 @@ class ParameterChange:
     value: float
     start: float
     ramp_duration: float = 0.0
+    optional: bool = False
+    fallback: bool = False
 
     def __post_init__(self) -> None:
         where = f"change of {self.parameter!r}"
@@ -126,16 +131,30 @@ class Options:
         """The middle of the run [s]."""
         return self.duration / 2
 
-    def set(self, parameter: str, value: float, element: str = "*") -> ParameterChange:
-        """A change to a new value, in the parameter's own unit, at half time."""
-        return self._change("set", parameter, value, element)
+    def set(
+        self, parameter: str, value: float, element: str = "*", **where: bool
+    ) -> ParameterChange:
+        """A change to a new value, in the parameter's own unit, at half time.
 
-    def scale(self, parameter: str, factor: float, element: str = "*") -> ParameterChange:
-        """A change by a factor at half time."""
-        return self._change("scale", parameter, factor, element)
+        Args:
+            parameter: Name of the parameter.
+            value: New value.
+            element: Which elements change.
+            where: `optional` and `fallback` of the `ParameterChange`.
+        """
+        return self._change("set", parameter, value, element, where)
 
-    def _change(self, kind: str, parameter: str, value: float, element: str) -> ParameterChange:
+    def scale(
+        self, parameter: str, factor: float, element: str = "*", **where: bool
+    ) -> ParameterChange:
+        """A change by a factor at half time; arguments as of `set`."""
+        return self._change("scale", parameter, factor, element, where)
+
+    def _change(
+        self, kind: str, parameter: str, value: float, element: str, where: Mapping[str, bool]
+    ) -> ParameterChange:
         return ParameterChange(
+            **where,
             parameter=parameter,
             element=element,
             kind=kind,
@@ -347,7 +366,7 @@ def get_scenario(
     changes = entry.build(options)
     if element is not None:
         own = f"{escape(element)},{escape(element)}_*"
-        changes = tuple(replace(change, element=own) for change in changes)
+        changes = tuple(replace(change, element=own, fallback=False) for change in changes)
     if ramp_duration and not changes:
         raise LeglabError(f"scenario {name!r} changes nothing, so it has no ramp_duration")
     return Scenario(

@@ -24,6 +24,8 @@ _UNITS = {
     "effort": "N m or N",
 }
 _EITHER = " or "
+# Of what is sent to a native actuator: the model alone knows what it stands for.
+CONTROL_UNIT = "ctrl"
 
 
 def unit_of(name: str, metadata: Mapping[str, Any]) -> str:

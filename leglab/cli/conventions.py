@@ -32,6 +32,8 @@ EXAMPLES = {
         "leglab run seal_wear --controller static_feedforward",
         "leglab run cold_oil --model knee_bench --ramp 2 --seed 3",
         "leglab run nominal --reference random_stride --json > metrics.json",
+        "leglab run seal_wear --controller bsnn_arx --set controller.memory=1500",
+        "leglab run runs/seal_wear-pd-leg-0/run.json --out runs/again",
     ),
     "compare": (
         "leglab compare seal_wear hot_oil --controllers pd,bsnn_arx --seeds 5",
@@ -91,7 +93,8 @@ EXAMPLES = {
 _PANELS = {
     "What runs": (
         "scenario", "scenarios", "controller", "controllers", "model", "models", "reference",
-        "duration", "severity", "ramp", "element", "seed", "seeds", "timestep", "tolerance", "load",
+        "duration", "severity", "ramp", "element", "seed", "seeds", "timestep", "tolerance",
+        "set_", "load",
     ),
     "Data": ("recordings", "held_out", "columns", "to"),
     "Output": ("out", "overwrite", "figures", "as_json", "markdown", "write", "csv"),
@@ -111,6 +114,7 @@ _LISTED = {
 _COMPLETION: dict[str, Callable[[str], list[str]]] = {
     **{parameter: completion(kind) for parameter, kind in _LISTED.items()},
     "controllers": list_completion("controllers"),
+    "scenario": path_completion(".toml", ".json", kind="scenarios"),
     "model": path_completion(".xml", kind="models"),
     "models": completion("models"),
     "effect": completion("effects"),

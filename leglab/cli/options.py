@@ -19,6 +19,21 @@ if TYPE_CHECKING:
     from leglab.runs.preparation import RunSettings
 
 Scenario = Annotated[str, typer.Argument(help="What happens to the machine.")]
+ScenarioOrFile = Annotated[
+    str,
+    typer.Argument(
+        help="What happens to the machine, or a file with settings: TOML, or the run.json of a run."
+    ),
+]
+Set = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="SECTION.SETTING=VALUE",
+        help="A setting of the controller, the reference or the sensors, for instance "
+        "controller.memory=1500; repeatable.",
+    ),
+]
 Controller = Annotated[str, typer.Option(help="What drives it.")]
 Model = Annotated[str, typer.Option(help="Machine.")]
 Duration = Annotated[float | None, typer.Option(help="Seconds; default: the scenario's.")]
@@ -92,19 +107,36 @@ _EFFECTS = (
 )  # fmt: skip
 _LISTED = {
     "effects": _EFFECTS,
-    "references": ("random_stride", "sine_sweep", "squat", "step", "walking_stride"),
+    "references": ("multisine", "random_stride", "sine_sweep", "squat", "step", "walking_stride"),
     "formats": ("parquet", "csv", "mcap", "matlab", "sysid", "plotjuggler"),
 }
 
 
 def settings_of(context: typer.Context) -> "RunSettings":
-    """Returns the settings of a run, from the options of a command that are called like them."""
+    """Returns the settings of a run, from the options of a command that are called like them.
+
+    Where the scenario is a file of settings, that file's hold but for options that are given; the
+    entries of `--set` hold over both.
+
+    Raises:
+        LeglabError: A name or value of the file or of an entry is not allowed.
+    """
     from dataclasses import fields
 
+    from leglab.runs import asked
     from leglab.runs.preparation import RunSettings
 
     given = {**context.params, "ramp_duration": context.params["ramp"]}
-    return RunSettings(**{f.name: given[f.name] for f in fields(RunSettings) if f.name in given})
+    values = {f.name: given[f.name] for f in fields(RunSettings) if f.name in given}
+    file = Path(values["scenario"])
+    if file.suffix in asked.SUFFIXES:
+        sources = {name: context.get_parameter_source(name) for name in context.params}
+        sources["ramp_duration"] = sources["ramp"]
+        told = {n: v for n, v in values.items() if getattr(sources[n], "name", "") == "COMMANDLINE"}
+        values = {**asked.read_settings(file), **told, "scenario": None}
+        values["scenario"] = asked.read_settings(file)["scenario"]
+    values = asked.with_entries(values, context.params.get("set_") or ())
+    return RunSettings(**values)
 
 
 def load_plugins(sources: list[str] | None) -> None:

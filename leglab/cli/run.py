@@ -14,7 +14,7 @@ from leglab.cli import options, terminal
 
 def run(
     context: typer.Context,
-    scenario: options.Scenario,
+    scenario: options.ScenarioOrFile,
     controller: options.Controller = "pd",
     model: options.Model = "leg",
     duration: options.Duration = None,
@@ -26,6 +26,7 @@ def run(
     timestep: Annotated[float | None, typer.Option(help=r"Simulation step \[s].")] = None,
     tolerance: options.Tolerance = 0.0,
     vary: options.Vary = False,
+    set_: options.Set = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -38,7 +39,11 @@ def run(
     as_json: options.Json = False,
     load: options.Load = None,
 ) -> None:
-    """Runs a scenario headless and writes metrics, recording, configuration and plots."""
+    """Runs a scenario headless and writes metrics, recording, configuration and plots.
+
+    With the run.json of a run it makes that run again, to the bit where code and versions are the
+    same; options that are given hold over a file.
+    """
     options.load_plugins(load)
     from leglab.base.scenario import get_scenario
     from leglab.report.figures import draw_run
@@ -49,11 +54,11 @@ def run(
 
     settings = options.settings_of(context)
     folder = out or default_folder(settings)
-    length = get_scenario(scenario, duration=duration).duration
+    length = get_scenario(settings.scenario, duration=settings.duration).duration
     with (
         held(later=True) as hold,
         new_folder(folder, mark=METRICS, overwrite=overwrite) as partial,
-        terminal.progress(f"{scenario} · {controller}", length) as show,
+        terminal.progress(f"{settings.scenario} · {settings.controller}", length) as show,
     ):
         result = run_scenario(settings, lambda now: show(completed=now))
         show(description="writing", completed=length)
@@ -145,7 +150,7 @@ def compare(
 
 def view(
     context: typer.Context,
-    scenario: options.Scenario,
+    scenario: options.ScenarioOrFile,
     controller: options.Controller = "bsnn_arx",
     model: options.Model = "leg",
     duration: options.Duration = None,
@@ -156,6 +161,7 @@ def view(
     reference: options.Reference = None,
     tolerance: options.Tolerance = 0.0,
     vary: options.Vary = False,
+    set_: options.Set = None,
     load: options.Load = None,
 ) -> None:
     """Opens MuJoCo's viewer: the controller lives, and sliders wear, heat and load the leg.
@@ -167,9 +173,10 @@ def view(
     from leglab.viewer.window import HELP, Window, check_window
 
     check_window()
-    session = Session(options.settings_of(context))
+    settings = options.settings_of(context)
+    session = Session(settings)
     terminal.output.print(HELP)
-    window = Window(session, model)
+    window = Window(session, settings.model)
     try:
         window.run()
     finally:

@@ -1,5 +1,6 @@
 """What a bench calibration of the nominal machine tells a controller: signs, speeds, valve maps."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -7,6 +8,7 @@ import numpy as np
 
 from leglab.base.errors import LeglabError
 from leglab.machine.cylinder import Cylinder
+from leglab.machine.native import NativeActuator
 from leglab.machine.simulation import Simulation
 
 # Fractions of the greatest speed and of the joint range at which the valve map is measured:
@@ -18,12 +20,12 @@ POSITION_FRACTIONS = np.linspace(0.03, 0.97, 9)
 
 @dataclass(frozen=True, kw_only=True)
 class ValveMap:
-    """Steady valve command against position and velocity of one joint.
+    """Steady command against position and velocity of one joint: of a valve or a native actuator.
 
     Attributes:
         position: Joint positions [rad], increasing, shape (p,).
         velocity: Joint velocities [rad/s], increasing, shape (v,).
-        command: Valve commands in [-1, 1], shape (p, v).
+        command: Commands in [-1, 1], shape (p, v).
     """
 
     position: np.ndarray
@@ -33,11 +35,14 @@ class ValveMap:
 
 def directions(simulation: Simulation) -> np.ndarray:
     """Sign of the joint velocity that a positive command gives, (joints,)."""
-    return np.sign(simulation.levers())
+    signs = np.sign(simulation.levers())
+    for drive in simulation.native.values():
+        signs[drive.id] *= np.sign(drive.gain(simulation.data))
+    return signs
 
 
 def holding_forces(simulation: Simulation) -> np.ndarray:
-    """Cylinder forces [N], (actuators,), that keep every driven joint at rest where it is.
+    """Actuator forces [N or N m], (actuators,), that keep every driven joint at rest where it is.
 
     Inverse dynamics without acceleration; `data` keeps its positions and velocities.
     """
@@ -48,13 +53,17 @@ def holding_forces(simulation: Simulation) -> np.ndarray:
 
 
 def speed_limits(simulation: Simulation) -> np.ndarray:
-    """Joint speed [rad/s], (joints,), of each cylinder without load at full opening.
+    """Joint speed [rad/s], (joints,), of each actuator without load at full command.
 
-    v = K sqrt((A_A p_s - A_B p_t)/(A_A^3 + A_B^3)) extending, with A and B exchanged retracting
-    (flow balance of a critically lapped valve); the slower of the two, at the present pose.
+    Of a cylinder v = K sqrt((A_A p_s - A_B p_t)/(A_A^3 + A_B^3)) extending, with A and B exchanged
+    retracting (flow balance of a critically lapped valve); the slower of the two, at the present
+    pose. Of a native actuator see `native_speed_limit`.
     """
     limits = []
     for actuator, lever in zip(simulation.actuators, simulation.levers(), strict=True):
+        if actuator in simulation.native:
+            limits.append(native_speed_limit(simulation, simulation.native[actuator]))
+            continue
         values = simulation.cylinder_parameters(actuator)
         a, b = Cylinder(values).native.areas()
         gain = values["rated_flow"] / np.sqrt(values["rated_pressure_drop"] / 2)
@@ -67,18 +76,60 @@ def speed_limits(simulation: Simulation) -> np.ndarray:
     return np.array(limits)
 
 
+def native_speed_limit(simulation: Simulation, drive: NativeActuator) -> float:
+    """Joint speed [rad/s or m/s] that a native actuator gives its joint, at the present pose.
+
+    The smaller of two speeds under its full force F at standstill: F/d, at which the joint's
+    damping and its own loop take all of it, and sqrt(F s/m), which an inertia m reaches within
+    half of the joint's range s. Friction and weight are left out.
+    """
+    model, data = simulation.model, simulation.data
+    lever, dof = drive.lever(data), drive.dof
+    low, high = drive.force_range(data)
+    force = abs(lever) * min(high, -low) if low < 0 < high else abs(lever) * max(high, -low)
+    _, per_velocity = drive.slopes(0.0)
+    damping = float(model.dof_damping[dof]) - per_velocity * lever**2
+    place = simulation.actuators.index(drive.name)
+    least, greatest = simulation.joint_range()[place]
+    speed = float(np.sqrt(force * (greatest - least) / free_inertia(simulation, dof)))
+    return min(speed, force / damping) if damping > 0 else speed
+
+
+def free_inertia(simulation: Simulation, dof: int) -> float:
+    """Inertia that a degree of freedom has with all others free [kg m^2 or kg], 1/(M^-1)_ii."""
+    model, data = simulation.model, simulation.data
+    unit, solved = np.zeros((1, model.nv)), np.zeros((1, model.nv))
+    unit[0, dof] = 1.0
+    mujoco.mj_solveM(model, data, solved, unit)
+    return 1.0 / float(solved[0, dof])
+
+
 def settle(simulation: Simulation) -> None:
-    """Sets pressures, spools and commands so that the machine stands still in its present pose.
+    """Sets pressures, spools and controls so that the machine stands still in its present pose.
+
+    A native actuator that is too weak for that gets the end of its range.
 
     Raises:
         LeglabError: If a cylinder cannot hold its joint there.
     """
-    forces = holding_forces(simulation)
+    data = simulation.data
+    forces = dict(zip(simulation.actuators, holding_forces(simulation), strict=True))
+    for drive in simulation.native.values():
+        control = drive.centre + drive.half * drive.command(float(forces[drive.name]), data)
+        data.ctrl[drive.id] = control
+        if drive.time_constant:
+            data.act[simulation.model.actuator_actadr[drive.id]] = control
+    if simulation.cylinders:
+        _settle_cylinders(simulation, [float(forces[name]) for name in simulation.cylinders])
+    mujoco.mj_forward(simulation.model, data)
+
+
+def _settle_cylinders(simulation: Simulation, forces: Sequence[float]) -> None:
     states = []
-    for actuator, force in zip(simulation.actuators, forces, strict=True):
+    for actuator, force in zip(simulation.cylinders, forces, strict=True):
         try:
             cylinder = Cylinder(simulation.cylinder_parameters(actuator))
-            states.append(cylinder.steady_state(0.0, float(force)))
+            states.append(cylinder.steady_state(0.0, force))
         except LeglabError as error:
             raise LeglabError(f"actuator {actuator!r} cannot hold its joint: {error}") from error
     spools = np.array([state.spool for state in states])
@@ -88,15 +139,15 @@ def settle(simulation: Simulation) -> None:
     )
     simulation.data.plugin_state[simulation.slots("spool_position")] = spools
     bias = simulation.data.plugin_state[simulation.slots("null_bias")]
-    simulation.data.ctrl[:] = spools - bias
-    mujoco.mj_forward(simulation.model, simulation.data)
+    for name, control in zip(simulation.cylinders, spools - bias, strict=True):
+        simulation.data.ctrl[simulation.actuators.index(name)] = control
 
 
 def valve_maps(simulation: Simulation) -> tuple[ValveMap, ...]:
-    """Calibrates the steady valve map of every joint on the machine as it is now.
+    """Calibrates the steady map from motion to command of every joint on the machine as it is now.
 
     One joint at a time runs at constant speed through its range, the others stand in the present
-    pose; loads are gravity, springs and dampers, friction and leakage those of the cylinder. The
+    pose; loads are gravity, springs and dampers, friction and leakage those of the actuator. The
     leg hangs free, as on a stand: contact with the ground is off.
     """
     limits, ranges = speed_limits(simulation), simulation.joint_range()
@@ -112,7 +163,7 @@ def valve_maps(simulation: Simulation) -> tuple[ValveMap, ...]:
 def steady_commands(
     simulation: Simulation, joint: int, position: np.ndarray, velocity: np.ndarray
 ) -> np.ndarray:
-    """Valve commands at which a joint runs steadily, (p, v); +-1 beyond what the valve can give.
+    """Commands at which a joint runs steadily, (p, v); +-1 beyond what its actuator can give.
 
     Args:
         simulation: The machine, in the pose of the other joints; it is left in it.
@@ -121,7 +172,7 @@ def steady_commands(
         velocity: Of the joint [rad/s], (v,).
     """
     model, data = simulation.model, simulation.data
-    cylinder = Cylinder(simulation.cylinder_parameters(simulation.actuators[joint]))
+    steady = _steady_command(simulation, joint)
     pose, flags = data.qpos.copy(), model.opt.disableflags
     command = np.empty((len(position), len(velocity)))
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
@@ -133,14 +184,30 @@ def steady_commands(
                 data.qvel[simulation.dof_index[joint]] = speed
                 mujoco.mj_fwdPosition(model, data)
                 mujoco.mj_fwdVelocity(model, data)
-                lever = simulation.levers()[joint]
-                force = float(holding_forces(simulation)[joint])
-                try:
-                    command[i, j] = cylinder.steady_state(lever * speed, force).spool
-                except LeglabError:
-                    command[i, j] = np.sign(lever * speed)  # beyond what the valve can give
+                command[i, j] = steady(speed, float(holding_forces(simulation)[joint]))
     finally:
         model.opt.disableflags = flags
         data.qpos[:], data.qvel[:] = pose, 0.0
         mujoco.mj_forward(model, data)
+    return command
+
+
+def _steady_command(simulation: Simulation, joint: int) -> Callable[[float, float], float]:
+    """Function of joint speed [rad/s] and actuator force [N] to the command, in the present state.
+
+    The native actuator's is exact: its force is a function of command, length and velocity.
+    """
+    name = simulation.actuators[joint]
+    if name in simulation.native:
+        drive = simulation.native[name]
+        return lambda speed, force: drive.command(force, simulation.data)
+    cylinder = Cylinder(simulation.cylinder_parameters(name))
+
+    def command(speed: float, force: float) -> float:
+        piston = float(simulation.levers()[joint]) * speed
+        try:
+            return cylinder.steady_state(piston, force).spool
+        except LeglabError:
+            return float(np.sign(piston))  # beyond what the valve can give
+
     return command

@@ -5,6 +5,7 @@ import copy
 import mujoco
 import numpy as np
 
+from leglab.base.errors import LeglabError
 from leglab.control.backstepping.data import NominalCylinders
 from leglab.machine.cylinder import Cylinder
 from leglab.machine.simulation import Simulation
@@ -19,7 +20,14 @@ def nominal_cylinders(simulation: Simulation) -> NominalCylinders:
 
     Args:
         simulation: The nominal machine in its rest pose; its positions are as before afterwards.
+
+    Raises:
+        LeglabError: An actuator is no cylinder.
     """
+    for name in simulation.native:
+        raise LeglabError(
+            f"the controller needs the data sheets of cylinders, and actuator {name!r} is none"
+        )
     sheets = [simulation.cylinder_parameters(name) for name in simulation.actuators]
 
     def row(name: str) -> np.ndarray:
@@ -92,8 +100,8 @@ class NominalDynamics:
     """Joint torques that a motion of the nominal machine needs: bodies, gravity, springs, dampers.
 
     A machine of its own, not the one that runs: on a robot the same table of masses and lengths
-    would feed any rigid-body library. It hangs free, without ground contact; joints that no
-    cylinder drives stand still.
+    would feed any rigid-body library. It hangs free, without ground contact; joints that
+    nothing drives stand still.
 
     Args:
         simulation: The nominal machine in its rest pose.

@@ -5,7 +5,7 @@ Those of the shipped models stand in `pd_gains.toml`, which `leglab tune` writes
 
 import math
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,8 +14,10 @@ import mujoco
 import numpy as np
 
 from leglab.base.errors import LeglabError
+from leglab.commissioning.calibration import directions, free_inertia, native_speed_limit
 from leglab.commissioning.nominal import inertia_matrix
 from leglab.machine.cylinder import CONTINUOUS_STATES, Cylinder
+from leglab.machine.native import NativeActuator
 from leglab.machine.sensors import SensorConfiguration, velocity_filter_coefficient
 from leglab.machine.simulation import Simulation, load_model
 
@@ -31,6 +33,11 @@ PHASE_MARGIN_DEG = 45.0
 # Piston speeds [m/s] at which the plant is linearised: creeping and running, both ways. Dry
 # friction only steadies the loop (sgn(v) has no slope), so it is left out.
 SPEEDS = (-0.2, -0.05, -0.01, 0.01, 0.05, 0.2)
+# The same of a native actuator, as shares of its full speed.
+NATIVE_SPEEDS = (-0.5, -0.1, 0.1, 0.5)
+# Bounds of the gains, command per position [1/rad] and per velocity error [s/rad]. Those of a
+# native actuator follow from a crossover that the sampling cannot exceed.
+_MOST_POSITION, _MOST_VELOCITY = 50.0, 0.2
 _INDEX = {name: i for i, name in enumerate(CONTINUOUS_STATES)}
 _STATES = ("velocity", "pressure_a", "pressure_b", "spool_position", "spool_velocity")
 
@@ -107,6 +114,76 @@ def joint_plant(
     return control.ss(a, b, np.eye(6)[5:], 0)
 
 
+def native_plant(
+    simulation: Simulation, joint: int, speed: float, *, held: bool = False
+) -> "control.StateSpace":
+    """Linear plant of one joint from a native actuator's command to joint position [rad or m].
+
+    m q'' = lever half gain u - d q' - k q, with the loop that a servo has of its own in d and k.
+    They are slopes of the joint's inverse dynamics in the present pose and of the actuator's force,
+    the inertia m is that with the other joints free; a filter of the actuator is one state more.
+    Friction without a slope counts as none. Where a load falls, k < 0, it counts as 0: PD is much
+    faster than the fall.
+
+    Args:
+        simulation: The machine; joints at rest in the pose, which is left as it is.
+        joint: Index of the joint.
+        speed: Of the joint [rad/s or m/s].
+        held: Whether the other joints are held; without, they are free.
+    """
+    import control  # takes a second, and most runs find their gains in the file
+
+    drive = simulation.native[simulation.actuators[joint]]
+    data = simulation.data
+    lever = drive.lever(data)
+    mass = free_inertia(simulation, drive.dof)
+    if held:
+        mass = float(inertia_matrix(simulation)[drive.dof, drive.dof])
+    stiffness, damping = _slopes(simulation, drive, speed)
+    per_length, per_velocity = drive.slopes(0.0)
+    stiffness -= per_length * lever**2
+    damping -= per_velocity * lever**2
+    push = lever * drive.half * drive.gain(data) / mass
+    a = np.array([[0.0, 1.0], [-max(stiffness, 0.0) / mass, -damping / mass]])
+    b = np.array([[0.0], [push]])
+    if drive.time_constant:
+        rate = 1.0 / drive.time_constant
+        a = np.block([[a, b], [np.zeros((1, 2)), np.array([[-rate]])]])
+        b = np.array([[0.0], [0.0], [rate]])
+    return control.ss(a, b, np.eye(len(a))[:1], 0)
+
+
+def _slopes(simulation: Simulation, drive: NativeActuator, speed: float) -> tuple[float, float]:
+    """Slopes of the force that a joint's motion takes, over its position and velocity.
+
+    Central differences of inverse dynamics without acceleration, contacts, stops and the dry
+    friction of the joints.
+    """
+    model, data = simulation.model, simulation.data
+    place, dof = model.jnt_qposadr[drive.joint], drive.dof
+    flags, pose, rates = model.opt.disableflags, data.qpos.copy(), data.qvel.copy()
+    none = mujoco.mjtDisableBit
+    model.opt.disableflags |= none.mjDSBL_CONTACT | none.mjDSBL_LIMIT | none.mjDSBL_FRICTIONLOSS
+
+    def force(dq: float, dv: float) -> float:
+        data.qpos[:], data.qvel[:] = pose, 0.0
+        data.qpos[place] += dq
+        data.qvel[dof] = speed + dv
+        data.qacc[:] = 0.0
+        mujoco.mj_inverse(model, data)
+        return float(data.qfrc_inverse[dof])
+
+    try:
+        dq, dv = 1e-4, max(1e-3 * abs(speed), 1e-5)
+        stiffness = (force(dq, 0.0) - force(-dq, 0.0)) / (2 * dq)
+        damping = (force(0.0, dv) - force(0.0, -dv)) / (2 * dv)
+    finally:
+        model.opt.disableflags = flags
+        data.qpos[:], data.qvel[:] = pose, rates
+        mujoco.mj_forward(model, data)
+    return stiffness, damping
+
+
 def sampled_plant(
     plant: "control.StateSpace", period: float, latency: float
 ) -> "control.StateSpace":
@@ -166,14 +243,50 @@ def sampled_plants(
     for pose in poses:
         data.qpos[:], data.qvel[:] = pose, 0.0
         mujoco.mj_forward(simulation.model, data)
-        for speed in SPEEDS:
-            try:
-                plant = joint_plant(simulation, joint, speed, held=held)
-            except LeglabError:
-                continue  # the cylinder cannot run at this speed under this load
-            direction = float(np.sign(simulation.levers()[joint]))
+        direction = float(directions(simulation)[joint])
+        for plant in _plants(simulation, joint, held=held):
             plants.append(sampled_plant(direction * plant, period, latency))
     return plants
+
+
+def _plants(
+    simulation: Simulation, joint: int, *, held: bool = False
+) -> Iterator["control.StateSpace"]:
+    """Linear plants of a joint in the present pose, at several speeds; equal ones once."""
+    name = simulation.actuators[joint]
+    if name in simulation.native:
+        full = native_speed_limit(simulation, simulation.native[name])
+        seen: list[np.ndarray] = []
+        for share in NATIVE_SPEEDS:
+            plant = native_plant(simulation, joint, share * full, held=held)
+            if not any(np.allclose(plant.A, known, rtol=1e-4) for known in seen):
+                seen.append(plant.A)
+                yield plant
+        return
+    for speed in SPEEDS:
+        try:
+            yield joint_plant(simulation, joint, speed, held=held)
+        except LeglabError:
+            continue  # the cylinder cannot run at this speed under this load
+
+
+def _most_gains(
+    simulation: Simulation, joint: int, sensors: SensorConfiguration
+) -> tuple[float, float]:
+    """Largest gains that are tried, command per position error and per velocity error.
+
+    Of an inertia that a command accelerates by B, K_p = w^2/B and K_v = w/B cross over at about w;
+    w is taken where the hold and the age of the measurement alone cost a turn of 90 degrees.
+    """
+    name = simulation.actuators[joint]
+    if name not in simulation.native:
+        return _MOST_POSITION, _MOST_VELOCITY
+    drive = simulation.native[name]
+    data = simulation.data
+    push = abs(drive.lever(data) * drive.half * drive.gain(data))
+    fastest = math.pi / 2 / (sensors.control_period / 2 + sensors.latency)
+    per_push = free_inertia(simulation, drive.dof) / push
+    return fastest**2 * per_push, fastest * per_push
 
 
 def tune(
@@ -194,6 +307,7 @@ def tune(
         sensors: Control period, latency and velocity filter of the loop.
         poses: As `sampled_plants`.
     """
+    most_position, most_velocity = _most_gains(simulation, joint, sensors)
     period = sensors.control_period
     frequencies = np.geomspace(0.05, math.pi / period * 0.999, 4000)
     z = np.exp(1j * frequencies * period)
@@ -210,7 +324,7 @@ def tune(
         return worst[0], worst[1], worst[2]
 
     def greatest(kv: float) -> float:
-        low, high = 0.0, 50.0
+        low, high = 0.0, most_position
         for _ in range(40):
             middle = 0.5 * (low + high)
             gain, phase, _ = margins(middle, kv)
@@ -220,8 +334,9 @@ def tune(
                 high = middle
         return low
 
-    best = max(((greatest(kv), -kv) for kv in np.linspace(0.0, 0.2, 41)), default=(0.0, 0.0))
-    kp, kv = _round_down(best[0]), round(float(-best[1]), 4)
+    best = max((greatest(kv), -kv) for kv in np.linspace(0.0, most_velocity, 41))
+    kp, kv = _round_down(best[0]), -float(best[1])
+    kv = _round_down(kv) if simulation.actuators[joint] in simulation.native else round(kv, 4)
     gain, phase, crossover = margins(kp, kv)
     return Gains(
         position=kp, velocity=kv, gain_margin_db=gain, phase_margin_deg=phase, crossover=crossover

@@ -51,8 +51,17 @@ class CommissionedMachine(NominalMachine):
         return [gain[1] for gain in self._gains]
 
     @cached_property
+    def setpoint(self) -> np.ndarray | None:
+        """Commands that ask servos for a position or velocity, (3, joints); None without servos."""
+        simulation = self._simulation
+        rows = np.zeros((3, len(simulation.joints)))
+        for drive in simulation.native.values():
+            rows[:, drive.id] = drive.setpoint(simulation.data)
+        return rows if rows.any() else None
+
+    @cached_property
     def valve_maps(self) -> tuple[ValveMap, ...]:
-        """Steady valve command over position and velocity, one a joint."""
+        """Steady command over position and velocity, one a joint."""
         return _calibrated(self._own())
 
     @cached_property

@@ -62,7 +62,9 @@ class Controller(Protocol):
     `reset`, and its last parameters stay in use. The runner calls it in a second run, the frozen
     twin, just before the machine changes: what adapting on gained is told from there.
 
-    A controller that measures pressures sets `uses_pressures = True`.
+    A controller that measures pressures sets `uses_pressures = True`. One that sets `joint_wise =
+    True` has no memory, and commands each joint from that joint's measurement and reference alone:
+    one object can then command the joints of many machines in one call.
     """
 
     def reset(self, measurement: Measurement) -> None:
@@ -127,8 +129,17 @@ class NominalMachine:
         raise self._missing("velocity_gain")
 
     @cached_property
+    def setpoint(self) -> np.ndarray | None:
+        """What a drive with a position or velocity loop of its own is sent to follow a reference.
+
+        Rows are the command at rest, its slopes over position [1/rad] and over velocity [s/rad],
+        (3, joints), with zeros for drives without such a loop; None where no drive has one.
+        """
+        return None
+
+    @cached_property
     def valve_maps(self) -> Sequence[Any]:
-        """Steady valve command over position and velocity, a `ValveMap` a joint."""
+        """Steady command over position and velocity, a `ValveMap` a joint."""
         raise self._missing("valve_maps")
 
     @cached_property

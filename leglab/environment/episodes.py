@@ -1,4 +1,4 @@
-"""What differs from one episode to the next: seed, severity, onset and ramp of the change."""
+"""What differs from one episode to the next: seed, scenario, its severity and time, specimen."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from leglab.base.errors import LeglabError, unknown_name
-from leglab.base.scenario import Scenario
+from leglab.base.scenario import SCENARIOS, Scenario
 from leglab.runs.preparation import RunSettings, scenario_of
 
-RANDOM = ("seed", "severity", "onset", "ramp_duration")
+RANDOM = ("seed", "scenario", "severity", "onset", "ramp_duration", "tolerance")
 _SEEDS = 2**31 - 1
 
 # Draws values by the names in `RANDOM`.
@@ -25,10 +25,12 @@ class Episode:
     Attributes:
         settings: Of the run; `leglab.runs.run.run_scenario` repeats it where `onset` is None.
         onset: When the first change begins [s]; None for the scenario's own time.
+        drawn: Whether the scenario was drawn: one that changes nothing then has no onset.
     """
 
     settings: RunSettings
     onset: float | None = None
+    drawn: bool = False
 
     def scenario(self) -> Scenario:
         """Builds the scenario, all its changes shifted together to the onset.
@@ -40,6 +42,8 @@ class Episode:
         if self.onset is None:
             return scenario
         if not scenario.changes:
+            if self.drawn:
+                return scenario
             raise LeglabError(f"scenario {scenario.name!r} changes nothing, so it has no onset")
         if not (self.onset >= 0 and math.isfinite(self.onset)):
             raise LeglabError(f"onset {self.onset!r} s is not allowed, must be >= 0")
@@ -54,32 +58,36 @@ class Episodes:
     Args:
         base: The episode to vary.
         randomize: None: every episode is the base. A mapping of names in `RANDOM` to ranges
-            (low, high), from which values are drawn uniformly, or a callable that is given a
-            `numpy.random.RandomState` and returns values by name. Each episode then has a new
-            seed too, unless one is given.
+            (low, high), from which values are drawn uniformly, and of "scenario" to names, of which
+            one is drawn; or a callable that is given a `numpy.random.RandomState` and returns
+            values by name. Each episode then has a new seed too, unless one is given.
 
     Attributes:
+        base: The episode that is varied.
         random: Source of the draws; `reseed` replaces it.
 
     Raises:
         LeglabError: If a name or a range is not allowed.
     """
 
-    def __init__(
-        self, base: Episode, randomize: Mapping[str, tuple[float, float]] | Draw | None
-    ) -> None:
-        self._base = base
+    def __init__(self, base: Episode, randomize: Mapping[str, Any] | Draw | None) -> None:
+        self.base = base
         self._draw: Draw | None
         if randomize is None or callable(randomize):
             self._draw = randomize
         else:
-            ranges = {name: _checked_range(name, value) for name, value in randomize.items()}
-            self._draw = lambda random: {n: random.uniform(*r) for n, r in ranges.items()}
+            draws = {name: _checked(name, value) for name, value in randomize.items()}
+            if "severity" in draws and "scenario" in draws:
+                raise LeglabError(
+                    "randomize draws severity and scenario, whose severities have different "
+                    "units: give a function that returns both"
+                )
+            self._draw = lambda random: {name: draw(random) for name, draw in draws.items()}
         self.random = np.random.RandomState(base.settings.seed)
 
     def reseed(self, seed: int) -> None:
         """Starts the sequence of episodes of another seed."""
-        self._base = replace(self._base, settings=replace(self._base.settings, seed=seed))
+        self.base = replace(self.base, settings=replace(self.base.settings, seed=seed))
         self.random = np.random.RandomState(seed)
 
     def next(self) -> Episode:
@@ -89,24 +97,32 @@ class Episodes:
             LeglabError: If the callable gives a name that is not allowed.
         """
         if self._draw is None:
-            return self._base
+            return self.base
         drawn = {"seed": self.random.randint(_SEEDS), **self._draw(self.random)}
         for name in drawn:
             if name not in RANDOM:
                 raise unknown_name("random quantity of an episode", name, RANDOM)
-        onset = drawn.pop("onset", self._base.onset)
+        onset = drawn.pop("onset", self.base.onset)
         drawn["seed"] = int(drawn["seed"])
-        settings = replace(self._base.settings, **drawn)
-        return Episode(settings=settings, onset=onset)
+        settings = replace(self.base.settings, **drawn)
+        return Episode(settings=settings, onset=onset, drawn="scenario" in drawn)
 
 
-def _checked_range(name: str, value: Any) -> tuple[float, float]:
+def _checked(name: str, value: Any) -> Callable[[np.random.RandomState], Any]:
+    """Returns what draws one quantity."""
     if name not in RANDOM:
         raise unknown_name("random quantity of an episode", name, RANDOM)
+    if name == "scenario":
+        names = (value,) if isinstance(value, str) else tuple(value)
+        for each in names:
+            SCENARIOS.get(each)
+        if not names:
+            raise LeglabError("randomize 'scenario': no name to draw from")
+        return lambda random: names[random.randint(len(names))]
     try:
         low, high = (float(end) for end in value)
         if not -math.inf < low <= high < math.inf:
             raise ValueError
     except (TypeError, ValueError):
         raise LeglabError(f"randomize {name!r}: {value!r} is no range (low, high)") from None
-    return low, high
+    return lambda random: random.uniform(low, high)

@@ -9,7 +9,7 @@ from dm_control.rl.control import FLAT_OBSERVATION_KEY
 from dm_env import TimeStep, specs
 from gymnasium import spaces
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import LeglabError, unknown_name
 from leglab.machine.display import LiveWindow, check_display
 
 if TYPE_CHECKING:
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 RENDER_MODES = ("human", "rgb_array", "depth_array")
 # Pictures a second: a window needs no more, and a film of one picture a step is slow motion.
 FRAME_RATE = 50
+# Where a model lacks the usual camera, MuJoCo's free one shows it.
+USUAL_CAMERA, FREE_CAMERA = "three_quarter", -1
 
 
 class LegEnv(gymnasium.Env):
@@ -37,12 +39,12 @@ class LegEnv(gymnasium.Env):
     Args:
         env: From `leglab.environment.load`.
         render_mode: One of `RENDER_MODES`, or None.
-        camera: Name of a camera of the model.
+        camera: Name of a camera of the model; where it lacks the usual one, the free camera.
         width: Of the pictures [px].
         height: Of the pictures [px].
 
     Raises:
-        LeglabError: There is no such render mode, or no display for a window.
+        LeglabError: There is no such render mode or camera, or no display for a window.
     """
 
     def __init__(
@@ -50,7 +52,7 @@ class LegEnv(gymnasium.Env):
         env: "control.Environment",
         *,
         render_mode: str | None = None,
-        camera: str = "three_quarter",
+        camera: str = USUAL_CAMERA,
         width: int = 640,
         height: int = 480,
     ) -> None:
@@ -64,7 +66,11 @@ class LegEnv(gymnasium.Env):
         self.metadata = {"render_modes": list(RENDER_MODES), "render_fps": FRAME_RATE}
         self.render_mode = render_mode
         self._env = env
-        self._camera, self._size = camera, {"width": width, "height": height}
+        cameras = [env.physics.model.ptr.camera(i).name for i in range(env.physics.model.ncam)]
+        if camera not in (*cameras, USUAL_CAMERA):
+            raise unknown_name("camera", camera, [*cameras, USUAL_CAMERA])
+        self._camera: str | int = camera if camera in cameras else FREE_CAMERA
+        self._size = {"width": width, "height": height}
         self._window: LiveWindow | None = None
         self._shown = 0.0  # when the window showed its last picture [s]
         named = env.observation_spec()
@@ -151,7 +157,7 @@ class LegEnv(gymnasium.Env):
             self._window = LiveWindow(
                 self.physics.model.ptr,
                 self.physics.data.ptr,
-                camera=self._camera,
+                camera=str(self._camera),
                 show_left_ui=False,
                 show_right_ui=False,
             )

@@ -4,7 +4,8 @@ import importlib
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from leglab.base.errors import LeglabError
 from leglab.environment.episodes import Draw, Episode, Episodes
@@ -14,6 +15,8 @@ from leglab.runs.preparation import Preparation, RunSettings
 if TYPE_CHECKING:
     import gymnasium
     from dm_control.rl import control
+
+    from leglab.environment.vector_env import LegVectorEnv
 
 ACTIONS = ("valve", "residual")
 PREVIEW = (0.02, 0.05, 0.1)
@@ -40,7 +43,7 @@ def load(
     timestep: float | None = None,
     tolerance: float = 0.0,
     seed: int = 0,
-    randomize: Mapping[str, tuple[float, float]] | Draw | None = None,
+    randomize: Mapping[str, Any] | Draw | None = None,
     preview: Sequence[float] = PREVIEW,
     error_limit: float = math.inf,
     flat_observation: bool = False,
@@ -69,9 +72,9 @@ def load(
         tolerance: Of the machine's parameters [1]; the seed picks the specimen.
         seed: Of sensor noise and of everything random.
         randomize: None: every episode is the run of `seed`, bit for bit. Otherwise each episode
-            draws a new seed and what is named: a mapping of severity, onset [s], ramp_duration [s]
-            or seed to ranges (low, high), or a function of a `numpy.random.RandomState` that
-            returns values by these names.
+            draws a new seed and what is named: a mapping of severity, onset [s], ramp_duration [s],
+            tolerance or seed to ranges (low, high) and of scenario to names, or a function of a
+            `numpy.random.RandomState` that returns values by these names.
         preview: Times ahead of now at which the observation shows the reference [s].
         error_limit: True error of a joint [rad] beyond which the episode terminates.
         flat_observation: Whether the observation is one array.
@@ -79,6 +82,90 @@ def load(
     Raises:
         LeglabError: If a name or a setting does not fit, or dm_control is missing.
     """
+    _require("dm_control.mujoco")
+    from dm_control.rl import control
+
+    from leglab.environment.physics import LegPhysics
+    from leglab.environment.task import TrackingTask
+
+    plan = _plan(
+        scenario,
+        model=model,
+        action=action,
+        controller=controller,
+        controller_config=controller_config,
+        residual_scale=residual_scale,
+        reward=reward,
+        reference=reference,
+        reference_config=reference_config,
+        severity=severity,
+        ramp_duration=ramp_duration,
+        element=element,
+        onset=onset,
+        duration=duration,
+        control_period=control_period,
+        sensors=sensors,
+        timestep=timestep,
+        tolerance=tolerance,
+        seed=seed,
+        preview=preview,
+        error_limit=error_limit,
+    )
+    simulation = plan.preparation.machine(visual=True)
+    task = TrackingTask(
+        plan.preparation,
+        simulation,
+        Episodes(plan.base, randomize),
+        **plan.task,
+        flat=flat_observation,
+    )
+    period = plan.preparation.sensors.control_period
+    return control.Environment(
+        LegPhysics.of(simulation),
+        task,
+        # Half a period short: the limit is a quotient of floats.
+        time_limit=(round(plan.length / period) - 0.5) * period,
+        control_timestep=period,
+        flat_observation=flat_observation,
+        legacy_step=False,
+    )
+
+
+class _Plan(NamedTuple):
+    """What the settings of an environment say, checked.
+
+    Attributes:
+        preparation: Of the runs.
+        base: The episode to vary.
+        length: Of an episode [s].
+        task: Settings of a task or a batch.
+    """
+
+    preparation: Preparation
+    base: Episode
+    length: float
+    task: dict[str, Any]
+
+
+def _plan(
+    scenario: str,
+    *,
+    model: str = "leg",
+    action: str = "valve",
+    controller: str | None = None,
+    controller_config: Mapping[str, Any] | None = None,
+    residual_scale: float = 0.2,
+    reward: str | Reward = "tracking",
+    onset: float | None = None,
+    duration: float | None = None,
+    control_period: float | None = None,
+    sensors: Mapping[str, Any] | None = None,
+    reference_config: Mapping[str, Any] | None = None,
+    preview: Sequence[float] = PREVIEW,
+    error_limit: float = math.inf,
+    **run: Any,
+) -> _Plan:
+    """Checks settings, as of `load`; `run` are those of a run that pass through."""
     if action not in ACTIONS:
         raise LeglabError(f"action {action!r} is not allowed; choose one of {', '.join(ACTIONS)}")
     if action == "valve" and (controller is not None or controller_config):
@@ -89,53 +176,72 @@ def load(
         raise LeglabError(f"error_limit {error_limit!r} rad is not allowed, must be > 0")
     if not all(0 <= ahead < math.inf for ahead in preview):
         raise LeglabError(f"preview {tuple(preview)} s is not allowed, all must be >= 0")
-    _require("dm_control.mujoco")
-    from dm_control.rl import control
-
-    from leglab.environment.physics import LegPhysics
-    from leglab.environment.task import TrackingTask
-
     timing = {} if control_period is None else {"control_period": control_period}
     settings = RunSettings(
         scenario=scenario,
         controller=controller or "static_feedforward",
         model=model,
         duration=duration,
-        seed=seed,
-        severity=severity,
-        ramp_duration=ramp_duration,
-        element=element,
-        reference=reference,
         reference_config=reference_config or {},
         controller_config=controller_config or {},
         sensors={**(sensors or {}), **timing},
-        timestep=timestep,
-        tolerance=tolerance,
+        **run,
     )
-    base = Episode(settings=settings, onset=onset)
-    length = base.scenario().duration
-    preparation = Preparation(settings)
-    simulation = preparation.machine(visual=True)
-    task = TrackingTask(
-        preparation,
-        simulation,
-        Episodes(base, randomize),
-        residual_scale=residual_scale if action == "residual" else None,
-        reward=chosen_reward(reward),
-        preview=tuple(preview),
-        error_limit=error_limit,
-        flat=flat_observation,
+    length = Episode(settings=settings, onset=onset).scenario().duration
+    # A scenario that is drawn has no duration of its own here.
+    base = Episode(settings=replace(settings, duration=length), onset=onset)
+    return _Plan(
+        preparation=Preparation(settings),
+        base=base,
+        length=length,
+        task={
+            "residual_scale": residual_scale if action == "residual" else None,
+            "reward": chosen_reward(reward),
+            "preview": tuple(preview),
+            "error_limit": error_limit,
+        },
     )
-    period = preparation.sensors.control_period
-    return control.Environment(
-        LegPhysics.of(simulation),
-        task,
-        # Half a period short: the limit is a quotient of floats.
-        time_limit=(round(length / period) - 0.5) * period,
-        control_timestep=period,
-        flat_observation=flat_observation,
-        legacy_step=False,
-    )
+
+
+def make_batch(
+    num_envs: int,
+    scenario: str = "seal_wear",
+    *,
+    threads: int | None = None,
+    autoreset: str = "next_step",
+    randomize: Mapping[str, Any] | Draw | None = None,
+    **settings: Any,
+) -> "LegVectorEnv":
+    """Makes many environments that are stepped together in threads, as Gymnasium vectorises them.
+
+    Machine i has the episodes of `load_gymnasium(scenario, seed=seed + i, flat_observation=True)`,
+    bit for bit, with any number of threads. `.dm_env` is the same batch as dm_env knows it.
+
+    Args:
+        num_envs: How many machines.
+        scenario: Name of the scenario.
+        threads: That step machines; None for one a core.
+        autoreset: "next_step": the step after an episode's last one begins the next episode;
+            "same_step": the last step does, and `info` has what it observed.
+        randomize: As for `load`.
+        settings: As for `load`, without `flat_observation`: an observation is one array.
+
+    Raises:
+        LeglabError: If a name or a setting does not fit, or a package is missing.
+    """
+    if num_envs < 1:
+        raise LeglabError(f"num_envs {num_envs} is not allowed, must be 1 or more")
+    if threads is not None and threads < 1:
+        raise LeglabError(f"threads {threads} is not allowed, must be 1 or more")
+    _require("dm_control.mujoco")
+    _require("gymnasium")
+    from leglab.environment.batch import Batch, episodes_of
+    from leglab.environment.vector_env import LegVectorEnv
+
+    plan = _plan(scenario, **settings)
+    episodes = episodes_of(plan.base, randomize, num_envs)
+    batch = Batch(plan.preparation, episodes, length=plan.length, threads=threads, **plan.task)
+    return LegVectorEnv(batch, autoreset=autoreset)
 
 
 def load_gymnasium(

@@ -16,6 +16,7 @@ def register() -> None:
         gymnasium.register(
             id=environment_id(scenario),
             entry_point="leglab.environment.loading:load_gymnasium",
+            vector_entry_point="leglab.environment.loading:make_batch",
             kwargs={"scenario": scenario},
         )
 

@@ -1,7 +1,7 @@
 """Rewards of an environment, by name; a user may give a function of his own."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,9 @@ GOOD_ERROR, POOR_ERROR = 1e-3, 5e-2
 class Transition(NamedTuple):
     """What one step of the environment did; rewards are functions of it.
 
+    In a batch the arrays have a row a machine: `time` is of shape (machines,), all others of shape
+    (machines, joints), and a reward returns an array of shape (machines,).
+
     Attributes:
         time: Time at the end of the step [s].
         position: True joint positions at its end [rad]. Shape (joints,).
@@ -25,7 +28,7 @@ class Transition(NamedTuple):
         action: What the agent gave, in [-1, 1]. Shape (joints,).
     """
 
-    time: float
+    time: Any
     position: np.ndarray
     velocity: np.ndarray
     reference: ReferencePoint
@@ -39,10 +42,10 @@ class Transition(NamedTuple):
         return self.position - self.reference.position
 
 
-Reward = Callable[[Transition], float]
+Reward = Callable[[Transition], Any]
 
 
-def tracking(transition: Transition) -> float:
+def tracking(transition: Transition) -> Any:
     """Mean over the joints of `dm_control.utils.rewards.tolerance` of the error, in [0, 1].
 
     1 up to 1 mrad, then a Gaussian that is 0.1 at 51 mrad.
@@ -50,10 +53,10 @@ def tracking(transition: Transition) -> float:
     from dm_control.utils import rewards
 
     bounds = (-GOOD_ERROR, GOOD_ERROR)
-    return float(rewards.tolerance(transition.error, bounds, margin=POOR_ERROR).mean())
+    return rewards.tolerance(transition.error, bounds, margin=POOR_ERROR).mean(axis=-1)
 
 
-def smooth_tracking(transition: Transition) -> float:
+def smooth_tracking(transition: Transition) -> Any:
     """`tracking` times a factor in [0.8, 1] for small changes of the valve commands, in [0, 1].
 
     As the suite of dm_control weighs effort: 0.8 + 0.2 of a quadratic that is 0 for a change of
@@ -62,8 +65,8 @@ def smooth_tracking(transition: Transition) -> float:
     from dm_control.utils import rewards
 
     change = transition.command - transition.previous_command
-    calm = rewards.tolerance(change, margin=0.1, value_at_margin=0, sigmoid="quadratic").mean()
-    return tracking(transition) * (0.8 + 0.2 * float(calm))
+    calm = rewards.tolerance(change, margin=0.1, value_at_margin=0, sigmoid="quadratic")
+    return tracking(transition) * (0.8 + 0.2 * calm.mean(axis=-1))
 
 
 REWARDS: dict[str, Reward] = {"tracking": tracking, "smooth_tracking": smooth_tracking}

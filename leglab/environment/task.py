@@ -175,14 +175,14 @@ class TrackingTask(Task):
     def _measure(self) -> None:
         self._period = period = self._loop.observe()
         measurement, point = period.measurement, period.reference
-        assert measurement.pressure_a is not None
-        assert measurement.pressure_b is not None
         observation = collections.OrderedDict(
-            position=measurement.position.copy(),
-            velocity=measurement.velocity.copy(),
-            pressure_a=measurement.pressure_a.copy(),
-            pressure_b=measurement.pressure_b.copy(),
-            supply_pressure=np.array([measurement.supply_pressure]),
+            position=measurement.position.copy(), velocity=measurement.velocity.copy()
+        )
+        if measurement.pressure_a is not None and measurement.pressure_b is not None:
+            observation["pressure_a"] = measurement.pressure_a.copy()
+            observation["pressure_b"] = measurement.pressure_b.copy()
+            observation["supply_pressure"] = np.array([measurement.supply_pressure])
+        observation.update(
             reference_position=point.position.copy(),
             reference_velocity=point.velocity.copy(),
             reference_acceleration=point.acceleration.copy(),

@@ -1,13 +1,15 @@
 """Changes of a machine: a scenario's over time, loads on its bodies, one specimen's tolerances."""
 
 from collections.abc import Iterable
+from dataclasses import replace
+from glob import escape
 from typing import Protocol
 
 import mujoco
 import numpy as np
 
 from leglab.base.errors import LeglabError, unknown_name
-from leglab.base.scenario import Scenario
+from leglab.base.scenario import ParameterChange, Scenario, get_scenario, scenario_names
 from leglab.machine.parameters import Parameter, plugin_tables
 from leglab.machine.sensors import FAULTS
 from leglab.machine.simulation import Simulation
@@ -52,6 +54,11 @@ class Schedule:
         self._nominal: dict[tuple[str, str], float] = {}
         self._target: dict[tuple[str, str], Target] = {}
         self._begin(scenario)
+
+    @property
+    def next(self) -> float:
+        """When `apply` has something to do again [s]; infinite if never."""
+        return self._next
 
     def follow(self, scenario: Scenario, now: float) -> None:
         """Carries out another scenario from now on; what only the last one changed is undone.
@@ -126,6 +133,61 @@ class Schedule:
         self._next = now if ramping else min(later, default=np.inf)
 
 
+def fitted(scenario: Scenario, simulation: Simulation) -> Scenario:
+    """Returns a scenario as a machine can carry it out.
+
+    Changes with `fallback` find their element, those with `optional` go where the machine has no
+    such parameter. What names elements that the machine does not have is left as it is, for
+    `Schedule` to refuse.
+
+    Raises:
+        LeglabError: The machine has none of the parameters that the scenario changes; lists the
+            scenarios that it can carry out.
+    """
+    changes, missing = _fit(scenario, simulation)
+    if missing is None:
+        return replace(scenario, changes=changes)
+    possible = [
+        name for name in scenario_names() if _fit(get_scenario(name), simulation)[1] is None
+    ]
+    raise LeglabError(
+        f"scenario {scenario.name!r} changes {missing.parameter!r} of {missing.element!r}, which "
+        f"no element of the model has; scenarios for this machine: {', '.join(possible)}"
+    )
+
+
+def _fit(
+    scenario: Scenario, simulation: Simulation
+) -> tuple[tuple[ParameterChange, ...], ParameterChange | None]:
+    """The changes that a machine can carry out, and the first that it needs and cannot."""
+    kept = []
+    for change in scenario.changes:
+        able = _able(simulation, change.parameter)
+        if any(change.applies_to(element) for element in able):
+            kept.append(change)
+        elif able and change.fallback:
+            kept.append(replace(change, element=escape(able[-1])))
+        elif not change.optional:
+            if not able:
+                return (), change
+            kept.append(change)
+    if scenario.changes and not kept:
+        first = scenario.changes[0]
+        return (), None if _able(simulation, first.parameter) else first
+    return tuple(kept), None
+
+
+def _able(simulation: Simulation, parameter: str) -> list[str]:
+    """Elements of a machine, its bodies, joints and encoders that have a parameter."""
+    found = [e for e in simulation.elements if simulation.has(e, parameter)]
+    native = NativeJoints(simulation)
+    found += [e for e in native.elements if native.has(e, parameter)]
+    found += simulation.joints if parameter in FAULTS else ()
+    if parameter == ADDED_MASS.name:
+        found += Bodies(simulation.model).elements
+    return found
+
+
 ADDED_MASS = Parameter(
     "added_mass", "kg", 0.0, 0.0, 1000.0, True, "point mass fixed at the body's centre of mass"
 )
@@ -133,7 +195,8 @@ ADDED_MASS = Parameter(
 
 def parameter_units() -> dict[str, str]:
     """Units of all that a scenario can change, by name of the parameter; "1" for none."""
-    units = {entry.name: entry.unit for entry in (ADDED_MASS, *FAULTS.values())}
+    own = (ADDED_MASS, ACTUATOR_GAIN, *FAULTS.values())
+    units = {entry.name: entry.unit for entry in own}
     for table in plugin_tables().values():
         for name, entry in table.parameters.items():
             units.setdefault(name, entry.unit)
@@ -205,6 +268,95 @@ class Bodies:
             raise unknown_name("body parameter", name, [ADDED_MASS.name])
 
 
+ACTUATOR_GAIN = Parameter(
+    "actuator_gain", "1", 1.0, 0.0, 10.0, True, "factor on the force of a native actuator"
+)
+# Fields of a joint by the names that the plugins give the same quantities; the second ones hold
+# the higher orders of a polynomial.
+_JOINT_FIELDS = {
+    "viscous": ("dof_damping", "dof_dampingpoly"),
+    "coulomb": ("dof_frictionloss",),
+    "k1": ("jnt_stiffness", "jnt_stiffnesspoly"),
+}
+_ACTUATOR_FIELDS = ("actuator_gainprm", "actuator_biasprm")
+NATIVE_FIELDS = tuple(f for fields in _JOINT_FIELDS.values() for f in fields) + _ACTUATOR_FIELDS
+
+
+class NativeJoints:
+    """Damping, dry friction, stiffness and drive of the joints that native actuators drive.
+
+    MuJoCo's own fields under the plugins' names: `viscous` [N m s/rad], `coulomb` [N m], `k1`
+    [N m/rad], and `actuator_gain`, a factor on the actuator's force, its own loop included. The
+    model itself changes: `restore` gives it back.
+
+    Args:
+        simulation: The machine, unchanged.
+
+    Attributes:
+        elements: Names of the joints.
+    """
+
+    def __init__(self, simulation: Simulation) -> None:
+        self._model = model = simulation.model
+        drives = simulation.native.values()
+        self._drives = {model.joint(drive.joint).name: drive for drive in drives}
+        self.elements = tuple(self._drives)
+        self._nominal = (
+            {name: getattr(model, name).copy() for name in _present(model)} if drives else {}
+        )
+        self._gain = dict.fromkeys(self.elements, 1.0)
+
+    def has(self, element: str, name: str) -> bool:
+        """Says whether a change of this parameter of the joint has an effect: it is not zero."""
+        if element not in self.elements:
+            return False
+        if name == ACTUATOR_GAIN.name:
+            return True
+        return name in _JOINT_FIELDS and self.parameter(element, name) != 0.0
+
+    def parameter(self, element: str, name: str) -> float:
+        """Present value, SI units."""
+        if name == ACTUATOR_GAIN.name:
+            return self._gain[element]
+        return float(getattr(self._model, _JOINT_FIELDS[name][0])[self._place(element, name)])
+
+    def set_parameter(self, element: str, name: str, value: float) -> None:
+        """Sets a parameter from now on.
+
+        Raises:
+            LeglabError: The value is negative or no finite number.
+        """
+        drive = self._drives[element]
+        if name == ACTUATOR_GAIN.name:
+            self._gain[element] = value = ACTUATOR_GAIN.check(value, f"actuator {drive.name!r}")
+            for field in _ACTUATOR_FIELDS:
+                getattr(self._model, field)[drive.id] = value * self._nominal[field][drive.id]
+            return
+        if not 0 <= value < np.inf:
+            raise LeglabError(f"joint {element!r}: {name} = {value:g}; allowed: 0 or more")
+        place = self._place(element, name)
+        first, *higher = (f for f in _JOINT_FIELDS[name] if f in self._nominal)
+        for field in higher:  # a polynomial grows as a whole
+            factor = value / self._nominal[first][place] if self._nominal[first][place] else 1.0
+            getattr(self._model, field)[place] = factor * self._nominal[field][place]
+        getattr(self._model, first)[place] = value
+
+    def restore(self) -> None:
+        """Gives the joints and drives back as they were."""
+        for name, values in self._nominal.items():
+            getattr(self._model, name)[:] = values
+        self._gain = dict.fromkeys(self.elements, 1.0)
+
+    def _place(self, element: str, name: str) -> int:
+        drive = self._drives[element]
+        return drive.joint if name == "k1" else drive.dof
+
+
+def _present(model: mujoco.MjModel) -> tuple[str, ...]:
+    """Fields of `NATIVE_FIELDS` that this version of MuJoCo has."""
+    return tuple(name for name in NATIVE_FIELDS if hasattr(model, name))
+
+
 # Parameters that differ from one specimen to the next, by element, each by a factor of its own.
 # Geometry, pressures and the oil's grade are known well and left alone.
 _VARIED = (
@@ -248,7 +400,8 @@ def vary_bodies(model: mujoco.MjModel, tolerance: float, seed: int) -> None:
 def vary_parameters(simulation: Simulation, tolerance: float, seed: int) -> None:
     """Scales hydraulic, friction and spring parameters of every element, each by its own factor.
 
-    The breakaway friction keeps its ratio to the Coulomb friction.
+    The breakaway friction keeps its ratio to the Coulomb friction. Of joints with native actuators
+    it scales friction, stiffness and the actuator's force, in the model itself.
 
     Args:
         simulation: Changed.
@@ -265,3 +418,9 @@ def vary_parameters(simulation: Simulation, tolerance: float, seed: int) -> None
                 if simulation.has(element, each):
                     value = simulation.parameter(element, each)
                     simulation.set_parameter(element, each, factor * value)
+    joints = NativeJoints(simulation)
+    for element in joints.elements:
+        for name in (*_JOINT_FIELDS, ACTUATOR_GAIN.name):
+            factor = float(np.exp(tolerance * rng.standard_normal()))
+            if joints.has(element, name):
+                joints.set_parameter(element, name, factor * joints.parameter(element, name))

@@ -238,6 +238,10 @@ class Encoders:
         sample: Function that takes the positions of this instant for the next reading.
         shift: What faults added to every reading so far [rad], (count, joints).
         lost: Which readings so far were lost, (count, joints).
+        noise: Added to the readings [rad], (count, joints).
+        built_in: Faults that the model carries; None for none.
+        gain: Of a difference of two readings in the filtered velocity [1/s].
+        keep: Share of the velocity that is kept from one period to the next.
     """
 
     def __init__(
@@ -252,16 +256,18 @@ class Encoders:
         built_in: EncoderFaults | None = None,
     ) -> None:
         self.elements = joints
-        self._built_in = built_in or None
+        self.built_in = built_in or None
         self._period = period = sensors.control_period
-        self._shown = np.zeros(noise.shape if self._built_in else (0, len(joints)))
+        self._shown = np.zeros(noise.shape if self.built_in else (0, len(joints)))
         self._noisy = np.zeros(len(joints))
         self.position, self.velocity = np.zeros(len(joints)), np.zeros(len(joints))
         self.shift = np.zeros(noise.shape)
         self.lost = np.zeros(noise.shape, dtype=bool)
         self._values = np.zeros((len(FAULTS), len(joints)))
         self._chance = np.random.default_rng([seed, 2]).random(noise.shape)
-        gain = velocity_filter_coefficient(period, sensors.velocity_cutoff) / period
+        self.noise = noise
+        self.gain = velocity_filter_coefficient(period, sensors.velocity_cutoff) / period
+        self.keep = 1.0 - self.gain * period
         self._readings = Readings(
             positions=positions,
             joints=np.asarray(index, dtype=np.int64),
@@ -269,14 +275,14 @@ class Encoders:
             shift=self.shift,
             lost=self.lost,
             counts=sensors.encoder_counts,
-            gain=gain,
-            keep=1.0 - gain * period,
+            gain=self.gain,
+            keep=self.keep,
             position=self.position,
             velocity=self.velocity,
         )
         self.sample = self._readings.sample
         self.sample()
-        self._faulty = self._built_in is not None
+        self._faulty = self.built_in is not None
         if self._faulty:
             self._disturb(0)
         self._readings.start()
@@ -305,13 +311,19 @@ class Encoders:
             self._disturb(k)
         self._readings.read(k)
 
+    def hold(self, k: int) -> None:
+        """Writes the present faults into all readings from number `k` on, for who reads them."""
+        if self._faulty:
+            self.shift[k:] = self._values[0]
+            self.lost[k:] = self._chance[k:] < self._values[1]
+
     def _disturb(self, k: int) -> None:
         """Writes shift and loss of reading `k` by faults."""
         self.shift[k] = self._values[0]
-        if self._built_in:
+        if self.built_in:
             self._readings.noisy(k, self._noisy)
             self._shown[k] = self._noisy
-            self.shift[k] += self._built_in.seen(self._shown[: k + 1], self._period) - self._noisy
+            self.shift[k] += self.built_in.seen(self._shown[: k + 1], self._period) - self._noisy
         self.lost[k] = self._chance[k] < self._values[1]
 
     def _index(self, element: str, name: str) -> tuple[int, int]:

@@ -11,6 +11,7 @@ import leglab.machine.plugin
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.machine.cylinder import Cylinder
 from leglab.machine.library import model_path
+from leglab.machine.native import NativeActuator, joint_range
 from leglab.machine.parameters import Parameter
 
 CYLINDER = "leglab.cylinder"
@@ -74,10 +75,11 @@ def actuator_moments(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
 
 
 class Simulation:
-    """A model whose joints are driven by cylinders, with its states by name.
+    """A model whose joints are driven, with its states by name.
 
     Args:
-        model: The model; every actuator must be a `leglab.cylinder` that moves one joint.
+        model: The model; every actuator moves one joint, as a `leglab.cylinder` or as one of
+            MuJoCo's own, see `leglab.machine.native`.
         keyframe: Name of the keyframe to start from; None for the model's zero position.
 
     Attributes:
@@ -85,30 +87,48 @@ class Simulation:
         data: The MuJoCo data.
         actuators: Names of the actuators, in MuJoCo's order.
         joints: Name of the joint that each actuator drives.
+        cylinders: Names of those actuators that are cylinders.
+        native: Those that are MuJoCo's own, by name.
+        centre: Control that a command of 0 stands for, (actuators,); 0 of a cylinder.
+        half: Control per command beyond it, (actuators,); 1 of a cylinder.
+        varied: Whether the model is that of a specimen.
 
     Raises:
-        LeglabError: If an actuator is of another kind or moves no joint.
+        LeglabError: If an actuator is of another kind, moves no joint or several, or two move one.
     """
 
     def __init__(self, model: mujoco.MjModel, *, keyframe: str | None = "home") -> None:
         self.model = model
+        self.varied = False
         self.data = mujoco.MjData(model)
-        self.actuators = tuple(model.actuator(i).name for i in range(model.nu))
-        if not self.actuators:
-            raise LeglabError("the model has no actuator; allowed: one leglab.cylinder a joint")
+        count = model.nactuator
+        if not count:
+            raise LeglabError("the model has no actuator; allowed: one for each driven joint")
         self._elements = leglab.machine.plugin.elements(model)
-        for name in self.actuators:
-            if name not in self._elements or self._elements[name][1].plugin != CYLINDER:
-                raise LeglabError(
-                    f"actuator {name!r} is no {CYLINDER}, and a run needs one on every driven "
-                    "joint; leglab diagnose and leglab improve take native actuators"
-                )
         mujoco.mj_forward(model, self.data)
-        self._joint_ids = self._driven_joints()
+        moments = actuator_moments(model, self.data)
+        names = [model.actuator(i).name for i in range(count)]
+        own = [self._is_cylinder(name) for name in names]
+        natives = {i: NativeActuator.of(model, i, moments[i]) for i in range(count) if not own[i]}
+        self.actuators = tuple(natives[i].name if i in natives else names[i] for i in range(count))
+        self.cylinders = tuple(name for name, mine in zip(names, own, strict=True) if mine)
+        self.native = {drive.name: drive for drive in natives.values()}
+        self.centre, self.half = np.zeros(count), np.ones(count)
+        for i, drive in natives.items():
+            self.centre[i], self.half[i] = drive.centre, drive.half
+        self._joint_ids = self._driven_joints(moments)
         self.joints = tuple(model.joint(i).name for i in self._joint_ids)
+        for i, joint in enumerate(self.joints):
+            if joint in self.joints[:i]:
+                raise LeglabError(
+                    f"joint {joint!r} is driven by actuators "
+                    f"{self.actuators[self.joints.index(joint)]!r} and {self.actuators[i]!r}; "
+                    "allowed: one"
+                )
         self.qpos_index = model.jnt_qposadr[self._joint_ids]
         self.dof_index = model.jnt_dofadr[self._joint_ids]
         self.reset(keyframe)
+        self._rest = self.position().copy()
 
     def reset(self, keyframe: str | None = "home") -> None:
         """Resets everything, parameters included, to a keyframe of the model.
@@ -154,14 +174,13 @@ class Simulation:
     @property
     def supply_slot(self) -> int:
         """Index in `data.plugin_state` of the supply pressure [Pa] that the cylinders see."""
-        supply = self._supply_of(self.actuators[0])
-        return self.slot(
-            *((supply, "pressure") if supply else (self.actuators[0], "supply_pressure"))
-        )
+        first = self.cylinders[0]
+        supply = self._supply_of(first)
+        return self.slot(*((supply, "pressure") if supply else (first, "supply_pressure")))
 
     def slots(self, name: str) -> np.ndarray:
-        """Indices in `data.plugin_state` of a parameter or state of all cylinders, (actuators,)."""
-        return np.array([self.slot(element, name) for element in self.actuators])
+        """Indices in `data.plugin_state` of a parameter or state of all cylinders, (cylinders,)."""
+        return np.array([self.slot(element, name) for element in self.cylinders], dtype=int)
 
     def parameter(self, element: str, name: str) -> float:
         """Current value of a parameter or state, in its SI unit."""
@@ -194,7 +213,7 @@ class Simulation:
             self.data.plugin_state[self.slot(element, f"amount_{chamber}")] *= ratio
 
     def set_pressures(self, pressure_a: np.ndarray, pressure_b: np.ndarray) -> None:
-        """Prescribes all chamber pressures [Pa], each (actuators,), at the present position.
+        """Prescribes all chamber pressures [Pa], each (cylinders,), at the present position.
 
         Needed whenever joint positions were moved by hand: the oil in the chambers is kept
         otherwise, and is compressed or stretched by the move.
@@ -217,6 +236,16 @@ class Simulation:
             values["supply_pressure"] = self.parameter(supply, "pressure")
         return values
 
+    @property
+    def hydraulic_joints(self) -> tuple[str, ...]:
+        """Joints that cylinders drive, in the order of `cylinders`."""
+        pairs = zip(self.joints, self.actuators, strict=True)
+        return tuple(joint for joint, name in pairs if name not in self.native)
+
+    def commands(self, control: np.ndarray) -> np.ndarray:
+        """Commands in [-1, 1] that controls (..., actuators) stand for."""
+        return (control - self.centre) / self.half
+
     def position(self) -> np.ndarray:
         """True joint positions [rad], (joints,)."""
         return self.data.qpos[self.qpos_index]
@@ -227,7 +256,7 @@ class Simulation:
 
     @property
     def passive_joints(self) -> dict[str, int]:
-        """Index in qpos of the hinge and slide joints that no cylinder drives, by name."""
+        """Index in qpos of the hinge and slide joints that nothing drives, by name."""
         model = self.model
         simple = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
         return {
@@ -248,13 +277,21 @@ class Simulation:
         }
 
     def joint_range(self) -> np.ndarray:
-        """Lower and upper joint positions [rad], (joints, 2)."""
-        return self.model.jnt_range[self._joint_ids]
+        """Lower and upper joint positions [rad], (joints, 2).
+
+        A joint without a range that a native actuator drives has some about the position that
+        it starts from.
+        """
+        ranges = self.model.jnt_range[self._joint_ids]
+        for i, name in enumerate(self.actuators):
+            if name in self.native:
+                ranges[i] = joint_range(self.model, int(self._joint_ids[i]), float(self._rest[i]))
+        return ranges
 
     def levers(self) -> np.ndarray:
-        """Lever arm of each cylinder on its joint [m/rad], (joints,), positive if q extends it."""
+        """Lever arm of each actuator on its joint [m/rad], (joints,), positive if q extends it."""
         moments = actuator_moments(self.model, self.data)
-        return moments[np.arange(self.model.nu), self.dof_index]
+        return moments[np.arange(len(self.actuators)), self.dof_index]
 
     def step(self, count: int = 1) -> None:
         """Advances by a number of time steps with the present `data.ctrl`."""
@@ -286,9 +323,12 @@ class Simulation:
         instance = self.model.actuator_plugin[self.model.actuator(actuator).id]
         return leglab.machine.plugin.text_attribute(self.model, instance)  # its first attribute
 
-    def _driven_joints(self) -> np.ndarray:
+    def _is_cylinder(self, actuator: str) -> bool:
+        return actuator in self._elements and self._elements[actuator][1].plugin == CYLINDER
+
+    def _driven_joints(self, moments: np.ndarray) -> np.ndarray:
         """Joint that each actuator moves most, (actuators,)."""
-        moments = np.abs(actuator_moments(self.model, self.data))
+        moments = np.abs(moments)
         for name, row in zip(self.actuators, moments, strict=True):
             if not row.any():
                 raise LeglabError(f"actuator {name!r} moves no joint")

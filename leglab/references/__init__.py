@@ -15,14 +15,22 @@ from leglab.references.base import (
     reference_summary,
     register_reference,
 )
+from leglab.references.gait import GAIT
+from leglab.references.multisine import Multisine
 from leglab.references.random_stride import RandomStride
 from leglab.references.sine_sweep import SineSweep
 from leglab.references.squat import Squat
 from leglab.references.step import Step
 from leglab.references.walking_stride import WalkingStride
 
+# References that move the joints of a leg, by their names, and no others.
+LEG_REFERENCES = ("random_stride", "squat", "walking_stride")
+
 __all__ = [
+    "GAIT",
+    "LEG_REFERENCES",
     "Joint",
+    "Multisine",
     "RandomStride",
     "Reference",
     "Samples",

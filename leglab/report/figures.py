@@ -136,20 +136,22 @@ def pressure_figure(
 def command_figure(
     recording: Recording, *, phases: Sequence[Phase] = (), title: str = ""
 ) -> Figure:
-    """Draws the command of every valve; commands at the limit are drawn in another colour.
+    """Draws the command of every joint; commands at the limit are drawn in another colour.
 
     Args:
-        recording: With `<actuator>_command` [1].
+        recording: With `<actuator>_command`, of native actuators as shares of their range.
         phases: As in `tracking_figure`.
         title: What was run.
 
     Raises:
         LeglabError: No command was recorded.
     """
-    actuators = recording.actuators
-    if not actuators:
+    found = {joint: recording.command_of(joint) for joint in recording.joints}
+    known = {joint: values for joint, values in found.items() if values is not None}
+    if not known:
         raise LeglabError("no commands to draw: no column ends in '_command'")
-    commands = recording.stack(actuators, "command")
+    actuators = [str(recording.actuator_of(joint)) for joint in known]
+    commands = np.column_stack(list(known.values()))
     limit = min(1.08, 1.1 * float(np.nanmax(np.abs(commands), initial=0.01)))
     with style():
         figure, panels = add_panels(len(actuators), heights=(1.25,))
@@ -166,7 +168,7 @@ def command_figure(
                 axes.set_title(share, loc="right", color=DARK_GREY, fontsize=8)
             axes.set_ylim(-limit, limit)
             axes.set_title(readable(actuator), fontweight="bold")
-            axes.set_ylabel("valve command")
+            axes.set_ylabel("command")
             _finish(axes, phases)
         lines = [_line("command", BLUE), _line("at its limit", ORANGE, 3)]
         add_head(figure, title, lines, phases=phases)

@@ -1,6 +1,8 @@
 """Folders of runs as a report reads them; what they hold may come from anywhere."""
 
+import hashlib
 import json
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
@@ -28,6 +30,9 @@ from leglab.runs.record import (
 from leglab.runs.run import Run, run_scenario
 from leglab.runs.view import draw
 
+# Settings of controller, reference and sensors that a folder's name tells one by one.
+_MOST_TOLD = 3
+
 
 def default_folder(settings: RunSettings) -> Path:
     """Returns where a run goes that was not told where: a name for what decides the run.
@@ -44,7 +49,22 @@ def default_folder(settings: RunSettings) -> Path:
         if isinstance(value, float) and float(f"{value:g}") == value:
             shown = f"{value:g}"
         parts.append(value if isinstance(value, str) else f"{field.name}{shown}")
+    parts += _told(settings)
     return Path("runs") / "-".join(parts)
+
+
+def _told(settings: RunSettings) -> list[str]:
+    """Settings of controller, reference and sensors: by name, or a digest where they are many."""
+    own = {
+        "controller": settings.controller_config,
+        "reference": settings.reference_config,
+        "sensors": settings.sensors,
+    }
+    found = [f"{section}.{k}{v}" for section, each in own.items() for k, v in each.items()]
+    if any(not re.fullmatch(r"[\w.+-]{1,40}", text) for text in found) or len(found) > _MOST_TOLD:
+        content = json.dumps(own, sort_keys=True, default=str)
+        return [f"settings{hashlib.sha256(content.encode()).hexdigest()[:8]}"]
+    return found
 
 
 def write_run(

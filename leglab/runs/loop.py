@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from leglab._native.loop import Rows, Valves
+from leglab._native.loop import Drives, Rows
 from leglab.base.errors import LeglabError
 from leglab.base.scenario import Scenario
 from leglab.control import Controller, Measurement, ReferencePoint, check_command, make_controller
@@ -17,7 +17,7 @@ from leglab.control.feedforward.offline import BenchRun
 from leglab.controllers.exact_inverse import ExactInverse
 from leglab.controllers.pd import PdConfiguration
 from leglab.controllers.static_feedforward import ValveMapTable
-from leglab.machine.changes import Bodies, Schedule
+from leglab.machine.changes import Bodies, NativeJoints, Schedule
 from leglab.machine.plugin import headless
 from leglab.machine.sensors import (
     EncoderFaults,
@@ -76,7 +76,7 @@ class SampledMachine:
         sensors: Resolution, noise and timing.
         count: Periods for which noise is drawn; it repeats after them.
         seed: Of the sensor noise.
-        pressures: Whether pressures are measured.
+        pressures: Whether pressures are measured, where there are cylinders.
 
     Attributes:
         simulation: The machine.
@@ -84,9 +84,10 @@ class SampledMachine:
         bodies: Loads on its bodies; `close` takes them off.
         encoders: Its encoders and their faults.
         schedule: Carries out the scenario's changes.
-        send: Function that sends commands (joints,) to the valves, clipped to [-1, 1]; False, and
-            nothing sent, for what is no array of finite numbers.
+        send: Function that sends commands (joints,) to valves and native actuators, clipped to
+            [-1, 1]; False, and nothing sent, for what is no array of finite numbers.
         row: Number of the present period within the drawn noise.
+        exact: Whether the model gives its sensors no faults of their own.
 
     Raises:
         LeglabError: If the timing or a change does not fit the machine.
@@ -117,22 +118,25 @@ class SampledMachine:
             seed=seed,
             built_in=EncoderFaults.of(simulation.model, simulation.joints),
         )
-        self.schedule = Schedule(scenario, simulation, self.bodies, self.encoders)
+        self._native = NativeJoints(simulation)
+        self.schedule = Schedule(scenario, simulation, self._native, self.bodies, self.encoders)
         self._pressure_noise = sensors.pressure_noise
-        self._pressure_faults = PressureFaults.of(simulation.model, simulation.joints) or None
-        self._pressures = pressures
+        hydraulic = simulation.hydraulic_joints
+        self._pressure_faults = PressureFaults.of(simulation.model, hydraulic) or None
+        self._pressures = pressures and bool(hydraulic)
         # A control loop runs thousands of times a second: what can be looked up once is.
         self._step, self._state = simulation.step, simulation.data.plugin_state
         self._apply, self._read = self.schedule.apply, self.encoders.read
         self._sample = self.encoders.sample
         self._readings = self.encoders.position, self.encoders.velocity
-        self.send = Valves(simulation.data.ctrl).send
+        self.send = Drives(simulation.data.ctrl, simulation.centre, simulation.half).send
         self._pressure_slots = np.concatenate(
             [simulation.slots("pressure_a"), simulation.slots("pressure_b")]
         )
-        self._supply_slot = simulation.supply_slot
-        self._joints, self._count = joints, count
+        self._supply_slot = simulation.supply_slot if hydraulic else -1
+        self._cylinders, self._count = len(hydraulic), count
         self._sampled_pressures = self._state.take(self._pressure_slots)
+        self.exact = not (self._pressure_faults or self.encoders.built_in)
         self._periods = 0
         self.row = -1
 
@@ -148,12 +152,21 @@ class SampledMachine:
         self._read(row)
         if not self._pressures:
             return Measurement(now, *self._readings)
-        joints = self._joints
-        noisy = self._sampled_pressures + self._noise.normal(0.0, self._pressure_noise, 2 * joints)
+        count = self._cylinders
+        noisy = self._sampled_pressures + self._noise.normal(0.0, self._pressure_noise, 2 * count)
         if self._pressure_faults:
             noisy = self._pressure_faults.seen(noisy)
         supply = float(self._state[self._supply_slot])
-        return Measurement(now, *self._readings, noisy[:joints], noisy[joints:], supply)
+        return Measurement(now, *self._readings, noisy[:count], noisy[count:], supply)
+
+    def pressure_noise(self, count: int) -> np.ndarray:
+        """Draws the noise of pressures for as many periods as are measured one by one otherwise.
+
+        Returns:
+            [Pa], (count, 2 cylinders); without columns where no pressure is measured.
+        """
+        columns = 2 * self._cylinders if self._pressures else 0
+        return self._noise.normal(0.0, self._pressure_noise, (count, columns))
 
     def advance(self) -> None:
         """Ends a period: the command is held, and the next sample taken ahead of its end."""
@@ -166,8 +179,9 @@ class SampledMachine:
             self._step(self._to_command)
 
     def close(self) -> None:
-        """Takes the loads off the model's bodies."""
+        """Gives the model back as it was: bodies without loads, joints and drives unchanged."""
         self.bodies.restore()
+        self._native.restore()
 
 
 @dataclass(slots=True, eq=False)
@@ -234,8 +248,9 @@ class Loop:
         ahead: int = 0,
     ) -> None:
         self.settings = settings
-        self.scenario = scenario = scenario or scenario_of(settings)
+        wanted = scenario or scenario_of(settings)
         self.preparation = preparation = preparation or Preparation(settings)
+        self.scenario = scenario = preparation.fitted(wanted)
         self.reference = preparation.reference(settings, scenario)
         self._setup = preparation.setup(
             scenario,
@@ -267,7 +282,7 @@ class Loop:
     def reset(self) -> None:
         """Starts the run anew: the seed's specimen at rest, the noise drawn, nothing learned."""
         self.close()
-        self.preparation.start(self.simulation, self.settings.seed)
+        self.preparation.start(self.simulation, self.settings.seed, self.settings.tolerance)
         self.machine = machine = SampledMachine(
             self.simulation,
             self.scenario,
@@ -355,6 +370,11 @@ class Loop:
         """Returns where the joints should be in the next period, before it is observed."""
         row = self._next - self._first
         return ReferencePoint(*(part[row] for part in self._wanted))
+
+    @property
+    def wanted(self) -> Samples:
+        """Samples of the reference, one a period and `ahead` more, each (periods, joints)."""
+        return self._wanted
 
     def reference_ahead(self, periods: np.ndarray) -> np.ndarray:
         """Reference positions [rad] so many periods after the present one, (periods, joints)."""
@@ -492,7 +512,7 @@ def _bench_run(settings: RunSettings, scenario: Scenario, preparation: Preparati
         with headless(loop.simulation.model):
             for k in range(loop.count):
                 position[k] = loop.step().measurement.position
-                command[k] = loop.simulation.data.ctrl
+                command[k] = loop.simulation.commands(loop.simulation.data.ctrl)
         loop.close()
         loop.simulation.check()
         time = np.arange(loop.count) * loop.period
@@ -532,8 +552,10 @@ class History:
         time: [s], shape (n,).
         position: True positions of the driven joints [rad], (n, joints).
         velocity: True velocities of the driven joints [rad/s], (n, joints).
-        passive: True positions of joints that no cylinder drives, by joint [rad or m], each (n,).
-        command: Valve commands in [-1, 1] from `time` on, (n, joints).
+        passive: True positions of joints that nothing drives, by joint [rad or m], each (n,).
+        command: Commands in [-1, 1] from `time` on, (n, joints).
+        control: What was sent for them: to a valve the command, to a native actuator a control in
+            its own unit, (n, joints).
         reference: Position [rad], velocity [rad/s] and acceleration [rad/s^2], each (n, joints).
         states: Values of the plugin states asked for, by column name, each (n,).
         encoder_shift: Added to every position by encoder faults [rad], (n, joints).
@@ -548,6 +570,7 @@ class History:
     velocity: np.ndarray
     passive: dict[str, np.ndarray]
     command: np.ndarray
+    control: np.ndarray
     reference: ReferencePoint
     states: dict[str, np.ndarray]
     encoder_shift: np.ndarray
@@ -586,6 +609,11 @@ class _Records:
         self._columns, slots = _state_columns(simulation, schedule)
         self._qpos, self.qvel = np.empty((count, model.nq)), np.empty((count, model.nv))
         self._command, self._states = np.empty((count, model.nu)), np.empty((count, len(slots)))
+        pairs = zip(simulation.joints, simulation.actuators, strict=True)
+        native = [joint for joint, name in pairs if name in simulation.native]
+        self._native = tuple((joint, i) for i, joint in enumerate(native))
+        driven = simulation.dof_index[[simulation.joints.index(joint) for joint in native]]
+        self._effort = np.empty((count, len(native)))
         self._others = np.empty((count, len(schedule.others)))
         self._reports: dict[str, np.ndarray] = {}
         self.rows = 0
@@ -594,6 +622,7 @@ class _Records:
             Rows(data.qvel, np.arange(model.nv), self.qvel),
             Rows(data.ctrl, np.arange(model.nu), self._command),
             Rows(data.plugin_state, slots, self._states),
+            Rows(data.qfrc_actuator, np.asarray(driven, dtype=np.int64), self._effort),
         )
         self._takes = tuple(row.take for row in rows)
 
@@ -618,8 +647,10 @@ class _Records:
             "position": qpos[:, machine.qpos_index],
             "velocity": self.qvel[:rows, machine.dof_index],
             "passive": {name: qpos[:, index] for name, index in machine.passive_joints.items()},
-            "command": self._command[:rows],
+            "command": machine.commands(self._command[:rows]),
+            "control": self._command[:rows],
             "states": {
+                **{f"{joint}_effort": self._effort[:rows, i] for joint, i in self._native},
                 **{column: self._states[:rows, i] for i, column in enumerate(self._columns)},
                 **{"_".join(key): self._others[:rows, i] for i, key in keys},
             },
@@ -642,13 +673,14 @@ def _first_failure(
 def _state_columns(simulation: Simulation, schedule: Schedule) -> tuple[list[str], np.ndarray]:
     """Columns of the plugin states that every run records, and their places."""
     columns, slots = [], []
-    for joint, actuator in zip(simulation.joints, simulation.actuators, strict=True):
+    for joint, actuator in zip(simulation.hydraulic_joints, simulation.cylinders, strict=True):
         for column, quantity in _RECORDED.items():
             columns.append(f"{joint}_{column}")
             slots.append(simulation.slot(actuator, quantity))
-    columns.append("supply_pressure")
-    slots.append(simulation.supply_slot)
+    if simulation.cylinders:
+        columns.append("supply_pressure")
+        slots.append(simulation.supply_slot)
     for element, parameter in schedule.parameters:
         columns.append(f"{element}_{parameter}")
         slots.append(simulation.slot(element, parameter))
-    return columns, np.array(slots)
+    return columns, np.array(slots, dtype=np.int64)

@@ -98,14 +98,16 @@ def usage_table(
     Args:
         time: Sample times [s], increasing. Shape (n,).
         command: Valve commands in [-1, 1]. Shape (n, joints).
-        energy: Hydraulic energy drawn since some time before [J]. Shape (n, joints).
+        energy: Hydraulic energy drawn since some time before [J], NaN for a joint that draws none
+            from a supply. Shape (n, joints).
         joints: Names of the columns.
         phases: Parts of the run; the last one includes its end.
 
     Returns:
         One dict a phase with `effort` (RMS command), `valve_activity_per_s` (RMS rate of the
         command between samples [1/s]) and `energy_j` (drawn from the supply less given to the tank
-        [J]), each by joint and under "all": the RMS over all joints, and the sum of the energies.
+        [J], left out where no joint draws any), each by joint and under "all": the RMS over all
+        joints, and the sum of the energies.
         Phases as in `phase_table`. A difference belongs to the phase of its later sample.
     """
     rate = np.diff(command, axis=0) / np.diff(time)[:, None]
@@ -118,11 +120,12 @@ def usage_table(
         row = {
             "effort": dict(zip(joints, rms(command[part]).tolist(), strict=True)),
             "valve_activity_per_s": dict(zip(joints, rms(rates).tolist(), strict=True)),
-            "energy_j": dict(zip(joints, drawn.tolist(), strict=True)),
         }
         row["effort"]["all"] = float(rms(command[part].reshape(-1, 1))[0])
         row["valve_activity_per_s"]["all"] = float(rms(rates.reshape(-1, 1))[0])
-        row["energy_j"]["all"] = float(drawn.sum())
+        spent = {j: e for j, e in zip(joints, drawn.tolist(), strict=True) if not np.isnan(e)}
+        if spent:
+            row["energy_j"] = {**spent, "all": float(sum(spent.values()))}
         table.append(row)
     return table
 

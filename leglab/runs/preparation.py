@@ -20,11 +20,24 @@ from leglab.commissioning.setup import controller_setup
 from leglab.control import ControllerSetup, Foreknowledge
 from leglab.control.contract import CONTROLLERS
 from leglab.control.feedforward.fault_bank import FaultBank
-from leglab.machine.changes import check_tolerance, vary_bodies, vary_parameters
+from leglab.machine.changes import (
+    NATIVE_FIELDS,
+    check_tolerance,
+    fitted,
+    vary_bodies,
+    vary_parameters,
+)
 from leglab.machine.parameters import placed_parameters
 from leglab.machine.sensors import SensorConfiguration
 from leglab.machine.simulation import Simulation, load_model
-from leglab.references import Joint, Reference, make_reference, reference_settings
+from leglab.references import (
+    GAIT,
+    LEG_REFERENCES,
+    Joint,
+    Reference,
+    make_reference,
+    reference_settings,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,7 +124,7 @@ def check_controllers(names: Sequence[str]) -> None:
 
 
 class Preparation:
-    """What runs with the same model, sensors and tolerance share.
+    """What runs with the same model and sensors share.
 
     Args:
         settings: Of a run.
@@ -119,6 +132,7 @@ class Preparation:
     Attributes:
         sensors: Sensors and timing.
         nominal: The nominal machine in its rest pose; a run moves a machine of its own.
+        controller_setup: What every controller may know.
 
     Raises:
         LeglabError: If the model or a setting does not fit.
@@ -127,14 +141,13 @@ class Preparation:
     def __init__(self, settings: RunSettings) -> None:
         check_tolerance(settings.tolerance)
         self._model, self._timestep = settings.model, settings.timestep
-        self._tolerance = settings.tolerance
         self._parameters: dict[tuple[str, str], float] = {}
         if settings.parameters:
             plain = Simulation(self._load(visual=False))
             self._parameters = placed_parameters(settings.parameters, plain.elements)
         self.sensors = validate_configuration(SensorConfiguration, settings.sensors, "sensors")
         self.nominal = Simulation(self._load(visual=False))
-        self._setup = controller_setup(self.nominal, settings.model, self.sensors)
+        self.controller_setup = controller_setup(self.nominal, settings.model, self.sensors)
 
     def setup(
         self,
@@ -160,11 +173,24 @@ class Preparation:
             exact_commands=exact_commands,
         )
         return replace(
-            self._setup,
+            self.controller_setup,
             reference_period=reference.period,
             foreknowledge=foreknowledge,
             fault_bank=fault_bank,
         )
+
+    def fitted(self, scenario: Scenario) -> Scenario:
+        """The scenario as the machine can carry it out, with a motion that it can make.
+
+        References for a leg give way to `multisine` where no joint is one of a leg.
+
+        Raises:
+            LeglabError: The machine has nothing that the scenario changes; lists those that fit.
+        """
+        known = fitted(scenario, self.nominal)
+        if known.reference in LEG_REFERENCES and not set(self.nominal.joints) & set(GAIT):
+            known = replace(known, reference="multisine", reference_config={})
+        return known
 
     def reference(self, settings: RunSettings, scenario: Scenario) -> Reference:
         """The trajectory of a run, of the nominal machine's joints."""
@@ -183,25 +209,36 @@ class Preparation:
         """
         return Simulation(self._load(visual=True) if visual else copy.copy(self.nominal.model))
 
-    def start(self, simulation: Simulation, seed: int) -> None:
+    def start(self, simulation: Simulation, seed: int, tolerance: float = 0.0) -> None:
         """Puts a machine where a run starts: the seed's specimen, at rest in its rest pose.
 
         Args:
             simulation: From `machine`, in any state, its bodies without loads.
             seed: Picks the specimen, where there is a tolerance.
+            tolerance: Relative standard deviation of its parameters [1].
 
         Raises:
             LeglabError: If a cylinder cannot hold its joint there.
         """
-        if self._tolerance:
-            model = simulation.model
-            model.body_mass[:] = self.nominal.model.body_mass
-            model.body_inertia[:] = self.nominal.model.body_inertia
-            vary_bodies(model, self._tolerance, seed)
+        check_tolerance(tolerance)
+        if tolerance or simulation.varied:
+            self._restore(simulation)
+            simulation.varied = bool(tolerance)
+        if tolerance:
+            vary_bodies(simulation.model, tolerance, seed)
         simulation.reset()
-        if self._tolerance:
-            vary_parameters(simulation, self._tolerance, seed)
+        if tolerance:
+            vary_parameters(simulation, tolerance, seed)
         settle(simulation)
+
+    def _restore(self, simulation: Simulation) -> None:
+        """Undoes what `vary_bodies` and `vary_parameters` did to a model."""
+        model, nominal = simulation.model, self.nominal.model
+        fields = ("body_mass", "body_inertia", *(NATIVE_FIELDS if simulation.native else ()))
+        for name in fields:
+            if hasattr(model, name):
+                getattr(model, name)[:] = getattr(nominal, name)
+        mujoco.mj_setConst(model, mujoco.MjData(model))
 
     def _load(self, *, visual: bool) -> Any:
         edit = partial(_edit, self._parameters) if self._parameters else None

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from leglab import __version__
-from leglab.base.recording import Recording
+from leglab.base.recording import DRIVES, Recording
 from leglab.base.scenario import Scenario
-from leglab.base.units import units_of_columns
+from leglab.base.units import CONTROL_UNIT, units_of_columns
 from leglab.control.feedforward.fault_monitor import plain
 from leglab.machine.changes import parameter_units
 from leglab.machine.sensors import CHAMBERS, PressureFaults
@@ -166,7 +166,9 @@ def _metrics(loop: Loop, history: History, twin: np.ndarray | None) -> dict[str,
     scenario, joints, stride = loop.scenario, loop.simulation.joints, loop.reference.period
     finite = np.isfinite(history.error).all(axis=1)
     error, time = history.error[finite], history.time[finite]
-    energy = np.column_stack([history.states[f"{joint}_energy_supply"] for joint in joints])
+    none = np.full(len(history.time), np.nan)
+    spent = [history.states.get(f"{joint}_energy_supply", none) for joint in joints]
+    energy = np.column_stack(spent)
     errors = phase_table(time, error, joints, scenario.phases)
     usage = usage_table(time, history.command[finite], energy[finite], joints, scenario.phases)
     for row, costs in zip(errors, usage, strict=True):
@@ -203,7 +205,7 @@ def _recording(loop: Loop, history: History, metadata: dict[str, Any]) -> Record
         columns[f"{joint}_position"] = measured[:, i]
         columns[f"{joint}_truth"] = history.position[:, i]
         columns[f"{joint}_truth_velocity"] = history.velocity[:, i]
-        columns[f"{actuator}_command"] = history.command[:, i]
+        columns[f"{actuator}_command"] = history.control[:, i]
         for suffix, values in zip(
             ("reference", "reference_velocity", "reference_acceleration"),
             history.reference,
@@ -214,8 +216,9 @@ def _recording(loop: Loop, history: History, metadata: dict[str, Any]) -> Record
             columns[f"{joint}_{name}"] = values[:, i]
     for name, values in history.passive.items():
         columns[f"{name}_truth"] = values
-    places = [f"{joint}_{chamber}" for chamber in CHAMBERS for joint in simulation.joints]
-    faults = PressureFaults.of(simulation.model, simulation.joints)
+    hydraulic = simulation.hydraulic_joints
+    places = [f"{joint}_{chamber}" for chamber in CHAMBERS for joint in hydraulic]
+    faults = PressureFaults.of(simulation.model, hydraulic)
     shown = dict(zip(places, zip(faults.scale, faults.offset, strict=True), strict=True))
     for name, values in history.states.items():
         columns[name] = values
@@ -234,7 +237,18 @@ def _recording(loop: Loop, history: History, metadata: dict[str, Any]) -> Record
         schedule = loop.machine.schedule
         for element, parameter in (*schedule.parameters, *schedule.others):
             units[f"{element}_{parameter}"] = changeable[parameter]
-    return Recording(time=history.time, columns=columns, metadata={**metadata, "units": units})
+    drives = {
+        simulation.model.joint(drive.joint).name: {
+            "actuator": name,
+            "centre": drive.centre,
+            "half": drive.half,
+        }
+        for name, drive in simulation.native.items()
+    }
+    for drive in drives.values():
+        units[f"{drive['actuator']}_command"] = CONTROL_UNIT
+    known = {**metadata, **({DRIVES: drives} if drives else {}), "units": units}
+    return Recording(time=history.time, columns=columns, metadata=known)
 
 
 def _configuration(loop: Loop) -> RunConfiguration:
@@ -253,7 +267,12 @@ def _configuration(loop: Loop) -> RunConfiguration:
         },
         window=loop.reference.period,
         changes=[ChangeRecord(**asdict(change)) for change in scenario.changes],
-        elements={name: simulation.cylinder_parameters(name) for name in simulation.actuators},
+        elements={
+            name: simulation.native[name].description()
+            if name in simulation.native
+            else simulation.cylinder_parameters(name)
+            for name in simulation.actuators
+        },
         versions={
             "leglab": __version__,
             "python": platform.python_version(),

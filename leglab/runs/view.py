@@ -19,9 +19,11 @@ def draw(recording: Recording, changes: Sequence[ChangeRecord]) -> list[Any]:
         position = f"{joint}_truth" if f"{joint}_truth" in recording else f"{joint}_position"
         error = 1e3 * (recording[position] - recording[f"{joint}_reference"])
         axes[0].plot(recording.time, error, label=joint, linewidth=0.8)
-    for actuator in recording.actuators:
-        command = recording[f"{actuator}_command"]
-        axes[1].plot(recording.time, command, label=actuator, linewidth=0.8)
+    for joint in recording.tracked:
+        command = recording.command_of(joint)
+        if command is not None:
+            name = recording.actuator_of(joint)
+            axes[1].plot(recording.time, command, label=name, linewidth=0.8)
     for axis, label in zip(axes, ("tracking error [mrad]", "command"), strict=True):
         axis.set_ylabel(label)
         axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize="small")

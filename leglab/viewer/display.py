@@ -157,7 +157,7 @@ class Display:
         upper = mujoco.MjrRect(left, bottom + height, width, height)
         lower = mujoco.MjrRect(left, bottom, width, height)
         error_figure = _figure("RMS error [mrad], last 10 s", {"error": (ages, rms)})
-        return [(upper, error_figure), (lower, _figure(f"valve of {joint}", lines))]
+        return [(upper, error_figure), (lower, _figure(f"command of {joint}", lines))]
 
     def texts(self, *, paused: bool) -> tuple[str, str]:
         """Two columns: what is shown, and its values."""

@@ -27,7 +27,7 @@ class Moment(NamedTuple):
     Attributes:
         time: [s].
         error: True tracking error [rad]. Shape (joints,).
-        command: Valve commands in [-1, 1]. Shape (joints,).
+        command: Commands in [-1, 1]. Shape (joints,).
         feedforward: Feed-forward part of them, NaN where the controller has none. Shape (joints,).
     """
 
@@ -146,7 +146,7 @@ class Session:
         self.point = self._loop.present.reference
         error = self.simulation.position() - self.point.position
         feedforward = self._loop.diagnostics().get("feedforward", np.full_like(error, np.nan))
-        command = self.simulation.data.ctrl.copy()
+        command = self.simulation.commands(self.simulation.data.ctrl)
         self.moments.append(Moment(self.time, error, command, feedforward.copy()))
 
     def _follow(self) -> None:

@@ -37,21 +37,25 @@ class Slider:
 
 
 def sliders(simulation: Simulation, bodies: Bodies) -> tuple[Slider, ...]:
-    """The sliders of a machine: seal_wear, oil_temperature and payload."""
-    warm = simulation.parameter(simulation.actuators[0], "oil_temperature")
+    """The sliders of a machine: of cylinders seal_wear and oil_temperature, of all payload."""
     loaded = _LOADED if _LOADED in bodies.elements else bodies.elements[-1]
+    masses, body = simulation.model.body_mass, simulation.model.body(loaded).id
+    unloaded = float(masses[body])
 
-    def change(
-        parameter: str, element: str, kind: str
-    ) -> Callable[[float, float], ParameterChange]:
-        return lambda value, start: ParameterChange(
-            parameter=parameter, element=element, kind=kind, value=value, start=start
-        )
+    def load() -> float:
+        return float(masses[body]) - unloaded
 
+    mass = _change(ADDED_MASS.name, loaded, "set")
+    payload = Slider("payload", "payload kg", f"kg on {loaded}", 0.0, 30.0, 0.0, mass, load)
+    return (*_oil(simulation), payload) if simulation.cylinders else (payload,)
+
+
+def _oil(simulation: Simulation) -> tuple[Slider, Slider]:
+    """Wear of the piston seals and temperature of the oil."""
+    warm = simulation.parameter(simulation.cylinders[0], "oil_temperature")
     leakage, oil = simulation.slots("internal_leakage"), simulation.slots("oil_temperature")
-    state, masses = simulation.data.plugin_state, simulation.model.body_mass
-    body = simulation.model.body(loaded).id
-    healthy, unloaded = state[leakage].copy(), float(masses[body])
+    state = simulation.data.plugin_state
+    healthy = state[leakage].copy()
 
     def wear() -> float:
         return float((state[leakage] / healthy).max())
@@ -59,14 +63,15 @@ def sliders(simulation: Simulation, bodies: Bodies) -> tuple[Slider, ...]:
     def warmth() -> float:
         return float(state[oil].mean())
 
-    def load() -> float:
-        return float(masses[body]) - unloaded
-
-    leak = change("internal_leakage", "*", "scale")
-    heat = change("oil_temperature", "*", "set")
-    mass = change(ADDED_MASS.name, loaded, "set")
+    leak = _change("internal_leakage", "*", "scale")
+    heat = _change("oil_temperature", "*", "set")
     return (
         Slider("seal_wear", "seal leak x", "x leakage", 1.0, 50.0, 1.0, leak, wear),
         Slider("oil_temperature", "oil degC", "deg C", -10.0, 120.0, warm, heat, warmth),
-        Slider("payload", "payload kg", f"kg on {loaded}", 0.0, 30.0, 0.0, mass, load),
+    )
+
+
+def _change(parameter: str, element: str, kind: str) -> Callable[[float, float], ParameterChange]:
+    return lambda value, start: ParameterChange(
+        parameter=parameter, element=element, kind=kind, value=value, start=start
     )

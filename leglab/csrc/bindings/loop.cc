@@ -5,6 +5,8 @@
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
+#include <cmath>
+#include <cstdint>
 #include <stdexcept>
 #include <vector>
 
@@ -107,11 +109,16 @@ class Rows {
   Values rows_;
 };
 
-// Writes commands into an array, clipped to [-1, 1]; false, and nothing written, for anything but
-// an array of as many finite numbers.
-class Valves {
+// Writes commands, clipped to [-1, 1], into an array as centre + half x command; false, and nothing
+// written, for anything but an array of as many finite numbers.
+class Drives {
  public:
-  explicit Valves(Values to) : to_(std::move(to)) {}
+  Drives(Values to, Array<const double> centre, Array<const double> half)
+      : to_(std::move(to)), centre_(std::move(centre)), half_(std::move(half)) {
+    if (centre_.size() != to_.size() || half_.size() != to_.size()) {
+      throw nb::value_error("arrays of different shapes");
+    }
+  }
 
   bool send(nb::object command) {
     Array<const double> values;
@@ -122,13 +129,15 @@ class Valves {
     if (!std::all_of(from, from + to_.size(), [](double u) { return std::isfinite(u); })) {
       return false;
     }
-    std::transform(from, from + to_.size(), to_.data(),
-                   [](double u) { return std::clamp(u, -1.0, 1.0); });
+    for (std::size_t i = 0; i < to_.size(); ++i) {
+      to_.data()[i] = centre_.data()[i] + half_.data()[i] * std::clamp(from[i], -1.0, 1.0);
+    }
     return true;
   }
 
  private:
   Values to_;
+  Array<const double> centre_, half_;
 };
 
 }  // namespace
@@ -147,9 +156,10 @@ NB_MODULE(loop, module) {
   nb::class_<Rows>(module, "Rows")
       .def(nb::init<Values, Index, Values>(), nb::arg("source"), nb::arg("index"), nb::arg("rows"))
       .def("take", &Rows::take);
-  nb::class_<Valves>(module, "Valves")
-      .def(nb::init<Values>(), nb::arg("target"))
-      .def("send", &Valves::send, nb::arg("command").none());
+  nb::class_<Drives>(module, "Drives")
+      .def(nb::init<Values, Array<const double>, Array<const double>>(), nb::arg("target"),
+           nb::arg("centre"), nb::arg("half"))
+      .def("send", &Drives::send, nb::arg("command").none());
 }
 
 }  // namespace leglab::bindings

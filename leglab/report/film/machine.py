@@ -242,15 +242,19 @@ class _CylinderShapes:
     """Barrels split at the piston: the cap side and the rod side each in its own colour.
 
     Cylinders that act on a joint directly have no place to be drawn, and are not. `tendons` holds
-    the names of those that are cylinders.
+    the names of those that actuators pull or push, the others being springs.
     """
 
     def __init__(self, simulation: Simulation) -> None:
         model = simulation.model
-        is_tendon = model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON
-        self._tendon = np.where(is_tendon, model.actuator_trnid[:, 0], -1).tolist()
-        self._parameters = [simulation.cylinder_parameters(name) for name in simulation.actuators]
-        self.tendons = {model.tendon(i).name for i in self._tendon if i >= 0}
+        on_tendon = model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON
+        self._places = [simulation.actuators.index(name) for name in simulation.cylinders]
+        self._tendon = [
+            int(model.actuator_trnid[i, 0]) if on_tendon[i] else -1 for i in self._places
+        ]
+        self._parameters = [simulation.cylinder_parameters(name) for name in simulation.cylinders]
+        driven = model.actuator_trnid[on_tendon, 0].tolist()
+        self.tendons = {model.tendon(i).name for i in driven}
 
     def pins(self, data: mujoco.MjData) -> np.ndarray:
         """Ends of all tendons, cylinders and springs [m], (n, 3)."""
@@ -272,7 +276,7 @@ class _CylinderShapes:
         colours = _LIT * np.where(known, pressure_color(np.nan_to_num(levels)), UNKNOWN)
         points = data.wrap_xpos.reshape(-1, 3)
         for tendon, parameters, (cap, rod) in zip(
-            self._tendon, self._parameters, colours, strict=True
+            self._tendon, self._parameters, colours[self._places], strict=True
         ):
             if tendon < 0 or data.ten_wrapnum[tendon] < 2:
                 continue

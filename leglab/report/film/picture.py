@@ -46,6 +46,7 @@ class Picture:
         self._panels = look.panels(len(tracks))
         size = self._panels[0].size
         supplies = [track.column("supply_pressure") for track in tracks]
+        supplies_known = any(supply is not None for supply in supplies)
         highest = max((float(np.nanmax(s)) for s in supplies if s is not None), default=160e5)
         scale = _BAR_STEP * np.ceil(highest / _BAR_STEP - 0.05)
         models = [str(track.settings["model"]) for track in tracks]
@@ -59,7 +60,7 @@ class Picture:
         columns = (tracks, details(tracks), colors, self._panels, self._error.errors)
         self._writers = [_PanelWriter(*row, scale) for row in zip(*columns, strict=True)]
         self._base = Image.new("RGB", look.SIZE, PAPER)
-        _draw_title(self._base, *_title_of(tracks), scale)
+        _draw_title(self._base, *_title_of(tracks), scale if supplies_known else None)
         self._error.draw_static(self._base)
         self._command.draw_static(self._base)
 
@@ -93,8 +94,11 @@ class Picture:
             machine.look(framing.frame(points, view, size[0] / size[1], region))
 
 
-def _draw_title(image: Image.Image, title: str, subtitle: str, scale: float) -> None:
-    """Draws title, legend of the ghost, and the colour bar of pressures up to `scale` [Pa]."""
+def _draw_title(image: Image.Image, title: str, subtitle: str, scale: float | None) -> None:
+    """Draws title, legend of the ghost, and the colour bar of pressures up to `scale` [Pa].
+
+    Without pressures `scale` is None, and there is no bar.
+    """
     draw = ImageDraw.Draw(image)
     text = fitted(title, 22, 390, bold=True)
     write(draw, (16, 23), text, 22, INK, bold=True, anchor="lm")
@@ -102,7 +106,9 @@ def _draw_title(image: Image.Image, title: str, subtitle: str, scale: float) -> 
     tint = tuple(round(255 * (0.45 + 0.55 * c)) for c in look.GHOST[:3])
     edge = tuple(round(200 * c) for c in look.GHOST[:3])
     draw.rounded_rectangle((424, 17, 450, 35), 5, fill=tint, outline=edge)
-    write(draw, (458, 26), "see-through leg: the reference", 15, INK, anchor="lm")
+    write(draw, (458, 26), "see-through: the reference", 15, INK, anchor="lm")
+    if scale is None:
+        return
     left, width = 872, 150
     write(draw, (left - 10, 26), "cylinder pressure", 15, INK, anchor="rm")
     colors = (255 * look.pressure_color(np.linspace(0, 1, width))).astype(np.uint8)

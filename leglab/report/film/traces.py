@@ -129,11 +129,9 @@ class CommandTrace:
         self._title, self._note = "feed-forward command", readable(self._joint)
         without = [n for n, s in zip(names, self._signals, strict=True) if s is None]
         if len(without) == len(tracks):
-            self._title, without = "valve command", []
-            self._signals = [
-                track.column(f"{self._joint}_command", f"{self._joint}_valve_command")
-                for track in tracks
-            ]
+            valves = all(track.recording.actuators_are_valves for track in tracks)
+            self._title, without = "valve command" if valves else "command", []
+            self._signals = [track.command(self._joint) for track in tracks]
         if without:
             self._note += f"; {', '.join(without)}: none"
         parts = [

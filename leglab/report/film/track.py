@@ -91,6 +91,11 @@ class Track:
                 return _filled(self.recording[name])
         return None
 
+    def command(self, joint: str) -> np.ndarray | None:
+        """Commands of a joint in [-1, 1], gaps filled as in `column`, (n,); None without any."""
+        found = self.recording.command_of(joint)
+        return None if found is None else _filled(found)
+
     def moving_error(self) -> np.ndarray:
         """RMS tracking error of all joints over the window that ends at each sample [rad], (n,)."""
         errors = []
@@ -148,11 +153,7 @@ def load_track(folder: Path) -> Track:
     joints = recording.tracked
     if not joints:
         raise LeglabError(f"{str(folder)!r}: no joint of the recording has a reference")
-    # The actuators of our models are called after their joints.
-    actuators = (
-        next((n for n in recording.actuators if n in (joint, f"{joint}_valve")), joint)
-        for joint in joints
-    )
+    actuators = (recording.actuator_of(joint) or joint for joint in joints)
     metrics_file = folder / record.METRICS
     known = metrics_file.exists()
     told = record.read(record.RunMetrics, metrics_file) if known else None

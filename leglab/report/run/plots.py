@@ -78,6 +78,8 @@ def _quantities(runs: Sequence[ReportedRun], joints: Sequence[str]) -> tuple[_Qu
     position = _position_name(runs[0])
     measured = "" if position == "truth" else ", as measured"
     positions = measured or " as they were"
+    valves = all(run.recording.actuators_are_valves for run in runs)
+    asked = "spool's travel" if valves else "range of the actuator's control"
     quantities = (
         _Quantity(
             name="deviation",
@@ -99,10 +101,10 @@ def _quantities(runs: Sequence[ReportedRun], joints: Sequence[str]) -> tuple[_Qu
         ),
         _Quantity(
             name="command",
-            title="Valve command",
+            title="Valve command" if valves else "Command",
             axis="command [1]",
             unit="",
-            caption="Share of the spool's travel that was asked for; the part of the feed-forward "
+            caption=f"Share of the {asked} that was asked for; the part of the feed-forward "
             "is dashed.",
             curves=(("command", ""), ("feedforward", "feed-forward")),
         ),
@@ -223,6 +225,11 @@ def _samples(run: ReportedRun, joint: str, ending: str) -> tuple[np.ndarray, np.
     if ending.endswith(" error"):
         position = recording[f"{joint}_{ending.removesuffix(' error')}"]
         values = position - recording[f"{joint}_reference"]
+    elif ending == "command":
+        found = recording.command_of(joint)
+        if found is None:
+            return np.empty(0), np.empty(0)
+        values = found
     else:
         names = [f"{joint}_{ending}", f"{joint}_valve_{ending}"]
         name = next((name for name in names if name in recording), None)

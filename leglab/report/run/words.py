@@ -38,6 +38,9 @@ _MOST_TOLD = 3
 _CLEARLY = 1.5
 # Controllers that know what no real one can.
 _BOUNDS = ("oracle", "exact_inverse")
+# From here on a command is at its limit: a share of a control may be rounded.
+_LIMIT = 1.0 - 1e-9
+
 # Below this share of the time, a fallback or a saturated valve is not worth a sentence.
 _RARE = 0.001
 
@@ -190,7 +193,8 @@ def _happened(run: ReportedRun) -> str:
     parts += _fallback(run)
     saturated = _saturation(run)
     if saturated > _RARE:
-        parts.append(f"A valve was at its limit {number(100 * saturated, 2)} % of the time.")
+        what = "A valve" if run.recording.actuators_are_valves else "A drive"
+        parts.append(f"{what} was at its limit {number(100 * saturated, 2)} % of the time.")
     if run.power is not None:
         span = f"{number(last.end - last.start)} s" + " after the change" * (run.before is not None)
         energy = number(last.energy_j["all"])
@@ -289,9 +293,9 @@ def _limits(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
 
 
 def _saturation(run: ReportedRun) -> float:
-    """Share of the time that at least one valve command was at its limit."""
-    actuators = run.recording.actuators
-    if not actuators:
+    """Share of the time that at least one command was at its limit."""
+    found = [run.recording.command_of(joint) for joint in run.joints]
+    commands = [values for values in found if values is not None]
+    if not commands:
         return 0.0
-    commands = run.recording.stack(actuators, "command")
-    return float(np.mean((np.abs(commands) >= 1.0).any(axis=1)))
+    return float(np.mean((np.abs(commands) >= _LIMIT).any(axis=0)))

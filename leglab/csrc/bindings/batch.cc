@@ -1,0 +1,294 @@
+// Python module leglab._native.batch: control periods of many machines, in threads. A machine is a
+// MuJoCo model and its data, which Python made and keeps; here they are stepped, and what sensors and
+// reference say of the next period is written into arrays with a row a machine.
+//
+// Each thread steps on data of its own and takes a machine's state in and out: that of hundreds of
+// machines fits the caches, their whole data does not, and bare steps then take twice the time. What
+// follows from the state in a machine's data (places of bodies, forces) is not kept up to date.
+#include <mujoco/mujoco.h>
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <memory>
+#include <new>
+#include <vector>
+
+#include "loop/sensing.h"
+#include "loop/threads.h"
+
+namespace nb = nanobind;
+
+namespace leglab::bindings {
+namespace {
+
+template <class T>
+using Array = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
+using Values = Array<double>;
+using Constants = Array<const double>;
+using Index = Array<const std::int64_t>;
+
+struct Shape {
+  int to_sample, to_command;  // time steps from command to sample, and from sample to command
+  double speed_limit;         // beyond it a simulation has blown up [rad/s or m/s]
+  int counts;                 // of encoders, see loop::SensingSettings
+  double gain, keep;
+};
+
+// What one episode of one machine reads; rows are control periods.
+struct Series {
+  Constants noise, shift, pressure_noise;  // (periods, joints), the same, (periods, pressures)
+  Array<const bool> lost;                  // (periods, joints)
+  Constants position, velocity, acceleration;  // of the reference, (periods + ahead, joints)
+};
+
+// MuJoCo's clock, and its warnings, which go to a log file, taken away for a while: whoever steps
+// looks for what they warn of.
+class Quiet {
+ public:
+  Quiet() : clock_(mjcb_time), warning_(mju_user_warning) {
+    mjcb_time = nullptr;
+    mju_user_warning = [](const char*) {};
+  }
+  ~Quiet() {
+    mjcb_time = clock_;
+    mju_user_warning = warning_;
+  }
+  Quiet(const Quiet&) = delete;
+  Quiet& operator=(const Quiet&) = delete;
+
+ private:
+  mjfTime clock_;
+  void (*warning_)(const char*);
+};
+
+struct Machine {
+  const mjModel* model = nullptr;
+  mjData* data = nullptr;
+  Series series;
+  std::unique_ptr<loop::Sensing> sensing;
+  std::vector<double> sample, pressures;
+  std::size_t row = 0;
+};
+
+class Batch {
+ public:
+  Batch(std::size_t machines, int threads, nb::dict timing, Index qpos, Index dof, Constants centre,
+        Constants half, Index pressures, std::int64_t supply, Index preview, nb::dict out)
+      : shape_{nb::cast<int>(timing["to_sample"]), nb::cast<int>(timing["to_command"]),
+               nb::cast<double>(timing["speed_limit"]), nb::cast<int>(timing["counts"]),
+               nb::cast<double>(timing["gain"]), nb::cast<double>(timing["keep"])},
+        qpos_(std::move(qpos)), dof_(std::move(dof)), centre_(std::move(centre)),
+        half_(std::move(half)), pressures_(std::move(pressures)), supply_(supply),
+        preview_(std::move(preview)), joints_(qpos_.size()), machines_(machines),
+        threads_(std::max(threads, 1)) {
+    const auto rows = [&](const char* name, std::size_t width) {
+      auto array = nb::cast<Values>(out[name]);
+      if (array.size() != machines * width) throw nb::value_error("array of another size");
+      return array;
+    };
+    measured_ = rows("position", joints_);
+    speed_ = rows("velocity", joints_);
+    measured_pressure_ = rows("pressure", pressures_.size() + (pressures_.size() > 0));
+    true_position_ = rows("true_position", joints_);
+    true_velocity_ = rows("true_velocity", joints_);
+    wanted_position_ = rows("reference_position", joints_);
+    wanted_velocity_ = rows("reference_velocity", joints_);
+    wanted_acceleration_ = rows("reference_acceleration", joints_);
+    observation_ = nb::cast<Array<float>>(out["observation"]);
+    diverged_ = nb::cast<Array<bool>>(out["diverged"]);
+    if (dof_.size() != joints_ || centre_.size() != joints_ || half_.size() != joints_ ||
+        diverged_.size() != machines || observation_.ndim() != 2 ||
+        observation_.shape(0) != machines || observation_.shape(1) < written()) {
+      throw nb::value_error("arrays of different shapes");
+    }
+  }
+
+  // Begins an episode of a machine, whose model and data stand where a run starts.
+  void start(std::size_t i, std::uintptr_t model, std::uintptr_t data, Constants noise,
+             Constants shift, Array<const bool> lost, Constants pressure_noise, Constants position,
+             Constants velocity, Constants acceleration) {
+    Machine& m = machines_.at(i);
+    m.model = reinterpret_cast<const mjModel*>(model);
+    m.data = reinterpret_cast<mjData*>(data);
+    m.series = {noise, shift, pressure_noise, lost, position, velocity, acceleration};
+    if (noise.size() % joints_ || shift.size() != noise.size() || lost.size() != noise.size() ||
+        position.size() % joints_ || velocity.size() != position.size() ||
+        acceleration.size() != position.size() ||
+        pressure_noise.size() * joints_ != noise.size() * pressures_.size()) {
+      throw nb::value_error("arrays of different shapes");
+    }
+    while (scratch_.size() < threads_.size()) {
+      scratch_.emplace_back(mj_makeData(m.model), mj_deleteData);
+      if (!scratch_.back()) throw std::bad_alloc();
+    }
+    check(qpos_, std::size_t(m.model->nq));
+    check(dof_, std::size_t(m.model->nv));
+    check(pressures_, std::size_t(m.model->npluginstate));
+    if (std::size_t(m.model->nu) != joints_) throw nb::value_error("another number of controls");
+    const std::size_t at = i * joints_;
+    m.sensing = std::make_unique<loop::Sensing>(
+        loop::SensingSettings{joints_, shape_.counts, shape_.gain, shape_.keep},
+        measured_.data() + at, speed_.data() + at);
+    m.sample.resize(joints_);
+    m.pressures.resize(pressures_.size());
+    m.row = 0;
+    diverged_.data()[i] = false;
+    sample(m, m.data);
+    m.sensing->start(m.sample.data(), disturbance(m));
+    look(i);
+  }
+
+  // Steps machines with commands (machines, joints) and begins their next period: `late` machines
+  // are not measured yet, since something changes in them before; `rests` are left alone.
+  void step(Constants commands, Array<const bool> late, Array<const bool> rests) {
+    const std::size_t n = machines_.size();
+    if (commands.size() != n * joints_ || late.size() != n || rests.size() != n) {
+      throw nb::value_error("wrong number of values");
+    }
+    for (std::size_t i = 0; i < n; ++i) {
+      if (!rests.data()[i] && (!machines_[i].sensing || !left(machines_[i]))) {
+        throw nb::index_error("an episode that is over, or was not begun");
+      }
+    }
+    const Quiet quiet;
+    const nb::gil_scoped_release release;
+    threads_.each(n, [&](std::size_t i, std::size_t thread) {
+      if (rests.data()[i]) return;
+      advance(i, commands.data() + i * joints_, scratch_[thread].get());
+      if (!diverged_.data()[i] && !late.data()[i]) measure(i);
+    });
+  }
+
+  // Reads the sensors of the present period and writes a machine's rows.
+  void measure(std::size_t i) {
+    Machine& m = machines_.at(i);
+    const std::size_t at = i * joints_;
+    m.sensing->read(m.sample.data(), disturbance(m));
+    const std::size_t count = m.pressures.size();
+    double* pressure = measured_pressure_.data() + i * (count + 1);
+    for (std::size_t k = 0; k < count; ++k) {
+      pressure[k] = m.pressures[k] + m.series.pressure_noise.data()[m.row * count + k];
+    }
+    if (count) pressure[count] = m.data->plugin_state[supply_];
+    wanted(m.series.position, m.row, wanted_position_, at);
+    wanted(m.series.velocity, m.row, wanted_velocity_, at);
+    wanted(m.series.acceleration, m.row, wanted_acceleration_, at);
+
+    float* out = observation_.data() + i * observation_.shape(1);
+    const auto put = [&](const double* from, std::size_t number) {
+      for (std::size_t k = 0; k < number; ++k) *out++ = float(from[k]);
+    };
+    put(measured_.data() + at, joints_);
+    put(speed_.data() + at, joints_);
+    if (count) put(pressure, count + 1);
+    put(wanted_position_.data() + at, joints_);
+    put(wanted_velocity_.data() + at, joints_);
+    put(wanted_acceleration_.data() + at, joints_);
+    for (std::size_t k = 0; k < preview_.size(); ++k) {
+      put(row(m.series.position, m.row + std::size_t(preview_.data()[k])), joints_);
+    }
+  }
+
+ private:
+  std::size_t written() const {
+    const std::size_t pressures = pressures_.size() ? pressures_.size() + 1 : 0;
+    return joints_ * (5 + preview_.size()) + pressures;
+  }
+
+  static void check(const Index& index, std::size_t size) {
+    for (std::size_t i = 0; i < index.size(); ++i) {
+      if (index.data()[i] < 0 || std::size_t(index.data()[i]) >= size) {
+        throw nb::index_error("index outside the array");
+      }
+    }
+  }
+
+  bool left(const Machine& m) const { return (m.row + 1) * joints_ < m.series.noise.size(); }
+
+  const double* row(const Constants& from, std::size_t number) const {
+    const std::size_t last = from.size() / joints_ - 1;
+    return from.data() + std::min(number, last) * joints_;
+  }
+
+  void wanted(const Constants& from, std::size_t number, Values& to, std::size_t at) const {
+    std::copy_n(row(from, number), joints_, to.data() + at);
+  }
+
+  loop::Disturbance disturbance(const Machine& m) const {
+    const std::size_t first = m.row * joints_;
+    // The first reading has none before it that could be repeated.
+    const bool* lost = m.row > 0 ? m.series.lost.data() + first : nullptr;
+    return {m.series.noise.data() + first, m.series.shift.data() + first, lost};
+  }
+
+  void sample(Machine& m, const mjData* data) const {
+    for (std::size_t j = 0; j < joints_; ++j) m.sample[j] = data->qpos[qpos_.data()[j]];
+    for (std::size_t k = 0; k < m.pressures.size(); ++k) {
+      m.pressures[k] = data->plugin_state[pressures_.data()[k]];
+    }
+  }
+
+  void advance(std::size_t i, const double* command, mjData* data) {
+    Machine& m = machines_[i];
+    for (std::size_t j = 0; j < joints_; ++j) {
+      const double u = std::clamp(command[j], -1.0, 1.0);
+      m.data->ctrl[j] = centre_.data()[j] + half_.data()[j] * u;
+    }
+    mj_copyState(m.model, m.data, data, mjSTATE_INTEGRATION);
+    for (int k = 0; k < shape_.to_sample; ++k) mj_step(m.model, data);
+    sample(m, data);
+    for (int k = 0; k < shape_.to_command; ++k) mj_step(m.model, data);
+    mj_copyState(m.model, data, m.data, mjSTATE_INTEGRATION);
+    ++m.row;
+    look(i);
+  }
+
+  // True motion, and whether the simulation blew up; false for NaN as well.
+  void look(std::size_t i) {
+    const Machine& m = machines_[i];
+    const double* v = m.data->qvel;
+    diverged_.data()[i] = !std::all_of(v, v + m.model->nv, [this](double speed) {
+      return std::abs(speed) < shape_.speed_limit;
+    });
+    for (std::size_t j = 0; j < joints_; ++j) {
+      true_position_.data()[i * joints_ + j] = m.data->qpos[qpos_.data()[j]];
+      true_velocity_.data()[i * joints_ + j] = v[dof_.data()[j]];
+    }
+  }
+
+  Shape shape_;
+  Index qpos_, dof_;
+  Constants centre_, half_;
+  Index pressures_;
+  std::int64_t supply_;
+  Index preview_;
+  std::size_t joints_;
+  Values measured_, speed_, measured_pressure_, true_position_, true_velocity_;
+  Values wanted_position_, wanted_velocity_, wanted_acceleration_;
+  Array<float> observation_;
+  Array<bool> diverged_;
+  std::vector<Machine> machines_;
+  std::vector<std::unique_ptr<mjData, void (*)(mjData*)>> scratch_;  // one a thread
+  loop::Threads threads_;
+};
+
+}  // namespace
+
+NB_MODULE(batch, module) {
+  nb::class_<Batch>(module, "Batch")
+      .def(nb::init<std::size_t, int, nb::dict, Index, Index, Constants, Constants, Index,
+                    std::int64_t, Index, nb::dict>(),
+           nb::arg("machines"), nb::arg("threads"), nb::arg("timing"), nb::arg("qpos"),
+           nb::arg("dof"), nb::arg("centre"), nb::arg("half"), nb::arg("pressures"),
+           nb::arg("supply"), nb::arg("preview"), nb::arg("out"))
+      .def("start", &Batch::start, nb::arg("machine"), nb::arg("model"), nb::arg("data"),
+           nb::arg("noise"), nb::arg("shift"), nb::arg("lost"), nb::arg("pressure_noise"),
+           nb::arg("position"), nb::arg("velocity"), nb::arg("acceleration"))
+      .def("step", &Batch::step, nb::arg("commands"), nb::arg("late"), nb::arg("rests"))
+      .def("measure", &Batch::measure, nb::arg("machine"));
+}
+
+}  // namespace leglab::bindings

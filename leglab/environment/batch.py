@@ -1,0 +1,433 @@
+"""Many machines at once: control periods in C++ threads, everything else in arrays.
+
+Each machine is a closed loop of its own (`leglab.runs.loop.Loop`) with its episode, scenario,
+specimen and noise, and has the bits of the same episode alone; only its steps are taken together
+(`leglab._native.batch`).
+"""
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from leglab._native.batch import Batch as Core
+from leglab.base.errors import LeglabError
+from leglab.control import (
+    Controller,
+    ControllerSetup,
+    Measurement,
+    NominalMachine,
+    ReferencePoint,
+    make_controller,
+)
+from leglab.control.contract import CONTROLLERS
+from leglab.environment.episodes import Episode, Episodes
+from leglab.environment.rewards import Reward, Transition
+from leglab.machine.sensors import loop_timing, velocity_filter_coefficient
+from leglab.machine.simulation import SPEED_LIMIT, Simulation
+from leglab.runs.loop import Loop
+from leglab.runs.preparation import Preparation
+
+# Settings of controllers with one value a joint.
+_PER_JOINT = ("position_gain", "velocity_gain")
+
+
+@dataclass(slots=True)
+class Machine:
+    """One machine of a batch: what it runs on, and its present episode."""
+
+    simulation: Simulation
+    episodes: Episodes
+    loop: Loop | None = None
+    episode: Episode | None = None
+
+
+class Batch:
+    """Machines that are stepped together by whole control periods.
+
+    Arrays have a row a machine and change with the next step.
+
+    Args:
+        preparation: Of the runs.
+        episodes: Draws what differs between episodes, one a machine.
+        length: Of an episode [s].
+        residual_scale: Command that an action of 1 adds to the controller's; None where the action
+            is the command.
+        reward: Of a transition.
+        preview: Times ahead of now at which the observation shows the reference [s].
+        error_limit: True error of a joint beyond which an episode terminates [rad].
+        threads: That step machines; None for one a core.
+
+    Attributes:
+        count: Number of machines.
+        joints: Names of the joints.
+        observation: As one array of `LegEnv` with `flat_observation=True`, float32.
+        command: Commands that were sent last, in [-1, 1], (machines, joints).
+        error: True tracking error, position less reference [rad], (machines, joints).
+        steps: Control periods since the start of the episodes, (machines,).
+        terminated: Where a simulation blew up or an error exceeded the limit, (machines,).
+        truncated: Where the duration is over, (machines,).
+
+    Raises:
+        LeglabError: A setting does not fit, or the model gives its sensors faults of their own.
+    """
+
+    def __init__(
+        self,
+        preparation: Preparation,
+        episodes: Sequence[Episodes],
+        *,
+        length: float,
+        residual_scale: float | None,
+        reward: Reward,
+        preview: Sequence[float],
+        error_limit: float,
+        threads: int | None,
+    ) -> None:
+        self._preparation, self._scale, self._reward = preparation, residual_scale, reward
+        self._error_limit = error_limit
+        self._machines = [Machine(preparation.machine(), each) for each in episodes]
+        for machine in self._machines:  # their outputs are not looked at
+            machine.simulation.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+        sensors, nominal = preparation.sensors, preparation.nominal
+        self.period = sensors.control_period
+        self.count, self.joints = len(self._machines), nominal.joints
+        self._last = round(length / self.period)
+        self._preview = np.array([round(ahead / self.period) for ahead in preview], dtype=np.int64)
+        shape = self.count, len(self.joints)
+        self.position, self.velocity = np.zeros(shape), np.zeros(shape)
+        self.true_position, self.true_velocity = np.zeros(shape), np.zeros(shape)
+        self.reference = ReferencePoint(np.zeros(shape), np.zeros(shape), np.zeros(shape))
+        hydraulic = len(nominal.hydraulic_joints)
+        self._pressure = np.zeros((self.count, 2 * hydraulic + bool(hydraulic)))
+        self.command, self.previous = np.zeros(shape), np.zeros(shape)
+        self.action, self._wish, self._forward = (np.zeros(shape) for _ in range(3))
+        self.error = np.zeros(shape)
+        self.steps = np.zeros(self.count, dtype=np.int64)
+        self._due = np.full(self.count, np.inf)
+        self.diverged = np.zeros(self.count, dtype=bool)
+        self.terminated, self.truncated = self.diverged.copy(), self.diverged.copy()
+        self._begin_controller(preparation)
+        parts = 5 + len(self._preview) + 1 + (self._scale is not None) + self._feedforward
+        width = parts * len(self.joints) + self._pressure.shape[1]
+        self.observation = np.zeros((self.count, width), dtype=np.float32)
+        slots = [nominal.slots(name) for name in ("pressure_a", "pressure_b")]
+        timing = loop_timing(sensors, nominal.model.opt.timestep)
+        gain = velocity_filter_coefficient(self.period, sensors.velocity_cutoff) / self.period
+        self._core = Core(
+            machines=self.count,
+            threads=threads or len(os.sched_getaffinity(0)),
+            timing={
+                "to_sample": timing.to_sample,
+                "to_command": timing.to_command,
+                "speed_limit": SPEED_LIMIT,
+                "counts": sensors.encoder_counts,
+                "gain": gain,
+                "keep": 1.0 - gain * self.period,
+            },
+            qpos=np.asarray(nominal.qpos_index, dtype=np.int64),
+            dof=np.asarray(nominal.dof_index, dtype=np.int64),
+            centre=nominal.centre,
+            half=nominal.half,
+            pressures=np.concatenate(slots).astype(np.int64),
+            supply=nominal.supply_slot if hydraulic else -1,
+            preview=self._preview,
+            out={
+                "position": self.position,
+                "velocity": self.velocity,
+                "pressure": self._pressure,
+                "true_position": self.true_position,
+                "true_velocity": self.true_velocity,
+                "reference_position": self.reference.position,
+                "reference_velocity": self.reference.velocity,
+                "reference_acceleration": self.reference.acceleration,
+                "observation": self.observation,
+                "diverged": self.diverged,
+            },
+        )
+
+    @property
+    def time(self) -> np.ndarray:
+        """Time since the start of the episodes [s], (machines,)."""
+        return self.steps * self.period
+
+    def loop(self, machine: int) -> Loop:
+        """The closed loop of a machine in its present episode."""
+        loop = self._machines[machine].loop
+        assert loop is not None
+        return loop
+
+    def episode(self, machine: int) -> Episode:
+        """The present episode of a machine."""
+        episode = self._machines[machine].episode
+        assert episode is not None
+        return episode
+
+    def reseed(self, machine: int, seed: int) -> None:
+        """Starts a machine's sequence of episodes of another seed with its next episode."""
+        self._machines[machine].episodes.reseed(seed)
+
+    def reset(self, chosen: np.ndarray) -> None:
+        """Starts the next episode of some machines.
+
+        Args:
+            chosen: Which, (machines,) of bool.
+        """
+        for i in np.flatnonzero(chosen).tolist():
+            self._begin(i)
+        self.steps[chosen] = 0
+        self.terminated[chosen] = self.truncated[chosen] = False
+        for values in (self.command, self.previous, self.action):
+            values[chosen] = 0.0
+        self._command_of_controllers(chosen, first=True)
+        self._complete()
+        self.error = self.true_position - self.reference.position
+
+    def step(self, action: np.ndarray, rests: np.ndarray | None = None) -> np.ndarray:
+        """Runs one control period of machines whose episode is not over.
+
+        Args:
+            action: In [-1, 1], clipped otherwise, (machines, joints).
+            rests: Machines that are left alone, (machines,) of bool; None for none.
+
+        Returns:
+            Rewards, (machines,); 0 of those that rest.
+
+        Raises:
+            LeglabError: The action has another shape, is not finite, or an episode is over.
+        """
+        values = np.asarray(action, dtype=float)
+        if values.shape != self.command.shape:
+            raise LeglabError(f"action has shape {values.shape}, allowed is {self.command.shape}")
+        if not np.isfinite(values).all():
+            machine = int(np.argmin(np.isfinite(values).all(axis=1)))
+            raise LeglabError(
+                f"action of machine {machine} is not finite; allowed: numbers in [-1, 1]"
+            )
+        moves = np.ones(self.count, dtype=bool) if rests is None else ~rests
+        over = moves & (self.terminated | self.truncated)
+        if over.any():
+            raise LeglabError(f"the episode of machine {int(np.argmax(over))} is over: reset it")
+        if rests is not None:
+            values = np.where(moves[:, None], values, self.action)
+        self.action = values.clip(-1.0, 1.0)
+        wish = self.action if self._scale is None else self._wish + self._scale * self.action
+        self.previous, self.command = self.command, wish.clip(-1.0, 1.0)
+        if rests is not None:
+            self.command[rests] = self.previous[rests]
+        self.steps[moves] += 1
+        # The time of a period as the loop reckons it.
+        late = self._due <= self.steps * self.period
+        self._core.step(commands=self.command, late=late, rests=~moves)
+        for i in np.flatnonzero(late & moves & ~self.diverged).tolist():
+            self._change(i)
+            self._core.measure(i)
+        self._command_of_controllers(moves & ~self.diverged, first=False)
+        self._complete()
+        self.error = self.true_position - self.reference.position
+        np.copyto(
+            self.terminated,
+            self.diverged | (np.abs(self.error).max(axis=1) > self._error_limit),
+            where=moves,
+        )
+        np.copyto(self.truncated, ~self.terminated & (self.steps >= self._last), where=moves)
+        reward = np.asarray(self._reward(self.transition()), dtype=float)
+        if reward.shape != (self.count,):
+            raise LeglabError(
+                f"the reward of a batch has shape {reward.shape}, allowed is ({self.count},)"
+            )
+        return np.where(moves & ~self.diverged, reward, 0.0)
+
+    def transition(self) -> Transition:
+        """What the last step did; arrays have a row a machine."""
+        return Transition(
+            time=self.time,
+            position=self.true_position,
+            velocity=self.true_velocity,
+            reference=self.reference,
+            command=self.command,
+            previous_command=self.previous,
+            action=self.action,
+        )
+
+    def _begin(self, number: int) -> None:
+        """Starts the next episode of a machine, up to its first measurement."""
+        machine = self._machines[number]
+        episode = machine.episodes.next()
+        if machine.loop is not None and episode == machine.episode:
+            machine.loop.reset()
+        else:
+            if machine.loop is not None:
+                machine.loop.close()
+            machine.loop = Loop(
+                episode.settings,
+                preparation=self._preparation,
+                scenario=episode.scenario(),
+                simulation=machine.simulation,
+                controlled=self._scale is not None and self._shared is None,
+                pressures=True,
+                ahead=int(self._preview.max(initial=0)),
+            )
+            machine.episode = episode
+        loop = machine.loop
+        sampled = loop.machine
+        assert sampled is not None
+        if not sampled.exact:
+            raise LeglabError(
+                "the model gives its sensors faults of their own, which a batch does not know: "
+                "use leglab.environment.load"
+            )
+        noise = sampled.pressure_noise(loop.count)
+        encoders = sampled.encoders
+        # The first reading is taken before the first change, as in `SampledMachine`.
+        self._core.start(
+            machine=number,
+            model=machine.simulation.model._address,
+            data=machine.simulation.data._address,
+            noise=encoders.noise,
+            shift=encoders.shift,
+            lost=encoders.lost,
+            pressure_noise=noise,
+            position=loop.wanted.position,
+            velocity=loop.wanted.velocity,
+            acceleration=loop.wanted.acceleration,
+        )
+        self.steps[number] = 0
+        self._change(number)
+        self._core.measure(number)
+
+    def _change(self, number: int) -> None:
+        """Has a machine's scenario do what is due in the present period."""
+        sampled = self.loop(number).machine
+        assert sampled is not None
+        now = int(self.steps[number])
+        sampled.schedule.apply(now * self.period)
+        sampled.encoders.hold(now)
+        self._due[number] = sampled.schedule.next
+
+    def _begin_controller(self, preparation: Preparation) -> None:
+        """Makes one controller for all machines, where the controller can be shared."""
+        self._shared: Controller | None = None
+        self._feedforward = False
+        if self._scale is None:
+            return
+        settings = self._machines[0].episodes.base.settings
+        factory, _ = CONTROLLERS.configured(settings.controller, settings.controller_config)
+        if getattr(factory, "joint_wise", False):
+            own = preparation.controller_setup
+            config = {
+                name: tuple(value) * self.count if name in _PER_JOINT and value else value
+                for name, value in settings.controller_config.items()
+            }
+            many = ControllerSetup(
+                joints=tuple(f"{i}/{joint}" for i in range(self.count) for joint in own.joints),
+                control_period=own.control_period,
+                machine=ManyMachines(own.machine, self.count),
+            )
+            self._shared = make_controller(settings.controller, many, config)
+            self._feedforward = "feedforward" in self._shared.diagnostics()
+        else:
+            probe = Loop(settings, preparation=preparation)
+            probe.observe()
+            self._feedforward = "feedforward" in probe.diagnostics()
+            probe.close()
+
+    def _command_of_controllers(self, chosen: np.ndarray, *, first: bool) -> None:
+        """Asks the controllers for the commands of the present period."""
+        if self._scale is None:
+            return
+        if self._shared is not None:
+            measurement = Measurement(math.nan, self.position.ravel(), self.velocity.ravel())
+            point = ReferencePoint(*(part.ravel() for part in self.reference))
+            wish = self._shared.command(measurement, point)
+            self._wish = wish.reshape(self.command.shape)
+            if self._feedforward:
+                told = self._shared.diagnostics()["feedforward"]
+                self._forward = told.reshape(self.command.shape)
+            return
+        hydraulic = self._pressure.shape[1] // 2
+        for i in np.flatnonzero(chosen).tolist():
+            loop = self.loop(i)
+            controller = loop.controller
+            assert controller is not None
+            pressures: tuple[Any, ...] = ()
+            if hydraulic:
+                row = self._pressure[i]
+                pressures = row[:hydraulic], row[hydraulic:-1], float(row[-1])
+            now = int(self.steps[i]) * self.period
+            measurement = Measurement(now, self.position[i], self.velocity[i], *pressures)
+            point = ReferencePoint(*(part[i] for part in self.reference))
+            if first:
+                controller.reset(measurement)
+            self._wish[i] = loop.checked(controller.command(measurement, point))
+            if self._feedforward:
+                self._forward[i] = controller.diagnostics()["feedforward"]
+
+    def _complete(self) -> None:
+        """Writes the last columns of the observation: commands, and what a controller tells."""
+        joints = len(self.joints)
+        parts = [self.command]
+        if self._scale is not None:
+            parts.append(self._wish.clip(-1.0, 1.0))
+            if self._feedforward:
+                parts.append(self._forward)
+        start = self.observation.shape[1] - joints * len(parts)
+        fine = ~self.diverged
+        for part in parts:
+            columns = self.observation[:, start : start + joints]
+            if fine.all():
+                columns[:] = part
+            else:  # where a simulation blew up, the last observation stays
+                columns[fine] = part[fine]
+            start += joints
+
+
+class ManyMachines(NominalMachine):
+    """The same nominal machine many times, for a controller that commands joint by joint.
+
+    Args:
+        one: The machine.
+        count: How many there are.
+    """
+
+    def __init__(self, one: NominalMachine, count: int) -> None:
+        super().__init__()
+        self._one, self._count = one, count
+
+    @cached_property
+    def direction(self) -> np.ndarray:
+        """As of one machine, for the joints of all."""
+        return np.tile(self._one.direction, self._count)
+
+    @cached_property
+    def position_gain(self) -> Sequence[float]:
+        """As of one machine, for the joints of all."""
+        return list(self._one.position_gain) * self._count
+
+    @cached_property
+    def velocity_gain(self) -> Sequence[float]:
+        """As of one machine, for the joints of all."""
+        return list(self._one.velocity_gain) * self._count
+
+    @cached_property
+    def setpoint(self) -> np.ndarray | None:
+        """As of one machine, for the joints of all."""
+        one = self._one.setpoint
+        return None if one is None else np.tile(one, (1, self._count))
+
+    @cached_property
+    def valve_maps(self) -> Sequence[Any]:
+        """As of one machine, for the joints of all."""
+        return tuple(self._one.valve_maps) * self._count
+
+
+def episodes_of(base: Episode, randomize: Any, count: int) -> list[Episodes]:
+    """Sequences of episodes for machines: machine i has that of the seed of `base` plus i."""
+    seed = base.settings.seed
+    bases = [replace(base, settings=replace(base.settings, seed=seed + i)) for i in range(count)]
+    return [Episodes(each, randomize) for each in bases]

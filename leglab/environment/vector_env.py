@@ -1,0 +1,231 @@
+"""A batch of machines as Gymnasium and dm_env know it."""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from dm_env import StepType, TimeStep, specs
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+
+from leglab.base.errors import LeglabError
+from leglab.environment.batch import Batch
+from leglab.environment.gymnasium_env import FRAME_RATE, RENDER_MODES
+
+AUTORESETS = {"next_step": AutoresetMode.NEXT_STEP, "same_step": AutoresetMode.SAME_STEP}
+
+
+class LegVectorEnv(gymnasium.vector.VectorEnv):
+    """Machines of `leglab.environment.make_batch` as a `gymnasium.vector.VectorEnv`.
+
+    Observations are one float32 array, a row a machine, in the order of docs/environment.md; the
+    arrays that `reset` and `step` return are the caller's.
+
+    `info` has, with a row a machine, `time` [s], the true `tracking_error` [rad] and the `command`
+    that was sent; of machines whose episode begins, under the mask `_scenario`, also `scenario`,
+    `seed`, `severity`, `onset` and `ramp_duration`; of those whose episode ends, under the mask
+    `_ended`, `ended`: "duration", "error_limit" or "blow_up". With autoreset in the same step,
+    `final_obs` and `final_info` have what the last step of an episode observed.
+
+    Args:
+        batch: The machines.
+        autoreset: "next_step" or "same_step".
+
+    Raises:
+        LeglabError: There is no such way to reset.
+    """
+
+    def __init__(self, batch: Batch, *, autoreset: str = "next_step") -> None:
+        if autoreset not in AUTORESETS:
+            raise LeglabError(
+                f"autoreset {autoreset!r} is not allowed; choose one of {', '.join(AUTORESETS)}"
+            )
+        self.batch = batch
+        self.num_envs = batch.count
+        self.metadata = {
+            "render_modes": list(RENDER_MODES),
+            "render_fps": FRAME_RATE,
+            "autoreset_mode": AUTORESETS[autoreset],
+        }
+        self._same_step = autoreset == "same_step"
+        size = batch.observation.shape[1]
+        self.single_observation_space = spaces.Box(-np.inf, np.inf, (size,), np.float32)
+        self.single_action_space = spaces.Box(-1.0, 1.0, (len(batch.joints),), np.float32)
+        self.observation_space = gymnasium.vector.utils.batch_space(
+            self.single_observation_space, self.num_envs
+        )
+        self.action_space = gymnasium.vector.utils.batch_space(
+            self.single_action_space, self.num_envs
+        )
+        self._begun = False
+
+    @property
+    def dm_env(self) -> "BatchEnvironment":
+        """The same machines as dm_env knows them."""
+        return BatchEnvironment(self.batch)
+
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Starts episodes; with a seed the first of that seed's, of seed + i in machine i.
+
+        Args:
+            seed: One number, or one a machine; None goes on with the next episodes.
+            options: "reset_mask", (machines,) of bool: which machines; all without.
+        """
+        chosen = np.ones(self.num_envs, dtype=bool)
+        if options and options.get("reset_mask") is not None:
+            chosen = np.asarray(options["reset_mask"], dtype=bool)
+            if chosen.shape != (self.num_envs,) or not self._begun:
+                raise LeglabError(
+                    f"reset_mask has shape {chosen.shape}, allowed is ({self.num_envs},) after a "
+                    "first reset of all"
+                )
+        seeds = [None] * self.num_envs if seed is None else seed
+        if isinstance(seeds, (int, np.integer)):
+            seeds = [int(seeds) + i for i in range(self.num_envs)]
+        if len(seeds) != self.num_envs:
+            raise LeglabError(f"{len(seeds)} seeds for {self.num_envs} machines")
+        for i, each in enumerate(seeds):
+            if each is not None and chosen[i]:
+                self.batch.reseed(i, int(each))
+        self.batch.reset(chosen)
+        self._begun = True
+        return self.batch.observation.copy(), {**self._info(), **self._told(chosen)}
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Runs one control period of every machine; see `gymnasium.vector.VectorEnv.step`.
+
+        Raises:
+            LeglabError: The actions have another shape or are not finite, or nothing was reset.
+        """
+        if not self._begun:
+            raise LeglabError("step before reset")
+        batch = self.batch
+        over = batch.terminated | batch.truncated
+        again = bool(over.any())
+        if again:  # only with autoreset in the next step
+            batch.reset(over)
+        reward = batch.step(actions, over if again else None)
+        terminated, truncated = batch.terminated.copy(), batch.truncated.copy()
+        info = self._info()
+        if again:
+            info |= self._told(over)
+        ended = terminated | truncated
+        if ended.any():
+            info |= self._ends(ended)
+            if self._same_step:
+                final = np.full(self.num_envs, None, dtype=object)
+                for i in np.flatnonzero(ended).tolist():
+                    final[i] = batch.observation[i].copy()
+                last = dict(info)
+                batch.reset(ended)
+                info = {**self._info(), **self._told(ended)}
+                info |= {"final_obs": final, "_final_obs": ended}
+                info |= {"final_info": last, "_final_info": ended}
+        return batch.observation.copy(), reward, terminated, truncated, info
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Gives the models back as they were."""
+        if self._begun:
+            for i in range(self.num_envs):
+                self.batch.loop(i).close()
+
+    def _info(self) -> dict[str, Any]:
+        batch, every = self.batch, np.ones(self.num_envs, dtype=bool)
+        return {
+            "time": batch.time,
+            "_time": every,
+            "tracking_error": batch.error.copy(),
+            "_tracking_error": every,
+            "command": batch.command.copy(),
+            "_command": every,
+        }
+
+    def _told(self, chosen: np.ndarray) -> dict[str, Any]:
+        """What `info` has of the episodes that begin."""
+        count = self.num_envs
+        found: dict[str, Any] = {
+            "scenario": np.full(count, None, dtype=object),
+            "seed": np.zeros(count, dtype=np.int64),
+            "severity": np.full(count, np.nan),
+            "onset": np.full(count, np.nan),
+            "ramp_duration": np.zeros(count),
+        }
+        for i in np.flatnonzero(chosen).tolist():
+            loop = self.batch.loop(i)
+            found["scenario"][i] = loop.scenario.name
+            found["seed"][i] = loop.settings.seed
+            if loop.scenario.severity is not None:
+                found["severity"][i] = loop.scenario.severity
+            found["onset"][i] = min(loop.scenario.breakpoints, default=np.nan)
+            found["ramp_duration"][i] = loop.settings.ramp_duration
+        return found | {f"_{name}": chosen.copy() for name in found}
+
+    def _ends(self, ended: np.ndarray) -> dict[str, Any]:
+        why = np.full(self.num_envs, None, dtype=object)
+        for i in np.flatnonzero(ended).tolist():
+            why[i] = "duration"
+            if self.batch.terminated[i]:
+                why[i] = "blow_up" if self.batch.diverged[i] else "error_limit"
+        return {"ended": why, "_ended": ended}
+
+
+class BatchEnvironment:
+    """Machines of a batch as dm_env has one: time steps whose parts have a row a machine.
+
+    A step of a machine whose last one was the last of an episode begins the next episode, as in
+    dm_env; its reward is then 0 and its discount 1.
+
+    Args:
+        batch: The machines.
+    """
+
+    def __init__(self, batch: Batch) -> None:
+        self.batch = batch
+        self._begun = False
+
+    def reset(self) -> TimeStep:
+        """Starts an episode in every machine."""
+        every = np.ones(self.batch.count, dtype=bool)
+        self.batch.reset(every)
+        self._begun = True
+        return self._time_step(np.zeros(self.batch.count), every)
+
+    def step(self, action: np.ndarray) -> TimeStep:
+        """Runs one control period; the first call resets.
+
+        Args:
+            action: In [-1, 1], (machines, joints).
+
+        Raises:
+            LeglabError: The action has another shape or is not finite.
+        """
+        if not self._begun:
+            return self.reset()
+        batch = self.batch
+        over = batch.terminated | batch.truncated
+        again = bool(over.any())
+        if again:
+            batch.reset(over)
+        reward = batch.step(action, over if again else None)
+        return self._time_step(reward, over)
+
+    def observation_spec(self) -> specs.Array:
+        """Of one machine."""
+        return specs.Array(self.batch.observation.shape[1:], np.float32, name="observations")
+
+    def action_spec(self) -> specs.BoundedArray:
+        """Of one machine."""
+        names = "\t".join(self.batch.joints)
+        return specs.BoundedArray((len(self.batch.joints),), float, -1.0, 1.0, name=names)
+
+    def _time_step(self, reward: np.ndarray, first: np.ndarray) -> TimeStep:
+        batch = self.batch
+        kind = np.full(batch.count, int(StepType.MID))
+        kind[first] = int(StepType.FIRST)
+        kind[batch.terminated | batch.truncated] = int(StepType.LAST)
+        discount = np.where(batch.terminated, 0.0, 1.0)
+        return TimeStep(kind, reward, discount, batch.observation.copy())

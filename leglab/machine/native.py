@@ -1,0 +1,264 @@
+"""MuJoCo's own actuators as drives of one joint: the force that a command gives, and its inverse.
+
+MuJoCo computes force = gain x input + bias, gain and bias affine in length and velocity of the
+transmission, clipped to `forcerange` (MuJoCo documentation, "Computation", "Actuation model"). A
+motor has a constant gain and no bias; position and velocity servos have a bias that closes a loop.
+Controllers send commands in [-1, 1]: the two ends of the range of the actuator's control.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from leglab.base.errors import LeglabError
+
+_SIMPLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
+_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
+_FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
+_DYNAMICS = (int(mujoco.mjtDyn.mjDYN_NONE), *_FILTERS)
+_ALLOWED = "allowed: motor, position, velocity or general actuators and leglab.cylinder"
+
+# Where a model gives a joint no range, motions are made within so much about its rest position
+# [rad or m]: choices of this project.
+HINGE_TRAVEL, SLIDE_TRAVEL = math.pi / 2, 0.5
+# Largest share of its lever that an actuator may have on another joint.
+_LEVER_ELSEWHERE = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NativeActuator:
+    """A motor, position, velocity or general actuator that drives one joint.
+
+    Values are read from the model when they are asked for: a fault may have changed them.
+
+    Attributes:
+        model: The MuJoCo model.
+        id: Number of the actuator.
+        name: Its name; that of its joint where it has none.
+        joint: Number of the joint that it drives.
+        centre: Control in the middle of its range, in the control's own unit.
+        half: Half the width of that range: control = centre + half x command.
+    """
+
+    model: mujoco.MjModel
+    id: int
+    name: str
+    joint: int
+    centre: float
+    half: float
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, number: int, moments: np.ndarray) -> "NativeActuator":
+        """Reads an actuator.
+
+        Args:
+            model: The model.
+            number: Of the actuator.
+            moments: Its lever arms in the rest pose, (nv,).
+
+        Raises:
+            LeglabError: It is of a kind that a run cannot command, moves several joints, or has no
+                limit; one line names it and what is allowed.
+        """
+        joint = _joint_of(model, number, moments)
+        name = model.actuator(number).name or model.joint(joint).name
+        where = f"actuator {name!r}"
+        wrong = _not_supported(model, number)
+        if wrong:
+            raise LeglabError(f"{where} {wrong}; {_ALLOWED}")
+        low, high = _control_range(model, number, joint, where, moments)
+        return cls(
+            model=model,
+            id=number,
+            name=name,
+            joint=joint,
+            centre=0.5 * (low + high),
+            half=0.5 * (high - low),
+        )
+
+    @property
+    def dof(self) -> int:
+        """Number of the degree of freedom that it drives."""
+        return int(self.model.jnt_dofadr[self.joint])
+
+    @property
+    def time_constant(self) -> float:
+        """Of the first-order filter between control and force [s]; 0 without one."""
+        if int(self.model.actuator_dyntype[self.id]) in _FILTERS:
+            return float(self.model.actuator_dynprm[self.id, 0])
+        return 0.0
+
+    def gain(self, data: mujoco.MjData) -> float:
+        """Force per control at the present length and velocity of the transmission."""
+        affine = int(self.model.actuator_gaintype[self.id]) == mujoco.mjtGain.mjGAIN_AFFINE
+        return self._affine(self.model.actuator_gainprm[self.id], affine, data)
+
+    def bias(self, data: mujoco.MjData) -> float:
+        """Force at control 0, at the present length and velocity."""
+        if int(self.model.actuator_biastype[self.id]) == mujoco.mjtBias.mjBIAS_NONE:
+            return 0.0
+        return self._affine(self.model.actuator_biasprm[self.id], True, data)
+
+    def slopes(self, command: float) -> tuple[float, float]:
+        """Force per length and per velocity of the transmission while a command is held."""
+        control = self.centre + self.half * command
+        found = np.zeros(2)
+        if int(self.model.actuator_biastype[self.id]) != mujoco.mjtBias.mjBIAS_NONE:
+            found += self.model.actuator_biasprm[self.id, 1:3]
+        if int(self.model.actuator_gaintype[self.id]) == mujoco.mjtGain.mjGAIN_AFFINE:
+            found += control * self.model.actuator_gainprm[self.id, 1:3]
+        return float(found[0]), float(found[1])
+
+    def command(self, force: float, data: mujoco.MjData) -> float:
+        """Steady command that gives a force at the present length and velocity.
+
+        Beyond what the actuator can give it is the nearer end of [-1, 1].
+        """
+        gain = self.gain(data)
+        if gain == 0.0:
+            raise LeglabError(f"actuator {self.name!r} has no gain in this pose: no command moves")
+        low, high = self.force_range(data)
+        control = (min(max(force, low), high) - self.bias(data)) / gain
+        if not low < force < high:
+            return math.copysign(1.0, control - self.centre)
+        return min(max((control - self.centre) / self.half, -1.0), 1.0)
+
+    def force_range(self, data: mujoco.MjData) -> tuple[float, float]:
+        """Least and greatest force that commands in [-1, 1] give in the present state."""
+        ends = [
+            self.gain(data) * (self.centre + self.half * end) + self.bias(data) for end in (-1, 1)
+        ]
+        low, high = min(ends), max(ends)
+        if self.model.actuator_forcelimited[self.id]:
+            least, greatest = self.model.actuator_forcerange[self.id].tolist()
+            low, high = max(low, least), min(high, greatest)
+        if self.model.jnt_actfrclimited[self.joint]:
+            least, greatest = self.model.jnt_actfrcrange[self.joint].tolist()
+            lever = self.lever(data)
+            ends = sorted((least / lever, greatest / lever))
+            low, high = max(low, ends[0]), min(high, ends[1])
+        return low, high
+
+    def lever(self, data: mujoco.MjData) -> float:
+        """Lever arm on its joint, gear included [m/rad or 1]."""
+        first, count = int(data.moment_rowadr[self.id]), int(data.moment_rownnz[self.id])
+        row = slice(first, first + count)
+        places = np.flatnonzero(data.moment_colind[row] == self.dof)
+        return float(data.actuator_moment[row][places[0]]) if places.size else 0.0
+
+    def setpoint(self, data: mujoco.MjData) -> tuple[float, float, float]:
+        """Command that asks a servo for a position and velocity of its joint.
+
+        Returns:
+            The command at position 0 in the present lever, and its slopes over position and
+            velocity [1/rad, s/rad]; zeros for an actuator without a loop of its own.
+        """
+        per_length, per_velocity = self.slopes(0.0)
+        gain = self.gain(data) * self.half
+        lever = self.lever(data)
+        if per_length:
+            # gain (control - kp/gain length): the control that leaves no force at this length.
+            slope = -per_length * lever / gain
+            position = float(data.qpos[self.model.jnt_qposadr[self.joint]])
+            length = float(data.actuator_length[self.id]) - lever * position
+            constant = -float(self.model.actuator_biasprm[self.id, 0]) - per_length * length
+            return (constant / self.gain(data) - self.centre) / self.half, slope, 0.0
+        if per_velocity:
+            return -self.centre / self.half, 0.0, -per_velocity * lever / gain
+        return 0.0, 0.0, 0.0
+
+    def description(self) -> dict[str, Any]:
+        """Its parameters as `run.json` has them."""
+        model = self.model
+        return {
+            "joint": model.joint(self.joint).name,
+            "control_centre": self.centre,
+            "control_half_range": self.half,
+            "gain": model.actuator_gainprm[self.id, :3].tolist(),
+            "bias": model.actuator_biasprm[self.id, :3].tolist(),
+            "gear": float(model.actuator_gear[self.id, 0]),
+            "time_constant": self.time_constant,
+        }
+
+    def _affine(self, terms: np.ndarray, whole: bool, data: mujoco.MjData) -> float:
+        if not whole:
+            return float(terms[0])
+        length, velocity = data.actuator_length[self.id], data.actuator_velocity[self.id]
+        return float(terms[0] + terms[1] * length + terms[2] * velocity)
+
+
+def joint_range(model: mujoco.MjModel, joint: int, rest: float) -> tuple[float, float]:
+    """Range of a joint [rad or m]; of one without a range, some travel about its rest position."""
+    if model.jnt_limited[joint]:
+        low, high = model.jnt_range[joint].tolist()
+        return low, high
+    hinge = int(model.jnt_type[joint]) == mujoco.mjtJoint.mjJNT_HINGE
+    travel = HINGE_TRAVEL if hinge else SLIDE_TRAVEL
+    return rest - travel, rest + travel
+
+
+def _joint_of(model: mujoco.MjModel, number: int, moments: np.ndarray) -> int:
+    """Joint that an actuator moves."""
+    levers = np.abs(moments)
+    name = model.actuator(number).name
+    where = f"actuator {name!r}" if name else f"actuator {number}"
+    if not levers.any():
+        raise LeglabError(f"{where} moves no joint")
+    dof = int(levers.argmax())
+    joint = int(model.dof_jntid[dof])
+    others = np.delete(levers, dof)
+    if int(model.jnt_type[joint]) not in _SIMPLE or (others > _LEVER_ELSEWHERE * levers[dof]).any():
+        raise LeglabError(
+            f"{where} moves more than one joint; allowed: one hinge or slide joint an actuator"
+        )
+    if not model.joint(joint).name:
+        raise LeglabError(f"{where} moves joint {joint}, which has no name; a run needs one")
+    return joint
+
+
+def _not_supported(model: mujoco.MjModel, number: int) -> str:
+    """Says why an actuator cannot be commanded; empty if it can."""
+    if int(model.actuator_plugin[number]) >= 0:
+        return "is of a plugin that runs do not know"
+    if int(model.actuator_gaintype[number]) not in _GAINS:
+        return "has a gain that is neither fixed nor affine"
+    if int(model.actuator_biastype[number]) not in _BIASES:
+        return "has a bias that is neither none nor affine"
+    if int(model.actuator_dyntype[number]) not in _DYNAMICS:
+        return "has dynamics other than none, filter or filterexact"
+    if int(model.actuator_ctrlnum[number]) != 1 or int(model.actuator_outnum[number]) != 1:
+        return "has several inputs or outputs"
+    return ""
+
+
+def _control_range(
+    model: mujoco.MjModel, number: int, joint: int, where: str, moments: np.ndarray
+) -> tuple[float, float]:
+    """Ends of the control that commands of -1 and 1 stand for.
+
+    The actuator's `ctrlrange`; without one a position servo's joint range, and a force's
+    `forcerange` over its gain.
+    """
+    if model.actuator_ctrllimited[number]:
+        low, high = model.actuator_ctrlrange[number].tolist()
+        if not high > low:
+            raise LeglabError(f"{where} has an empty ctrlrange {low:g} to {high:g}")
+        return low, high
+    gain, bias = model.actuator_gainprm[number], model.actuator_biasprm[number]
+    affine = int(model.actuator_biastype[number]) == mujoco.mjtBias.mjBIAS_AFFINE
+    on_joint = int(model.actuator_trntype[number]) == mujoco.mjtTrn.mjTRN_JOINT
+    if affine and bias[1] and gain[0] and on_joint:
+        rest = float(model.qpos0[model.jnt_qposadr[joint]])
+        lever = float(moments[model.jnt_dofadr[joint]])
+        ends = np.array(joint_range(model, joint, rest)) * lever * (-bias[1] / gain[0])
+        return float(ends.min()), float(ends.max())
+    if model.actuator_forcelimited[number] and gain[0] and not (affine and bias[2]):
+        ends = model.actuator_forcerange[number] / gain[0]
+        return float(ends.min()), float(ends.max())
+    raise LeglabError(
+        f"{where} has no ctrlrange, and a run commands shares of it; give it a ctrlrange"
+    )

@@ -1,0 +1,129 @@
+"""Settings of a run from files and single entries: TOML, the `run.json` of a run, `--set`."""
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, get_type_hints
+
+from pydantic import TypeAdapter, ValidationError
+
+from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.input import read_bytes
+from leglab.runs.preparation import RunSettings
+from leglab.runs.record import RunConfiguration, read
+
+SUFFIXES = (".toml", ".json")
+# Sections of `--set` and of a TOML file, and the settings that they stand for.
+SECTIONS = {
+    "controller": "controller_config",
+    "reference": "reference_config",
+    "sensors": "sensors",
+}
+_NAMES = tuple(field.name for field in fields(RunSettings))
+# TOML takes no table and name of one key: a table says the name itself.
+_NAME = "name"
+
+
+def read_settings(path: Path) -> dict[str, Any]:
+    """Reads the settings of a run, by the names of `RunSettings`.
+
+    Args:
+        path: A TOML file with these names, in which a table `controller` or `reference` holds a
+            `name` and that one's own settings; or the `run.json` of a run, with every setting.
+
+    Raises:
+        LeglabError: The file cannot be read, or a name or a value is not allowed.
+    """
+    if path.suffix == ".json":
+        found = dict(read(RunConfiguration, path).settings)
+    else:
+        try:
+            found = tomllib.loads(read_bytes(path).decode())
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise LeglabError(f"{path}: is not TOML: {error}") from error
+        found = _without_tables(found)
+    return checked(found, str(path))
+
+
+def checked(values: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Returns settings whose names and types are those of `RunSettings`.
+
+    Raises:
+        LeglabError: Names the setting, its value and what is allowed.
+    """
+    for name in values:
+        if name not in _NAMES:
+            raise LeglabError(f"{where}: {unknown_name('setting of a run', name, _NAMES)}")
+    if "scenario" not in values:
+        raise LeglabError(f"{where}: needs the setting 'scenario'")
+    types = get_type_hints(RunSettings)
+    for name, value in values.items():
+        try:
+            TypeAdapter(types[name]).validate_python(value, strict=True)
+        except ValidationError as error:
+            problem = error.errors(include_url=False)[0]["msg"]
+            raise LeglabError(
+                f"{where}: setting {name!r} is {value!r}: {problem[:1].lower()}{problem[1:]}"
+            ) from None
+    return dict(values)
+
+
+def with_entries(values: Mapping[str, Any], entries: Sequence[str]) -> dict[str, Any]:
+    """Returns settings with single entries changed.
+
+    Args:
+        values: By the names of `RunSettings`.
+        entries: Such as "controller.memory=1500", "sensors.latency=0" or "reference.period=1.0";
+            values as TOML writes them, anything else as text.
+
+    Raises:
+        LeglabError: An entry has another form.
+    """
+    found = {**values, **{name: _copied(values.get(name)) for name in SECTIONS.values()}}
+    for entry in entries:
+        name, equals, text = entry.partition("=")
+        section, dot, key = name.strip().partition(".")
+        if not (equals and dot and key and section in SECTIONS):
+            raise LeglabError(
+                f"--set {entry!r}: allowed is SECTION.SETTING=VALUE with one of the sections "
+                f"{', '.join(SECTIONS)}"
+            )
+        target = found[SECTIONS[section]]
+        *tables, last = key.split(".")
+        for table in tables:
+            target = target.setdefault(table, {})
+            if not isinstance(target, dict):
+                raise LeglabError(f"--set {entry!r}: {table!r} has a value already")
+        target[last] = _value(text.strip())
+    return found
+
+
+def _without_tables(content: dict[str, Any]) -> dict[str, Any]:
+    """Settings of a TOML file, its tables `controller` and `reference` as two settings each."""
+    found = dict(content)
+    for section in ("controller", "reference"):
+        table = found.get(section)
+        if not isinstance(table, dict):
+            continue
+        del found[section]
+        own = dict(table)
+        if _NAME in own:
+            found[section] = own.pop(_NAME)
+        found[SECTIONS[section]] = {**found.get(SECTIONS[section], {}), **own}
+    return found
+
+
+def _value(text: str) -> Any:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def _copied(values: Any) -> dict[str, Any]:
+    """A copy of settings, tables in it included."""
+    return {
+        name: _copied(value) if isinstance(value, Mapping) else value
+        for name, value in dict(values or {}).items()
+    }
