@@ -89,8 +89,8 @@ class PressureValve {
   // Share of full speed that a command's flow gives.
   double share(const Place& at, const ChamberPressures& p, double command) const {
     const Slopes slope = slopes(at, p);
-    const double up = hydraulics::edge_opening(command, sheet_.lap, sheet_.edge_rounding);
-    const double down = hydraulics::edge_opening(-command, sheet_.lap, sheet_.edge_rounding);
+    const hydraulics::EdgeShape edge{sheet_.lap, sheet_.edge_rounding, 2.0};  // as `command` solves
+    const double up = edge.opening(command), down = edge.opening(-command);
     return (slope.up * up - slope.down * down) / at.stiffness * at.speed;
   }
 
