@@ -85,7 +85,7 @@ class Ilc:
         """Valve commands, (joints,)."""
         motion, seen = self._motion.take(reference)
         nominal = self._map(motion[0], motion[1])
-        feedback = self._pd.command(measurement, seen)
+        feedback = self._pd.correct(measurement, seen)
         learning, correction = self._learning, self._nothing
         if learning is not None:
             wish = nominal + learning.correction(reference.position)

@@ -497,3 +497,14 @@ def test_the_inertia_with_the_others_free_is_smaller_than_held(tmp_path):
     m12 = 0.015 + 1.5 * (0.17**2 + 0.4 * 0.17)
     m11 = 0.05 + 0.03 + 2.5 * 0.2**2 + 0.015 + 1.5 * (0.4**2 + 0.17**2 + 2 * 0.4 * 0.17)
     assert free_inertia(simulation, 0) == pytest.approx(m11 - m12**2 / m22, rel=1e-9)
+
+
+def test_ilc_feeds_a_servo_once(tmp_path):
+    """The map of a servo holds what its loop needs: sent again, the joint would be far off."""
+    model = hinge(tmp_path, ACTUATORS["position servo"])
+    settings = {"scenario": "nominal", "model": model, "duration": 3.0}
+    static, learned = (
+        np.sqrt(np.mean(run_scenario(RunSettings(controller=c, **settings)).history.error ** 2))
+        for c in ("static_feedforward", "ilc")
+    )
+    assert learned < 1.5 * static
