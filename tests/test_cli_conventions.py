@@ -196,7 +196,7 @@ def complete(line, cwd=None):
     [
         ("leglab conv", ["convert"]),
         ("leglab run hot", ["hot_oil"]),
-        ("leglab run nominal --controller bsnn", ["bsnn_arx", "bsnn_arx_bank", "bsnn_arx_paper"]),
+        ("leglab run nominal --controller bsnn_arx_p", ["bsnn_arx_paper", "bsnn_arx_pressure"]),
         ("leglab run nominal --reference s", ["sine_sweep", "squat", "step"]),
         ("leglab diagnose knee", ["knee_bench"]),
         ("leglab diagnose knee_bench --effect valve_g", ["valve_gain", "valve_gain_asymmetry"]),
