@@ -2,9 +2,10 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.linalg.lapack import dtrtri
 from scipy.signal import savgol_coeffs
 
 from leglab.diagnosis.discrepancy import Discrepancy, from_errors
@@ -40,6 +41,19 @@ class NoiseModel:
     sensors: np.ndarray
     covariance: np.ndarray
     discrepancy: Discrepancy | None = None
+    # The factors of the windows that were chosen last, by their mask: hundreds of replays in turn
+    # take the same ones, and copying them costs as much as a replay of a leg.
+    _chosen: dict[bytes, np.ndarray] = field(default_factory=dict, init=False)
+
+    def white(self, errors: np.ndarray, chosen: np.ndarray | None = None) -> np.ndarray:
+        """Errors of the chosen windows as numbers of unit variance, shape (windows, size)."""
+        if chosen is None or chosen.all():
+            return whitened(self.whitening, errors)
+        mask = chosen.tobytes()
+        if mask not in self._chosen:
+            self._chosen.clear()
+            self._chosen[mask] = self.whitening[chosen]
+        return whitened(self._chosen[mask], errors)
 
     def trusting(self, discrepancy: Discrepancy | None, recording: np.ndarray) -> "NoiseModel":
         """The same with another discrepancy of the model; `recording` that of each window."""
@@ -66,7 +80,10 @@ def inverse_roots(covariance: np.ndarray) -> np.ndarray:
     diagonal = np.arange(covariance.shape[1])
     widened = covariance.copy()
     widened[:, diagonal, diagonal] *= 1.0 + _ROUNDING
-    return np.linalg.inv(np.linalg.cholesky(widened))
+    factors = np.linalg.cholesky(widened)
+    for factor in factors:  # A third of the work of a general inverse.
+        factor[:] = dtrtri(factor, lower=1)[0]
+    return factors
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -228,8 +245,11 @@ class Problem:
         found = replace(found, variance=variance)
         if not variance.any():
             return found
+        errors = errors * certain[:, None, None]
+        clip = self.thresholds.clip
         for _ in range(3):
-            cost = np.median(np.mean(self.trusting(found).residual(hypothesis) ** 2, axis=1))
+            white = self.noise.trusting(found, recording).white(errors)
+            cost = np.median(np.mean(np.clip(white, -clip, clip) ** 2, axis=1))
             found = found.scaled(float(cost) / self.thresholds.usual_cost)
         return found
 
@@ -271,13 +291,14 @@ class Problem:
         covariance = np.zeros((replay.windows, self.size, self.size))
         diagonal = np.arange(self.size)
         covariance[:, diagonal, diagonal] = variance.reshape(replay.windows, self.size)
+        defect = finer * self._beyond_half[:, None]
+        directions = [defect.reshape(replay.windows, self.size)]
         for nudge, spread in self._nudges():
             moved = replay.error(change, nudge=nudge).values - reference
-            direction = moved.reshape(replay.windows, self.size) * (spread / nudge.size)[:, None]
-            covariance += direction[:, :, None] * direction[:, None, :]
-        defect = finer * self._beyond_half[:, None]
-        direction = defect.reshape(replay.windows, self.size)
-        covariance += direction[:, :, None] * direction[:, None, :]
+            shares = (spread / nudge.size)[:, None]
+            directions.append(moved.reshape(replay.windows, self.size) * shares)
+        together = np.stack(directions, axis=2)
+        covariance += together @ together.transpose(0, 2, 1)
         whitening = inverse_roots(covariance)
         return NoiseModel(
             defect=defect, whitening=whitening, sensors=whitening, covariance=covariance
@@ -320,11 +341,9 @@ class Problem:
     def residual(self, hypothesis: Hypothesis, chosen: np.ndarray | None = None) -> np.ndarray:
         """Whitened errors, shape (chosen windows, size); 0 in windows where an effect begins."""
         errors, certain = self._errors(self.replay, hypothesis, chosen)
-        defect, whitening = self.noise.defect, self.noise.whitening
-        if chosen is not None:
-            defect, whitening = defect[chosen], whitening[chosen]
-        errors = (errors + defect) * certain[:, None, None]
-        return np.clip(whitened(whitening, errors), -self.thresholds.clip, self.thresholds.clip)
+        defect = self.noise.defect if chosen is None else self.noise.defect[chosen]
+        white = self.noise.white((errors + defect) * certain[:, None, None], chosen)
+        return np.clip(white, -self.thresholds.clip, self.thresholds.clip)
 
     def noise_levels(self, hypothesis: Hypothesis) -> np.ndarray:
         """Mean square of the errors in noise levels of the sensors, whatever the discrepancy."""

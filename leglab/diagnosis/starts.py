@@ -240,21 +240,26 @@ class Instances:
         Joints of cylinders without measured pressures are left as they are.
         """
         measured = self.measured
+        back = np.maximum(measured.samples - round(rest_time / measured.period), 0)
+        still: dict[str, tuple[list[Bristle], np.ndarray]] = {}
         for joint in self.machine.joints:
             acting = self._bristles(joint)
             driven = any(joint in self.machine.driven[c] for c in self.machine.instances(CYLINDER))
             if not acting or (driven and len(self.pressures(joint)) < len(CHAMBERS)):
                 continue
             position = measured.position[joint]
-            back = np.maximum(measured.samples - round(rest_time / measured.period), 0)
             travel = np.abs(position[measured.samples] - position[back])
             resting = np.stack([travel < 2.0 * one.travel for one in acting])
-            rows = np.flatnonzero(resting.any(axis=0))
-            if not rows.size:
-                continue
-            for one, rests in zip(acting, resting, strict=True):
-                self.state[rests, one.slot] = 0.0
-            held = self._unbalanced(rows, joint)
+            if resting.any():
+                still[joint] = acting, resting
+                for one, rests in zip(acting, resting, strict=True):
+                    self.state[rests, one.slot] = 0.0
+        if not still:
+            return
+        # A bristle loads its own joint only: all of them together are left out once.
+        rows = np.flatnonzero(np.any([resting.any(axis=0) for _, resting in still.values()], 0))
+        left = self._unbalanced(rows, [*still])
+        for held, (acting, resting) in zip(left.T, still.values(), strict=True):
             limit = np.stack(
                 [np.where(held > 0, b.forward[rows], b.backward[rows]) for b in acting]
             )
@@ -305,27 +310,28 @@ class Instances:
             )
         return found
 
-    def _unbalanced(self, rows: np.ndarray, joint: str) -> np.ndarray:
-        """Force on a joint that the measured motion leaves over at some windows, (rows,)."""
+    def _unbalanced(self, rows: np.ndarray, joints: list[str]) -> np.ndarray:
+        """Force on joints that the measured motion leaves over at some windows, (rows, joints)."""
         model, measured = self.variant.model, self.measured
         data = mujoco.MjData(model)
-        dof = int(model.joint(joint).dofadr[0])
-        out = np.empty(rows.size)
+        k = measured.samples[rows]
+        places = [int(model.joint(name).qposadr[0]) for name in self.machine.joints]
+        dofs = [int(model.joint(name).dofadr[0]) for name in self.machine.joints]
+        position = np.stack([measured.position[n][k] for n in self.machine.joints], 1)
+        velocities = [measured.velocity[n] for n in self.machine.joints]
+        velocity = np.stack([v[k] for v in velocities], 1)
+        slope = np.stack([(v[k + 1] - v[k - 1]) / (2.0 * measured.period) for v in velocities], 1)
+        command = np.stack([measured.command[n][k] for n in self.machine.actuators], 1)
+        asked = [int(model.joint(name).dofadr[0]) for name in joints]
+        out = np.empty((rows.size, len(joints)))
         for i, row in enumerate(rows.tolist()):
-            k = int(measured.samples[row])
             data.plugin_state[:] = self.state[row]
-            for name in self.machine.joints:
-                data.qpos[model.joint(name).qposadr[0]] = measured.position[name][k]
-                data.qvel[model.joint(name).dofadr[0]] = measured.velocity[name][k]
-            for number, name in enumerate(self.machine.actuators):
-                data.ctrl[number] = measured.command[name][k]
+            data.qpos[places], data.qvel[dofs] = position[i], velocity[i]
+            data.ctrl[:] = command[i]
             mujoco.mj_forward(model, data)
-            for name in self.machine.joints:
-                v = measured.velocity[name]
-                slope = (v[k + 1] - v[k - 1]) / (2.0 * measured.period)
-                data.qacc[model.joint(name).dofadr[0]] = slope
+            data.qacc[dofs] = slope[i]
             mujoco.mj_inverseSkip(model, data, mujoco.mjtStage.mjSTAGE_VEL, 1)
-            out[i] = data.qfrc_actuator[dof] - data.qfrc_inverse[dof]
+            out[i] = (data.qfrc_actuator - data.qfrc_inverse)[asked]
         return out
 
 
