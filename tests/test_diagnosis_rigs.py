@@ -92,14 +92,17 @@ def test_a_soft_gear_of_a_pendulum_is_named():
 
 
 @pytest.mark.parametrize(
-    ("rig", "size", "period"), [(SLIDE_AXIS, 2.0, 0.031), (PENDULUM, 0.2, 0.9)]
+    ("rig", "size", "period", "second"),
+    [(SLIDE_AXIS, 2.0, 0.031, 0.0), (PENDULUM, 0.2, 0.9, 0.35)],
 )
-def test_a_force_that_repeats_with_the_position_is_named_with_its_period(rig, size, period):
-    result, _ = verdict(rig, Truth(ripple=(size, period, 0.7)), "multisine")
+def test_a_force_that_repeats_with_the_position_is_named_with_its_period(rig, size, period, second):
+    result, _ = verdict(rig, Truth(ripple=(size, period, 0.7), second=second), "multisine")
     assert [effect.name for effect in result.effects] == ["cogging"]
     found = values(result)
     assert found["period"] == pytest.approx(period, rel=0.03)
     assert np.hypot(found["sine"], found["cosine"]) == pytest.approx(size, rel=0.05)
+    shares = np.hypot(found["second_sine"], found["second_cosine"])
+    assert shares == pytest.approx(second, abs=0.05)
     assert result.gap.closed_fraction > 0.9
 
 

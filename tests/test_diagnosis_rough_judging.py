@@ -205,20 +205,32 @@ def test_what_a_good_machine_may_have_is_no_fault_unless_healthy_recordings_lack
 
 
 @pytest.mark.parametrize(("now", "faults"), [(1.0, 0), (2.9, 0), (5.0, 1), (-2.0, 1)])
-def test_a_change_that_takes_back_part_of_the_calibration_is_no_fault(sketch, now, faults):
+def test_a_change_that_takes_back_part_of_the_calibration_is_no_fault_beside_a_larger_one(
+    sketch, now, faults
+):
     """The calibration had moved the offset by three trials from the model's."""
     scale = sketch.library.sites[OFFSET].parameters[0].scale
     sketch.library = sketch.library.of_specimen({OFFSET: np.array([3.0 * scale])})
-    sketch.costs |= {frozenset(): 10.0**2, frozenset([OFFSET]): 1.0}
+    both = frozenset([OFFSET, VISCOUS])
+    sketch.costs |= {frozenset(): 10.0**2, frozenset([OFFSET]): 9.0**2}
+    sketch.costs |= {frozenset([VISCOUS]): 3.0**2, both: 1.0}
     specimen = SimpleNamespace(discrepancy_of=lambda series: None)
-    found = a_search(sketch, [OFFSET], specimen=specimen)
-    found = replace(found, fit=a_fit(sketch.library, OFFSET, trials=now - 3.0))
+    offset = a_fit(sketch.library, OFFSET, trials=now - 3.0)
+    values = a_fit(sketch.library, VISCOUS, trials=4.0).hypothesis[VISCOUS]
+    together = offset.with_hypothesis(offset.hypothesis.with_values(VISCOUS, values))
 
     def level(hypothesis):
         return naming.rms(sketch.noise_levels(hypothesis))
 
+    found = replace(a_search(sketch, [VISCOUS, OFFSET], specimen=specimen), fit=together)
     _, causes, smaller = naming.judge_rough(found, a_gap(unnamed=10.0), level)
-    assert (len(causes), len(smaller)) == (faults, 1 - faults)
+    assert [e.name for e in causes] == [VISCOUS[0], OFFSET[0]][: 1 + faults]
+    assert len(smaller) == 1 - faults
+    # Alone it is what has changed, wherever the calibration had put it.
+    alone = replace(a_search(sketch, [OFFSET], specimen=specimen), fit=offset)
+    sketch.costs[frozenset([OFFSET])] = 1.0
+    _, causes, _ = naming.judge_rough(alone, a_gap(unnamed=10.0), level)
+    assert [e.name for e in causes] == [OFFSET[0]][: abs(now - 3.0) > 0.5]
 
 
 def test_intervals_of_a_rough_machine_allow_for_what_else_may_be_off(sketch, monkeypatch):

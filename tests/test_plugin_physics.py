@@ -173,12 +173,14 @@ def test_linear_spring_equals_the_native_one():
 
 
 def test_ripple_repeats_with_the_position():
-    model, data = spring_rig(ripple_sine=3.0, ripple_cosine=-1.5, ripple_period=0.25)
+    second = {"ripple_sine_2": 0.7, "ripple_cosine_2": -0.4}
+    model, data = spring_rig(ripple_sine=3.0, ripple_cosine=-1.5, ripple_period=0.25, **second)
     for q in (-0.3, 0.0, 0.07, 0.32):
         data.qpos[0] = q
         mujoco.mj_forward(model, data)
         angle = 2 * math.pi * q / 0.25
         wanted = 3.0 * math.sin(angle) - 1.5 * math.cos(angle)
+        wanted += 0.7 * math.sin(2 * angle) - 0.4 * math.cos(2 * angle)
         assert spring_force(data) == pytest.approx(wanted, rel=1e-9, abs=1e-12)
 
 

@@ -10,6 +10,7 @@ from leglab.diagnosis.effects.base import EffectParameter
 from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.judging import (
     beyond_specimens,
+    departure,
     departure_from_known,
     earns,
     intervals,
@@ -80,29 +81,24 @@ def judge_rough(found: Search, gap: Gap, level: Callable[[Hypothesis], float]) -
     explained, final = gap.explained or 0.0, found.fit.hypothesis
     # A good machine may differ as much from its model, or from what it was on another day.
     spread = limits.specimen_spread if found.specimen is None else limits.day_spread
-    own = {
-        k: beyond_specimens(
-            departure_from_known(found.problem, k, final), spread, limits.fault_range
-        )
-        for k in found.named
-    }
     beside = all_strengths(found.problem.library, limits.rough_share, 1.0)
-    effects = tuple(
-        replace(e, confidence=e.confidence * own[e.name, e.element])
-        for e in _effects(found, contribution, weigh, within_library(explained), beside)
-    )
-
-    def cause(e: NamedEffect) -> bool:
-        return e.contribution >= limits.smaller_share and own[e.name, e.element] >= limits.fault
-
-    causes = tuple(e for e in effects if cause(e))
-    smaller = tuple(e for e in effects if not cause(e))
+    causes: list[NamedEffect] = []
+    smaller: list[NamedEffect] = []
+    for e in _effects(found, contribution, weigh, within_library(explained), beside):
+        # What takes back a part of the calibration does so beside a larger change only.
+        far = departure_from_known if causes else departure
+        distance = far(found.problem, (e.name, e.element), final)
+        own = beyond_specimens(distance, spread, limits.fault_range)
+        fault = e.contribution >= limits.smaller_share and own >= limits.fault
+        (causes if fault else smaller).append(replace(e, confidence=e.confidence * own))
     if not causes:
-        return ("nothing_missing" if _as_healthy(found) else "unexplained"), (), smaller
-    if explained < limits.explanation_share:
-        return "unexplained", causes, smaller
-    tied = any(e.indistinguishable_from for e in causes)
-    return ("confusion_set" if tied else "named"), causes, smaller
+        verdict: Verdict = "nothing_missing" if _as_healthy(found) else "unexplained"
+    elif explained < limits.explanation_share:
+        verdict = "unexplained"
+    else:
+        tied = any(e.indistinguishable_from for e in causes)
+        verdict = "confusion_set" if tied else "named"
+    return verdict, tuple(causes), tuple(smaller)
 
 
 def _as_healthy(found: Search) -> bool:

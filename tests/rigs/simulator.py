@@ -91,6 +91,7 @@ class Truth:
         soft: Stiffness and damping of the gear or coupling between motor and load; 0 = rigid.
         viscous_factor: Of the damping, a tolerance of good machines.
         ripple: Force that is a sine of the position: amplitude, period, phase.
+        second: Amplitude of its second harmonic, of the first.
     """
 
     forward: float = 0.0
@@ -101,6 +102,7 @@ class Truth:
     soft: tuple[float, float] = (0.0, 0.0)
     viscous_factor: float = 1.0
     ripple: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    second: float = 0.0
 
 
 def _reference(kind: str, t: float, reach: float) -> float:
@@ -169,7 +171,8 @@ def record(
         for _ in range(steps):
             side = truth.forward if v > 0 else truth.backward
             acting = truth.offset - (viscous + side) * v - rig.pull * math.sin(q)
-            acting += size * math.sin(2.0 * math.pi * q / period + phase)
+            turn = 2.0 * math.pi * q / period
+            acting += size * (math.sin(turn + phase) + truth.second * math.sin(2.0 * turn + 1.1))
             dry = rig.coulomb + truth.gear_loss * abs(force)
             if truth.play > 0 or truth.soft[0] > 0:
                 gap, closing = theta - q, w - v

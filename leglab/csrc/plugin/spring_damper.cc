@@ -33,10 +33,7 @@ class SpringDamper : public Instance<SpringTable> {
     const double sine = std::sin(y);
     double force = p.force_offset_ - (p.k1_ + (p.k2_ * sine * sine + p.k3_) * y * y) * y -
                    (p.d1_ + p.quadratic_damping_ * std::abs(v)) * v;
-    if (p.ripple_sine_ != 0.0 || p.ripple_cosine_ != 0.0) {
-      const double angle = 2.0 * std::numbers::pi * q / p.ripple_period_;
-      force += p.ripple_sine_ * std::sin(angle) + p.ripple_cosine_ * std::cos(angle);
-    }
+    force += ripple(p, q);
     if (q < p.stop_lower_) force += p.stop_stiffness_ * (p.stop_lower_ - q) - p.stop_damping_ * v;
     if (q > p.stop_upper_) force += p.stop_stiffness_ * (p.stop_upper_ - q) - p.stop_damping_ * v;
     d->qfrc_passive[dof_] += force;
@@ -48,6 +45,19 @@ class SpringDamper : public Instance<SpringTable> {
   }
 
  private:
+  // Two harmonics of a force that repeats with the position.
+  static double ripple(const Parameters& p, double q) {
+    double force = 0.0;
+    const double angle = 2.0 * std::numbers::pi * q / p.ripple_period_;
+    if (p.ripple_sine_ != 0.0 || p.ripple_cosine_ != 0.0) {
+      force += p.ripple_sine_ * std::sin(angle) + p.ripple_cosine_ * std::cos(angle);
+    }
+    if (p.ripple_sine_2_ != 0.0 || p.ripple_cosine_2_ != 0.0) {
+      force += p.ripple_sine_2_ * std::sin(2.0 * angle) + p.ripple_cosine_2_ * std::cos(2.0 * angle);
+    }
+    return force;
+  }
+
   int qpos_, dof_;
   int strut_ = -1;  // tendon along which the spring is drawn
 };

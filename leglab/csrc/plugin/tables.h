@@ -22,6 +22,8 @@ namespace leglab::plugin {
   X(force_offset, "N", 0.0, -1e6, 1e6, true, "constant force")                                     \
   X(ripple_sine, "N", 0.0, -1e6, 1e6, true, "times sin(2 pi q/ripple_period)")                     \
   X(ripple_cosine, "N", 0.0, -1e6, 1e6, true, "times cos(2 pi q/ripple_period)")                   \
+  X(ripple_sine_2, "N", 0.0, -1e6, 1e6, true, "times sin(4 pi q/ripple_period)")                   \
+  X(ripple_cosine_2, "N", 0.0, -1e6, 1e6, true, "times cos(4 pi q/ripple_period)")                 \
   X(ripple_period, "rad", 1.0, 0.0, 1e3, false, "of the force that repeats with the joint position") \
   X(stop_lower, "rad", -1e3, -1e3, 1e3, true, "below it the soft stop acts")                       \
   X(stop_upper, "rad", 1e3, -1e3, 1e3, true, "above it the soft stop acts")                        \

@@ -1,6 +1,7 @@
 """Force that repeats with the position of a joint."""
 
 import math
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -15,6 +16,8 @@ _FEWEST_CYCLES = 0.8
 _MOST_CYCLES = 200
 # Frequencies of the search lie this share of a cycle in the range apart.
 _SPACING = 0.2
+# Amplitude of the second harmonic, of the first.
+_MOST_SECOND = 1.0
 # Peaks of the periodogram that are tried.
 _PEAKS = 2
 # Forces count up to this many median deviations: stick-slip and impacts are no cogging.
@@ -27,13 +30,16 @@ class Cogging(JointEffect):
 
     name = "cogging"
     group = "mechanics"
-    physics = "A sin(2 pi q/P) + B cos(2 pi q/P): cogging of motors, eccentric gears, screws."
+    physics = (
+        "A sin(x) + B cos(x) and a second harmonic, x = 2 pi q/P: cogging of motors, eccentric "
+        "gears, screws."
+    )
     source = "Hanselman 2003: cogging to 10 % of a motor's torque; gear eccentricity ISO 1328"
     excitation = "slow motion over at least one period in both directions"
     contains = ("force_offset", "spring_stiffness", "spring_hardening", "spring_offset")
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """Both amplitudes, and the period."""
+        """Both amplitudes, the period, and the second harmonic as shares of the amplitude."""
         size, travel = joints.force_scale(machine, element), joints.travel(machine, element)
         unit = joints.unit_of(machine, element, "{force}")
         amplitudes = tuple(
@@ -50,26 +56,43 @@ class Cogging(JointEffect):
             trials=(0.021 * travel,),
             role="shape",
         )
-        return (*amplitudes, period)
+        second = tuple(
+            EffectParameter(
+                name, "1", lower=-_MOST_SECOND, upper=_MOST_SECOND, trials=(0.3,), role="shape"
+            )
+            for name in ("second_sine", "second_cosine")
+        )
+        return (*amplitudes, period, *second)
 
     def guesses(self, machine: Machine, element: str, left: ForceLeft) -> tuple[Values, ...]:
         """The highest peaks in the spectrum of the force left over along the position."""
-        return tuple(
-            {"sine": sine, "cosine": cosine, "period": period}
-            for sine, cosine, period in harmonics(left)
-        )
+        return tuple(asdict(wave) for wave in waves(left))
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts a spring-damper that has nothing but the ripple."""
-        if not (values["sine"] or values["cosine"]):
+        size = math.hypot(values["sine"], values["cosine"])
+        if not size:
             return
         name = insert_spring(change, element, "cogging", "ripple_period", values["period"])
         change.set_parameter(name, "ripple_sine", values["sine"])
         change.set_parameter(name, "ripple_cosine", values["cosine"])
+        change.set_parameter(name, "ripple_sine_2", size * values["second_sine"])
+        change.set_parameter(name, "ripple_cosine_2", size * values["second_cosine"])
 
 
-def harmonics(left: ForceLeft, peaks: int = _PEAKS) -> list[tuple[float, float, float]]:
-    """Sine and cosine amplitude and period of the highest peaks, the best one first.
+@dataclass(frozen=True, kw_only=True)
+class Wave:
+    """Parameters of the effect."""
+
+    sine: float
+    cosine: float
+    period: float
+    second_sine: float
+    second_cosine: float
+
+
+def waves(left: ForceLeft, peaks: int = _PEAKS) -> list[Wave]:
+    """Waves of the highest peaks of the spectrum, the best one first.
 
     Least-squares spectrum over uneven positions (Lomb 1976) beside what other effects explain:
     a cubic of the position, friction and inertia.
@@ -92,12 +115,13 @@ def harmonics(left: ForceLeft, peaks: int = _PEAKS) -> list[tuple[float, float, 
         limit = _CLIP * 1.4826 * float(np.median(np.abs(rest)))
         rest = without(np.clip(rest, -limit, limit))
 
-    def fitted(cycles: float) -> tuple[float, np.ndarray]:
+    def fitted(cycles: float, harmonics: int = 1) -> tuple[float, np.ndarray]:
         angle = 2.0 * math.pi * cycles / reach * q
-        waves = without(np.stack([np.sin(angle), np.cos(angle)], axis=1))
-        inner = waves.T @ waves + 1e-9 * q.size * np.eye(2)
-        amplitudes = np.linalg.solve(inner, waves.T @ rest)
-        return float(amplitudes @ (waves.T @ rest)), amplitudes
+        turns = [f(n * angle) for n in range(1, harmonics + 1) for f in (np.sin, np.cos)]
+        columns = without(np.stack(turns, axis=1))
+        inner = columns.T @ columns + 1e-9 * q.size * np.eye(2 * harmonics)
+        amplitudes = np.linalg.solve(inner, columns.T @ rest)
+        return float(amplitudes @ (columns.T @ rest)), amplitudes
 
     # Of fewer moments a wave has too few samples.
     grid = np.arange(_FEWEST_CYCLES, min(_MOST_CYCLES, 0.02 * q.size), _SPACING)
@@ -106,7 +130,17 @@ def harmonics(left: ForceLeft, peaks: int = _PEAKS) -> list[tuple[float, float, 
     found = []
     for i in sorted(tops, key=lambda i: -power[i])[:peaks]:
         near = np.linspace(grid[i] - _SPACING, grid[i] + _SPACING, 21).tolist()
-        cycles = max(near, key=lambda cycles: fitted(cycles)[0])
-        sine, cosine = fitted(cycles)[1]
-        found.append((float(sine), float(cosine), reach / cycles))
+        cycles = max(near, key=lambda cycles: fitted(cycles, 2)[0])
+        sine, cosine, *second = fitted(cycles, 2)[1].tolist()
+        size = max(math.hypot(sine, cosine), 1e-300)
+        shares = np.clip(np.array(second) / size, -_MOST_SECOND, _MOST_SECOND).tolist()
+        found.append(
+            Wave(
+                sine=sine,
+                cosine=cosine,
+                period=reach / cycles,
+                second_sine=shares[0],
+                second_cosine=shares[1],
+            )
+        )
     return found
