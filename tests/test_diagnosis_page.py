@@ -471,9 +471,15 @@ CALIBRATION = Calibration(
 @pytest.mark.parametrize(
     ("verdict", "told"),
     [
-        ("named", "Since the healthy recordings has changed: valve deadband at knee_valve."),
-        ("confusion_set", "has changed one of these: valve deadband or stiction at knee_valve."),
-        ("partial", "has changed: valve deadband at knee_valve, and more that has no name yet."),
+        ("named", "Changed since the healthy recordings: valve deadband at knee_valve."),
+        (
+            "confusion_set",
+            "healthy recordings, one of these: valve deadband or stiction at knee_valve.",
+        ),
+        (
+            "partial",
+            "healthy recordings: valve deadband at knee_valve, and more that has no name yet.",
+        ),
         ("unexplained", "has changed since the healthy recordings, and no known effect explains"),
         ("nothing_missing", "Nothing has changed since the healthy recordings that these could"),
     ],
@@ -485,7 +491,10 @@ def test_healthy_recordings_tell_what_changed_since(tmp_path, verdict, told):
     page = write_page(result, tmp_path, model="m")
     assert table(page, "error in the healthy recordings")[1] == ["calm", "30", "4"]
     assert table(page, "departs most")[1][2:] == ["pressure", "205 bar", "210 bar"]
-    assert section(result, "What changed since")
+    changed = section(result, "What changed since")
+    # The specimen's own value was calibrated, whatever the model has.
+    assert ("before" in changed, "in the model" in changed) == (bool(result.effects), False)
+    assert not result.effects or "before" in table(page, "What changed")[0]
 
 
 def test_a_round_of_pairs_does_not_repeat_the_screening():

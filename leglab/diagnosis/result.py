@@ -372,6 +372,11 @@ class Diagnosis:
         share = "" if explained is None else f"; {explained:.0%} explained"
         return f"Diagnosis({self.verdict}: {told}{share})"
 
+    @property
+    def nominal_words(self) -> str:
+        """Where the nominal values of effects were: healthy recordings tell the specimen's own."""
+        return "in the model" if self.calibration is None else "before"
+
     def _repr_html_(self) -> str:
         rows = []
         for kind, effects in (("", self.effects), ("smaller", self.smaller)):
@@ -384,7 +389,7 @@ class Diagnosis:
                 if not effect.parameters:
                     rows.append((*first, "", "", "", "", ""))
         names = ("effect", "element", "", "confidence", "parameter", "value", "unit")
-        return html_table(repr(self), (*names, "95 % interval", "in the model"), rows)
+        return html_table(repr(self), (*names, "95 % interval", self.nominal_words), rows)
 
     def plot(self) -> list[Any]:
         """Draws the replay error of every recording: before, recalibrated, with the effects.

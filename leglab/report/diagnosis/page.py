@@ -110,7 +110,7 @@ def _effects_table(result: Diagnosis) -> Table:
             rows.append([*first, name, *parameter_words(parameter), *last])
         if not effect.parameters:
             rows.append([f"{effect.name}{kind}", effect.element, "", "", "", "", *told])
-    names = ("effect", "element", "parameter", "value", "95 % interval", "in the model")
+    names = ("effect", "element", "parameter", "value", "95 % interval", result.nominal_words)
     head = (*names, "confidence", "of the gap")
     changed = "What changed" if result.calibration else "Missing effects"
     # A further parameter of an effect has an empty first cell, which heads no row.
@@ -165,7 +165,7 @@ def _gap_table(result: Diagnosis) -> Table:
 
 def _nuisance_table(result: Diagnosis) -> Table:
     rows = [[n.name, *parameter_words(n)] for n in result.nuisances]
-    head = ("parameter", "refitted", "tolerance, 95 %", "in the model")
+    head = ("parameter", "refitted", "tolerance, 95 %", result.nominal_words)
     return Table(caption="Parameters refitted within their tolerance", head=head, rows=rows)
 
 

@@ -50,7 +50,7 @@ def headline(result: Diagnosis) -> str:
     since = result.calibration is not None
     if result.verdict == "named":
         if since:
-            return f"Since the healthy recordings has changed: {found}."
+            return f"Changed since the healthy recordings: {found}."
         return f"The simulation is missing: {found}."
     if result.verdict == "confusion_set":
         sets = []
@@ -59,13 +59,11 @@ def headline(result: Diagnosis) -> str:
             sets.append(f"{listed(tuple(map(readable, names)), 'or')} at {effect.element}")
         told = "; and ".join(sets)
         if since:
-            return f"Since the healthy recordings has changed one of these: {told}."
+            return f"Changed since the healthy recordings, one of these: {told}."
         return f"Something is missing that these recordings do not pin down: {told}."
     if result.verdict == "partial":
         if since:
-            return (
-                f"Since the healthy recordings has changed: {found}, and more that has no name yet."
-            )
+            return f"Changed since the healthy recordings: {found}, and more that has no name yet."
         return f"The simulation is missing {found}, and more that has no name yet."
     if result.verdict == "unexplained":
         if not found and _ordinary(result):
@@ -94,7 +92,7 @@ def facts(result: Diagnosis) -> tuple[tuple[str, str], ...]:
     """What is missing, how sure, how much it explains and how much is left: question, answer."""
     changed = "Changed" if result.calibration else "Missing"
     if result.effects:
-        missing = "; ".join(_fitted(effect) for effect in result.effects)
+        missing = "; ".join(_fitted(effect, result.nominal_words) for effect in result.effects)
         sure = "; ".join(_confidence(e, alone=len(result.effects) == 1) for e in result.effects)
     elif result.verdict == "nothing_missing":
         missing, sure = "nothing that these recordings could show", ""
@@ -254,13 +252,19 @@ def _at(effect: NamedEffect) -> str:
     return f"{readable(effect.name)} at {effect.element}"
 
 
-def _fitted(effect: NamedEffect) -> str:
-    """An effect with its values."""
+def _values(effect: NamedEffect, nominal: str) -> list[str]:
+    """Its fitted parameters; `nominal` says where their other values were."""
     told = []
     for p in effect.parameters:
-        value, interval, nominal = parameter_words(p)
+        value, interval, other = parameter_words(p)
         doubt = ", uncertain" if uncertain(p) else ""
-        told.append(f"{readable(p.name)} {value} (95 %: {interval}{doubt}), in the model {nominal}")
+        told.append(f"{readable(p.name)} {value} (95 %: {interval}{doubt}), {nominal} {other}")
+    return told
+
+
+def _fitted(effect: NamedEffect, nominal: str) -> str:
+    """An effect with its values."""
+    told = _values(effect, nominal)
     return f"{_at(effect)}: {', '.join(told)}" if told else _at(effect)
 
 
@@ -366,14 +370,7 @@ def _missing(result: Diagnosis) -> tuple[str, ...]:
     for effect in result.effects:
         physics = f"{effect.physics.rstrip('.')}." if effect.physics else ""
         lines.append(f"{capital(_at(effect))}. {physics}".rstrip())
-        told = []
-        for p in effect.parameters:
-            value, interval, nominal = parameter_words(p)
-            doubt = ", uncertain" if uncertain(p) else ""
-            told.append(
-                f"{readable(p.name)} {value} (95 %: {interval}{doubt}), in the model {nominal}"
-            )
-        if told:
+        if told := _values(effect, result.nominal_words):
             lines.append(f"Fitted: {'; '.join(told)}.")
         if effect.onset:
             times = listed(tuple(f"{time:.2f} s of {name}" for name, time in effect.onset))
@@ -464,7 +461,7 @@ def _tried(result: Diagnosis) -> tuple[str, ...]:
         told = []
         for _, p in moved[:_RECALIBRATED]:
             value, _, nominal = parameter_words(p)
-            told.append(f"{readable(p.name)} {value}, in the model {nominal}")
+            told.append(f"{readable(p.name)} {value}, {result.nominal_words} {nominal}")
         lines.append(f"Recalibrated: {'; '.join(told)}.")
     for effect in result.effects:
         lines.append(f"{capital(_at(effect))}: confidence {percent(effect.confidence)}.")
