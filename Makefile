@@ -8,7 +8,7 @@ PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n au
 INSTALL := $(BIN)/python -m pip install --quiet --no-compile
 SOURCES := pyproject.toml CMakeLists.txt $(shell find leglab/csrc -type f)
 
-.PHONY: demo test soak lint docs results clean
+.PHONY: demo test soak sanitize lint docs results clean
 
 demo: $(STAMP)
 	$(BIN)/leglab report --scenario seal_wear --controllers pd,static_feedforward,bsnn_arx --out out/demo
@@ -20,6 +20,10 @@ test: $(STAMP)
 # Long cases of what the tests check with fewer samples.
 soak: $(STAMP)
 	$(PYTEST) -m soak
+
+# The compiled core with AddressSanitizer and UndefinedBehaviourSanitizer, in build/sanitize.
+sanitize: $(STAMP)
+	$(BIN)/python -m tests.sanitize
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -164,3 +164,26 @@ def test_a_compressed_variable_takes_no_more_memory_than_it_may(monkeypatch):
     assert Path("big.mat").stat().st_size < 10_000
     with pytest.raises(data.matlab.LeglabError, match=r"big\.mat.* more than 1000000 bytes"):
         data.read("big.mat")
+
+
+@pytest.mark.parametrize("content", ["numbers", "cells"])
+def test_small_numbers_take_no_more_memory_than_they_may(monkeypatch, content):
+    import scipy.io
+
+    monkeypatch.setattr(matlab_check, "_LARGEST_TOTAL", 1_000_000)
+    monkeypatch.setattr(matlab_check, "_LARGEST_RATIO", 1)
+    # 8 bytes each in memory, one in the file; and an array each, of 56 bytes in the file.
+    cells = np.empty(10_000, dtype=object)
+    cells[:] = [np.zeros(0)] * 10_000
+    wide = {"numbers": np.zeros(200_000, dtype=np.int8), "cells": cells}[content]
+    scipy.io.savemat("wide.mat", {"a": wide}, do_compression=True)
+    with pytest.raises(data.matlab.LeglabError, match=r"wide\.mat.* take more memory than"):
+        data.read("wide.mat")
+
+
+@pytest.mark.parametrize("period", ["1e-9", "1e-300"])
+def test_a_period_of_no_step_is_refused_before_anything_is_sized_by_it(capsys, period):
+    status, _, errors = leglab(*RUN, "--set", f"sensors.control_period={period}", capsys=capsys)
+    assert status == 2
+    assert "allowed: a multiple of the model's timestep" in errors
+    assert errors.count("\n") == 1

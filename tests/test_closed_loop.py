@@ -9,6 +9,7 @@ from leglab.base.scenario import ParameterChange, Scenario
 from leglab.machine.sensors import SensorConfiguration, loop_timing, quantise
 from leglab.machine.simulation import Simulation, load_model
 from leglab.runs.loop import Loop
+from leglab.runs.preparation import Preparation
 
 
 def settings(**changes) -> RunSettings:
@@ -151,3 +152,32 @@ def test_quantise_rounds_to_counts():
     np.testing.assert_allclose(quantise(np.array([0.1]), 4), [0.0])
     np.testing.assert_allclose(quantise(np.array([1.5]), 4), [np.pi / 2])
     np.testing.assert_array_equal(quantise(np.array([0.1]), 0), [0.1])
+
+
+def test_sensors_of_the_loop_and_of_the_recording_have_their_noise():
+    sensors = {"position_noise": 1e-3, "encoder_counts": 0, "latency": 0.0}
+    settings = RunSettings(scenario="nominal", model="knee_bench", duration=1.0, sensors=sensors)
+    loop, heard = Loop(settings), []
+    for _ in range(loop.count - 1):
+        truth = loop.simulation.position()
+        heard.append(loop.observe().measurement.position - truth)
+        loop.act()
+        loop.advance()
+    loop.close()
+    assert np.std(heard) == pytest.approx(1e-3, rel=0.15)
+    run = run_scenario(settings)
+    logged = run.recording["knee_position"] - run.history.position[:, 0]
+    assert np.std(logged) == pytest.approx(1e-3, rel=0.15)
+
+
+def test_a_specimen_has_bodies_of_its_own():
+    preparation = Preparation(RunSettings(scenario="nominal", model="knee_bench", tolerance=0.1))
+    machine, drawing = preparation.machine(), preparation.nominal.model
+    has = drawing.body_mass > 0
+    preparation.start(machine, 3, 0.1)
+    first = machine.model.body_mass[has].copy()
+    assert not np.isclose(first, drawing.body_mass[has], rtol=1e-3).any()
+    preparation.start(machine, 4, 0.1)
+    assert not np.isclose(first, machine.model.body_mass[has], rtol=1e-3).any()
+    preparation.start(machine, 3)
+    np.testing.assert_array_equal(machine.model.body_mass, drawing.body_mass)

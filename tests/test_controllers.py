@@ -45,6 +45,25 @@ def test_pd_law():
     )
 
 
+def test_pid_does_not_wind_up_while_the_command_saturates():
+    setup = ControllerSetup(joints=("a",), control_period=0.01, machine=NominalMachine(direction=[1.0]))
+    gains = {"position_gain": [10.0], "velocity_gain": [0.0]}
+    pid = make_controller("pid", setup, {**gains, "integral_time": 0.5, "limit": 0.4})
+    rest = np.zeros(1)
+    measurement = Measurement(0.0, rest, rest)
+
+    def integral_after(error, periods=1):
+        for _ in range(periods):
+            pid.command(measurement, ReferencePoint(np.array([error]), rest, rest))
+        return float(pid.diagnostics()["integral"][0])
+
+    pid.reset(measurement)
+    assert integral_after(1.0, 500) == 0.0  # a command of 10
+    assert integral_after(0.05) == pytest.approx(0.01 / 0.5 * 10 * 0.05)
+    assert integral_after(0.05, 100) == pytest.approx(0.4)  # its limit
+    assert integral_after(-0.05) == pytest.approx(0.4 - 0.01)
+
+
 def test_valve_map_table_is_bilinear():
     random = np.random.default_rng(0)
     fractions = np.array([-1.0, -0.3, -0.1, 0.0, 0.1, 0.3, 1.0])

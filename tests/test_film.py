@@ -15,7 +15,7 @@ from leglab import RunSettings, data, run_scenario
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.cli import main
-from leglab.report.film import look, render_film
+from leglab.report.film import encoder, look, render_film
 from leglab.report.film.encoder import Encoder
 from leglab.report.film.look import ALARM, GHOST, pressure_color
 from leglab.report.film.track import load_track
@@ -318,6 +318,22 @@ def test_an_encoder_that_hangs_or_writes_nothing_is_said(tmp_path, monkeypatch, 
     with pytest.raises(LeglabError, match=rf"film\.mp4: cannot be encoded: {said}"):
         encode(tmp_path / "film.mp4", bytes(3 * 320 * 240))
     assert [entry.name for entry in tmp_path.iterdir()] == ["ffmpeg"]
+
+
+def test_a_hanging_ffmpeg_makes_no_picture(tmp_path, monkeypatch):
+    other = tmp_path / "ffmpeg"
+    other.write_text("#!/bin/sh\nexec sleep 60\n")
+    other.chmod(0o755)
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(other))
+    monkeypatch.setattr(encoder, "_PATIENCE_OF_A_FILM", 0.3)
+    with pytest.raises(LeglabError, match=r"film\.mp4: cannot be encoded: ffmpeg took more than"):
+        encoder.still_bytes(tmp_path / "film.mp4")
+
+
+def test_the_length_of_a_film_is_known(tmp_path):
+    encode(tmp_path / "film.mp4", bytes(3 * 320 * 240))
+    # The last frame begins a thirtieth of a second before the end.
+    assert encoder._seconds(tmp_path / "film.mp4") == pytest.approx(2.0, abs=0.1)
 
 
 def test_an_encoder_that_lacks_h264_is_said(tmp_path, monkeypatch):

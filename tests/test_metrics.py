@@ -14,7 +14,9 @@ from leglab.runs.metrics import (
     percentile,
     phase_table,
     rms,
+    settling_time,
     sliding_rms,
+    usage_table,
 )
 
 errors = hnp.arrays(
@@ -149,3 +151,45 @@ def test_excess_error_area_of_a_pulse():
     # the RMS lies above the mean while good and bad share the window.
     area = excess_error_area(time, error, change=10, window=1)
     assert 3.0 < area < 3.5
+
+
+def test_effort_rate_and_energy_belong_to_the_phase_of_the_later_sample():
+    time = 0.5 * np.arange(5)
+    command = np.column_stack([[0.0, 1.0, 0.0, 2.0, 2.0], np.zeros(5)])
+    energy = np.column_stack([[1.0, 2.0, 4.0, 8.0, 16.0], np.full(5, np.nan)])
+    phases = (
+        Phase(name="before", start=0.0, end=1.0),
+        Phase(name="after", start=1.0, end=2.0),
+    )
+    before, after = usage_table(time, command, energy, ("a", "b"), phases)
+    assert before["effort"] == pytest.approx({"a": 0.5**0.5, "b": 0.0, "all": 0.5})
+    assert before["valve_activity_per_s"] == pytest.approx({"a": 2.0, "b": 0.0, "all": 2**0.5})
+    assert before["energy_j"] == {"a": 1.0, "all": 1.0}
+    assert after["effort"]["a"] == pytest.approx((8 / 3) ** 0.5)
+    assert after["valve_activity_per_s"]["a"] == pytest.approx((20 / 3) ** 0.5)
+    assert after["energy_j"] == {"a": 14.0, "all": 14.0}
+    (first,) = usage_table(time[:1], command[:1], energy[:1], ("a", "b"), phases)
+    assert first["valve_activity_per_s"] == {"a": 0.0, "b": 0.0, "all": 0.0}
+    assert first["energy_j"] == {"a": 0.0, "all": 0.0}
+    (none,) = usage_table(time[:1], command[:1], energy[:1, 1:].repeat(2, 1), ("a", "b"), phases)
+    assert "energy_j" not in none
+
+
+@pytest.mark.parametrize(
+    ("exceeding", "settled"),
+    [([], 0.0), ([2], 0.0), ([3], 0.0), ([4], 0.0), ([5], 1.0), ([3, 7], 3.0), ([9], None)],
+)
+def test_settling_ends_where_no_later_window_exceeds(exceeding, settled):
+    time, windowed = np.arange(10.0), np.ones(10)
+    windowed[exceeding] = 1.5
+    windowed[0] = np.nan
+    assert settling_time(time, windowed, change=3.0, window=2.0, threshold=1.0) == settled
+
+
+@pytest.mark.parametrize("period", [0.1, 0.002, 7.0])
+def test_stamps_that_are_rounded_change_no_window(period):
+    time, error = np.arange(40) * period, np.random.default_rng(0).normal(size=(40, 2))
+    found = sliding_rms(time, error, 5 * period)
+    assert np.isnan(found[:4]).all()
+    wanted = [np.sqrt(np.mean(error[i - 4 : i + 1] ** 2)) for i in range(4, 40)]
+    np.testing.assert_allclose(found[4:], wanted)

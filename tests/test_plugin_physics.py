@@ -32,6 +32,14 @@ def test_plugin_and_core_take_the_same_steps(timestep):
     np.testing.assert_allclose(states, core[:, :4], rtol=1e-6, atol=1e-8)
 
 
+def test_hysteresis_is_the_full_width_of_a_play():
+    model, data = compiled(slides(valve("v", hysteresis=0.1)))
+    slots = Slots(model, data, "v")
+    for command, spool in ((0.5, 0.45), (0.45, 0.45), (0.2, 0.25), (0.28, 0.25), (-0.3, -0.25)):
+        run(model, data, 0.05, command)
+        assert slots["spool_position"] == pytest.approx(spool, abs=1e-6)
+
+
 @pytest.mark.parametrize("air", [0.0, 0.005])
 def test_closed_valve_keeps_the_amounts_of_oil_to_the_last_bit(air):
     closed = {"lap": 0, "edge_rounding": 0, "internal_leakage": 0, "entrained_air": air}

@@ -4,6 +4,7 @@ import json
 import math
 import os
 import stat
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,18 @@ def parse_json(text: str | bytes) -> Any:
     """
     try:
         return json.loads(text, parse_constant=_finite, parse_float=_finite)
+    except RecursionError:
+        raise ValueError("it is nested too deep") from None
+
+
+def parse_toml(text: str | bytes) -> dict[str, Any]:
+    """Returns the content of a TOML text.
+
+    Raises:
+        ValueError: It is not TOML in UTF-8, nested too deep, or a number has too many digits.
+    """
+    try:
+        return tomllib.loads(text.decode() if isinstance(text, bytes) else text)
     except RecursionError:
         raise ValueError("it is nested too deep") from None
 

@@ -1,6 +1,5 @@
 """A column map: how the columns of somebody else's recordings are called here, and their units."""
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,7 +10,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from leglab.base.errors import LeglabError
-from leglab.base.input import read_bytes
+from leglab.base.input import parse_toml, read_bytes
 from leglab.base.settings import Configuration, validate_configuration
 from leglab.data.files import refuse
 
@@ -130,8 +129,8 @@ def read_column_map(path: str | Path) -> ColumnMap:
             and what is allowed.
     """
     try:
-        content = tomllib.loads(read_bytes(path).decode())
-    except (ValueError, RecursionError) as error:
+        content = parse_toml(read_bytes(path))
+    except ValueError as error:
         if isinstance(error, LeglabError):
             raise
         raise LeglabError(f"{path}: not a column map in TOML: {error}") from error

@@ -12,15 +12,17 @@ from collections.abc import Iterator
 
 _HEADER = 128  # bytes
 _INT8, _INT32, _UINT32, _MATRIX, _COMPRESSED = 1, 5, 6, 14, 15
-_NUMBERS = frozenset((1, 2, 3, 4, 5, 6, 7, 9, 12, 13))
+_NUMBERS = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8}  # bytes a number
 _CHARACTERS = frozenset((1, 2, 4, 16, 17, 18))
 _CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE = 1, 2, 3, 4, 5
 _NUMERIC = range(6, 16)
 _COMPLEX = 0x800
 _LARGEST = 2**31  # bytes of a variable, by the format.
-# Of all compressed variables: zeros take a thousandth of their size, and memory several times it.
+# Of all variables, uncompressed and as arrays of 64-bit numbers: compressed zeros take a thousandth
+# of their size, and a number of one byte becomes one of eight.
 _LARGEST_TOTAL = 2**29  # bytes, or
 _LARGEST_RATIO = 20  # times the size of the file.
+_ARRAY, _LETTER = 128, 4  # bytes in memory of an array without content, and of a character
 _DEEPEST = 20
 _MOST_DIMENSIONS = 32
 
@@ -33,14 +35,15 @@ def checked(content: bytes) -> bytes:
 
     Raises:
         ValueError: It is no such file, truncated or broken, or holds a class of variable that is
-            no data: objects, functions, sparse matrices.
+            no data: objects, functions, sparse matrices; or its variables would take more memory
+            than a file of its size may.
     """
     order = {b"IM": "<", b"MI": ">"}.get(content[126:128])
     if order is None or struct.unpack_from(f"{order}H", content, 124)[0] != 0x0100:
         raise ValueError("the first 128 bytes are not those of version 5")
     # Bytes 116 to 124 point to a workspace of objects, which is not read.
     variables = [content[:116] + bytes(8) + content[124:_HEADER]]
-    left = most = max(_LARGEST_TOTAL, _LARGEST_RATIO * len(content))
+    left = memory = most = max(_LARGEST_TOTAL, _LARGEST_RATIO * len(content))
     for kind, data in _elements(content[_HEADER:], order, padded=False):
         if kind == _COMPRESSED:
             inflate = zlib.decompressobj()
@@ -59,7 +62,7 @@ def checked(content: bytes) -> bytes:
             kind, data = inner[0]
         if kind != _MATRIX:
             raise ValueError(f"a variable of element type {kind}")
-        _check_matrix(data, order, 0)
+        memory -= _check_matrix(data, order, 0, memory)
         variables.append(struct.pack(f"{order}II", _MATRIX, len(data)) + data)
     return b"".join(variables)
 
@@ -86,9 +89,10 @@ def _elements(content: bytes, order: str, *, padded: bool = True) -> Iterator[tu
             at += -size % 8
 
 
-def _check_matrix(content: bytes, order: str, depth: int) -> None:
+def _check_matrix(content: bytes, order: str, depth: int, most: int) -> int:
+    """Returns the memory that an array takes [bytes]; one that takes more than `most` is refused."""
     if not content:
-        return  # An empty array as a part of another one.
+        return _within(most, _ARRAY)  # An empty array as a part of another one.
     if depth > _DEEPEST:
         raise ValueError(f"arrays within arrays, more than {_DEEPEST} deep")
     parts = _elements(content, order)
@@ -102,30 +106,52 @@ def _check_matrix(content: bytes, order: str, depth: int) -> None:
         raise ValueError(f"an array of dimensions {dimensions}")
     count = math.prod(dimensions)
     _part(parts, {_INT8}, "name")
+    size = _ARRAY
     if kind in _NUMERIC:
-        _part(parts, _NUMBERS, "numbers")
+        size += _numbers(parts, "numbers")
         if word & _COMPLEX:
-            _part(parts, _NUMBERS, "imaginary numbers")
+            size += _numbers(parts, "imaginary numbers")
     elif kind == _CHAR:
-        _part(parts, _CHARACTERS, "text")
+        size += _LETTER * len(_part(parts, _CHARACTERS, "text"))
     elif kind == _CELL:
-        _check_nested(parts, count, order, depth)
+        size += _check_nested(parts, count, order, depth, most)
     elif kind == _STRUCT:
         length = _integers(_part(parts, {_INT32}, "length of field names"), order)
         names = _part(parts, {_INT8}, "field names")
         if len(length) != 1 or length[0] < 1 or len(names) % length[0]:
             raise ValueError("field names do not fit their length")
-        _check_nested(parts, count * (len(names) // length[0]), order, depth)
+        fields = count * (len(names) // length[0])
+        size += _check_nested(parts, fields, order, depth, most)
     else:
         what = {_OBJECT: "an object", _SPARSE: "a sparse matrix"}.get(kind, f"of class {kind}")
         raise ValueError(f"a variable is {what}; allowed: numbers, text, cells and structs")
     if next(parts, None) is not None:
         raise ValueError("an array has more parts than it should")
+    return _within(most, size)
 
 
-def _check_nested(parts: Iterator[tuple[int, bytes]], count: int, order: str, depth: int) -> None:
+def _within(most: int, size: int) -> int:
+    if size > most:
+        raise ValueError("its variables take more memory than a file of this size may")
+    return size
+
+
+def _numbers(parts: Iterator[tuple[int, bytes]], what: str) -> int:
+    """Bytes of the next part's numbers as 64-bit ones, which columns of recordings are."""
+    kind, content = next(parts, (0, b""))
+    if kind not in _NUMBERS:
+        raise ValueError(f"element type {kind} where {what} should be")
+    return 8 * (len(content) // _NUMBERS[kind])
+
+
+def _check_nested(
+    parts: Iterator[tuple[int, bytes]], count: int, order: str, depth: int, most: int
+) -> int:
+    size = 0
     for _ in range(count):
-        _check_matrix(_part(parts, {_MATRIX}, "array"), order, depth + 1)
+        content = _part(parts, {_MATRIX}, "array")
+        size += _check_matrix(content, order, depth + 1, most - size)
+    return size
 
 
 def _part(

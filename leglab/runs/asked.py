@@ -1,6 +1,5 @@
 """Settings of a run from files and single entries: TOML, the `run.json` of a run, `--set`."""
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -9,7 +8,7 @@ from typing import Any, get_type_hints
 from pydantic import TypeAdapter, ValidationError
 
 from leglab.base.errors import LeglabError, unknown_name
-from leglab.base.input import read_bytes
+from leglab.base.input import parse_toml, read_bytes
 from leglab.runs.preparation import RunSettings
 from leglab.runs.record import RunConfiguration, read
 
@@ -38,11 +37,12 @@ def read_settings(path: Path) -> dict[str, Any]:
     if path.suffix == ".json":
         found = dict(read(RunConfiguration, path).settings)
     else:
+        content = read_bytes(path)
         try:
-            found = tomllib.loads(read_bytes(path).decode())
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            found = parse_toml(content)
+        except ValueError as error:
             raise LeglabError(f"{path}: is not TOML: {error}") from error
-        found = _without_tables(found)
+        found = _without_tables(found, str(path))
     return checked(found, str(path))
 
 
@@ -99,7 +99,7 @@ def with_entries(values: Mapping[str, Any], entries: Sequence[str]) -> dict[str,
     return found
 
 
-def _without_tables(content: dict[str, Any]) -> dict[str, Any]:
+def _without_tables(content: dict[str, Any], where: str) -> dict[str, Any]:
     """Settings of a TOML file, its tables `controller` and `reference` as two settings each."""
     found = dict(content)
     for section in ("controller", "reference"):
@@ -110,14 +110,19 @@ def _without_tables(content: dict[str, Any]) -> dict[str, Any]:
         own = dict(table)
         if _NAME in own:
             found[section] = own.pop(_NAME)
-        found[SECTIONS[section]] = {**found.get(SECTIONS[section], {}), **own}
+        beside = found.get(SECTIONS[section], {})
+        if not isinstance(beside, dict):
+            raise LeglabError(
+                f"{where}: setting {SECTIONS[section]!r} is {beside!r}; allowed: a table"
+            )
+        found[SECTIONS[section]] = {**beside, **own}
     return found
 
 
 def _value(text: str) -> Any:
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        return parse_toml(f"value = {text}")["value"]
+    except ValueError:
         return text
 
 

@@ -28,7 +28,7 @@ from leglab.machine.changes import (
     vary_parameters,
 )
 from leglab.machine.parameters import placed_parameters
-from leglab.machine.sensors import SensorConfiguration
+from leglab.machine.sensors import SensorConfiguration, loop_timing
 from leglab.machine.simulation import Simulation, load_model
 from leglab.references import (
     GAIT,
@@ -147,6 +147,8 @@ class Preparation:
             self._parameters = placed_parameters(settings.parameters, plain.elements)
         self.sensors = validate_configuration(SensorConfiguration, settings.sensors, "sensors")
         self.nominal = Simulation(self._load(visual=False))
+        # Before anything is sized by the period.
+        loop_timing(self.sensors, self.nominal.model.opt.timestep)
         self.controller_setup = controller_setup(self.nominal, settings.model, self.sensors)
 
     def setup(

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import subprocess
 import tempfile
 import threading
@@ -18,6 +19,8 @@ from leglab.base.output import cannot_write, new_file, regular_file
 _TELLING = ("No space left", "Unknown encoder", "")
 # Longest time that ffmpeg may take for a frame, or for its end [s].
 _PATIENCE = 120.0
+# Longest time that it may take to encode a film anew, or for a picture of it [s].
+_PATIENCE_OF_A_FILM = 600.0
 # Share of the wanted size that is aimed at: one pass meets a bit rate roughly.
 _AIM = 0.85
 _ATTEMPTS = 3
@@ -204,9 +207,7 @@ def film_bytes(film: Path, most: int) -> bytes:
         raise LeglabError(f"{film}: cannot be read: {error.strerror}") from error
     if len(content) <= most:
         return content
-    import imageio_ffmpeg
-
-    _, seconds = imageio_ffmpeg.count_frames_and_secs(film)
+    seconds = _seconds(film)
     rate = _AIM * 8 * most / max(seconds, 1e-3)
     for _ in range(_ATTEMPTS):
         bits = round(rate)
@@ -225,9 +226,7 @@ def still_bytes(film: Path) -> bytes:
     Raises:
         LeglabError: It cannot be read.
     """
-    import imageio_ffmpeg
-
-    _, seconds = imageio_ffmpeg.count_frames_and_secs(film)
+    seconds = _seconds(film)
     return _made(
         film,
         f".{film.stem}.still.jpg",
@@ -237,17 +236,38 @@ def still_bytes(film: Path) -> bytes:
 
 
 def _made(film: Path, name: str, *, before: Sequence[str] = (), after: Sequence[str]) -> bytes:
-    """Runs ffmpeg on a film, with options for reading and for writing, and reads its output."""
+    """Makes a file from a film by ffmpeg, with options for reading and writing, and reads it."""
     made = film.with_name(name)
-    command = [_ffmpeg(), "-y", "-loglevel", "error", *before]
-    command += ["-i", str(film), *after, str(made)]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode:
-            lines = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
-            raise LeglabError(f"{film}: cannot be encoded: {lines[-1]}")
+        _ask(film, before=before, after=(*after, str(made)))
         return made.read_bytes()
     except OSError as error:
         raise LeglabError(f"{film}: cannot be encoded: {error.strerror}") from error
     finally:
         made.unlink(missing_ok=True)
+
+
+def _seconds(film: Path) -> float:
+    """Length of a film."""
+    told = _ask(film, after=("-c", "copy", "-f", "null", "-progress", "pipe:1", "-"))
+    times = re.findall(r"^out_time_us=(\d+)$", told, flags=re.MULTILINE)
+    return 1e-6 * int(times[-1]) if times else 0.0
+
+
+def _ask(film: Path, *, before: Sequence[str] = (), after: Sequence[str]) -> str:
+    """Runs ffmpeg on a film, with options for reading and for writing; returns what it printed."""
+    command = [_ffmpeg(), "-y", "-loglevel", "error", *before, "-i", str(film), *after]
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, check=False, timeout=_PATIENCE_OF_A_FILM
+        )
+    except subprocess.TimeoutExpired:
+        raise LeglabError(
+            f"{film}: cannot be encoded: ffmpeg took more than {_PATIENCE_OF_A_FILM:g} s"
+        ) from None
+    except OSError as error:
+        raise LeglabError(f"{film}: cannot be encoded: {error.strerror}") from error
+    if done.returncode:
+        lines = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
+        raise LeglabError(f"{film}: cannot be encoded: {lines[-1]}")
+    return done.stdout

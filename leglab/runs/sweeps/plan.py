@@ -3,7 +3,6 @@
 import hashlib
 import json
 import math
-import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache, cached_property
@@ -14,7 +13,7 @@ import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 
 from leglab.base.errors import LeglabError, unknown_name
-from leglab.base.input import read_bytes, read_json
+from leglab.base.input import parse_toml, read_bytes, read_json
 from leglab.base.settings import Configuration, validate_configuration
 from leglab.commissioning.setup import model_digest
 from leglab.control.contract import CONTROLLERS
@@ -366,8 +365,8 @@ def read_plan(path: str | Path) -> SweepPlan:
             raise LeglabError(f"{path}: holds no plan of a sweep")
         return SweepPlan(kept["plan"], str(path))
     try:
-        found = tomllib.loads(content.decode())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        found = parse_toml(content)
+    except ValueError as error:
         raise LeglabError(f"{path}: is not TOML: {error}") from error
     return SweepPlan(found, str(path))
 
