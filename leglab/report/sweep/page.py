@@ -19,6 +19,8 @@ from leglab.runs.sweeps.store import SWEEP, SweepRecord, read_record
 
 # Rows and columns of a heat map, bars of a distribution, runs of the list of the worst.
 _MOST_ROWS, _MOST_COLUMNS, _BARS, _WORST = 120, 20, 24, 12
+# Controllers that the headline tells of.
+_TOLD = 4
 # Sizes that are drawn, not listed, are shown in so many classes.
 _CLASSES = 6
 
@@ -159,17 +161,22 @@ def _headline(facts: _Facts) -> str:
     if facts.failed:
         parts.append(f"{facts.failed:,} of them failed")
     if facts.told:
-        (t90, never, told, recovered) = facts.rows(
-            "SELECT median(coalesce(t90_s, 1e9)), count(*) FILTER (t90_s IS NULL), count(*),"
-            " median(recovered) FROM runs WHERE recovered IS NOT NULL"
-        )[0]
-        when = "never" if t90 >= 1e9 else f"after {number(t90)} s"
-        parts.append(
-            f"in the median {number(100 * recovered)} % of the damage is undone at the end, "
-            f"nine tenths {when}"
+        found = facts.rows(
+            "SELECT controller, median(coalesce(t90_s, 1e9)) AS t90,"
+            " count(*) FILTER (t90_s IS NULL), count(*), median(recovered) FROM runs"
+            " WHERE recovered IS NOT NULL GROUP BY 1 ORDER BY t90, 5 DESC, 1"
         )
-        if never:
-            parts.append(f"{never:,} of {told:,} never undid nine tenths")
+        # Controllers have nothing in common that a median over all of them could tell.
+        told = []
+        for controller, t90, never, count, recovered in found[:_TOLD]:
+            when = "never" if t90 >= 1e9 else f"after {number(t90)} s"
+            line = (
+                f"{controller} undoes {number(100 * recovered)} % of the damage, nine tenths {when}"
+            )
+            told.append(line + (f" ({never:,} of {count:,} never)" if never else ""))
+        parts.append("in the median " + ", ".join(told))
+        if len(found) > _TOLD:
+            parts.append(f"{len(found) - _TOLD} controllers more stand in the table")
     return "; ".join(parts)
 
 
