@@ -13,9 +13,11 @@ from leglab.report.page.shell import Section, Table, render
 from leglab.report.page.wording import listed, number, readable
 from leglab.report.run.page import PAGE
 from leglab.runs.sweeps.outcome import recording_folder
+from leglab.runs.sweeps.plan import SweepPlan
 from leglab.runs.sweeps.query import Answer, questions
 from leglab.runs.sweeps.rows import column
 from leglab.runs.sweeps.store import SWEEP, SweepRecord, read_record
+from leglab.runs.sweeps.tuning import tuned
 
 # Rows and columns of a heat map, bars of a distribution, runs of the list of the worst.
 _MOST_ROWS, _MOST_COLUMNS, _BARS, _WORST = 120, 20, 24, 12
@@ -128,6 +130,17 @@ def _render(facts: "_Facts") -> str:
     )
 
 
+def _tuned(facts: "_Facts") -> Section:
+    """What tuned blocks have found; the titles of their settings are columns."""
+    plan = SweepPlan(facts.record.plan, SWEEP)
+    names = ["run", "status", *dict.fromkeys(points.tune.metric for points in plan.tuned)]
+    names += dict.fromkeys(column(name) for points in plan.tuned for name in points.ranges)
+    columns = ", ".join(f'"{name}"' for name in names)
+    rows = [dict(zip(names, row, strict=True)) for row in facts.rows(f"SELECT {columns} FROM runs")]
+    lines = tuple(str(found) for found in tuned(plan, rows))
+    return Section(title="What did tuning find?", lines=lines)
+
+
 class _Facts:
     """Answers of the dataset that several parts of the page need."""
 
@@ -217,6 +230,8 @@ def _sections(facts: _Facts) -> list[Section]:
                 names=tuple(name for name, _, _ in best),
             )
         )
+    if any("tune" in block for block in facts.record.plan.get("block", ())):
+        sections.append(_tuned(facts))
     return sections
 
 

@@ -82,6 +82,14 @@ class Outcome(BaseModel):
     travel_rad: str | None = None
 
 
+# Figures that are numbers, and kept of every run.
+FIGURES = tuple(
+    name
+    for name, field in Outcome.model_fields.items()
+    if field.annotation in (float, FiniteFloat | None) and name != "window_s"
+)
+
+
 def outcome_of(run: Run, keep: Sequence[str]) -> dict[str, Any]:
     """Figures of a run that came to its end, by name as `Outcome` has them.
 
