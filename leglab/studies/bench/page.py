@@ -1,6 +1,6 @@
 """The page of the benchmark: ratios beside what is asked, tables of the parts, the history."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from leglab.base.errors import LeglabError
@@ -9,7 +9,15 @@ from leglab.report.page.shell import Table
 from leglab.report.page.tables import Group, tables_page
 from leglab.report.page.wording import number
 from leglab.studies.bench.history import Entry, change, kept_value
-from leglab.studies.bench.suite import Measured, Value, checkout, kept_tables, machine
+from leglab.studies.bench.suite import (
+    RATIOS,
+    Measured,
+    Ratio,
+    Value,
+    checkout,
+    kept_tables,
+    machine,
+)
 
 _ENTRIES = 10  # of the history that are shown
 HEAD = ("ratio", "median", "range", "asked", "", "kept before", "better by")
@@ -26,12 +34,13 @@ def page(
         entries: The history, without what is shown.
         here: This machine, as the history names it.
     """
-    asked = [v for v in found if v.ratio.asked is not None]
+    wanted = {r.name for r in RATIOS if r.part in {m.part for m in measured} and r.asked}
+    asked = [v for v in found if v.ratio.name in wanted]
     met = sum(bool(v.ratio.met(v.median)) for v in asked)
     failed = [m for m in measured if m.problem]
-    headline = f"{met} of {len(asked)} ratios reach what is asked"
-    if failed:
-        headline += f"; {len({m.part for m in failed})} parts could not be measured"
+    headline = f"{met} of {len(wanted)} ratios reach what is asked"
+    if len(asked) < len(wanted):
+        headline += f"; {len(wanted) - len(asked)} of them not measured"
     parts = {}
     for one in measured:
         if one.record:
@@ -48,7 +57,7 @@ def page(
             title="Ratios",
             text="Each ratio is of figures that one process measured in turns. The last columns "
             "compare with the median of the last five that were kept.",
-            tables=(_ratios(found, entries, here), failures),
+            tables=(_ratios(found, entries, here, {m.part for m in measured}), failures),
         ),
         Group(
             name="measured",
@@ -75,13 +84,14 @@ def _machine() -> Table:
     return Table(caption="Machine and versions", head=("", "value"), rows=rows, words=2)
 
 
-def _ratios(found: Sequence[Value], entries: Sequence[Entry], here: str) -> Table:
+def _ratios(
+    found: Sequence[Value], entries: Sequence[Entry], here: str, parts: Collection[str] = ()
+) -> Table:
     rows = []
     for value in found:
         ratio, before = value.ratio, kept_value(value.ratio, entries, here)
         changed = change(value, before)
         reached = ratio.met(value.median)
-        sign = "at most" if ratio.better == "low" else "at least"
         rows.append(
             (
                 ratio.title,
@@ -89,13 +99,25 @@ def _ratios(found: Sequence[Value], entries: Sequence[Entry], here: str) -> Tabl
                 f"{number(min(value.values))} to {number(max(value.values))}"
                 if len(value.values) > 1
                 else "",
-                "" if ratio.asked is None else f"{sign} {ratio.asked:g}",
+                _asked(ratio),
                 "" if reached is None else "reached" if reached else "missed",
                 "" if before is None else number(before),
-                "" if changed is None else f"{100 * changed:+.0f} %",
+                ""
+                if changed is None
+                else f"{100 * changed:+.0f} %".replace("-0 %", "0 %").replace("+0 %", "0 %"),
             )
         )
+    known = {value.ratio.name for value in found}
+    for ratio in RATIOS:
+        if ratio.part in parts and ratio.name not in known:
+            rows.append((ratio.title, "", "", _asked(ratio), "not measured", "", ""))
     return Table(caption="Ratios, each measured side by side in one process", head=HEAD, rows=rows)
+
+
+def _asked(ratio: Ratio) -> str:
+    if ratio.asked is None:
+        return ""
+    return f"{'at most' if ratio.better == 'low' else 'at least'} {ratio.asked:g}"
 
 
 def _history(found: Sequence[Value], entries: Sequence[Entry]) -> Table:
