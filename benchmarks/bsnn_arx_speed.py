@@ -15,10 +15,12 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 import padasip
+import results
 
 from leglab.identification import BsnnArx, BsnnArxSettings
 
@@ -26,15 +28,14 @@ HERE = Path(__file__).parent
 FLAGS = ["-std=c++20", "-O3", "-fPIC", "-shared", "-ffp-contract=off", "-fno-math-errno"]
 SAMPLES = 20_000
 CALLS = 2000
-PASSES = 40
 SPLINES = (8, 16, 32, 64, 128, 256, 512)
 PARAMETERS = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96)
 
 
-def fastest(works: dict[str, tuple[Callable[[], object], int]]) -> dict[str, float]:
+def fastest(works: dict[str, tuple[Callable[[], object], int]], passes: int) -> dict[str, float]:
     """Least nanoseconds a sample; the works take turns, so that all see the same machine."""
     best = dict.fromkeys(works, np.inf)
-    for _ in range(PASSES):
+    for _ in range(passes):
         for name, (work, samples) in works.items():
             start = time.perf_counter()
             work()
@@ -111,27 +112,42 @@ def plot(best: dict[str, float], path: Path) -> None:
     figure.savefig(path, dpi=150)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path)
-    options = parser.parse_args()
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Nanoseconds a sample by what is timed, and the powers of growth."""
     with tempfile.TemporaryDirectory() as folder:
-        best = fastest(works(library(folder)))
-    bare, peer = best["bare"], best["padasip RLS step"]
-    print(f"{'bare loop':22s} {bare:9.1f} ns")
-    for name in ("core_double", "core_float", "run from Python"):
-        print(f"{name:22s} {best[name]:9.1f} ns = {best[name] / bare:.2f} x bare")
-    print(f"{'padasip RLS step':22s} {peer:9.1f} ns")
-    for name in ("update", "update of six joints"):
-        print(f"{name:22s} {best[name]:9.1f} ns = padasip / {peer / best[name]:.1f}")
-    for name, sizes in (("splines", SPLINES), ("rls", PARAMETERS)):
-        times = series(best, name, sizes)
-        print(name, "  ".join(f"{n}: {t:.0f}" for n, t in zip(sizes, times, strict=True)))
-        power = np.polyfit(np.log(sizes[-4:]), np.log(times[-4:]), 1)[0]
-        print(f"  grows with power {power:.2f} from {sizes[-4]} to {sizes[-1]}")
+        best = fastest(works(library(folder)), options.passes)
     if options.out:
         options.out.mkdir(parents=True, exist_ok=True)
         plot(best, options.out / "cost.png")
+    powers = {}
+    for name, sizes in (("splines", SPLINES), ("rls", PARAMETERS)):
+        times = series(best, name, sizes)
+        powers[name] = float(np.polyfit(np.log(sizes[-4:]), np.log(times[-4:]), 1)[0])
+    return {**best, "power": powers}
+
+
+def tables(found: dict[str, Any]) -> str:
+    """Beside the bare loop and padasip; growth with splines and with linear parameters."""
+    bare, peer = found["bare"], found["padasip RLS step"]
+    names = ("bare", "core_double", "core_float", "run from Python", "update")
+    rows = [
+        (name, f"{found[name]:.0f}", f"{found[name] / bare:.2f}", f"{peer / found[name]:.1f}")
+        for name in (*names, "update of six joints", "padasip RLS step")
+    ]
+    text = results.table(("paper's model", "ns a sample", "over bare", "padasip over it"), rows)
+    for name, sizes in (("splines", SPLINES), ("rls", PARAMETERS)):
+        times = [f"{time:.0f}" for time in series(found, name, sizes)]
+        head = (f"number of {name}", *map(str, sizes), "power of the last four")
+        text += "\n" + results.table(head, [("ns a sample", *times, f"{found['power'][name]:.2f}")])
+    return text
+
+
+def main() -> None:
+    """Measures, or prints what is kept."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, help="folder for cost.png")
+    parser.add_argument("--passes", type=int, default=40, help="of which the fastest counts")
+    results.main(parser, measure, tables)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
-"""Accuracy and time per sample beside padasip, SysIdentPy and plain NumPy/SciPy, in one run.
+"""Accuracy and time per sample beside padasip, river, SysIdentPy and NumPy/SciPy, in one run.
 
 Every linear model gets the same regressor [y(t-1..t-3), u(t-1..t-3), 1], scaled by the same
 declared ranges, and the same F(0) = 1e4 I. All are free-run tested on samples they have not seen.
 Times are processor times of one thread, the best of `REPEATS` passes over the training part,
 construction included: other work on the machine, which peers would wait for, counts for nobody.
-RMSE in the unit of the data (Silverbox: mV). Measuring needs padasip and sysidentpy.
+RMSE in the unit of the data (Silverbox: mV). Measuring needs padasip, river and sysidentpy.
 """
 
 import argparse
@@ -136,6 +136,27 @@ def padasip_filter(problem: Problem, make: Callable[[int], object]) -> Result:
     return problem.linear(*best_time(learn, len(rows)))
 
 
+def river_regression(problem: Problem) -> Result:
+    """Bayesian linear regression: with the prior 1/F(0) it is RLS without forgetting."""
+    from river.linear_model import BayesianLinearRegression
+
+    rows, targets = problem.regressors(problem.u, problem.y), problem.y[LAGS:]
+    names = [f"x{i}" for i in range(rows.shape[1])]
+    samples = [dict(zip(names, row, strict=True)) for row in rows.tolist()]
+
+    def learn() -> BayesianLinearRegression:
+        model = BayesianLinearRegression(alpha=1 / INITIAL_GAIN, beta=1.0)
+        for sample, target in zip(samples, targets.tolist(), strict=True):
+            model.learn_one(sample, target)
+        return model
+
+    nanoseconds, model = best_time(learn, len(rows))
+    # It tells its weights by what it predicts for each input alone.
+    zero = dict.fromkeys(names, 0.0)
+    theta = np.array([model.predict_one({**zero, name: 1.0}) for name in names])
+    return problem.linear(nanoseconds, theta)
+
+
 def sysidentpy_frols(problem: Problem, degree: int, estimator: object) -> Result:
     from sysidentpy.basis_function import Polynomial
     from sysidentpy.model_structure_selection import FROLS
@@ -245,6 +266,7 @@ def compare(problem: Problem, linear: Callable, full: Callable) -> dict[str, Res
         f"{filters} NLMS": padasip_filter(
             problem, lambda n: padasip.filters.FilterNLMS(n, mu=0.5, w="zeros")
         ),
+        f"river {metadata.version('river')} Bayesian linear regression": river_regression(problem),
         "NumPy RLS, written out": numpy_rls(problem),
         "SciPy least squares (batch)": scipy_batch(problem),
         f"{frols} FROLS, degree 3, least squares (batch)": sysidentpy_frols(

@@ -26,7 +26,12 @@ CASES = {
     "without shapes": (False, True),
     "as shipped, at rest": (True, False),
 }
-ASKED = {"pd": "at least 50", "static_feedforward": "", "bsnn_arx": "at least 30"}
+ASKED = {
+    "pd": "at least 50",
+    "static_feedforward": "",
+    "bsnn_arx": "at least 30",
+    "bsnn_arx_bank": "at least 0.6 of `pd`",
+}
 
 
 def step_times(bursts: int, *, visual: bool, moving: bool) -> dict[str, float]:

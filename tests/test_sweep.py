@@ -95,9 +95,9 @@ def test_results_are_those_of_the_runs_themselves(tmp_path):
 def test_finished_runs_are_not_repeated(tmp_path, monkeypatch):
     calls = []
 
-    def counted(settings):
+    def counted(settings, **shared):
         calls.append(settings)
-        return run_scenario(settings)
+        return run_scenario(settings, **shared)
 
     monkeypatch.setattr(sweep, "run_scenario", counted)
     first = run_all(bench(seeds=2).runs(), tmp_path, jobs=1)

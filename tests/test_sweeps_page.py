@@ -55,6 +55,22 @@ def test_heat_maps_show_medians_and_the_worst_runs_come_first(tmp_path):
     assert numbers[2][:4] == ["seal_wear", "pd", "6", "1"]
 
 
+def test_the_headline_tells_controllers_apart(tmp_path):
+    times = write_sweep(tmp_path / "s")
+    text = html.unescape(re.search(r"<h1.*?>(.*?)</h1>", page(tmp_path / "s"))[1])
+    wanted = {}
+    for controller, first in (("pd", 0), ("bsnn_arx", 6)):
+        own = [time for (name, _), found in times.items() if name == controller for time in found]
+        share = 100 * (1 - 0.02 * (first + 2.5))
+        never = f" ({own.count(None)} of 6 never)"
+        wanted[middle(own)] = (
+            f"{controller} undoes {share:.3g} % of the damage, nine tenths after "
+            f"{middle(own):.3g} s{never}"
+        )
+    best, worse = (wanted[time] for time in sorted(wanted))
+    assert text == f"12 runs; in the median {best}, {worse}"
+
+
 def test_the_darkest_field_is_the_worst(tmp_path):
     write_sweep(tmp_path / "s")
     text = page(tmp_path / "s")

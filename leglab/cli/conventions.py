@@ -47,6 +47,11 @@ EXAMPLES = {
         "leglab benchmark adaptation --controllers bsnn_arx,arx",
         "leglab benchmark adaptation --controllers overlap --load overlap.py --specimens 3",
     ),
+    "bench": (
+        "leglab bench",
+        "leglab bench --part leg_speed --repeat 5 --check",
+        "leglab bench --quick --out out/look",
+    ),
     "query": (
         'leglab query out/sweep "SELECT controller, median(t90_s) FROM runs GROUP BY controller"',
         "leglab query out/sweep \"SELECT run, error FROM runs WHERE status = 'failed'\" --json",

@@ -1,5 +1,6 @@
 """The commands `leglab sweep` and `leglab query`: many runs from a file, and questions to them."""
 
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -71,6 +72,7 @@ def sweep(
     result = terminal.make_many("sweeping", len(plan), make)
     for line in result.damaged:
         terminal.complain(line, "warning")
+    found = result.tuned() if plan.tuned else []
     written = None
     if report:
         from leglab.report.sweep.page import write_sweep_page
@@ -85,12 +87,15 @@ def sweep(
             "done": result.done,
             "failed": result.failed,
             "page": None if written is None else str(written),
+            "tuned": [asdict(one) for one in found],
         }
         terminal.print_json(content)
     else:
         again = result.done - result.made
         there = f", {again} were there" if again else ""
         terminal.tell(f"{result.made} of {len(plan)} runs made{there}; written to {written or out}")
+        for one in found:
+            terminal.tell(str(one))
     if result.failed:
         terminal.complain(
             f"{result.failed} of {len(plan)} runs failed; leglab query {out} "

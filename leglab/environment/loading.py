@@ -82,35 +82,15 @@ def load(
     Raises:
         LeglabError: If a name or a setting does not fit, or dm_control is missing.
     """
+    settings = locals()  # what was given, before anything else has a name
+    del settings["randomize"], settings["flat_observation"]
     _require("dm_control.mujoco")
     from dm_control.rl import control
 
     from leglab.environment.physics import LegPhysics
     from leglab.environment.task import TrackingTask
 
-    plan = _plan(
-        scenario,
-        model=model,
-        action=action,
-        controller=controller,
-        controller_config=controller_config,
-        residual_scale=residual_scale,
-        reward=reward,
-        reference=reference,
-        reference_config=reference_config,
-        severity=severity,
-        ramp_duration=ramp_duration,
-        element=element,
-        onset=onset,
-        duration=duration,
-        control_period=control_period,
-        sensors=sensors,
-        timestep=timestep,
-        tolerance=tolerance,
-        seed=seed,
-        preview=preview,
-        error_limit=error_limit,
-    )
+    plan = _plan(**settings)
     simulation = plan.preparation.machine(visual=True)
     task = TrackingTask(
         plan.preparation,

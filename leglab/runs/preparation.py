@@ -1,10 +1,13 @@
 """From the settings of a run to its parts: nominal machine, specimen, reference."""
 
 import copy
+import json
 import math
+from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -245,6 +248,36 @@ class Preparation:
     def _load(self, *, visual: bool) -> Any:
         edit = partial(_edit, self._parameters) if self._parameters else None
         return load_model(self._model, timestep=self._timestep, visual=visual, edit=edit)
+
+
+# Preparations that are kept for the next run with the same machine, by what decides them.
+_PREPARED = 8
+_preparations: OrderedDict[str, Preparation] = OrderedDict()
+
+
+def prepared(settings: RunSettings) -> Preparation:
+    """The preparation of a run, kept in this process for the next runs that share it.
+
+    A model's file that was changed is read again; what it includes is not looked at.
+
+    Raises:
+        LeglabError: As `Preparation`.
+    """
+    file = Path(settings.model)
+    changed = file.stat().st_mtime_ns if file.is_file() else 0
+    shared = ("model", "timestep", "tolerance", "sensors", "parameters")
+    key = json.dumps([changed, *(getattr(settings, name) for name in shared)], sort_keys=True)
+    if key not in _preparations:
+        _preparations[key] = Preparation(settings)
+        if len(_preparations) > _PREPARED:
+            _preparations.popitem(last=False)
+    _preparations.move_to_end(key)
+    return _preparations[key]
+
+
+def forget_preparations() -> None:
+    """Frees the memory of all preparations that are kept."""
+    _preparations.clear()
 
 
 def _edit(parameters: Mapping[tuple[str, str], float], spec: mujoco.MjSpec) -> None:

@@ -18,17 +18,10 @@ from leglab.base.notebook import data_frame, data_index, html_table, panels
 from leglab.base.output import claimed_folder, write_atomically
 from leglab.machine.changes import check_tolerance
 from leglab.runs.fingerprint import fingerprint
-from leglab.runs.metrics import sliding_rms
 from leglab.runs.parallel import Progress, make_missing
-from leglab.runs.preparation import RunSettings, check_controllers, scenario_of
+from leglab.runs.preparation import RunSettings, check_controllers, prepared, scenario_of
 from leglab.runs.run import Run, run_scenario
-
-# Distance of the stored samples of the windowed error [s].
-_TRACE_PERIOD = 0.02
-
-# Window of the error that adaptation must not make worse [s].
-_SAFETY_WINDOW = 2.0
-
+from leglab.runs.sweeps.outcome import traces
 
 _MOST_SEEDS = 100_000
 
@@ -157,7 +150,7 @@ def _stored(settings: RunSettings, folder: Path, code: str) -> dict[str, Any] | 
 
 def _run_and_store(settings: RunSettings, folder: Path, code: str) -> str:
     """Makes a run, in a process of its own unless there is one job only, and says what it was."""
-    run = run_scenario(settings)
+    run = run_scenario(settings, preparation=prepared(settings))
     if run.history.failure.startswith("interrupted"):
         raise KeyboardInterrupt
     text = json.dumps({**_result(run), "code": code}, allow_nan=False)
@@ -166,26 +159,16 @@ def _run_and_store(settings: RunSettings, folder: Path, code: str) -> str:
 
 
 def _result(run: Run) -> dict[str, Any]:
-    history = run.history
-    finite = np.isfinite(history.error).all(axis=1)
-    time, error = history.time[finite], history.error[finite]
-    # Steps of whole samples: the control period divides the trace's period, or is its step itself.
-    step = max(round(_TRACE_PERIOD / (time[1] - time[0])), 1) if len(time) > 1 else 1
-
-    def trace(window: float) -> list[float | None]:
-        windowed = sliding_rms(time, error, window)[::step].tolist()
-        return [None if math.isnan(value) else value for value in windowed]
-
-    travel = np.ptp(history.reference.position, axis=0)
+    kept = traces(run)
     return {
         "settings": asdict(run.settings),
         "metrics": run.metrics,
-        "changes": list(run.scenario.breakpoints),
-        "window": run.window,
-        "time": time[::step].tolist(),
-        "windowed_error_rad": trace(run.window),
-        "safety_error_rad": trace(_SAFETY_WINDOW),
-        "travel_rad": dict(zip(run.joints, travel.tolist(), strict=True)),
+        "changes": kept["changes_s"],
+        "window": kept["window_s"],
+        "time": kept["trace_s"],
+        "windowed_error_rad": kept["windowed_rad"],
+        "safety_error_rad": kept["worst_rad"],
+        "travel_rad": json.loads(kept["travel_rad"]),
     }
 
 

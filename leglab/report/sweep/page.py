@@ -13,12 +13,16 @@ from leglab.report.page.shell import Section, Table, render
 from leglab.report.page.wording import listed, number, readable
 from leglab.report.run.page import PAGE
 from leglab.runs.sweeps.outcome import recording_folder
+from leglab.runs.sweeps.plan import SweepPlan
 from leglab.runs.sweeps.query import Answer, questions
 from leglab.runs.sweeps.rows import column
 from leglab.runs.sweeps.store import SWEEP, SweepRecord, read_record
+from leglab.runs.sweeps.tuning import tuned
 
 # Rows and columns of a heat map, bars of a distribution, runs of the list of the worst.
 _MOST_ROWS, _MOST_COLUMNS, _BARS, _WORST = 120, 20, 24, 12
+# Controllers that the headline tells of.
+_TOLD = 4
 # Sizes that are drawn, not listed, are shown in so many classes.
 _CLASSES = 6
 
@@ -126,6 +130,17 @@ def _render(facts: "_Facts") -> str:
     )
 
 
+def _tuned(facts: "_Facts") -> Section:
+    """What tuned blocks have found; the titles of their settings are columns."""
+    plan = SweepPlan(facts.record.plan, SWEEP)
+    names = ["run", "status", *dict.fromkeys(points.tune.metric for points in plan.tuned)]
+    names += dict.fromkeys(column(name) for points in plan.tuned for name in points.ranges)
+    columns = ", ".join(f'"{name}"' for name in names)
+    rows = [dict(zip(names, row, strict=True)) for row in facts.rows(f"SELECT {columns} FROM runs")]
+    lines = tuple(str(found) for found in tuned(plan, rows))
+    return Section(title="What did tuning find?", lines=lines)
+
+
 class _Facts:
     """Answers of the dataset that several parts of the page need."""
 
@@ -159,17 +174,22 @@ def _headline(facts: _Facts) -> str:
     if facts.failed:
         parts.append(f"{facts.failed:,} of them failed")
     if facts.told:
-        (t90, never, told, recovered) = facts.rows(
-            "SELECT median(coalesce(t90_s, 1e9)), count(*) FILTER (t90_s IS NULL), count(*),"
-            " median(recovered) FROM runs WHERE recovered IS NOT NULL"
-        )[0]
-        when = "never" if t90 >= 1e9 else f"after {number(t90)} s"
-        parts.append(
-            f"in the median {number(100 * recovered)} % of the damage is undone at the end, "
-            f"nine tenths {when}"
+        found = facts.rows(
+            "SELECT controller, median(coalesce(t90_s, 1e9)) AS t90,"
+            " count(*) FILTER (t90_s IS NULL), count(*), median(recovered) FROM runs"
+            " WHERE recovered IS NOT NULL GROUP BY 1 ORDER BY t90, 5 DESC, 1"
         )
-        if never:
-            parts.append(f"{never:,} of {told:,} never undid nine tenths")
+        # Controllers have nothing in common that a median over all of them could tell.
+        told = []
+        for controller, t90, never, count, recovered in found[:_TOLD]:
+            when = "never" if t90 >= 1e9 else f"after {number(t90)} s"
+            line = (
+                f"{controller} undoes {number(100 * recovered)} % of the damage, nine tenths {when}"
+            )
+            told.append(line + (f" ({never:,} of {count:,} never)" if never else ""))
+        parts.append("in the median " + ", ".join(told))
+        if len(found) > _TOLD:
+            parts.append(f"{len(found) - _TOLD} controllers more stand in the table")
     return "; ".join(parts)
 
 
@@ -210,6 +230,8 @@ def _sections(facts: _Facts) -> list[Section]:
                 names=tuple(name for name, _, _ in best),
             )
         )
+    if any("tune" in block for block in facts.record.plan.get("block", ())):
+        sections.append(_tuned(facts))
     return sections
 
 

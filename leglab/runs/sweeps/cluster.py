@@ -9,7 +9,7 @@ import json
 import logging
 import threading
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import asdict, replace
@@ -18,7 +18,7 @@ from uuid import uuid4
 
 from leglab.base.errors import LeglabError
 from leglab.base.input import parse_json
-from leglab.runs.sweeps.runner import Runner, Terms
+from leglab.runs.sweeps.runner import Answered, Runner, Task, Terms
 
 # Batches of runs that the cluster knows of, for each of its threads: one is made.
 _AHEAD = 3
@@ -63,7 +63,7 @@ def answers(requests: str, terms: str) -> str:
     return json.dumps({"answers": found, "by": worker.address})
 
 
-class Cluster(AbstractContextManager[Iterator[Any]]):
+class Cluster(AbstractContextManager[Any]):
     """The workers of an existing Dask cluster.
 
     Args:
@@ -77,13 +77,8 @@ class Cluster(AbstractContextManager[Iterator[Any]]):
         self._waiting: dict[str, tuple[list[int], Any]] = {}
         self._closing = ExitStack()
 
-    def __call__(self, requests: Iterator[tuple[int, dict[str, Any]]]) -> "Cluster":
-        """Sets what is to be answered."""
-        self._requests = requests
-        return self
-
-    def __enter__(self) -> Iterator[tuple[int, dict[str, Any], str]]:
-        """Connects.
+    def __enter__(self) -> Callable[[Iterator[Task]], Iterator[Answered]]:
+        """Connects, and returns what has requests answered; it may be called again.
 
         Raises:
             LeglabError: distributed is missing, or there is no scheduler or no worker.
@@ -99,12 +94,13 @@ class Cluster(AbstractContextManager[Iterator[Any]]):
         self._closing.callback(log.setLevel, log.level)
         log.setLevel(logging.CRITICAL + 1)
         try:
-            return self._connected()
+            self._connect()
         except BaseException:
             self._closing.close()
             raise
+        return self._answers
 
-    def _connected(self) -> Iterator[tuple[int, dict[str, Any], str]]:
+    def _connect(self) -> None:
         from distributed import Client
 
         try:
@@ -119,7 +115,6 @@ class Cluster(AbstractContextManager[Iterator[Any]]):
         except TimeoutError as error:
             self._client.close()
             raise LeglabError(f"scheduler {self._address!r} has no workers") from error
-        return self._answers()
 
     def __exit__(self, *_: object) -> None:
         """Forgets what has not been made."""
@@ -129,7 +124,7 @@ class Cluster(AbstractContextManager[Iterator[Any]]):
             self._client.close(timeout=5)
         self._closing.close()
 
-    def _answers(self) -> Iterator[tuple[int, dict[str, Any], str]]:
+    def _answers(self, requests: Iterator[Task]) -> Iterator[Answered]:
         from distributed import as_completed
 
         arriving = as_completed(loop=self._client.loop, raise_errors=False)
@@ -139,7 +134,7 @@ class Cluster(AbstractContextManager[Iterator[Any]]):
                 if count % _LOOK == 0:  # Workers come and go.
                     most = _AHEAD * max(sum(self._client.nthreads().values()), 1)
                 while len(self._waiting) < most:
-                    tasks = list(itertools.islice(self._requests, together))
+                    tasks = list(itertools.islice(requests, together))
                     if not tasks:
                         break
                     key = f"leglab-{token}-{tasks[0][0]}"

@@ -3,11 +3,11 @@
 import os
 import queue
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import pyarrow as pa
 
@@ -17,21 +17,14 @@ from leglab.base.errors import LeglabError
 from leglab.base.output import cannot_write, claimed_folder
 from leglab.runs.fingerprint import fingerprint
 from leglab.runs.parallel import Progress
-from leglab.runs.sweeps import store
+from leglab.runs.sweeps import store, tuning
 from leglab.runs.sweeps.outcome import recording_folder
 from leglab.runs.sweeps.plan import SweepPlan
-from leglab.runs.sweeps.rows import row_of, schema, this_machine
-from leglab.runs.sweeps.runner import Runner, Task, Terms
+from leglab.runs.sweeps.rows import column, row_of, schema, this_machine
+from leglab.runs.sweeps.runner import Answered, Runner, Task, Terms
 
-# Number of the run, answer to its request, and what made it.
-Answered = tuple[int, dict[str, Any], str]
-
-
-class Executor(Protocol):
-    """Has requests answered, several at a time."""
-
-    def __call__(self, requests: Iterator[Task]) -> AbstractContextManager[Iterator[Answered]]:
-        """Yields answers as they come; at the end of the context nothing is running any more."""
+# Has requests answered, several at a time; yields answers as they come. May be called again.
+Executor = Callable[[Iterator[Task]], Iterator[Answered]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +54,10 @@ class SweepResult:
     def table(self) -> pa.Table:
         """All rows in the order of the runs, as a `pyarrow.Table`."""
         return store.read_rows(self.folder, schema(self.plan)).table()
+
+    def tuned(self) -> list[tuning.Tuned]:
+        """The best point of each tuned block."""
+        return tuning.tuned(self.plan, _tuning_rows(self.folder, self.plan))
 
     def to_pandas(self) -> Any:
         """Returns all rows as a `pandas.DataFrame`."""
@@ -103,6 +100,8 @@ def run_sweep(
     folder = Path(folder)
     if scheduler is not None and workers != -1:
         raise LeglabError("workers are processes of this machine: they go without a scheduler")
+    if plan.tuned:
+        tuning.check_optuna({points.draw for points in plan.tuned})
     models = plan.check(progress)
     record = store.SweepRecord(
         plan=plan.content,
@@ -120,6 +119,7 @@ def run_sweep(
         try:
             if retry_failed and kept.failed:
                 kept.forget_failed()
+            _recall(plan, folder)
             executor = _executor(workers, scheduler, _terms(plan))
             made = _make(plan, folder, kept, executor, progress)
             kept.compact()
@@ -154,6 +154,7 @@ def record_runs(
             written.
     """
     folder = Path(folder)
+    _recall(plan, folder)
     for number in numbers:
         if not 0 <= number < len(plan):
             raise LeglabError(f"there is no run {number}; allowed: 0 to {len(plan) - 1}")
@@ -163,8 +164,8 @@ def record_runs(
         for number, place in zip(numbers, keeping, strict=True)
     ]
     terms = _terms(plan)
-    with Processes(min(len(requests), os.cpu_count() or 1), terms)(iter(requests)) as answers:
-        for count, (number, answer, _) in enumerate(answers, 1):
+    with Processes(min(len(requests), os.cpu_count() or 1), terms) as answered:
+        for count, (number, answer, _) in enumerate(answered(iter(requests)), 1):
             place = recording_folder(folder.resolve(), number)
             if "outcome" not in answer and not place.is_dir():
                 raise LeglabError(f"run {number}: {answer.get('error')}")
@@ -209,7 +210,7 @@ def _begin(folder: Path, record: store.SweepRecord, *, overwrite: bool) -> None:
         others = [p.name for p in folder.iterdir() if not p.name.startswith(".")]
     except OSError as error:
         raise cannot_write(folder, error) from error
-    leftover = {"runs", "recordings", store.DATASET}
+    leftover = {"runs", "recordings", store.DATASET, store.PROPOSALS}
     if any(not (name in leftover or name.startswith("journal-")) for name in others):
         raise LeglabError(f"{str(folder)!r} holds no sweep but other files: give another")
     store.empty(folder)
@@ -217,21 +218,68 @@ def _begin(folder: Path, record: store.SweepRecord, *, overwrite: bool) -> None:
 
 
 def _make(
-    plan: SweepPlan, folder: Path, kept: store.Store, executor: Executor, progress: Progress | None
+    plan: SweepPlan,
+    folder: Path,
+    kept: store.Store,
+    executor: AbstractContextManager[Executor],
+    progress: Progress | None,
 ) -> int:
-    failed = kept.failed
+    failed, made = kept.failed, 0
     if progress:
         progress(kept.done, len(plan), "")
-    missing = list(kept.missing())
-    if not missing:
+    if kept.done == len(plan):
         return 0
-    with executor((number, _request(plan, number, folder)) for number in missing) as answers:
-        for number, answer, by in answers:
-            kept.add(row_of(plan, number, answer, by))
-            if progress:
-                told = f"{kept.failed} failed" if kept.failed > failed else "sweeping"
-                progress(kept.done, len(plan), told)
-    return len(missing)
+    figures: dict[int, dict[str, Any]] = {}
+    if plan.tuned:
+        figures = {row["run"]: row for row in _tuning_rows(folder, plan)}
+    with executor as answered:
+        while numbers := _ready(plan, folder, kept, figures):
+            requests = ((number, _request(plan, number, folder)) for number in numbers)
+            for number, answer, by in answered(requests):
+                row = row_of(plan, number, answer, by)
+                kept.add(row)
+                made += 1
+                if plan.tuned:
+                    figures[number] = row
+                if progress:
+                    told = f"{kept.failed} failed" if kept.failed > failed else "sweeping"
+                    progress(kept.done, len(plan), told)
+    return made
+
+
+def _recall(plan: SweepPlan, folder: Path) -> None:
+    """Tells the plan which points were proposed; those of a block stand in their order."""
+    kept = store.read_proposals(folder) if plan.tuned else {}
+    for points in plan.tuned:
+        points.proposals.clear()
+        for point in range(1, points.count):
+            values = kept.get(points.runs(point)[0])
+            if values is None or set(values) != set(points.ranges):
+                break
+            points.proposals[point] = values
+
+
+def _tuning_rows(folder: Path, plan: SweepPlan) -> list[dict[str, Any]]:
+    columns = schema(plan)
+    names = {column(name) for points in plan.tuned for name in points.ranges}
+    names |= {"run", "status", *(points.tune.metric for points in plan.tuned)}
+    return store.read_rows(folder, columns).table(sorted(names)).to_pylist()
+
+
+def _ready(
+    plan: SweepPlan, folder: Path, kept: store.Store, rows: dict[int, dict[str, Any]]
+) -> list[int]:
+    """Numbers of the missing runs whose settings are known, after proposing what is due."""
+    for points in plan.tuned:
+        batch = tuning.due(points)
+        if not all(n in rows for p in tuning.before(points) for n in points.runs(p)):
+            continue
+        figures = {n: tuning.figure_of(row, points.tune.metric) for n, row in rows.items()}
+        for point in batch:
+            values = tuning.propose(points, figures)
+            store.keep_proposal(folder, points.runs(point)[0], values)
+            points.proposals[point] = values
+    return [number for number in kept.missing() if plan.is_known(number)]
 
 
 def _request(plan: SweepPlan, number: int, folder: Path) -> dict[str, Any]:
@@ -249,7 +297,9 @@ def _terms(plan: SweepPlan) -> Terms:
     )
 
 
-def _executor(workers: int, scheduler: str | None, terms: Terms) -> Executor:
+def _executor(
+    workers: int, scheduler: str | None, terms: Terms
+) -> AbstractContextManager[Executor]:
     if scheduler is not None:
         from leglab.runs.sweeps.cluster import Cluster
 
@@ -258,8 +308,8 @@ def _executor(workers: int, scheduler: str | None, terms: Terms) -> Executor:
     return Processes(count, terms.limited(count))
 
 
-class Processes(AbstractContextManager[Iterator[Answered]]):
-    """Processes of this machine, each asked by a thread of this one.
+class Processes(AbstractContextManager[Executor]):
+    """Processes of this machine, each asked by a thread of this one; they stay between calls.
 
     Args:
         count: How many.
@@ -267,29 +317,15 @@ class Processes(AbstractContextManager[Iterator[Answered]]):
     """
 
     def __init__(self, count: int, terms: Terms) -> None:
-        self._count, self._terms = count, terms
-        self._runners: list[Runner] = []
+        self._runners = [Runner(terms) for _ in range(count)]
         self._threads: list[threading.Thread] = []
         self._lock, self._over = threading.Lock(), threading.Event()
         # Bounded: whoever keeps the rows may be slower for a while.
         self._answers: queue.Queue[Answered | BaseException | None] = queue.Queue(1000)
 
-    def __call__(self, requests: Iterator[Task]) -> "Processes":
-        """Sets what is to be answered."""
-        self._requests = requests
-        return self
-
-    def __enter__(self) -> Iterator[Answered]:
-        """Starts."""
-        for number in range(self._count):
-            runner = Runner(self._terms)
-            self._runners.append(runner)
-            self._threads.append(
-                threading.Thread(target=self._serve, args=(runner, number), daemon=True)
-            )
-        for thread in self._threads:
-            thread.start()
-        return self._all()
+    def __enter__(self) -> Executor:
+        """Returns what has requests answered."""
+        return self._answered
 
     def __exit__(self, *_: object) -> None:
         """Ends all processes, in the middle of a run as well."""
@@ -301,9 +337,18 @@ class Processes(AbstractContextManager[Iterator[Answered]]):
                 self._answers.get(timeout=0.05)
             except queue.Empty:
                 continue
+        for runner in self._runners:
+            runner.close()
 
-    def _all(self) -> Iterator[Answered]:
-        serving = self._count
+    def _answered(self, requests: Iterator[Task]) -> Iterator[Answered]:
+        self._requests = requests
+        self._threads = [
+            threading.Thread(target=self._serve, args=(runner, number), daemon=True)
+            for number, runner in enumerate(self._runners)
+        ]
+        for thread in self._threads:
+            thread.start()
+        serving = len(self._threads)
         while serving:
             found = self._answers.get()
             if isinstance(found, BaseException):
@@ -327,5 +372,3 @@ class Processes(AbstractContextManager[Iterator[Answered]]):
             self._answers.put(None)
         except BaseException as error:
             self._answers.put(error)
-        finally:
-            runner.close()

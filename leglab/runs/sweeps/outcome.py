@@ -82,6 +82,14 @@ class Outcome(BaseModel):
     travel_rad: str | None = None
 
 
+# Figures that are numbers, and kept of every run.
+FIGURES = tuple(
+    name
+    for name, field in Outcome.model_fields.items()
+    if field.annotation in (float, FiniteFloat | None) and name != "window_s"
+)
+
+
 def outcome_of(run: Run, keep: Sequence[str]) -> dict[str, Any]:
     """Figures of a run that came to its end, by name as `Outcome` has them.
 
@@ -123,18 +131,21 @@ def outcome_of(run: Run, keep: Sequence[str]) -> dict[str, Any]:
     if "metrics" in keep:
         kept["metrics"] = json.dumps(run.metrics, allow_nan=False)
     if "traces" in keep:
-        kept |= _traces(run, worst)
+        kept |= traces(run)
     return kept
 
 
-def _traces(run: Run, worst: np.ndarray) -> dict[str, Any]:
+def traces(run: Run) -> dict[str, Any]:
+    """Windowed errors of a run as far as they are finite, every 20 ms; names as in `Outcome`."""
     history = run.history
+    finite = np.isfinite(history.error).all(axis=1)
+    time, error = history.time[finite], history.error[finite]
     # Steps of whole samples: the control period divides the trace's period, or is its step itself.
-    step = max(round(TRACE_PERIOD / history.time[1]), 1) if len(history.time) > 1 else 1
-    windowed = sliding_rms(history.time, history.error, run.window)
+    step = max(round(TRACE_PERIOD / (time[1] - time[0])), 1) if len(time) > 1 else 1
+    windowed, worst = (sliding_rms(time, error, span) for span in (run.window, WORST_WINDOW))
     travel = np.ptp(history.reference.position, axis=0).tolist()
     return {
-        "trace_s": history.time[::step].tolist(),
+        "trace_s": time[::step].tolist(),
         "windowed_rad": _numbers(windowed[::step]),
         "worst_rad": _numbers(worst[::step]),
         "changes_s": list(run.scenario.breakpoints),

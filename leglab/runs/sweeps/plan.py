@@ -22,12 +22,13 @@ from leglab.machine.parameters import placed_parameters
 from leglab.references.base import REFERENCES
 from leglab.runs.loop import Loop
 from leglab.runs.preparation import Preparation, RunSettings, reference_config, scenario_of
+from leglab.runs.sweeps.outcome import FIGURES
 
 # A sweep beyond this would not fit into the memory of the process that keeps its books.
 MOST_RUNS = 10_000_000
 _MOST_FILE = 10_000_000  # bytes
 # Settings that are a table of names and values.
-MAPPINGS = ("controller_config", "reference_config", "sensors", "parameters")
+MAPPINGS: tuple[str, ...] = ("controller_config", "reference_config", "sensors", "parameters")
 _COUNT, _RANGE = {"first", "count"}, {"low", "high", "log"}
 _FIELDS = {field.name: field for field in fields(RunSettings)}
 
@@ -60,6 +61,23 @@ class Count(Configuration):
     count: Annotated[int, Field(ge=1, le=MOST_RUNS)]
 
 
+class Tune(Configuration):
+    """What the proposed points of a block are to bring about.
+
+    Attributes:
+        metric: Column of the dataset, a number.
+        aim: Whether it is to be low or high.
+        over: Whether its mean over the runs of the grid counts, or the worst of them.
+        together: Points that are proposed at a time: more of them keep more processes busy, and
+            know less of each other.
+    """
+
+    metric: str
+    aim: Literal["lowest", "highest"] = "lowest"
+    over: Literal["mean", "worst"] = "mean"
+    together: Annotated[int, Field(ge=1, le=1000)] = 1
+
+
 class Block(Configuration):
     """Runs that are varied together: every drawn point in every combination of the grid.
 
@@ -67,17 +85,22 @@ class Block(Configuration):
         settings: What its runs share, over the settings of the whole plan.
         grid: Lists of values by setting; every combination is run.
         ranges: Ranges by setting, from which points are drawn.
-        draw: How: `sobol` (scrambled, Owen 1998, by `scipy.stats.qmc`) or `random`.
-        points: How many; needed where there are ranges.
+        draw: How: `sobol` (scrambled, Owen 1998, by `scipy.stats.qmc`) or `random`; or proposed by
+            Optuna after the runs of those before: `tpe` (tree-structured Parzen estimator) or
+            `gp` (Gaussian process).
+        points: How many; needed where there are ranges. Of proposed ones the first is the block
+            without values of the ranges.
         draw_seed: Seed of the points.
+        tune: What proposed points are to bring about.
     """
 
     settings: dict[str, Any] = Field(default_factory=dict)
     grid: dict[str, Any] = Field(default_factory=dict)
     ranges: dict[str, Any] = Field(default_factory=dict)
-    draw: Literal["sobol", "random"] = "sobol"
+    draw: Literal["sobol", "random", "tpe", "gp"] = "sobol"
     points: Annotated[int, Field(ge=1, le=MOST_RUNS)] | None = None
     draw_seed: Annotated[int, Field(ge=0)] = 0
+    tune: Tune | None = None
 
 
 class PlanFile(Configuration):
@@ -109,6 +132,7 @@ class _Runs:
     draw: str
     points: int
     draw_seed: int
+    tuned: "Points | None" = None
 
     @cached_property
     def shape(self) -> tuple[int, ...]:
@@ -138,15 +162,56 @@ class _Runs:
         values[:, logs] = np.exp(values[:, logs])
         return values
 
-    def values(self, number: int) -> dict[str, Any]:
-        """Settings of a run by dotted name."""
+    def values(self, number: int, *, ends: bool = False) -> dict[str, Any] | None:
+        """Settings of a run by dotted name; None of one whose point is not proposed yet.
+
+        Args:
+            number: In the block.
+            ends: Whether the first proposed points stand for the ends of their ranges.
+        """
         *places, point = np.unravel_index(number, self.shape)
         chosen = {
             name: values[int(i)]
             for (name, values), i in zip(self.grid.items(), places, strict=True)
         }
-        drawn = zip(self.ranges, self.drawn[int(point)].tolist(), strict=True)
-        return {**self.settings, **chosen, **dict(drawn)}
+        if self.tuned is None:
+            drawn = dict(zip(self.ranges, self.drawn[int(point)].tolist(), strict=True))
+        elif ends and point in (1, 2):
+            drawn = {n: r.low if point == 1 else r.high for n, r in self.ranges.items()}
+        elif point == 0 or int(point) in self.tuned.proposals:
+            drawn = self.tuned.proposals.get(int(point), {})
+        else:
+            return None
+        return {**self.settings, **chosen, **drawn}
+
+
+class Points:
+    """The points of a tuned block, of which those are known that were proposed.
+
+    Args:
+        block: Number of the block, from 0 on.
+        first: Number of its first run.
+        combinations: Number of runs of a point.
+        content: Of the block.
+        ranges: From which points are proposed, by dotted name.
+
+    Attributes:
+        proposals: Values of the ranges by point, from 1 on.
+    """
+
+    def __init__(
+        self, block: int, first: int, combinations: int, content: Block, ranges: Mapping[str, Range]
+    ) -> None:
+        assert content.tune is not None
+        assert content.points is not None
+        self.block, self.tune, self.ranges = block, content.tune, ranges
+        self.draw, self.seed, self.count = content.draw, content.draw_seed, content.points
+        self._first, self._combinations = first, combinations
+        self.proposals: dict[int, dict[str, float]] = {}
+
+    def runs(self, point: int) -> list[int]:
+        """Numbers of the runs of a point."""
+        return [self._first + point + self.count * i for i in range(self._combinations)]
 
 
 def _scale(value: float, range_: Range) -> float:
@@ -164,6 +229,7 @@ class SweepPlan:
         keep: What is kept beside the rows.
         timeout: Wall time that a run may take [s].
         memory: Memory that the process of a run may take [MB]; None for its share.
+        tuned: The points of its tuned blocks, which are known when they were proposed.
 
     Raises:
         LeglabError: The content is not allowed; names file, key, value and what is allowed.
@@ -180,6 +246,13 @@ class SweepPlan:
             _runs(block, shared, f"{name}: block {i + 1}") for i, block in enumerate(found.block)
         ]
         self._starts = np.cumsum([0, *map(len, self._blocks)])
+        self.tuned: list[Points] = []
+        for i, (block, runs) in enumerate(zip(found.block, self._blocks, strict=True)):
+            if block.tune is not None:
+                count = len(runs) // runs.points
+                points = Points(i, int(self._starts[i]), count, block, runs.ranges)
+                self.tuned.append(points)
+                self._blocks[i] = replace(runs, tuned=points)
         if len(self) > MOST_RUNS:
             raise LeglabError(
                 f"{name}: asks for {len(self):,} runs; allowed: at most {MOST_RUNS:,}"
@@ -219,6 +292,9 @@ class SweepPlan:
         """Digest of what decides the runs and their rows; time-out and memory do not."""
         content = self._content.model_dump(exclude={"timeout", "memory"})
         content["keep"] = self.keep
+        for block in content["block"]:
+            if block["tune"] is None:  # The digest of a plan without such blocks is as it was.
+                del block["tune"]
         text = json.dumps(content, sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -228,13 +304,35 @@ class SweepPlan:
         return self._content.model_dump(mode="json", exclude_unset=True)
 
     def values(self, number: int) -> dict[str, Any]:
-        """Settings of a run by dotted name, those alone that the file gives."""
+        """Settings of a run by dotted name, those alone that the file gives.
+
+        Raises:
+            LeglabError: They are not proposed yet.
+        """
+        found = self._values(number)
+        if found is None:
+            raise LeglabError(f"{self._name}: run {number}: its settings are not proposed yet")
+        return found
+
+    def _values(self, number: int, *, ends: bool = False) -> dict[str, Any] | None:
         block = int(np.searchsorted(self._starts, number, side="right")) - 1
-        return self._blocks[block].values(number - int(self._starts[block]))
+        return self._blocks[block].values(number - int(self._starts[block]), ends=ends)
+
+    def is_known(self, number: int) -> bool:
+        """Whether the settings of a run are known, and need not be proposed first."""
+        return not self.tuned or self._values(number) is not None
+
+    def point(self, number: int) -> int | None:
+        """Number of the point of a run of a tuned block; None of another block."""
+        block = int(np.searchsorted(self._starts, number, side="right")) - 1
+        runs = self._blocks[block]
+        return None if runs.tuned is None else (number - int(self._starts[block])) % runs.points
 
     def settings(self, number: int) -> RunSettings:
         """Settings of a run."""
-        given = self.values(number)
+        return self._settings(self.values(number))
+
+    def _settings(self, given: Mapping[str, Any]) -> RunSettings:
         plain = {k: v for k, v in given.items() if k in _FIELDS}
         for name, value in given.items():
             owner, _, key = name.partition(".")
@@ -263,18 +361,20 @@ class SweepPlan:
         for number in range(len(self)):
             if progress and number % 1000 == 0:
                 progress(0, len(self), f"checking, {number:,} of {len(self):,}")
-            settings = self.settings(number)
+            given = self._values(number, ends=True)
+            if given is None:
+                continue
+            settings = self._settings(given)
             try:
                 models.setdefault(settings.model, checks(settings))
             except LeglabError as error:
                 raise LeglabError(
-                    f"{self._name}: run {number} ({self.told(number)}): {error}"
+                    f"{self._name}: run {number} ({self._told(given)}): {error}"
                 ) from (error)
         return models
 
-    def told(self, number: int) -> str:
+    def _told(self, given: Mapping[str, Any]) -> str:
         """What tells a run from the others, in one line."""
-        given = self.values(number)
         parts = [f"{name} {_told(given[name])}" for name in self.axes if name in given]
         return ", ".join(parts) or "the only one"
 
@@ -389,6 +489,16 @@ def _runs(block: Block, shared: Mapping[str, Any], where: str) -> _Runs:
         raise LeglabError(f"{where}: ranges need 'points', the number of points to draw")
     if block.points is not None and not ranges:
         raise LeglabError(f"{where}: points is {block.points}, but there are no ranges")
+    proposed = block.draw in ("tpe", "gp")
+    if proposed and (block.tune is None or not ranges):
+        raise LeglabError(f"{where}: draw is {block.draw!r}: needs ranges and tune.metric")
+    if block.tune is not None:
+        if not proposed:
+            raise LeglabError(f"{where}: tune needs draw = 'tpe' or 'gp', not {block.draw!r}")
+        if block.tune.metric not in FIGURES:
+            raise LeglabError(
+                f"{where}: tune: {unknown_name('number', block.tune.metric, FIGURES)}"
+            )
     settings = {**shared, **own}
     if "scenario" not in {*settings, *grid}:
         raise LeglabError(f"{where}: needs 'scenario', in settings or grid")

@@ -63,7 +63,8 @@ def schema(plan: SweepPlan) -> pa.Schema:
     left_out = _left_out(plan.keep)
     figures = {name: type_ for name, type_ in _FIGURES.items() if name not in left_out}
     own = {column(axis): _type(plan, axis) for axis in plan.axes if "." in axis}
-    columns = {**_SETTINGS, **own, **_HOW, **figures, **_MADE}
+    point = {"point": pa.int64()} if plan.tuned else {}
+    columns = {**_SETTINGS, **own, **point, **_HOW, **figures, **_MADE}
     return pa.schema([pa.field(name, type_) for name, type_ in columns.items()])
 
 
@@ -137,6 +138,8 @@ def _settings_row(plan: SweepPlan, number: int, settings: RunSettings) -> dict[s
         row["severity"], row["duration"] = scenario.severity, scenario.duration
         row["reference"] = settings.reference or scenario.reference
     given = plan.values(number)
+    if plan.tuned:
+        row["point"] = plan.point(number)
     for axis in plan.axes:
         if "." in axis:
             value = given.get(axis)

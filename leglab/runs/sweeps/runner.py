@@ -30,6 +30,8 @@ _THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_TH
 
 # Number of a run, and what is asked of the process.
 Task = tuple[int, dict[str, Any]]
+# Number of the run, answer to its request, and what made it.
+Answered = tuple[int, dict[str, Any], str]
 
 
 class DiedError(Exception):

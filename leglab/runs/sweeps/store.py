@@ -3,6 +3,7 @@
     FOLDER/sweep.json       what the sweep is: its plan, digests, number of runs
     FOLDER/dataset.json     the files of the dataset, and which journal goes on from them
     FOLDER/journal-7.jsonl  rows since then, a line each behind its checksum
+    FOLDER/proposals.jsonl  points of tuned blocks, a line each behind its checksum
     FOLDER/runs/scenario=NAME/controller=NAME/part-000007-0.parquet
 
 A row is kept as soon as its line is written, so that an end at any moment loses runs that were
@@ -33,7 +34,7 @@ from leglab.base.output import cannot_write, write_atomically
 from leglab.data.files import first_line
 from leglab.runs.sweeps.rows import FAILED, PARTITION
 
-SWEEP, DATASET = "sweep.json", "dataset.json"
+SWEEP, DATASET, PROPOSALS = "sweep.json", "dataset.json", "proposals.jsonl"
 _RUNS = "runs"
 # Rows that the journal holds before they become Parquet.
 _JOURNAL_ROWS = 10_000
@@ -253,6 +254,30 @@ def _journal(path: Path) -> list[dict[str, Any]]:
     return rows
 
 
+def keep_proposal(folder: Path, run: int, values: dict[str, float]) -> None:
+    """Keeps a proposed point: it is safe when this returns.
+
+    Args:
+        folder: Of the sweep, which is claimed.
+        run: Number of the first run of the point.
+        values: Of the ranges, by dotted name.
+
+    Raises:
+        LeglabError: It cannot be written.
+    """
+    try:
+        with (folder / PROPOSALS).open("ab") as file:
+            # Behind what an end in the middle of a line has left.
+            file.write(b"\n" + _line({"run": run, "values": values}))
+    except OSError as error:
+        raise cannot_write(folder / PROPOSALS, error) from error
+
+
+def read_proposals(folder: Path) -> dict[int, dict[str, float]]:
+    """Proposed points by the number of their first run."""
+    return {row["run"]: row["values"] for row in _journal(folder / PROPOSALS)}
+
+
 class Store:
     """The dataset of a sweep that is being made; nobody else writes to it.
 
@@ -446,6 +471,7 @@ def empty(folder: Path) -> None:
     """Removes a sweep's files from its folder, the one by which it is known first."""
     (folder / SWEEP).unlink(missing_ok=True)
     (folder / DATASET).unlink(missing_ok=True)
+    (folder / PROPOSALS).unlink(missing_ok=True)
     for path in folder.glob("journal-*.jsonl"):
         path.unlink(missing_ok=True)
     for name in (_RUNS, "recordings"):

@@ -12,7 +12,6 @@ import signal
 import sys
 import time
 import traceback
-from collections import OrderedDict
 from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
@@ -23,27 +22,12 @@ from leglab.base.errors import LeglabError
 from leglab.runs.fingerprint import fingerprint
 from leglab.runs.folder import write_run
 from leglab.runs.parallel import end_with
-from leglab.runs.preparation import Preparation, RunSettings
+from leglab.runs.preparation import RunSettings, forget_preparations, prepared
 from leglab.runs.run import run_scenario
 from leglab.runs.sweeps.outcome import outcome_of
 
-# Machines that are kept for the next run with the same one.
-_PREPARED = 8
 # A process that nobody has asked for so long ends [s].
 _IDLE = 300.0
-_SHARED = ("model", "timestep", "tolerance", "sensors", "parameters")
-
-_preparations: OrderedDict[str, Preparation] = OrderedDict()
-
-
-def _preparation(settings: RunSettings) -> Preparation:
-    key = json.dumps([getattr(settings, name) for name in _SHARED], sort_keys=True)
-    if key not in _preparations:
-        _preparations[key] = Preparation(settings)
-        if len(_preparations) > _PREPARED:
-            _preparations.popitem(last=False)
-    _preparations.move_to_end(key)
-    return _preparations[key]
 
 
 def answer(request: dict[str, Any]) -> dict[str, Any]:
@@ -67,7 +51,7 @@ def answer(request: dict[str, Any]) -> dict[str, Any]:
 def _outcome(request: dict[str, Any]) -> dict[str, Any]:
     try:
         settings = RunSettings(**request["settings"])
-        run = run_scenario(settings, preparation=_preparation(settings))
+        run = run_scenario(settings, preparation=prepared(settings))
         if request["folder"] is not None:
             write_run(run, Path(request["folder"]), overwrite=True)
         if run.history.failure:
@@ -75,7 +59,7 @@ def _outcome(request: dict[str, Any]) -> dict[str, Any]:
             return {"error": run.history.failure, "kind": "memory" if memory else "ended early"}
         return {"outcome": outcome_of(run, request["keep"])}
     except MemoryError:
-        _preparations.clear()
+        forget_preparations()
         return {"error": "it needs more memory than it may have", "kind": "memory"}
     except LeglabError as error:
         return {"error": " ".join(str(error).split()), "kind": "refused"}

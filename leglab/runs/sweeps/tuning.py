@@ -1,0 +1,201 @@
+"""Points of a sweep's block that Optuna proposes, each from the figures of the ones before.
+
+A point is a trial: its runs are those of the block's grid, its value is the mean or the worst of
+one figure over them. Point 0 is the block as it is, to which the others are compared. The sampler
+of each proposal has a seed of its own and knows nothing but proposals and figures, so that a sweep
+that goes on after a kill proposes what an undisturbed one does.
+"""
+
+import statistics
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+
+from leglab.base.errors import LeglabError
+from leglab.runs.sweeps.plan import Points, SweepPlan
+from leglab.runs.sweeps.rows import column
+
+Figures = Mapping[int, float | None]
+
+
+def check_optuna(samplers: set[str]) -> None:
+    """Refuses samplers whose packages are missing.
+
+    Args:
+        samplers: Names as of `Block.draw`.
+
+    Raises:
+        LeglabError: Names the package and how to install it.
+    """
+    if not find_spec("optuna"):
+        raise LeglabError(
+            f"draw = {min(samplers)!r} needs the package optuna: pip install 'leglab[tune]'"
+        )
+    if "gp" in samplers and not find_spec("torch"):
+        raise LeglabError(
+            "draw = 'gp' needs the package torch: pip install torch; allowed without it: 'tpe'"
+        )
+
+
+def due(points: Points) -> range:
+    """Points of the next batch that is not proposed as a whole; empty after the last one."""
+    known = len(points.proposals) + 1
+    if known >= points.count:
+        return range(0)
+    batch = (known - 1) // points.tune.together
+    return range(known, min((batch + 1) * points.tune.together + 1, points.count))
+
+
+def before(points: Points) -> range:
+    """Proposed points on which the next batch waits: those of earlier batches."""
+    batch = len(points.proposals) // points.tune.together
+    return range(1, batch * points.tune.together + 1)
+
+
+def propose(points: Points, figures: Figures) -> dict[str, float]:
+    """Proposes the next point of a block.
+
+    Args:
+        points: Of the block, with the proposals so far.
+        figures: The tuned figure by number of the run, None where it has none. Those of a batch
+            that has not ended are not looked at.
+
+    Returns:
+        A value for each of the block's ranges, by dotted name.
+    """
+    import optuna
+    from optuna.trial import TrialState, create_trial
+
+    tune, number = points.tune, len(points.proposals) + 1
+    kinds: dict[str, optuna.distributions.BaseDistribution] = {
+        name: optuna.distributions.FloatDistribution(one.low, one.high, log=one.log)
+        for name, one in points.ranges.items()
+    }
+    seed = int(np.random.SeedSequence([points.seed, points.block, number]).generate_state(1)[0])
+    shown = optuna.logging.get_verbosity()
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            samplers = optuna.samplers
+            sampler = samplers.GPSampler if points.draw == "gp" else samplers.TPESampler
+            study = optuna.create_study(
+                sampler=sampler(seed=seed),
+                direction="minimize" if tune.aim == "lowest" else "maximize",
+            )
+            batch = (number - 1) // tune.together
+            for earlier, values in sorted(points.proposals.items()):
+                value, state = None, TrialState.RUNNING
+                if (earlier - 1) // tune.together < batch:
+                    value = value_of(points, earlier, figures)
+                    # One that is broken off counts as worse than all others.
+                    state = TrialState.PRUNED if value is None else TrialState.COMPLETE
+                study.add_trial(
+                    create_trial(state=state, params=values, distributions=kinds, value=value)
+                )
+            return {name: float(value) for name, value in study.ask(kinds).params.items()}
+    finally:
+        optuna.logging.set_verbosity(shown)
+
+
+def value_of(points: Points, point: int, figures: Figures) -> float | None:
+    """What is to be made lowest or highest; None where a run of the point has no figure."""
+    found = [figures.get(number) for number in points.runs(point)]
+    values = [value for value in found if value is not None]
+    if len(values) < len(found):
+        return None
+    if points.tune.over == "mean":
+        return statistics.fmean(values)
+    return max(values) if points.tune.aim == "lowest" else min(values)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tuned:
+    """What tuning a block has found.
+
+    Attributes:
+        block: Number of the block, from 1 on.
+        metric: Column that is tuned.
+        over: Whether its mean over the grid counts, or the worst.
+        runs: Number of runs of a point.
+        points: Number of points with a value, the block as it is among them.
+        given_up: Number of points without one, since a run failed or has no such figure.
+        as_it_is: Value of the block as it is; None where it has none.
+        best: Value of the best point.
+        point: Number of the best point; 0 where none is better than the block as it is.
+        values: Its settings by dotted name.
+    """
+
+    block: int
+    metric: str
+    over: str
+    runs: int
+    points: int
+    given_up: int
+    as_it_is: float | None
+    best: float | None
+    point: int
+    values: dict[str, float]
+
+    def __str__(self) -> str:
+        over = f"{self.over} {self.metric} of {self.runs} run{'s' * (self.runs > 1)}"
+        if self.best is None:
+            return f"block {self.block}: no point has a {over}"
+        tried = f"{self.points + self.given_up} points"
+        if self.point == 0:
+            return (
+                f"block {self.block}: none of {tried} is better than the block as it is: "
+                f"{over} {self.best:.4g}"
+            )
+        chosen = ", ".join(f"{name} = {value:.4g}" for name, value in self.values.items())
+        text = f"block {self.block}: best of {tried} is point {self.point}, {chosen}: "
+        text += f"{over} {self.best:.4g}"
+        if self.as_it_is is None:
+            return f"{text}; the block as it is has none"
+        change = f", {100 * (self.best / self.as_it_is - 1):+.1f} %" if self.as_it_is else ""
+        return f"{text}; {self.as_it_is:.4g} as it is{change}"
+
+
+def tuned(plan: SweepPlan, rows: list[dict[str, Any]]) -> list[Tuned]:
+    """Finds the best point of each tuned block.
+
+    Args:
+        plan: Of the sweep.
+        rows: Of the dataset: `run`, `status`, and the columns that are tuned and varied.
+    """
+    by_run = {row["run"]: row for row in rows}
+    found = []
+    for points in plan.tuned:
+        figures = {n: figure_of(row, points.tune.metric) for n, row in by_run.items()}
+        made = [p for p in range(points.count) if all(n in by_run for n in points.runs(p))]
+        values = {p: v for p in made if (v := value_of(points, p, figures)) is not None}
+        sign = 1.0 if points.tune.aim == "lowest" else -1.0
+        # Of points that are equally good the first: the block as it is needs no change.
+        best = min(values, key=lambda p: (sign * values[p], p), default=None)
+        settings = {}
+        if best:
+            row = by_run[points.runs(best)[0]]
+            settings = {name: row[column(name)] for name in points.ranges}
+        found.append(
+            Tuned(
+                block=points.block + 1,
+                metric=points.tune.metric,
+                over=points.tune.over,
+                runs=len(points.runs(0)),
+                points=len(values),
+                given_up=len(made) - len(values),
+                as_it_is=values.get(0),
+                best=None if best is None else values[best],
+                point=best or 0,
+                values=settings,
+            )
+        )
+    return found
+
+
+def figure_of(row: Mapping[str, Any], metric: str) -> float | None:
+    """The tuned figure of a row; None where the run failed or has none."""
+    return row[metric] if row["status"] == "ok" else None
