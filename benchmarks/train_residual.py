@@ -9,7 +9,6 @@ import argparse
 import json
 import subprocess
 import sys
-import time
 from typing import Any
 
 import results
@@ -22,11 +21,9 @@ SHOWN = (1, 5, 10, 20, 40)  # generations of the table, beside the last
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Trains, with the example's own settings."""
     del options
-    began = time.monotonic()
     script = results.ROOT / "examples" / "train_residual.py"
     subprocess.run([sys.executable, str(script), "--out", str(FOLDER)], check=True)
-    found = json.loads((FOLDER / "result.json").read_text())
-    return {**found, "minutes": (time.monotonic() - began) / 60}
+    return json.loads((FOLDER / "result.json").read_text())
 
 
 def tables(found: dict[str, Any]) -> str:
@@ -46,9 +43,8 @@ def tables(found: dict[str, Any]) -> str:
             f"{better} of {len(alone)}",
         ),
     ]
-    told = f"\n{len(curve)} generations in {found['minutes']:.0f} minutes.\n"
     second = ["machines that training did not see", "mean, mrad", "worst, mrad", "better on"]
-    return results.table(head, rows) + told + "\n" + results.table(second, judged)
+    return results.table(head, rows) + "\n" + results.table(second, judged)
 
 
 def draw() -> None:

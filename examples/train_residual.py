@@ -141,7 +141,7 @@ def main() -> None:
     """Trains, judges and writes what came out."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--model", default="knee_bench", help="one with cylinders")
-    parser.add_argument("--generations", type=int, default=60)
+    parser.add_argument("--generations", type=int, default=45)
     parser.add_argument("--population", type=int, default=16)
     parser.add_argument("--machines", type=int, default=4, help="a candidate drives")
     parser.add_argument("--judges", type=int, default=32, help="machines of the judgement")
