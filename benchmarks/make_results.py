@@ -50,6 +50,7 @@ JOBS = (
     _job("sweeps", 2, options="--short 1000 --long 6 --rows 20000"),
     _job("squat_limits", 1),
     _job("peers", 1.5),
+    _job("train_residual", 3),
     _job("long_run", 2.5),
     _job("live_names", 25),
     _job("pressures", 6, options="--specimens 1 --controllers bsnn_arx,bsnn_arx_pressure"),

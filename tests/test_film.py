@@ -33,6 +33,20 @@ def make_run(folder, controller="pd", **options):
     return write_run(run_scenario(settings), folder)
 
 
+def make_dark(folder):
+    """A run of a model without lights and without a sky."""
+    axis = """<mujoco model="axis"><worldbody><body><joint name="axis" type="slide" axis="1 0 0"
+      armature="0.4" damping="6"/><geom type="box" size="0.05 0.04 0.02" mass="2"/></body>
+      </worldbody><actuator><motor name="drive" joint="axis" ctrllimited="true"
+      ctrlrange="-80 80"/></actuator></mujoco>"""
+    model = folder.with_name("axis.xml")
+    model.write_text(axis)
+    settings = RunSettings(
+        scenario="nominal", controller="pd", model=str(model), reference="multisine", duration=0.5
+    )
+    return write_run(run_scenario(settings), folder)
+
+
 def edited(folder, out, edit=lambda columns: {}, end=None):
     """A copy of a run with other samples, or cut off."""
     shutil.copytree(folder, out)
@@ -81,6 +95,7 @@ def runs(tmp_path_factory):
         "rod": edited(pd, base / "rod", pressures(0.0, 160.0)),
         "half": edited(pd, base / "half", end=0.8),
         "named": named(pd, base / "named"),
+        "dark": make_dark(base / "dark"),
     }
 
 
@@ -93,6 +108,7 @@ def stills(runs, tmp_path_factory):
         "seconds": (["pd"], span, [0.0, 1.0]),
         "perfect": (["perfect"], span, [0.9]),
         "chambers": (["cap", "rod"], span, [0.5]),
+        "dark": (["dark"], [0.0, 0.5], [0.3]),
         "named": (["named"], span, [1.15, 1.3, 1.7]),
         "mixed": (["pd", "static", "half", "short"], span, [0.5, 1.5]),
     }
@@ -157,6 +173,13 @@ def test_the_ghost_shows_where_the_reference_differs(stills):
     with_error, without = bluish(stills["pd"][0]), bluish(stills["perfect"][0])
     assert with_error > 1000
     assert without < 0.1 * with_error
+
+
+def test_a_model_without_lights_is_not_dark(stills):
+    picture = inside(stills["dark"][0], 0, 1)[look.HEADING + 4 :]
+    bright = picture.max(axis=-1)
+    assert np.percentile(bright, 1) > 60  # the box; by MuJoCo's lamp alone it has 50
+    assert np.median(bright) > 150  # the sky
 
 
 def test_the_chambers_have_the_colour_of_their_pressures(stills):

@@ -1,6 +1,7 @@
 """Recordings to and from the formats of other tools."""
 
 import builtins
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from leglab import data
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.base.units import unit_of
+from leglab.data import plotjuggler
 
 # Not all of Unicode: its tables take Hypothesis seconds on a busy machine.
 CHARACTERS = st.sampled_from("aZ9_ .,;:'\"\\/[]{}%\t\n\x01äΩ膝\u2028😀")
@@ -267,21 +269,20 @@ def test_mcap_is_what_foxglove_opens(tmp_path):
         assert reader.get_header().profile == "ros2"
         summary = reader.get_summary()
         assert len(summary.chunk_indexes) > 1
-        assert summary.statistics.message_count == 30_000 * 5
+        assert summary.statistics.message_count == 30_000 * 4
         assert all(chunk.message_index_offsets for chunk in summary.chunk_indexes)
         schemas = {c.topic: summary.schemas[c.schema_id] for c in summary.channels.values()}
         assert {topic: schema.name for topic, schema in schemas.items()} == {
             "/joint_states": "sensor_msgs/msg/JointState",
-            "/knee_valve_command": "std_msgs/msg/Float64",
-            "/knee_pressure_a": "sensor_msgs/msg/FluidPressure",
+            "/knee/hydraulics": "leglab_msgs/msg/Hydraulics",
             "/supply_pressure": "sensor_msgs/msg/FluidPressure",
             "/oil_temperature": "sensor_msgs/msg/Temperature",
         }
         assert {schema.encoding for schema in schemas.values()} == {"ros2msg"}
         pressure = [
-            (message.log_time, content.fluid_pressure)
+            (message.log_time, content.pressure_a)
             for _, _, message, content in reader.iter_decoded_messages(
-                topics="/knee_pressure_a", starting_at=10 * 10**9, ending_before=11 * 10**9
+                topics="/knee/hydraulics", starting_at=10 * 10**9, ending_before=11 * 10**9
             )
         ]
     assert len(pressure) == 500
@@ -308,3 +309,24 @@ def test_units_by_name_and_by_metadata():
 def test_unknown_format(tmp_path):
     with pytest.raises(LeglabError, match="unknown format 'matlb'.*did you mean 'matlab'"):
         data.write(example(), tmp_path / "x.mat", "matlb")
+
+
+def test_the_layout_shows_what_is_in_the_file(tmp_path):
+    recording = example().with_columns({"knee_reference": example()["knee_position"]})
+    data.write(recording, tmp_path / "plot.csv", "plotjuggler")
+    plotjuggler.write_layout(recording, tmp_path / "plot.xml")
+    root = ElementTree.parse(tmp_path / "plot.xml").getroot()
+    assert [tab.get("tab_name") for tab in root.iter("Tab")] == ["knee"]
+    plots = [[curve.get("name") for curve in plot] for plot in root.iter("plot")]
+    assert plots == [
+        ["knee_reference", "knee_position"],
+        ["knee_valve_command"],
+        ["knee_pressure_a", "knee_pressure_b"][: len(plots[2])],
+    ]
+    header = (tmp_path / "plot.csv").read_text().splitlines()[0]
+    assert all(f'"{name}"' in header for names in plots for name in names)
+    split = root.find(".//DockSplitter")
+    assert int(split.get("count")) == len(split.get("sizes").split(";")) == 3
+    with pytest.raises(LeglabError, match="the recording has none"):
+        plotjuggler.write_layout(recording.select(["supply_pressure"]), tmp_path / "x.xml")
+    assert not (tmp_path / "x.xml").exists()

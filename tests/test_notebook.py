@@ -7,12 +7,22 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
-from leglab import Comparison, RunSettings, compare, read_run, run_scenario, write_run
+from leglab import (
+    Comparison,
+    RunSettings,
+    ask,
+    compare,
+    read_run,
+    read_sweep,
+    run_scenario,
+    write_run,
+)
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.diagnosis.workflow import Search
 from leglab.runs.sweep import run_all
 from tests.report_folders import Elements
+from tests.sweep_folders import write_sweep
 from tests.test_diagnosis_page import diagnosis
 
 KNEE = {"model": "knee_bench", "duration": 2.0}
@@ -43,12 +53,18 @@ def results(run, tmp_path_factory):
     compared = compare(comparison, run_all(comparison.runs(), folder / "runs", jobs=1))
     read = read_run(write_run(run, folder / "run"))
     found = diagnosis("confusion_set")
+    write_sweep(folder / "sweep", failed=(1,))
     return SimpleNamespace(
-        run=run, read=read, recording=run.recording, compared=compared, diagnosis=found
+        run=run,
+        read=read,
+        recording=run.recording,
+        compared=compared,
+        diagnosis=found,
+        swept=read_sweep(folder / "sweep"),
     )
 
 
-NAMES = ("run", "read", "recording", "compared", "diagnosis")
+NAMES = ("run", "read", "recording", "compared", "diagnosis", "swept")
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -146,3 +162,22 @@ def test_a_run_knows_the_units_of_its_columns():
     assert units["shank_added_mass"] == "kg"
     assert not [unit for unit in units.values() if " or " in unit]
     assert units.keys() == set(run.recording.columns)
+
+
+def test_a_sweep_tells_medians_and_draws_every_run(results):
+    swept = results.swept
+    assert repr(swept) == f"SweepResult(12 of 12 runs, 1 failed; {swept.folder})"
+    table = [row.split("</td>") for row in swept._repr_html_().split("<tr>")[2:]]
+    cells = [[cell.rpartition("<td>")[2] for cell in row[:-1]] for row in table]
+    # Errors at the end are 10 mrad a run; run 1 failed, so pd has 0 and 2 to 5.
+    assert cells[0] == ["seal_wear", "pd", "6", "1", "10", "40", "94", "0.5"]
+    assert cells[1] == ["seal_wear", "bsnn_arx", "6", "0", "10", "95", "83", "1"]
+    (axis,) = swept.plot()
+    drawn = {line.get_ydata()[0]: list(line.get_xdata()) for line in axis.lines}
+    assert drawn["pd"] == pytest.approx([10.0, 30.0, 40.0, 50.0, 60.0])
+    assert [bar.get_width() for bar in axis.patches] == pytest.approx([40.0, 95.0])
+    answer = ask(swept.folder, "SELECT run, severity FROM runs ORDER BY run")
+    assert repr(answer) == "Answer(12 rows; 2 columns: run, severity)"
+    assert len(Elements(answer._repr_html_()).all("tr")) == 13
+    pytest.importorskip("pandas")
+    assert list(answer.to_pandas()["severity"]) == [3.0] * 3 + [25.0] * 3 + [3.0] * 3 + [25.0] * 3

@@ -308,3 +308,18 @@ def test_references_that_differ_are_told_apart(tmp_path):
     assert names(runs[::-1]) == ["reference", "arx", "pd"]
     other = runs[1].recording.with_columns({"hip_reference": 0.0 * runs[1].recording.time})
     assert names((runs[0], replace(runs[1], recording=other))) == ["reference of pd", "pd", "arx"]
+
+
+def test_runs_of_machines_with_other_joints_stand_on_one_page(tmp_path):
+    leg = write_folder(tmp_path / "leg")
+    bench = write_folder(tmp_path / "bench", "arx", model="axis.xml", joints=("knee", "axis"))
+    runs = read_runs([leg, bench])
+    (angle,) = [
+        p for p in plot_data(runs, ("hip", "knee", "axis"), 1)["plots"] if p["name"] == "angle"
+    ]
+    shown = [[trace["name"] for trace in traces] for traces in angle["traces"]]
+    first, second = (run.label for run in runs)
+    assert shown[0] == ["reference", first]
+    assert [name for name in shown[1] if name in (first, second)] == [first, second]
+    assert shown[2] == ["reference", second]
+    assert len(Elements(page(runs)).all("table")) > 2

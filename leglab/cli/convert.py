@@ -17,36 +17,72 @@ if TYPE_CHECKING:
     from leglab.data import Summary
 
 
+# Formats that show a machine.
+_SHOWING = ("mcap", "rerun")
+
+
 def convert(
     source: Annotated[
         Path,
-        typer.Argument(metavar="IN", help=".parquet, .csv, .mcap, .mat, .npz, or a ROS 2 bag."),
+        typer.Argument(
+            metavar="IN", help=".parquet, .csv, .mcap, .mat, .npz, a ROS 2 bag, or a run's folder."
+        ),
     ],
     target: Annotated[
-        Path, typer.Argument(metavar="OUT", help=".parquet, .csv, .mcap, .mat or .npz.")
+        Path, typer.Argument(metavar="OUT", help=".parquet, .csv, .mcap, .mat, .npz or .rrd.")
     ],
     to: Annotated[
         str | None, typer.Option(metavar="FORMAT", help="Format; default: by the suffix of OUT.")
     ] = None,
     columns: Columns = None,
+    model: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MODEL",
+            help="Machine that OUT shows, .mcap or .rrd; of a run's folder it is known.",
+        ),
+    ] = None,
+    layout: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Layout for PlotJuggler, XML: a tab a joint."),
+    ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT.")] = False,
     as_json: Json = False,
 ) -> None:
     """Converts a recording to another format and says what is lost.
 
-    Samples keep every bit; docs/data_formats.md says what else survives in which format.
+    Samples keep every bit; docs/data_formats.md says what else survives in which format. A run's
+    folder as .mcap or .rrd shows the machine too: links, poses, meshes.
     """
     from leglab import data
+    from leglab.data import plotjuggler
+    from leglab.machine.scene import scene_of
+    from leglab.machine.simulation import load_model
+    from leglab.runs.folder import RECORDING, read_run
 
     # First of all what costs nothing to check.
     if to is not None and to not in data.FORMATS:
         raise unknown_name("format", to, data.FORMATS)
     form = to or data.format_of(target)
-    if target.exists() and not overwrite:
-        raise LeglabError(f"{target} exists; --overwrite replaces it")
+    for file in filter(None, (target, layout)):
+        if file.exists() and not overwrite:
+            raise LeglabError(f"{file} exists; --overwrite replaces it")
+    if layout is not None and form not in ("csv", "plotjuggler"):
+        raise LeglabError(f"--layout goes with csv and plotjuggler, not with {form}")
+    if (source / RECORDING).is_file():
+        run = read_run(source)
+        if form in _SHOWING and model is None:
+            model = str(run.configuration.settings["model"])
+        source = source / RECORDING
+    if model is not None and form not in _SHOWING:
+        allowed = " or ".join(_SHOWING)
+        raise LeglabError(f"{form} cannot show a machine; --model goes with {allowed}")
     recording = data.read(source, columns=columns)
     lost = data.losses(recording, target, form)
-    data.write(recording, target, form)
+    scene = scene_of(load_model(model), recording) if model is not None else None
+    if layout is not None:
+        plotjuggler.write_layout(recording, layout)
+    data.write(recording, target, form, scene=scene)
     repairs = list(recording.metadata.get("repairs", ()))
     if as_json:
         found = {

@@ -6,10 +6,11 @@ from types import ModuleType
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
-from leglab.data import csv, matlab, mcap, parquet, plotjuggler, sysid
+from leglab.data import csv, matlab, mcap, parquet, plotjuggler, rerun, sysid
 from leglab.data.checks import Finding, inspect, to_recording
 from leglab.data.column_map import ColumnMap, read_column_map
 from leglab.data.input_output import from_input_output, to_input_output
+from leglab.data.scene import Scene
 from leglab.data.summary import Summary, summarise
 from leglab.data.sysid import from_time_series, to_time_series
 
@@ -17,6 +18,7 @@ __all__ = [
     "FORMATS",
     "ColumnMap",
     "Finding",
+    "Scene",
     "Summary",
     "format_of",
     "from_input_output",
@@ -40,6 +42,7 @@ _MODULES = {
     "matlab": matlab,
     "sysid": sysid,
     "plotjuggler": plotjuggler,
+    "rerun": rerun,
 }
 # Formats by suffix, where no format is named.
 _SUFFIXES = {
@@ -48,6 +51,7 @@ _SUFFIXES = {
     ".mcap": "mcap",
     ".mat": "matlab",
     ".npz": "sysid",
+    ".rrd": "rerun",
 }
 
 FORMATS = tuple(_MODULES)
@@ -128,13 +132,20 @@ def read_table(
     return table, metadata
 
 
-def write(recording: Recording, path: str | Path, form: str | None = None) -> Path:
+def write(
+    recording: Recording,
+    path: str | Path,
+    form: str | None = None,
+    *,
+    scene: Scene | None = None,
+) -> Path:
     """Writes a recording; an existing file is replaced as a whole or left as it was.
 
     Args:
         recording: To write. `losses` says what the format cannot hold.
         path: The file.
         form: One of `FORMATS`; None: what the suffix says.
+        scene: The machine that moves, from `leglab.machine.scene.scene_of`; MCAP and rerun show it.
 
     Returns:
         The path.
@@ -144,7 +155,15 @@ def write(recording: Recording, path: str | Path, form: str | None = None) -> Pa
             holds, or the folder cannot be written to.
     """
     path = Path(path)
-    _module(path, form).write(recording, path)
+    module = _module(path, form)
+    if scene is None:
+        module.write(recording, path)
+    elif module in (mcap, rerun):
+        module.write(recording, path, scene)
+    else:
+        raise LeglabError(
+            f"{path}: {form or format_of(path)} cannot show a machine; allowed: mcap, rerun"
+        )
     return path
 
 

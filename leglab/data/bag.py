@@ -16,7 +16,7 @@ from leglab.base.input import parse_json
 from leglab.data.alignment import TopicSeries
 from leglab.data.files import first_line, refuse
 from leglab.data.metadata import check_notes
-from leglab.data.ros_messages import SUPPORTED, header_stamp, numbers
+from leglab.data.ros_messages import header_stamp, numbers, supported
 
 # Our metadata record, with JSON under the key "metadata".
 METADATA_NAME = "leglab"
@@ -68,7 +68,7 @@ def scan(path: Path) -> Bag:
                     bag.schemas.setdefault(record.id, record)
                 elif isinstance(record, Channel):
                     bag.channels.setdefault(record.id, record)
-                    if bag.kind(record) in SUPPORTED:
+                    if supported(bag.kind(record)):
                         wanted.add(record.id)
                 elif isinstance(record, Message) and record.channel_id in wanted:
                     bag.messages.append(record)

@@ -6,12 +6,16 @@ give a column named after the topic without its leading slash; arrays give `topi
 and so on; other JointState topics `topic/joint/field`. A column map turns these into the names of
 the model.
 
-What is written opens in Foxglove as well: messages in chunks with an index, the definition of every
-message in the file, pressures as FluidPressure, temperatures as Temperature.
+What is written opens in Foxglove as well: messages in chunks with an index, compressed, with the
+definition of every message. Beside its JointState a joint has two messages of ours, `leglab_msgs`,
+`/<joint>/hydraulics` and `/<joint>/control`, whose fields are its columns. With a scene there are
+`/robot_description` and `/tf`.
 """
 
+import re
+from collections.abc import Callable
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from mcap_ros2.writer import Writer
@@ -29,12 +33,28 @@ from leglab.data.ros_messages import (
     DEFINITIONS,
     JOINT_STATE,
     JOINT_STATE_DEFINITION,
+    OWN_PACKAGE,
+    STRING,
+    STRING_DEFINITION,
+    TRANSFORMS,
+    TRANSFORMS_DEFINITION,
     header,
+    own_definition,
     scalar_kind,
     scalar_message,
+    transforms_message,
 )
+from leglab.data.scene import Scene
 
 _CLOCK_TOPIC = "/joint_states"
+_DESCRIPTION = "/robot_description"
+
+# Columns of a joint that tell of its cylinder, beside those of its actuator.
+_HYDRAULIC = frozenset(
+    ("pressure_a", "pressure_b", "spool", "oil_temperature", "seal_clearance", "energy_supply")
+)
+# Names of fields that ROS allows.
+_FIELD = re.compile(r"[a-z](?:_?[a-z0-9])*")
 
 # Up to here [ns], 104 days, seconds in a float64 tell nanoseconds apart. Stamps since 1970 do not,
 # so later recordings begin at 0 s and their start is kept in the metadata.
@@ -101,10 +121,17 @@ def read_table(
     return {"time": (clock.stamps - start) / 1e9, **table}, metadata
 
 
-def write(recording: Recording, path: Path) -> None:
-    """Writes a recording: joints as JointState, other columns as one topic each.
+def write(recording: Recording, path: Path, scene: Scene | None = None) -> None:
+    """Writes a recording: joints as JointState, their other columns as one or two messages.
 
-    Samples and metadata keep every bit, times are rounded to 1 ns.
+    Columns of no joint are one topic each. Samples and metadata keep every bit, times are rounded
+    to 1 ns.
+
+    Args:
+        recording: To write.
+        path: The file.
+        scene: The machine, written as `/robot_description` and `/tf`; its efforts go to the
+            JointState.
 
     Raises:
         LeglabError: The folder cannot be written to, times do not fit into ROS stamps, or a column
@@ -122,7 +149,7 @@ def write(recording: Recording, path: Path) -> None:
         raise LeglabError(f"{path}: rows {row - 1} and {row} are less than 1 ns apart")
     if _CLOCK_TOPIC.removeprefix("/") in recording:
         raise LeglabError(f"{path}: column 'joint_states' is taken by the topic {_CLOCK_TOPIC!r}")
-    write_atomically(path, lambda stream: _write(recording, stamps.tolist(), stream))
+    write_atomically(path, lambda stream: _write(recording, stamps.tolist(), stream, scene))
 
 
 def losses(recording: Recording) -> tuple[str, ...]:
@@ -132,31 +159,113 @@ def losses(recording: Recording) -> tuple[str, ...]:
     return (f"{count} times are rounded to 1 ns",) if count else ()
 
 
-def _write(recording: Recording, stamps: list[int], stream: BinaryIO) -> None:
+def _write(recording: Recording, stamps: list[int], stream: BinaryIO, scene: Scene | None) -> None:
     joints = list(recording.joints)
-    # A JointState has a velocity for every joint or for none.
+    metadata, units = recording.metadata, _units(recording)
+    known = {**recording.columns}
+    if scene:
+        known |= {f"{joint}_effort": samples for joint, samples in scene.efforts.items()}
+    # A JointState has a velocity for every joint or for none, and an effort likewise.
     fields = ["position"]
-    if all(f"{joint}_velocity" in recording for joint in joints):
-        fields.append("velocity")
-    arrays = {f: recording.stack(joints, f).tolist() if joints else None for f in fields}
-    in_joints = {f"{joint}_{name}" for joint in joints for name in fields}
-    rest = {n: s.tolist() for n, s in recording.columns.items() if n not in in_joints}
+    fields += [f for f in ("velocity", "effort") if all(f"{j}_{f}" in known for j in joints)]
+    columns = {f: [known.pop(f"{joint}_{f}") for joint in joints] for f in fields}
+    arrays = {f: np.stack(each, axis=1).tolist() if joints else None for f, each in columns.items()}
+    groups = _groups([name for name in known if name in recording], recording)
+    grouped = {column for names in groups.values() for column in names.values()}
+    rest = {n: s.tolist() for n, s in known.items() if n not in grouped and n in recording}
     with Writer(stream) as writer:
-        writer.add_metadata(METADATA_NAME, {"metadata": to_json(recording.metadata)})
-        units = {name: unit_of(name, recording.metadata) for name in recording.columns}
-        writer.add_metadata("units", {name: unit for name, unit in units.items() if unit})
+        writer.add_metadata(METADATA_NAME, {"metadata": to_json(metadata)})
+        writer.add_metadata("units", units)
         joint_state = writer.register_msgdef(JOINT_STATE, JOINT_STATE_DEFINITION)
         kinds = {name: scalar_kind(name) for name in rest}
         used = dict.fromkeys(kinds.values())
         schemas = {kind: writer.register_msgdef(kind, DEFINITIONS[kind]) for kind in used}
+        own = _own_schemas(groups, units, writer)
+        samples_of = {
+            topic: np.stack([recording[column] for column in names.values()], axis=1).tolist()
+            for topic, names in groups.items()
+        }
+        poses = _write_description(scene, stamps[0], writer) if scene else None
         for row, stamp in enumerate(stamps):
             message = {"header": header(stamp), "name": joints, "velocity": [], "effort": []}
             message |= {f: rows[row] if rows else [] for f, rows in arrays.items()}
             writer.write_message(_CLOCK_TOPIC, joint_state, message, stamp, stamp, row)
+            for topic, names in groups.items():
+                numbers = dict(zip(names, samples_of[topic][row], strict=True))
+                message = {"header": header(stamp), **numbers}
+                writer.write_message(topic, own[topic], message, stamp, stamp, row)
             for name, samples in rest.items():
                 kind = kinds[name]
                 number = scalar_message(kind, samples[row], stamp)
                 writer.write_message(f"/{name}", schemas[kind], number, stamp, stamp, row)
+            if poses:
+                poses(row, stamp)
+
+
+def _units(recording: Recording) -> dict[str, str]:
+    """Returns the units that are known, by column."""
+    units = {name: unit_of(name, recording.metadata) for name in recording.columns}
+    return {name: unit for name, unit in units.items() if unit}
+
+
+def _groups(names: list[str], recording: Recording) -> dict[str, dict[str, str]]:
+    """Returns which columns go into one message: by topic, columns by field.
+
+    What belongs to the hydraulics or the drive of a joint goes to `/<joint>/hydraulics`, all else
+    of the joint to `/<joint>/control`; where there is one column alone it keeps its own topic.
+    """
+    found: dict[str, dict[str, str]] = {}
+    for name in names:
+        owners = [joint for joint in recording.joints if name.startswith(f"{joint}_")]
+        if not owners:
+            continue
+        joint = max(owners, key=len)
+        field = name.removeprefix(f"{joint}_")
+        if not _FIELD.fullmatch(field) or field in ("header", "position", "velocity"):
+            continue
+        actuator = recording.actuator_of(joint)
+        of_drive = actuator is not None and name.startswith(f"{actuator}_")
+        part = "hydraulics" if of_drive or field in _HYDRAULIC else "control"
+        found.setdefault(f"/{joint}/{part}", {})[field] = name
+    return {topic: fields for topic, fields in found.items() if len(fields) > 1}
+
+
+def _own_schemas(
+    groups: dict[str, dict[str, str]], units: dict[str, str], writer: Writer
+) -> dict[str, Any]:
+    """Registers a type for each set of fields; returns schemas by topic."""
+    schemas: dict[str, Any] = {}
+    known: dict[str, tuple[str, Any]] = {}
+    for topic, names in groups.items():
+        text = own_definition({field: units.get(column, "") for field, column in names.items()})
+        if text not in known:
+            part = topic.rpartition("/")[2].capitalize()
+            count = sum(1 for name, _ in known.values() if name.startswith(part))
+            name = part + (str(count + 1) if count else "")
+            known[text] = name, writer.register_msgdef(OWN_PACKAGE + name, text)
+        schemas[topic] = known[text][1]
+    return schemas
+
+
+def _write_description(scene: Scene, stamp: int, writer: Writer) -> Callable[[int, int], None]:
+    """Writes the URDF; returns what writes the poses of a row, where there are any."""
+    text = writer.register_msgdef(STRING, STRING_DEFINITION)
+    placed = writer.register_msgdef(TRANSFORMS, TRANSFORMS_DEFINITION)
+    writer.write_message(_DESCRIPTION, text, {"data": scene.urdf}, stamp, stamp, 0)
+    frames = [
+        (scene.links[parent], link)
+        for link, parent in zip(scene.links[1:], scene.parents[1:], strict=True)
+    ]
+    at = {int(row): k for k, row in enumerate(scene.rows)}
+
+    def write_poses(row: int, stamp: int) -> None:
+        k = at.get(row)
+        if k is not None:
+            each = scene.positions[k, 1:].tolist(), scene.quaternions[k, 1:].tolist()
+            message = transforms_message(stamp, frames, *each)
+            writer.write_message("/tf", placed, message, stamp, stamp, k)
+
+    return write_poses
 
 
 def _file_of(path: Path) -> Path:

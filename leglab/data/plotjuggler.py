@@ -8,6 +8,7 @@ exponent would make it text, a whole number of ten digits a date; an empty cell 
 
 from collections.abc import Iterator
 from pathlib import Path
+from xml.etree import ElementTree as Xml
 
 import numpy as np
 
@@ -35,6 +36,64 @@ def write(recording: Recording, path: Path) -> None:
     lines = (",".join(row) for row in zip(*cells, strict=True))
     text = "\n".join((header, *lines)) + "\n"
     write_atomically(path, lambda stream: stream.write(text.encode()))
+
+
+# Plots of a joint in a layout: columns by their endings.
+_PLOTS = (
+    ("reference", "truth", "position"),
+    ("valve_command", "command", "feedforward", "feedback"),
+    ("pressure_a", "pressure_b"),
+    ("effort",),
+)
+_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
+
+
+def write_layout(recording: Recording, path: Path) -> None:
+    """Writes a layout for PlotJuggler that shows what `write` writes: a tab a joint.
+
+    Args:
+        recording: Whose columns are shown.
+        path: The file, XML, for *File > Load layout*.
+
+    Raises:
+        LeglabError: The recording has no joint, or the folder cannot be written to.
+    """
+    if not recording.joints:
+        raise LeglabError(f"{path}: a layout shows joints, and the recording has none")
+    names = _names(recording)
+    root = Xml.Element("root")
+    tabs = Xml.SubElement(root, "tabbed_widget", name="Main Window", parent="main_window")
+    for joint in recording.joints:
+        shown = [[names[c] for c in _columns(recording, joint, ends)] for ends in _PLOTS]
+        shown = [curves for curves in shown if curves]
+        tab = Xml.SubElement(tabs, "Tab", tab_name=joint, containers="1")
+        sizes = ";".join(f"{1 / len(shown):.6f}" for _ in shown)
+        split = Xml.SubElement(
+            Xml.SubElement(tab, "Container"),
+            "DockSplitter",
+            orientation="|",
+            count=str(len(shown)),
+            sizes=sizes,
+        )
+        for curves in shown:
+            area = Xml.SubElement(split, "DockArea", name="...")
+            plot = Xml.SubElement(area, "plot", mode="TimeSeries", style="Lines")
+            for curve, color in zip(curves, _COLORS, strict=False):
+                Xml.SubElement(plot, "curve", name=curve, color=color)
+    Xml.SubElement(tabs, "currentTabIndex", index="0")
+    Xml.SubElement(root, "use_relative_time_offset", enabled="1")
+    Xml.indent(root)
+    text = Xml.tostring(root, encoding="utf-8", xml_declaration=True)
+    write_atomically(path, lambda stream: stream.write(text))
+
+
+def _columns(recording: Recording, joint: str, ends: tuple[str, ...]) -> list[str]:
+    """Columns of a joint with these endings, or of its actuator's command."""
+    actuator = recording.actuator_of(joint)
+    found = [f"{joint}_{end}" for end in ends]
+    if "command" in ends and actuator is not None:
+        found.append(f"{actuator}_command")
+    return [name for name in dict.fromkeys(found) if name in recording]
 
 
 def losses(recording: Recording) -> tuple[str, ...]:

@@ -1,15 +1,21 @@
 """ROS 2 messages that hold measurements: their definitions, and the numbers in them.
 
-Definitions: github.com/ros2/common_interfaces (std_msgs, sensor_msgs) and
-github.com/ros2/rcl_interfaces (builtin_interfaces), without their comments.
+Definitions: github.com/ros2/common_interfaces (std_msgs, sensor_msgs, geometry_msgs),
+github.com/ros2/geometry2 (tf2_msgs) and github.com/ros2/rcl_interfaces (builtin_interfaces),
+without their comments. Messages of `leglab_msgs` are our own and have one number a field.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 FLOAT64 = "std_msgs/msg/Float64"
 FLUID_PRESSURE = "sensor_msgs/msg/FluidPressure"
 TEMPERATURE = "sensor_msgs/msg/Temperature"
+STRING = "std_msgs/msg/String"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+# Of messages that hold several columns of one joint.
+OWN_PACKAGE = "leglab_msgs/msg/"
 
 _HEADER = f"""{"=" * 80}
 MSG: std_msgs/Header
@@ -27,6 +33,20 @@ float64[] velocity
 float64[] effort
 {_HEADER}"""
 FLOAT64_DEFINITION = "float64 data\n"
+STRING_DEFINITION = "string data\n"
+_PARTS = {
+    "geometry_msgs/TransformStamped": "std_msgs/Header header\nstring child_frame_id\n"
+    "geometry_msgs/Transform transform\n",
+    "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\n"
+    "geometry_msgs/Quaternion rotation\n",
+    "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z\n",
+    "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w\n",
+}
+TRANSFORMS_DEFINITION = (
+    "geometry_msgs/TransformStamped[] transforms\n"
+    + "".join(f"{'=' * 80}\nMSG: {name}\n{fields}" for name, fields in _PARTS.items())
+    + _HEADER
+)
 # The field of messages that hold one number.
 _SCALARS = {
     FLOAT64: "data",
@@ -44,11 +64,53 @@ _ARRAYS = ("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float32MultiArray")
 SUPPORTED = (JOINT_STATE, *_SCALARS, *_ARRAYS)
 
 
+def supported(kind: str) -> bool:
+    """Returns whether messages of a type hold numbers that `numbers` returns."""
+    return kind in SUPPORTED or kind.startswith(OWN_PACKAGE)
+
+
+def own_definition(fields: Mapping[str, str]) -> str:
+    """Returns the definition of a message of ours.
+
+    Args:
+        fields: Units by field, "" where none is known.
+    """
+    lines = (f"float64 {name}" + f"  # {unit}" * bool(unit) for name, unit in fields.items())
+    return "\n".join(("std_msgs/Header header", *lines, _HEADER))
+
+
+def transforms_message(
+    stamp: int, frames: list[tuple[str, str]], positions: list, quaternions: list
+) -> dict[str, Any]:
+    """Returns a message that places frames in others.
+
+    Args:
+        stamp: The time [ns].
+        frames: Parent and child of each.
+        positions: x, y, z of each [m].
+        quaternions: w, x, y, z of each.
+    """
+    placed = zip(frames, positions, quaternions, strict=True)
+    return {
+        "transforms": [
+            {
+                "header": {**header(stamp), "frame_id": parent},
+                "child_frame_id": child,
+                "transform": {
+                    "translation": {"x": x, "y": y, "z": z},
+                    "rotation": {"x": i, "y": j, "z": k, "w": w},
+                },
+            }
+            for (parent, child), (x, y, z), (w, i, j, k) in placed
+        ]
+    }
+
+
 def numbers(kind: str, message: Any, topic: str, *, is_clock: bool) -> dict[str, float]:
     """Returns the numbers of one decoded message by column name.
 
     Args:
-        kind: One of `SUPPORTED`.
+        kind: A type that is `supported`.
         message: The message.
         topic: Its topic.
         is_clock: Whether this is the JointState topic that gives the time axis. Its columns are
@@ -60,6 +122,10 @@ def numbers(kind: str, message: Any, topic: str, *, is_clock: bool) -> dict[str,
     owner = topic.removeprefix("/")
     if kind == JOINT_STATE:
         return _joint_numbers(message, "" if is_clock else f"{owner}/", "_" if is_clock else "/")
+    if kind.startswith(OWN_PACKAGE):
+        joint = owner.rpartition("/")[0]
+        fields = (field for field in message.__slots__ if field != "header")
+        return {f"{joint}_{field}": float(getattr(message, field)) for field in fields}
     if kind in _ARRAYS:
         return {f"{owner}[{i}]": float(value) for i, value in enumerate(message.data)}
     return {owner: float(getattr(message, _SCALARS[kind]))}

@@ -30,6 +30,8 @@ _GLOW, _LIT = 0.9, 0.55
 _CAP, _CHROME = (0.14, 0.15, 0.17), (0.92, 0.93, 0.95)
 _ORIGIN, _UPRIGHT = np.zeros(3), np.eye(3).ravel()
 _BASE, _END = 0.012, 0.012  # length of the ends of a barrel [m]
+# Direction of the light, and colours of the sky above and below, of a model that has none.
+_LIGHT, _SKY = (-0.35, 0.5, -0.8), ((0.93, 0.94, 0.96), (0.75, 0.77, 0.8))
 # Discs of the soft patch below the foot, and their colour.
 _DISCS = 6
 _SHADOW = (0.10, 0.11, 0.13, 0.07)
@@ -47,7 +49,7 @@ class DrawnMachine:
     """
 
     def __init__(self, model: str, size: tuple[int, int]) -> None:
-        self.model = load_model(model)
+        self.model = load_model(model, edit=_light)
         self.simulation = Simulation(self.model)
         self.cylinders = _CylinderShapes(self.simulation)
         self.shadow = _FloorShadow(self.model)
@@ -152,6 +154,25 @@ class DrawnMachine:
 def _larger(size: tuple[int, int]) -> tuple[int, int]:
     width, height = (math.ceil(_SUPERSAMPLING * n) for n in size)
     return width, height
+
+
+def _light(spec: mujoco.MjSpec) -> None:
+    """Adds a light to a model that has none, and a sky, without which both are black."""
+    if not spec.lights:
+        spec.worldbody.add_light(
+            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=_LIGHT, diffuse=[0.6] * 3
+        )
+        spec.visual.headlight.ambient = [0.35] * 3
+    if not any(texture.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX for texture in spec.textures):
+        spec.add_texture(
+            name="sky of the film",
+            type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+            builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+            rgb1=_SKY[0],
+            rgb2=_SKY[1],
+            width=16,
+            height=96,
+        )
 
 
 def _make_ghost(model: mujoco.MjModel) -> None:

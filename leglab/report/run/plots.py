@@ -55,7 +55,7 @@ def plot_data(runs: Sequence[ReportedRun], joints: Sequence[str], first: int) ->
     end = max(float(run.recording.time[-1]) for run in runs)
     start = min(float(run.recording.time[0]) for run in runs)
     plots = [_error_plot(runs, count)]
-    plots += [_joint_plot(q, runs, joints, count) for q in _quantities(runs, joints)]
+    plots += [_joint_plot(q, runs, joints, count) for q in _quantities(runs)]
     return {
         "first_joint": first,
         "span": [start, end],
@@ -74,8 +74,9 @@ def _close_up(runs: Sequence[ReportedRun], start: float, end: float) -> list[flo
     return [max(start, min(starts) - margin), min(end, min(starts) + margin)]
 
 
-def _quantities(runs: Sequence[ReportedRun], joints: Sequence[str]) -> tuple[_Quantity, ...]:
-    position = _position_name(runs[0])
+def _quantities(runs: Sequence[ReportedRun]) -> tuple[_Quantity, ...]:
+    truly = all(_position_name(run) == "truth" for run in runs)
+    position = "truth" if truly else "position"
     measured = "" if position == "truth" else ", as measured"
     positions = measured or " as they were"
     valves = all(run.recording.actuators_are_valves for run in runs)
@@ -126,7 +127,7 @@ def _quantities(runs: Sequence[ReportedRun], joints: Sequence[str]) -> tuple[_Qu
             curves=(("oil_temperature", ""),),
         ),
     )
-    samples = [_samples(run, joint, "oil_temperature")[1] for run in runs for joint in joints]
+    samples = [_samples(run, joint, "oil_temperature")[1] for run in runs for joint in run.joints]
     values = np.concatenate(samples)
     return quantities if values.size and np.ptp(values) > _STEADY else quantities[:-1]
 
@@ -199,17 +200,18 @@ def _joint_traces(
     quantity: _Quantity, runs: Sequence[ReportedRun], joint: str, count: int
 ) -> list[dict[str, Any]]:
     traces = []
-    if quantity.shared:
-        source = max(runs, key=lambda run: len(run.recording))
+    having = [run for run in runs if joint in run.joints]
+    if quantity.shared and having:
+        source = max(having, key=lambda run: len(run.recording))
         time, values = _samples(source, joint, quantity.shared)
         name = "reference"
-        others = (_samples(run, joint, quantity.shared)[1] for run in runs)
+        others = (_samples(run, joint, quantity.shared)[1] for run in having)
         if not all(np.array_equal(values[: len(other)], other) for other in others):
             name = f"reference of {source.label}"
         if len(time) > 1:
             traces.append(_trace(name, -1, time, quantity.factor * values, count, width=5.0))
     for i, run in enumerate(runs):
-        for k, (ending, name) in enumerate(quantity.curves):
+        for k, (ending, name) in enumerate(quantity.curves if joint in run.joints else ()):
             time, values = _samples(run, joint, ending)
             if len(time) < 2:
                 continue

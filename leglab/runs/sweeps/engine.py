@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 import pyarrow as pa
@@ -14,14 +15,21 @@ import pyarrow as pa
 from leglab import __version__
 from leglab.base import plugins
 from leglab.base.errors import LeglabError
+from leglab.base.notebook import html_table, panels
 from leglab.base.output import cannot_write, claimed_folder
 from leglab.runs.fingerprint import fingerprint
 from leglab.runs.parallel import Progress
 from leglab.runs.sweeps import store, tuning
 from leglab.runs.sweeps.outcome import recording_folder
 from leglab.runs.sweeps.plan import SweepPlan
+from leglab.runs.sweeps.query import ask
 from leglab.runs.sweeps.rows import column, row_of, schema, this_machine
 from leglab.runs.sweeps.runner import Answered, Runner, Task, Terms
+
+_ERRORS = "SELECT scenario, controller, {0} FROM runs WHERE {0} IS NOT NULL ORDER BY run"
+_MEDIANS = """SELECT scenario, controller, count(*), count(*) FILTER (status = 'failed'),
+ 1e3 * median(rms_rad), 1e3 * median(end_rad), 100 * median(recovered), median(t90_s)
+ FROM runs GROUP BY scenario, controller ORDER BY scenario, min(run)"""
 
 # Has requests answered, several at a time; yields answers as they come. May be called again.
 Executor = Callable[[Iterator[Task]], Iterator[Answered]]
@@ -50,6 +58,48 @@ class SweepResult:
     def __repr__(self) -> str:
         told = f"{self.done} of {len(self.plan)} runs, {self.failed} failed"
         return f"SweepResult({told}; {self.folder})"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (*row[:4], *("" if figure is None else f"{figure:.3g}" for figure in row[4:]))
+            for row in ask(self.folder, _MEDIANS).rows
+        ]
+        head = ("scenario", "controller", "runs", "failed", "whole [mrad]", "end [mrad]")
+        return html_table(
+            f"{self!r}; medians", (*head, "undone [%]", "90 % undone [s], where it was"), rows
+        )
+
+    def plot(self) -> list[Any]:
+        """Draws the RMS tracking error of every run by controller, the median as a bar.
+
+        The error is that at the end of the run, or of the whole run where none has an end.
+
+        Returns:
+            The axes, one a scenario, of a new figure of `matplotlib.pyplot`.
+
+        Raises:
+            LeglabError: No run has an error yet.
+        """
+        told = "at the end"
+        rows = ask(self.folder, _ERRORS.format("end_rad")).rows
+        if not rows:
+            told = "of the whole run"
+            rows = ask(self.folder, _ERRORS.format("rms_rad")).rows
+        if not rows:
+            raise LeglabError(f"{str(self.folder)!r} holds no run with an error to draw")
+        scenarios = list(dict.fromkeys(row[0] for row in rows))
+        axes = panels(len(scenarios), height=0.5 + 0.3 * len({row[1] for row in rows}))
+        for axis, scenario in zip(axes, scenarios, strict=True):
+            errors: dict[str, list[float]] = {}
+            for _, controller, error in (row for row in rows if row[0] == scenario):
+                errors.setdefault(controller, []).append(1e3 * error)
+            axis.barh(list(errors), [median(each) for each in errors.values()], color="0.8")
+            for controller, each in errors.items():
+                axis.plot(each, [controller] * len(each), "k|", markersize=8)
+            axis.set_title(scenario, fontsize="medium", loc="left")
+            axis.invert_yaxis()
+        axes[-1].set_xlabel(f"RMS tracking error {told} [mrad]")
+        return axes
 
     def table(self) -> pa.Table:
         """All rows in the order of the runs, as a `pyarrow.Table`."""

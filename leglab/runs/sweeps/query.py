@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from leglab.base.errors import LeglabError
+from leglab.base.notebook import data_frame, html_table
 from leglab.base.output import write_atomically
 from leglab.runs.sweeps import store
 from leglab.runs.sweeps.plan import SweepPlan
@@ -18,6 +19,7 @@ from leglab.runs.sweeps.rows import schema
 
 TABLE = "runs"
 _FEW = 4  # significant digits in a table
+_SHOWN = 50  # rows of a table in a notebook
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +33,21 @@ class Answer:
 
     names: tuple[str, ...]
     rows: tuple[tuple[Any, ...], ...]
+
+    def __repr__(self) -> str:
+        return f"Answer({len(self.rows)} rows; {len(self.names)} columns: {', '.join(self.names)})"
+
+    def _repr_html_(self) -> str:
+        told = f"{len(self.rows)} rows" + (f", the first {_SHOWN}" * (len(self.rows) > _SHOWN))
+        return html_table(told, self.names, self.cells()[:_SHOWN])
+
+    def to_pandas(self) -> Any:
+        """Returns the rows as a `pandas.DataFrame`.
+
+        Raises:
+            LeglabError: pandas is missing.
+        """
+        return data_frame(list(self.rows), columns=list(self.names))
 
     def records(self) -> list[dict[str, Any]]:
         """The rows as JSON can hold them; what is not finite becomes None."""
