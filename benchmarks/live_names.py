@@ -10,6 +10,7 @@ what errors are measured against. The seeds are of no run that a setting was cho
 import argparse
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,6 @@ from leglab.control.feedforward.fault_monitor import UNKNOWN, Event
 from leglab.runs.clock import adaptation
 from leglab.runs.fault_bank import FAULTS
 from leglab.runs.loop import Loop
-from leglab.runs.parallel import in_processes
 from leglab.runs.preparation import Preparation
 
 FIRST_SEED = 1000
@@ -155,12 +155,11 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     # The bank is made here once; the other processes read it.
     Loop(RunSettings(scenario="nominal", controller=BANK))
     Loop(RunSettings(scenario="nominal", controller=BANK, reference="random_stride"))
-    found = [
-        x for x in in_processes(judged, list(cases(seeds)), jobs=options.jobs) if x is not None
-    ]
+    made = results.resumed(judged, list(cases(seeds)), folder=options.keep, jobs=options.jobs)
+    found = [case for case in made if case is not None]
     found.sort(key=lambda x: (x["seed"], x["fault"], x["element"], x["size"]))
     quiet = [(label, seed) for label in PEACE for seed in seeds]
-    said = sorted(in_processes(peace, quiet, jobs=options.jobs))
+    said = sorted(results.resumed(peace, quiet, folder=options.keep, jobs=options.jobs))
     return {"cases": found, "peace": [list(x) for x in said]}
 
 
@@ -276,6 +275,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--specimens", type=int, default=10, help="how many")
     parser.add_argument("--jobs", type=int, default=1, help="processes at a time")
+    parser.add_argument("--keep", type=Path, help="where finished cases are kept, to go on")
     results.main(parser, measure, tables)
 
 
