@@ -46,7 +46,9 @@ PEACE: dict[str, tuple[dict[str, Any], float]] = {
 LOADED = (6.0, 12.0, 20.0)
 # Under other conditions: label to settings of a run.
 ELSEWHERE: dict[str, dict[str, Any]] = {
-    "12-bit encoders": {"sensors": {"encoder_counts": 4096}},
+    "12-bit encoders with 15 times the noise": {
+        "sensors": {"encoder_counts": 4096, "position_noise": 3e-4}
+    },
     "squat": {"reference": "squat"},
     "squat on the ground": {"model": "leg_rail", "reference": "squat"},
     "another fault 5 s before": {},
