@@ -292,7 +292,13 @@ def tables(kept: dict[str, Any]) -> str:
         ["the rest: windows, tables, settings", f"{kept['heap_bytes'] / 1024:.0f}"],
         ["code and constants (flash)", f"{kept['code_bytes'] / 1024:.0f}"],
     ]  # fmt: skip
-    return results.table(head, [*rows, cost]) + "\n" + results.table(["memory", "KiB"], memory)
+    learned = (
+        "Mean error of the model, a joint, in share of full speed: "
+        f"{kept['first_error'] / JOINTS:.2g} in the first 0.1 s of learning, "
+        f"{kept['last_error'] / JOINTS:.2g} at the end."
+    )
+    counted = results.table(head, [*rows, cost])
+    return "\n".join([counted, results.table(["memory", "KiB"], memory), learned])
 
 
 def main() -> None:
