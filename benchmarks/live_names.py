@@ -10,6 +10,7 @@ what errors are measured against. The seeds are of no run that a setting was cho
 import argparse
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,6 @@ from leglab.control.feedforward.fault_monitor import UNKNOWN, Event
 from leglab.runs.clock import adaptation
 from leglab.runs.fault_bank import FAULTS
 from leglab.runs.loop import Loop
-from leglab.runs.parallel import in_processes
 from leglab.runs.preparation import Preparation
 
 FIRST_SEED = 1000
@@ -42,6 +42,21 @@ PEACE: dict[str, tuple[dict[str, Any], float]] = {
     "random strides": ({"scenario": "nominal", "reference": "random_stride"}, 60.0),
     "cold start": ({"scenario": "cold_start"}, 60.0),
 }
+# A payload is picked up and put down: mass [kg], up and down [s]; it is a change, and to be named.
+LOADED = (6.0, 12.0, 20.0)
+# Under other conditions: label to settings of a run.
+ELSEWHERE: dict[str, dict[str, Any]] = {
+    "12-bit encoders with 15 times the noise": {
+        "sensors": {"encoder_counts": 4096, "position_noise": 3e-4}
+    },
+    "squat": {"reference": "squat"},
+    "squat on the ground": {"model": "leg_rail", "reference": "squat"},
+    "another fault 5 s before": {},
+}
+# Faults and sizes that are tried there, of all cylinders; the other fault, of the knee alone.
+TRIED = (("seal_wear", 6.0), ("friction_rise", 2.5), ("valve_null_shift", 0.035))
+TRIED += (("supply_drop", 115.0), ("spring_fatigue", 0.4))
+OTHER = ("valve_null_shift", "knee", 0.03, 5.0)
 
 
 def cases(seeds: range) -> Iterator[tuple[int, str, str, float, float]]:
@@ -149,23 +164,148 @@ def peace(task: tuple[str, int]) -> tuple[str, int, list[str]]:
     return label, seed, [f"{e.names[-1].fault} {e.names[-1].element}" for e in events]
 
 
+def loaded(seed: int) -> dict[str, Any]:
+    """What is said of a payload that is picked up and put down."""
+    mass, up, down = LOADED
+    duration = down + 8.0
+    (change,) = get_scenario("payload", duration=duration, severity=mass).changes
+    changes = (replace(change, start=up), replace(change, value=0.0, start=down))
+    run = RunSettings(scenario="nominal", controller=BANK, tolerance=0.1, seed=seed, vary=True)
+    loop = Loop(run, scenario=Scenario(name="payload", duration=duration, changes=changes))
+    history = loop.run()
+    assert not history.failure, history.failure
+    events = loop.controller.events  # type: ignore[union-attr]
+    said = {"seed": seed, "wrong": [], "up": None, "down": None}
+    for event in events:
+        name = event.names[-1]
+        when = "up" if up <= name.onset < down else "down" if name.onset >= down else None
+        if name.fault != "payload" or when is None:
+            said["wrong"].append(f"{name.fault} {name.element}")  # type: ignore[union-attr]
+        else:
+            said[when] = [name.time - (up if when == "up" else down), name.size]
+    return said
+
+
+def elsewhere(task: tuple[str, str, float, int]) -> dict[str, Any]:
+    """Errors and names under another condition."""
+    label, fault, size, seed = task
+    rng = np.random.default_rng([seed, list(ELSEWHERE).index(label)])
+    change = round(CHANGE + STRIDE * rng.random(), 3)
+    whole = get_scenario(fault, duration=DURATION, severity=size)
+    changes = tuple(replace(c, start=change) for c in whole.changes)
+    if label == "another fault 5 s before":
+        name, element, other, earlier = OTHER
+        first = get_scenario(name, duration=DURATION, severity=other, element=element).changes
+        changes = tuple(replace(c, start=change) for c in first) + tuple(
+            replace(c, start=change + earlier) for c in changes
+        )
+        change += earlier
+    scenario = Scenario(name=fault, duration=DURATION, changes=changes)
+    found: dict[str, Any] = {"label": label, "fault": fault, "seed": seed}
+    base = None
+    for controller in (FROZEN, BEFORE, BANK):
+        config = {"stop_time": change} if controller == FROZEN else {}
+        settings = RunSettings(
+            **{"scenario": "nominal", "reference": "walking_stride", **ELSEWHERE[label]},
+            controller=controller,
+            controller_config=config,
+            tolerance=0.1,
+            seed=seed,
+            vary=True,
+        )
+        told = replace(scenario, reference=settings.reference or scenario.reference)
+        loop = Loop(settings, scenario=told)
+        history = loop.run()
+        assert not history.failure, (task, history.failure)
+        after = history.time - change
+        windows = [w for w in WINDOWS if change + w[1] <= DURATION]
+        error = np.array([_rms(history.error, after, *window) for window in windows])
+        if controller == FROZEN:
+            base = error
+            found["frozen_mrad"] = (1e3 * error).tolist()
+            continue
+        found[controller] = {"ratio": (error / base).tolist()}
+        if controller == BANK:
+            found[BANK] |= _told(loop.controller.events, fault, ALL, change)  # type: ignore[union-attr]
+    return found
+
+
+def measure_elsewhere(options: argparse.Namespace) -> dict[str, Any]:
+    """Payload up and down, and the conditions that are asked for."""
+    seeds = range(FIRST_SEED, FIRST_SEED + options.specimens)
+    labels = [label for label in ELSEWHERE if label in options.elsewhere.split(",")]
+    tasks = [(label, *fault, seed) for label in labels for fault in TRIED for seed in seeds]
+    Loop(RunSettings(scenario="nominal", controller=BANK))
+    keep = {"folder": options.keep, "jobs": options.jobs}
+    return {
+        "loaded": results.resumed(loaded, list(seeds), **keep),
+        "elsewhere": results.resumed(elsewhere, tasks, **keep),
+    }
+
+
+def tables_elsewhere(kept: dict[str, Any]) -> str:
+    """What is said of a payload; then errors and names under other conditions."""
+    loads = kept["loaded"]
+    parts = []
+    for when in ("up", "down"):
+        known = [x[when] for x in loads if x[when]]
+        times = [f"{x[0]:.2f}" for x in known]
+        sizes = [results.number(x[1], 2) for x in known]
+        wrong = sorted({w for x in loads for w in x["wrong"]})
+        parts.append(
+            [when, str(len(loads)), str(len(known)), ", ".join(times), ", ".join(sizes),
+             ", ".join(wrong) or "none"]
+        )  # fmt: skip
+    head = ["payload of 6 kg", "specimens", "named", "after, s", "size, kg", "other things said"]
+    text = results.table(head, parts)
+    head = ["condition", "fault", "cases", "frozen, mrad", "`bsnn_arx` .3-.6", "1.2-2.4"]
+    head += [
+        "`bsnn_arx_bank` .3-.6",
+        "1.2-2.4",
+        "fault right by 0.5 s",
+        "by 2 s",
+        "wrong at the end",
+    ]
+    rows = []
+    for label in ELSEWHERE:
+        for fault, _ in TRIED:
+            own = [x for x in kept["elsewhere"] if x["label"] == label and x["fault"] == fault]
+            if not own:
+                continue
+            row = [label, fault, str(len(own))]
+            row += [results.number(float(np.median([x["frozen_mrad"][1] for x in own])), 2)]
+            for name in (BEFORE, BANK):
+                ratio = np.median([x[name]["ratio"] for x in own], axis=0)
+                row += [results.number(float(ratio[1]), 2)]
+                row += [results.number(float(ratio[3]), 2) if len(ratio) > 3 else ""]
+            for limit in TOLD:
+                row += [str(sum(x[BANK][f"{limit:g}"]["fault"] for x in own))]
+            last = [x[BANK][f"{TOLD[-1]:g}"] for x in own]
+            row += [str(sum(x["said"] and not x["fault"] for x in last))]
+            rows.append(row)
+    return text + "\n" + results.table(head, rows)
+
+
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """All cases, and the runs in which nothing breaks."""
+    if options.elsewhere:
+        return measure_elsewhere(options)
     seeds = range(FIRST_SEED, FIRST_SEED + options.specimens)
     # The bank is made here once; the other processes read it.
     Loop(RunSettings(scenario="nominal", controller=BANK))
     Loop(RunSettings(scenario="nominal", controller=BANK, reference="random_stride"))
-    found = [
-        x for x in in_processes(judged, list(cases(seeds)), jobs=options.jobs) if x is not None
-    ]
+    made = results.resumed(judged, list(cases(seeds)), folder=options.keep, jobs=options.jobs)
+    found = [case for case in made if case is not None]
     found.sort(key=lambda x: (x["seed"], x["fault"], x["element"], x["size"]))
     quiet = [(label, seed) for label in PEACE for seed in seeds]
-    said = sorted(in_processes(peace, quiet, jobs=options.jobs))
+    said = sorted(results.resumed(peace, quiet, folder=options.keep, jobs=options.jobs))
     return {"cases": found, "peace": [list(x) for x in said]}
 
 
 def tables(kept: dict[str, Any]) -> str:
     """Errors, t90, names and false alarms."""
+    if "loaded" in kept:
+        return tables_elsewhere(kept)
     found = kept["cases"]
     parts = [_errors(found), _by_fault(found), _names(found), _peace(kept["peace"])]
     return "\n".join(parts)
@@ -276,6 +416,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--specimens", type=int, default=10, help="how many")
     parser.add_argument("--jobs", type=int, default=1, help="processes at a time")
+    parser.add_argument("--keep", type=Path, help="where finished cases are kept, to go on")
+    parser.add_argument(
+        "--elsewhere",
+        default="",
+        help=f"a payload up and down and these conditions instead: {', '.join(ELSEWHERE)}",
+    )
     results.main(parser, measure, tables)
 
 

@@ -9,6 +9,7 @@ against, `oracle` the bound for one fixed map of `bsnn_arx`.
 import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import live_names
@@ -20,7 +21,6 @@ from leglab.base.scenario import Scenario, get_scenario
 from leglab.control.feedforward.fault_bank import ALL
 from leglab.runs.clock import adaptation
 from leglab.runs.loop import History, Loop
-from leglab.runs.parallel import in_processes
 from leglab.runs.preparation import Preparation
 
 FROZEN, ORACLE, PEER = "frozen", "oracle", "adaptive_backstepping"
@@ -103,7 +103,7 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
         Loop(RunSettings(scenario="nominal", controller="bsnn_arx_bank"))
     faults = options.faults.split(",") if options.faults else []
     tasks = [(case, controllers) for case in cases(seeds, faults)]
-    found = list(in_processes(judged, tasks, jobs=options.jobs))
+    found = results.resumed(judged, tasks, folder=options.keep, jobs=options.jobs)
     return sorted(found, key=lambda x: (x["seed"], x["fault"], x["size"]))
 
 
@@ -189,6 +189,7 @@ def main() -> None:
     parser.add_argument("--faults", default="", help="only these, separated by commas")
     parser.add_argument("--controllers", default=",".join(ADAPTIVE), help="separated by commas")
     parser.add_argument("--jobs", type=int, default=1, help="processes at a time")
+    parser.add_argument("--keep", type=Path, help="where finished cases are kept, to go on")
     results.main(parser, measure, tables)
 
 

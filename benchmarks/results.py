@@ -9,6 +9,7 @@ afterwards, `origin_line` below its tables.
 """
 
 import argparse
+import hashlib
 import json
 import os
 import shlex
@@ -16,6 +17,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from datetime import date
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -23,6 +25,8 @@ from typing import Any
 import numpy as np
 
 from leglab.data import write_atomically
+from leglab.runs.fingerprint import fingerprint
+from leglab.runs.parallel import make_missing
 
 ROOT = Path(__file__).parent.parent
 DATA = ROOT / "docs" / "data"
@@ -69,6 +73,52 @@ def main(
         text = json.dumps(record, indent=1, ensure_ascii=False) + "\n"
         options.write.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(options.write, lambda file: file.write(text.encode()))
+
+
+def resumed(
+    make: Callable[[Any], Any], items: Sequence[Any], *, folder: Path | None, jobs: int
+) -> list[Any]:
+    """Makes the result of each item, and keeps it, so that an interrupted call goes on.
+
+    Args:
+        make: Gives the result of an item, as JSON holds it.
+        items: Whose `repr` tells them apart.
+        folder: Where results are kept, by item and code of leglab; None for
+            `runs/benchmarks/NAME` after the script.
+        jobs: Processes at a time.
+
+    Returns:
+        Results in the order of the items.
+    """
+    place = folder or ROOT / "runs" / "benchmarks" / Path(sys.argv[0]).stem
+    place.mkdir(parents=True, exist_ok=True)
+    files = {repr(item): place / f"{_digest(make, item)}.json" for item in items}
+
+    def tell(done: int, whole: int, label: str) -> None:
+        print(f"{done} of {whole} {label}", file=sys.stderr, flush=True)
+
+    make_missing(
+        list(items),
+        partial(_keep, make, files),
+        is_made=lambda item: files[repr(item)].exists(),
+        jobs=jobs,
+        progress=tell,
+    )
+    return [json.loads(files[repr(item)].read_text()) for item in items]
+
+
+def _digest(make: Callable[[Any], Any], item: Any) -> str:
+    """Of what is made of what by which code."""
+    script = Path(make.__code__.co_filename).read_bytes()
+    told = f"{make.__name__} {item!r} {fingerprint()}".encode()
+    return hashlib.sha256(told + script).hexdigest()[:32]
+
+
+def _keep(make: Callable[[Any], Any], files: dict[str, Path], item: Any) -> str:
+    """Makes the result of an item and writes it."""
+    text = json.dumps(rounded(make(item)), allow_nan=False)
+    write_atomically(files[repr(item)], lambda file: file.write(text.encode()))
+    return str(item)
 
 
 def origin_of(command: str) -> dict[str, Any]:

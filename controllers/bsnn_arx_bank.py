@@ -6,6 +6,7 @@ from pydantic import Field
 from leglab.base.errors import LeglabError
 from leglab.control import ControllerSetup, Measurement, ReferencePoint, register_controller
 from leglab.control.feedforward.fault_monitor import Event, FaultMonitor, MonitorConfiguration
+from leglab.control.feedforward.health import HealthConfiguration, HealthMonitor, Trend
 from leglab.controllers.bsnn_arx import AdaptiveConfiguration, AdaptiveController
 
 
@@ -14,12 +15,14 @@ class BankConfiguration(AdaptiveConfiguration):
 
     Attributes:
         monitor: How changes are noticed and named.
+        health: How slow wear is followed.
         left_out: Faults of the bank that are not used, to see what an unknown one does.
         corrects: Whether a named fault's shift goes to the parameters; without, the monitor names
             only.
     """
 
     monitor: MonitorConfiguration = Field(default_factory=MonitorConfiguration)
+    health: HealthConfiguration = Field(default_factory=HealthConfiguration)
     left_out: tuple[str, ...] = Field(default=())
     corrects: bool = Field(default=True)
 
@@ -47,8 +50,9 @@ class BankController(AdaptiveController):
             bank = bank.without(config.left_out)
         period = setup.control_period * config.interval
         self.monitor = FaultMonitor(bank, setup.joints, config.monitor, sample_period=period)
-        self._config, self._joints = config, len(setup.joints)
-        self._report = {**self.adaptation.report, **self.monitor.report}
+        self.health = HealthMonitor(bank, setup.joints, config.health, sample_period=period)
+        self._config = config
+        self._report = {**self.adaptation.report, **self.monitor.report, **self.health.report}
         self._corrects, self._stopped = config.corrects, False
 
     @property
@@ -56,10 +60,17 @@ class BankController(AdaptiveController):
         """Changes since `reset`, and what was said of them."""
         return self.monitor.events
 
+    @property
+    def trends(self) -> list[Trend]:
+        """Slow wear that was followed since `reset`."""
+        return self.health.trends
+
     def reset(self, measurement: Measurement) -> None:
         """Starts a run with the nominal map."""
         super().reset(measurement)
         self.monitor.reset()
+        self.health.reset()
+        self._told = 0
         self.adaptation.keep(2 * self._config.monitor.block)
         self._stopped = False
 
@@ -77,7 +88,9 @@ class BankController(AdaptiveController):
     def _look(self, time: float) -> None:
         learner = self.adaptation.learner
         parameters = np.atleast_2d(learner.parameters)
-        advice = self.monitor.take(time, self.adaptation.kept(), parameters)
+        samples = self.adaptation.kept()
+        advice = self.monitor.take(time, samples, parameters)
+        self._follow(time, samples, parameters)
         if advice is None or not self._corrects:
             return
         if advice.parameters is not None:
@@ -88,6 +101,16 @@ class BankController(AdaptiveController):
             learner.hold_alarm(int(joint))
             learner.set_gain(opened * np.eye(parameters.shape[1]), int(joint))
 
+    def _follow(self, time: float, samples: np.ndarray, parameters: np.ndarray) -> None:
+        """Slow wear is followed between changes at once."""
+        if self.monitor.busy:
+            self.health.drop()
+            return
+        if len(self.events) > self._told:
+            self._told = len(self.events)
+            self.health.renew()
+        self.health.take(time, samples, parameters)
+
     def diagnostics(self) -> dict[str, np.ndarray]:
-        """As `bsnn_arx`, and number, size and confidence of a named fault."""
+        """As `bsnn_arx`, number, size and confidence of a named fault, and of slow wear."""
         return self._report

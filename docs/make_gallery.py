@@ -18,7 +18,7 @@ from leglab.report.film import SIZE, render_film
 from leglab.report.film.workers import draw_frames
 from leglab.runs.folder import write_run
 
-CONTROLLERS = ("pd", "static_feedforward", "bsnn_arx")
+CONTROLLERS = ("static_feedforward", "bsnn_arx", "bsnn_arx_bank")
 DURATION = 20.0  # s; the seals wear out half way
 LOOP = (9.0, 5.0)  # start and length of the loop [s]
 CLIP_SIZE, CLIP_STEP = (960, 540), 2  # every second frame

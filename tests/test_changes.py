@@ -9,9 +9,10 @@ import pytest
 from leglab import RunSettings, run_scenario
 from leglab.base.errors import LeglabError
 from leglab.base.scenario import ParameterChange, Scenario, get_scenario, scenario_names
-from leglab.machine.changes import Bodies, Schedule
+from leglab.machine.changes import Bodies, NativeJoints, Schedule, fitted
 from leglab.machine.sensors import Encoders, SensorConfiguration, held
 from leglab.machine.simulation import Simulation, load_model
+from tests.native_models import machine
 
 # What the last sample of a recording must show: parameter -> value from the nominal one.
 EFFECTS = {
@@ -262,3 +263,31 @@ def test_a_user_reference_replaces_the_settings_of_the_scenarios_own():
     assert run.configuration.settings["reference_config"] == {"period": 0.9}
     other = RunSettings(scenario="supply_droop", duration=1.0, reference="squat")
     assert run_scenario(other).configuration.settings["reference_config"] == {}
+
+
+def test_a_joint_alone_is_not_one_whose_name_goes_on():
+    inner = link("hip_yaw", "")
+    drives = "".join(
+        f'<motor name="{joint}_drive" joint="{joint}" ctrlrange="-1 1"/>'
+        for joint in ("hip", "hip_yaw")
+    )
+    model = mujoco.MjModel.from_xml_string(machine(link("hip", inner), drives, []))
+    legged = Simulation(model)
+    for joint in ("hip", "hip_yaw"):
+        scenario = fitted(get_scenario("friction_rise", element=joint), legged)
+        changed = Schedule(scenario, legged, NativeJoints(legged)).others
+        assert {element for element, _ in changed} == {joint}
+
+
+def link(joint, inner):
+    return f"""<body name="{joint}_body" pos="0 0 -0.3">
+          <joint name="{joint}" axis="0 1 0" stiffness="1" damping="0.1" range="-1 1"/>
+          <inertial pos="0 0 -0.1" mass="1" diaginertia="0.01 0.01 0.01"/>{inner}
+        </body>"""
+
+
+def test_a_joint_without_the_part_is_refused_where_others_have_it():
+    with pytest.raises(LeglabError, match=r"of 'hip_yaw,hip_yaw_\*'.*parameter of .*knee_spring"):
+        run_scenario(
+            RunSettings(scenario="spring_fatigue", element="hip_yaw", controller="pd", duration=1.0)
+        )

@@ -197,3 +197,13 @@ def test_a_bank_of_other_code_is_replaced(small, monkeypatch):
     bank_of()
     assert made == [1]
     assert len(list(small.iterdir())) == 1
+
+
+def test_a_fault_that_changes_nothing_shifts_nothing(small, monkeypatch):
+    """What the ridge takes off a map's own parameters is in no shift."""
+    monkeypatch.setattr(
+        making, "FAULTS", {"seal_wear": (making.Faults(healthy=1.0, sizes=(1.0 + 1e-9, 10.0)),)}
+    )
+    (curve,) = bank_of().curves
+    worn = np.abs(curve.shifts[2]).max()
+    assert np.abs(curve.shifts[1]).max() < 1e-3 * worn

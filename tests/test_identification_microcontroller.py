@@ -1,7 +1,9 @@
 """The core compiles without heap, exceptions or an operating system."""
 
+import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -16,3 +18,23 @@ SCRIPT = Path(__file__).parent / "microcontroller" / "check.sh"
 def test_core_compiles_for_a_microcontroller():
     done = subprocess.run([SCRIPT], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.skipif(
+    shutil.which("arm-none-eabi-g++") is None, reason="needs the compiler as above, with newlib"
+)
+def test_the_whole_leg_builds_and_learns_on_a_cortex_m7():
+    """Runs in an emulator where there is one; a period of six joints has 800,000 cycles."""
+    pytest.importorskip("unicorn")
+    done = subprocess.run(
+        [sys.executable, "benchmarks/microcontroller.py", "--periods", "300"],
+        capture_output=True, text=True, check=False, cwd=SCRIPT.parent.parent.parent,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    kept = {line.split(" | ")[0]: line for line in done.stdout.splitlines()}
+    assert "| learners, 6 of 47 parameters" in kept
+    mean = int(kept["| mean"].split(" | ")[2].replace(",", ""))
+    assert mean < 800_000
+    line = next(line for line in done.stdout.splitlines() if line.startswith("Mean error"))
+    first, last = re.findall(r"(\d\.?\d*(?:e-\d+)?) (?:in|at)", line)
+    assert float(last) < 0.5 * float(first)

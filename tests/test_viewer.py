@@ -251,6 +251,17 @@ def test_texts_and_figures_say_what_happens():
     assert command.linedata[0, 1] == pytest.approx(live.moments[-1].command[0])
 
 
+def test_texts_say_what_the_controller_names():
+    live = session(controller="bsnn_arx_bank", duration=16.0)
+    display = Display(live, "knee_bench")
+    run_for(live, 7.9)
+    assert "named" not in display.texts(paused=False)[0]
+    run_for(live, 0.6)
+    shown = dict(zip(*(text.split("\n") for text in display.texts(paused=False)), strict=True))
+    assert shown["named"].startswith("seal wear 1")  # ten times, more or less
+    assert shown["named"].isascii()
+
+
 def test_a_blow_up_stops_with_its_reason_and_restart_mends_it():
     live = session()
     live.simulation.data.qvel[:] = 1e9

@@ -20,7 +20,7 @@ class ParameterChange:
     Attributes:
         parameter: Name of the parameter, for instance "internal_leakage".
         element: Which elements change: a name or a pattern such as "*" or "ankle_*", several by
-            commas.
+            commas; what matches one with "!" before it does not.
         kind: "scale": the value is a factor on what the parameter was; "set": it is the new value.
         value: Factor [1], or value in the parameter's own unit.
         start: When the change begins [s].
@@ -59,7 +59,10 @@ class ParameterChange:
 
     def applies_to(self, element: str) -> bool:
         """Says whether an element changes."""
-        return any(fnmatchcase(element, pattern) for pattern in self.element.split(","))
+        patterns = self.element.split(",")
+        if any(fnmatchcase(element, p[1:]) for p in patterns if p.startswith("!")):
+            return False
+        return any(fnmatchcase(element, p) for p in patterns)
 
     def value_at(self, time: float, before: float) -> float:
         """Returns the parameter's value.
@@ -365,7 +368,7 @@ def get_scenario(
     Scenario(**settled)  # Refuses a bad duration before changes are built upon it.
     changes = entry.build(options)
     if element is not None:
-        own = f"{escape(element)},{escape(element)}_*"
+        own = joint_pattern(element)
         changes = tuple(replace(change, element=own, fallback=False) for change in changes)
     if ramp_duration and not changes:
         raise LeglabError(f"scenario {name!r} changes nothing, so it has no ramp_duration")
@@ -376,6 +379,11 @@ def get_scenario(
         changes=changes,
         severity=chosen,
     )
+
+
+def joint_pattern(joint: str) -> str:
+    """Pattern of the elements of one joint: itself, and what is called after it."""
+    return f"{escape(joint)},{escape(joint)}_*"
 
 
 def scenario_names() -> tuple[str, ...]:

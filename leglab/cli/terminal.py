@@ -191,10 +191,11 @@ def metrics_table(metrics: dict[str, Any]) -> Table:
 
 
 def fault_lines(metrics: dict[str, Any]) -> list[str]:
-    """A line for each change that the controller noticed, from the content of `metrics.json`."""
-    from leglab.runs.record import FaultEvent
+    """A line for each change or wear that the controller told, from what `metrics.json` has."""
+    from leglab.runs.record import FaultEvent, FaultTrend
 
-    return [FaultEvent.model_validate(event).told() for event in metrics.get("events", [])]
+    events = [FaultEvent.model_validate(event).told() for event in metrics.get("events", [])]
+    return events + [FaultTrend.model_validate(one).told() for one in metrics.get("health", [])]
 
 
 def comparison_table(summary: dict[str, Any]) -> Table:

@@ -1,6 +1,6 @@
 """Changes of a machine: a scenario's over time, loads on its bodies, one specimen's tolerances."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from glob import escape
 from typing import Protocol
@@ -9,7 +9,13 @@ import mujoco
 import numpy as np
 
 from leglab.base.errors import LeglabError, unknown_name
-from leglab.base.scenario import ParameterChange, Scenario, get_scenario, scenario_names
+from leglab.base.scenario import (
+    ParameterChange,
+    Scenario,
+    get_scenario,
+    joint_pattern,
+    scenario_names,
+)
 from leglab.machine.parameters import Parameter, plugin_tables
 from leglab.machine.sensors import FAULTS
 from leglab.machine.simulation import Simulation
@@ -161,7 +167,8 @@ def _fit(
 ) -> tuple[tuple[ParameterChange, ...], ParameterChange | None]:
     """The changes that a machine can carry out, and the first that it needs and cannot."""
     kept = []
-    for change in scenario.changes:
+    for asked in scenario.changes:
+        change = replace(asked, element=_own(asked.element, simulation.joints))
         able = _able(simulation, change.parameter)
         if any(change.applies_to(element) for element in able):
             kept.append(change)
@@ -173,8 +180,25 @@ def _fit(
             kept.append(change)
     if scenario.changes and not kept:
         first = scenario.changes[0]
-        return (), None if _able(simulation, first.parameter) else first
+        able = _able(simulation, first.parameter)
+        return (scenario.changes, None) if able else ((), first)
     return tuple(kept), None
+
+
+def _own(pattern: str, joints: Sequence[str]) -> str:
+    """The pattern of one joint's elements, without those of joints whose names begin with its own.
+
+    Args:
+        pattern: Of a change; left as it is where it is not the one that `get_scenario` makes for an
+            element, "JOINT,JOINT_*", or where no other joint is called "JOINT_...".
+        joints: Names of all joints of the machine.
+    """
+    for joint in joints:
+        if pattern == joint_pattern(joint):
+            others = [escape(o) for o in joints if o.startswith(f"{joint}_")]
+            excluded = "".join(f",!{other},!{other}_*" for other in others)
+            return pattern + excluded
+    return pattern
 
 
 def _able(simulation: Simulation, parameter: str) -> list[str]:

@@ -164,6 +164,9 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
     moments = partial(_moments, settings, preparation, make_loop)
     healthy = moments(())
     base = _solve(healthy)
+    # The ridge draws towards the map that it is about: what it takes off a healthy machine's own
+    # map is no shift.
+    drawn = _solve(healthy.about(base))
     joints = preparation.nominal.joints
     curves = []
     for fault, element, faults in _cases(joints):
@@ -175,7 +178,7 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
                 found = moments(scenario.changes)
             except LeglabError:
                 break  # model or joint have no such part, or cannot move with so much of it
-            shifts.append(_solve(found.about(base)))
+            shifts.append(_solve(found.about(base)) - drawn)
             sizes.append(size)
         if len(sizes) > 1:
             severity = scenario_severity(fault)

@@ -109,6 +109,13 @@ class FaultEvent(BaseModel):
     names: Annotated[list[FaultName], Field(min_length=1)]
     withdrawn: FiniteFloat | None = None
 
+    def short(self) -> str:
+        """The name in force in a few words, for pictures: "knee seal wear 9.92, 100 %"."""
+        name = self.names[-1]
+        where = "" if name.element == "all" else f"{name.element} "
+        size = "" if name.size is None else f" {name.size:.3g}, {100 * name.confidence:.0f} %"
+        return f"{where}{name.fault}{size}".replace("_", " ")
+
     def told(self) -> str:
         """The name in force in one line: where, what, size and confidence, since when."""
         name = self.names[-1]
@@ -123,6 +130,65 @@ class FaultEvent(BaseModel):
         if self.withdrawn is not None:
             line += f", withdrawn at {self.withdrawn:.2f} s"
         return line
+
+
+class FaultTrend(BaseModel):
+    """Slow wear that a controller followed; see `leglab.control.feedforward.health.Trend`."""
+
+    fault: Name
+    element: Name
+    condition: bool = False
+    since: FiniteFloat
+    time: FiniteFloat
+    seen: FiniteFloat
+    size: FiniteFloat | None = None
+    low: FiniteFloat | None = None
+    high: FiniteFloat | None = None
+    meaning: str = ""
+    confidence: FiniteFloat
+    explained: FiniteFloat
+    rate: FiniteFloat | None = None
+    rate_low: FiniteFloat | None = None
+    rate_high: FiniteFloat | None = None
+    end_of_life: FiniteFloat | None = None
+    remaining: FiniteFloat | None = None
+    remaining_low: FiniteFloat | None = None
+    remaining_high: FiniteFloat | None = None
+
+    def short(self) -> str:
+        """The trend in a few words, for pictures: "knee seal wear 8.54, left 9.2 min"."""
+        where = "" if self.element == "all" else f"{self.element} "
+        size = "" if self.size is None else f" {self.size:.3g}"
+        left = "" if self.remaining is None else f", left {self._duration(self.remaining)}"
+        return f"{where}{self.fault}{size}{left}".replace("_", " ")
+
+    def told(self) -> str:
+        """The trend in one line: where, what, how large at last, how fast, how long it may last."""
+        where = "all cylinders" if self.element == "all" else self.element
+        since = f"since {self.since:.0f} s, said at {self.time:.0f} s"
+        if self.size is None:
+            return f"{where}: slow {self.fault}, {since}"
+        ends = "" if self.low is None else f"{self.low:.3g} to {self.high:.3g}; "
+        line = (
+            f"{where}: {self.fault} {self.size:.3g} ({ends}{self.meaning}) at {self.seen:.0f} s, "
+        )
+        line += f"slowly {since}"
+        if self.condition:
+            return f"{line}; a condition, no fault"
+        line += f", {100 * self.confidence:.0f} %"
+        if self.rate is not None:
+            line += f", {self.rate:+.3g} an hour"
+        if self.remaining is not None and self.remaining_low is not None:
+            last = "no end" if self.remaining_high is None else self._duration(self.remaining_high)
+            line += (
+                f"; at {self.end_of_life:g} in {self._duration(self.remaining)} "
+                f"({self._duration(self.remaining_low)} to {last})"
+            )
+        return line
+
+    @staticmethod
+    def _duration(seconds: float) -> str:
+        return f"{seconds / 3600:.3g} h" if seconds >= 3600 else f"{seconds / 60:.3g} min"
 
 
 class RunMetrics(BaseModel):
@@ -142,6 +208,7 @@ class RunMetrics(BaseModel):
         adaptation: What the change cost, and how much of it was undone how soon.
         excess_error_area_rad_s: Area of the moving error above its value before [rad s].
         events: Changes that the controller noticed and named, for one that does.
+        health: Slow wear that it followed, likewise.
     """
 
     scenario: Name
@@ -157,6 +224,7 @@ class RunMetrics(BaseModel):
     adaptation: AdaptationMetrics = AdaptationMetrics(reason="it was not stored")
     excess_error_area_rad_s: FiniteFloat | None = None
     events: list[FaultEvent] = []
+    health: list[FaultTrend] = []
 
     def told(self) -> str:
         """The run in one line."""

@@ -110,7 +110,7 @@ def _run(loop: Loop, progress: Progress | None, interrupted: Callable[[], bool])
     names = {name: str(getattr(settings, name)) for name in ("scenario", "controller", "model")}
     metadata = {**names, "seed": settings.seed}
     recording = _recording(loop, history, metadata)
-    events = _events(loop)  # of this run: its twin forgets them
+    events = told(loop)  # of this run: its twin forgets them
     twin_error = None
     if twin and not history.failure:
         twin_history = _twin(loop, progress, interrupted)
@@ -132,10 +132,14 @@ def _run(loop: Loop, progress: Progress | None, interrupted: Callable[[], bool])
     )
 
 
-def _events(loop: Loop) -> dict[str, Any]:
-    """What the controller said of changes, if it is one that does, as `metrics.json` has it."""
-    events = getattr(loop.controller, "events", None)
-    return {} if events is None else {"events": plain(events)}
+def told(loop: Loop) -> dict[str, Any]:
+    """What the controller said of changes and wear, if it does, as `metrics.json` has it."""
+    found: dict[str, Any] = {}
+    if (events := getattr(loop.controller, "events", None)) is not None:
+        found["events"] = plain(events)
+    if (trends := getattr(loop.controller, "trends", None)) is not None:
+        found["health"] = [vars(trend).copy() for trend in trends]
+    return found
 
 
 def _has_twin(loop: Loop) -> bool:

@@ -164,6 +164,8 @@ class Display:
         session = self._session
         rows = {"time": f"{session.time:.1f} s", "scenario": session.scenario.name}
         rows["fault"] = "on" if session.fault else "off" if session.scenario.changes else "none"
+        for what, words in session.named().items():
+            rows[what] = words
         for name, slider in session.sliders.items():
             rows[name.replace("_", " ")] = f"{slider.present():.3g} {slider.unit}"
         recent = list(session.moments)[-round(session.window / session.period) :]

@@ -13,6 +13,8 @@ from leglab.machine.plugin import without_warnings
 from leglab.machine.simulation import SimulationError
 from leglab.runs.loop import Loop
 from leglab.runs.preparation import RunSettings
+from leglab.runs.record import FaultEvent, FaultTrend
+from leglab.runs.run import told
 from leglab.viewer.sliders import sliders
 
 # A live run has no end; a scenario needs one [s].
@@ -136,6 +138,17 @@ class Session:
             first = min(change.start for change in changes)
             self._faults = tuple(replace(c, start=self.time + (c.start - first)) for c in changes)
         self._follow()
+
+    def named(self) -> dict[str, str]:
+        """What the controller names now, by "named" and "wear"; empty where it says nothing."""
+        said = told(self._loop)
+        events = [event for event in said.get("events", []) if event["withdrawn"] is None]
+        rows = {}
+        if events:
+            rows["named"] = FaultEvent.model_validate(events[-1]).short()
+        if said.get("health"):
+            rows["wear"] = FaultTrend.model_validate(said["health"][-1]).short()
+        return rows
 
     def close(self) -> None:
         """Takes the loads off the model's bodies."""

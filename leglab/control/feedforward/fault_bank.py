@@ -160,6 +160,29 @@ class FaultBank:
         """Names of the faults, in the order of their first curves."""
         return tuple(dict.fromkeys(curve.fault for curve in self.curves))
 
+    @cached_property
+    def keys(self) -> tuple[tuple[str, str], ...]:
+        """Fault and element of the curves, each once, in the order of their first curves."""
+        return tuple(dict.fromkeys((curve.fault, curve.element) for curve in self.curves))
+
+    @cached_property
+    def group(self) -> np.ndarray:
+        """Place of every curve's fault and element in `keys`, (curves,)."""
+        return np.array([self.keys.index((c.fault, c.element)) for c in self.curves])
+
+    def chances(self, cost: np.ndarray, correlation: float) -> np.ndarray:
+        """Probability of every fault and element among all of the bank, by likelihood, (keys,).
+
+        Args:
+            cost: Weighted sum of squared errors of each curve, (curves,).
+            correlation: Samples that count as one.
+        """
+        best_of = np.full(len(self.keys), np.inf)
+        np.minimum.at(best_of, self.group, cost)
+        weight = np.exp(-(best_of - best_of.min()) / (2 * correlation))
+        chance: np.ndarray = weight / weight.sum()
+        return chance
+
     def without(self, faults: Sequence[str]) -> "FaultBank":
         """The bank without all curves of some faults.
 

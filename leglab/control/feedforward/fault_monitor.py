@@ -204,9 +204,6 @@ class FaultMonitor:
             )
         self._bank, self._joints, self._config = bank, joints, config
         self._period = sample_period
-        self._keys = [(curve.fault, curve.element) for curve in bank.curves]
-        self._names = list(dict.fromkeys(self._keys))
-        self._group = np.array([self._names.index(key) for key in self._keys])
         kinds = ("fault", "fault_size", "fault_confidence")
         self.report = {name: np.zeros(len(joints)) for name in kinds}
         self.reset()
@@ -230,6 +227,11 @@ class FaultMonitor:
         self._peak = np.zeros(len(self._joints) + 1)
         self._top = np.zeros(len(self._joints) + 1)
         self._since = np.full(len(self._joints) + 1, np.nan)
+
+    @property
+    def busy(self) -> bool:
+        """Whether a change was noticed whose samples are being collected."""
+        return self._case is not None
 
     def take(self, time: float, samples: np.ndarray, parameters: np.ndarray) -> Advice | None:
         """Takes a block of learned samples.
@@ -354,14 +356,11 @@ class FaultMonitor:
         count = np.maximum(moments.count, 1.0)
         variance = self._normal + config.discrepancy**2 * moments.power / count
         fit = self._bank.fit(moments, 1.0 / np.maximum(variance, 1e-300))
-        best_of = np.full(len(self._names), np.inf)
-        np.minimum.at(best_of, self._group, fit.cost)
-        weight = np.exp(-(best_of - best_of.min()) / (2 * config.correlation))
-        chance = weight / weight.sum()
+        chance = self._bank.chances(fit.cost, config.correlation)
         best = int(np.argmin(fit.cost))
-        group = int(self._group[best])
+        group = int(self._bank.group[best])
         explained = 1.0 - fit.cost[best] / max(fit.without, 1e-300)
-        key = self._names[group]
+        key = self._bank.keys[group]
         least = config.kept
         if key != case.key:
             least = float(np.interp(time - case.onset, _GROWN, config.explained))

@@ -168,18 +168,20 @@ def load_track(folder: Path) -> Track:
         window=min(run.window, max(0.25 * recording.duration, 1e-3)),
         failure=(told and told.failure) or "",
         undone=None if told is None else _undone(told.adaptation, run.changes),
-        named=() if told is None else tuple(map(_named, told.events)),
+        named=() if told is None else (*map(_named, told.events), *map(_wear, told.health)),
     )
 
 
 def _named(event: record.FaultEvent) -> ShownChange:
     """The name in force, told as "named: knee seal wear 11.4, 100 %"."""
-    name = event.names[-1]
-    where = "" if name.element == "all" else f"{name.element} "
-    size = "" if name.size is None else f" {name.size:.3g}, {100 * name.confidence:.0f} %"
     end = np.inf if event.withdrawn is None else event.withdrawn
-    text = f"named: {where}{readable(name.fault)}{size}"
-    return ShownChange(start=name.time, end=end, text=text)
+    return ShownChange(start=event.names[-1].time, end=end, text=f"named: {event.short()}")
+
+
+def _wear(trend: record.FaultTrend) -> ShownChange:
+    """Slow wear, from when it was said first: its size and what remains are those at the end."""
+    text = f"slowly until {trend.seen:.0f} s: {trend.short()}"
+    return ShownChange(start=trend.time, end=np.inf, text=text)
 
 
 def _undone(
