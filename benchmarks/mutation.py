@@ -21,12 +21,13 @@ import pytest
 import results
 
 ROOT = Path(__file__).parents[1]
+_JUDGING = ("tests/test_diagnosis_judging.py", "tests/test_diagnosis_parts.py")
 MODULES = {
     "leglab.runs.metrics": ("tests/test_metrics.py",),
     "leglab.runs.clock": ("tests/test_clock.py",),
-    "leglab.diagnosis.judging": ("tests/test_diagnosis_judging.py", "tests/test_diagnosis_parts.py"),
-    "leglab.diagnosis.naming": ("tests/test_diagnosis_judging.py", "tests/test_diagnosis_parts.py"),
-    "leglab.diagnosis.verdict": ("tests/test_diagnosis_judging.py", "tests/test_diagnosis_parts.py"),
+    "leglab.diagnosis.judging": _JUDGING,
+    "leglab.diagnosis.naming": _JUDGING,
+    "leglab.diagnosis.verdict": _JUDGING,
 }
 PATIENCE = 120.0  # s
 _COMPARISONS = {
@@ -44,9 +45,11 @@ def changes(node: ast.AST) -> Iterator[Callable[[ast.AST], None]]:
     """Yields functions that change a node of this kind in place."""
     if isinstance(node, ast.Compare):
         for i, operator in enumerate(node.ops):
-            yield lambda n, i=i, o=_COMPARISONS[type(operator)]: n.ops.__setitem__(i, o())
+            other = _COMPARISONS[type(operator)]
+            yield lambda n, i=i, other=other: n.ops.__setitem__(i, other())
     elif isinstance(node, ast.BinOp | ast.BoolOp | ast.AugAssign) and type(node.op) in _OPERATORS:
-        yield lambda n, o=_OPERATORS[type(node.op)]: setattr(n, "op", o())
+        other = _OPERATORS[type(node.op)]
+        yield lambda n, other=other: setattr(n, "op", other())
     elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not | ast.USub):
         yield lambda n: setattr(n, "op", ast.UAdd() if isinstance(n.op, ast.USub) else _Truth())
     elif isinstance(node, ast.Constant) and type(node.value) in (int, float):
@@ -63,7 +66,7 @@ class _Truth(ast.Not):
 
 
 class _WithoutNot(ast.NodeTransformer):
-    def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.AST:  # noqa: N802
+    def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.AST:
         self.generic_visit(node)
         return node.operand if isinstance(node.op, _Truth) else node
 
@@ -98,12 +101,12 @@ class _Mutant(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     def __init__(self, name: str, path: str, source: str) -> None:
         self._name, self._path, self._source = name, path, source
 
-    def find_spec(self, name, path=None, target=None):  # noqa: ANN001, ANN201
+    def find_spec(self, name, path=None, target=None):
         if name == self._name:
             return importlib.util.spec_from_file_location(name, self._path, loader=self)
         return None
 
-    def exec_module(self, module):  # noqa: ANN001, ANN201
+    def exec_module(self, module):
         exec(compile(self._source, self._path, "exec"), module.__dict__)
 
 

@@ -18,8 +18,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 BUILD = ROOT / "build" / "sanitize"
-# After runs of `tests/sanitized_run.py`: hydraulics, plugins and wrong input to them, identifiers and
-# damaged states of them, the feed-forward, the rough bench.
+# After runs of `tests/sanitized_run.py`: hydraulics, plugins and wrong input to them, identifiers
+# and damaged states of them, the feed-forward, the rough bench.
 TESTS = (
     "tests/test_hydraulics_core.py",
     "tests/test_plugin_errors.py",
@@ -32,6 +32,7 @@ TESTS = (
     "tests/test_rough_bench.py",
     "tests/test_feedforward_core.py",
 )
+_OURS = re.compile(r"(at|by) 0x.*(leglab::|libleglab_plugin|/_native/)")
 # Python finds the compiled modules of `folder` before those that are installed.
 _SITE = """
 import sys
@@ -98,7 +99,7 @@ def valgrind() -> int:
     done = subprocess.run(command, cwd=ROOT, env=env, stderr=subprocess.PIPE, text=True)
     # Blocks of lines, each an error: "==123== Invalid read of size 8", then where.
     blocks = re.split(r"^==\d+== *$", done.stderr, flags=re.MULTILINE)
-    ours = [block for block in blocks if re.search(r"(at|by) 0x.*(leglab::|libleglab_plugin|/_native/)", block)]
+    ours = [block for block in blocks if _OURS.search(block)]
     print("".join(ours), done.stderr.splitlines()[-1], f"{len(ours)} with leglab in them", sep="\n")
     return done.returncode or len(ours)
 

@@ -46,7 +46,9 @@ def test_pd_law():
 
 
 def test_pid_does_not_wind_up_while_the_command_saturates():
-    setup = ControllerSetup(joints=("a",), control_period=0.01, machine=NominalMachine(direction=[1.0]))
+    setup = ControllerSetup(
+        joints=("a",), control_period=0.01, machine=NominalMachine(direction=[1.0])
+    )
     gains = {"position_gain": [10.0], "velocity_gain": [0.0]}
     pid = make_controller("pid", setup, {**gains, "integral_time": 0.5, "limit": 0.4})
     rest = np.zeros(1)

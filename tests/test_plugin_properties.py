@@ -19,7 +19,9 @@ ATMOSPHERE = 101325.0  # Pa
 def values_of(row):
     """The lowest value, zero, and values about the nominal one, as far as the bounds allow."""
     nominal = CYLINDER.get(row.name, row.nominal)
-    about = st.floats(0.3, 3.0).map(lambda factor: min(max(factor * nominal, row.minimum), row.maximum))
+    about = st.floats(0.3, 3.0).map(
+        lambda factor: min(max(factor * nominal, row.minimum), row.maximum)
+    )
     ends = [value for value in (row.minimum, 0.0) if row.minimum <= value <= row.maximum]
     if not row.minimum_allowed:
         ends = [value for value in ends if value > row.minimum]

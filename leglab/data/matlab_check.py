@@ -90,7 +90,7 @@ def _elements(content: bytes, order: str, *, padded: bool = True) -> Iterator[tu
 
 
 def _check_matrix(content: bytes, order: str, depth: int, most: int) -> int:
-    """Returns the memory that an array takes [bytes]; one that takes more than `most` is refused."""
+    """Returns the memory that an array takes [bytes]; more than `most` is refused."""
     if not content:
         return _within(most, _ARRAY)  # An empty array as a part of another one.
     if depth > _DEEPEST:

@@ -70,9 +70,7 @@ def main() -> None:
         ("mcap", ".mcap"),
         ("sysid", ".npz"),
     ):
-        data.write(small, place(f"{name}/plain").with_suffix(suffix)).rename(
-            place(f"{name}/plain")
-        )
+        data.write(small, place(f"{name}/plain").with_suffix(suffix)).rename(place(f"{name}/plain"))
     # From the page on sweeps: each of its examples.
     page = Path(__file__).parents[2] / "docs" / "sweeps.md"
     for i, text in enumerate(re.findall(r"```toml\n(.*?)```", page.read_text(), re.DOTALL)):

@@ -1,7 +1,7 @@
 """Looks for bytes that a reader trips over: `python -m tests.fuzz.run NAME [--seconds 300]`.
 
-Needs atheris (`pip install 'atheris>=3,<4'`), which follows the branches that an input takes and keeps
-those inputs that take new ones. Begins with the committed corpus; inputs found go to
+Needs atheris (`pip install 'atheris>=3,<4'`), which follows the branches that an input takes and
+keeps those inputs that take new ones. Begins with the committed corpus; inputs found go to
 out/fuzz/NAME, and what breaks a reader to out/fuzz/NAME-crash-*: put it into tests/fuzz/corpus/NAME
 with the repair, so that `tests/test_fuzz.py` replays it.
 """
