@@ -69,19 +69,20 @@ def test_the_highest_is_found_where_it_is_asked_for():
 
 
 def test_points_of_a_batch_know_nothing_of_each_other():
-    plan = plan_of(12, seeds=1, tune={"together": 4})
-    (points,) = plan.tuned
-    asked = []
-
-    def noted(run, x):
-        asked.append((len(points.proposals), run))
-        return value(x)
-
-    found = proposals(plan, noted)
-    assert len(set(found)) == 11
-    # Figures of the second half of a batch change nothing before it has ended.
-    other = proposals(plan_of(12, seeds=1, tune={"together": 4}), lambda run, x: float(run == 3))
-    assert other[:4] == found[:4]
+    plan = plan_of(25, seeds=1, tune={"together": 12})
+    found = proposals(plan)
+    assert len(set(found)) == 24
+    # The second batch knows the first, and nothing of what its own points bring about.
+    assert (
+        proposals(
+            plan_of(25, seeds=1, tune={"together": 12}),
+            lambda run, x: value(x) if run <= 12 else 5.0,
+        )
+        == found
+    )
+    other = proposals(plan_of(25, seeds=1, tune={"together": 12}), lambda run, x: -value(x))
+    assert other[:12] == found[:12]
+    assert other[12:] != found[12:]
 
 
 def test_the_value_of_a_point_is_the_mean_or_the_worst_of_its_runs():

@@ -14,6 +14,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
@@ -130,6 +131,31 @@ def _ways(found: Any) -> list[Any]:
     return [case["ways"] for name, case in found.items() if name != "books"]
 
 
+def _step(label: str, found: Any) -> float:
+    return found["step_us"][label]["ratio"]
+
+
+def _real_time(name: str, found: Any) -> float:
+    return found["loop"][name]["best"]
+
+
+def _batch_over(peer: str, found: Any) -> float:
+    return _of_bare("`make_batch(64)`, residual on `st")(found) / _of_bare(peer)(found)
+
+
+def _power(name: str, found: Any) -> float:
+    return found["power"][name]
+
+
+def _efficiency(case: int, found: Any) -> float:
+    return _ways(found)[case][_TWO]["efficiency"]
+
+
+def _dask_over_processes(case: int, found: Any) -> float:
+    ways = _ways(found)[case]
+    return ways[_TWO]["efficiency"] / ways[_DASK]["efficiency"]
+
+
 _PAPER, _DEPLOYED = "leglab, paper's BSNN-ARX, single calls", "leglab, deployed, single calls"
 _TWO, _DASK = "two processes", "Dask, two workers"
 # A million runs times this many seconds: a thousand short ones.
@@ -148,7 +174,7 @@ RATIOS = (
             name=f"leg_over_motors_{label.replace(' ', '_').replace(',', '')}",
             title=f"time of a step of the leg over that with MuJoCo's motors, {label}",
             part="leg_speed",
-            value=lambda found, label=label: found["step_us"][label]["ratio"],
+            value=partial(_step, label),
             better="low",
             asked=2.0,
         )
@@ -159,7 +185,7 @@ RATIOS = (
             name=f"real_time_{name}",
             title=f"closed loop of the leg over real time, {name}",
             part="leg_speed",
-            value=lambda found, name=name: found["loop"][name]["best"],
+            value=partial(_real_time, name),
             better="high",
             asked=asked,
             absolute=True,
@@ -206,9 +232,7 @@ RATIOS = (
             name=f"batch_over_{name}",
             title=f"steps of the batched environment over those of {what}",
             part="environment_speed",
-            value=lambda found, peer=peer: (
-                _of_bare("`make_batch(64)`, residual on `st")(found) / _of_bare(peer)(found)
-            ),
+            value=partial(_batch_over, peer),
             better="high",
         )
         for name, what, peer in (
@@ -266,7 +290,7 @@ RATIOS = (
             name=f"power_{name}",
             title=f"power with which the time of a sample grows with {what}",
             part="bsnn_arx_speed",
-            value=lambda found, name=name: found["power"][name],
+            value=partial(_power, name),
             better="low",
             asked=asked,
         )
@@ -310,7 +334,7 @@ RATIOS = (
             name=f"sweep_efficiency_{name}",
             title=f"CPU time inside runs over all of a sweep by two processes, {what}",
             part="sweeps",
-            value=lambda found, i=i: _ways(found)[i][_TWO]["efficiency"],
+            value=partial(_efficiency, i),
             better="high",
             asked=0.9,
         )
@@ -323,9 +347,7 @@ RATIOS = (
             name=f"dask_over_processes_{name}",
             title=f"CPU time of a sweep by Dask over processes, {what}",
             part="sweeps",
-            value=lambda found, i=i: (
-                _ways(found)[i][_TWO]["efficiency"] / _ways(found)[i][_DASK]["efficiency"]
-            ),
+            value=partial(_dask_over_processes, i),
             better="low",
             asked=1.05,
         )
