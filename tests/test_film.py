@@ -35,7 +35,8 @@ def make_run(folder, controller="pd", **options):
 
 def make_dark(folder):
     """A run of a model without lights and without a sky."""
-    axis = """<mujoco model="axis"><worldbody><body><joint name="axis" type="slide" axis="1 0 0"
+    axis = """<mujoco model="axis"><option timestep="0.001"/><worldbody><body>
+      <joint name="axis" type="slide" axis="1 0 0"
       armature="0.4" damping="6"/><geom type="box" size="0.05 0.04 0.02" mass="2"/></body>
       </worldbody><actuator><motor name="drive" joint="axis" ctrllimited="true"
       ctrlrange="-80 80"/></actuator></mujoco>"""

@@ -15,7 +15,7 @@ from tests.pages import ROOT, agrees, blocks, steps
 from tests.tables import pages
 
 HOW_TO = sorted(f"docs/how_to/{path.name}" for path in ROOT.glob("docs/how_to/*.md"))
-PAGES = ("docs/tutorial.md", "docs/sweeps.md", *HOW_TO)
+PAGES = ("docs/newcomer.md", "docs/tutorial.md", "docs/sweeps.md", *HOW_TO)
 # Their shell lines take hours or install things: Python runs, commands are only looked up.
 OTHERS = ("README.md", "docs/getting_started.md")
 NUMBERS = ("fifteen", "sixteen", "seventeen", "eighteen", "nineteen", "twenty", "twenty-one")

@@ -62,7 +62,7 @@ def write_layout(recording: Recording, path: Path) -> None:
         raise LeglabError(f"{path}: a layout shows joints, and the recording has none")
     names = _names(recording)
     root = Xml.Element("root")
-    tabs = Xml.SubElement(root, "tabbed_widget", name="Main Window", parent="main_window")
+    tabs = Xml.SubElement(root, "tabbed_widget", {"name": "Main Window", "parent": "main_window"})
     for joint in recording.joints:
         shown = [[names[c] for c in _columns(recording, joint, ends)] for ends in _PLOTS]
         shown = [curves for curves in shown if curves]

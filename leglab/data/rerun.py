@@ -85,8 +85,8 @@ def _machine(rr: Any, stream: Any, time: np.ndarray, scene: Scene) -> None:
         )
         stream.log(f"{paths[mesh.link]}/mesh_{number}", shown, static=True)
     shown_time = rr.TimeColumn(_TIMELINE, duration=time[scene.rows])
-    for link in range(1, len(scene.links)):
+    for number in range(1, len(scene.links)):
         # rerun puts w last.
-        turned = scene.quaternions[:, link][:, [1, 2, 3, 0]]
-        poses = rr.Transform3D.columns(translation=scene.positions[:, link], quaternion=turned)
-        stream.send_columns(paths[link], indexes=[shown_time], columns=poses)
+        turned = scene.quaternions[:, number][:, [1, 2, 3, 0]]
+        poses = rr.Transform3D.columns(translation=scene.positions[:, number], quaternion=turned)
+        stream.send_columns(paths[number], indexes=[shown_time], columns=poses)

@@ -176,7 +176,7 @@ def _link(root: Xml.Element, model: mujoco.MjModel, body: int) -> None:
         about = dict(
             zip(("ixx", "iyy", "izz"), map(_numbers, model.body_inertia[body]), strict=True)
         )
-        Xml.SubElement(inertial, "inertia", ixy="0", ixz="0", iyz="0", **about)
+        Xml.SubElement(inertial, "inertia", {**dict.fromkeys(("ixy", "ixz", "iyz"), "0"), **about})
     for geom in _shown_geoms(model, body):
         for position, tag, attributes in _shapes(model, geom):
             visual = Xml.SubElement(link, "visual")
@@ -227,7 +227,7 @@ def _joints(root: Xml.Element, model: mujoco.MjModel, body: int) -> None:
             Xml.SubElement(element, "axis", xyz=_numbers(*model.jnt_axis[joint]))
             low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-1e3, 1e3)
             limits = {"lower": _numbers(low), "upper": _numbers(high)}
-            Xml.SubElement(element, "limit", effort="0", velocity="0", **limits)
+            Xml.SubElement(element, "limit", {"effort": "0", "velocity": "0", **limits})
         if last:
             return
         link, position, quat = child, np.zeros(3), _IDENTITY.copy()
