@@ -440,6 +440,10 @@ class HealthMonitor:
             if not (changed and enough and chance >= config.confidence):
                 continue
             values = recent[-1].own[name][1]
+            # The value of all joints together is the steadier one.
+            whole = [i for i, curve in enumerate(self._bank.curves) if curve.fault == name]
+            best = min(whole, key=lambda i: float(sum(look.cost[i] for look in recent)))
+            size = float(recent[-1].size[best])
             self._say(
                 Trend(
                     fault=name,
@@ -448,9 +452,9 @@ class HealthMonitor:
                     since=recent[0].time,
                     time=time,
                     seen=time,
-                    size=float(np.mean(values)),
-                    low=float(np.min(values)),
-                    high=float(np.max(values)),
+                    size=size,
+                    low=min(size, float(np.min(values))),
+                    high=max(size, float(np.max(values))),
                     meaning=self._conditions[name].curves[0].meaning,
                     confidence=chance,
                     explained=explained,
