@@ -389,8 +389,6 @@ class HealthMonitor:
             return
         cost = np.sum([look.cost for look in recent], axis=0)
         without = sum(look.without for look in recent)
-        if self._judge_conditions(time, without, float(cost[leader])):
-            return
         excess = max(without - sum(look.floor for look in recent), 1e-300)
         explained = float(min((without - cost[leader]) / excess, 1.0))
         evidence = (without - cost[leader]) / (2 * config.correlation)
@@ -405,6 +403,8 @@ class HealthMonitor:
         )
         if known:
             self._say(self._trend(time, leader, chance, explained))
+        elif self._judge_conditions(time, without, float(cost[leader])):
+            return
         elif all(np.any(look.error > _UNEXPLAINED * self._normal) for look in recent):
             still = self._open and (curve.fault, curve.element) == self._last()
             if not still:  # a name that explains a little less than it did is not taken back
@@ -412,6 +412,8 @@ class HealthMonitor:
 
     def _judge_conditions(self, time: float, without: float, rival: float) -> bool:
         """Says a condition that joints may differ in, as the oil of a cylinder that works harder.
+
+        Asked where no fault of the bank explains enough: free in every joint it would pass for wear.
 
         It has a value and an origin a joint, so by Schwarz (1978, Annals of Statistics 6, 461) its
         cost is higher by the logarithm of the number of samples for each of them.
