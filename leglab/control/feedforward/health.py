@@ -413,7 +413,8 @@ class HealthMonitor:
     def _judge_conditions(self, time: float, without: float, rival: float) -> bool:
         """Says a condition that joints may differ in, as the oil of a cylinder that works harder.
 
-        Asked where no fault of the bank explains enough: free in every joint it would pass for wear.
+        Asked where no fault of the bank explains enough: free in every joint it would pass for
+        wear.
 
         It has a value and an origin a joint, so by Schwarz (1978, Annals of Statistics 6, 461) its
         cost is higher by the logarithm of the number of samples for each of them.
