@@ -48,16 +48,15 @@ def followed(case: tuple[str, int]) -> dict[str, Any]:
         scenario, element, severity, duration = WEAR[label]
     else:
         (scenario, severity, duration), element = SOUND[label], None  # type: ignore[assignment]
-    whole = get_scenario(scenario, duration=duration, severity=severity, element=element)
-    changes = whole.changes
-    if scenario not in ("cold_start", "nominal"):
+    ramped = scenario not in ("cold_start", "nominal")
+    if ramped:
         # The ramp is cut where the run ends: the machine is then on its way.
         span = duration - START
-        changes = tuple(
-            replace(c, value=_part(c.kind, c.value, scenario, span / RAMP), start=START,
-                    ramp_duration=span)
-            for c in changes
-        )  # fmt: skip
+        assert severity is not None
+        severity = _healthy(scenario) + span / RAMP * (severity - _healthy(scenario))
+    changes = get_scenario(scenario, duration=duration, severity=severity, element=element).changes
+    if ramped:
+        changes = tuple(replace(c, start=START, ramp_duration=span) for c in changes)
     settings = RunSettings(scenario="nominal", controller=BANK, tolerance=0.1, seed=seed, vary=True)
     loop = Loop(settings, scenario=Scenario(name=scenario, duration=duration, changes=changes))
     health: HealthMonitor = loop.controller.health  # type: ignore[union-attr]
@@ -74,7 +73,7 @@ def followed(case: tuple[str, int]) -> dict[str, Any]:
     }
     if label not in WEAR or last is None:
         return found | {"last": last and vars(last)}
-    rate = (severity - _healthy(scenario)) / RAMP
+    rate = (WEAR[label][2] - _healthy(scenario)) / RAMP
     first = health.trends[0]
     at_naming = _rms(history.time, history.error, first.time - 2 * STRIDE, first.time)
     before = _rms(history.time, history.error, START - 10 * STRIDE, START)
@@ -94,12 +93,6 @@ def _judged(last: Trend, scenario: str, element: str | None, rate: float) -> dic
     if right and last.end_of_life is not None:
         found["remaining"] = (last.end_of_life - size) / rate
     return found
-
-
-def _part(kind: str, value: float, scenario: str, share: float) -> float:
-    """Value of a change at a share of its ramp."""
-    healthy = 1.0 if kind == "scale" else _healthy(scenario)
-    return healthy + share * (value - healthy)
 
 
 def _healthy(scenario: str) -> float:

@@ -275,9 +275,10 @@ def tables_elsewhere(kept: dict[str, Any]) -> str:
             row = [label, fault, str(len(own))]
             row += [results.number(float(np.median([x["frozen_mrad"][1] for x in own])), 2)]
             for name in (BEFORE, BANK):
-                ratio = np.median([x[name]["ratio"] for x in own], axis=0)
-                row += [results.number(float(ratio[1]), 2)]
-                row += [results.number(float(ratio[3]), 2) if len(ratio) > 3 else ""]
+                for window in (1, 3):  # a run that ends earlier has not all windows
+                    ratios = [x[name]["ratio"][window:][:1] for x in own]
+                    there = [ratio[0] for ratio in ratios if ratio]
+                    row += [results.number(float(np.median(there)), 2) if there else ""]
             for limit in TOLD:
                 row += [str(sum(x[BANK][f"{limit:g}"]["fault"] for x in own))]
             last = [x[BANK][f"{TOLD[-1]:g}"] for x in own]

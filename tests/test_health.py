@@ -111,6 +111,26 @@ def test_oil_that_warms_or_cools_is_a_condition_wherever_it_begins(first, last):
     assert not np.any(monitor.report["health_fault"])
 
 
+def test_oil_that_warms_one_cylinder_more_than_another_is_a_condition():
+    rng = np.random.default_rng(25)
+    bank, base = make_bank(rng), rng.standard_normal((len(JOINTS), PARAMETERS))
+    cold, hot = bank.curves[-2:]
+
+    def true(time):
+        shifts = []
+        for joint, last in enumerate((25.0, 70.0)):
+            value = 20.0 + (last - 20.0) * np.clip((time - 5.0) / 40.0, 0.0, 1.0)
+            shifts.append((cold if value < 40.0 else hot).shift(value)[joint])
+        return base + np.array(shifts)
+
+    monitor = monitor_of(bank)
+    stream(monitor, true)
+    assert {(trend.fault, trend.condition) for trend in monitor.trends} == {
+        ("oil_temperature", True)
+    }
+    assert monitor.trends[-1].explained > 0.9
+
+
 def test_a_drift_that_the_bank_does_not_have_is_unknown():
     rng = np.random.default_rng(22)
     bank, base = make_bank(rng), rng.standard_normal((len(JOINTS), PARAMETERS))

@@ -86,8 +86,9 @@ class Trend:
         time: When it was said first [s].
         seen: When it was looked at last [s].
         size: Then, in the fault's own unit; None where unknown.
-        low: Lower end of the size's 90 % interval.
-        high: Upper end.
+        low: Lower end of the size's 90 % interval; of a condition that joints differ in, the
+            lowest.
+        high: Upper end; the highest.
         meaning: What the size says, with its unit.
         confidence: Probability among all of the bank [1].
         explained: Share of the error beyond the healthy machine's that it explains [1].
@@ -237,6 +238,9 @@ class _Look:
     without: float
     floor: float
     error: np.ndarray
+    own: Mapping[
+        str, tuple[float, np.ndarray]
+    ]  # cost and values of conditions that joints differ in
 
 
 class HealthMonitor:
@@ -269,6 +273,7 @@ class HealthMonitor:
     ) -> None:
         self._faults, self._joints, self._config = bank.faults, joints, config
         self._bank = with_conditions(bank)
+        self._conditions = conditions_of(self._bank)
         for fault, size in config.end_of_life.items():
             _check_end(self._bank, fault, size)
         self._period = sample_period
@@ -362,6 +367,10 @@ class HealthMonitor:
                 without=fit.without,
                 floor=float(weight @ (self._normal * count)),
                 error=moments.power / count,
+                own={
+                    name: _joint_by_joint(own, moments, weight)
+                    for name, own in self._conditions.items()
+                },
             )
         )
         self._judge(time)
@@ -394,10 +403,68 @@ class HealthMonitor:
         )
         if known:
             self._say(self._trend(time, leader, chance, explained))
+        elif self._judge_conditions(time, without, float(cost[leader])):
+            return
         elif all(np.any(look.error > _UNEXPLAINED * self._normal) for look in recent):
             still = self._open and (curve.fault, curve.element) == self._last()
             if not still:  # a name that explains a little less than it did is not taken back
                 self._say(self._unknown(time, explained))
+
+    def _judge_conditions(self, time: float, without: float, rival: float) -> bool:
+        """Says a condition that joints may differ in, as the oil of a cylinder that works harder.
+
+        Asked where no fault of the bank explains enough: free in every joint it would pass for
+        wear.
+
+        It has a value and an origin a joint, so by Schwarz (1978, Annals of Statistics 6, 461) its
+        cost is higher by the logarithm of the number of samples for each of them.
+
+        Args:
+            time: [s].
+            without: Cost of the healthy map over the last looks.
+            rival: That of the best curve of the bank.
+
+        Returns:
+            Whether one explains the last looks best, and enough.
+        """
+        config, recent = self._config, self._looks[-_TOGETHER:]
+        joints = len(self._joints)
+        samples = joints * config.look * _TOGETHER / config.correlation
+        more = config.correlation * (2 * joints - 2) * math.log(samples)
+        excess = max(without - sum(look.floor for look in recent), 1e-300)
+        for name in self._conditions:
+            cost = sum(look.own[name][0] for look in recent)
+            evidence = (without - cost - more) / (2 * config.correlation)
+            explained = min((without - cost) / excess, 1.0)
+            ahead = min((rival - cost - more) / (2 * config.correlation), 700.0)
+            chance = 1.0 / (1.0 + math.exp(-ahead)) if ahead > 0 else 0.0
+            changed = all(np.any(look.error > _CHANGED * self._normal) for look in recent)
+            enough = evidence >= config.evidence and explained >= config.explained
+            if not (changed and enough and chance >= config.confidence):
+                continue
+            values = recent[-1].own[name][1]
+            # The value of all joints together is the steadier one.
+            whole = [i for i, curve in enumerate(self._bank.curves) if curve.fault == name]
+            best = min(whole, key=lambda i: float(sum(look.cost[i] for look in recent)))
+            size = float(recent[-1].size[best])
+            self._say(
+                Trend(
+                    fault=name,
+                    element=ALL,
+                    condition=True,
+                    since=recent[0].time,
+                    time=time,
+                    seen=time,
+                    size=size,
+                    low=min(size, float(np.min(values))),
+                    high=max(size, float(np.max(values))),
+                    meaning=self._conditions[name].curves[0].meaning,
+                    confidence=chance,
+                    explained=explained,
+                )
+            )
+            return True
+        return False
 
     def _last(self) -> tuple[str, str]:
         return self.trends[-1].fault, self.trends[-1].element
@@ -496,6 +563,27 @@ class HealthMonitor:
         left = math.nan if trend.remaining is None else trend.remaining
         for key, value in zip(self.report, (number, trend.size or 0.0, left), strict=True):
             self.report[key][hit] = value
+
+
+def conditions_of(bank: FaultBank) -> dict[str, FaultBank]:
+    """The curves of each condition in a bank."""
+    found = {name: tuple(c for c in bank.curves if c.fault == name) for name in CONDITIONS}
+    return {name: FaultBank(curves=curves) for name, curves in found.items() if curves}
+
+
+def _joint_by_joint(
+    bank: FaultBank, moments: Moments, weight: np.ndarray
+) -> tuple[float, np.ndarray]:
+    """Cost and values, (joints,), of a condition with a value of its own for each joint's map."""
+    cost, values = 0.0, np.zeros(len(weight))
+    for joint in range(len(weight)):
+        alone = np.zeros(len(weight))
+        alone[joint] = weight[joint]
+        fit = bank.fit(moments, alone)
+        best = int(np.argmin(fit.cost))
+        cost += float(fit.cost[best])
+        values[joint] = fit.size[best]
+    return cost, values
 
 
 def _check_end(bank: FaultBank, fault: str, size: float) -> None:

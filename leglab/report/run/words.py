@@ -95,11 +95,8 @@ def sections(runs: Sequence[ReportedRun]) -> tuple[Section, ...]:
 
 def _noticed(runs: Sequence[ReportedRun]) -> Section:
     """What controllers said of changes while they ran; without lines where none said anything."""
-    told = [
-        (run.label, one.told())
-        for run in runs
-        for one in (*run.metrics.events, *run.metrics.health)
-    ]
+    told = [(run.label, event.told()) for run in runs for event in run.metrics.events]
+    told += [(run.label, trend.told()) for run in runs for trend in run.metrics.health]
     names = tuple(f"{label}:" for label, _ in told) if len(runs) > 1 else ()
     lines = tuple(f"{line}." for _, line in told)
     return Section(title="What was named while it ran", lines=lines, names=names)
