@@ -180,7 +180,7 @@ def _link(root: Xml.Element, model: mujoco.MjModel, body: int) -> None:
     for geom in _shown_geoms(model, body):
         for position, tag, attributes in _shapes(model, geom):
             visual = Xml.SubElement(link, "visual")
-            centre = model.geom_pos[geom] + _rotated(position, model.geom_quat[geom])
+            centre = model.geom_pos[geom] + _rotated(np.array(position), model.geom_quat[geom])
             _origin(visual, centre, model.geom_quat[geom])
             Xml.SubElement(Xml.SubElement(visual, "geometry"), tag, attributes)
             material = Xml.SubElement(visual, "material", name=f"geom_{geom}")
