@@ -26,7 +26,7 @@ def recording(model, seed, *, duration=4.0, timestep=None, reference=None):
         scenario="nominal",
         controller="pd",
         model=model,
-        reference=reference or LEGS[model],
+        reference=reference or LEGS.get(model, "random_stride"),
         duration=duration,
         seed=seed,
         timestep=timestep,
@@ -68,7 +68,17 @@ def test_replays_take_the_longest_step_that_the_model_accepts():
     assert at_replay_step(bench, 4e-3).timestep == pytest.approx(1e-3)
 
 
-@pytest.mark.parametrize(("model", "timestep"), [("leg", None), ("leg", 1e-4), ("leg_rail", None)])
+@pytest.mark.parametrize(
+    ("model", "timestep"),
+    [
+        ("leg", None),
+        ("leg", 1e-4),
+        ("leg_rail", None),
+        ("leg_motor", None),
+        ("leg_motor", 5e-4),
+        ("leg_motor", 1e-4),
+    ],
+)
 def test_the_unmodified_leg_explains_its_recordings(model, timestep):
     """At the model's own step, as a user records it, and at a tenth, as a machine would."""
     found = problem(model, {"one": recording(model, 1, timestep=timestep)})

@@ -10,7 +10,7 @@ from leglab.diagnosis.effects.joints import unit
 from leglab.diagnosis.hypothesis import Hypothesis
 from leglab.diagnosis.model import CYLINDER
 from leglab.diagnosis.regions import worst_region
-from leglab.diagnosis.residual import Problem
+from leglab.diagnosis.residual import Problem, inverse_roots, whitened
 from leglab.diagnosis.result import Where
 from leglab.diagnosis.starts import spool
 from leglab.diagnosis.thresholds import Thresholds
@@ -77,12 +77,12 @@ def _motion(problem: Problem) -> tuple[Where, ...]:
             rows.append(errors[own, k].ravel())
         error = np.concatenate(rows)
         along = {name: np.concatenate(values) for name, values in states.items()}
-        # In the noise levels of the gap: with what the start states carry on.
-        alone = np.zeros_like(errors)
-        alone[:, k] = errors[:, k]
-        white = problem.noise.sensors @ alone.reshape(len(alone), -1, 1)
-        squares = np.clip(white, -limit, limit) ** 2
-        level = float(np.sqrt(squares.sum() / errors[:, k].size))
+        # In the noise levels of the gap, with what the start states carry on, whatever the other
+        # joints do.
+        block = slice(k * replay.bins, (k + 1) * replay.bins)
+        roots = inverse_roots(problem.noise.covariance[:, block, block])
+        white = np.clip(whitened(roots, errors[:, k]), -limit, limit)
+        level = float(np.sqrt(np.mean(white**2)))
         region = worst_region(error, _with_units(problem, channel.joint, along))
         found.append(Where(residual="motion", element=channel.joint, level=level, region=region))
     return tuple(sorted(found, key=lambda where: -where.level))

@@ -2,7 +2,7 @@
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import mujoco
@@ -215,6 +215,8 @@ class Measured:
         command: What reaches each actuator (command path applied), each (n,).
         pressure: Pressures by "<joint>_pressure_a" and so on, each (n,), where measured.
         samples: Where windows start, shape (windows,).
+        pushed: Part of the velocity by commands of native actuators that act at once, by joint,
+            each (n,): its slope jumps with them.
     """
 
     period: float
@@ -225,6 +227,7 @@ class Measured:
     command: dict[str, np.ndarray]
     pressure: dict[str, np.ndarray]
     samples: np.ndarray
+    pushed: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

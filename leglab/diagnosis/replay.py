@@ -136,7 +136,12 @@ class Replay:
         return other
 
     def error(
-        self, change: Change, *, chosen: np.ndarray | None = None, nudge: Nudge | None = None
+        self,
+        change: Change,
+        *,
+        chosen: np.ndarray | None = None,
+        nudge: Nudge | None = None,
+        early: float = 0.0,
     ) -> ReplayErrors:
         """Measured less predicted in the chosen windows.
 
@@ -144,13 +149,14 @@ class Replay:
             change: What the hypothesis changes.
             chosen: Mask of the windows to replay, shape (windows,); None for all.
             nudge: Departure from the start states.
+            early: By how much commands reach native actuators before their time [s].
         """
         parts = list(self._parts(change, chosen))
         starts = self._starts(change, parts, nudge)
         controls, targets = [], []
         for cut, measured, corrected in parts:
             index = cut.firsts[:, None] + np.arange(self.samples)
-            controls.append(self._controls(measured, index))
+            controls.append(self._controls(measured, index, early))
             targets.append(np.stack([corrected[c.column][index + 1] for c in self.channels], 1))
         states = self._roll(change.variant, starts, np.concatenate(controls))
         errors = np.concatenate(targets) - self._predicted(change.variant, states)
@@ -278,17 +284,18 @@ class Replay:
         counts = np.cumsum([cut.firsts.size for cut, _, _ in parts])[:-1]
         return states(0, nudge, np.split(warm[:, -1][:, slots], counts))
 
-    def _controls(self, measured: Measured, index: np.ndarray) -> np.ndarray:
+    def _controls(self, measured: Measured, index: np.ndarray, early: float = 0.0) -> np.ndarray:
         """Controls at the steps of windows, (windows, steps, actuators); `index` their samples."""
         actuators = self.machine.actuators
         controls = np.stack([measured.command[a][index] for a in actuators], 2)
         controls = np.repeat(controls, self.substeps, axis=1)
         # Velocities lag half a step, so a kick spans half a step to both sides of its time: the
         # first of a sample sees the command before as well. A valve follows its command itself.
+        before = 0.5 - early / self.machine.timestep
         for name in self.machine.native_actuators():
             i = actuators.index(name)
-            controls[:, :: self.substeps, i] += measured.command[name][index - 1]
-            controls[:, :: self.substeps, i] *= 0.5
+            controls[:, :: self.substeps, i] *= 1.0 - before
+            controls[:, :: self.substeps, i] += before * measured.command[name][index - 1]
         return controls
 
     def _roll(self, variant: Variant, starts: np.ndarray, controls: np.ndarray) -> np.ndarray:

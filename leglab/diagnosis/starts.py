@@ -366,6 +366,15 @@ def measure(
 ) -> tuple[Measured, dict[str, np.ndarray]]:
     """Smoothed series under the sensor and command faults of a change, and corrected columns."""
     machine, series, period = change.machine, cut.series, cut.series.period
+    command = {}
+    for actuator in machine.actuators:
+        samples = series.columns[f"{actuator}_command"]
+        for path in change.commands.get(actuator, ()):
+            samples = path(samples, period)
+        command[actuator] = samples
+    # A body that a hypothesis puts between motor and joint takes the pushes.
+    rigid = cut.pushes is not None and cut.pushes.dofs == change.variant.model.nv
+    driven = cut.pushed(channels, command) if rigid else {}
     corrected, position, velocity, pressure = {}, {}, {}, {}
     for channel in channels:
         column, samples = channel.column, series.columns[channel.column]
@@ -376,12 +385,9 @@ def measure(
             pressure[column] = known[0]
         else:
             position[channel.joint], velocity[channel.joint] = known
-    command = {}
-    for actuator in machine.actuators:
-        samples = series.columns[f"{actuator}_command"]
-        for path in change.commands.get(actuator, ()):
-            samples = path(samples, period)
-        command[actuator] = samples
+    for joint, beyond in driven.items():
+        position[joint] = position[joint] + beyond.position
+        velocity[joint] = velocity[joint] + beyond.velocity
     measured = Measured(
         period=period,
         position=position,
@@ -394,6 +400,7 @@ def measure(
         command=command,
         pressure=pressure,
         samples=cut.firsts,
+        pushed={joint: beyond.whole for joint, beyond in driven.items()},
     )
     return measured, corrected
 
@@ -430,8 +437,11 @@ def start_states(
     for joint in machine.joints:
         q, v = measured.position[joint], measured.velocity[joint]
         qpos[:, model.joint(joint).qposadr[0]] = q[firsts]
-        # MuJoCo's velocity lags half a step behind its position.
-        slope = (v[firsts + 1] - v[firsts - 1]) / (2.0 * measured.period)
+        # MuJoCo's velocity lags half a step behind its position: the slope before counts.
+        pushed = measured.pushed.get(joint, np.zeros_like(v))
+        calm = v - pushed
+        slope = (calm[firsts + 1] - calm[firsts - 1]) / (2.0 * measured.period)
+        slope += (pushed[firsts] - pushed[firsts - 1]) / measured.period
         qvel[:, model.joint(joint).dofadr[0]] = v[firsts] - lag * slope
     for channel in channels:
         if channel.chamber and channel.cylinder:

@@ -1,6 +1,6 @@
 """Channels of the recordings, their smoothing, and the windows cut from them."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import mujoco
@@ -11,6 +11,7 @@ from scipy.signal import savgol_coeffs, savgol_filter
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.diagnosis.model import CHAMBERS, CYLINDER, Machine
+from leglab.diagnosis.pushes import Pushes
 from leglab.diagnosis.series import UniformSeries, common_period
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 from leglab.machine.simulation import actuator_moments
@@ -123,6 +124,21 @@ def filter_difference(
     return derivative(samples, window, period) - derivative(samples, other, period)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Driven:
+    """Motion of a joint by the commands of native actuators; all (n,).
+
+    Attributes:
+        position: What a filter of positions takes away of it.
+        velocity: What the derivative of a filter takes away of it.
+        whole: Its velocity, from rest.
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    whole: np.ndarray
+
+
 @dataclass(kw_only=True)
 class Cut:
     """Windows of one series.
@@ -131,12 +147,16 @@ class Cut:
         series: The recording.
         firsts: Samples at which windows start, shape (windows,).
         levers: d(actuator length)/d(joint position) of the cylinders, each (n,).
+        pushes: What commands of native actuators do at once; None where there are none.
         known: By column, samples that were filtered lately and what came of them, each (n,).
+        driven: Commands lately and the motion by them, as of `pushed`.
     """
 
     series: UniformSeries
     firsts: np.ndarray
     levers: dict[str, np.ndarray]
+    pushes: Pushes | None = None
+    driven: list[tuple[dict[str, np.ndarray], dict[str, Driven]]] = field(default_factory=list)
     known: dict[str, list[tuple[np.ndarray, np.ndarray, np.ndarray]]] = field(default_factory=dict)
 
     def filtered(self, channel: Channel, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -153,6 +173,32 @@ class Cut:
         else:
             known.append(known.pop(place))
         return known[-1][1:]
+
+    def pushed(
+        self, channels: Sequence[Channel], commands: dict[str, np.ndarray]
+    ) -> dict[str, Driven]:
+        """What filters of the positions take away of the motion by commands, by joint."""
+        if self.pushes is None:
+            return {}
+        for place, (known, found) in enumerate(self.driven):
+            if all(np.array_equal(known[name], commands[name]) for name in self.pushes.response):
+                self.driven.append(self.driven.pop(place))
+                return found
+        period = self.series.period
+        rows = zip(self.pushes.joints, *self.pushes.moved(commands, period), strict=True)
+        filters = {c.joint: c.filter for c in channels if not c.chamber}
+        found = {
+            joint: Driven(
+                position=position - smoothed(position, filters[joint]),
+                velocity=velocity - derivative(position, filters[joint], period),
+                whole=velocity,
+            )
+            for joint, position, velocity in rows
+            if joint in filters
+        }
+        self.driven.append((commands, found))
+        del self.driven[:-_KNOWN]
+        return found
 
 
 def cut_series(
@@ -181,7 +227,7 @@ def cut_series(
     still = resting(machine, series, channels, firsts, samples, thresholds)
     firsts = firsts[~still | ((np.cumsum(still) - 1) % thresholds.still_every == 0)]
     levers = {c: _lever(machine, series, c) for c in machine.instances(CYLINDER)}
-    return Cut(series=series, firsts=firsts, levers=levers)
+    return Cut(series=series, firsts=firsts, levers=levers, pushes=Pushes.of(machine, series))
 
 
 def resting(
