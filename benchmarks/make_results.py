@@ -64,7 +64,7 @@ JOBS = (
         "diagnosis_rough_self_test",
         15,
         "diagnosis_self_test",
-        "--rough --cases 12 --seed 79 --out runs/rough_self_test",
+        "--rough --cases 12 --seed 101 --out runs/rough_self_test",
     ),
     _job("adaptation_results", 90, "adaptation_claims"),
 )
