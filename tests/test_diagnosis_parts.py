@@ -10,7 +10,7 @@ from leglab import DiagnosisSettings, Recording, diagnose
 from leglab.base.errors import LeglabError
 from leglab.diagnosis import windows
 from leglab.diagnosis.effects.base import Effect, EffectParameter, register_effect
-from leglab.diagnosis.effects.cogging import harmonics
+from leglab.diagnosis.effects.cogging import waves
 from leglab.diagnosis.fitting import Sums, Unknowns
 from leglab.diagnosis.hypothesis import Library
 from leglab.diagnosis.judging import preferences, t_value
@@ -308,11 +308,11 @@ def test_the_period_of_a_force_is_found_beside_friction_and_a_spring():
     wave = 1.2 * np.sin(2 * np.pi * q / 0.137) + 0.5 * np.cos(2 * np.pi * q / 0.137)
     force = wave + other + rng.normal(0.0, 2.0, q.size)
     force[::97] += 400.0
-    sine, cosine, period = harmonics(ForceLeft(q, v, a, force))[0]
-    assert period == pytest.approx(0.137, rel=0.02)
-    assert np.hypot(sine, cosine) == pytest.approx(1.3, abs=0.25)
+    wave = waves(ForceLeft(q, v, a, force))[0]
+    assert wave.period == pytest.approx(0.137, rel=0.02)
+    assert np.hypot(wave.sine, wave.cosine) == pytest.approx(1.3, abs=0.25)
     still = np.zeros(100)
-    assert harmonics(ForceLeft(still, still, still, still)) == []
+    assert waves(ForceLeft(still, still, still, still)) == []
 
 
 def test_a_lag_a_rounding_error_below_zero_is_none():
