@@ -53,6 +53,15 @@ JOBS = (
     _job("train_residual", 3),
     _job("long_run", 2.5),
     _job("live_names", 25),
+    _job(
+        "live_names_elsewhere",
+        25,
+        "live_names",
+        "--specimens 3 --elsewhere "
+        "'12-bit encoders with 15 times the noise,another fault 5 s before'",
+    ),
+    _job("health", 20, options="--specimens 1"),
+    _job("microcontroller", 2),
     _job("pressures", 6, options="--specimens 1 --controllers bsnn_arx,bsnn_arx_pressure"),
     _job("tracking_bound", 8),
     _job("diagnosis_bench", 3),

@@ -1,15 +1,17 @@
 """Sweeps that tune: what is proposed, what a kill leaves, and what tuning finds."""
 
 import math
+import multiprocessing
+import os
 import signal
 import statistics
-import subprocess
-import sys
+import tomllib
+from pathlib import Path
 
 import pytest
 
 from leglab.base.errors import LeglabError
-from leglab.runs.sweeps import store, tuning
+from leglab.runs.sweeps import tuning
 from leglab.runs.sweeps.engine import read_sweep, run_sweep
 from leglab.runs.sweeps.plan import SweepPlan
 from leglab.runs.sweeps.query import ask
@@ -106,6 +108,25 @@ def test_a_point_with_a_failed_run_is_given_up_and_avoided():
     assert len(avoided) < len(chosen) - 5
 
 
+def _be_killed(plan, folder, after):
+    """Tunes until so many runs are made, and is killed then."""
+
+    def kill(done, total, told):
+        if told and done == after:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    run_sweep(plan, folder, workers=1, progress=kill)
+
+
+def test_the_file_of_the_page_can_be_read():
+    text = (Path(__file__).parents[1] / "docs/sweeps.md").read_text()
+    (block,) = [
+        part for part in text.split("```") if 'draw = "tpe"' in part and "[settings]" in part
+    ]
+    plan = SweepPlan(tomllib.loads(block))
+    assert len(plan) == 41 * 6
+
+
 def test_tuning_on_the_bench_beats_the_controller_as_it_is_and_a_kill_changes_nothing(tmp_path):
     # From a first gain that is far too small, learning is slow: there is something to find.
     plan = plan_of(settings={**BENCH, "controller_config": {"initial_gain": 1e-3}})
@@ -123,18 +144,13 @@ def test_tuning_on_the_bench_beats_the_controller_as_it_is_and_a_kill_changes_no
     assert found.values == {GAIN: best[2]}
     assert "point" in str(found)
     # Killed in the middle.
-    killed = f"""if True:
-        import os, signal
-        from leglab.runs.sweeps.engine import run_sweep
-        from leglab.runs.sweeps.plan import read_plan
-        def kill(done, total, told):
-            if told and done == 5:
-                os.kill(os.getpid(), signal.SIGKILL)
-        plan = read_plan({str(tmp_path / "whole" / store.SWEEP)!r})
-        run_sweep(plan, {str(tmp_path / "cut")!r}, workers=1, progress=kill)
-    """
-    done = subprocess.run([sys.executable, "-P", "-c", killed], check=False)
-    assert done.returncode == -signal.SIGKILL
+    # Forked, so that it has the plug-ins that other tests may have loaded here.
+    process = multiprocessing.get_context("fork").Process(
+        target=_be_killed, args=(plan, tmp_path / "cut", 5)
+    )
+    process.start()
+    process.join()
+    assert process.exitcode == -signal.SIGKILL
     again = run_sweep(plan, tmp_path / "cut", workers=2)
     assert again.made == len(plan) - 5
     assert rows(tmp_path / "cut") == rows(tmp_path / "whole")
