@@ -37,12 +37,13 @@ class Pushes:
 
     @classmethod
     def of(cls, machine: Machine, series: UniformSeries) -> "Pushes | None":
-        """Those of a machine; None where no actuator of MuJoCo's acts at once."""
+        """Those of a machine; None where no actuator of MuJoCo's acts at once by a fixed gain."""
         model = machine.base.model
         acting = [
             name
             for name in machine.native_actuators()
             if model.actuator(name).dyntype[0] == mujoco.mjtDyn.mjDYN_NONE
+            and model.actuator(name).gaintype[0] == mujoco.mjtGain.mjGAIN_FIXED
         ]
         if not acting:
             return None
@@ -53,20 +54,18 @@ class Pushes:
         position = np.stack([series.columns[f"{j}_position"] for j in machine.joints], axis=1)
         response = np.zeros((len(position), len(dofs), len(acting)))
         decay = np.zeros(len(dofs))
-        inverse, solved = np.zeros((model.nv, model.nv)), np.zeros((1, model.nv))
+        gain = model.actuator_gainprm[numbers, 0]
+        affine = model.actuator_biastype[numbers] == mujoco.mjtBias.mjBIAS_AFFINE
+        damping = np.where(affine, -model.actuator_biasprm[numbers, 2], 0.0)
+        inverse = np.zeros((model.nv, model.nv))
         for k, q in enumerate(position):
             data.qpos[places] = q
             mujoco.mj_fwdPosition(model, data)
-            moment = actuator_moments(model, data)
+            moment = actuator_moments(model, data)[numbers]
             mujoco.mj_solveM(model, data, inverse, np.eye(model.nv))
-            for i, number in enumerate(numbers):
-                gain = model.actuator_gainprm[number, 0]
-                mujoco.mj_solveM(model, data, solved, gain * moment[number : number + 1])
-                response[k, :, i] = solved[0, dofs]
-            slowing = model.dof_damping[dofs].copy()
-            for number in numbers:
-                slowing -= model.actuator_biasprm[number, 2] * moment[number, dofs] ** 2
-            decay += np.maximum(slowing, 0.0) * inverse[dofs, dofs]
+            response[k] = (inverse @ moment.T)[dofs] * gain
+            slowing = model.dof_damping + damping @ moment**2
+            decay += np.maximum(slowing[dofs], 0.0) * inverse[dofs, dofs]
         limits = {
             name: tuple(model.actuator(name).ctrlrange.tolist())
             if model.actuator(name).ctrllimited[0]
