@@ -82,7 +82,7 @@ def load(
     Raises:
         LeglabError: If a name or a setting does not fit, or dm_control is missing.
     """
-    settings = locals()  # what was given, before anything else has a name
+    settings = dict(locals())  # what was given; copied, since a debugger writes into the original
     del settings["randomize"], settings["flat_observation"]
     _require("dm_control.mujoco")
     from dm_control.rl import control
