@@ -98,6 +98,10 @@ class FaultName(BaseModel):
     explained: FiniteFloat
 
 
+def _place(element: str) -> str:
+    return "all cylinders" if element == "all" else element
+
+
 class FaultEvent(BaseModel):
     """A change that a controller noticed.
 
@@ -119,8 +123,7 @@ class FaultEvent(BaseModel):
     def told(self) -> str:
         """The name in force in one line: where, what, size and confidence, since when."""
         name = self.names[-1]
-        where = "all cylinders" if name.element == "all" else name.element
-        line = f"{where}: {name.fault}"
+        line = f"{_place(name.element)}: {name.fault}"
         if name.size is not None:
             ends = "" if name.low is None else f" ({name.low:.3g} to {name.high:.3g}"
             meaning = f"; {name.meaning}" if name.meaning else ""
@@ -164,7 +167,7 @@ class FaultTrend(BaseModel):
 
     def told(self) -> str:
         """The trend in one line: where, what, how large at last, how fast, how long it may last."""
-        where = "all cylinders" if self.element == "all" else self.element
+        where = _place(self.element)
         since = f"since {self.since:.0f} s, said at {self.time:.0f} s"
         if self.size is None:
             return f"{where}: slow {self.fault}, {since}"
