@@ -77,6 +77,7 @@ class Replay:
         LeglabError: No window fits into the recordings.
 
     Attributes:
+        cuts: The recordings with the samples at which windows start.
         recording: Index of each window's recording, shape (windows,).
         start: Time at which each window starts [s], shape (windows,).
         bins: Number of bins in a window.
@@ -103,13 +104,13 @@ class Replay:
         chambers = sum(1 for c in channels if c.chamber)
         self.blind = chambers < 2 * len(machine.instances(CYLINDER))
         self._lead = round(thresholds.warm_up / period) if self.blind else 0
-        self._cuts = [
+        self.cuts = [
             cut_series(machine, s, channels, self.samples, self._lead, thresholds) for s in series
         ]
         self.recording = np.concatenate(
-            [np.full(c.firsts.size, i) for i, c in enumerate(self._cuts)]
+            [np.full(c.firsts.size, i) for i, c in enumerate(self.cuts)]
         )
-        self.start = np.concatenate([c.series.time[c.firsts] for c in self._cuts])
+        self.start = np.concatenate([c.series.time[c.firsts] for c in self.cuts])
         if not self.start.size:
             longest = max(float(s.time[-1] - s.time[0]) for s in series)
             raise LeglabError(
@@ -192,7 +193,7 @@ class Replay:
         Returns:
             None where there is no such window.
         """
-        cut = self._cuts[recording]
+        cut = self.cuts[recording]
         cut = replace(cut, firsts=cut.firsts[cut.series.time[cut.firsts] >= after])
         if not cut.firsts.size:
             return None
@@ -228,7 +229,7 @@ class Replay:
     def measured(self) -> np.ndarray:
         """Samples of all windows as measured, shape (windows, channels, samples + 1)."""
         rows = []
-        for cut in self._cuts:
+        for cut in self.cuts:
             index = cut.firsts[:, None] + np.arange(self.samples + 1)
             rows.append(np.stack([cut.series.columns[c.column][index] for c in self.channels], 1))
         return np.concatenate(rows)
@@ -244,11 +245,11 @@ class Replay:
 
     def at_starts(self, values: list[np.ndarray]) -> np.ndarray:
         """Values at window starts, shape (windows,), from one array of shape (n,) a recording."""
-        return np.concatenate([v[c.firsts] for v, c in zip(values, self._cuts, strict=True)])
+        return np.concatenate([v[c.firsts] for v, c in zip(values, self.cuts, strict=True)])
 
     def _parts(self, change: Change, chosen: np.ndarray | None) -> Iterator[Part]:
         """The chosen windows of every recording that has some, as measured under a change."""
-        for number, cut in enumerate(self._cuts):
+        for number, cut in enumerate(self.cuts):
             if chosen is not None:
                 cut = replace(cut, firsts=cut.firsts[chosen[self.recording == number]])
             if cut.firsts.size:

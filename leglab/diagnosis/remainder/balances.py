@@ -15,7 +15,7 @@ from leglab.diagnosis.hypothesis import Hypothesis
 from leglab.diagnosis.model import CHAMBERS, CYLINDER, Change, Measured
 from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.starts import STATE, measure, plugin_offset, start_states
-from leglab.diagnosis.windows import Cut, cut_series
+from leglab.diagnosis.windows import Cut
 from leglab.machine.cylinder import Cylinder
 from leglab.machine.parameters import RESIDUAL_VARIABLES, State
 
@@ -77,7 +77,7 @@ def balances(problem: Problem, hypothesis: Hypothesis) -> tuple[Balance, ...]:
 
     Cylinders without measured pressures, and the joints that they move, have none.
     """
-    machine, limits = problem.machine, problem.thresholds
+    machine = problem.machine
     change = problem.library.change(hypothesis, machine)
     known = {c.column for c in problem.channels}
     blind = {
@@ -86,10 +86,8 @@ def balances(problem: Problem, hypothesis: Hypothesis) -> tuple[Balance, ...]:
         for joint in machine.driven[cylinder]
         if not all(f"{machine.driven[cylinder][0]}_{c}" in known for c in CHAMBERS)
     }
-    samples = problem.replay.samples
     found: dict[tuple[str, bool], list[Balance]] = {}
-    for number, series in enumerate(problem.series):
-        cut = cut_series(machine, series, problem.channels, samples, 0, limits)
+    for number, cut in enumerate(problem.replay.cuts):
         for one in _of_series(problem, change, cut, number, blind):
             found.setdefault((one.element, one.oil), []).append(one)
     return tuple(_joined(parts) for parts in found.values())
