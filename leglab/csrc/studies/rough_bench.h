@@ -120,11 +120,12 @@ class RoughEquations {
     }
 
     const double s = y[kSpool];
-    const double gain = edge_ * (s > 0.0 ? p_.gain_positive : p_.gain_negative);
-    const double from_supply_a = gain * opening(s - p_.lap_pa) * orifice(supply - a);
-    const double to_tank_a = gain * opening(-s - p_.lap_at) * orifice(a - p_.tank_pressure);
-    const double from_supply_b = gain * opening(-s - p_.lap_pb) * orifice(supply - b);
-    const double to_tank_b = gain * opening(s - p_.lap_bt) * orifice(b - p_.tank_pressure);
+    // Of the two edges that open for a positive spool, and of the two others; each leaks by its own.
+    const double forward = edge_ * p_.gain_positive, backward = edge_ * p_.gain_negative;
+    const double from_supply_a = forward * opening(s - p_.lap_pa) * orifice(supply - a);
+    const double to_tank_a = backward * opening(-s - p_.lap_at) * orifice(a - p_.tank_pressure);
+    const double from_supply_b = backward * opening(-s - p_.lap_pb) * orifice(supply - b);
+    const double to_tank_b = forward * opening(s - p_.lap_bt) * orifice(b - p_.tank_pressure);
     const double across =
         p_.internal_leakage * (a - b) * (1.0 + p_.leakage_growth * std::abs(a - b));
     const double flow_a = from_supply_a - to_tank_a - across - p_.external_leakage_a * a;
