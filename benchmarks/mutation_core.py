@@ -51,11 +51,9 @@ PARTS = {
         module="identification",
         headers="identification",
         tests=(
-            "tests/test_identification.py",
             "tests/test_identification_oracle.py",
             "tests/test_identification_basis.py",
             "tests/test_identification_input.py",
-            "tests/test_identification_robustness.py",
         ),
     ),
     "feedforward": Part(
