@@ -110,22 +110,20 @@ class _Mutant(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         exec(compile(self._source, self._path, "exec"), module.__dict__)
 
 
-def _tested(name: str, path: str, source: str, tests: tuple[str, ...]) -> None:
-    """Runs the tests with a module's source changed, and ends the process with their status."""
+def _tested(mutant: importlib.abc.MetaPathFinder, tests: tuple[str, ...]) -> None:
+    """Runs the tests with a changed module, and ends the process with their status."""
     sink = os.open(os.devnull, os.O_WRONLY)
     os.dup2(sink, 1)
     os.dup2(sink, 2)
     os.chdir(ROOT)
-    sys.meta_path.insert(0, _Mutant(name, path, source))
+    sys.meta_path.insert(0, mutant)
     arguments = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:randomly", *tests]
     os._exit(int(pytest.main(arguments)))
 
 
-def survives(name: str, path: str, source: str, tests: tuple[str, ...]) -> bool:
-    """Whether all tests pass with the changed source."""
-    process = multiprocessing.get_context("fork").Process(
-        target=_tested, args=(name, path, source, tests)
-    )
+def survives(mutant: importlib.abc.MetaPathFinder, tests: tuple[str, ...]) -> bool:
+    """Whether all tests pass with a module that is changed, which the mutant gives to Python."""
+    process = multiprocessing.get_context("fork").Process(target=_tested, args=(mutant, tests))
     process.start()
     process.join(PATIENCE)
     if process.is_alive():
@@ -154,11 +152,11 @@ def measure(options: argparse.Namespace) -> dict[str, dict]:
         every = mutants(Path(path).read_text())
         some = random.Random(0).sample(every, min(options.most, len(every)))
         _load_packages(tests)
-        if not survives(name, path, Path(path).read_text(), tests):
+        if not survives(_Mutant(name, path, Path(path).read_text()), tests):
             sys.exit(f"the tests of {name} fail without a fault")
         left = []
         for told, source in some:
-            if survives(name, path, source, tests):
+            if survives(_Mutant(name, path, source), tests):
                 left.append(told)
                 print(f"{name} {told}", flush=True)
         found[name] = {"all": len(every), "tried": len(some), "survived": left}

@@ -88,7 +88,7 @@ def test_list_as_markdown(capsys):
         (["run", "seal_were"], "unknown scenario 'seal_were'"),
         (["run", "nominal", "--controller", "lqr"], "unknown controller 'lqr'"),
         (["run", "nominal", "--model", "arm"], "unknown model 'arm'"),
-        (["run", "nominal", "--model", "arm.xml"], "'arm.xml' does not exist"),
+        (["run", "nominal", "--model", "arm.xml"], "'arm.xml': there is no such file"),
         (["run", "nominal", "--model", "knee_bench", "--timestep", "0.01"], "too long"),
         (["run", "nominal", "--severity", "2"], "has no severity"),
         (["replicate", "--instances", "0"], "instances is 0"),

@@ -95,6 +95,28 @@ def test_a_controller_without_a_twin_is_measured_by_its_worst_stride():
     assert found.t90_s is None
 
 
+def test_the_worst_stride_of_all_is_the_peak_and_a_ramp_counts_from_its_beginning():
+    """Without a twin: errors of 0.1, 0.9 while the machine changes, 0.5 when it is done."""
+    found = clock(
+        lambda t: np.select([t < 10, t < 13], [0.1, 0.9], 0.5), change=10.0, ramp=3.0, stride=1.25
+    )
+    assert found.before_rad["all"] == pytest.approx(0.1)
+    assert found.damage_rad == pytest.approx(0.8)
+    assert found.recovered == pytest.approx(0.5)
+
+
+def test_all_joints_are_pooled():
+    # Of as many samples in a span as joints: the pool is not each second sample of one of them.
+    error = np.broadcast_to([3.0, 4.0], (10001, 2)).copy()
+    found = adaptation(scenario(), 1.25, TIME, error, ("hip", "knee"))
+    assert found.end_rad == pytest.approx({"hip": 3.0, "knee": 4.0, "all": math.sqrt(12.5)})
+
+
+def test_a_change_that_ends_where_the_last_span_begins_is_told():
+    found = clock(jump(0.1, 1.0), jump(0.1, 1.0), change=10.0, ramp=5.0)
+    assert found.reason is None
+
+
 def test_a_periodic_error_recovers_nothing_whatever_the_phase():
     def ripple(t):
         return np.where(t < 10, 1.0, 2.0) * (1.5 + np.sin(2 * np.pi * t / 1.25))

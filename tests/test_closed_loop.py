@@ -181,3 +181,27 @@ def test_a_specimen_has_bodies_of_its_own():
     assert not np.isclose(first, machine.model.body_mass[has], rtol=1e-3).any()
     preparation.start(machine, 3)
     np.testing.assert_array_equal(machine.model.body_mass, drawing.body_mass)
+
+
+@pytest.mark.parametrize("duration", [0.5, 3.0])  # Less and more than rows that are kept together.
+def test_states_of_a_run_are_in_memory_once(duration):
+    run = run_scenario(settings(scenario="nominal", duration=duration))
+    spool = run.recording["knee_spool"]
+    assert np.shares_memory(spool, run.history.states["knee_spool"])
+    assert spool.base is None
+    assert spool.shape == run.recording.time.shape
+    assert not spool.flags.writeable
+
+
+def test_where_the_joints_should_be_is_known_beyond_the_end():
+    loop = Loop(settings(duration=0.01))
+    for _ in range(loop.count + 2):
+        point = loop.reference_now()
+        np.testing.assert_array_equal(point.position, loop.step().reference.position)
+    loop.close()
+
+
+def test_a_time_step_that_never_ends_is_refused():
+    for timestep in (1e-300, 5e-324, 1e-9):
+        with pytest.raises(LeglabError, match="allowed: at least 2e-08 s, 100000 steps a control"):
+            loop_timing(SensorConfiguration(), timestep)

@@ -92,7 +92,8 @@ def test_no_book_can_be_missing(leak):
     settle(simulation)
     (name,) = simulation.cylinders
     leaks = dict.fromkeys(("internal_leakage", "external_leakage_a", "external_leakage_b"), 0.0)
-    for parameter, value in {**leaks, leak: 2e-12, "entrained_air": 0.05}.items():
+    own = {leak: 2e-12, "entrained_air": 0.05, "tank_pressure": 1e6}
+    for parameter, value in {**leaks, **own}.items():
         simulation.set_parameter(name, parameter, value)
     books = EnergyBooks(simulation)
     simulation.data.ctrl[:] = 0.15

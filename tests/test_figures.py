@@ -9,6 +9,7 @@ from leglab.base.scenario import Phase
 from leglab.report.figures import (
     add_panels,
     command_figure,
+    outline,
     pressure_figure,
     save_run_figures,
     tracking_figure,
@@ -99,12 +100,33 @@ def test_saturation_is_marked():
     (axes,) = command_figure(recording).axes
     _, at_limit = curves(axes)
     saturated = np.abs(recording["knee_valve_command"]) >= 1
-    np.testing.assert_array_equal(~np.isnan(at_limit.get_ydata()), saturated)
+    marked = np.isin(recording.time, at_limit.get_xdata()[~np.isnan(at_limit.get_ydata())])
+    edges = np.abs(np.diff(saturated, prepend=0, append=0)).astype(bool)
+    # The first and the last sample of each time at the limit; a line of it lies between them.
+    np.testing.assert_array_equal(marked, saturated & (edges[1:] | edges[:-1]))
     assert axes.get_title("right") == f"at the limit {100 * saturated.mean():.1f} % of the time"
     calm = recording.with_columns({"knee_valve_command": 0.1 * recording["knee_reference"]})
     (axes,) = command_figure(calm).axes
     assert len(curves(axes)) == 1
     assert axes.get_title("right") == ""
+
+
+def test_a_long_line_is_drawn_through_its_extremes():
+    values = np.random.default_rng(3).normal(size=100_003)
+    values[:70] = np.nan
+    values[[70, 51_234, 100_002]] = -30.0, 40.0, -50.0
+    rows = outline(values)
+    assert rows.size <= 20_002
+    assert (np.diff(rows) > 0).all()
+    assert {0, 70, 51_234, 100_002} <= set(rows.tolist())
+    # No sample is farther than a piece from a drawn one that is as low, and one that is as high.
+    for first in range(80, 90_000, 9_000):
+        piece, drawn = (
+            values[first : first + 10],
+            values[rows[(rows >= first - 11) & (rows < first + 21)]],
+        )
+        assert drawn.min() <= piece.min() <= piece.max() <= drawn.max()
+    np.testing.assert_array_equal(outline(values[:20_000]), np.arange(20_000))
 
 
 @pytest.mark.parametrize("count", range(1, 8))

@@ -131,6 +131,14 @@ def test_small_errors_after_large_ones_keep_their_digits():
     assert sliding_rms(time, error, 1.2)[-1] == pytest.approx(1e-6, rel=1e-4)
 
 
+def test_windows_do_not_depend_on_when_the_clock_began():
+    time, error = np.arange(500) * 0.01, np.random.default_rng(2).normal(size=(500, 2))
+    np.testing.assert_array_equal(
+        sliding_rms(time + 64.0, error, 0.5), sliding_rms(np.arange(500) * 0.01, error, 0.5)
+    )
+    assert np.isnan(sliding_rms(np.zeros(1), np.ones((1, 1)), 0.5)).all()
+
+
 @given(errors, st.integers(1, 20), st.integers(0, 60))
 def test_excess_error_area_equals_brute_force(error, window, change):
     time = np.arange(len(error)) * 1.0

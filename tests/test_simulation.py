@@ -45,7 +45,7 @@ def test_unknown_model_lists_the_known_ones():
 
 
 def test_missing_file_is_named(tmp_path):
-    with pytest.raises(LeglabError, match="there.xml' does not exist"):
+    with pytest.raises(LeglabError, match="there.xml': there is no such file"):
         load_model(tmp_path / "there.xml")
 
 

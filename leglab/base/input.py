@@ -30,6 +30,12 @@ def read_bytes(path: str | Path, most: int = -1) -> bytes:
         raise LeglabError(f"{path}: cannot be read: it does not fit into memory") from error
 
 
+def no_file(path: str | Path) -> str:
+    """Says why a path is not the file that it should be: there is none, or it is no regular one."""
+    there = os.path.exists(path)
+    return "it is no regular file" if there else "there is no such file"
+
+
 def read_json(path: str | Path) -> Any:
     """Returns the content of a JSON file.
 

@@ -18,6 +18,7 @@ from types import ModuleType
 from typing import Any, TypedDict
 
 from leglab.base.errors import LeglabError
+from leglab.base.input import no_file
 
 KINDS = ("controllers", "scenarios", "references", "effects", "models")
 
@@ -103,7 +104,7 @@ def load(source: str) -> None:
     path = Path(source)
     is_file = path.suffix == ".py" or path.is_file()
     if is_file and not path.is_file():
-        raise LeglabError(f"--load {source}: there is no such file")
+        raise LeglabError(f"--load {source}: {no_file(source)}")
     try:
         with _Importing():
             module = _import_file(path.resolve()) if is_file else importlib.import_module(source)

@@ -4,6 +4,7 @@ from pathlib import Path
 from types import ModuleType
 
 from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.input import no_file
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
 from leglab.data import csv, matlab, mcap, parquet, plotjuggler, rerun, sysid
@@ -111,7 +112,7 @@ def read_table(
         columns = read_column_map(columns)
     is_bag = path.is_dir()
     if not is_bag and not path.is_file():
-        raise LeglabError(f"{path}: there is no such file")
+        raise LeglabError(f"{path}: {no_file(path)}")
     form = mcap if is_bag else _MODULES[format_of(path)]
     # Only topics have clocks of their own, and how they are brought onto one depends on the names.
     left_out: dict[str, str] | None = {} if partial else None

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import leglab.models
 from leglab.base.errors import LeglabError
+from leglab.base.input import no_file
 from leglab.base.registry import Registry
 
 
@@ -60,7 +61,7 @@ def model_path(model: str | Path) -> Path:
     if path.is_file():
         return path
     if path.suffix == ".xml":
-        raise LeglabError(f"model file {name!r} does not exist")
+        raise LeglabError(f"model file {name!r}: {no_file(path)}")
     return MODELS.get(name).path  # raises, and lists the names
 
 

@@ -11,6 +11,7 @@ A late encoder is a `jointpos` sensor `<joint>_delayed_position` with MuJoCo's o
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import mujoco
@@ -21,6 +22,9 @@ from leglab._native.loop import Readings
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.settings import Configuration
 from leglab.machine.parameters import Parameter
+
+# More would take hours a second.
+_MOST_STEPS = 100_000
 
 
 class SensorConfiguration(Configuration):
@@ -63,6 +67,11 @@ def loop_timing(config: SensorConfiguration, timestep: float) -> LoopTiming:
     Raises:
         LeglabError: If period or latency is no multiple of the time step, or the latency is longer.
     """
+    if config.control_period / timestep > _MOST_STEPS:
+        raise LeglabError(
+            f"timestep = {timestep:g} s; allowed: at least {config.control_period / _MOST_STEPS:g} "
+            f"s, {_MOST_STEPS} steps a control period"
+        )
     steps = round(config.control_period / timestep)
     late = round(config.latency / timestep)
     for name, count in (("control_period", steps), ("latency", late)):
@@ -264,7 +273,7 @@ class Encoders:
         self.shift = np.zeros(noise.shape)
         self.lost = np.zeros(noise.shape, dtype=bool)
         self._values = np.zeros((len(FAULTS), len(joints)))
-        self._chance = np.random.default_rng([seed, 2]).random(noise.shape)
+        self._seed = seed
         self.noise = noise
         self.gain = velocity_filter_coefficient(period, sensors.velocity_cutoff) / period
         self.keep = 1.0 - self.gain * period
@@ -286,6 +295,11 @@ class Encoders:
         if self._faulty:
             self._disturb(0)
         self._readings.start()
+
+    @cached_property
+    def _chance(self) -> np.ndarray:
+        """Decides which readings are lost, (count, joints); only a faulty encoder asks."""
+        return np.random.default_rng([self._seed, 2]).random(self.noise.shape)
 
     def has(self, element: str, name: str) -> bool:
         """Says whether a joint has a fault of this name."""

@@ -42,6 +42,9 @@ _TWO_COLUMNS = 4.9
 _DASHES: tuple[Literal["-", "--", ":"], ...] = ("-", "--", ":")
 _LEGEND_COLUMNS = 4
 _SUBDIVISIONS = (1.0, 2.0, 5.0)
+# A line of more samples is drawn through the smallest and the largest of as many pieces: some ten
+# of them a pixel of the widest panel.
+_PIECES = 10_000
 
 
 def tracking_figure(
@@ -71,20 +74,21 @@ def tracking_figure(
     error = recording.stack(joints, "reference") - recording.stack(joints, "position")
     table = phase_table(recording.time, error, joints, phases) if phases else []
     shown = recording if span is None else recording.between(*span)
-    part = np.isin(recording.time, shown.time)
+    start = int(np.searchsorted(recording.time, shown.time[0]))
+    part = slice(start, start + len(shown))
     with style():
         figure, panels = add_panels(len(joints), heights=(1.35, 0.85))
         for i, (joint, (top, bottom)) in enumerate(zip(joints, panels, strict=True)):
-            top.plot(shown.time, shown[f"{joint}_reference"], color=LIGHT_GREY, linewidth=2.6)
-            top.plot(shown.time, shown[f"{joint}_position"], color=BLUE)
+            _draw(top, shown.time, shown[f"{joint}_reference"], color=LIGHT_GREY, linewidth=2.6)
+            _draw(top, shown.time, shown[f"{joint}_position"], color=BLUE)
             top.set_ylabel("position [rad]")
             top.set_title(readable(joint), fontweight="bold")
             if table:
                 top.set_title(_rms_by_phase(table, joint), loc="right", color=DARK_GREY, fontsize=8)
-            bottom.plot(shown.time, _MILLI * error[part, i], color=BLUE, linewidth=0.6)
+            _draw(bottom, shown.time, _MILLI * error[part, i], color=BLUE, linewidth=0.6)
             if window is not None:
                 moving = sliding_rms(recording.time, error[:, [i]], window)
-                bottom.plot(shown.time, _MILLI * moving[part], color=BLACK, linewidth=1.4)
+                _draw(bottom, shown.time, _MILLI * moving[part], color=BLACK, linewidth=1.4)
             bottom.set_ylabel("error [mrad]")
             for axes in (top, bottom):
                 _finish(axes, phases)
@@ -119,9 +123,9 @@ def pressure_figure(
         figure, panels = add_panels(len(joints), heights=(1.25,))
         for joint, (axes,) in zip(joints, panels, strict=True):
             if supply:
-                axes.plot(recording.time, recording["supply_pressure"] / _BAR, color=LIGHT_GREY)
-            axes.plot(recording.time, recording[f"{joint}_pressure_a"] / _BAR, color=BLUE)
-            axes.plot(recording.time, recording[f"{joint}_pressure_b"] / _BAR, color=ORANGE)
+                _draw(axes, recording.time, recording["supply_pressure"] / _BAR, color=LIGHT_GREY)
+            _draw(axes, recording.time, recording[f"{joint}_pressure_a"] / _BAR, color=BLUE)
+            _draw(axes, recording.time, recording[f"{joint}_pressure_b"] / _BAR, color=ORANGE)
             axes.set_title(readable(joint), fontweight="bold")
             axes.set_ylabel("pressure [bar]")
             axes.set_ylim(0, 1.05 * highest)
@@ -158,11 +162,12 @@ def command_figure(
         for i, (actuator, (axes,)) in enumerate(zip(actuators, panels, strict=True)):
             command = np.clip(commands[:, i], -1, 1)
             saturated = np.abs(command) >= 1
-            axes.plot(recording.time, command, color=BLUE, linewidth=0.8)
+            _draw(axes, recording.time, command, color=BLUE, linewidth=0.8)
             if saturated.any():
-                at_limit = np.where(saturated, command, np.nan)
+                ends = _ends(saturated)
+                at_limit = np.where(saturated, command, np.nan)[ends]
                 axes.plot(
-                    recording.time, at_limit, color=ORANGE, linewidth=3, solid_capstyle="butt"
+                    recording.time[ends], at_limit, color=ORANGE, linewidth=3, solid_capstyle="butt"
                 )
                 share = f"at the limit {100 * saturated.mean():.1f} % of the time"
                 axes.set_title(share, loc="right", color=DARK_GREY, fontsize=8)
@@ -310,6 +315,42 @@ def save_comparison_figure(results: Sequence[dict[str, Any]], path: Path, *, tit
         LeglabError: As `comparison_figure`, or the file cannot be written.
     """
     _save(comparison_figure(results, title=title), path)
+
+
+def outline(values: np.ndarray) -> np.ndarray:
+    """Chooses samples whose line looks like that of all of them.
+
+    The memory that Matplotlib takes grows with the vertices, in long runs beyond that of the run.
+
+    Args:
+        values: Shape (n,); NaN where there is none.
+
+    Returns:
+        Increasing row numbers: all where n is at most twice the number of pieces; else the first
+        and the last, and of each piece its smallest and its largest value.
+    """
+    count = len(values)
+    if count <= 2 * _PIECES:
+        return np.arange(count)
+    size = -(-count // _PIECES)
+    starts = np.arange(0, count, size)
+    ends = np.full(len(starts) * size - count, np.nan)
+    pieces = np.concatenate([values, ends]).reshape(-1, size)
+    missing = np.isnan(pieces)
+    low = np.where(missing, np.inf, pieces).argmin(axis=1)
+    high = np.where(missing, -np.inf, pieces).argmax(axis=1)
+    return np.unique(np.concatenate([[0, count - 1], starts + low, starts + high]))
+
+
+def _ends(marked: np.ndarray) -> np.ndarray:
+    """Row numbers of the first and the last samples of runs of the same value, (n,)."""
+    differs = np.concatenate([[True], marked[1:] != marked[:-1], [True]])
+    return np.flatnonzero(differs[1:] | differs[:-1])
+
+
+def _draw(axes: Axes, time: np.ndarray, values: np.ndarray, **look: Any) -> None:
+    rows = outline(values)
+    axes.plot(time[rows], values[rows], **look)
 
 
 def _save(figure: Figure, path: Path) -> Path:

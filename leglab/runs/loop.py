@@ -40,6 +40,9 @@ _CHECK_INTERVAL = 50
 # A run keeps every period in memory.
 _MOST_PERIODS = 50_000_000
 
+# Rows that are kept together before they become columns.
+_BLOCK = 1024
+
 # Columns of a recording by plugin state; `_position` is kept for joints.
 _RECORDED = {
     "pressure_a": "pressure_a",
@@ -368,8 +371,10 @@ class Loop:
 
     def reference_now(self) -> ReferencePoint:
         """Returns where the joints should be in the next period, before it is observed."""
-        row = self._next - self._first
-        return ReferencePoint(*(part[row] for part in self._wanted))
+        row, wanted = self._next - self._first, self._wanted
+        if row == len(wanted.position):  # `observe` samples the next piece.
+            row, wanted = 0, self.reference.sample(np.array([self._next * self.period]))
+        return ReferencePoint(*(part[row] for part in wanted))
 
     @property
     def wanted(self) -> Samples:
@@ -608,7 +613,8 @@ class _Records:
         )
         self._columns, slots = _state_columns(simulation, schedule)
         self._qpos, self.qvel = np.empty((count, model.nq)), np.empty((count, model.nv))
-        self._command, self._states = np.empty((count, model.nu)), np.empty((count, len(slots)))
+        self._command = np.empty((count, model.nu))
+        self._states = _Columns(data.plugin_state, slots, count)
         pairs = zip(simulation.joints, simulation.actuators, strict=True)
         native = [joint for joint, name in pairs if name in simulation.native]
         self._native = tuple((joint, i) for i, joint in enumerate(native))
@@ -621,7 +627,7 @@ class _Records:
             Rows(data.qpos, np.arange(model.nq), self._qpos),
             Rows(data.qvel, np.arange(model.nv), self.qvel),
             Rows(data.ctrl, np.arange(model.nu), self._command),
-            Rows(data.plugin_state, slots, self._states),
+            self._states,
             Rows(data.qfrc_actuator, np.asarray(driven, dtype=np.int64), self._effort),
         )
         self._takes = tuple(row.take for row in rows)
@@ -643,6 +649,7 @@ class _Records:
         """The first rows, by attribute of `History`."""
         machine, qpos = self._simulation, self._qpos[:rows]
         keys = enumerate(self._schedule.others)
+        states = zip(self._columns, self._states.first(rows), strict=True)
         return {
             "position": qpos[:, machine.qpos_index],
             "velocity": self.qvel[:rows, machine.dof_index],
@@ -651,11 +658,50 @@ class _Records:
             "control": self._command[:rows],
             "states": {
                 **{f"{joint}_effort": self._effort[:rows, i] for joint, i in self._native},
-                **{column: self._states[:rows, i] for i, column in enumerate(self._columns)},
+                **dict(states),
                 **{"_".join(key): self._others[:rows, i] for i, key in keys},
             },
             "diagnostics": {key: values[:rows] for key, values in self._reports.items()},
         }
+
+
+class _Columns:
+    """Values that are taken a row at a time and kept by column.
+
+    A recording takes over a column that is an array of its own; one of a table it has to copy.
+
+    Args:
+        source: Array that the values come from.
+        index: Where they are in it, (columns,).
+        count: Most rows.
+    """
+
+    def __init__(self, source: np.ndarray, index: np.ndarray, count: int) -> None:
+        self._block = np.empty((min(_BLOCK, count), len(index)))
+        self._columns = [np.empty(count) for _ in index]
+        self._take = Rows(source, index, self._block).take
+        self._row, self._kept = 0, 0
+
+    def take(self, number: int) -> None:
+        """Keeps the present values; rows come one after the other, from number 0 on."""
+        self._take(self._row)
+        self._row += 1
+        if self._row == len(self._block):
+            self._keep()
+
+    def first(self, rows: int) -> list[np.ndarray]:
+        """Returns the first rows of every column, read-only; no row can be taken after it."""
+        self._keep()
+        for column in self._columns:
+            column.resize(rows, refcheck=False)
+            column.setflags(write=False)
+        return self._columns
+
+    def _keep(self) -> None:
+        end = self._kept + self._row
+        for column, values in zip(self._columns, self._block.T, strict=True):
+            column[self._kept : end] = values[: self._row]
+        self._row, self._kept = 0, end
 
 
 def _first_failure(

@@ -230,6 +230,7 @@ def _recording(loop: Loop, history: History, metadata: dict[str, Any]) -> Record
             scale, offset = shown[name]
             noisy = values + noise.normal(0.0, sensors.pressure_noise, len(values))
             columns[name] = scale * noisy + offset
+            columns[name].setflags(write=False)  # The recording need not copy it.
     # Encoders of joints that nothing drives, as linear scales of the same noise, rad or m.
     for name, values in history.passive.items():
         columns[f"{name}_position"] = values + noise.normal(
