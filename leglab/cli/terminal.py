@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from typing import Any, TypeVar
@@ -257,3 +257,27 @@ def _undone(cell: dict[str, Any]) -> str:
         return text
     of_all = f"never {never}/{cell['runs']}"
     return of_all if text == "-" else f"{text}, {of_all}"
+
+
+def timing_lines(asked: Mapping[str, Any], settings: Mapping[str, Any]) -> list[str]:
+    """A line where the loop's timing was rounded up to whole steps of the model, else none.
+
+    Args:
+        asked: Settings of the sensors as they were asked for.
+        settings: Of the run, from the content of `run.json`.
+    """
+    from leglab.machine.sensors import SensorConfiguration
+
+    usual, used = SensorConfiguration(), settings["sensors"]
+    names = [
+        name
+        for name in ("control_period", "latency")
+        if name not in asked and used[name] != getattr(usual, name)
+    ]
+    if not names:
+        return []
+    told = " and ".join(f"{name} is {used[name]:g} s" for name in names)
+    return [
+        f"{told}: rounded up to whole steps of the model's timestep {settings['timestep']:g} s "
+        "(--timestep, --set sensors.NAME=VALUE)"
+    ]
