@@ -22,7 +22,6 @@ from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.settings import Configuration
 from leglab.machine.parameters import Parameter
 
-
 # Times that differ by less are the same [s].
 _SAME_TIME = 1e-9
 
@@ -108,6 +107,23 @@ def loop_timing(config: SensorConfiguration, timestep: float) -> LoopTiming:
 def velocity_filter_coefficient(period: float, cutoff_hz: float) -> float:
     """Coefficient a of v[k] += a ((q[k] - q[k-1])/T - v[k-1]), first order with the cutoff."""
     return 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * period)
+
+
+def filtered_velocities(positions: np.ndarray, config: SensorConfiguration) -> np.ndarray:
+    """Estimates velocities from read positions as the control loop does.
+
+    Args:
+        positions: One row a control period [rad or m], (n, joints).
+        config: Period, and cutoff of the filter.
+
+    Returns:
+        Velocities [rad/s or m/s], (n, joints); 0 in the first row, which has none before it.
+    """
+    from scipy.signal import lfilter
+
+    a = velocity_filter_coefficient(config.control_period, config.velocity_cutoff)
+    slopes = np.diff(positions, axis=0, prepend=positions[:1]) / config.control_period
+    return lfilter([a], [1.0, a - 1.0], slopes, axis=0)
 
 
 def velocity_delay(period: float, cutoff_hz: float) -> float:
