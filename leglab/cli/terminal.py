@@ -180,7 +180,8 @@ def metrics_table(metrics: dict[str, Any]) -> Table:
             f"{1e3 * phase['rms_rad'][name]:.1f} / {1e3 * phase['peak_rad'][name]:.1f}"
             for phase in phases
         )
-        table.add_row(name, *cells)
+        own = known.error_unit() if name == "all" else known.error_unit(name)
+        table.add_row(name if own == unit else f"{name} [{own}]", *cells)
     found = known.adaptation
     if found.before_rad and found.end_rad:
         table.caption = (

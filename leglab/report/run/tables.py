@@ -98,12 +98,18 @@ def joint_tables(runs: Sequence[ReportedRun]) -> tuple[Table, ...]:
         }
         shown = {name: values for name, values in columns.items() if values}
         rows = [
-            [joint, *(number(1e3 * v[joint]) if joint in v else _NONE for v in shown.values())]
+            [_named(run, joint), *(number(1e3 * v[joint]) if joint in v else _NONE for v in shown.values())]
             for joint in run.joints
         ]
         caption = f"{run.label}: tracking error [{run.unit}]"
         tables.append(Table(caption=caption, head=["joint", *shown], rows=rows))
     return tuple(tables)
+
+
+def _named(run: ReportedRun, joint: str) -> str:
+    """A joint, with the unit of its errors where others have another."""
+    own = run.metrics.error_unit(joint)
+    return joint if own == run.unit else f"{joint} [{own}]"
 
 
 def setting_tables(runs: Sequence[ReportedRun]) -> tuple[Table, ...]:
