@@ -1,7 +1,11 @@
 """The check of the links of the built documentation."""
 
 import importlib.util
+import subprocess
+import sys
 from pathlib import Path
+
+from leglab import scenario_names
 
 SCRIPT = Path(__file__).parents[1] / "docs" / "check_links.py"
 _spec = importlib.util.spec_from_file_location("check_links", SCRIPT)
@@ -46,3 +50,16 @@ def test_a_link_that_leads_nowhere_is_named(tmp_path):
     found = check_links.broken_links(site(folder, **GOOD, **{f"bad{k}": v for k, v in bad.items()}))
     assert [line.split(": ")[1] for line in found] == list(bad.values())
     assert "index.html has no such part" in found[1]
+
+
+def test_pages_of_the_gallery_are_what_their_script_writes(tmp_path):
+    docs = SCRIPT.parent
+    command = [sys.executable, str(docs / "make_scenarios.py"), "--pages", str(tmp_path)]
+    subprocess.run(command, check=True)
+    made = {path.name: path.read_text() for path in tmp_path.iterdir()}
+    assert made == {path.name: path.read_text() for path in (docs / "scenarios").iterdir()}
+    assert set(made) == {f"{name}.md" for name in (*scenario_names(), "index")}
+    pictures = list((docs / "images" / "scenarios").iterdir())
+    shown = {f"{name}{end}.webp" for name in scenario_names() for end in ("", "_error")}
+    assert {path.name for path in pictures} == shown
+    assert sum(path.stat().st_size for path in pictures) < 3_000_000

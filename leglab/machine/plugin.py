@@ -59,8 +59,8 @@ def load_plugin() -> None:
     except mujoco.FatalError as error:
         reason = " ".join(str(error).split())
         raise LeglabError(
-            f"the plugins do not load with mujoco {mujoco.__version__}: {reason}; allowed: the "
-            "version that leglab was built against (pip install --force-reinstall leglab's wheel)"
+            f"the plugins do not load with mujoco {mujoco.__version__}: {reason}; install the "
+            "version that leglab was built against, or build leglab anew"
         ) from error
 
 

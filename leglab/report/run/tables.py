@@ -97,10 +97,10 @@ def joint_tables(runs: Sequence[ReportedRun]) -> tuple[Table, ...]:
             f"peak {last.name}": last.peak_rad,
         }
         shown = {name: values for name, values in columns.items() if values}
-        rows = [
-            [_named(run, joint), *(number(1e3 * v[joint]) if joint in v else _NONE for v in shown.values())]
-            for joint in run.joints
-        ]
+        rows = []
+        for joint in run.joints:
+            cells = (number(1e3 * v[joint]) if joint in v else _NONE for v in shown.values())
+            rows.append([_named(run, joint), *cells])
         caption = f"{run.label}: tracking error [{run.unit}]"
         tables.append(Table(caption=caption, head=["joint", *shown], rows=rows))
     return tuple(tables)
