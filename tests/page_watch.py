@@ -323,7 +323,8 @@ def press_by_keys(page):
         place = focus["place"]
         if place < 0:  # behind the last place, or where a node was taken away
             continue
-        if trail and place < trail[-1]:
+        # The first place is far up in the page: what is drawn anew below does not move it.
+        if trail and place <= trail[0]:
             return len(trail)
         held = held + 1 if trail and place == trail[-1] else 0
         if held:
