@@ -34,6 +34,7 @@ lint: $(STAMP)
 docs: $(STAMP)
 	rm -rf docs/api/generated  # pages of modules that are gone
 	$(BIN)/python -m sphinx -W --keep-going -n -q -j auto docs out/docs
+	$(BIN)/python docs/check_links.py out/docs
 	@echo "open out/docs/index.html"
 
 # Hours: docs/data anew, then the tables of README.md and docs. Interrupted, the long ones go on.

@@ -51,6 +51,7 @@ JOBS = (
     _job("squat_limits", 1),
     _job("peers", 1.5),
     _job("train_residual", 3),
+    _job("train_residual_ppo", 4),
     _job("long_run", 2.5),
     _job("live_names", 25),
     _job(

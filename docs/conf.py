@@ -1,12 +1,15 @@
 """Sphinx: `make docs` builds these pages and the API reference into out/docs."""
 
+import os
 import re
 from importlib import metadata
 
 project = "leglab"
 author = "leglab"
 release = metadata.version("leglab")
-html_title = f"leglab {release}"
+html_title = f"leglab {release}"  # on every page: which version it is of
+# Address of the published site, with a slash at its end; a sitemap needs one.
+html_baseurl = os.environ.get("LEGLAB_DOCS_URL", "")
 
 extensions = [
     "sphinx.ext.autodoc",
@@ -33,6 +36,11 @@ nitpick_ignore_regex = [
 # Pages are read on their own as well, so headings are linked to by their text.
 myst_heading_anchors = 3
 myst_enable_extensions = ["colon_fence"]
+# For search engines; pages with front matter have descriptions of their own.
+myst_html_meta = {
+    "description": "leglab: hydraulic humanoid-leg control on MuJoCo, with worn seals, "
+    "changing oil, controllers that re-adapt, and a diagnosis that names what a simulation lacks",
+}
 
 autodoc_typehints = "signature"
 autodoc_member_order = "bysource"
@@ -72,8 +80,23 @@ def _skip(app, what, name, obj, skip, options):
     return True if str(obj.__doc__).startswith("Alias for field number") else skip
 
 
+def _write_sitemap(app, exception):
+    """Lists all pages for search engines, where the site has an address."""
+    if exception or not app.config.html_baseurl or app.builder.name != "html":
+        return
+    pages = sorted(app.env.found_docs)
+    links = "".join(
+        f"<url><loc>{app.config.html_baseurl}{page}.html</loc></url>\n" for page in pages
+    )
+    head = '<?xml version="1.0" encoding="utf-8"?>\n'
+    namespace = "http://www.sitemaps.org/schemas/sitemap/0.9"
+    text = f'{head}<urlset xmlns="{namespace}">\n{links}</urlset>\n'
+    (app.outdir / "sitemap.xml").write_text(text, encoding="utf-8")
+
+
 def setup(app):
     """Connects these."""
+    app.connect("build-finished", _write_sitemap)
     app.connect("autodoc-skip-member", _skip)
     app.connect("autodoc-process-docstring", _escape_bars)
     app.connect("source-read", _drop_missing)

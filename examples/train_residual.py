@@ -38,7 +38,7 @@ SETTLED = 0.3  # s after the change; from then on errors count
 JUDGES = 1_000_000  # first seed of the machines that judge
 
 
-def make(count, arguments):
+def make(count, arguments, **settings):
     """Makes machines whose seals wear out early in an episode."""
     return leglab.environment.make_batch(
         count,
@@ -50,6 +50,7 @@ def make(count, arguments):
         onset=ONSET,
         randomize={"severity": (3.0, 20.0)},
         preview=(),
+        **settings,
     )
 
 
@@ -75,19 +76,23 @@ def features(observation, joints):
     return np.stack(stacked, axis=2) / SCALES
 
 
-def rollout(batch, weights, seeds):
-    """Drives machines by one set of weights each, (machines, joints, features).
+def weighted(weights):
+    """A policy of one set of weights a machine, (machines, joints, features)."""
+    return lambda seen: np.tanh(np.einsum("mjf,mjf->mj", weights, seen))
+
+
+def rollout(batch, policy, seeds):
+    """Drives machines by a policy from features, (machines, joints, features), to actions.
 
     Returns:
         RMS tracking error of each after the change [rad], (machines,).
     """
     observation, info = batch.reset(seed=list(seeds))
-    joints = weights.shape[1]
-    squares, count = np.zeros(len(weights)), 0
+    joints = batch.single_action_space.shape[0]
+    squares, count = np.zeros(len(observation)), 0
     while True:
         seen = features(observation, joints)
-        action = np.tanh(np.einsum("mjf,mjf->mj", weights, seen))
-        observation, _, terminated, truncated, info = batch.step(action)
+        observation, _, terminated, truncated, info = batch.step(policy(seen))
         if info["time"][0] >= ONSET + SETTLED:
             squares += (info["tracking_error"] ** 2).mean(axis=1)
             count += 1
@@ -114,7 +119,7 @@ def train(arguments, state_file):
         )
         first = arguments.seed + len(curve) * arguments.machines
         seeds = np.tile(np.arange(first, first + arguments.machines), arguments.population)
-        errors = rollout(batch, weights, seeds.tolist()).reshape(arguments.population, -1)
+        errors = rollout(batch, weighted(weights), seeds.tolist()).reshape(arguments.population, -1)
         # The logarithm: a machine that is hard to control does not decide alone.
         strategy.tell(candidates, np.log(errors).mean(axis=1).tolist())
         curve.append([float(1e3 * np.median(errors)), float(1e3 * errors.mean(axis=1).min())])
@@ -127,14 +132,17 @@ def train(arguments, state_file):
     return strategy, curve, joints
 
 
-def judge(weights, arguments):
-    """Errors of static_feedforward and of the policy on the same machines [rad], (n,) each."""
+def judge(policy, arguments):
+    """Errors of static_feedforward and of a policy on the same machines [rad], (n,) each."""
     batch = make(arguments.judges, arguments)
     seeds = list(range(JUDGES, JUDGES + arguments.judges))
-    many = np.repeat(weights[None], arguments.judges, axis=0)
-    found = rollout(batch, np.zeros_like(many), seeds), rollout(batch, many, seeds)
+    found = rollout(batch, _nothing, seeds), rollout(batch, policy, seeds)
     batch.close()
     return found
+
+
+def _nothing(seen):
+    return np.zeros(seen.shape[:2])
 
 
 def main() -> None:
@@ -152,7 +160,8 @@ def main() -> None:
     arguments.out.mkdir(parents=True, exist_ok=True)
     strategy, curve, joints = train(arguments, arguments.out / "state.pickle")
     weights = np.reshape(strategy.result.xfavorite, (joints, len(FEATURES)))
-    alone, trained = judge(weights, arguments)
+    many = np.repeat(weights[None], arguments.judges, axis=0)
+    alone, trained = judge(weighted(many), arguments)
     result = {
         "settings": {k: v for k, v in vars(arguments).items() if k != "out"},
         "curve_median_best_mrad": curve,

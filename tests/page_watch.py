@@ -45,15 +45,21 @@ _AIM = """(name) => {
   return box.width && box.height ? { x, y, free: part.contains(top) } : null;
 }"""
 _CLICK = "(name) => window.pressable.get(name).click?.()"  # a plot's areas have none
-# Where the keys go. What a browser builds into a film is one place.
+# Where the keys go, counted in the order of the document: a plot that is drawn anew meanwhile has
+# other nodes in the same order. What a browser builds into a film is one place; the body is none.
 _FOCUS = """() => {
   const part = document.activeElement;
-  window.reached = window.reached || new Map();
-  if (!window.reached.has(part)) window.reached.set(part, window.reached.size);
+  window.focused = part;
+  const place = part === document.body ? -1 : [...document.querySelectorAll("*")].indexOf(part);
   const file = part.protocol === "file:" && !part.getAttribute("href").startsWith("#");
-  return { number: window.reached.get(part), tag: part.tagName, file };
+  return { place, tag: part.tagName, file };
 }"""
-_FOCUS_AGAIN = "(number) => [...window.reached.keys()][number].focus()"
+_FOCUS_AGAIN = """(place) => {
+  const part = window.focused.isConnected ? window.focused : document.querySelectorAll("*")[place];
+  part?.focus();
+}"""
+# More than a film has controls: the keys are held up in one of its menus.
+_FILM_PLACES = 12
 
 # What a page can try, from where it stands or by leaving, by the host that would hear of it.
 STAYING = {
@@ -247,19 +253,29 @@ def press_by_mouse(page):
             done.append(name)
 
 
+_MENU = "overflow-button"
+_PATIENCE = 100  # times 150 ms
+
+
 def press_film_controls(page):
     """Presses what the browser builds into a film: play, sound, full screen, and its menu.
 
     Returns:
         Names of what was pressed.
     """
-    session, done, idle = page.context.new_cdp_session(page), set(), 0
+    session, done, idle, hidden = page.context.new_cdp_session(page), set(), 0, 0
     page.locator("video").scroll_into_view_if_needed()
     while idle < 3:
         shown = _film_controls(session)
         new = [name for name in shown if name not in done]
         # The menu closes at each press within it, and is opened for the next one.
-        name = new[0] if new else next(name for name in shown if "overflow-button" in name)
+        name = next((name for name in (*new, *shown) if name in new or _MENU in name), None)
+        if name is None:  # the controls hide while a film plays, and a busy machine shows them late
+            assert hidden < _PATIENCE, f"a film without its menu; shown: {sorted(shown)}"
+            hidden += 1
+            page.locator("video").hover(force=True)
+            page.wait_for_timeout(150)
+            continue
         idle = 0 if new else idle + 1
         part = session.send("DOM.resolveNode", {"backendNodeId": shown[name]})["object"]["objectId"]
         press = {"functionDeclaration": "function () { this.click() }", "userGesture": True}
@@ -268,6 +284,7 @@ def press_film_controls(page):
         done.add(name)
     page.evaluate("document.fullscreenElement && document.exitFullscreen()")
     page.evaluate("document.pictureInPictureElement && document.exitPictureInPicture()")
+    page.keyboard.press("Escape")  # an open menu keeps the keys
     return done
 
 
@@ -294,23 +311,33 @@ def press_by_keys(page):
     """Presses enter and space wherever the tabulator leads, once round the page.
 
     Returns:
-        Number of places; 0 where the tabulator does not come round.
+        Number of places.
+
+    Raises:
+        AssertionError: The tabulator does not come round; says where it was last.
     """
-    previous = -1
-    page.evaluate("() => { window.reached = new Map(); }")
-    for _ in range(300):
+    trail, held = [], 0
+    for _ in range(400):
         page.keyboard.press("Tab")
         focus = page.evaluate(_FOCUS)
-        if focus["number"] < previous:
-            return previous + 1
-        again = focus["number"] == previous  # within a film
-        previous = focus["number"]
-        if focus["file"] or again:
+        place = focus["place"]
+        if place < 0:  # behind the last place, or where a node was taken away
+            continue
+        # The first place is far up in the page: what is drawn anew below does not move it.
+        if trail and place <= trail[0]:
+            return len(trail)
+        held = held + 1 if trail and place == trail[-1] else 0
+        if held:
+            if held > _FILM_PLACES:
+                page.keyboard.press("Escape")
+            continue
+        trail.append(place)
+        if focus["file"]:
             continue
         for key in ("Enter", "Space"):
             page.keyboard.press(key)
-            page.evaluate(_FOCUS_AGAIN, previous)
-    return 0
+            page.evaluate(_FOCUS_AGAIN, place)
+    raise AssertionError(f"the tabulator does not come round: {focus}, {held} times, {trail[-9:]}")
 
 
 def choose_everything(page):

@@ -131,7 +131,7 @@ def test_no_damage_is_said_instead_of_counted():
     assert (found.recovered, found.t90_s) == (None, None)
     assert "does no damage" in found.reason
     assert found.damage_rad == pytest.approx(0.02)
-    assert outcome(found) == found.reason
+    assert outcome(found, "mrad") == found.reason
 
 
 def test_a_run_that_ends_better_than_it_began():

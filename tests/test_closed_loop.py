@@ -6,7 +6,12 @@ import pytest
 from leglab import RunSettings, run_scenario
 from leglab.base.errors import LeglabError
 from leglab.base.scenario import ParameterChange, Scenario
-from leglab.machine.sensors import SensorConfiguration, loop_timing, quantise
+from leglab.machine.sensors import (
+    SensorConfiguration,
+    in_whole_steps,
+    loop_timing,
+    quantise,
+)
 from leglab.machine.simulation import Simulation, load_model
 from leglab.runs.loop import Loop
 from leglab.runs.preparation import Preparation
@@ -146,6 +151,29 @@ def test_bad_settings_get_one_line(change, message):
 def test_timing_counts_steps():
     timing = loop_timing(SensorConfiguration(), 5e-4)
     assert (timing.to_sample, timing.to_command) == (2, 2)
+
+
+@pytest.mark.parametrize(
+    ("timestep", "expected"),
+    [(1e-3, (2e-3, 1e-3)), (2e-3, (2e-3, 2e-3)), (5e-3, (5e-3, 5e-3)), (3e-4, (2.1e-3, 1.2e-3))],
+)
+def test_default_timing_is_rounded_up_to_whole_steps(timestep, expected):
+    fitted = in_whole_steps(SensorConfiguration(), timestep)
+    assert (fitted.control_period, fitted.latency) == pytest.approx(expected)
+    loop_timing(fitted, timestep)
+    asked = SensorConfiguration(control_period=2e-3, latency=1e-3)
+    assert in_whole_steps(asked, timestep) is asked
+
+
+def test_recorded_velocities_are_the_loop_s_filter_of_the_recorded_positions():
+    recording = run_scenario(settings(duration=1.0)).recording
+    sensors = SensorConfiguration()
+    keep = np.exp(-2 * np.pi * sensors.velocity_cutoff * sensors.control_period)
+    read, speed = recording["knee_position"], [0.0]
+    for step in np.diff(read):
+        speed.append(keep * speed[-1] + (1 - keep) * step / sensors.control_period)
+    np.testing.assert_allclose(recording["knee_velocity"], speed, rtol=1e-9, atol=1e-9)
+    assert recording.metadata["units"]["knee_velocity"] == "rad/s"
 
 
 def test_quantise_rounds_to_counts():

@@ -1,13 +1,14 @@
 """Runs on machines of MuJoCo's own actuators: closed forms, an integrator of our own, faults."""
 
 import json
+import re
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
-from leglab import RunSettings, run_scenario
+from leglab import RunSettings, data, run_scenario
 from leglab.base.errors import LeglabError
 from leglab.cli import main
 from leglab.commissioning.calibration import (
@@ -20,6 +21,12 @@ from leglab.commissioning.pd_gains import native_plant, tune
 from leglab.machine.changes import NativeJoints
 from leglab.machine.sensors import SensorConfiguration
 from leglab.machine.simulation import Simulation, load_model
+from leglab.report.figures import tracking_figure
+from leglab.report.film.look import Rect
+from leglab.report.film.traces import ErrorTrace
+from leglab.report.film.track import load_track
+from leglab.report.folder_index import write_index
+from leglab.runs.folder import read_runs
 from leglab.runs.loop import Loop
 from tests.native_models import GRAVITY, INERTIA, MASS, REACH
 from tests.rigs import MOTOR_ARM, SERVO_ARM
@@ -49,6 +56,18 @@ ARM = """
 TWO_MOTORS = """
   <motor name="upper_drive" joint="shoulder" ctrlrange="-60 60"/>
   <motor joint="elbow" ctrlrange="-5 5" gear="-5"/>"""
+
+
+AXIS = """
+  <mujoco model="axis">
+    <worldbody>
+      <body name="carriage">
+        <joint name="axis" type="slide" axis="1 0 0" armature="0.4" damping="6"/>
+        <geom type="box" size="0.05 0.04 0.02" mass="2"/>
+      </body>
+    </worldbody>
+    <actuator><motor name="drive" joint="axis" ctrlrange="-80 80"/></actuator>
+  </mujoco>"""
 
 
 def saved(tmp_path, text, name="machine.xml"):
@@ -488,6 +507,33 @@ def test_the_command_line_runs_compares_and_draws(tmp_path, capsys):
     page = (tmp_path / "page" / "report.html").read_text()
     assert "Chamber pressures" not in page
     assert "The supply gave" not in page
+
+
+def test_a_slide_with_the_default_timestep_runs_and_its_errors_are_told_in_mm(tmp_path, capsys):
+    """As a user's first file: no option at all."""
+    model = saved(tmp_path, AXIS, "axis.xml")
+    out, settings = tmp_path / "run", ["--model", model, "--duration", "1", "--no-figures"]
+    main(["run", "payload", *settings, "--out", str(out)])
+    told = capsys.readouterr().out
+    assert "latency is 0.002 s: rounded up to whole steps of the model's timestep 0.002" in told
+    sensors = json.loads((out / "run.json").read_text())["settings"]["sensors"]
+    assert (sensors["control_period"], sensors["latency"]) == (0.002, 0.002)
+    main(["report", str(out), "--no-video"])
+    page = (out / "report.html").read_text()
+    run = data.read(out / "recording.parquet")
+    (drawn,) = tracking_figure(run).axes[1:]
+    main(["compare", "payload", "--controllers", "pd", "--seeds", "1", "--jobs", "1", *settings,
+          "--out", str(tmp_path / "both")])  # fmt: skip
+    compared = capsys.readouterr().out
+    track = load_track(out)
+    panel = ErrorTrace([track], [(0, 0, 0)], Rect(0, 0, 100, 100), (0.0, 1.0))
+    texts = (told, page, drawn.get_ylabel(), compared, panel._note, repr(read_runs([out])[0]))
+    for text in texts:
+        assert re.search(r"\bmm\b", text), text
+        assert "mrad" not in text
+    assert "angle [rad]" not in page
+    write_index(tmp_path, tmp_path / "index.html")
+    assert "mrad, of slides mm" in (tmp_path / "index.html").read_text()
 
 
 def test_the_inertia_with_the_others_free_is_smaller_than_held(tmp_path):

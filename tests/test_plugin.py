@@ -6,6 +6,8 @@ import mujoco.rollout
 import numpy as np
 import pytest
 
+from leglab.base.errors import LeglabError
+from leglab.machine import plugin
 from tests.plugin_models import (
     Slots,
     check_copy_between_stages,
@@ -259,3 +261,11 @@ def test_many_instances_are_independent():
     others = np.delete(data.qpos, 7)
     np.testing.assert_array_equal(others, others[0])
     assert data.qpos[7] > others[0] + 0.01
+
+
+def test_a_library_that_does_not_load_is_one_line(monkeypatch, tmp_path):
+    """As with a MuJoCo that it was not built against."""
+    monkeypatch.setattr(plugin, "library_path", lambda: tmp_path / "gone.so")
+    with pytest.raises(LeglabError, match=r"do not load with mujoco .*gone\.so") as caught:
+        plugin.load_plugin.__wrapped__()
+    assert "\n" not in str(caught.value)

@@ -19,7 +19,7 @@ import numpy as np
 
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.notebook import data_frame, html_table, panels
-from leglab.base.units import unit_of
+from leglab.base.units import error_unit, own_units, unit_of
 
 # Metadata of a run: the native actuator of a joint, and the middle and half range of its control.
 DRIVES = "drives"
@@ -271,6 +271,17 @@ class Recording:
             )
         columns = {name: samples[first:last] for name, samples in self.columns.items()}
         return Recording(time=self.time[first:last], columns=columns, metadata=self.metadata)
+
+    def error_unit(self, joints: Iterable[str] | None = None) -> str:
+        """Returns the unit in which tracking errors are told: "mrad", "mm", or "mrad or mm".
+
+        Args:
+            joints: Whose errors; None for all that have a position. A joint whose unit is not
+                recorded counts as a hinge.
+        """
+        units = own_units(self.metadata)
+        names = self.joints if joints is None else joints
+        return error_unit(units.get(f"{joint}_position") == "m" for joint in names)
 
     def with_columns(self, columns: Mapping[str, np.ndarray]) -> "Recording":
         """Returns a recording with more columns; existing ones of the same name are replaced."""

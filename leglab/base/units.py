@@ -57,6 +57,21 @@ def usual_unit(name: str) -> str:
     return next((unit for end, unit in _UNITS.items() if f"_{name}".endswith(f"_{end}")), "")
 
 
+def error_unit(slides: Iterable[bool]) -> str:
+    """Returns the unit in which tracking errors are told, a thousandth of the SI unit.
+
+    Args:
+        slides: Of each joint whose error is meant, whether it slides.
+
+    Returns:
+        "mrad" of hinges, "mm" of slides, "mrad or mm" of both together.
+    """
+    kinds = set(slides)
+    if kinds == {True}:
+        return "mm"
+    return "mrad or mm" if True in kinds else "mrad"
+
+
 def units_of_columns(columns: Iterable[str], slides: Mapping[str, bool]) -> dict[str, str]:
     """Returns the units that are known, by column, for a machine whose joints are known.
 

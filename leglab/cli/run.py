@@ -68,7 +68,8 @@ def run(
         terminal.print_json(result.metrics)
     else:
         terminal.output.print(terminal.metrics_table(result.metrics))
-        for line in terminal.fault_lines(result.metrics):
+        notes = terminal.timing_lines(settings.sensors, result.configuration.settings)
+        for line in [*terminal.fault_lines(result.metrics), *notes]:
             terminal.output.print(line, soft_wrap=True)
         terminal.tell(f"written to {folder}")
     failure = result.history.failure or ("interrupted when the run was over" if late else "")

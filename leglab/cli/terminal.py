@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from typing import Any, TypeVar
@@ -164,12 +164,14 @@ def _is_number(text: str) -> bool:
 
 def metrics_table(metrics: dict[str, Any]) -> Table:
     """Tracking error of one run by joint and phase, from the content of `metrics.json`."""
-    from leglab.report.page.outcome import mrad, outcome
-    from leglab.runs.record import AdaptationMetrics
+    from leglab.report.page.outcome import milli, outcome
+    from leglab.runs.record import RunMetrics
 
+    known = RunMetrics.model_validate(metrics)
+    unit = known.error_unit()
     phases = metrics["phases"]
     joints = [name for name in phases[0]["rms_rad"] if name != "all"]
-    table = Table(title="tracking error, RMS / peak, mrad", title_justify="left", min_width=46)
+    table = Table(title=f"tracking error, RMS / peak, {unit}", title_justify="left", min_width=46)
     table.add_column(f"{metrics['scenario']}, {metrics['controller']}")
     for phase in phases:
         table.add_column(f"{phase['name']} {phase['start']:g}-{phase['end']:g} s", justify="right")
@@ -178,13 +180,15 @@ def metrics_table(metrics: dict[str, Any]) -> Table:
             f"{1e3 * phase['rms_rad'][name]:.1f} / {1e3 * phase['peak_rad'][name]:.1f}"
             for phase in phases
         )
-        table.add_row(name, *cells)
-    found = AdaptationMetrics.model_validate(metrics["adaptation"])
+        own = known.error_unit() if name == "all" else known.error_unit(name)
+        table.add_row(name if own == unit else f"{name} [{own}]", *cells)
+    found = known.adaptation
     if found.before_rad and found.end_rad:
         table.caption = (
-            f"RMS of all joints: {mrad(found.before_rad['all'])} in the {found.span_s:g} s before "
-            f"the change, {mrad(found.end_rad['all'])} in the last {found.span_s:g} s\n"
-            f"{outcome(found)}"
+            f"RMS of all joints: {milli(found.before_rad['all'], unit)} in the {found.span_s:g} s "
+            f"before the change, {milli(found.end_rad['all'], unit)} in the last "
+            f"{found.span_s:g} s\n"
+            f"{outcome(found, unit)}"
         )
         table.caption_justify = "left"
     return table
@@ -202,8 +206,8 @@ def comparison_table(summary: dict[str, Any]) -> Table:
     """Error and re-adaptation by scenario and controller, from the content of `compare.json`."""
     first = summary["controllers"][0]
     table = Table(
-        title="RMS tracking error of all joints in mrad, mean and half of the 95 % interval, "
-        f"{summary['seeds']} seeds: {_drawn(summary)}",
+        title=f"RMS tracking error of all joints in {summary['unit']}, mean and half of the 95 % "
+        f"interval, {summary['seeds']} seeds: {_drawn(summary)}",
         caption=f"ratio: error after the change, of {first}'s; end: the last whole strides of "
         "a quarter of the run; undone: share of the damage at the end, and when 90 % were",
         title_justify="left",
@@ -257,3 +261,27 @@ def _undone(cell: dict[str, Any]) -> str:
         return text
     of_all = f"never {never}/{cell['runs']}"
     return of_all if text == "-" else f"{text}, {of_all}"
+
+
+def timing_lines(asked: Mapping[str, Any], settings: Mapping[str, Any]) -> list[str]:
+    """A line where the loop's timing was rounded up to whole steps of the model, else none.
+
+    Args:
+        asked: Settings of the sensors as they were asked for.
+        settings: Of the run, from the content of `run.json`.
+    """
+    from leglab.machine.sensors import SensorConfiguration
+
+    usual, used = SensorConfiguration(), settings["sensors"]
+    names = [
+        name
+        for name in ("control_period", "latency")
+        if name not in asked and used[name] != getattr(usual, name)
+    ]
+    if not names:
+        return []
+    told = " and ".join(f"{name} is {used[name]:g} s" for name in names)
+    return [
+        f"{told}: rounded up to whole steps of the model's timestep {settings['timestep']:g} s "
+        "(--timestep, --set sensors.NAME=VALUE)"
+    ]

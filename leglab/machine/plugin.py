@@ -48,8 +48,20 @@ def library_path() -> Path:
 
 @functools.cache
 def load_plugin() -> None:
-    """Registers leglab's plugins with MuJoCo; further calls do nothing."""
-    mujoco.mj_loadPluginLibrary(str(library_path()))
+    """Registers leglab's plugins with MuJoCo; further calls do nothing.
+
+    Raises:
+        LeglabError: The library does not load, as with a MuJoCo that it was not built against.
+    """
+    path = library_path()
+    try:
+        mujoco.mj_loadPluginLibrary(str(path))
+    except mujoco.FatalError as error:
+        reason = " ".join(str(error).split())
+        raise LeglabError(
+            f"the plugins do not load with mujoco {mujoco.__version__}: {reason}; install the "
+            "version that leglab was built against, or build leglab anew"
+        ) from error
 
 
 def slots(names: Iterable[str]) -> dict[int, str]:

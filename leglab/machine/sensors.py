@@ -25,12 +25,15 @@ from leglab.machine.parameters import Parameter
 
 # More would take hours a second.
 _MOST_STEPS = 100_000
+# Times that differ by less are the same [s].
+_SAME_TIME = 1e-9
 
 
 class SensorConfiguration(Configuration):
     """Sensors and timing of the control loop.
 
-    Defaults are those of the knee bench's recordings (encoder of 17 bits).
+    Defaults are those of the knee bench's recordings (encoder of 17 bits). A period and a latency
+    that nobody sets are rounded up to whole time steps of the model (`in_whole_steps`).
 
     Attributes:
         control_period: Time from one command to the next [s].
@@ -47,6 +50,27 @@ class SensorConfiguration(Configuration):
     position_noise: float = Field(default=2e-5, ge=0)
     pressure_noise: float = Field(default=1.5e4, ge=0)
     velocity_cutoff: float = Field(default=60.0, gt=0)
+
+
+def in_whole_steps(config: SensorConfiguration, timestep: float) -> SensorConfiguration:
+    """Fits period and latency to a model's time step, where they are left at their defaults.
+
+    Each is rounded up to whole steps: a loop that is somewhat slower and older is one that the
+    machine's computer could run. What was asked for stays, and `loop_timing` refuses it where it
+    is no multiple.
+
+    Args:
+        config: Sensors and timing.
+        timestep: Of the model [s].
+    """
+    rounded = {}
+    for name in ("control_period", "latency"):
+        if name not in config.model_fields_set:
+            value = getattr(config, name)
+            steps = math.ceil(value / timestep - 1e-6)
+            if abs(value - steps * timestep) > _SAME_TIME:
+                rounded[name] = steps * timestep
+    return config.model_copy(update=rounded) if rounded else config
 
 
 class LoopTiming(NamedTuple):
@@ -76,7 +100,7 @@ def loop_timing(config: SensorConfiguration, timestep: float) -> LoopTiming:
     late = round(config.latency / timestep)
     for name, count in (("control_period", steps), ("latency", late)):
         value = getattr(config, name)
-        if abs(value - count * timestep) > 1e-9 or (name == "control_period" and count < 1):
+        if abs(value - count * timestep) > _SAME_TIME or (name == "control_period" and count < 1):
             raise LeglabError(
                 f"{name} = {value:g} s; allowed: a multiple of the model's timestep {timestep:g} s"
             )
@@ -91,6 +115,23 @@ def loop_timing(config: SensorConfiguration, timestep: float) -> LoopTiming:
 def velocity_filter_coefficient(period: float, cutoff_hz: float) -> float:
     """Coefficient a of v[k] += a ((q[k] - q[k-1])/T - v[k-1]), first order with the cutoff."""
     return 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * period)
+
+
+def filtered_velocities(positions: np.ndarray, config: SensorConfiguration) -> np.ndarray:
+    """Estimates velocities from read positions as the control loop does.
+
+    Args:
+        positions: One row a control period [rad or m], (n, joints).
+        config: Period, and cutoff of the filter.
+
+    Returns:
+        Velocities [rad/s or m/s], (n, joints); 0 in the first row, which has none before it.
+    """
+    from scipy.signal import lfilter
+
+    a = velocity_filter_coefficient(config.control_period, config.velocity_cutoff)
+    slopes = np.diff(positions, axis=0, prepend=positions[:1]) / config.control_period
+    return lfilter([a], [1.0, a - 1.0], slopes, axis=0)
 
 
 def velocity_delay(period: float, cutoff_hz: float) -> float:

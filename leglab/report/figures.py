@@ -25,6 +25,7 @@ from leglab.report.page.wording import readable
 from leglab.report.style import BLACK, BLUE, DARK_GREY, LIGHT_GREY, ORANGE, SERIES, VERMILION, style
 from leglab.runs.metrics import phase_table, sliding_rms
 from leglab.runs.run import Run
+from leglab.runs.sweep import unit_of_results
 
 _BAR = 1e5  # Pa
 _MILLI = 1e3
@@ -81,15 +82,18 @@ def tracking_figure(
         for i, (joint, (top, bottom)) in enumerate(zip(joints, panels, strict=True)):
             _draw(top, shown.time, shown[f"{joint}_reference"], color=LIGHT_GREY, linewidth=2.6)
             _draw(top, shown.time, shown[f"{joint}_position"], color=BLUE)
-            top.set_ylabel("position [rad]")
+            unit = recording.error_unit((joint,))
+            top.set_ylabel(f"position [{unit.removeprefix('m')}]")
             top.set_title(readable(joint), fontweight="bold")
             if table:
-                top.set_title(_rms_by_phase(table, joint), loc="right", color=DARK_GREY, fontsize=8)
+                top.set_title(
+                    _rms_by_phase(table, joint, unit), loc="right", color=DARK_GREY, fontsize=8
+                )
             _draw(bottom, shown.time, _MILLI * error[part, i], color=BLUE, linewidth=0.6)
             if window is not None:
                 moving = sliding_rms(recording.time, error[:, [i]], window)
                 _draw(bottom, shown.time, _MILLI * moving[part], color=BLACK, linewidth=1.4)
-            bottom.set_ylabel("error [mrad]")
+            bottom.set_ylabel(f"error [{unit}]")
             for axes in (top, bottom):
                 _finish(axes, phases)
         lines = [_line("reference", LIGHT_GREY, 2.6), _line("measured, error", BLUE)]
@@ -253,12 +257,12 @@ def _change(phases: Sequence[Phase]) -> tuple[float, float] | None:
     return (during or after)[0], after[0]
 
 
-def _rms_by_phase(table: list[dict], joint: str) -> str:
+def _rms_by_phase(table: list[dict], joint: str, unit: str) -> str:
     parts = [
         f"{row['start']:.4g} to {row['end']:.4g} s {_MILLI * row['rms_rad'][joint]:.3g}"
         for row in table
     ]
-    return f"RMS [mrad]: {', '.join(parts)}"
+    return f"RMS [{unit}]: {', '.join(parts)}"
 
 
 def _line(label: str, color: str, width: float = 1.4) -> Line2D:
@@ -292,6 +296,7 @@ def comparison_figure(results: Sequence[dict[str, Any]], *, title: str = "") -> 
                 axes.fill_between(time, low, high, color=color, alpha=0.2, linewidth=0)
             lines.append(Line2D([], [], color=color, linestyle=dashes, label=controller))
         changes = results[0]["changes"]
+        unit = unit_of_results(results)
         for change in changes:
             axes.axvline(change, color=VERMILION, linewidth=1.0, zorder=1)
         if changes:
@@ -303,7 +308,7 @@ def comparison_figure(results: Sequence[dict[str, Any]], *, title: str = "") -> 
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axes.yaxis.set_minor_formatter("")
         axes.xaxis.set_major_locator(MaxNLocator(nbins=10, steps=[1, 2, 5, 10]))
-        axes.set_ylabel(f"RMS error over {results[0]['window']:g} s [mrad]")
+        axes.set_ylabel(f"RMS error over {results[0]['window']:g} s [{unit}]")
         add_head(figure, title, lines, columns=_LEGEND_COLUMNS)
     return figure
 
@@ -360,7 +365,7 @@ def _save(figure: Figure, path: Path) -> Path:
 
 
 def _stack(results: Sequence[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
-    """Times [s], (n,), and errors [mrad], (runs, n), of the time that all of the runs reached."""
+    """Times [s], (n,), and errors [mrad or mm], (runs, n), as far as all of the runs came."""
     count = min(len(result["time"]) for result in results)
     errors = [result["windowed_error_rad"][:count] for result in results]
     return np.array(results[0]["time"][:count]), _MILLI * np.array(errors, dtype=np.float64)

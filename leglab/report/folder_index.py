@@ -22,7 +22,8 @@ State = Literal["whole", "stopped", "broken"]
 _RUN_FILES = ("metrics.json", "run.json", "recording.parquet")
 # Title and first heading lie there; what follows are scripts and data.
 _HEAD_LENGTH = 200_000
-_NUMBERS = ("seed", "RMS before [mrad]", "RMS after [mrad]", "RMS end [mrad]")
+_UNIT = "mrad, of slides mm"
+_NUMBERS = ("seed", *(f"RMS {name} [{_UNIT}]" for name in ("before", "after", "end")))
 _HEAD = ("where", "kind", "scenario", "controller", "model", *_NUMBERS, "outcome", "written, UTC")
 _OURS = '<meta name="generator" content="leglab index"'
 
@@ -42,9 +43,9 @@ class Entry:
         controller: Of a run, or the controllers of a comparison.
         model: Of a run, comparison or diagnosis.
         seed: Of a run.
-        before: RMS error of a run in the strides before its change [mrad].
-        after: RMS error of a run after its change, or of the whole run [mrad].
-        end: RMS error of a run in its last strides [mrad].
+        before: RMS error of a run in the strides before its change [mrad or mm].
+        after: RMS error of a run after its change, or of the whole run [mrad or mm].
+        end: RMS error of a run in its last strides [mrad or mm].
     """
 
     name: str
@@ -161,17 +162,20 @@ def _run(place: Path, files: set[str]) -> dict[str, Any]:
         "controller": metrics.controller,
         "model": metrics.model,
         "seed": metrics.seed,
-        "before": _mrad(metrics.adaptation.before_rad),
-        "after": _mrad(last.rms_rad) if last.name != "before" else None,
-        "end": _mrad(metrics.adaptation.end_rad),
+        "before": _milli(metrics.adaptation.before_rad),
+        "after": _milli(last.rms_rad) if last.name != "before" else None,
+        "end": _milli(metrics.adaptation.end_rad),
     }
     if metrics.completed:
-        return {**told, "told": outcome(metrics.adaptation) if last is not first else ""}
+        return {
+            **told,
+            "told": outcome(metrics.adaptation, metrics.error_unit()) if last is not first else "",
+        }
     reason = metrics.failure or "no reason was stored"
     return {**told, "state": "stopped", "told": f"stopped at {metrics.duration:.2f} s: {reason}"}
 
 
-def _mrad(errors: Mapping[str, float] | None) -> float | None:
+def _milli(errors: Mapping[str, float] | None) -> float | None:
     value = (errors or {}).get("all")
     return None if value is None else 1e3 * value
 

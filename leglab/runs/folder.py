@@ -174,6 +174,11 @@ class ReportedRun:
         return self.last.rms_rad["all"] if end is None else end["all"]
 
     @property
+    def unit(self) -> str:
+        """In which errors of all joints are told: "mrad", "mm", or "mrad or mm"."""
+        return self.metrics.error_unit()
+
+    @property
     def power(self) -> float | None:
         """Mean power from the supply in `last` [W]; None where it was not recorded."""
         energy = self.last.energy_j.get("all")

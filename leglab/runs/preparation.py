@@ -31,7 +31,7 @@ from leglab.machine.changes import (
     vary_parameters,
 )
 from leglab.machine.parameters import placed_parameters
-from leglab.machine.sensors import SensorConfiguration, loop_timing
+from leglab.machine.sensors import SensorConfiguration, in_whole_steps, loop_timing
 from leglab.machine.simulation import Simulation, load_model
 from leglab.references import (
     GAIT,
@@ -148,10 +148,12 @@ class Preparation:
         if settings.parameters:
             plain = Simulation(self._load(visual=False))
             self._parameters = placed_parameters(settings.parameters, plain.elements)
-        self.sensors = validate_configuration(SensorConfiguration, settings.sensors, "sensors")
+        asked = validate_configuration(SensorConfiguration, settings.sensors, "sensors")
         self.nominal = Simulation(self._load(visual=False))
+        timestep = self.nominal.model.opt.timestep
+        self.sensors = in_whole_steps(asked, timestep)
         # Before anything is sized by the period.
-        loop_timing(self.sensors, self.nominal.model.opt.timestep)
+        loop_timing(self.sensors, timestep)
         self.controller_setup = controller_setup(self.nominal, settings.model, self.sensors)
 
     def setup(

@@ -10,6 +10,7 @@ from leglab.base.errors import LeglabError
 from leglab.base.input import read_json
 from leglab.base.notebook import data_frame, data_index, html_table
 from leglab.base.output import write_atomically
+from leglab.base.units import error_unit
 
 METRICS, CONFIGURATION, RECORDING = "metrics.json", "run.json", "recording.parquet"
 RUN_FILES = (METRICS, CONFIGURATION, RECORDING)
@@ -212,6 +213,7 @@ class RunMetrics(BaseModel):
         excess_error_area_rad_s: Area of the moving error above its value before [rad s].
         events: Changes that the controller noticed and named, for one that does.
         health: Slow wear that it followed, likewise.
+        slides: Joints that slide: their errors are metres, in spite of the names of the entries.
     """
 
     scenario: Name
@@ -228,10 +230,18 @@ class RunMetrics(BaseModel):
     excess_error_area_rad_s: FiniteFloat | None = None
     events: list[FaultEvent] = []
     health: list[FaultTrend] = []
+    slides: list[Name] = []
+
+    def error_unit(self, *joints: str) -> str:
+        """Unit in which tracking errors are told, of some joints or of all: "mrad" or "mm"."""
+        names = joints or tuple(name for name in self.phases[0].rms_rad if name != "all")
+        return error_unit(name in self.slides for name in names)
 
     def told(self) -> str:
         """The run in one line."""
-        phases = ", ".join(f"{1e3 * p.rms_rad['all']:.3g} mrad {p.name}" for p in self.phases)
+        phases = ", ".join(
+            f"{1e3 * p.rms_rad['all']:.3g} {self.error_unit()} {p.name}" for p in self.phases
+        )
         failed = f"; ended early: {self.failure}" if self.failure else ""
         return (
             f"{self.scenario}, {self.controller} on {self.model}, seed {self.seed}, "
@@ -246,7 +256,7 @@ class RunMetrics(BaseModel):
             [joint, *(f"{1e3 * rms[joint]:.3g} / {1e3 * peak[joint]:.3g}" for rms, peak in errors)]
             for joint in self.phases[0].rms_rad
         ]
-        return html_table(f"{self.told()}; RMS / peak by joint [mrad]", head, rows)
+        return html_table(f"{self.told()}; RMS / peak by joint [{self.error_unit()}]", head, rows)
 
     def to_pandas(self) -> Any:
         """Returns errors and costs as a `pandas.DataFrame`, by phase and joint; "all" is a joint.

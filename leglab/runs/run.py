@@ -15,7 +15,7 @@ from leglab.base.scenario import Scenario
 from leglab.base.units import CONTROL_UNIT, units_of_columns
 from leglab.control.feedforward.fault_monitor import plain
 from leglab.machine.changes import parameter_units
-from leglab.machine.sensors import CHAMBERS, PressureFaults
+from leglab.machine.sensors import CHAMBERS, PressureFaults, filtered_velocities
 from leglab.runs.clock import adaptation
 from leglab.runs.interrupts import held
 from leglab.runs.loop import History, Loop, Progress, recorded_positions, recording_noise
@@ -182,7 +182,9 @@ def _metrics(loop: Loop, history: History, twin: np.ndarray | None) -> dict[str,
             values = rms(history.diagnostics["model_error"][part & finite])
             row["model_error"] = dict(zip(joints, values.tolist(), strict=True))
     change = min(scenario.breakpoints, default=None)
+    slides = [joint for joint in joints if loop.simulation.slides[joint]]
     return {
+        **({"slides": slides} if slides else {}),
         "duration": float(history.time[-1]),
         "severity": scenario.severity,
         "real_time_factor": float(history.time[-1] / max(history.wall_time, 1e-9)),
@@ -202,11 +204,13 @@ def _recording(loop: Loop, history: History, metadata: dict[str, Any]) -> Record
     simulation, sensors = loop.simulation, loop.preparation.sensors
     noise = recording_noise(loop.settings.seed)
     measured = recorded_positions(history, sensors, noise)
+    velocities = filtered_velocities(measured, sensors)
     columns = {}
     for i, (joint, actuator) in enumerate(
         zip(simulation.joints, simulation.actuators, strict=True)
     ):
         columns[f"{joint}_position"] = measured[:, i]
+        columns[f"{joint}_velocity"] = velocities[:, i]
         columns[f"{joint}_truth"] = history.position[:, i]
         columns[f"{joint}_truth_velocity"] = history.velocity[:, i]
         columns[f"{actuator}_command"] = history.control[:, i]
@@ -233,9 +237,9 @@ def _recording(loop: Loop, history: History, metadata: dict[str, Any]) -> Record
             columns[name].setflags(write=False)  # The recording need not copy it.
     # Encoders of joints that nothing drives, as linear scales of the same noise, rad or m.
     for name, values in history.passive.items():
-        columns[f"{name}_position"] = values + noise.normal(
-            0.0, sensors.position_noise, len(values)
-        )
+        read = values + noise.normal(0.0, sensors.position_noise, len(values))
+        columns[f"{name}_position"] = read
+        columns[f"{name}_velocity"] = filtered_velocities(read[:, None], sensors)[:, 0]
     units = units_of_columns(columns, simulation.slides)
     changeable = parameter_units()
     if loop.machine:

@@ -16,6 +16,7 @@ from leglab.base.errors import LeglabError
 from leglab.base.input import read_json
 from leglab.base.notebook import data_frame, data_index, html_table, panels
 from leglab.base.output import claimed_folder, write_atomically
+from leglab.base.units import error_unit
 from leglab.machine.changes import check_tolerance
 from leglab.runs.fingerprint import fingerprint
 from leglab.runs.parallel import Progress, make_missing
@@ -209,7 +210,7 @@ class ComparisonResult(dict[str, Any]):
             for scenario, controller, cell in self._cells()
         ]
         head = ("scenario", "controller", "before", "after", "end", "undone [%]", "90 % undone [s]")
-        return html_table(f"{self!r}; RMS error [mrad], mean ± half of 95 %", head, rows)
+        return html_table(f"{self!r}; RMS error [{self['unit']}], mean ± half of 95 %", head, rows)
 
     def plot(self) -> list[Any]:
         """Draws the error after the change, or of the whole run, by scenario and controller.
@@ -225,7 +226,7 @@ class ComparisonResult(dict[str, Any]):
             axis.barh(list(known), means, xerr=ends, color="0.6")
             axis.set_title(scenario, fontsize="medium", loc="left")
             axis.invert_yaxis()
-        axes[-1].set_xlabel("RMS tracking error after the change [mrad]")
+        axes[-1].set_xlabel(f"RMS tracking error after the change [{self['unit']}]")
         return axes
 
     def to_pandas(self) -> Any:
@@ -254,7 +255,8 @@ def compare(comparison: Comparison, results: Iterable[dict[str, Any]]) -> Compar
         results: From `run_all`.
 
     Returns:
-        By scenario and controller, each an estimate (`estimate`): the errors `before_rad`,
+        `unit` in which errors are told, a thousandth of that in which they are kept. `results`: by
+        scenario and controller, each an estimate (`estimate`): the errors `before_rad`,
         `after_rad` (of nominal runs the whole) and `end_rad`, `damage_rad`, `recovered`, `t90_s`
         (of the runs that came so far), all as `leglab.runs.clock` has them;
         `excess_error_area_rad_s`; and `ratio` of the error after the change to the first
@@ -263,6 +265,7 @@ def compare(comparison: Comparison, results: Iterable[dict[str, Any]]) -> Compar
         out of all estimates.
     """
     cells: dict[tuple[str, str], dict[int, dict[str, Any]]] = {}
+    results = list(results)
     for result in results:
         metrics = result["metrics"]
         cell = cells.setdefault((metrics["scenario"], metrics["controller"]), {})
@@ -271,6 +274,7 @@ def compare(comparison: Comparison, results: Iterable[dict[str, Any]]) -> Compar
     return ComparisonResult(
         **asdict(comparison),
         version=__version__,
+        unit=unit_of_results(results),
         results={
             scenario: {
                 controller: _summary(
@@ -280,6 +284,19 @@ def compare(comparison: Comparison, results: Iterable[dict[str, Any]]) -> Compar
             }
             for scenario in comparison.scenarios
         },
+    )
+
+
+def unit_of_results(results: Iterable[dict[str, Any]]) -> str:
+    """Unit in which errors of results from `run_all` are told: "mrad", "mm", or "mrad or mm"."""
+    every = [result["metrics"] for result in results]
+    if not any(metrics.get("slides") for metrics in every):
+        return error_unit(())
+    return error_unit(
+        joint in metrics["slides"]
+        for metrics in every
+        for joint in metrics["phases"][0]["rms_rad"]
+        if joint != "all"
     )
 
 

@@ -9,12 +9,12 @@ from leglab.runs.record import ChangeRecord
 
 
 def draw(recording: Recording, changes: Sequence[ChangeRecord]) -> list[Any]:
-    """Draws true tracking error [mrad] and command of every joint; changes are dashed lines.
+    """Draws true tracking error [mrad or mm] and command of every joint; changes are dashed lines.
 
     Returns:
         The axes, below each other, of a new figure of `matplotlib.pyplot`.
     """
-    axes = panels(2)
+    axes, unit = panels(2), recording.error_unit(recording.tracked)
     for joint in recording.tracked:
         position = f"{joint}_truth" if f"{joint}_truth" in recording else f"{joint}_position"
         error = 1e3 * (recording[position] - recording[f"{joint}_reference"])
@@ -24,7 +24,7 @@ def draw(recording: Recording, changes: Sequence[ChangeRecord]) -> list[Any]:
         if command is not None:
             name = recording.actuator_of(joint)
             axes[1].plot(recording.time, command, label=name, linewidth=0.8)
-    for axis, label in zip(axes, ("tracking error [mrad]", "command"), strict=True):
+    for axis, label in zip(axes, (f"tracking error [{unit}]", "command"), strict=True):
         axis.set_ylabel(label)
         axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize="small")
         for start in sorted({change.start for change in changes if change.start > 0}):

@@ -156,7 +156,9 @@ class Display:
         left, bottom = viewport.left, viewport.bottom
         upper = mujoco.MjrRect(left, bottom + height, width, height)
         lower = mujoco.MjrRect(left, bottom, width, height)
-        error_figure = _figure("RMS error [mrad], last 10 s", {"error": (ages, rms)})
+        error_figure = _figure(
+            f"RMS error [{self._session.unit}], last 10 s", {"error": (ages, rms)}
+        )
         return [(upper, error_figure), (lower, _figure(f"command of {joint}", lines))]
 
     def texts(self, *, paused: bool) -> tuple[str, str]:
@@ -171,7 +173,7 @@ class Display:
         recent = list(session.moments)[-round(session.window / session.period) :]
         if recent:
             rms = np.sqrt(np.mean([moment.error**2 for moment in recent]))
-            rows["RMS error"] = f"{1e3 * rms:.1f} mrad over {session.window:.2g} s"
+            rows["RMS error"] = f"{1e3 * rms:.1f} {session.unit} over {session.window:.2g} s"
         if paused:
             rows["paused"] = "Space goes on"
         if session.failure:

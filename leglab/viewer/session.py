@@ -8,6 +8,7 @@ import numpy as np
 
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.scenario import ParameterChange, Scenario
+from leglab.base.units import error_unit
 from leglab.machine.changes import Bodies
 from leglab.machine.plugin import without_warnings
 from leglab.machine.simulation import SimulationError
@@ -52,6 +53,7 @@ class Session:
         simulation: The machine.
         scenario: The scenario asked for.
         joints: Names of the driven joints.
+        unit: In which their errors are told, "mrad" or "mm".
         period: Control period [s].
         sliders: What can be changed by hand, by name.
         values: Present values of the sliders, by name.
@@ -69,6 +71,7 @@ class Session:
         loop.watch = self._show
         self.simulation, self.scenario, self.period = loop.simulation, loop.scenario, loop.period
         self.joints = self.simulation.joints
+        self.unit = error_unit(self.simulation.slides[joint] for joint in self.joints)
         self.sliders = {s.name: s for s in sliders(self.simulation, Bodies(self.simulation.model))}
         self.moments: deque[Moment] = deque(maxlen=round(HISTORY / self.period))
         self._begin()

@@ -124,13 +124,14 @@ class _PanelWriter:
     """Writes heading, changes, gauges and the end into the panel of one run.
 
     `detail` tells it from runs with the same controller, `color` is that of its traces, `error` its
-    moving error [mrad], `scale` the pressure at the end of the colour bar [Pa].
+    moving error [mrad or mm], `scale` the pressure at the end of the colour bar [Pa].
     """
 
     def __init__(
         self, track: Track, detail: str, color: Rgb, panel: Rect, error: np.ndarray, scale: float
     ) -> None:
         self._track, self._detail, self._color, self._panel = track, detail, color, panel
+        self._unit = track.recording.error_unit(track.joints)
         self._error, self._gauges = error, _Gauges(track, panel, scale)
 
     def draw(self, image: Image.Image, time: float) -> None:
@@ -151,7 +152,7 @@ class _PanelWriter:
         draw.rectangle((panel.left, top, panel.right - 1, top + 5), fill=self._color)
         value, narrow = self._error[self._track.row(time)], panel.width < 400
         if np.isfinite(value):
-            shown = f"{value:.{0 if value >= 100 else 1 if value >= 10 else 2}f} mrad"
+            shown = f"{value:.{0 if value >= 100 else 1 if value >= 10 else 2}f} {self._unit}"
             shown = shown if narrow else f"error {shown}"
             write(draw, (panel.right - 10, middle), shown, 17, INK, anchor="rm")
         name, room = str(self._track.settings["controller"]), panel.width - (125 if narrow else 175)

@@ -9,6 +9,7 @@ from PIL import Image, ImageDraw
 
 from leglab.report.film.look import ALARM, FAINT, INK, SOFT, Rect, Rgb, font
 from leglab.report.film.track import Track
+from leglab.report.page.outcome import shared_unit
 from leglab.report.page.wording import readable
 
 _MILLI = 1e3
@@ -43,8 +44,9 @@ class ErrorTrace:
         values = values[np.isfinite(values) & (values > 0)]
         low, high = (values.min(), values.max()) if values.size else (1.0, 10.0)
         self._low, self._high = _log_bounds(float(low), float(high))
+        unit = shared_unit(track.recording.error_unit(track.joints) for track in tracks)
         windows = sorted({f"{track.window:.3g}" for track in tracks})
-        self._note = f"RMS of all joints over {' / '.join(windows)} s, mrad"
+        self._note = f"RMS of all joints over {' / '.join(windows)} s, {unit}"
         self._lines = _smooth_lines((rect.width + 6, rect.height + 6), self._paint)
 
     def x(self, time: float | np.ndarray) -> np.ndarray:
@@ -53,7 +55,7 @@ class ErrorTrace:
         return self._rect.width * (np.asarray(time) - first) / (last - first)
 
     def y(self, error: float | np.ndarray) -> np.ndarray:
-        """Place of an error [mrad], in px from the top of the axes."""
+        """Place of an error [mrad or mm], in px from the top of the axes."""
         with np.errstate(divide="ignore", invalid="ignore"):
             share = (np.log10(error) - self._low) / (self._high - self._low)
         return self._rect.height * (1.0 - np.clip(share, -0.02, 1.02))

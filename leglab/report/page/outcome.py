@@ -1,5 +1,7 @@
 """What a change did to a run, in a few words: for terminals, lists of runs and pages."""
 
+from collections.abc import Iterable
+
 from leglab.report.page.wording import number
 from leglab.runs.clock import TWIN
 from leglab.runs.record import AdaptationMetrics
@@ -9,25 +11,25 @@ _LEAST, _MOST = 0.05, 0.995
 NOTHING = "nothing"
 
 
-def outcome(found: AdaptationMetrics) -> str:
-    """The clock's figures in one line; the reason where there are none."""
+def outcome(found: AdaptationMetrics, unit: str) -> str:
+    """The clock's figures in one line, errors in a unit; the reason where there are none."""
     if found.recovered is None or found.damage_rad is None:
         return found.reason or ""
-    damage = f"damage {mrad(found.damage_rad)} ({found.damage_of})"
+    damage = f"damage {milli(found.damage_rad, unit)} ({found.damage_of})"
     return f"{damage}; {share(found)} undone in the last {found.span_s:g} s; {t90(found)}"
 
 
-def sentence(found: AdaptationMetrics) -> str:
+def sentence(found: AdaptationMetrics, unit: str) -> str:
     """The same as a sentence."""
     if found.recovered is None or found.damage_rad is None:
         return f"What was undone cannot be told: {(found.reason or 'no reason').rstrip('.')}."
     if found.damage_of == TWIN:
         text = (
             "With adaptation stopped just before it, the change would raise the error by "
-            f"{mrad(found.damage_rad)}"
+            f"{milli(found.damage_rad, unit)}"
         )
     else:
-        text = f"The change raises the error by {mrad(found.damage_rad)} in the worst stride"
+        text = f"The change raises the error by {milli(found.damage_rad, unit)} in the worst stride"
     undone = f"{share(found)} of that is undone in the last {found.span_s:g} s"
     if found.recovered < _LEAST:
         return f"{text}; {undone}."
@@ -40,9 +42,15 @@ def sentence(found: AdaptationMetrics) -> str:
     return f"{text}; {undone}, {soon}."
 
 
-def mrad(value: float) -> str:
-    """An error in rad, told in mrad."""
-    return f"{number(1e3 * value)} mrad"
+def milli(value: float, unit: str) -> str:
+    """An error in rad or m, told in its thousandths: `unit` is "mrad", "mm", or both."""
+    return f"{number(1e3 * value)} {unit}"
+
+
+def shared_unit(units: Iterable[str]) -> str:
+    """Unit of a column of errors whose rows have units of their own."""
+    known = set(units)
+    return known.pop() if len(known) == 1 else "mrad or mm"
 
 
 def share(found: AdaptationMetrics) -> str:

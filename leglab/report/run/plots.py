@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from leglab.report.page.outcome import shared_unit
 from leglab.report.page.shell import printable
 from leglab.report.page.wording import shortened
 from leglab.report.run.words import change_words
@@ -79,23 +80,25 @@ def _quantities(runs: Sequence[ReportedRun]) -> tuple[_Quantity, ...]:
     position = "truth" if truly else "position"
     measured = "" if position == "truth" else ", as measured"
     positions = measured or " as they were"
+    unit = shared_unit(run.unit for run in runs)
+    whole = unit.replace("mrad", "rad").replace("mm", "m")
     valves = all(run.recording.actuators_are_valves for run in runs)
     asked = "spool's travel" if valves else "range of the actuator's control"
     quantities = (
         _Quantity(
             name="deviation",
             title="Tracking error",
-            axis="error [mrad]",
-            unit="mrad",
+            axis=f"error [{unit}]",
+            unit=unit,
             caption=f"Position less reference{measured}.",
             curves=((f"{position} error", ""),),
             factor=_MILLI,
         ),
         _Quantity(
             name="angle",
-            title="Angle and reference",
-            axis="angle [rad]",
-            unit="rad",
+            title="Angle and reference" if whole == "rad" else "Position and reference",
+            axis=f"{'angle' if whole == 'rad' else 'position'} [{whole}]",
+            unit=whole,
             caption=f"The broad grey line is the reference; positions{positions}.",
             curves=((position, ""),),
             shared="reference",
@@ -161,13 +164,14 @@ def _error_plot(runs: Sequence[ReportedRun], count: int) -> dict[str, Any] | Non
             traces.append(_trace(run.label, i, time, values[-1], count, width=1.8))
     if not traces:
         return None
+    unit = shared_unit(run.unit for run in runs)
     low, high = min(v.min() for v in values), max(v.max() for v in values)
     log = low > 0 and high / low > _LOG_RATIO
     return {
         "name": "error",
         "title": "RMS error of all joints over one stride",
-        "axis": "RMS error [mrad]",
-        "unit": "mrad",
+        "axis": f"RMS error [{unit}]",
+        "unit": unit,
         "caption": "Over the stride that ends at each time."
         + (" The axis is logarithmic: equal distances are equal ratios." if log else ""),
         "by_joint": False,

@@ -4,6 +4,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from leglab.report.page.outcome import milli, shared_unit
 from leglab.report.page.shell import Table
 from leglab.report.page.wording import listed, number, readable
 from leglab.report.run.words import change_words, different
@@ -41,7 +42,7 @@ def error_bars(runs: Sequence[ReportedRun], colors: int) -> Bars | None:
     comparable = not different(runs)
     rows = []
     for i, (run, value) in enumerate(zip(runs, values, strict=True)):
-        text = f"{number(1e3 * value)} mrad"
+        text = milli(value, run.unit)
         if i and comparable and runs[0].metrics.completed and run.metrics.completed and values[0]:
             text += f" ({100.0 * (value / values[0] - 1.0):+.0f} %)".replace("-", "\u2212")
         if not run.metrics.completed:
@@ -61,15 +62,17 @@ def run_table(runs: Sequence[ReportedRun]) -> Table:
     spans = {run.metrics.adaptation.span_s for run in runs}
     span = f"{spans.pop():g} s" if len(spans) == 1 and None not in spans else "strides"
     last = runs[0].last.name
-    head = ["run", *[f"before, {span} [mrad]"] * changed, f"{last} [mrad]", f"last {span} [mrad]"]
-    head += ["peak [mrad]", *["damage [mrad]", "undone [%]", "90 % undone [s]"] * changed]
+    unit = shared_unit(run.unit for run in runs)
+    head = ["run", *[f"before, {span} [{unit}]"] * changed]
+    head += [f"{last} [{unit}]", f"last {span} [{unit}]"]
+    head += [f"peak [{unit}]", *[f"damage [{unit}]", "undone [%]", "90 % undone [s]"] * changed]
     # All three over the same phase.
     head += [f"RMS command, {last}", f"energy, {last} [J]", f"power, {last} [W]", "came to [s]"]
     rows = []
     for run in runs:
         found = run.metrics.adaptation
-        row = [run.label, *[_mrad(found.before_rad)] * changed]
-        row += [_mrad(run.last.rms_rad), _mrad(found.end_rad), _mrad(run.last.peak_rad)]
+        row = [run.label, *[_milli(found.before_rad)] * changed]
+        row += [_milli(run.last.rms_rad), _milli(found.end_rad), _milli(run.last.peak_rad)]
         if changed:
             row += _damage(run)
         row.append(number(run.last.effort["all"]) if "all" in run.last.effort else _NONE)
@@ -94,13 +97,19 @@ def joint_tables(runs: Sequence[ReportedRun]) -> tuple[Table, ...]:
             f"peak {last.name}": last.peak_rad,
         }
         shown = {name: values for name, values in columns.items() if values}
-        rows = [
-            [joint, *(number(1e3 * v[joint]) if joint in v else _NONE for v in shown.values())]
-            for joint in run.joints
-        ]
-        caption = f"{run.label}: tracking error [mrad]"
+        rows = []
+        for joint in run.joints:
+            cells = (number(1e3 * v[joint]) if joint in v else _NONE for v in shown.values())
+            rows.append([_named(run, joint), *cells])
+        caption = f"{run.label}: tracking error [{run.unit}]"
         tables.append(Table(caption=caption, head=["joint", *shown], rows=rows))
     return tuple(tables)
+
+
+def _named(run: ReportedRun, joint: str) -> str:
+    """A joint, with the unit of its errors where others have another."""
+    own = run.metrics.error_unit(joint)
+    return joint if own == run.unit else f"{joint} [{own}]"
 
 
 def setting_tables(runs: Sequence[ReportedRun]) -> tuple[Table, ...]:
@@ -184,7 +193,7 @@ def _flat(settings: dict, units: dict[str, str], prefix: str = "") -> dict[str, 
     return found
 
 
-def _mrad(errors: dict[str, float] | None) -> str:
+def _milli(errors: dict[str, float] | None) -> str:
     return _NONE if errors is None else number(1e3 * errors["all"])
 
 

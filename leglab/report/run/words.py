@@ -7,7 +7,7 @@ from operator import attrgetter
 import numpy as np
 
 from leglab.machine.changes import parameter_units
-from leglab.report.page.outcome import mrad, sentence, share
+from leglab.report.page.outcome import milli, sentence, share
 from leglab.report.page.shell import Section
 from leglab.report.page.wording import capital, listed, number, readable, shown_unit
 from leglab.runs.folder import ReportedRun
@@ -66,15 +66,15 @@ def headline(runs: Sequence[ReportedRun]) -> str:
         return f"{len(runs)} runs that differ in more than their controllers{ending}."
     best = min(whole, key=attrgetter("error"))
     if len(whole) == 1:
-        text = f"only {best.label} came to the end: {mrad(best.error)} RMS error"
+        text = f"only {best.label} came to the end: {milli(best.error, best.unit)} RMS error"
     elif max(run.error for run in whole) <= (1 + _ALIKE) * best.error:
         text = f"no controller is clearly better: all within {100 * _ALIKE:.0f} % in RMS error"
     else:
         others = sorted((run for run in whole if run is not best), key=attrgetter("error"))
         if len(others) > _MOST_TOLD:
             others = [runs[0] if runs[0] in others else others[0]]
-        told = listed(tuple(f"{run.label} {mrad(run.error)}" for run in others))
-        text = f"{best.label} tracked best: {mrad(best.error)} RMS error; {told}"
+        told = listed(tuple(f"{run.label} {milli(run.error, run.unit)}" for run in others))
+        text = f"{best.label} tracked best: {milli(best.error, best.unit)} RMS error; {told}"
     return f"{capital(best.judged_over)}, {text}{ending}."
 
 
@@ -122,10 +122,10 @@ def _single(run: ReportedRun) -> str:
     found = run.metrics.adaptation
     if found.before_rad is not None:
         return (
-            f"{run.label}: {mrad(found.before_rad['all'])} RMS error in the {found.span_s:g} s "
-            f"before the change, {mrad(run.error)} {run.judged_over}."
+            f"{run.label}: {milli(found.before_rad['all'], run.unit)} RMS error in the "
+            f"{found.span_s:g} s before the change, {milli(run.error, run.unit)} {run.judged_over}."
         )
-    return f"{run.label} tracked to {mrad(run.error)} RMS {run.judged_over}."
+    return f"{run.label} tracked to {milli(run.error, run.unit)} RMS {run.judged_over}."
 
 
 def _tested(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
@@ -176,21 +176,20 @@ def _happened(run: ReportedRun) -> str:
             "holds as far as it came."
         )
     last, joint = run.last, max(run.joints, key=lambda name: run.last.peak_rad[name])
-    peak = f"at most {mrad(last.peak_rad[joint])} (at {joint})"
+    peak = f"at most {milli(last.peak_rad[joint], run.metrics.error_unit(joint))} (at {joint})"
     if run.before is not None and last is not run.before:
         found, told = run.metrics.adaptation, []
         if found.before_rad is not None:
             before = found.before_rad["all"]
-            told.append(f"{mrad(before)} in the {found.span_s:g} s before the change")
-        told.append(
-            f"{mrad(last.rms_rad['all'])} in the {number(last.end - last.start)} s after it"
-        )
+            told.append(f"{milli(before, run.unit)} in the {found.span_s:g} s before the change")
+        after = number(last.end - last.start)
+        told.append(f"{milli(last.rms_rad['all'], run.unit)} in the {after} s after it")
         if found.end_rad is not None:
-            told.append(f"{mrad(run.error)} {run.judged_over}")
+            told.append(f"{milli(run.error, run.unit)} {run.judged_over}")
         parts.append(f"RMS error {', '.join(told)}, {peak}.")
-        parts.append(sentence(found))
+        parts.append(sentence(found, run.unit))
     else:
-        parts.append(f"RMS error {mrad(run.error)} {run.judged_over}, {peak}.")
+        parts.append(f"RMS error {milli(run.error, run.unit)} {run.judged_over}, {peak}.")
     parts += _fallback(run)
     saturated = _saturation(run)
     if saturated > _RARE:
@@ -243,7 +242,8 @@ def _verdict(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
 def _against(run: ReportedRun, first: ReportedRun) -> str:
     """How closely a run follows, beside the first one."""
     ratio = first.error / run.error if run.error > 0 else math.inf
-    figures = f"{mrad(run.error)} against {mrad(first.error)} RMS error {run.judged_over}"
+    both = f"{milli(run.error, run.unit)} against {milli(first.error, first.unit)}"
+    figures = f"{both} RMS error {run.judged_over}"
     if abs(ratio - 1.0) < _ALIKE:
         how = f"about as closely as {first.label}"
     elif ratio >= _CLEARLY:

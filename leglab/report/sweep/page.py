@@ -271,8 +271,8 @@ def _groups(facts: _Facts) -> Table:
         *("valve travel, 1/s", "power, W"),
     ]
     return Table(
-        caption="Medians over runs; errors are RMS over joints and time. least, last and worst are "
-        "of single runs; never: runs that did not undo nine tenths",
+        caption="Medians over runs; errors are RMS over joints and time, of slides in mm. "
+        "least, last and worst are of single runs; never: runs that did not undo nine tenths",
         head=head,
         rows=rows,
         words=2,

@@ -64,7 +64,14 @@ class SweepResult:
             (*row[:4], *("" if figure is None else f"{figure:.3g}" for figure in row[4:]))
             for row in ask(self.folder, _MEDIANS).rows
         ]
-        head = ("scenario", "controller", "runs", "failed", "whole [mrad]", "end [mrad]")
+        head = (
+            "scenario",
+            "controller",
+            "runs",
+            "failed",
+            "whole [mrad or mm]",
+            "end [mrad or mm]",
+        )
         return html_table(
             f"{self!r}; medians", (*head, "undone [%]", "90 % undone [s], where it was"), rows
         )
@@ -98,7 +105,7 @@ class SweepResult:
                 axis.plot(each, [controller] * len(each), "k|", markersize=8)
             axis.set_title(scenario, fontsize="medium", loc="left")
             axis.invert_yaxis()
-        axes[-1].set_xlabel(f"RMS tracking error {told} [mrad]")
+        axes[-1].set_xlabel(f"RMS tracking error {told} [mrad, of slides mm]")
         return axes
 
     def table(self) -> pa.Table:

@@ -1,0 +1,65 @@
+"""The check of the links of the built documentation."""
+
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+
+from leglab import scenario_names
+
+SCRIPT = Path(__file__).parents[1] / "docs" / "check_links.py"
+_spec = importlib.util.spec_from_file_location("check_links", SCRIPT)
+check_links = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(check_links)
+
+
+def site(folder, **links):
+    (folder / "sub").mkdir()
+    (folder / "a b.png").write_bytes(b"")
+    (folder / "sub" / "index.html").write_text('<h1 id="top">x</h1><a name="old">y</a>')
+    body = "".join(f'<a href="{link}">{name}</a>' for name, link in links.items())
+    (folder / "index.html").write_text(f'<p id="here">{body}<img src="a%20b.png"/></p>')
+    return folder
+
+
+GOOD = {
+    "own": "#here",
+    "part": "sub/index.html#top",
+    "anchor": "sub/#old",
+    "rooted": "/sub/index.html",
+    "outside": "https://example.org/nothing#x",
+    "mail": "mailto:a@example.org",
+}
+
+
+def test_links_that_lead_somewhere_are_no_news(tmp_path):
+    assert check_links.broken_links(site(tmp_path, **GOOD)) == []
+
+
+def test_a_link_that_leads_nowhere_is_named(tmp_path):
+    bad = {
+        "page": "gone.html",
+        "part": "sub/index.html#gone",
+        "own": "#gone",
+        "beyond": "../outside.html",
+        "picture": "gone.png",
+    }
+    (tmp_path / "outside.html").write_text("")
+    folder = tmp_path / "site"
+    folder.mkdir()
+    found = check_links.broken_links(site(folder, **GOOD, **{f"bad{k}": v for k, v in bad.items()}))
+    assert [line.split(": ")[1] for line in found] == list(bad.values())
+    assert "index.html has no such part" in found[1]
+
+
+def test_pages_of_the_gallery_are_what_their_script_writes(tmp_path):
+    docs = SCRIPT.parent
+    command = [sys.executable, str(docs / "make_scenarios.py"), "--pages", str(tmp_path)]
+    subprocess.run(command, check=True)
+    made = {path.name: path.read_text() for path in tmp_path.iterdir()}
+    assert made == {path.name: path.read_text() for path in (docs / "scenarios").iterdir()}
+    assert set(made) == {f"{name}.md" for name in (*scenario_names(), "index")}
+    pictures = list((docs / "images" / "scenarios").iterdir())
+    shown = {f"{name}{end}.webp" for name in scenario_names() for end in ("", "_error")}
+    assert {path.name for path in pictures} == shown
+    assert sum(path.stat().st_size for path in pictures) < 3_000_000
