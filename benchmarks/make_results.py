@@ -76,6 +76,13 @@ JOBS = (
         "diagnosis_self_test",
         "--rough --cases 12 --seed 101 --out runs/rough_self_test",
     ),
+    _job(
+        "diagnosis_sizes",
+        30,
+        "diagnosis_self_test",
+        "--sizes visible --cases 23 --seed 303 --out runs/diagnosis_sizes",
+    ),
+    _job("diagnosis_leg", 60, options="--cases 9 --nothing 2 --out runs/diagnosis_leg"),
     _job("adaptation_results", 90, "adaptation_claims"),
 )
 
