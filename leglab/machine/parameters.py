@@ -218,9 +218,9 @@ def markdown_tables(tables: Iterable[PluginTable]) -> str:
     lines = [
         "# Parameters and states of the plugins",
         "",
-        "Made by `leglab parameters --markdown > docs/parameters.md`. SI units, °C for oil. Of "
-        "plugins on a joint N stands for N m at a hinge, N/rad for N m/rad; at a slide rad stands "
-        "for m.",
+        "Made by `leglab parameters --markdown > docs/parameters.md`. SI units, °C for oil. "
+        "Of plugins on a joint N stands for N m at a hinge, N/rad for N m/rad; at a slide rad "
+        "stands for m.",
     ]
     for table in tables:
         lines += ["", f"## {table.plugin}", ""]
