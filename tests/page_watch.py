@@ -45,21 +45,15 @@ _AIM = """(name) => {
   return box.width && box.height ? { x, y, free: part.contains(top) } : null;
 }"""
 _CLICK = "(name) => window.pressable.get(name).click?.()"  # a plot's areas have none
-# Where the keys go, counted in the order of the document: a plot that is drawn anew meanwhile has
-# other nodes in the same order. What a browser builds into a film is one place; the body is none.
+# Where the keys go. What a browser builds into a film is one place.
 _FOCUS = """() => {
   const part = document.activeElement;
-  window.focused = part;
-  const place = part === document.body ? -1 : [...document.querySelectorAll("*")].indexOf(part);
+  window.reached = window.reached || new Map();
+  if (!window.reached.has(part)) window.reached.set(part, window.reached.size);
   const file = part.protocol === "file:" && !part.getAttribute("href").startsWith("#");
-  return { place, tag: part.tagName, file };
+  return { number: window.reached.get(part), tag: part.tagName, file };
 }"""
-_FOCUS_AGAIN = """(place) => {
-  const part = window.focused.isConnected ? window.focused : document.querySelectorAll("*")[place];
-  part?.focus();
-}"""
-# More than a film has controls: the keys are held up in one of its menus.
-_FILM_PLACES = 12
+_FOCUS_AGAIN = "(number) => [...window.reached.keys()][number].focus()"
 
 # What a page can try, from where it stands or by leaving, by the host that would hear of it.
 STAYING = {
@@ -311,33 +305,23 @@ def press_by_keys(page):
     """Presses enter and space wherever the tabulator leads, once round the page.
 
     Returns:
-        Number of places.
-
-    Raises:
-        AssertionError: The tabulator does not come round; says where it was last.
+        Number of places; 0 where the tabulator does not come round.
     """
-    trail, held = [], 0
-    for _ in range(400):
+    previous = -1
+    page.evaluate("() => { window.reached = new Map(); }")
+    for _ in range(300):
         page.keyboard.press("Tab")
         focus = page.evaluate(_FOCUS)
-        place = focus["place"]
-        if place < 0:  # behind the last place, or where a node was taken away
-            continue
-        # The first place is far up in the page: what is drawn anew below does not move it.
-        if trail and place <= trail[0]:
-            return len(trail)
-        held = held + 1 if trail and place == trail[-1] else 0
-        if held:
-            if held > _FILM_PLACES:
-                page.keyboard.press("Escape")
-            continue
-        trail.append(place)
-        if focus["file"]:
+        if focus["number"] < previous:
+            return previous + 1
+        again = focus["number"] == previous  # within a film
+        previous = focus["number"]
+        if focus["file"] or again:
             continue
         for key in ("Enter", "Space"):
             page.keyboard.press(key)
-            page.evaluate(_FOCUS_AGAIN, place)
-    raise AssertionError(f"the tabulator does not come round: {focus}, {held} times, {trail[-9:]}")
+            page.evaluate(_FOCUS_AGAIN, previous)
+    return 0
 
 
 def choose_everything(page):

@@ -181,7 +181,7 @@ def metrics_table(metrics: dict[str, Any]) -> Table:
             for phase in phases
         )
         own = known.error_unit() if name == "all" else known.error_unit(name)
-        table.add_row(name if own == unit else f"{name} [{own}]", *cells)
+        table.add_row(Text(name if own == unit else f"{name} [{own}]"), *cells)
     found = known.adaptation
     if found.before_rad and found.end_rad:
         table.caption = (
