@@ -54,8 +54,8 @@ LOOK_AT = {
     "payload": "A mass on the shank: more torque for the same motion, as the colours of the "
     "cylinders (pressure) show.",
     "seal_wear": "Leakage across the pistons takes flow in proportion to the load. Watch the "
-    "colour of the cylinders (pressure) and the error, and how `bsnn_arx` is back within two "
-    "seconds.",
+    "colour of the cylinders (pressure) and the error, and how `bsnn_arx` has undone "
+    "nine tenths of it three seconds later.",
     "seal_wear_supply_drop": "Two faults at once: more flow is lost, and less pressure drives it. "
     "Both make commands grow.",
     "sensor_dropout": "A third of the readings repeat the last one, so measured velocities jump. "
