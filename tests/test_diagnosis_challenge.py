@@ -30,7 +30,7 @@ def sketch(monkeypatch):
     """Costs by the set of effects that are there, nothing is replayed or refined."""
     costs: dict = {}
 
-    def fitted(problem, fit, free, start):
+    def fitted(problem, fit, free, start, **_):
         return a_fit(LIBRARY, *free)
 
     def window_cost(hypothesis):
@@ -161,9 +161,18 @@ def test_a_larger_effect_that_gains_surely_but_hardly_takes_no_place(sketch):
     assert kept == list(checks) == [VISCOUS, SPRING]  # no checks: swapped to and fro
 
 
-def test_a_rival_that_was_far_behind_is_not_tried(sketch):
+def test_a_rival_that_was_far_behind_while_others_were_missing_is_tried(sketch):
+    """A weak drive fits a heavy rotor, until both have the friction that was missing as well."""
     costs(sketch, {(OFFSET, VISCOUS): 3.0, (COULOMB, VISCOUS): 1.0})
     far = a_round(sketch.library, OFFSET, COULOMB)
     far.contenders[1].cost[:] = 7.0
     kept, _ = challenged(sketch, [OFFSET, VISCOUS], [far, a_round(sketch.library, VISCOUS)])
+    assert kept == [COULOMB, VISCOUS]
+
+
+def test_a_rival_that_was_far_behind_beside_all_others_is_not_tried(sketch):
+    costs(sketch, {(OFFSET, VISCOUS): 3.0, (OFFSET, COULOMB): 1.0})
+    far = a_round(sketch.library, VISCOUS, COULOMB)
+    far.contenders[1].cost[:] = 7.0
+    kept, _ = challenged(sketch, [OFFSET, VISCOUS], [a_round(sketch.library, OFFSET), far])
     assert kept == [OFFSET, VISCOUS]

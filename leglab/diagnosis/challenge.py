@@ -16,6 +16,9 @@ from leglab.diagnosis.judging import earns, t_value
 from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.search import Contender, Round, finished
 
+# Steps of a fit with a rival in an effect's place.
+_SWAPPING = 8
+
 # By effect: the final fit, and what became of it with a rival in the effect's place.
 Checks = Mapping[Key, tuple[Contender, ...]]
 
@@ -49,8 +52,10 @@ def challenged(
     return problem, fit, kept, checks
 
 
-def _refitted(problem: Problem, fit: Fit, free: frozenset[Key], start: Hypothesis) -> Fit:
-    return refit(problem, fit.at, free, start=start, iterations=3, fine=0.3)
+def _refitted(
+    problem: Problem, fit: Fit, free: frozenset[Key], start: Hypothesis, *, iterations: int = 3
+) -> Fit:
+    return refit(problem, fit.at, free, start=start, iterations=iterations, fine=0.3)
 
 
 def _needless(problem: Problem, best: np.ndarray, cost: np.ndarray) -> bool:
@@ -78,10 +83,12 @@ def _needed(problem: Problem, fit: Fit, named: list[Key]) -> tuple[Fit, list[Key
 def _rivals(
     problem: Problem, key: Key, named: Sequence[Key], rounds: Sequence[Round]
 ) -> list[Contender]:
-    """Contenders that cost little more than an effect when it was named."""
+    """Contenders that cost little more than an effect when it was named, or all that lost to it
+    while others were missing: a weak drive fits a heavy rotor until both have their friction.
+    """
     tried = next((r.contenders for r in rounds if any(c.key == key for c in r.contenders)), ())
     own = min((float(c.cost.mean()) for c in tried if c.key == key), default=0.0)
-    limit = problem.thresholds.near_factor * own
+    limit = problem.thresholds.near_factor * own if key == named[-1] else np.inf
     return [c for c in tried if c.key not in named and c.cost.mean() <= limit]
 
 
@@ -97,7 +104,8 @@ def _swapped(
             changed = [rival.key if k == key else k for k in named]
             start = fit.hypothesis.without(key)
             start = start.with_values(rival.key, rival.fit.hypothesis[rival.key])
-            swapped = _refitted(problem, fit, frozenset(changed), start)
+            # The others may have to go far: what stood in for a rival has bent them.
+            swapped = _refitted(problem, fit, frozenset(changed), start, iterations=_SWAPPING)
             cost = problem.window_cost(swapped.hypothesis)
             swap = Contender(key=rival.key, fit=swapped, cost=cost)
             if cost.mean() < _promising(problem, best):

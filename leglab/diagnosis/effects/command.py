@@ -158,16 +158,16 @@ class CommandBias(CommandEffect):
 
 @register_effect
 class CommandPhase(Effect):
-    """Commands act a part of a time step early or late; no fault, but no two set-ups agree in it.
+    """Commands act a part of a time step early; no fault, but set-ups differ in it.
 
-    A recording by MuJoCo itself has all of a new command in its first step, half a step early; a
-    drive samples its command at a phase of its own.
+    A recording by MuJoCo itself has all of a new command in its first step, half a step early. What
+    comes late is `command_delay`.
     """
 
     name = "command_phase"
     group = "valve and command"
-    physics = "u_actuator(t) = u(t + early), within half a time step of the model"
-    source = "MuJoCo's semi-implicit steps; phase of a drive's sampling"
+    physics = "u_actuator(t) = u(t + early), up to half a time step of the model"
+    source = "MuJoCo's semi-implicit steps"
     excitation = "commands that change from sample to sample"
     nameable = False
 
@@ -178,7 +178,7 @@ class CommandPhase(Effect):
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """The time, as wide as what it may be."""
         half = 0.5 * machine.file_timestep
-        return (EffectParameter("early", "s", lower=-half, upper=half, tolerance=half),)
+        return (EffectParameter("early", "s", upper=half, tolerance=half),)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Shifts the momentum of commands; nothing is written into a model, which has its own."""
