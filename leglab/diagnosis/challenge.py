@@ -83,8 +83,10 @@ def _needed(problem: Problem, fit: Fit, named: list[Key]) -> tuple[Fit, list[Key
 def _rivals(
     problem: Problem, key: Key, named: Sequence[Key], rounds: Sequence[Round]
 ) -> list[Contender]:
-    """Contenders that cost little more than an effect when it was named, or all that lost to it
-    while others were missing: a weak drive fits a heavy rotor until both have their friction.
+    """Contenders that cost little more than an effect when it was named.
+
+    All that lost to it while others were missing count, too: a weak drive fits a heavy rotor until
+    both have their friction.
     """
     tried = next((r.contenders for r in rounds if any(c.key == key for c in r.contenders)), ())
     own = min((float(c.cost.mean()) for c in tried if c.key == key), default=0.0)
