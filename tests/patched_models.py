@@ -9,13 +9,11 @@ from leglab.diagnosis.model import Machine
 def reloaded_error(found, path):
     """Largest difference of replays by the patched file and by the fit, in noise levels.
 
-    The patched file speaks for itself: nothing of the fit is added to it. The phase of commands is
-    one of the recordings, which no model has.
+    The patched file speaks for itself: nothing of the fit is added to it.
     """
     problem = found.problem
-    phases = [key for key in found.fit.hypothesis if key[0] == "command_phase"]
     machine = Machine(path, timestep=problem.machine.timestep)
-    own = problem.library.change(found.fit.hypothesis.without(*phases), problem.machine)
+    own = problem.library.change(found.fit.hypothesis, problem.machine)
     bare = problem.library.change(Hypothesis(), machine)
     noise = problem.sensor_noise.min(axis=0)[:, None]
     patched = problem.replay.on(machine).error(bare).values

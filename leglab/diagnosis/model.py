@@ -262,7 +262,6 @@ class Change:
         self.commands = {a: list(paths) for a, paths in machine.carried.commands.items()}
         self.corrections = {c: list(undone) for c, undone in machine.carried.corrections.items()}
         self.starts: dict[tuple[str, str], Start] = {}
-        self.early: dict[str, float] = {}
 
     @property
     def variant(self) -> Variant:
@@ -301,13 +300,6 @@ class Change:
         if actuator not in self.machine.actuators:
             raise LeglabError(f"actuator {actuator!r} does not exist")
         self.commands.setdefault(actuator, []).append(function)
-
-    def advance(self, actuator: str, seconds: float) -> None:
-        """Lets commands of a native actuator act before their time, by less than a time step [s].
-
-        As momentum: the first step after a new command has more of it, or less for a negative time.
-        """
-        self.early[actuator] = self.early.get(actuator, 0.0) + seconds
 
     def correct(self, column: str, function: Correction, *, noise_gain: float = 1.0) -> None:
         """Undoes a sensor fault in a measured column, before states are reconstructed from it.

@@ -154,33 +154,3 @@ class CommandBias(CommandEffect):
             for name, actuator in actuators.items()
             if actuator.dyntype[0] == integrator or actuator.gaintype[0] == affine
         )
-
-
-@register_effect
-class CommandPhase(Effect):
-    """Commands act a part of a time step early; no fault, but set-ups differ in it.
-
-    A recording by MuJoCo itself has all of a new command in its first step, half a step early. What
-    comes late is `command_delay`.
-    """
-
-    name = "command_phase"
-    group = "valve and command"
-    physics = "u_actuator(t) = u(t + early), up to half a time step of the model"
-    source = "MuJoCo's semi-implicit steps"
-    excitation = "commands that change from sample to sample"
-    nameable = False
-
-    def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Native actuators; a valve follows its command itself."""
-        return machine.native_actuators()
-
-    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """The time, as wide as what it may be."""
-        half = 0.5 * machine.file_timestep
-        return (EffectParameter("early", "s", upper=half, tolerance=half),)
-
-    def apply(self, change: Change, element: str, values: Values) -> None:
-        """Shifts the momentum of commands; nothing is written into a model, which has its own."""
-        if values["early"]:
-            change.advance(element, values["early"])
