@@ -127,11 +127,12 @@ def filtered_velocities(positions: np.ndarray, config: SensorConfiguration) -> n
     Returns:
         Velocities [rad/s or m/s], (n, joints); 0 in the first row, which has none before it.
     """
-    from scipy.signal import lfilter
-
+    # Importing scipy.signal takes longer than a short run, and each run of a sweep would do it.
     a = velocity_filter_coefficient(config.control_period, config.velocity_cutoff)
-    slopes = np.diff(positions, axis=0, prepend=positions[:1]) / config.control_period
-    return lfilter([a], [1.0, a - 1.0], slopes, axis=0)
+    found = np.diff(positions, axis=0, prepend=positions[:1]) * (a / config.control_period)
+    for before, now in zip(found[:-1], found[1:], strict=True):
+        now += (1.0 - a) * before
+    return found
 
 
 def velocity_delay(period: float, cutoff_hz: float) -> float:
