@@ -12,6 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple
 
 import mujoco
@@ -130,7 +131,7 @@ def filtered_velocities(positions: np.ndarray, config: SensorConfiguration) -> n
     # Importing scipy.signal takes longer than a short run, and each run of a sweep would do it.
     a = velocity_filter_coefficient(config.control_period, config.velocity_cutoff)
     found = np.diff(positions, axis=0, prepend=positions[:1]) * (a / config.control_period)
-    for before, now in zip(found[:-1], found[1:], strict=True):
+    for before, now in pairwise(found):
         now += (1.0 - a) * before
     return found
 
