@@ -32,19 +32,24 @@ def tables(found: dict[str, Any]) -> str:
     shown = [n for n in SHOWN if n < len(curve)] + [len(curve)]
     rows = [(str(n), *(f"{value:.2f}" for value in curve[n - 1])) for n in shown]
     head = ["generation", "median candidate, mrad", "best candidate, mrad"]
+    return results.table(head, rows) + "\n" + judgement(found, "with the trained residual")
+
+
+def judgement(found: dict[str, Any], name: str) -> str:
+    """Errors on machines that training did not see, without and with a policy of this name."""
     alone, policy = found["static_feedforward_mrad"], found["policy_mrad"]
     better = sum(p < a for a, p in zip(alone, policy, strict=True))
-    judged = [
+    rows = [
         ("`static_feedforward`", f"{sum(alone) / len(alone):.2f}", f"{max(alone):.2f}", ""),
         (
-            "with the trained residual",
+            name,
             f"{sum(policy) / len(policy):.2f}",
             f"{max(policy):.2f}",
             f"{better} of {len(alone)}",
         ),
     ]
-    second = ["machines that training did not see", "mean, mrad", "worst, mrad", "better on"]
-    return results.table(head, rows) + "\n" + results.table(second, judged)
+    head = ["machines that training did not see", "mean, mrad", "worst, mrad", "better on"]
+    return results.table(head, rows)
 
 
 def draw() -> None:

@@ -12,6 +12,7 @@ import sys
 from typing import Any
 
 import results
+from train_residual import judgement
 
 FOLDER = results.ROOT / "runs" / "train_residual_ppo"
 FIGURE = results.ROOT / "docs" / "images" / "train_residual_ppo.png"
@@ -27,19 +28,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
 
 def tables(found: dict[str, Any]) -> str:
     """The judgement."""
-    alone, policy = found["static_feedforward_mrad"], found["policy_mrad"]
-    better = sum(p < a for a, p in zip(alone, policy, strict=True))
-    rows = [
-        ("`static_feedforward`", f"{sum(alone) / len(alone):.2f}", f"{max(alone):.2f}", ""),
-        (
-            f"with a network trained for {found['seconds']:.0f} s",
-            f"{sum(policy) / len(policy):.2f}",
-            f"{max(policy):.2f}",
-            f"{better} of {len(alone)}",
-        ),
-    ]
-    head = ["machines that training did not see", "mean, mrad", "worst, mrad", "better on"]
-    return results.table(head, rows)
+    return judgement(found, f"with a network trained for {found['seconds']:.0f} s")
 
 
 def draw() -> None:
