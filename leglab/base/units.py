@@ -72,6 +72,12 @@ def error_unit(slides: Iterable[bool]) -> str:
     return "mrad or mm" if True in kinds else "mrad"
 
 
+def shared_unit(units: Iterable[str]) -> str:
+    """Returns the unit of errors that stand together, each of which has one of `error_unit`."""
+    known = set(units)
+    return known.pop() if len(known) == 1 else "mrad or mm"
+
+
 def units_of_columns(columns: Iterable[str], slides: Mapping[str, bool]) -> dict[str, str]:
     """Returns the units that are known, by column, for a machine whose joints are known.
 

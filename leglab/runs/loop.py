@@ -30,6 +30,7 @@ from leglab.machine.sensors import (
 )
 from leglab.machine.simulation import Simulation, SimulationError
 from leglab.references import Samples
+from leglab.runs.columns import Columns
 from leglab.runs.fault_bank import fault_bank
 from leglab.runs.inversion import exact_commands, valve_slopes
 from leglab.runs.preparation import Preparation, RunSettings, scenario_of
@@ -39,9 +40,6 @@ _CHECK_INTERVAL = 50
 
 # A run keeps every period in memory.
 _MOST_PERIODS = 50_000_000
-
-# Rows that are kept together before they become columns.
-_BLOCK = 1024
 
 # Columns of a recording by plugin state; `_position` is kept for joints.
 _RECORDED = {
@@ -614,7 +612,7 @@ class _Records:
         self._columns, slots = _state_columns(simulation, schedule)
         self._qpos, self.qvel = np.empty((count, model.nq)), np.empty((count, model.nv))
         self._command = np.empty((count, model.nu))
-        self._states = _Columns(data.plugin_state, slots, count)
+        self._states = Columns(data.plugin_state, slots, count)
         pairs = zip(simulation.joints, simulation.actuators, strict=True)
         native = [joint for joint, name in pairs if name in simulation.native]
         self._native = tuple((joint, i) for i, joint in enumerate(native))
@@ -663,45 +661,6 @@ class _Records:
             },
             "diagnostics": {key: values[:rows] for key, values in self._reports.items()},
         }
-
-
-class _Columns:
-    """Values that are taken a row at a time and kept by column.
-
-    A recording takes over a column that is an array of its own; one of a table it has to copy.
-
-    Args:
-        source: Array that the values come from.
-        index: Where they are in it, (columns,).
-        count: Most rows.
-    """
-
-    def __init__(self, source: np.ndarray, index: np.ndarray, count: int) -> None:
-        self._block = np.empty((min(_BLOCK, count), len(index)))
-        self._columns = [np.empty(count) for _ in index]
-        self._take = Rows(source, index, self._block).take
-        self._row, self._kept = 0, 0
-
-    def take(self, number: int) -> None:
-        """Keeps the present values; rows come one after the other, from number 0 on."""
-        self._take(self._row)
-        self._row += 1
-        if self._row == len(self._block):
-            self._keep()
-
-    def first(self, rows: int) -> list[np.ndarray]:
-        """Returns the first rows of every column, read-only; no row can be taken after it."""
-        self._keep()
-        for column in self._columns:
-            column.resize(rows, refcheck=False)
-            column.setflags(write=False)
-        return self._columns
-
-    def _keep(self) -> None:
-        end = self._kept + self._row
-        for column, values in zip(self._columns, self._block.T, strict=True):
-            column[self._kept : end] = values[: self._row]
-        self._row, self._kept = 0, end
 
 
 def _first_failure(

@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from PIL import Image, ImageDraw
 
+from leglab.base.units import shared_unit
 from leglab.report.film.look import ALARM, FAINT, INK, SOFT, Rect, Rgb, font
 from leglab.report.film.track import Track
-from leglab.report.page.outcome import shared_unit
 from leglab.report.page.wording import readable
 
 _MILLI = 1e3

@@ -1,7 +1,5 @@
 """What a change did to a run, in a few words: for terminals, lists of runs and pages."""
 
-from collections.abc import Iterable
-
 from leglab.report.page.wording import number
 from leglab.runs.clock import TWIN
 from leglab.runs.record import AdaptationMetrics
@@ -45,12 +43,6 @@ def sentence(found: AdaptationMetrics, unit: str) -> str:
 def milli(value: float, unit: str) -> str:
     """An error in rad or m, told in its thousandths: `unit` is "mrad", "mm", or both."""
     return f"{number(1e3 * value)} {unit}"
-
-
-def shared_unit(units: Iterable[str]) -> str:
-    """Unit of a column of errors whose rows have units of their own."""
-    known = set(units)
-    return known.pop() if len(known) == 1 else "mrad or mm"
 
 
 def share(found: AdaptationMetrics) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from leglab.report.page.outcome import shared_unit
+from leglab.base.units import shared_unit
 from leglab.report.page.shell import printable
 from leglab.report.page.wording import shortened
 from leglab.report.run.words import change_words

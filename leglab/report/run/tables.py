@@ -4,7 +4,8 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from leglab.report.page.outcome import milli, shared_unit
+from leglab.base.units import shared_unit
+from leglab.report.page.outcome import milli
 from leglab.report.page.shell import Table
 from leglab.report.page.wording import listed, number, readable
 from leglab.report.run.words import change_words, different
