@@ -16,12 +16,11 @@ from leglab.base.errors import LeglabError
 from leglab.base.input import read_json
 from leglab.base.notebook import data_frame, data_index, html_table, panels
 from leglab.base.output import claimed_folder, write_atomically
-from leglab.base.units import shared_unit
+from leglab.base.units import error_unit
 from leglab.machine.changes import check_tolerance
 from leglab.runs.fingerprint import fingerprint
 from leglab.runs.parallel import Progress, make_missing
 from leglab.runs.preparation import RunSettings, check_controllers, prepared, scenario_of
-from leglab.runs.record import RunMetrics
 from leglab.runs.run import Run, run_scenario
 from leglab.runs.sweeps.outcome import traces
 
@@ -290,8 +289,14 @@ def compare(comparison: Comparison, results: Iterable[dict[str, Any]]) -> Compar
 
 def unit_of_results(results: Iterable[dict[str, Any]]) -> str:
     """Unit in which errors of results from `run_all` are told: "mrad", "mm", or "mrad or mm"."""
-    return shared_unit(
-        RunMetrics.model_validate(result["metrics"]).error_unit() for result in results
+    every = [result["metrics"] for result in results]
+    if not any(metrics.get("slides") for metrics in every):
+        return error_unit(())
+    return error_unit(
+        joint in metrics.get("slides", ())
+        for metrics in every
+        for joint in metrics["phases"][0]["rms_rad"]
+        if joint != "all"
     )
 
 
