@@ -145,27 +145,25 @@ def _nothing(seen):
     return np.zeros(seen.shape[:2])
 
 
-def main() -> None:
-    """Trains, judges and writes what came out."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def common(parser, machines, machines_help, out):
+    """The options that both examples have, beside their own; parsed, with the folder there."""
     parser.add_argument("--model", default="knee_bench", help="one with cylinders")
-    parser.add_argument("--generations", type=int, default=45)
-    parser.add_argument("--population", type=int, default=16)
-    parser.add_argument("--machines", type=int, default=4, help="a candidate drives")
+    parser.add_argument("--machines", type=int, default=machines, help=machines_help)
     parser.add_argument("--judges", type=int, default=32, help="machines of the judgement")
     parser.add_argument("--duration", type=float, default=3.0, help="of an episode [s]")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path("out/residual"))
+    parser.add_argument("--out", type=Path, default=Path(out))
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    strategy, curve, joints = train(arguments, arguments.out / "state.pickle")
-    weights = np.reshape(strategy.result.xfavorite, (joints, len(FEATURES)))
-    many = np.repeat(weights[None], arguments.judges, axis=0)
-    alone, trained = judge(weighted(many), arguments)
+    return arguments
+
+
+def judged(policy, arguments, name, **found):
+    """Judges a policy, writes what was found, and tells how it did."""
+    alone, trained = judge(policy, arguments)
     result = {
         "settings": {k: v for k, v in vars(arguments).items() if k != "out"},
-        "curve_median_best_mrad": curve,
-        "weights": weights.tolist(),
+        **found,
         "static_feedforward_mrad": (1e3 * alone).tolist(),
         "policy_mrad": (1e3 * trained).tolist(),
     }
@@ -174,7 +172,20 @@ def main() -> None:
     better = int((trained < alone).sum())
     print(f"RMS error after the change, mean of {arguments.judges} machines [mrad]:")
     print(f"  static_feedforward {1e3 * alone.mean():.2f}")
-    print(f"  with the policy {1e3 * trained.mean():.2f}, better on {better}")
+    print(f"  with the {name} {1e3 * trained.mean():.2f}, better on {better}")
+
+
+def main() -> None:
+    """Trains, judges and writes what came out."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--generations", type=int, default=45)
+    parser.add_argument("--population", type=int, default=16)
+    arguments = common(parser, 4, "a candidate drives", "out/residual")
+    strategy, curve, joints = train(arguments, arguments.out / "state.pickle")
+    weights = np.reshape(strategy.result.xfavorite, (joints, len(FEATURES)))
+    many = np.repeat(weights[None], arguments.judges, axis=0)
+    found = {"curve_median_best_mrad": curve, "weights": weights.tolist()}
+    judged(weighted(many), arguments, "policy", **found)
 
 
 if __name__ == "__main__":

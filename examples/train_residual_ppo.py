@@ -9,9 +9,7 @@ Needs `pip install stable-baselines3 tensorboard`. `tensorboard --logdir OUT` sh
 """
 
 import argparse
-import json
 import time
-from pathlib import Path
 
 import numpy as np
 import stable_baselines3
@@ -19,9 +17,7 @@ import torch
 from gymnasium.spaces import Box
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
-from train_residual import FEATURES, features, judge, make
-
-from leglab.base.output import write_atomically
+from train_residual import FEATURES, common, features, judged, make
 
 ERROR_SCALE = 0.01  # rad: an error of that size costs 1 a step
 
@@ -105,15 +101,8 @@ class Curve(BaseCallback):
 def main() -> None:
     """Trains, judges and writes what came out."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--model", default="knee_bench", help="one with cylinders")
-    parser.add_argument("--machines", type=int, default=64)
     parser.add_argument("--steps", type=int, default=500_000, help="of all machines together")
-    parser.add_argument("--judges", type=int, default=32, help="machines of the judgement")
-    parser.add_argument("--duration", type=float, default=3.0, help="of an episode [s]")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path("out/residual_ppo"))
-    arguments = parser.parse_args()
-    arguments.out.mkdir(parents=True, exist_ok=True)
+    arguments = common(parser, 64, "of the batch", "out/residual_ppo")
     torch.set_num_threads(1)
     batch = make(arguments.machines, arguments, reward=reward, autoreset="same_step")
     curve = Curve()
@@ -140,22 +129,8 @@ def main() -> None:
     def policy(seen):
         return model.predict(seen.reshape(len(seen), -1).astype(np.float32), deterministic=True)[0]
 
-    alone, trained = judge(policy, arguments)
-    result = {
-        "settings": {k: v for k, v in vars(arguments).items() if k != "out"},
-        "seconds": took,
-        "curve_s_steps_reward": curve.points,
-        "static_feedforward_mrad": (1e3 * alone).tolist(),
-        "policy_mrad": (1e3 * trained).tolist(),
-    }
-    text = json.dumps(result, indent=1) + "\n"
-    write_atomically(arguments.out / "result.json", lambda out: out.write(text.encode()))
-    better = int((trained < alone).sum())
-    print(
-        f"trained for {took:.0f} s; RMS error after the change, {arguments.judges} machines [mrad]:"
-    )
-    print(f"  static_feedforward {1e3 * alone.mean():.2f}")
-    print(f"  with the network {1e3 * trained.mean():.2f}, better on {better}")
+    print(f"trained for {took:.0f} s")
+    judged(policy, arguments, "network", seconds=took, curve_s_steps_reward=curve.points)
 
 
 if __name__ == "__main__":
