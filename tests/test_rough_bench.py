@@ -28,14 +28,19 @@ def _bare_sensors(monkeypatch):
     monkeypatch.setattr(faulty_bench, "ENCODER_STEP", 1e-12)
 
 
-@pytest.mark.parametrize("motion", ["multisine", "steps", "walk"])
+@pytest.mark.parametrize(
+    ("motion", "asymmetry"), [("multisine", 0.0), ("steps", 0.0), ("walk", 0.0), ("steps", 0.2)]
+)
 @pytest.mark.usefixtures("_bare_sensors")
-def test_the_nominal_bench_moves_as_leglab_s_own(motion):
+def test_the_bench_moves_as_leglab_s_own(motion, asymmetry):
     """Same commands, open loop, over 6 s. Measured: 0.06 mrad, 0.02 bar rms, steps being worst."""
     reference = references(np.random.default_rng(3), duration=6.0)[motion]
-    own = FaultyBench().record(reference, np.random.default_rng(0))
+    faults = {("knee_valve", "flow_asymmetry"): asymmetry}
+    own = FaultyBench(parameters=faults).record(reference, np.random.default_rng(0))
     command = np.ascontiguousarray(own["knee_valve_command"])
-    q, _, a, b = native.play({"encoder_counts": 0.0}, float(reference[0]), command, 1e-3, 40)
+    values = {"gain_positive": 1.0 + asymmetry, "gain_negative": 1.0 - asymmetry}
+    values["encoder_counts"] = 0.0
+    q, _, a, b = native.play(values, float(reference[0]), command, 1e-3, 40)
     assert np.ptp(own["knee_position"]) > 0.4
     np.testing.assert_allclose(q, own["knee_position"], atol=1.5e-4)
     for found, chamber in ((a, "knee_pressure_a"), (b, "knee_pressure_b")):
