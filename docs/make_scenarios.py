@@ -166,9 +166,10 @@ def write_plot(folders: list[Path], out: Path) -> None:
 
     mpl.use("Agg")
     import matplotlib.pyplot as plt
+    from matplotlib.ticker import LogLocator
 
     with style():
-        figure, axes = plt.subplots(figsize=(6.4, 2.3), layout="constrained")
+        figure, axes = plt.subplots(figsize=(6.4, 2.5), layout="constrained")
         for run, color in zip(read_runs(folders), SERIES, strict=False):
             error = run.recording.stack(run.joints, "truth")
             error = error - run.recording.stack(run.joints, "reference")
@@ -177,7 +178,10 @@ def write_plot(folders: list[Path], out: Path) -> None:
             for change in {c.start for c in run.configuration.changes if c.start > 0}:
                 axes.axvline(change, color="0.6", linewidth=0.8)
         axes.set(xlabel="time [s]", ylabel="RMS error over\na stride [mrad]")
-        axes.legend(loc="upper left")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        axes.yaxis.set_minor_formatter("")
+        figure.legend(loc="outside upper left", ncols=2)
         buffer = io.BytesIO()
         figure.savefig(buffer, format="png", dpi=100)
         plt.close(figure)
@@ -199,6 +203,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--pages", type=Path, help="write the pages there, and no pictures")
     parser.add_argument("--only", nargs="*", help="pictures of these scenarios alone")
+    parser.add_argument("--plots", action="store_true", help="plots alone, and no clips")
     arguments = parser.parse_args()
     write_pages(arguments.pages or DOCS / "scenarios")
     if arguments.pages:
@@ -212,7 +217,8 @@ def main() -> None:
                 run = run_scenario(RunSettings(scenario=name, controller=controller))
                 folders.append(write_run(run, Path(place) / controller))
             change = min(get_scenario(name).breakpoints, default=0.0)
-            write_clip(folders, max(change - 0.7, 0.0), pictures / f"{name}.webp")
+            if not arguments.plots:
+                write_clip(folders, max(change - 0.7, 0.0), pictures / f"{name}.webp")
             write_plot(folders, pictures / f"{name}_error.webp")
 
 
