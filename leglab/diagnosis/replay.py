@@ -142,7 +142,6 @@ class Replay:
         *,
         chosen: np.ndarray | None = None,
         nudge: Nudge | None = None,
-        early: float = 0.0,
     ) -> ReplayErrors:
         """Measured less predicted in the chosen windows.
 
@@ -150,14 +149,13 @@ class Replay:
             change: What the hypothesis changes.
             chosen: Mask of the windows to replay, shape (windows,); None for all.
             nudge: Departure from the start states.
-            early: By how much commands reach native actuators before their time [s].
         """
         parts = list(self._parts(change, chosen))
         starts = self._starts(change, parts, nudge)
         controls, targets = [], []
         for cut, measured, corrected in parts:
             index = cut.firsts[:, None] + np.arange(self.samples)
-            controls.append(self._controls(measured, index, early))
+            controls.append(self._controls(cut, measured, index))
             targets.append(np.stack([corrected[c.column][index + 1] for c in self.channels], 1))
         states = self._roll(change.variant, starts, np.concatenate(controls))
         errors = np.concatenate(targets) - self._predicted(change.variant, states)
@@ -202,7 +200,7 @@ class Replay:
         measured, corrected = measure(cut, self.channels, change)
         starts = self._starts(change, [(cut, measured, corrected)])
         index = cut.firsts[:, None] + np.arange(self.samples)
-        controls = self._controls(measured, index)
+        controls = self._controls(cut, measured, index)
         moves = np.zeros((2, len(self.machine.actuators), len(self.machine.joints)))
         places = [1 + int(change.variant.model.joint(j).qposadr[0]) for j in self.machine.joints]
         late = np.array([controls.shape[1] // 2, controls.shape[1]]) - 1
@@ -224,7 +222,7 @@ class Replay:
             time=cut.series.time[inside],
             positions={joint: q[inside] for joint, q in measured.position.items()},
             state=starts[0],
-            controls=self._controls(measured, inside[None])[0],
+            controls=self._controls(cut, measured, inside[None])[0],
             moves=moves,
         )
 
@@ -276,7 +274,7 @@ class Replay:
             return states(0, nudge, unknown)
         # Pressures at window starts come from a replay before them.
         controls = [
-            self._controls(m, cut.firsts[:, None] - self._lead + np.arange(self._lead))
+            self._controls(cut, m, cut.firsts[:, None] - self._lead + np.arange(self._lead))
             for cut, m, _ in parts
         ]
         before = states(self._lead, None, unknown)
@@ -285,18 +283,24 @@ class Replay:
         counts = np.cumsum([cut.firsts.size for cut, _, _ in parts])[:-1]
         return states(0, nudge, np.split(warm[:, -1][:, slots], counts))
 
-    def _controls(self, measured: Measured, index: np.ndarray, early: float = 0.0) -> np.ndarray:
+    def _controls(self, cut: Cut, measured: Measured, index: np.ndarray) -> np.ndarray:
         """Controls at the steps of windows, (windows, steps, actuators); `index` their samples."""
-        actuators = self.machine.actuators
+        actuators, steps = self.machine.actuators, self.substeps
         controls = np.stack([measured.command[a][index] for a in actuators], 2)
-        controls = np.repeat(controls, self.substeps, axis=1)
-        # Velocities lag half a step, so a kick spans half a step to both sides of its time: the
-        # first of a sample sees the command before as well. A valve follows its command itself.
-        before = 0.5 - early / self.machine.timestep
+        controls = np.repeat(controls, steps, axis=1)
+        # Velocities lag half a step, so a kick spans half a step to both sides of its time and
+        # has the mean of what is commanded then. A valve follows its command itself.
+        begins = (np.arange(controls.shape[1]) - 0.5) / steps + cut.series.command_lead / (
+            self._period
+        )
+        sample = np.floor(begins).astype(np.int64)
+        later = np.maximum(begins + 1.0 / steps - (sample + 1), 0.0) * steps
         for name in self.machine.native_actuators():
-            i = actuators.index(name)
-            controls[:, :: self.substeps, i] *= 1.0 - before
-            controls[:, :: self.substeps, i] += before * measured.command[name][index - 1]
+            command = measured.command[name]
+            now = index[:, :1] + sample
+            after = np.minimum(now + 1, command.size - 1)
+            kicks = (1.0 - later) * command[np.minimum(now, after)] + later * command[after]
+            controls[:, :, actuators.index(name)] = kicks
         return controls
 
     def _roll(self, variant: Variant, starts: np.ndarray, controls: np.ndarray) -> np.ndarray:

@@ -272,10 +272,9 @@ class Problem:
         start-state errors of covariance P carried on by the sensitivity S of the predictions, from
         replays with nudged starts, and the defect of the time step. That is taken off as for a
         machine, which has no step; a recording of the model itself has the error of the model's
-        step, so that the defect as a whole is no evidence, in no window. Nor is the half step by
-        which it has the commands of native actuators early. `reference` are the errors under the
-        change, shape (windows, channels, bins), and `finer` is what half the time step
-        changes in them.
+        step, so that the defect as a whole is no evidence, in no window. `reference` are the
+        errors under the change, shape (windows, channels, bins), and `finer` is what half the
+        time step changes in them.
         """
         replay, limits = self.replay, self.thresholds
         per_bin = replay.samples // replay.bins
@@ -298,11 +297,6 @@ class Problem:
             moved = replay.error(change, nudge=nudge).values - reference
             shares = (spread / nudge.size)[:, None]
             directions.append(moved.reshape(replay.windows, self.size) * shares)
-        if self.machine.native_actuators():
-            # A recording by MuJoCo itself has all of a new command in its first step: half that
-            # step early.
-            early = replay.error(change, early=0.5 * self.machine.file_timestep).values
-            directions.append((early - reference).reshape(replay.windows, self.size))
         together = np.stack(directions, axis=2)
         covariance += together @ together.transpose(0, 2, 1)
         whitening = inverse_roots(covariance)

@@ -52,6 +52,7 @@ class UniformSeries:
         steps: Least step of quantised columns as they were logged; 0 where there is none.
         noise: Standard deviation of white noise on the grid that averages as the logged samples do,
             by column; empty where the log is on the grid as it is.
+        command_lead: By how much commands reach native actuators before their time [s].
     """
 
     name: str
@@ -61,6 +62,7 @@ class UniformSeries:
     valid: np.ndarray
     steps: dict[str, float] = field(default_factory=dict)
     noise: dict[str, float] = field(default_factory=dict)
+    command_lead: float = 0.0
 
     @classmethod
     def from_recording(
@@ -122,6 +124,7 @@ class UniformSeries:
             valid=valid,
             steps=steps,
             noise=noise,
+            command_lead=recording.command_lead,
         )
 
 

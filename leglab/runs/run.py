@@ -7,10 +7,11 @@ from functools import cache
 from importlib.metadata import version
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from leglab import __version__
-from leglab.base.recording import DRIVES, Recording
+from leglab.base.recording import DRIVES, SIMULATION, Recording
 from leglab.base.scenario import Scenario
 from leglab.base.units import CONTROL_UNIT, units_of_columns
 from leglab.control.feedforward.fault_monitor import plain
@@ -256,7 +257,12 @@ def _recording(loop: Loop, history: History, metadata: dict[str, Any]) -> Record
     }
     for drive in drives.values():
         units[f"{drive['actuator']}_command"] = CONTROL_UNIT
-    known = {**metadata, **({DRIVES: drives} if drives else {}), "units": units}
+    options = simulation.model.opt
+    made = {
+        "timestep": options.timestep,
+        "integrator": mujoco.mjtIntegrator(options.integrator).name.removeprefix("mjINT_").lower(),
+    }
+    known = {**metadata, SIMULATION: made, **({DRIVES: drives} if drives else {}), "units": units}
     return Recording(time=history.time, columns=columns, metadata=known)
 
 
