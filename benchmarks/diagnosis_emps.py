@@ -2,6 +2,8 @@
 
 `python benchmarks/diagnosis_emps.py`: models identified on DATA_EMPS, simulated over the whole of
 DATA_EMPS_PULSES. Free runs get the measured current and the first moments' state, nothing else.
+A second table tells the replays of 0.3 s, and what limits them: the best function of position and
+velocity that DATA_EMPS, or the pulses themselves, could teach.
 Peers are identified as Janot, Gautier and Brunot (2019) do: the inverse dynamic model by least
 squares, position filtered without lag, derivatives by central differences. The recordings are
 looked for in $LEGLAB_DATA and ../shared/data.
@@ -20,6 +22,7 @@ from scipy.signal import butter, decimate, filtfilt
 from leglab.base.recording import Recording
 from leglab.diagnosis.hypothesis import Hypothesis
 from leglab.diagnosis.improve import improved_model
+from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.verdict import diagnose
 from leglab.diagnosis.whole import LOOP, follow
 from leglab.diagnosis.workflow import DiagnosisSettings, set_up
@@ -29,10 +32,12 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from tests.rigs.measured import EMPS_HELD_OUT, EMPS_MODEL, emps
 
 HEAD = ("model", "what is fitted", "free run, RMS mm", "in closed loop, RMS mm")
+WINDOW_HEAD = ("0.3 s of the pulses", "fitted on", "RMS mm at the end", "closed")
 MASS, VISCOUS, COULOMB = 95.1089, 203.5034, 20.3935  # as published, kg, N s/m, N
 _BAND, _DECIMATION = 20.0, 25  # Hz; samples: the band of 20 Hz at 40 Hz
 _SMALL = 1e-4  # m/s over which dry friction changes its sign
 _SUBSTEPS = 10
+_POWERS = 6  # of position in the function that is fitted to what is left, by direction
 
 
 def motion(recording: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -84,6 +89,48 @@ def simulated(recording: Recording, values: np.ndarray, form: str) -> np.ndarray
     return out
 
 
+def limits(problem: Problem, before: Hypothesis, after: Hypothesis) -> list[dict[str, Any]]:
+    """Errors at the end of the pulses' windows, and what a function of the state could leave.
+
+    The function is a polynomial of position and a viscous term, both by direction, fitted to the
+    ends' errors under the diagnosis by least squares.
+    """
+    replay, names = problem.replay, [s.name for s in problem.series]
+    pulses = replay.recording == names.index(EMPS_HELD_OUT)
+    ends = [
+        replay.error(problem.library.change(h, problem.machine)).values[:, 0, -1]
+        for h in (before, after)
+    ]
+    change = problem.library.change(after, problem.machine)
+    measured = [m for _, m, _ in replay._parts(change, None)]
+    position, velocity = (
+        replay.at_starts([getattr(m, name)["slide"] for m in measured])
+        for name in ("position", "velocity")
+    )
+    columns = []
+    for side in (velocity > 0, velocity <= 0):
+        columns += [side * (position / np.ptp(position)) ** k for k in range(_POWERS)]
+        columns.append(side * velocity)
+    basis = np.stack(columns, 1)
+    viscous = np.stack([np.sign(velocity), velocity], 1)
+
+    def left(errors: np.ndarray, terms: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        return errors - terms @ np.linalg.lstsq(terms[rows], errors[rows], rcond=None)[0]
+
+    learned = left(ends[1], basis, ~pulses)
+    found = [
+        ("the model as it was", "", ends[0]),
+        ("leglab diagnose", "DATA_EMPS", ends[1]),
+        ("... and any function of position and velocity", "DATA_EMPS", learned),
+        ("... and its friction anew", "the pulses", left(learned, viscous, pulses)),
+        ("leglab diagnose and any such function", "the pulses", left(ends[1], basis, pulses)),
+    ]
+    return [
+        {"model": model, "fitted": fitted, "end": float(np.sqrt(np.mean(errors[pulses] ** 2)))}
+        for model, fitted, errors in found
+    ]
+
+
 def measure(options: argparse.Namespace) -> Any:
     recordings = emps()
     train = next(r for name, r in recordings.items() if name != EMPS_HELD_OUT)
@@ -122,12 +169,20 @@ def measure(options: argparse.Namespace) -> Any:
                 followed = follow(problem, hypothesis, number, loop=loop)
                 errors.append(followed.deviation("slide") if followed else float("nan"))
             add(name, "", *errors)
-    return rows
+    replays = limits(found.problem, Hypothesis(), found.fit.hypothesis)
+    return {"whole": rows, "windows": replays}
 
 
-def tables(rows: list[dict[str, Any]]) -> str:
+def tables(kept: dict[str, Any]) -> str:
     """A row a model."""
-    return results.table(
+    replays = kept["windows"]
+    first = replays[0]["end"]
+    windows = [
+        (row["model"], row["fitted"], f"{1e3 * row['end']:.2f}",
+         f"{100 * (1 - row['end'] / first):.0f} %" if i else "")
+        for i, row in enumerate(replays)
+    ]  # fmt: skip
+    whole = results.table(
         HEAD,
         [
             (
@@ -136,9 +191,10 @@ def tables(rows: list[dict[str, Any]]) -> str:
                 f"{1e3 * row['free']:.2f}",
                 "" if row["closed"] is None else f"{1e3 * row['closed']:.2f}",
             )
-            for row in rows
+            for row in kept["whole"]
         ],
     )
+    return whole + "\n" + results.table(WINDOW_HEAD, windows)
 
 
 def main() -> None:

@@ -23,6 +23,7 @@ from leglab.diagnosis.remainder.learning import closed, pays
 from leglab.diagnosis.remainder.part import Part
 from leglab.diagnosis.remainder.splines import Spline, basis, clamped, project, roughness
 from leglab.diagnosis.remainder.words import describe
+from leglab.diagnosis.verdict import diagnose
 from leglab.diagnosis.workflow import DiagnosisSettings, set_up
 from leglab.machine import plugin
 from leglab.studies.blind.faulty_bench import FaultyBench, references
@@ -476,3 +477,14 @@ def test_the_measured_axis_is_improved_on_the_pulses_that_no_fit_has_seen():
     before, after = held.at_horizon["slide_position"]
     assert after < 0.45 * before
     assert result.closed_fraction > 0.6
+
+
+def test_friction_of_the_measured_axis_that_differs_by_direction_is_named():
+    """The tempting wrong answers are an offset of the force, and a remainder that has no name."""
+    recordings = or_skip(emps)
+    result, _ = diagnose(EMPS_MODEL, recordings, held_out=(EMPS_HELD_OUT,))
+    assert result.verdict == "named"
+    assert [effect.name for effect in result.effects] == ["asymmetric_friction"]
+    assert result.effects[0].confidence > 0.8
+    (left,) = result.remaining
+    assert left.after < 0.4 * left.before

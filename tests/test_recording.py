@@ -1,5 +1,6 @@
 import pickle
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
@@ -131,3 +132,42 @@ def test_travels_between_processes():
     copy = pickle.loads(pickle.dumps(recording))
     assert copy == recording
     assert not copy.time.flags.writeable
+
+
+_SLIDE = """<mujoco><option timestep="{}" integrator="{}"/><worldbody><body>
+<joint name="slide" type="slide"/><geom size="0.1" mass="1"/></body></worldbody>
+<actuator><motor joint="slide"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "RK4", "implicit", "implicitfast", "discrete"])
+def test_commands_of_a_simulation_act_as_early_as_its_integrator_has_them(integrator):
+    """x = (t + lead)² / 2 of a unit force on a unit mass; a machine has no lead."""
+    timestep, steps = 2e-3, 1000
+    text = _SLIDE.format(timestep, integrator).replace("<option", '<option gravity="0 0 0"')
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    data.ctrl[0] = 1.0
+    mujoco.mj_step(model, data, nstep=steps)
+    made = {"timestep": timestep, "integrator": integrator.lower()}
+    recording = Recording(
+        time=timestep * np.arange(steps), columns={}, metadata={"simulation": made}
+    )
+    travelled = 0.5 * (data.time + recording.command_lead) ** 2
+    assert travelled == pytest.approx(data.qpos[0], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        None,
+        "0.001",
+        {"timestep": 1e-3},
+        {"timestep": "long", "integrator": "euler"},
+        {"timestep": -1e-3, "integrator": "euler"},
+        {"timestep": 1e3, "integrator": "euler"},
+        {"timestep": 1e-3, "integrator": "mine"},
+    ],
+)
+def test_commands_of_a_recording_that_tells_no_known_simulation_act_at_their_time(told):
+    recording = Recording(time=1e-3 * np.arange(9), columns={}, metadata={"simulation": told})
+    assert recording.command_lead == 0.0
