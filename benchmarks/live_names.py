@@ -19,8 +19,8 @@ import results
 from leglab import RunSettings
 from leglab.base.errors import LeglabError
 from leglab.base.scenario import Scenario, get_scenario, scenario_per_joint
-from leglab.control.feedforward.fault_bank import ALL
-from leglab.control.feedforward.fault_monitor import UNKNOWN, Event
+from leglab.control.feedforward.fault_bank import ALL, UNKNOWN
+from leglab.control.feedforward.fault_monitor import Event
 from leglab.runs.clock import adaptation
 from leglab.runs.fault_bank import FAULTS
 from leglab.runs.loop import Loop

@@ -10,13 +10,8 @@ from leglab.base.errors import LeglabError
 from leglab.base.scenario import get_scenario
 from leglab.cli.terminal import fault_lines
 from leglab.control import Measurement, ReferencePoint, make_controller
-from leglab.control.feedforward.fault_bank import ALL, FaultBank, FaultCurve
-from leglab.control.feedforward.fault_monitor import (
-    UNKNOWN,
-    FaultMonitor,
-    MonitorConfiguration,
-    plain,
-)
+from leglab.control.feedforward.fault_bank import ALL, UNKNOWN, FaultBank, FaultCurve
+from leglab.control.feedforward.fault_monitor import FaultMonitor, MonitorConfiguration, plain
 from leglab.runs.loop import Loop
 
 JOINTS, PARAMETERS, PERIOD, BLOCK = ("hip", "knee"), 6, 0.004, 5

@@ -97,6 +97,7 @@ class FaultName(BaseModel):
     meaning: str = ""
     confidence: FiniteFloat
     explained: FiniteFloat
+    undoes: FiniteFloat | None = None
 
 
 def _place(element: str) -> str:
@@ -119,6 +120,8 @@ class FaultEvent(BaseModel):
         name = self.names[-1]
         where = "" if name.element == "all" else f"{name.element} "
         size = "" if name.size is None else f" {name.size:.3g}, {100 * name.confidence:.0f} %"
+        if name.undoes is not None:
+            size = f" back to{size}" if size else " undone"
         return f"{where}{name.fault}{size}".replace("_", " ")
 
     def told(self) -> str:
@@ -130,6 +133,8 @@ class FaultEvent(BaseModel):
             meaning = f"; {name.meaning}" if name.meaning else ""
             line += f" {name.size:.3g}{ends}{meaning})" if ends else f" {name.size:.3g}"
             line += f", {100 * name.confidence:.0f} %"
+        if name.undoes is not None:
+            line += f", goes back on what began at {name.undoes:.2f} s"
         line += f", since {name.onset:.2f} s, said at {name.time:.2f} s"
         if self.withdrawn is not None:
             line += f", withdrawn at {self.withdrawn:.2f} s"

@@ -11,6 +11,9 @@ from leglab.base.errors import LeglabError
 # Element of a fault that all cylinders have alike, or that none has for itself.
 ALL = "all"
 
+# Name of a change that no fault of a bank explains.
+UNKNOWN = "unknown change"
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FaultCurve:
@@ -23,6 +26,8 @@ class FaultCurve:
         sizes: Strictly monotone, the healthy one first, (sizes,).
         shifts: Parameters with the fault less those without, (sizes, joints, parameters); zero at
             the healthy size.
+        undoes: When the change began that the curve leads back from [s]; None of one that leads
+            away from the healthy size. Such a curve has the present size first.
 
     Raises:
         LeglabError: Shapes do not fit, sizes are not monotone or the first shift is not zero.
@@ -33,6 +38,7 @@ class FaultCurve:
     meaning: str
     sizes: np.ndarray
     shifts: np.ndarray
+    undoes: float | None = None
 
     def __post_init__(self) -> None:
         where = f"fault {self.fault!r} of {self.element!r}"

@@ -18,14 +18,15 @@ from pydantic import Field
 
 from leglab.base.errors import LeglabError
 from leglab.base.settings import Configuration
-from leglab.control.feedforward.fault_bank import ALL, FaultBank, FaultCurve, Moments
-
-UNKNOWN = "unknown change"
+from leglab.control.feedforward.fault_bank import ALL, UNKNOWN, FaultBank, FaultCurve, Moments
+from leglab.control.feedforward.standing import Standing, Standings
 
 # Times after an onset at which the bank is asked [s]: often at first, as the evidence grows. The
-# case is closed at the last one.
+# case is closed at the last one, or once a name has stood for so long: the machine may change again.
 _EARLY = (0.09, 0.12, 0.15, 0.18, 0.22, 0.26, 0.3, 0.36, 0.43, 0.5, 0.6, 0.72, 0.86, 1.0)
 _LOOKS = (*_EARLY, 1.2, 1.4, 1.7, 2.0, 2.4, 2.8, 3.2)
+
+_STEADY = 1.4
 
 # From when to when after an onset an explanation may become less good, as more is seen [s].
 _GROWN = (0.1, 0.4)
@@ -59,8 +60,7 @@ class MonitorConfiguration(Configuration):
 
     Attributes:
         block: Learned samples from one look at them to the next.
-        warm_up: Learned samples before the first alarm; after a closed case `slow_window` and half
-            as many again.
+        warm_up: Learned samples before the first alarm; after a closed case `slow_window`.
         slow_window: Learned samples in the mean square error that is normal.
         error_ratio: Rise of the mean square error that the cumulative sum tests for.
         alarm: Cumulative log-likelihood ratio at which a change is declared, beyond what it
@@ -109,6 +109,7 @@ class Name:
             change, the share of the squared error that the best fault of the bank leaves.
         explained: Share of the weighted squared error since the onset that it takes away [1]; of an
             unknown change, what the best fault would.
+        undoes: Onset of the change that this one takes back, all or in part [s]; None of a new one.
     """
 
     time: float
@@ -121,6 +122,7 @@ class Name:
     meaning: str = ""
     confidence: float
     explained: float
+    undoes: float | None = None
 
 
 @dataclass(kw_only=True, eq=False)
@@ -161,10 +163,12 @@ class _Case:
 
     onset: float
     base: np.ndarray
+    bank: FaultBank
     moments: Moments | None = None
     look: int = 0
     sums: list[tuple[float, Moments]] = field(default_factory=list)
     shift: np.ndarray | None = None
+    size: float = 0.0
     key: tuple[str, str] | None = None
     event: Event | None = None
     hit: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
@@ -203,6 +207,7 @@ class FaultMonitor:
                 f"the bank of faults is of {had} joints, the machine has {len(joints)}"
             )
         self._bank, self._joints, self._config = bank, joints, config
+        self._standings = Standings(bank)
         self._period = sample_period
         kinds = ("fault", "fault_size", "fault_confidence")
         self.report = {name: np.zeros(len(joints)) for name in kinds}
@@ -213,6 +218,7 @@ class FaultMonitor:
         self.events: list[Event] = []
         self._recent: deque[_Block] = deque(maxlen=25)
         self._case: _Case | None = None
+        self._standings.clear()
         self._start(self._config.warm_up)
         for values in self.report.values():
             values[:] = 0.0
@@ -288,7 +294,8 @@ class FaultMonitor:
     def _open(self, time: float, alarm: np.ndarray) -> Advice | None:
         onset = self._onset(float(np.min(self._since[alarm])))
         before = [block for block in self._recent if block.time <= onset] or [self._recent[0]]
-        self._case = _Case(onset=onset, base=before[-1].parameters)
+        base = before[-1].parameters
+        self._case = _Case(onset=onset, base=base, bank=self._standings.bank(base))
         for block in self._recent:
             self._collect(self._case, block.time, block.samples)
         return self._act(self._case, time)
@@ -319,13 +326,33 @@ class FaultMonitor:
         case = self._case
         assert case is not None
         self._collect(case, time, samples)
-        if case.look >= len(_LOOKS):
+        named = case.event and case.event.withdrawn is None and case.event.names[-1].time
+        if case.look >= len(_LOOKS) or (named and time > named + _STEADY):
+            self._close(case)
             self._case = None
-            self._start(1.5 * self._config.slow_window)
+            self._start(self._config.slow_window)
             if case.event is None or case.event.withdrawn is not None:
                 self._tell(None)
             return None
         return self._act(case, time)
+
+    def _close(self, case: _Case) -> None:
+        """Remembers what was told last, for a machine that is changed again."""
+        if case.event is None or case.event.withdrawn is not None:
+            return
+        name = case.event.names[-1]
+        if name.undoes is not None:
+            self._standings.undo(name.undoes, case.size)
+            return
+        change = Standing(
+            onset=name.onset,
+            fault=name.fault,
+            element=name.element,
+            meaning=name.meaning,
+            size=1.0 if name.size is None else name.size,
+            before=case.base,
+        )
+        self._standings.add(change)
 
     def _collect(self, case: _Case, time: float, samples: np.ndarray) -> None:
         count = len(samples)
@@ -355,12 +382,13 @@ class FaultMonitor:
         config, moments = self._config, case.moments.about(case.base)
         count = np.maximum(moments.count, 1.0)
         variance = self._normal + config.discrepancy**2 * moments.power / count
-        fit = self._bank.fit(moments, 1.0 / np.maximum(variance, 1e-300))
-        chance = self._bank.chances(fit.cost, config.correlation)
+        bank = case.bank
+        fit = bank.fit(moments, 1.0 / np.maximum(variance, 1e-300))
+        chance = bank.chances(fit.cost, config.correlation)
         best = int(np.argmin(fit.cost))
-        group = int(self._bank.group[best])
+        group = int(bank.group[best])
         explained = 1.0 - fit.cost[best] / max(fit.without, 1e-300)
-        key = self._bank.keys[group]
+        key = bank.keys[group]
         least = config.kept
         if key != case.key:
             least = float(np.interp(time - case.onset, _GROWN, config.explained))
@@ -372,8 +400,9 @@ class FaultMonitor:
         )
         now = self._recent[-1].parameters
         if stands_out:
-            curve = self._bank.curves[best]
-            shift = curve.shift(float(fit.size[best]))
+            curve = bank.curves[best]
+            case.size = float(fit.size[best])
+            shift = curve.shift(case.size)
             self._name(
                 case, time, curve, fit.size[best], fit.spread[best], chance[group], explained
             )
@@ -438,6 +467,12 @@ class FaultMonitor:
         differs = config.discrepancy * abs(size - curve.sizes[0])
         half = 1.645 * math.hypot(sampled, differs)
         ends = float(np.min(curve.sizes)), float(np.max(curve.sizes))
+        sized: dict[str, Any] = {
+            "size": float(size),
+            "low": max(float(size) - half, ends[0]),
+            "high": min(float(size) + half, ends[1]),
+            "meaning": curve.meaning,
+        }
         self._say(
             case,
             Name(
@@ -445,12 +480,10 @@ class FaultMonitor:
                 onset=case.onset,
                 fault=curve.fault,
                 element=curve.element,
-                size=float(size),
-                low=max(float(size) - half, ends[0]),
-                high=min(float(size) + half, ends[1]),
-                meaning=curve.meaning,
                 confidence=float(chance),
                 explained=float(explained),
+                undoes=curve.undoes,
+                **(sized if curve.fault != UNKNOWN else {}),
             ),
         )
 
@@ -489,7 +522,7 @@ class FaultMonitor:
         """Fills the report."""
         for values in self.report.values():
             values[:] = 0.0
-        if name is None:
+        if name is None or (name.fault == UNKNOWN and name.undoes is not None):
             return
         faults, own = self._bank.faults, name.element.split(",")
         number = -1.0 if name.fault == UNKNOWN else 1.0 + faults.index(name.fault)

@@ -18,8 +18,7 @@ from scipy.special import stdtrit
 
 from leglab.base.errors import LeglabError
 from leglab.base.settings import Configuration
-from leglab.control.feedforward.fault_bank import ALL, FaultBank, FaultCurve, Moments
-from leglab.control.feedforward.fault_monitor import UNKNOWN
+from leglab.control.feedforward.fault_bank import ALL, UNKNOWN, FaultBank, FaultCurve, Moments
 
 # What a sound machine passes through: a name, and the faults of the bank whose sizes, in one unit,
 # are its values. A drift of it is no wear, wherever it begins.

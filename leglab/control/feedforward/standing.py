@@ -1,0 +1,128 @@
+"""Faults that stand: a machine that has one may be repaired, or get more of it.
+
+From a machine with faults the bank's own curves begin where the machine is, not at a healthy one.
+The way back is known better than any simulation knows it: the learner has followed the change on
+this very machine, and its parameters moved by what is to be undone.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from leglab.control.feedforward.fault_bank import UNKNOWN, FaultBank, FaultCurve
+
+# So many changes are remembered.
+_MOST = 4
+
+# Share of what is learned of a change that must go for it to count as undone.
+_UNDONE = 0.7
+
+
+@dataclass(kw_only=True, eq=False)
+class Standing:
+    """A change that was noticed, as long as it is not undone.
+
+    Attributes:
+        onset: When it began [s].
+        fault: Name of the fault, or "unknown change".
+        element: Joint, joints by commas, or "all".
+        meaning: What the size says.
+        size: In the fault's own unit; 1 of an unknown change.
+        before: Parameters of the map before it, (joints, parameters).
+        healthy: Size of a machine without it; 0 of an unknown change.
+        after: Parameters when the next change was noticed; None while there was none.
+    """
+
+    onset: float
+    fault: str
+    element: str
+    meaning: str
+    size: float
+    before: np.ndarray
+    healthy: float = 0.0
+    after: np.ndarray | None = None
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Fault and element."""
+        return self.fault, self.element
+
+    def back(self) -> FaultCurve | None:
+        """The curve from this size to the healthy one, by what was learned; None without it."""
+        if self.after is None or self.size == self.healthy:
+            return None
+        learned = self.after - self.before
+        return FaultCurve(
+            fault=self.fault,
+            element=self.element,
+            meaning=self.meaning,
+            sizes=np.array([self.size, self.healthy]),
+            shifts=np.stack([np.zeros_like(learned), -learned]),
+            undoes=self.onset,
+        )
+
+
+class Standings:
+    """The changes that stand, and the bank of what may come next.
+
+    Args:
+        bank: Of the healthy machine.
+    """
+
+    def __init__(self, bank: FaultBank) -> None:
+        self._bank = bank
+        self._changes: list[Standing] = []
+
+    def clear(self) -> None:
+        """Forgets all."""
+        self._changes = []
+
+    def bank(self, now: np.ndarray) -> FaultBank:
+        """The bank for the change that begins now.
+
+        Args:
+            now: Parameters of the map before it, (joints, parameters).
+        """
+        for change in self._changes:
+            if change.after is None:
+                change.after = now.copy()
+        sizes = {change.key: change.size for change in self._changes}
+        curves = [_onward(c, sizes.get((c.fault, c.element))) for c in self._bank.curves]
+        ways_back = [change.back() for change in self._changes]
+        return FaultBank(curves=tuple(c for c in (*curves, *ways_back) if c is not None))
+
+    def add(self, change: Standing) -> None:
+        """Remembers a change that was told."""
+        healthy = [c.sizes[0] for c in self._bank.curves if (c.fault, c.element) == change.key]
+        change.healthy = float(healthy[0]) if healthy else 0.0
+        earlier = [one for one in self._changes if one.key == change.key]
+        if earlier and change.fault != UNKNOWN:
+            # More of the same: the whole way back is that from before the first.
+            change.before = earlier[0].before
+            self._changes.remove(earlier[0])
+        self._changes = [*self._changes, change][-_MOST:]
+
+    def undo(self, onset: float, size: float) -> bool:
+        """Takes back a change as far as its size says; whether all of it is gone."""
+        (change,) = [one for one in self._changes if one.onset == onset]
+        assert change.after is not None
+        left = (size - change.healthy) / (change.size - change.healthy)
+        if left <= 1.0 - _UNDONE:
+            self._changes.remove(change)
+            return True
+        change.after = change.before + left * (change.after - change.before)
+        change.size = size
+        return False
+
+
+def _onward(curve: FaultCurve, size: float | None) -> FaultCurve | None:
+    """The rest of a curve for a machine that has a size of it already; None where none is left."""
+    if size is None:
+        return curve
+    side = np.sign(curve.sizes[-1] - curve.sizes[0])
+    beyond = side * (curve.sizes - size) > 0.0
+    if side * (size - curve.sizes[0]) <= 0.0 or not beyond.any():
+        return None  # of the other side of the healthy size, or at the end
+    start = curve.shift(size)
+    shifts = np.concatenate([np.zeros((1, *start.shape)), curve.shifts[beyond] - start])
+    return replace(curve, sizes=np.concatenate([[size], curve.sizes[beyond]]), shifts=shifts)
