@@ -30,6 +30,7 @@ FIRST_SEED = 1000
 DURATION, CHANGE, STRIDE = 18.0, 10.0, 1.2  # s
 WINDOWS = ((0.0, 0.3), (0.3, 0.6), (0.6, 1.2), (1.2, 2.4), (2.4, 4.8), (4.8, 6.6))  # after, s
 TOLD = (0.5, 2.0)  # s after the change
+BESIDES = 1.0  # s after the change, from which on an onset is of nothing that happened
 
 FROZEN, BEFORE, BANK, WITHOUT = "frozen", "bsnn_arx", "bsnn_arx_bank", "kind left out"
 KINDS = [(fault, side) for fault, sides in FAULTS.items() for side in sides]
@@ -42,8 +43,8 @@ PEACE: dict[str, tuple[dict[str, Any], float]] = {
     "random strides": ({"scenario": "nominal", "reference": "random_stride"}, 60.0),
     "cold start": ({"scenario": "cold_start"}, 60.0),
 }
-# A payload is picked up and put down: mass [kg], up and down [s]; it is a change, and to be named.
-LOADED = (6.0, 12.0, 20.0)
+# What comes and goes: from and to [s]. Both are changes that are to be named.
+COMES, GOES = 12.0, 20.0
 # Under other conditions: label to settings of a run.
 ELSEWHERE: dict[str, dict[str, Any]] = {
     "12-bit encoders with 15 times the noise": {
@@ -56,6 +57,7 @@ ELSEWHERE: dict[str, dict[str, Any]] = {
 # Faults and sizes that are tried there, of all cylinders; the other fault, of the knee alone.
 TRIED = (("seal_wear", 6.0), ("friction_rise", 2.5), ("valve_null_shift", 0.035))
 TRIED += (("supply_drop", 115.0), ("spring_fatigue", 0.4))
+CARRIED = (("payload", 6.0), *TRIED)  # come and go
 OTHER = ("valve_null_shift", "knee", 0.03, 5.0)
 
 
@@ -133,7 +135,10 @@ def _rms(error: np.ndarray, after: np.ndarray, start: float, end: float) -> floa
 def _told(events: list[Event], fault: str, element: str, change: float) -> dict[str, Any]:
     """What was said by when: confidence, and whether fault and element were right."""
     names = [name for event in events for name in event.names if name.time >= change]
-    told: dict[str, Any] = {"early": sum(e.names[0].time < change for e in events)}
+    told: dict[str, Any] = {
+        "early": sum(e.names[0].time < change for e in events),
+        "late": [e.names[-1].fault for e in events if e.names[-1].onset > change + BESIDES],
+    }
     for limit in TOLD:
         said = [name for name in names if name.time <= change + limit]
         last = said[-1] if said else None
@@ -164,26 +169,35 @@ def peace(task: tuple[str, int]) -> tuple[str, int, list[str]]:
     return label, seed, [f"{e.names[-1].fault} {e.names[-1].element}" for e in events]
 
 
-def loaded(seed: int) -> dict[str, Any]:
-    """What is said of a payload that is picked up and put down."""
-    mass, up, down = LOADED
-    duration = down + 8.0
-    (change,) = get_scenario("payload", duration=duration, severity=mass).changes
-    changes = (replace(change, start=up), replace(change, value=0.0, start=down))
+def back_again(task: tuple[str, float, float, int]) -> dict[str, Any]:
+    """What is said of a fault that comes and is repaired, as of a payload up and down."""
+    fault, size, healthy, seed = task
+    duration = GOES + 8.0
+    there = get_scenario(fault, duration=duration, severity=size).changes
+    whole = get_scenario(fault, duration=duration, severity=healthy).changes
+    gone = [
+        replace(whole_one, start=GOES)
+        if one.kind == "set"
+        else replace(one, start=GOES, value=1.0 / one.value)
+        for one, whole_one in zip(there, whole, strict=True)
+    ]
+    changes = (*(replace(change, start=COMES) for change in there), *gone)
     run = RunSettings(scenario="nominal", controller=BANK, tolerance=0.1, seed=seed, vary=True)
-    loop = Loop(run, scenario=Scenario(name="payload", duration=duration, changes=changes))
+    loop = Loop(run, scenario=Scenario(name=fault, duration=duration, changes=changes))
     history = loop.run()
     assert not history.failure, history.failure
-    events = loop.controller.events  # type: ignore[union-attr]
-    said = {"seed": seed, "wrong": [], "up": None, "down": None}
-    for event in events:
+    found: dict[str, Any] = {"fault": fault, "seed": seed}
+    found |= {"comes": None, "goes": None, "besides": []}
+    for event in loop.controller.events:  # type: ignore[union-attr]
         name = event.names[-1]
-        when = "up" if up <= name.onset < down else "down" if name.onset >= down else None
-        if name.fault != "payload" or when is None:
-            said["wrong"].append(f"{name.fault} {name.element}")  # type: ignore[union-attr]
+        goes = name.onset > 0.5 * (COMES + GOES)
+        right = name.fault == fault if not goes else name.undoes is not None
+        if event.withdrawn is None and right and name.onset > COMES - 0.5:
+            when, start = ("goes", GOES) if goes else ("comes", COMES)
+            found[when] = [name.time - start, name.size]
         else:
-            said[when] = [name.time - (up if when == "up" else down), name.size]
-    return said
+            found["besides"].append(f"{name.fault} {name.element}")
+    return found
 
 
 def elsewhere(task: tuple[str, str, float, int]) -> dict[str, Any]:
@@ -231,33 +245,37 @@ def elsewhere(task: tuple[str, str, float, int]) -> dict[str, Any]:
 
 
 def measure_elsewhere(options: argparse.Namespace) -> dict[str, Any]:
-    """Payload up and down, and the conditions that are asked for."""
+    """What comes and goes, and the conditions that are asked for."""
     seeds = range(FIRST_SEED, FIRST_SEED + options.specimens)
     labels = [label for label in ELSEWHERE if label in options.elsewhere.split(",")]
     tasks = [(label, *fault, seed) for label in labels for fault in TRIED for seed in seeds]
     Loop(RunSettings(scenario="nominal", controller=BANK))
     keep = {"folder": options.keep, "jobs": options.jobs}
+    back = [(*fault, side.healthy, seed) for fault in CARRIED for side in FAULTS[fault[0]][:1]
+            for seed in seeds]  # fmt: skip
     return {
-        "loaded": results.resumed(loaded, list(seeds), **keep),
+        "back": results.resumed(back_again, back, **keep),
         "elsewhere": results.resumed(elsewhere, tasks, **keep),
     }
 
 
 def tables_elsewhere(kept: dict[str, Any]) -> str:
-    """What is said of a payload; then errors and names under other conditions."""
-    loads = kept["loaded"]
+    """What is said of what comes and goes; then errors and names under other conditions."""
     parts = []
-    for when in ("up", "down"):
-        known = [x[when] for x in loads if x[when]]
-        times = [f"{x[0]:.2f}" for x in known]
-        sizes = [results.number(x[1], 2) for x in known]
-        wrong = sorted({w for x in loads for w in x["wrong"]})
-        parts.append(
-            [when, str(len(loads)), str(len(known)), ", ".join(times), ", ".join(sizes),
-             ", ".join(wrong) or "none"]
-        )  # fmt: skip
-    head = ["payload of 6 kg", "specimens", "named", "after, s", "size, kg", "other things said"]
-    text = results.table(head, parts)
+    for fault, size in CARRIED:
+        own = [x for x in kept["back"] if x["fault"] == fault]
+        row = [f"{fault} {size:g}", str(len(own))]
+        for when in ("comes", "goes"):
+            told = [x[when] for x in own if x[when]]
+            row += [
+                str(len(told)),
+                ", ".join(f"{x[0]:.2f}" for x in told),
+                ", ".join("" if x[1] is None else results.number(x[1], 2) for x in told),
+            ]
+        row.append(", ".join(sorted({w for x in own for w in x["besides"]})) or "none")
+        parts.append(row)
+    head = ["comes and goes", "cases", "named", "after, s", "size", "its end told", "after, s"]
+    text = results.table([*head, "size then", "other things said"], parts)
     head = ["condition", "fault", "cases", "frozen, mrad", "`bsnn_arx` .3-.6", "1.2-2.4"]
     head += [
         "`bsnn_arx_bank` .3-.6",
@@ -305,10 +323,10 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
 
 def tables(kept: dict[str, Any]) -> str:
     """Errors, t90, names and false alarms."""
-    if "loaded" in kept:
+    if "back" in kept:
         return tables_elsewhere(kept)
     found = kept["cases"]
-    parts = [_errors(found), _by_fault(found), _names(found), _peace(kept["peace"])]
+    parts = [_errors(found), _by_fault(found), _names(found), _peace(kept["peace"], found)]
     return "\n".join(parts)
 
 
@@ -401,7 +419,7 @@ def _percent(values: list[bool]) -> str:
     return f"{100 * np.mean(values):.0f}" if values else ""
 
 
-def _peace(said: list[list[Any]]) -> str:
+def _peace(said: list[list[Any]], found: list[dict[str, Any]]) -> str:
     rows = []
     for label, (_, duration) in PEACE.items():
         own = [names for name, _, names in said if name == label]
@@ -409,6 +427,10 @@ def _peace(said: list[list[Any]]) -> str:
         minutes = len(own) * duration / 60
         shown = ", ".join(sorted(set(alarms))) or "none"
         rows.append([label, f"{minutes:g}", str(len(alarms)), shown])
+    late = [name for case in found for name in case[BANK].get("late", [])]
+    minutes = len(found) * (DURATION - CHANGE - 0.5 * STRIDE - BESIDES) / 60
+    shown = ", ".join(sorted(set(late))) or "none"
+    rows.append(["after the one fault of a run above", f"{minutes:.0f}", str(len(late)), shown])
     return results.table(["where nothing breaks", "minutes", "false alarms", "said"], rows)
 
 
@@ -421,7 +443,7 @@ def main() -> None:
     parser.add_argument(
         "--elsewhere",
         default="",
-        help=f"a payload up and down and these conditions instead: {', '.join(ELSEWHERE)}",
+        help=f"faults that come and go and these conditions instead: {', '.join(ELSEWHERE)}",
     )
     results.main(parser, measure, tables)
 

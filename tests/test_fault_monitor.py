@@ -10,64 +10,22 @@ from leglab.base.errors import LeglabError
 from leglab.base.scenario import get_scenario
 from leglab.cli.terminal import fault_lines
 from leglab.control import Measurement, ReferencePoint, make_controller
-from leglab.control.feedforward.fault_bank import ALL, UNKNOWN, FaultBank, FaultCurve
-from leglab.control.feedforward.fault_monitor import FaultMonitor, MonitorConfiguration, plain
+from leglab.control.feedforward.fault_bank import ALL, UNKNOWN, FaultBank
+from leglab.control.feedforward.fault_monitor import FaultMonitor, plain
 from leglab.runs.loop import Loop
-
-JOINTS, PARAMETERS, PERIOD, BLOCK = ("hip", "knee"), 6, 0.004, 5
-CONFIG = MonitorConfiguration(warm_up=200, slow_window=100)
-CHANGE, END = 4.0, 8.0  # s
-
-
-def curve(rng, fault, element=ALL):
-    shifts = 0.1 * rng.standard_normal((3, len(JOINTS), PARAMETERS))
-    shifts[0] = 0.0
-    if element != ALL:
-        shifts[:, 1 - JOINTS.index(element)] = 0.0
-    sizes = np.array([1.0, 4.0, 9.0])
-    return FaultCurve(fault=fault, element=element, meaning="ratio", sizes=sizes, shifts=shifts)
-
-
-def make_bank(rng):
-    names = [("leak", ALL), ("leak", "knee"), ("rub", ALL), ("rub", "hip"), ("rub", "knee")]
-    return FaultBank(curves=tuple(curve(rng, *name) for name in names))
-
-
-def stream(monitor, true, *, seed=1, learns=True, excited=None, end=END):
-    """Feeds samples of a map `true(time)`; the learner is a fixed one that takes every advice.
-
-    Returns:
-        Its parameters at the end, and every advice with its time.
-    """
-    rng = np.random.default_rng(seed)
-    parameters, given = true(0.0).copy(), []
-    for number in range(int(end / PERIOD / BLOCK)):
-        time = (number + 1) * BLOCK * PERIOD
-        at = time - PERIOD * np.arange(BLOCK)[::-1]
-        regressor = rng.standard_normal((BLOCK, len(JOINTS), PARAMETERS))
-        if excited is not None:
-            regressor *= excited(time)
-        output = np.array(
-            [np.einsum("jp,jp->j", r, true(t)) for r, t in zip(regressor, at, strict=True)]
-        )
-        output += 1e-3 * rng.standard_normal(output.shape)
-        error = output - np.einsum("njp,jp->nj", regressor, parameters)
-        parts = (regressor, output[..., None], error[..., None], np.ones((*error.shape, 1)))
-        advice = monitor.take(time, np.concatenate(parts, axis=-1), parameters)
-        if advice is not None:
-            given.append((time, advice))
-            if learns and advice.parameters is not None:
-                parameters = advice.parameters
-    return parameters, given
-
-
-def planted(shift, rng):
-    base = rng.standard_normal((len(JOINTS), PARAMETERS))
-    return base, lambda time: base + (time > CHANGE) * shift
-
-
-def monitor_of(bank):
-    return FaultMonitor(bank, JOINTS, CONFIG, sample_period=PERIOD)
+from tests.learned_samples import (
+    BLOCK,
+    CHANGE,
+    CONFIG,
+    JOINTS,
+    PARAMETERS,
+    PERIOD,
+    curve,
+    make_bank,
+    monitor_of,
+    planted,
+    stream,
+)
 
 
 @pytest.mark.parametrize("number", range(5))

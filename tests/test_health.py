@@ -6,8 +6,7 @@ import pytest
 from leglab import RunSettings, run_scenario
 from leglab.base.errors import LeglabError
 from leglab.cli.terminal import fault_lines
-from leglab.control.feedforward.fault_bank import ALL, FaultBank, FaultCurve
-from leglab.control.feedforward.fault_bank import UNKNOWN
+from leglab.control.feedforward.fault_bank import ALL, UNKNOWN, FaultBank, FaultCurve
 from leglab.control.feedforward.health import HealthConfiguration, HealthMonitor, line_of
 
 JOINTS, PARAMETERS, PERIOD, BLOCK = ("hip", "knee"), 6, 0.004, 20
