@@ -65,6 +65,7 @@ JOBS = (
     _job("microcontroller", 2),
     _job("pressures", 6, options="--specimens 1 --controllers bsnn_arx,bsnn_arx_pressure"),
     _job("tracking_bound", 8),
+    _job("adaptation_benchmark", 25),
     _job("diagnosis_bench", 3),
     _job("diagnosis_bench_without_pressures", 4, "diagnosis_bench", "--without-pressures"),
     _job("diagnosis_emps", 2),

@@ -31,6 +31,8 @@ class AdrcConfiguration(Configuration):
 class Adrc:
     """u = map(r, r') + (omega_c e + f)/b_0, with error e and disturbance f from the observer.
 
+    Behind a native actuator, which gives a force, of second order: see `DisturbanceRejection`.
+
     The reference is taken when the command acts on average, and held against a measurement at the
     time it was taken.
     """
@@ -69,7 +71,7 @@ class Adrc:
         return command
 
     def diagnostics(self) -> dict[str, np.ndarray]:
-        """Both parts of the command, and the estimated disturbance [rad/s], each (joints,)."""
+        """Both parts of the command, and the estimated disturbance, each (joints,)."""
         return {
             "feedforward": self._feedforward,
             "feedback": self._feedback,
@@ -79,7 +81,7 @@ class Adrc:
 
 def _gains(setup: ControllerSetup, config: AdrcConfiguration) -> DisturbanceGains:
     tuned = setup.machine.adrc_gains
-    chosen = {"speed_per_command": tuned.speed_per_command}
+    chosen = {"plant_gain": tuned.plant_gain, "order": tuned.order}
     for name in ("control_bandwidth", "observer_bandwidth"):
         values = getattr(config, name)
         values = getattr(tuned, name) if values is None else values

@@ -144,12 +144,21 @@ def make_many(label: str, total: int, make: Callable[..., _Made]) -> _Made:
 
 
 def plain_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> Table:
-    """A table of text as it is; columns that hold nothing but numbers are aligned on the right."""
+    """A table of text as it is; columns that hold nothing but numbers are aligned on the right.
+
+    Where there is too little room, heads are broken and what lines say is folded: a name that is
+    cut short could be another's.
+    """
     rows = list(rows)
     table = Table(box=SIMPLE_HEAD)
     for i, name in enumerate(head):
         numbers = all(_is_number(row[i]) for row in rows)
-        table.add_column(Text(name), justify="right" if numbers else "left")
+        table.add_column(
+            Text(name),
+            justify="right" if numbers else "left",
+            overflow="fold",
+            min_width=max((len(row[i]) for row in rows), default=0) if i == 0 else None,
+        )
     for row in rows:
         table.add_row(*map(Text, row))
     return table

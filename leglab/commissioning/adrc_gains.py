@@ -16,6 +16,7 @@ from leglab.commissioning.pd_gains import (
     GAIN_MARGIN_DB,
     PHASE_MARGIN_DEG,
     TUNED_MODELS,
+    native_plant,
     sampled_plants,
     stability_margins,
     stored_rows,
@@ -32,8 +33,26 @@ GAINS_FILE = Path(__file__).with_name("adrc_gains.toml")
 RATIOS = (0.1, 0.2, 0.33, 1.0, 3.0, 10.0, 30.0)
 # Observer bandwidths that are tried [rad/s].
 _TRIED = np.geomspace(0.3, 600.0, 160)
+# The same behind native actuators. The observer of a bare inertia must be quick: a slow one turns
+# the phase of its own integrator into the law's crossover.
+FORCE_RATIOS = (0.05, 0.1, 0.2, 0.5)
+_FORCE_TRIED = np.geomspace(3.0, 300.0, 30)
 _FREQUENCIES = 1500
 _NAMES = tuple(field.name for field in fields(DisturbanceGains))
+
+
+def plant_gain(simulation: Simulation, joint: int) -> tuple[float, int]:
+    """b_0 of a joint in the present pose, and how often it integrates its command.
+
+    A valve gives a speed, that of the calibrated map at half of its range; a native actuator gives
+    an acceleration, with the other joints free and whatever filter it has settled.
+    """
+    if simulation.actuators[joint] in simulation.native:
+        plant = native_plant(simulation, joint, 0.0)
+        # The input reaches the acceleration at once, or through the filter's state.
+        a, b = np.asarray(plant.A), np.asarray(plant.B)
+        return abs(float(b[1, 0] if len(a) == 2 else a[1, 2])), 2
+    return float(speeds_per_command(simulation)[joint]), 1
 
 
 def speeds_per_command(simulation: Simulation) -> np.ndarray:
@@ -61,8 +80,8 @@ class JointMargins:
     def __call__(self, gains: DisturbanceGains) -> tuple[float, float, float]:
         """Smallest gain margin [dB] and phase margin [deg], and the worst response.
 
-        The response is the integrated square of the error after a step of unknown flow, of the
-        speed b_0. Where a margin is below that of `pd`, or the loop unstable, it is infinite.
+        The response is the integrated square of the error after a step of the disturbance, as
+        large as b_0. Where a margin is below that of `pd`, or the loop unstable, it is infinite.
 
         Args:
             gains: Of that joint alone.
@@ -76,7 +95,7 @@ class JointMargins:
         gain, phase, worst = math.inf, math.inf, 0.0
         for plant, response in zip(self._plants, self._responses, strict=True):
             loop = answer * response
-            found = stability_margins(loop, self._frequencies)
+            found = stability_margins(loop, self._frequencies, stable=True)
             gain, phase = min(gain, found[0]), min(phase, found[1])
             if gain < GAIN_MARGIN_DB or phase < PHASE_MARGIN_DEG:
                 return gain, phase, math.inf
@@ -90,9 +109,9 @@ class JointMargins:
 
 
 def tuned_gains(
-    simulation: Simulation, joint: int, sensors: SensorConfiguration, speed_per_command: float
+    simulation: Simulation, joint: int, sensors: SensorConfiguration
 ) -> DisturbanceGains:
-    """Finds the bandwidths with the smallest response to unknown flow at 6 dB and 45 degrees.
+    """Finds the bandwidths with the smallest response to a disturbance at 6 dB and 45 degrees.
 
     The margins are those of `pd`, at the same poses and piston speeds. At every ratio of the
     bandwidths they are raised until one breaks.
@@ -101,31 +120,36 @@ def tuned_gains(
         simulation: The nominal machine; its positions are changed.
         joint: Index of the joint.
         sensors: Sensors and timing.
-        speed_per_command: b_0 [rad/s].
     """
+    gain, order = plant_gain(simulation, joint)
     judge, best = JointMargins(simulation, joint, sensors), math.inf
-    chosen = _gains(RATIOS[0] * _TRIED[0], _TRIED[0], speed_per_command)
-    for ratio in RATIOS:
-        for bandwidth in _TRIED:
-            gains = _gains(ratio * bandwidth, bandwidth, speed_per_command)
+    ratios, tried = (RATIOS, _TRIED) if order == 1 else (FORCE_RATIOS, _FORCE_TRIED)
+    chosen = _gains(ratios[0] * tried[0], tried[0], gain, order)
+    for ratio in ratios:
+        begun = order == 1
+        for bandwidth in tried:
+            gains = _gains(ratio * bandwidth, bandwidth, gain, order)
             response = judge(gains)[2]
             if not math.isfinite(response):
-                break
+                if begun:
+                    break
+                continue  # an observer slower than what damps the joint
+            begun = True
             if response < best:
                 chosen, best = gains, response
     return chosen
 
 
-def _gains(control: float, observer: float, speed_per_command: float) -> DisturbanceGains:
-    values = zip(_NAMES, (control, observer, speed_per_command), strict=True)
+def _gains(control: float, observer: float, gain: float, order: int) -> DisturbanceGains:
+    values = zip(_NAMES, (control, observer, gain, order), strict=True)
     return DisturbanceGains(**{name: np.array([value]) for name, value in values})
 
 
 def _all_gains(simulation: Simulation, sensors: SensorConfiguration) -> list[DisturbanceGains]:
-    speeds, gains = speeds_per_command(simulation), []
-    for joint, speed in enumerate(speeds):
+    gains = []
+    for joint in range(len(simulation.joints)):
         simulation.reset()
-        gains.append(tuned_gains(simulation, joint, sensors, float(speed)))
+        gains.append(tuned_gains(simulation, joint, sensors))
     return gains
 
 
@@ -133,8 +157,8 @@ def gains_text(models: Sequence[str]) -> str:
     """Tunes models for the default sensors and formats the bandwidths as TOML."""
     sensors = SensorConfiguration()
     lines = [
-        "# Bandwidths by `python -m leglab.commissioning.adrc_gains`: smallest response to",
-        f"# unknown flow with {GAIN_MARGIN_DB:g} dB and {PHASE_MARGIN_DEG:g} degrees at every",
+        "# Bandwidths by `python -m leglab.commissioning.adrc_gains`: smallest response to a",
+        f"# disturbance with {GAIN_MARGIN_DB:g} dB and {PHASE_MARGIN_DEG:g} degrees at every",
         "# pose and piston speed of the linearised nominal plant. Not to be edited by hand.",
     ]
     for model in models:

@@ -343,17 +343,26 @@ def tune(
     )
 
 
-def stability_margins(loop: np.ndarray, frequencies: np.ndarray) -> tuple[float, float, float]:
+def stability_margins(
+    loop: np.ndarray, frequencies: np.ndarray, *, stable: bool = False
+) -> tuple[float, float, float]:
     """Gain margin [dB], phase margin [deg] and crossover [rad/s] of a sampled frequency response.
 
     Every crossing counts: a resonance crosses the unit circle more than once.
+
+    Args:
+        loop: The response.
+        frequencies: rad/s.
+        stable: Whether the closed loop is known to be stable. Then a loop with several integrators,
+            whose gain must not fall either, has the least change of gain as its margin.
     """
     magnitude = np.abs(loop)
     sign_change = loop.imag[1:] * loop.imag[:-1] <= 0
     cross = np.flatnonzero(sign_change & (loop.real[1:] < 0))
     gain = math.inf
     if cross.size:
-        gain = float(-20 * np.log10(np.maximum(magnitude[cross], magnitude[cross + 1]).max()))
+        levels = 20 * np.log10(np.maximum(magnitude[cross], magnitude[cross + 1]))
+        gain = float(np.abs(levels).min() if stable else -levels.max())
     unity = np.flatnonzero((magnitude[1:] - 1) * (magnitude[:-1] - 1) <= 0)
     phase, crossover = math.inf, 0.0
     if unity.size:

@@ -20,13 +20,17 @@ class DisturbanceGains:
 
     Attributes:
         control_bandwidth: omega_c, with which an error decays [rad/s], (joints,).
-        observer_bandwidth: omega_o, of both poles of the observer [rad/s], (joints,).
-        speed_per_command: b_0, speed that a command gives the calibrated joint [rad/s], (joints,).
+        observer_bandwidth: omega_o, of all poles of the observer [rad/s], (joints,).
+        plant_gain: b_0, what a command gives the calibrated joint, (joints,): speed [rad/s] where
+            the order is 1, acceleration [rad/s^2] where it is 2.
+        order: How often a joint integrates its command, (joints,): 1 behind a valve, which gives a
+            flow, 2 behind a native actuator, which gives a force.
     """
 
     control_bandwidth: np.ndarray
     observer_bandwidth: np.ndarray
-    speed_per_command: np.ndarray
+    plant_gain: np.ndarray
+    order: np.ndarray
 
 
 class LinearLaw(NamedTuple):
@@ -41,8 +45,9 @@ class LinearLaw(NamedTuple):
 class DisturbanceRejection:
     """u = (omega_c e + f)/b_0, e and f estimated of e' = f - b_0 u, both of the joints alone.
 
-    e is the tracking error and f [rad/s] everything that moves it besides the command: what leaks,
-    what load takes, what a wrong calibration leaves. An observer has both poles at exp(-omega_o T).
+    Of second order u = (omega_c^2 e + 2 omega_c e' + f)/b_0 and e'' = f - b_0 u. e is the tracking
+    error and f [rad/s or rad/s^2] everything that moves it besides the command: what leaks, what
+    load takes, what a wrong calibration leaves. An observer has all poles at exp(-omega_o T).
     Errors come `latency` late: the observer knows which commands they contain, and moves the
     estimate on to the time of the command.
 
@@ -56,53 +61,73 @@ class DisturbanceRejection:
     def __init__(
         self, gains: DisturbanceGains, direction: np.ndarray, *, period: float, latency: float
     ) -> None:
-        pole = np.exp(-gains.observer_bandwidth * period)
-        self._error_gain, self._drift_gain = 1 - pole**2, (1 - pole) ** 2 / period
-        self._bandwidth = gains.control_bandwidth
-        self._rate = np.asarray(direction) * gains.speed_per_command
+        pole, second = np.exp(-gains.observer_bandwidth * period), np.asarray(gains.order) == 2
+        self._second = second.astype(float)
+        self._error_gain = np.where(second, 1 - pole**3, 1 - pole**2)
+        self._speed_gain = self._second * 1.5 * (1 - pole) ** 2 * (1 + pole) / period
+        self._drift_gain = np.where(second, (1 - pole) ** 3 / period**2, (1 - pole) ** 2 / period)
+        bandwidth = gains.control_bandwidth
+        self._stiffness = np.where(second, bandwidth**2, bandwidth)
+        self._damping = self._second * 2.0 * bandwidth
+        self._rate = np.asarray(direction) * gains.plant_gain
         self._period, self._latency = period, latency
+        # What a disturbance, the last command and the one before move from one measurement to the
+        # next: the command before the last still holds for `latency`.
+        held, late = period - latency, latency
+        self._drift_moves = np.where(second, 0.5 * period**2, period)
+        self._last_moves = np.where(second, 0.5 * held**2, held)
+        self._before_moves = np.where(second, late * (period - 0.5 * late), late)
+        self._late_moves = np.where(second, 0.5 * late**2, late)
         self.reset()
 
     def reset(self) -> None:
         """Starts without error, disturbance and past commands."""
-        self._state = np.zeros((4, len(self._rate)))
+        self._state = np.zeros((5, len(self._rate)))
 
     @property
     def disturbance(self) -> np.ndarray:
-        """Estimate of f [rad/s], (joints,)."""
-        return self._state[1]
+        """Estimate of f [rad/s, or rad/s^2 of second order], (joints,)."""
+        return self._state[2]
 
     def __call__(self, error: np.ndarray) -> np.ndarray:
         """Commands, (joints,), for measured errors [rad], (joints,); NaN where none is measured."""
         self._state = self._next(self._state, error)
-        return self._state[2]
+        return self._state[3]
 
     def sent(self, command: np.ndarray) -> None:
         """Takes the part of the commands (joints,) that was sent, where a limit has cut it."""
-        self._state[2] = command
+        self._state[3] = command
 
     def linear(self, joint: int) -> LinearLaw:
-        """The law of one joint as a linear system of (e, f, last command, the one before)."""
-        a, b = np.empty((4, 4)), np.empty(4)
+        """The law of one joint as a linear system of (e, e', f, last command, the one before).
+
+        e' does not move where the order is 1.
+        """
+        size = len(self._state)
+        a, b = np.empty((size, size)), np.empty(size)
         ones = np.ones_like(self._rate)
-        for column in range(4):
-            state = np.outer(np.eye(4)[column], ones)
+        for column in range(size):
+            state = np.outer(np.eye(size)[column], ones)
             a[:, column] = self._next(state, 0 * ones)[:, joint]
-        b[:] = self._next(np.zeros((4, len(ones))), ones)[:, joint]
-        return LinearLaw(a, b, a[2], float(b[2]))
+        b[:] = self._next(np.zeros((size, len(ones))), ones)[:, joint]
+        return LinearLaw(a, b, a[3], float(b[3]))
 
     def _next(self, state: np.ndarray, measured: np.ndarray) -> np.ndarray:
         """Estimates and commands one period on; linear in both arguments."""
-        error, drift, last, before = state
-        # From one measurement to the next, the command before the last still holds for `latency`.
-        late = self._latency
-        moved = self._rate * ((self._period - late) * last + late * before)
-        predicted = error + self._period * drift - moved
+        error, speed, drift, last, before = state
+        period, late, second = self._period, self._latency, self._second
+        moved = self._rate * (self._last_moves * last + self._before_moves * before)
+        predicted = error + second * period * speed + self._drift_moves * drift - moved
+        pushed = self._rate * ((period - late) * last + late * before)
+        speed = second * (speed + period * drift - pushed)
         miss = measured - predicted
         if not math.isfinite(miss.dot(miss)):
             miss = np.where(np.isfinite(miss), miss, 0.0)
         error = predicted + self._error_gain * miss
+        speed = speed + self._speed_gain * miss
         drift = drift + self._drift_gain * miss
-        now = error + late * (drift - self._rate * last)
-        command = (self._bandwidth * now + drift) / self._rate
-        return np.stack([error, drift, command, last])
+        driven = drift - self._rate * last
+        now = error + second * late * speed + self._late_moves * driven
+        then = second * (speed + late * driven)
+        command = (self._stiffness * now + self._damping * then + drift) / self._rate
+        return np.stack([error, speed, drift, command, last])

@@ -22,7 +22,8 @@ from leglab.control.feedforward.fault_bank import ALL, UNKNOWN, FaultBank, Fault
 from leglab.control.feedforward.standing import Standing, Standings
 
 # Times after an onset at which the bank is asked [s]: often at first, as the evidence grows. The
-# case is closed at the last one, or once a name has stood for so long: the machine may change again.
+# case is closed at the last one, or once a name has stood for `_STEADY` [s]: the machine may change
+# again.
 _EARLY = (0.09, 0.12, 0.15, 0.18, 0.22, 0.26, 0.3, 0.36, 0.43, 0.5, 0.6, 0.72, 0.86, 1.0)
 _LOOKS = (*_EARLY, 1.2, 1.4, 1.7, 2.0, 2.4, 2.8, 3.2)
 
