@@ -1,5 +1,6 @@
 """Every example of the tutorial and the how-to pages, run in order as it stands there."""
 
+import json
 import os
 import re
 import shlex
@@ -18,6 +19,11 @@ HOW_TO = sorted(f"docs/how_to/{path.name}" for path in ROOT.glob("docs/how_to/*.
 PAGES = ("docs/newcomer.md", "docs/tutorial.md", "docs/sweeps.md", *HOW_TO)
 # Their shell lines take hours or install things: Python runs, commands are only looked up.
 OTHERS = ("README.md", "docs/getting_started.md")
+INSTALLATION = (
+    "git clone URL-OF-THIS-REPOSITORY leglab && cd leglab",
+    "make demo",
+    "source .venv/bin/activate",
+)
 NUMBERS = ("fifteen", "sixteen", "seventeen", "eighteen", "nineteen", "twenty", "twenty-one")
 
 
@@ -25,8 +31,13 @@ NUMBERS = ("fifteen", "sixteen", "seventeen", "eighteen", "nineteen", "twenty", 
     ("page", "options"), [*((p, ()) for p in PAGES), *((p, ("--only", "python")) for p in OTHERS)]
 )
 def test_the_page_does_what_it_says(page, options, tmp_path):
+    folder = tmp_path / "page"
+    if page == "docs/newcomer.md":  # its reader stands in the clone
+        folder.mkdir()
+        for part in ("docs", "examples"):
+            (folder / part).symlink_to(ROOT / part)
     # A process of its own: pages register effects, scenarios and controllers.
-    arguments = [str(ROOT / page), "--keep", str(tmp_path / "page"), *options]
+    arguments = [str(ROOT / page), "--keep", str(folder), *options]
     done = subprocess.run(
         [sys.executable, "-m", "tests.pages", *arguments],
         cwd=ROOT,
@@ -53,6 +64,24 @@ def test_the_formats_page_does_what_it_says(tmp_path):
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_every_step_of_the_newcomer_is_run(monkeypatch):
+    """Here, on another page, or, what takes minutes, in the benchmark that timed this very page."""
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    from newcomer import PAGE, sections
+
+    parts = sections(PAGE.read_text())
+    kept = json.loads((ROOT / "docs/data/newcomer.json").read_text())["results"]
+    assert [step["commands"] for step in kept] == [part.commands for part in parts]
+    typed = {b.text for b in blocks(PAGE.read_text()) if b.language == "console"}
+    others = [block for page in PAGES for block, _ in steps((ROOT / page).read_text())]
+    run = "".join(block.text for block in others if block.language == "sh")
+    left = [line for text in typed for line in text.splitlines() if line not in run.splitlines()]
+    assert sorted(left) == sorted([*INSTALLATION, "python examples/train_residual.py"])
+    saved = {block.file: block.text for block in others if block.file}
+    columns = next(b for b in blocks(PAGE.read_text()) if b.file == "columns.toml")
+    assert saved["columns.toml"] == columns.text
 
 
 def test_the_readme_counts_the_scenarios():
