@@ -6,6 +6,7 @@ home, so that the environment is made and compiled anew. A command that fails en
 """
 
 import argparse
+import itertools
 import os
 import re
 import subprocess
@@ -63,7 +64,7 @@ def sections(page: str) -> list[Section]:
 
 
 def script(parts: list[Section], repository: Path) -> str:
-    """A shell script that does all of it, and writes the time to descriptor 3 after each section."""
+    """A shell script that does all of it and tells descriptor 3 when each section ended."""
     lines = ["set -eo pipefail"]
     for part in parts:
         for block in part.blocks:
@@ -107,7 +108,7 @@ def run(parts: list[Section], folder: Path) -> list[float]:
     if done.returncode:
         told = "\n".join(log.read_text().splitlines()[-20:])
         raise SystemExit(f"error: section {parts[len(times) - 1].title!r} failed:\n{told}")
-    return [after - before for before, after in zip(times, times[1:], strict=False)]
+    return [after - before for before, after in itertools.pairwise(times)]
 
 
 def measure(options: argparse.Namespace) -> list[dict]:

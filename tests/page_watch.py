@@ -55,7 +55,8 @@ _FOCUS = """() => {
 }"""
 # Of what stood there before the tour: messages of a plot come and go by themselves.
 _TO_REACH = """(selector) => {
-  const shown = (part) => part.getClientRects().length && getComputedStyle(part).visibility === "visible";
+  const seen = (part) => getComputedStyle(part).visibility === "visible";
+  const shown = (part) => part.getClientRects().length && seen(part);
   const parts = [...document.querySelectorAll(selector)];
   window.to_reach = parts.filter((part) => shown(part) && !part.closest(".plotly-notifier"));
 }"""
