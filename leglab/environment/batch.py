@@ -35,6 +35,8 @@ from leglab.runs.preparation import Preparation
 
 # Settings of controllers with one value a joint.
 _PER_JOINT = ("position_gain", "velocity_gain")
+# Rows of a machine: position and velocity, pressures where there are any, the reference.
+_View = tuple[tuple[np.ndarray, np.ndarray], tuple[Any, ...], ReferencePoint]
 
 
 @dataclass(slots=True)
@@ -355,8 +357,8 @@ class Batch:
             loop = self.loop(i)
             controller = loop.controller
             assert controller is not None
-            seen, point = self._views[i]
-            measurement = Measurement(times[i], *seen, *supplies[i])
+            motion, pressures, point = self._views[i]
+            measurement = Measurement(times[i], *motion, *pressures, *supplies[i])
             if first:
                 controller.reset(measurement)
             self._wish[i] = loop.checked(controller.command(measurement, point))
@@ -364,7 +366,7 @@ class Batch:
                 self._forward[i] = controller.diagnostics()["feedforward"]
 
     @cached_property
-    def _views(self) -> list[tuple[tuple[np.ndarray, ...], ReferencePoint]]:
+    def _views(self) -> list[_View]:
         """What the controller of each machine sees but time and supply: rows of the arrays."""
         hydraulic = self._pressure.shape[1] // 2
         found = []
@@ -372,7 +374,7 @@ class Batch:
             row = self._pressure[i]
             pressures = (row[:hydraulic], row[hydraulic:-1]) if hydraulic else ()
             point = ReferencePoint(*(part[i] for part in self.reference))
-            found.append(((self.position[i], self.velocity[i], *pressures), point))
+            found.append(((self.position[i], self.velocity[i]), pressures, point))
         return found
 
     def _complete(self) -> None:
