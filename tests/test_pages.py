@@ -12,6 +12,7 @@ import typer
 
 from leglab import RunSettings, data, run_scenario, scenario_names
 from leglab.cli.app import app
+from leglab.runs.folder import default_folder
 from tests.pages import ROOT, agrees, blocks, steps
 from tests.tables import pages
 
@@ -105,6 +106,21 @@ def test_commands_and_options_exist(where, line):
     group = typer.main.get_command(app)
     assert name in group.commands, f"{where}: no command {name!r}"
     group.commands[name].make_context(name, arguments)
+
+
+@pytest.mark.parametrize("page", OTHERS)
+def test_a_run_that_a_command_takes_was_made_by_one_before(page):
+    made, run = set(), typer.main.get_command(app).commands["run"]
+    text = "".join(b.text for b in blocks((ROOT / page).read_text()) if b.language == "console")
+    for line in text.splitlines():
+        words = shlex.split(line, comments=True)
+        out = words[words.index("--out") + 1] if "--out" in words else ""
+        taken = [word for word in words if word.startswith("runs/") and word != out]
+        assert not [path for path in taken if not path.startswith(tuple(made))], line
+        if words[:2] == ["leglab", "run"]:
+            given = run.make_context("run", words[2:]).params
+            settings = RunSettings(scenario=words[2], controller=given["controller"] or "pd")
+            made.add(str(default_folder(settings)))
 
 
 @pytest.mark.parametrize("page", PAGES)
