@@ -67,6 +67,7 @@ napoleon_numpy_docstring = False
 napoleon_use_ivar = True
 
 html_theme = "furo"
+html_show_copyright = False  # the license says it
 html_static_path = ["_static"]
 html_css_files = ["leglab.css"]
 html_theme_options = {"navigation_with_keys": True}
