@@ -39,6 +39,7 @@ def _job(name: str, minutes: float, script: str = "", options: str = "") -> Job:
 JOBS = (
     _job("speed", 0.2),
     _job("leg_speed", 0.4),
+    _job("newcomer", 15),
     _job("environment_speed", 2.5, options="--rounds 100"),
     _job("identification_peers", 1.5),
     _job("integration_accuracy", 0.7),

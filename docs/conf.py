@@ -2,14 +2,31 @@
 
 import os
 import re
+import subprocess
 from importlib import metadata
+from pathlib import Path
+
+HERE = Path(__file__).parent
 
 project = "leglab"
 author = "leglab"
 release = metadata.version("leglab")
-html_title = f"leglab {release}"  # on every page: which version it is of
-# Address of the published site, with a slash at its end; a sitemap needs one.
+
+
+def _commit():
+    """The checkout by its nearest tag and commit, "+" if files were changed; "" outside git."""
+    command = ["git", "describe", "--tags", "--always", "--dirty=+"]
+    try:
+        done = subprocess.run(command, cwd=HERE, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return ""
+    return f" ({done.stdout.strip()})"
+
+
+html_title = f"leglab {release}{_commit()}"  # on every page: which version it is of
+# Address of the published site: canonical links and a sitemap need one.
 html_baseurl = os.environ.get("LEGLAB_DOCS_URL", "")
+html_baseurl += "/" if html_baseurl and not html_baseurl.endswith("/") else ""
 
 extensions = [
     "sphinx.ext.autodoc",
@@ -50,6 +67,7 @@ napoleon_numpy_docstring = False
 napoleon_use_ivar = True
 
 html_theme = "furo"
+html_show_copyright = False  # the license says it
 html_static_path = ["_static"]
 html_css_files = ["leglab.css"]
 html_theme_options = {"navigation_with_keys": True}

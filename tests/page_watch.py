@@ -53,6 +53,16 @@ _FOCUS = """() => {
   const file = part.protocol === "file:" && !part.getAttribute("href").startsWith("#");
   return { number: window.reached.get(part), tag: part.tagName, file };
 }"""
+# Of what stood there before the tour: messages of a plot come and go by themselves.
+_TO_REACH = """(selector) => {
+  const seen = (part) => getComputedStyle(part).visibility === "visible";
+  const shown = (part) => part.getClientRects().length && seen(part);
+  const parts = [...document.querySelectorAll(selector)];
+  window.to_reach = parts.filter((part) => shown(part) && !part.closest(".plotly-notifier"));
+}"""
+_MISSED = """() => window.to_reach
+  .filter((part) => part.isConnected && !window.reached.has(part))
+  .map((part) => part.outerHTML.slice(0, 120))"""
 _FOCUS_AGAIN = "(number) => [...window.reached.keys()][number].focus()"
 
 # What a page can try, from where it stands or by leaving, by the host that would hear of it.
@@ -301,19 +311,25 @@ def _film_controls(session):
     return found
 
 
-def press_by_keys(page):
+def press_by_keys(page, focusable):
     """Presses enter and space wherever the tabulator leads, once round the page.
 
+    Args:
+        page: The page.
+        focusable: Selector of what the tabulator has to come to where it is seen.
+
     Returns:
-        Number of places; 0 where the tabulator does not come round.
+        Number of places, 0 where the tabulator does not come round; and the beginnings of those
+        parts of `focusable` that it passed by.
     """
     previous = -1
+    page.evaluate(_TO_REACH, focusable)
     page.evaluate("() => { window.reached = new Map(); }")
     for _ in range(300):
         page.keyboard.press("Tab")
         focus = page.evaluate(_FOCUS)
         if focus["number"] < previous:
-            return previous + 1
+            return previous + 1, page.evaluate(_MISSED)
         again = focus["number"] == previous  # within a film
         previous = focus["number"]
         if focus["file"] or again:
@@ -321,7 +337,7 @@ def press_by_keys(page):
         for key in ("Enter", "Space"):
             page.keyboard.press(key)
             page.evaluate(_FOCUS_AGAIN, previous)
-    return 0
+    return 0, page.evaluate(_MISSED)
 
 
 def choose_everything(page):

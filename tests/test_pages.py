@@ -1,5 +1,6 @@
 """Every example of the tutorial and the how-to pages, run in order as it stands there."""
 
+import json
 import os
 import re
 import shlex
@@ -11,6 +12,7 @@ import typer
 
 from leglab import RunSettings, data, run_scenario, scenario_names
 from leglab.cli.app import app
+from leglab.runs.folder import default_folder
 from tests.pages import ROOT, agrees, blocks, steps
 from tests.tables import pages
 
@@ -18,6 +20,11 @@ HOW_TO = sorted(f"docs/how_to/{path.name}" for path in ROOT.glob("docs/how_to/*.
 PAGES = ("docs/newcomer.md", "docs/tutorial.md", "docs/sweeps.md", *HOW_TO)
 # Their shell lines take hours or install things: Python runs, commands are only looked up.
 OTHERS = ("README.md", "docs/getting_started.md")
+INSTALLATION = (
+    "git clone URL-OF-THIS-REPOSITORY leglab && cd leglab",
+    "make demo",
+    "source .venv/bin/activate",
+)
 NUMBERS = ("fifteen", "sixteen", "seventeen", "eighteen", "nineteen", "twenty", "twenty-one")
 
 
@@ -25,8 +32,13 @@ NUMBERS = ("fifteen", "sixteen", "seventeen", "eighteen", "nineteen", "twenty", 
     ("page", "options"), [*((p, ()) for p in PAGES), *((p, ("--only", "python")) for p in OTHERS)]
 )
 def test_the_page_does_what_it_says(page, options, tmp_path):
+    folder = tmp_path / "page"
+    if page == "docs/newcomer.md":  # its reader stands in the clone
+        folder.mkdir()
+        for part in ("docs", "examples"):
+            (folder / part).symlink_to(ROOT / part)
     # A process of its own: pages register effects, scenarios and controllers.
-    arguments = [str(ROOT / page), "--keep", str(tmp_path / "page"), *options]
+    arguments = [str(ROOT / page), "--keep", str(folder), *options]
     done = subprocess.run(
         [sys.executable, "-m", "tests.pages", *arguments],
         cwd=ROOT,
@@ -55,6 +67,24 @@ def test_the_formats_page_does_what_it_says(tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+def test_every_step_of_the_newcomer_is_run(monkeypatch):
+    """Here, on another page, or, what takes minutes, in the benchmark that timed this very page."""
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    from newcomer import PAGE, sections
+
+    parts = sections(PAGE.read_text())
+    kept = json.loads((ROOT / "docs/data/newcomer.json").read_text())["results"]
+    assert [step["commands"] for step in kept] == [part.commands for part in parts]
+    typed = {b.text for b in blocks(PAGE.read_text()) if b.language == "console"}
+    others = [block for page in PAGES for block, _ in steps((ROOT / page).read_text())]
+    run = "".join(block.text for block in others if block.language == "sh")
+    left = [line for text in typed for line in text.splitlines() if line not in run.splitlines()]
+    assert sorted(left) == sorted([*INSTALLATION, "python examples/train_residual.py"])
+    saved = {block.file: block.text for block in others if block.file}
+    columns = next(b for b in blocks(PAGE.read_text()) if b.file == "columns.toml")
+    assert saved["columns.toml"] == columns.text
+
+
 def test_the_readme_counts_the_scenarios():
     told = re.search(r"(\S+) scenarios degrade the machine", (ROOT / "README.md").read_text())
     assert told is not None
@@ -76,6 +106,21 @@ def test_commands_and_options_exist(where, line):
     group = typer.main.get_command(app)
     assert name in group.commands, f"{where}: no command {name!r}"
     group.commands[name].make_context(name, arguments)
+
+
+@pytest.mark.parametrize("page", OTHERS)
+def test_a_run_that_a_command_takes_was_made_by_one_before(page):
+    made, run = set(), typer.main.get_command(app).commands["run"]
+    text = "".join(b.text for b in blocks((ROOT / page).read_text()) if b.language == "console")
+    for line in text.splitlines():
+        words = shlex.split(line, comments=True)
+        out = words[words.index("--out") + 1] if "--out" in words else ""
+        taken = [word for word in words if word.startswith("runs/") and word != out]
+        assert not [path for path in taken if not path.startswith(tuple(made))], line
+        if words[:2] == ["leglab", "run"]:
+            given = run.make_context("run", words[2:]).params
+            settings = RunSettings(scenario=words[2], controller=given["controller"] or "pd")
+            made.add(str(default_folder(settings)))
 
 
 @pytest.mark.parametrize("page", PAGES)

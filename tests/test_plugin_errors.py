@@ -1,10 +1,12 @@
 """Wrong input to the plugins: one line with element, attribute, value and what is allowed."""
 
+import re
+
 import mujoco
 import pytest
 
 from leglab.base.errors import LeglabError
-from leglab.machine.plugin import load_error
+from leglab.machine.plugin import elements, load_error
 from tests.plugin_models import compiled, instance, slides, valve
 
 
@@ -103,6 +105,52 @@ def sensor(actuator, quantity):
 def test_wrong_model(xml, words):
     message = refusal(xml)
     assert all(word in message for word in words), message
+
+
+def on_joint(kind, plugin, **attributes):
+    """A mass on a hinge or a slide with one plugin beside the joint."""
+    xml = slides("", extension=instance(plugin, "p", joint="rod", **attributes))
+    return xml.replace('type="slide"', f'type="{kind}"')
+
+
+@pytest.mark.parametrize(
+    ("plugin", "name", "value", "hinge", "slide"),
+    [
+        ("leglab.spring_damper", "k1", 1e7, "N m/rad", "N/m"),
+        ("leglab.spring_damper", "k2", 1e7, "N m/rad^3", "N/m^3"),
+        ("leglab.spring_damper", "quadratic_damping", -1, "N m s^2/rad^2", "N s^2/m^2"),
+        ("leglab.spring_damper", "force_offset", 1e7, "N m", "N"),
+        ("leglab.spring_damper", "rest_position", 1e3, "rad", "m"),
+        ("leglab.joint_friction", "viscous", 1e7, "N m s/rad", "N s/m"),
+        ("leglab.joint_friction", "stribeck_velocity", -1, "rad/s", "m/s"),
+        ("leglab.joint_friction", "wear_rate", -1, "1/rad", "1/m"),
+        ("leglab.backlash", "motor_inertia", -1, "kg m^2", "kg"),
+        ("leglab.residual", "bound", -1, "N m", "N"),
+    ],
+)
+def test_the_unit_is_that_of_the_joint(plugin, name, value, hinge, slide):
+    for kind, unit in (("hinge", hinge), ("slide", slide)):
+        message = refusal(on_joint(kind, plugin, **{name: value}))
+        assert f"'{name}' = {value:g} is out of range" in message
+        assert message.endswith(f"] {unit}"), message
+    if plugin == "leglab.backlash":  # an instance needs an actuator; the table is the same
+        return
+    for kind, unit in (("hinge", hinge), ("slide", slide)):
+        model, _ = compiled(on_joint(kind, plugin))
+        table = elements(model)["p"][1]
+        assert table.entry(name).unit == unit
+        with pytest.raises(LeglabError, match=re.escape(f"] {unit}") + "$"):
+            table.parameters[name].check(value, "p")
+
+
+@pytest.mark.parametrize(("kind", "force", "place"), [("hinge", "N m", "rad"), ("slide", "N", "m")])
+def test_values_that_do_not_go_together_are_told_in_the_unit_of_the_joint(kind, force, place):
+    assert f"'static' = 1 {force}; allowed: at least coulomb = 2" in refusal(
+        on_joint(kind, "leglab.joint_friction", coulomb=2, static=1)
+    )
+    assert f"'stop_lower' = 1 {place}; allowed: less than stop_upper = 0" in refusal(
+        on_joint(kind, "leglab.spring_damper", stop_lower=1, stop_upper=0)
+    )
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ def parameter_tables() -> dict[
         list[tuple[str, str, float, float, float, bool, str]], list[tuple[str, str, str]], list[str]
     ],
 ]: ...
+def unit_at_slide(unit: str) -> str: ...
 def bristle(
     velocity: np.ndarray,
     level: np.ndarray,

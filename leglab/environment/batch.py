@@ -35,6 +35,8 @@ from leglab.runs.preparation import Preparation
 
 # Settings of controllers with one value a joint.
 _PER_JOINT = ("position_gain", "velocity_gain")
+# Rows of a machine: position and velocity, pressures where there are any, the reference.
+_View = tuple[tuple[np.ndarray, np.ndarray], tuple[Any, ...], ReferencePoint]
 
 
 @dataclass(slots=True)
@@ -350,23 +352,30 @@ class Batch:
                 told = self._shared.diagnostics()["feedforward"]
                 self._forward = told.reshape(self.command.shape)
             return
-        hydraulic = self._pressure.shape[1] // 2
+        times, supplies = self.time.tolist(), self._pressure[:, -1:].tolist()
         for i in np.flatnonzero(chosen).tolist():
             loop = self.loop(i)
             controller = loop.controller
             assert controller is not None
-            pressures: tuple[Any, ...] = ()
-            if hydraulic:
-                row = self._pressure[i]
-                pressures = row[:hydraulic], row[hydraulic:-1], float(row[-1])
-            now = int(self.steps[i]) * self.period
-            measurement = Measurement(now, self.position[i], self.velocity[i], *pressures)
-            point = ReferencePoint(*(part[i] for part in self.reference))
+            motion, pressures, point = self._views[i]
+            measurement = Measurement(times[i], *motion, *pressures, *supplies[i])
             if first:
                 controller.reset(measurement)
             self._wish[i] = loop.checked(controller.command(measurement, point))
             if self._feedforward:
                 self._forward[i] = controller.diagnostics()["feedforward"]
+
+    @cached_property
+    def _views(self) -> list[_View]:
+        """What the controller of each machine sees but time and supply: rows of the arrays."""
+        hydraulic = self._pressure.shape[1] // 2
+        found = []
+        for i in range(self.count):
+            row = self._pressure[i]
+            pressures = (row[:hydraulic], row[hydraulic:-1]) if hydraulic else ()
+            point = ReferencePoint(*(part[i] for part in self.reference))
+            found.append(((self.position[i], self.velocity[i]), pressures, point))
+        return found
 
     def _complete(self) -> None:
         """Writes the last columns of the observation: commands, and what a controller tells."""

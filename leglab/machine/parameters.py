@@ -7,9 +7,9 @@ entry; this module mirrors them, so that a name is spelled in one place.
 import functools
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -27,7 +27,8 @@ class Parameter:
 
     Attributes:
         name: Attribute name in MJCF and in `Simulation.set_parameter`.
-        unit: SI unit (temperatures in degC).
+        unit: SI unit (temperatures in degC); where it acts on a joint, that at a hinge, unless
+            the table is of an instance on a slide.
         nominal: Default, NaN where MJCF must give it.
         minimum: Smallest value; excluded itself if `minimum_allowed` is false.
         maximum: Largest value.
@@ -72,6 +73,9 @@ class State:
     unit: str
     description: str
     offset: int
+
+
+Row = TypeVar("Row", Parameter, State)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,12 +136,27 @@ def plugin_tables() -> Mapping[str, PluginTable]:
     return MappingProxyType(tables)
 
 
-def residual_table(table: PluginTable, counts: Mapping[str, int]) -> PluginTable:
+def table_at_slide(table: PluginTable) -> PluginTable:
+    """Table of an instance that acts on a slide joint: N where a hinge has N m, m for rad."""
+    return PluginTable(
+        plugin=table.plugin,
+        parameters=_at_slide(table.parameters),
+        states=_at_slide(table.states),
+    )
+
+
+def _at_slide(rows: Mapping[str, Row]) -> Mapping[str, Row]:
+    at_slide = {n: replace(row, unit=_native.unit_at_slide(row.unit)) for n, row in rows.items()}
+    return MappingProxyType(at_slide)
+
+
+def residual_table(table: PluginTable, counts: Mapping[str, int], unit: str) -> PluginTable:
     """Table of one learned residual: its coefficients, "position_0" and so on, follow the states.
 
     Args:
         table: Of the plugin.
         counts: Number of coefficients by variable.
+        unit: Of the coefficients: that of the joint's force, "1" where they count in commands.
     """
     place = len(table.parameters) + len(table.states)
     rows = dict(table.parameters)
@@ -145,7 +164,7 @@ def residual_table(table: PluginTable, counts: Mapping[str, int]) -> PluginTable
         for number in range(counts.get(variable, 0)):
             rows[f"{variable}_{number}"] = Parameter(
                 name=f"{variable}_{number}",
-                unit="N",
+                unit=unit,
                 nominal=0.0,
                 minimum=-1e9,
                 maximum=1e9,
@@ -219,8 +238,8 @@ def markdown_tables(tables: Iterable[PluginTable]) -> str:
         "# Parameters and states of the plugins",
         "",
         "Made by `leglab parameters --markdown > docs/parameters.md`. SI units, °C for oil. "
-        "Of plugins on a joint N stands for N m at a hinge, N/rad for N m/rad; at a slide rad "
-        "stands for m.",
+        "Units of plugins on a joint are those at a hinge: at a slide N stands for N m, m for rad, "
+        "kg for kg m^2.",
     ]
     for table in tables:
         lines += ["", f"## {table.plugin}", ""]

@@ -21,6 +21,7 @@ from leglab.machine.parameters import (
     PluginTable,
     plugin_tables,
     residual_table,
+    table_at_slide,
 )
 
 
@@ -99,9 +100,19 @@ def elements(model: mujoco.MjModel) -> dict[str, tuple[int, PluginTable]]:
             own = bytes(model.names[start:]).split(b"\0", 1)[0].decode()
             table = tables[names[model.plugin[i]]]
             if table.plugin == RESIDUAL:
-                table = residual_table(table, _coefficients(model, i))
+                unit = "N m" if _joint(model, i, table.plugin) else "1"  # of a cylinder
+                table = residual_table(table, _coefficients(model, i), unit)
+            joint = _joint(model, i, table.plugin)
+            if joint and model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_SLIDE:
+                table = table_at_slide(table)
             found[owners.get(i) or own] = int(model.plugin_stateadr[i]), table
     return found
+
+
+def _joint(model: mujoco.MjModel, instance: int, plugin: str) -> str:
+    """Name of the joint on which a plugin instance acts; empty if it acts on none."""
+    texts = parameter_tables()[plugin][2]
+    return text_attribute(model, instance, texts.index("joint")) if "joint" in texts else ""
 
 
 def _coefficients(model: mujoco.MjModel, instance: int) -> dict[str, int]:

@@ -229,6 +229,7 @@ NB_MODULE(hydraulics, m) {
     }
     return tables;
   });
+  m.def("unit_at_slide", &leglab::plugin::unit_at_slide);
   m.def("bristle", &bristle);
   m.def("play", &play);
   m.def("spool", &spool);

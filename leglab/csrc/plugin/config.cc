@@ -4,6 +4,8 @@
 #include <cstdio>
 #include <cstring>
 
+#include "plugin/tables.h"
+
 namespace leglab::plugin {
 
 std::string number(double value) {
@@ -14,9 +16,9 @@ std::string number(double value) {
 
 namespace {
 
-std::string range(const ParameterSpec& spec) {
+std::string range(const ParameterSpec& spec, const std::string& unit) {
   return std::string(spec.minimum_allowed ? "[" : "(") + number(spec.minimum) + ", " +
-         number(spec.maximum) + "] " + spec.unit;
+         number(spec.maximum) + "] " + unit;
 }
 
 bool parse(const std::string& text, double& value) {
@@ -54,11 +56,17 @@ std::string text_attribute(const mjModel* m, int instance, const char* key) {
   return text ? text : "";
 }
 
+std::string unit_at_joint(const mjModel* m, int instance, const char* unit) {
+  const int joint = mj_name2id(m, mjOBJ_JOINT, text_attribute(m, instance, "joint").c_str());
+  return joint >= 0 && m->jnt_type[joint] == mjJNT_SLIDE ? unit_at_slide(unit) : unit;
+}
+
 void read_parameters(const mjModel* m, int instance, std::span<const ParameterSpec> specs,
                      double* values) {
   for (const ParameterSpec& spec : specs) {
     const auto wrong = [&](const std::string& what) {
-      refuse(m, instance, std::string("attribute '") + spec.name + "' " + what + "; allowed " + range(spec));
+      refuse(m, instance, std::string("attribute '") + spec.name + "' " + what + "; allowed " +
+                              range(spec, unit_at_joint(m, instance, spec.unit)));
     };
     const std::string text = text_attribute(m, instance, spec.name);
     double value = spec.nominal;

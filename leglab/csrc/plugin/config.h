@@ -23,6 +23,9 @@ std::string number(double value);
 // Text of an attribute, empty where it is absent.
 std::string text_attribute(const mjModel* m, int instance, const char* key);
 
+// Unit of a parameter of a table at the joint that an instance acts on; that of the table elsewhere.
+std::string unit_at_joint(const mjModel* m, int instance, const char* unit);
+
 // Reads all attributes of a table into `values`; defaults where absent. Refuses what is missing
 // without a default, is not a finite number, or lies outside its bounds.
 void read_parameters(const mjModel* m, int instance, std::span<const ParameterSpec> specs,

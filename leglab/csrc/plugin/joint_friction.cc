@@ -11,8 +11,8 @@ namespace {
 
 // Friction at a velocity: steady bristle force g and viscous coefficient.
 struct Level {
-  double sliding;  // N, not negative
-  double viscous;  // N s/rad
+  double sliding;  // N m or N, not negative
+  double viscous;  // N m s/rad or N s/m
 };
 
 // Wear and slow drift scale everything, the direction of sliding shifts and scales, the load that
@@ -37,7 +37,8 @@ class JointFriction : public Instance<FrictionTable> {
       : Instance(m, instance), dof_(m->jnt_dofadr[joint_attribute(m, instance)]) {
     if (initial_.static_ < initial_.coulomb_) {
       refuse(m, instance, "attribute 'static' = " + number(initial_.static_) +
-                              " N; allowed: at least coulomb = " + number(initial_.coulomb_));
+                              " " + unit_at_joint(m, instance, "N m") +
+                              "; allowed: at least coulomb = " + number(initial_.coulomb_));
     }
   }
 

@@ -16,7 +16,8 @@ class SpringDamper : public Instance<SpringTable> {
     dof_ = m->jnt_dofadr[joint];
     if (initial_.stop_lower_ >= initial_.stop_upper_) {
       refuse(m, instance, "attribute 'stop_lower' = " + number(initial_.stop_lower_) +
-                              " rad; allowed: less than stop_upper = " + number(initial_.stop_upper_));
+                              " " + unit_at_joint(m, instance, "rad") +
+                              "; allowed: less than stop_upper = " + number(initial_.stop_upper_));
     }
     const std::string strut = text_attribute(m, instance, "strut");
     if (!strut.empty()) {

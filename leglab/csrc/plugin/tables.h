@@ -3,86 +3,97 @@
 #pragma once
 
 #include <span>
+#include <string>
+#include <utility>
 
 #include "hydraulics/parameters.h"
 #include "hydraulics/supply.h"
 
 namespace leglab::plugin {
 
+// Unit at a slide joint of what has this unit at a hinge: N m/rad becomes N/m, rad/s becomes m/s.
+inline std::string unit_at_slide(std::string unit) {
+  for (const auto& [angular, linear] : {std::pair{"kg m^2", "kg"}, {"N m", "N"}, {"rad", "m"}}) {
+    const std::size_t at = unit.find(angular);
+    if (at != std::string::npos) unit.replace(at, std::string(angular).size(), linear);
+  }
+  return unit;
+}
+
 // X(name, unit, nominal, minimum, maximum, minimum_allowed, description) of parameters and
-// X(name, unit, description) of states; N is N m at a hinge.
+// X(name, unit, description) of states. Units at a joint are those at a hinge: see unit_at_slide.
 
 #define LEGLAB_SPRING_PARAMETERS(X)                                                                \
-  X(k1, "N/rad", 0.0, -1e6, 1e6, true, "linear stiffness (Eq. 23); negative weakens a native spring") \
-  X(k2, "N/rad^3", 0.0, -1e6, 1e6, true, "hardening y^3 sin^2 y (Eq. 23)")                         \
-  X(k3, "N/rad^3", 0.0, -1e9, 1e9, true, "hardening y^3 (Duffing 1918)")                           \
-  X(d1, "N s/rad", 0.0, -1e5, 1e5, true, "linear damping (Eq. 23); negative weakens native damping") \
-  X(quadratic_damping, "N s^2/rad^2", 0.0, 0.0, 1e5, true, "damping with the speed squared")       \
+  X(k1, "N m/rad", 0.0, -1e6, 1e6, true, "linear stiffness (Eq. 23); negative weakens a native spring") \
+  X(k2, "N m/rad^3", 0.0, -1e6, 1e6, true, "hardening y^3 sin^2 y (Eq. 23)")                       \
+  X(k3, "N m/rad^3", 0.0, -1e9, 1e9, true, "hardening y^3 (Duffing 1918)")                         \
+  X(d1, "N m s/rad", 0.0, -1e5, 1e5, true, "linear damping (Eq. 23); negative weakens native damping") \
+  X(quadratic_damping, "N m s^2/rad^2", 0.0, 0.0, 1e5, true, "damping with the speed squared")     \
   X(rest_position, "rad", 0.0, -100.0, 100.0, true, "joint position without spring force")         \
-  X(force_offset, "N", 0.0, -1e6, 1e6, true, "constant force")                                     \
-  X(ripple_sine, "N", 0.0, -1e6, 1e6, true, "times sin(2 pi q/ripple_period)")                     \
-  X(ripple_cosine, "N", 0.0, -1e6, 1e6, true, "times cos(2 pi q/ripple_period)")                   \
-  X(ripple_sine_2, "N", 0.0, -1e6, 1e6, true, "times sin(4 pi q/ripple_period)")                   \
-  X(ripple_cosine_2, "N", 0.0, -1e6, 1e6, true, "times cos(4 pi q/ripple_period)")                 \
+  X(force_offset, "N m", 0.0, -1e6, 1e6, true, "constant force")                                   \
+  X(ripple_sine, "N m", 0.0, -1e6, 1e6, true, "times sin(2 pi q/ripple_period)")                   \
+  X(ripple_cosine, "N m", 0.0, -1e6, 1e6, true, "times cos(2 pi q/ripple_period)")                 \
+  X(ripple_sine_2, "N m", 0.0, -1e6, 1e6, true, "times sin(4 pi q/ripple_period)")                 \
+  X(ripple_cosine_2, "N m", 0.0, -1e6, 1e6, true, "times cos(4 pi q/ripple_period)")               \
   X(ripple_period, "rad", 1.0, 0.0, 1e3, false, "of the force that repeats with the joint position") \
   X(stop_lower, "rad", -1e3, -1e3, 1e3, true, "below it the soft stop acts")                       \
   X(stop_upper, "rad", 1e3, -1e3, 1e3, true, "above it the soft stop acts")                        \
-  X(stop_stiffness, "N/rad", 0.0, 0.0, 1e9, true, "of the soft stops")                             \
-  X(stop_damping, "N s/rad", 0.0, 0.0, 1e6, true, "of the soft stops")
+  X(stop_stiffness, "N m/rad", 0.0, 0.0, 1e9, true, "of the soft stops")                           \
+  X(stop_damping, "N m s/rad", 0.0, 0.0, 1e6, true, "of the soft stops")
 LEGLAB_TABLE(Spring, "leglab.spring_damper", LEGLAB_SPRING_PARAMETERS, LEGLAB_NONE, "joint", "strut")
 
 #define LEGLAB_FRICTION_PARAMETERS(X)                                                              \
-  X(sigma_0, "N/rad", 1e3, 0.0, 1e9, true, "bristle stiffness")                                    \
-  X(sigma_1, "N s/rad", 1.0, 0.0, 1e6, true, "bristle damping")                                    \
-  X(viscous, "N s/rad", 0.0, -1e6, 1e6, true, "viscous friction; negative weakens native damping")     \
-  X(coulomb, "N", 0.0, 0.0, 1e6, true, "Coulomb friction")                                         \
-  X(static, "N", 0.0, 0.0, 1e6, true, "breakaway friction, at least coulomb")                      \
+  X(sigma_0, "N m/rad", 1e3, 0.0, 1e9, true, "bristle stiffness")                                  \
+  X(sigma_1, "N m s/rad", 1.0, 0.0, 1e6, true, "bristle damping")                                  \
+  X(viscous, "N m s/rad", 0.0, -1e6, 1e6, true, "viscous friction; negative weakens native damping") \
+  X(coulomb, "N m", 0.0, 0.0, 1e6, true, "Coulomb friction")                                       \
+  X(static, "N m", 0.0, 0.0, 1e6, true, "breakaway friction, at least coulomb")                    \
   X(stribeck_velocity, "rad/s", 0.1, 0.0, 1e3, false, "Stribeck velocity")                         \
   X(stribeck_exponent, "1", 2.0, 0.1, 20.0, true, "n of exp(-|v/v_s|^n): how steeply friction falls") \
   X(direction_asymmetry, "1", 0.0, -1.0, 1.0, true, "friction x (1 + a) for v > 0, (1 - a) for v < 0") \
-  X(viscous_difference, "N s/rad", 0.0, -1e6, 1e6, true, "viscous friction for v > 0 less that for v < 0")\
-  X(coulomb_difference, "N", 0.0, -1e6, 1e6, true, "Coulomb and breakaway friction for v > 0 less v < 0")\
-  X(actuator_load_coefficient, "1", 0.0, -10.0, 10.0, true, "friction per actuator force, see load")  \
-  X(bias_load_coefficient, "1", 0.0, -10.0, 10.0, true, "friction per gravity and Coriolis force")  \
+  X(viscous_difference, "N m s/rad", 0.0, -1e6, 1e6, true, "viscous friction for v > 0 less that for v < 0") \
+  X(coulomb_difference, "N m", 0.0, -1e6, 1e6, true, "Coulomb and breakaway friction for v > 0 less v < 0") \
+  X(actuator_load_coefficient, "1", 0.0, -10.0, 10.0, true, "friction per actuator force, see load") \
+  X(bias_load_coefficient, "1", 0.0, -10.0, 10.0, true, "friction per gravity and Coriolis force") \
   X(wear_rate, "1/rad", 0.0, 0.0, 1e3, true, "relative growth per path travelled (Archard 1953)")  \
   X(drift_amplitude, "1", 0.0, 0.0, 1.0, true, "relative slow sinusoidal change")                  \
   X(drift_period, "s", 60.0, 0.0, 1e6, false, "period of the slow change")                         \
   X(wear, "1", 1.0, 0.0, 1e3, true, "relative friction level; the machine itself changes it")
 
 #define LEGLAB_FRICTION_STATES(X)  \
-  X(bristle, "rad", "LuGre bristle deflection z") \
-  X(sliding_distance, "rad", "path since the reset") \
-  X(load, "N", "|actuator_load_coefficient qfrc_actuator + bias_load_coefficient qfrc_bias| of the last step")
+  X(bristle, "rad", "LuGre bristle deflection z")                                                  \
+  X(sliding_distance, "rad", "path since the reset")                                               \
+  X(load, "N m", "|actuator_load_coefficient qfrc_actuator + bias_load_coefficient qfrc_bias| of the last step")
 LEGLAB_TABLE(Friction, "leglab.joint_friction", LEGLAB_FRICTION_PARAMETERS, LEGLAB_FRICTION_STATES, "joint")
 
 #define LEGLAB_BACKLASH_PARAMETERS(X)                                                              \
   X(width, "rad", 0.0, 0.0, 10.0, true, "total play; 0 = rigid, no effect")                        \
-  X(motor_inertia, "kg m^2", 0.0, 0.0, 1e6, true, "motor side, reflected; 0 = the joint's armature")\
-  X(stiffness, "N/rad", 1e5, 0.0, 1e12, false, "of a flank in contact")                            \
+  X(motor_inertia, "kg m^2", 0.0, 0.0, 1e6, true, "motor side, reflected; 0 = the joint's armature") \
+  X(stiffness, "N m/rad", 1e5, 0.0, 1e12, false, "of a flank in contact")                          \
   X(damping_ratio, "1", 0.5, 0.0, 100.0, true, "of a flank in contact, with the reduced mass")
 
 #define LEGLAB_BACKLASH_STATES(X)                                        \
-  X(offset, "rad", "motor side less joint")                              \
-  X(motor_velocity, "rad/s", "of the motor side")                        \
-  X(transmitted, "N", "from motor to joint over the last step")          \
-  X(constraint, "N", "of friction loss, limits and contacts on the joint over the last step") \
+  X(offset, "rad", "motor side less joint")                                                        \
+  X(motor_velocity, "rad/s", "of the motor side")                                                  \
+  X(transmitted, "N m", "from motor to joint over the last step")                                  \
+  X(constraint, "N m", "of friction loss, limits and contacts on the joint over the last step")    \
   X(seated_width, "rad", "play of the last step; a new one seats anew on the loaded flank")
 LEGLAB_TABLE(Backlash, "leglab.backlash", LEGLAB_BACKLASH_PARAMETERS, LEGLAB_BACKLASH_STATES, "joint")
 
 // In the order in which the command passes them. Commands count in the unit of the actuator's ctrl.
 #define LEGLAB_COMMAND_PARAMETERS(X)                                                               \
   X(delay, "s", 0.0, 0.0, 1.0, true, "dead time, at most the attribute max_delay")                 \
-  X(gain, "1", 1.0, -100.0, 100.0, true, "factor on the command")                               \
+  X(gain, "1", 1.0, -100.0, 100.0, true, "factor on the command")                                  \
   X(bias, "ctrl", 0.0, -1e6, 1e6, true, "added to the command")                                    \
   X(hysteresis, "ctrl", 0.0, 0.0, 1e6, true, "full width of a play")                               \
-  X(dead_band, "ctrl", 0.0, 0.0, 1e6, true, "half width: below it nothing, above it u - dead_band")\
+  X(dead_band, "ctrl", 0.0, 0.0, 1e6, true, "half width: below it nothing, above it u - dead_band") \
   X(time_constant, "s", 0.0, 0.0, 10.0, true, "first-order lag: bandwidth 1/(2 pi time_constant)") \
   X(actuator_gain, "1", 1.0, -100.0, 100.0, true, "factor on the force of the actuator")
 
 // The commands of the last steps follow these in the plugin state, newest first.
 #define LEGLAB_COMMAND_STATES(X)                \
-  X(started, "1", "1 after the first step")     \
-  X(play_output, "ctrl", "behind the hysteresis") \
+  X(started, "1", "1 after the first step")                                                        \
+  X(play_output, "ctrl", "behind the hysteresis")                                                  \
   X(lag_output, "ctrl", "behind the lag")
 LEGLAB_TABLE(Command, "leglab.command_path", LEGLAB_COMMAND_PARAMETERS, LEGLAB_COMMAND_STATES, "actuator",
              "max_delay")
@@ -90,9 +101,9 @@ LEGLAB_TABLE(Command, "leglab.command_path", LEGLAB_COMMAND_PARAMETERS, LEGLAB_C
 // The coefficients of the splines follow these in the plugin state: position, velocity, load, command.
 #define LEGLAB_RESIDUAL_PARAMETERS(X)                                                              \
   X(scale, "1", 1.0, -1e3, 1e3, true, "factor on the learned sum")                                 \
-  X(bound, "N", 1e9, 0.0, 1e9, true, "largest magnitude of the sum; of a cylinder in commands")
+  X(bound, "N m", 1e9, 0.0, 1e9, true, "largest magnitude of the sum; of a cylinder in commands")
 
-#define LEGLAB_RESIDUAL_STATES(X) X(load, "N", "actuator force on the joint over the last step")
+#define LEGLAB_RESIDUAL_STATES(X) X(load, "N m", "actuator force on the joint over the last step")
 LEGLAB_TABLE(Residual, "leglab.residual", LEGLAB_RESIDUAL_PARAMETERS, LEGLAB_RESIDUAL_STATES, "joint",
              "cylinder", "actuator", "position_knots", "position_coefficients", "velocity_knots",
              "velocity_coefficients", "load_knots", "load_coefficients", "command_knots",
