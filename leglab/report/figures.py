@@ -24,7 +24,7 @@ from leglab.base.scenario import Phase
 from leglab.report.page.wording import readable
 from leglab.report.style import BLACK, BLUE, DARK_GREY, LIGHT_GREY, ORANGE, SERIES, VERMILION, style
 from leglab.runs.metrics import phase_table, sliding_rms
-from leglab.runs.run import Run
+from leglab.runs.run import Result
 from leglab.runs.sweep import unit_of_results
 
 _BAR = 1e5  # Pa
@@ -184,7 +184,7 @@ def command_figure(
     return figure
 
 
-def draw_run(run: Run, folder: Path) -> tuple[Path, ...]:
+def draw_run(run: Result, folder: Path) -> tuple[Path, ...]:
     """Draws a run into a folder; see `save_run_figures`."""
     settings = run.settings
     return save_run_figures(
