@@ -3,8 +3,8 @@
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -106,8 +106,13 @@ class Growing:
         self._write(pa.table({name: _floats(values) for name, values in columns.items()}))
 
     def finish(self, metadata: Mapping[str, Any]) -> None:
-        """Writes metadata and the end of the file; it takes its place when `growing` ends."""
-        assert self._writer is not None
+        """Writes metadata and the end of the file.
+
+        Raises:
+            LeglabError: No row was written.
+        """
+        if self._writer is None:
+            raise LeglabError("a recording needs at least one sample")
         self._writer.add_key_value_metadata(_notes(self.rows, self.names, metadata))
         self.close()
 
@@ -115,8 +120,11 @@ class Growing:
         """Closes the file, as far as it came."""
         writer, self._writer = self._writer, None
         if writer is not None:
-            writer.close()
-            self._stream.close()
+            try:
+                writer.close()
+            finally:
+                writer.is_open = False  # It would try again as it is deleted.
+                self._stream.close()
 
     def _begin(self, names: list[str]) -> None:
         """Begins the file, or does so again with more columns."""
@@ -146,20 +154,29 @@ class Growing:
 
 
 @contextmanager
-def growing(path: Path) -> Iterator[Growing]:
-    """Yields a file that rows are added to; it takes its place at the end if it was finished.
+def growing(
+    path: Path, metadata: Callable[[Sequence[str]], Mapping[str, Any]]
+) -> Iterator[Growing]:
+    """Yields a file that rows are added to; it takes its place at the end.
+
+    Args:
+        path: The file.
+        metadata: Returns what the recording tells, given the names of its columns without "time".
 
     Raises:
-        LeglabError: Another process is writing the file, or it cannot be written or replaced.
+        LeglabError: Another process is writing the file, no row was written, or the file cannot be
+            written or replaced.
     """
     with new_file(path) as place:
         file = Growing(place)
         try:
             yield file
+            file.finish(metadata(file.names[1:]))
         except OSError as error:
             raise cannot_write(path, error) from error
         finally:
-            file.close()
+            with suppress(OSError):  # of a full disk, which was told
+                file.close()
 
 
 class StoredColumns(Mapping[str, np.ndarray]):
@@ -176,7 +193,7 @@ class StoredColumns(Mapping[str, np.ndarray]):
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._file = pq.ParquetFile(path, page_checksum_verification=True)
+        self._file = pq.ParquetFile(path, page_checksum_verification=True, pre_buffer=False)
         self._names = [name for name in self._file.schema_arrow.names if name != "time"]
         text = (self._file.schema_arrow.metadata or {}).get(_METADATA_KEY)
         self.metadata = _metadata(path, text)

@@ -147,13 +147,12 @@ def record_scenario(settings: RunSettings, path: Path, progress: Progress | None
     loop = Loop(settings, kept=BLOCK)
     recorder, configuration = Recorder(loop), _configuration(loop)
     with held() as hold:
-        with parquet.growing(path) as file:
+        with parquet.growing(path, recorder.metadata) as file:
 
             def keep(rows: Rows) -> None:
                 file.append({"time": rows.time, **recorder.columns(rows)})
 
             ending = loop.stream(keep, _share(loop, progress), interrupted=hold.take)
-            file.finish(recorder.metadata(file.names[1:]))
         return _result(loop, configuration, parquet.stored(path), ending, progress, hold.take)
 
 
@@ -243,12 +242,23 @@ def _metrics(
     """
     scenario, simulation, stride = loop.scenario, loop.simulation, loop.reference.period
     joints, length = simulation.joints, float(recording.time[-1])
-    error = recording.stack(joints, "truth") - recording.stack(joints, "reference")
+    error = recording.stack(joints, "truth")
+    error -= recording.stack(joints, "reference")
     finite = np.isfinite(error).all(axis=1)
     # Columns of long runs are large: one that is whole is not copied, and no two are kept.
     kept = slice(None) if finite.all() else finite
     time, error = recording.time[kept], error[kept]
     errors = phase_table(time, error, joints, scenario.phases)
+    change = min(scenario.breakpoints, default=None)
+    figures = {
+        "adaptation": adaptation(
+            scenario, stride, time, error, joints, twin=twin, failure=ending.failure
+        ).model_dump(),
+        "excess_error_area_rad_s": None
+        if change is None
+        else excess_error_area(time, error, change, stride),
+    }
+    del error
     for row, costs in zip(errors, _usage(loop, recording, kept), strict=True):
         row.update(costs)
     if f"{joints[0]}_model_error" in recording:
@@ -256,8 +266,6 @@ def _metrics(
         for row in errors:
             part = (time >= row["start"]) & (time <= row["end"])
             row["model_error"] = dict(zip(joints, rms(values[part]).tolist(), strict=True))
-        del values
-    change = min(scenario.breakpoints, default=None)
     slides = [joint for joint in joints if loop.simulation.slides[joint]]
     return {
         **({"slides": slides} if slides else {}),
@@ -267,31 +275,20 @@ def _metrics(
         "completed": not ending.failure,
         "failure": ending.failure or None,
         "phases": errors,
-        "adaptation": adaptation(
-            scenario, stride, time, error, joints, twin=twin, failure=ending.failure
-        ).model_dump(),
-        "excess_error_area_rad_s": None
-        if change is None
-        else excess_error_area(time, error, change, stride),
+        **figures,
     }
 
 
 def _usage(loop: Loop, recording: Recording, kept: slice | np.ndarray) -> list[dict[str, Any]]:
     """What tracking cost by phase, of some rows."""
     simulation = loop.simulation
-    control = recording.stack(simulation.actuators, "command")[kept]
-    none = np.full(len(control), np.nan)
-    spent = [
-        recording[name][kept] if (name := f"{joint}_energy_supply") in recording else none
-        for joint in simulation.joints
-    ]
-    return usage_table(
-        recording.time[kept],
-        simulation.commands(control),
-        np.column_stack(spent),
-        simulation.joints,
-        loop.scenario.phases,
-    )
+    command = simulation.commands(recording.stack(simulation.actuators, "command")[kept])
+    energy = np.full_like(command, np.nan)
+    for i, joint in enumerate(simulation.joints):
+        if (name := f"{joint}_energy_supply") in recording:
+            energy[:, i] = recording[name][kept]
+    time = recording.time[kept]
+    return usage_table(time, command, energy, simulation.joints, loop.scenario.phases)
 
 
 def _configuration(loop: Loop) -> RunConfiguration:
