@@ -30,8 +30,8 @@ from leglab.runs.metrics import sliding_rms
 from leglab.runs.preparation import RunSettings
 from leglab.runs.run import record_scenario, run_scenario
 
-# A block of 97 periods fits neither the checks of the loop, every 50, nor the lengths of the runs.
-BLOCK = 97
+# Does not fit the checks of the loop, every 50 periods; of 1001 the last block has one period.
+BLOCK = 125
 RUNS = {
     "a bench": {"model": "knee_bench"},
     "lost readings": {"scenario": "sensor_dropout"},
@@ -225,12 +225,11 @@ import resource, sys
 from pathlib import Path
 from leglab.runs.preparation import RunSettings
 from leglab.runs.run import record_scenario
-from leglab.report.figures import draw_run
-for duration in (40.0, 340.0):
+for duration in (60.0, 260.0):
     asked = RunSettings(
         scenario="supply_drop", controller="pd", model="knee_bench", duration=duration
     )
-    draw_run(record_scenario(asked, Path("a.parquet")), Path())
+    record_scenario(asked, Path("a.parquet"))
     print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3)
 """
 
@@ -240,8 +239,8 @@ def test_memory_hardly_grows_with_the_duration(tmp_path):
         [sys.executable, "-c", MEMORY], cwd=tmp_path, check=True, capture_output=True, text=True
     )
     short, long = map(float, done.stdout.split())
-    # 150,000 rows more are 22 MB of Parquet's 18 columns; a tenth of the columns is held at a time.
-    assert long - short < 14.0
+    # 100,000 rows more: 17 MB. A run that is kept in memory takes 41 MB for them.
+    assert long - short < 25.0
 
 
 def test_figures_of_a_stored_recording_are_those_of_one_in_memory(tmp_path):
@@ -276,10 +275,11 @@ def test_parts_of_long_series_are_those_of_all_at_once(monkeypatch):
             last = np.sqrt(np.mean(error[-count:] ** 2))
             assert windowed[-1] == pytest.approx(last, rel=1e-12)
     np.testing.assert_array_equal(outline(values), rows)
+    found = set(rows.tolist())
     for place in range(0, 50_000, 5):
         piece = values[place : place + 5]
         if not np.isnan(piece).all():
-            assert {place + np.nanargmin(piece), place + np.nanargmax(piece)} <= set(rows.tolist())
+            assert {place + np.nanargmin(piece), place + np.nanargmax(piece)} <= found
 
 
 def test_filters_and_losses_go_on_from_block_to_block():

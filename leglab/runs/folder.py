@@ -27,7 +27,7 @@ from leglab.runs.record import (
     RunConfiguration,
     RunMetrics,
 )
-from leglab.runs.run import Result, Run, run_scenario
+from leglab.runs.run import Result, Run, record_scenario
 from leglab.runs.view import draw
 
 # Settings of controller, reference and sensors that a folder's name tells one by one.
@@ -363,10 +363,10 @@ def _is_made(settings: RunSettings, folder: Path, code: str) -> bool:
 def _make(task: tuple[RunSettings, Path], code: str) -> str:
     """Makes a run, in a process of its own unless there is one job only, and says what it was."""
     settings, folder = task
-    run = run_scenario(settings)
-    if run.history.failure.startswith("interrupted"):
-        raise KeyboardInterrupt
-    made = {"asked": _asked(settings), "code": code}
-    run = replace(run, configuration=run.configuration.model_copy(update=made))
-    write_run(run, folder, overwrite=True)
+    with new_folder(folder, mark=METRICS, overwrite=True) as partial:
+        run = record_scenario(settings, partial / RECORDING)
+        if (run.record.failure or "").startswith("interrupted"):
+            raise KeyboardInterrupt
+        made = {"asked": _asked(settings), "code": code}
+        write_result(replace(run, configuration=run.configuration.model_copy(update=made)), partial)
     return f"{settings.scenario} · {settings.controller}"
