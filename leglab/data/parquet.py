@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import pyarrow as pa
@@ -70,12 +70,14 @@ def write(recording: Recording, path: Path) -> None:
         LeglabError: The folder does not exist or cannot be written to.
     """
     table = pa.table({"time": recording.time, **recording.columns})
-    table = table.replace_schema_metadata(
-        _notes(len(recording), table.column_names, recording.metadata)
-    )
-    write_atomically(
-        path, lambda stream: pq.write_table(table, stream, row_group_size=_GROUP, **_OPTIONS)
-    )
+    notes = _notes(len(recording), table.column_names, recording.metadata)
+
+    def fill(stream: BinaryIO) -> None:
+        with pq.ParquetWriter(stream, table.schema, **_OPTIONS) as writer:
+            writer.write_table(table, row_group_size=_GROUP)
+            writer.add_key_value_metadata(notes)
+
+    write_atomically(path, fill)
 
 
 class Growing:
