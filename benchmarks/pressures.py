@@ -20,7 +20,8 @@ from leglab import RunSettings
 from leglab.base.scenario import Scenario, get_scenario
 from leglab.control.feedforward.fault_bank import ALL
 from leglab.runs.clock import adaptation
-from leglab.runs.loop import History, Loop
+from leglab.runs.history import History
+from leglab.runs.loop import Loop
 from leglab.runs.preparation import Preparation
 
 FROZEN, ORACLE, PEER = "frozen", "oracle", "adaptive_backstepping"

@@ -166,7 +166,7 @@ def test_a_late_encoder_shows_what_was_between_samples():
     )
     assert faults
     positions = np.array([[0.0, 9.0], [1.0, 8.0], [4.0, 7.0]])
-    np.testing.assert_allclose(faults.seen(positions, 2e-3), [2.0 * 0.5 + 0.5, 7.0])
-    np.testing.assert_allclose(faults.seen(positions[:1], 2e-3), [0.5, 9.0])
+    np.testing.assert_allclose(faults.seen(positions, 2, 2e-3), [2.0 * 0.5 + 0.5, 7.0])
+    np.testing.assert_allclose(faults.seen(positions[:1], 0, 2e-3), [0.5, 9.0])
     healthy = EncoderFaults(offset=np.zeros(2), scale=np.ones(2), delay=np.zeros(2))
     assert not healthy

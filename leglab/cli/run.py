@@ -47,10 +47,10 @@ def run(
     options.load_plugins(load)
     from leglab.base.scenario import get_scenario
     from leglab.report.figures import draw_run
-    from leglab.runs.folder import default_folder, fill_folder
+    from leglab.runs.folder import default_folder, write_result
     from leglab.runs.interrupts import held
-    from leglab.runs.record import METRICS
-    from leglab.runs.run import run_scenario
+    from leglab.runs.record import METRICS, RECORDING
+    from leglab.runs.run import record_scenario
 
     settings = options.settings_of(context)
     folder = out or default_folder(settings)
@@ -60,9 +60,11 @@ def run(
         new_folder(folder, mark=METRICS, overwrite=overwrite) as partial,
         terminal.progress(f"{settings.scenario} · {settings.controller}", length) as show,
     ):
-        result = run_scenario(settings, lambda now: show(completed=now))
+        result = record_scenario(settings, partial / RECORDING, lambda now: show(completed=now))
         show(description="writing", completed=length)
-        fill_folder(result, partial, draw=draw_run if figures else None)
+        write_result(result, partial)
+        if figures:
+            draw_run(result, partial)
         late = hold.take()
     if as_json:
         terminal.print_json(result.metrics)
@@ -72,7 +74,7 @@ def run(
         for line in [*terminal.fault_lines(result.metrics), *notes]:
             terminal.output.print(line, soft_wrap=True)
         terminal.tell(f"written to {folder}")
-    failure = result.history.failure or ("interrupted when the run was over" if late else "")
+    failure = result.record.failure or ("interrupted when the run was over" if late else "")
     if failure:
         interrupted = failure.startswith("interrupted")
         terminal.complain(f"{failure}; what was recorded is in {folder}")

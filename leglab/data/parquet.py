@@ -2,7 +2,11 @@
 
 import hashlib
 import json
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any, BinaryIO
 
 import numpy as np
 import pyarrow as pa
@@ -10,13 +14,23 @@ import pyarrow.parquet as pq
 
 from leglab.base.errors import LeglabError
 from leglab.base.input import parse_json
-from leglab.base.output import write_atomically
+from leglab.base.output import cannot_write, new_file, write_atomically
 from leglab.base.recording import Recording
 from leglab.data.columns import to_arrays
 from leglab.data.files import first_line
 from leglab.data.metadata import check_notes, to_json
 
 _METADATA_KEY, _DIGEST_KEY = b"leglab", b"leglab.sha256"
+
+# Measured values seldom repeat: files with dictionaries of them are a quarter larger.
+_OPTIONS: dict[str, Any] = {
+    "compression": "zstd",
+    "write_page_checksum": True,
+    "use_dictionary": False,
+    "store_schema": False,  # The metadata of a growing file is known at its end.
+}
+# Rows that are written, and read, together.
+_GROUP = 65536
 
 
 def read_table(
@@ -56,11 +70,178 @@ def write(recording: Recording, path: Path) -> None:
         LeglabError: The folder does not exist or cannot be written to.
     """
     table = pa.table({"time": recording.time, **recording.columns})
-    text = to_json(recording.metadata).encode()
-    digest = _digest([table.num_rows, *table.column_names], text)
-    table = table.replace_schema_metadata({_METADATA_KEY: text, _DIGEST_KEY: digest})
-    options = {"compression": "zstd", "write_page_checksum": True}
-    write_atomically(path, lambda stream: pq.write_table(table, stream, **options))
+    notes = _notes(len(recording), table.column_names, recording.metadata)
+
+    def fill(stream: BinaryIO) -> None:
+        with pq.ParquetWriter(stream, table.schema, **_OPTIONS) as writer:
+            writer.write_table(table, row_group_size=_GROUP)
+            writer.add_key_value_metadata(notes)
+
+    write_atomically(path, fill)
+
+
+class Growing:
+    """A recording's file that rows are added to; see `growing`.
+
+    Attributes:
+        names: Columns so far, "time" the first.
+        rows: Number of rows so far.
+    """
+
+    def __init__(self, place: Path) -> None:
+        self._place, self._writer = place, None
+        self.names: list[str] = []
+        self.rows = 0
+
+    def append(self, columns: Mapping[str, np.ndarray]) -> None:
+        """Writes rows.
+
+        Args:
+            columns: Samples by name, "time" the first, (n,) each. A column that earlier rows did
+                not have has NaN there.
+
+        Raises:
+            LeglabError: A column of earlier rows is missing.
+        """
+        if list(columns) != self.names:
+            self._begin(list(columns))
+        self._write(pa.table({name: _floats(values) for name, values in columns.items()}))
+
+    def finish(self, metadata: Mapping[str, Any]) -> None:
+        """Writes metadata and the end of the file.
+
+        Raises:
+            LeglabError: No row was written.
+        """
+        if self._writer is None:
+            raise LeglabError("a recording needs at least one sample")
+        self._writer.add_key_value_metadata(_notes(self.rows, self.names, metadata))
+        self.close()
+
+    def close(self) -> None:
+        """Closes the file, as far as it came."""
+        writer, self._writer = self._writer, None
+        if writer is not None:
+            try:
+                writer.close()
+            finally:
+                writer.is_open = False  # It would try again as it is deleted.
+                self._stream.close()
+
+    def _begin(self, names: list[str]) -> None:
+        """Begins the file, or does so again with more columns."""
+        missing = [name for name in self.names if name not in names]
+        if missing:
+            raise LeglabError(f"column {missing[0]!r} ends before the recording does")
+        earlier = self._place.with_name(f"{self._place.name}.earlier")
+        self.close()
+        if self.rows:
+            os.replace(self._place, earlier)
+        self.names, self.rows = names, 0
+        self._stream = self._place.open("wb")
+        schema = pa.schema([(name, pa.float64()) for name in names])
+        self._writer = pq.ParquetWriter(self._stream, schema, **_OPTIONS)
+        if earlier.exists():
+            with pq.ParquetFile(earlier) as file:
+                for batch in file.iter_batches(_GROUP):
+                    known = dict(zip(batch.schema.names, batch.columns, strict=True))
+                    none = _floats(np.full(batch.num_rows, np.nan))
+                    self._write(pa.table({name: known.get(name, none) for name in names}))
+            earlier.unlink()
+
+    def _write(self, table: pa.Table) -> None:
+        assert self._writer is not None
+        self._writer.write_table(table)
+        self.rows += table.num_rows
+
+
+@contextmanager
+def growing(
+    path: Path, metadata: Callable[[Sequence[str]], Mapping[str, Any]]
+) -> Iterator[Growing]:
+    """Yields a file that rows are added to; it takes its place at the end.
+
+    Args:
+        path: The file.
+        metadata: Returns what the recording tells, given the names of its columns without "time".
+
+    Raises:
+        LeglabError: Another process is writing the file, no row was written, or the file cannot be
+            written or replaced.
+    """
+    with new_file(path) as place:
+        file = Growing(place)
+        try:
+            yield file
+            file.finish(metadata(file.names[1:]))
+        except OSError as error:
+            raise cannot_write(path, error) from error
+        finally:
+            with suppress(OSError):  # of a full disk, which was told
+                file.close()
+
+
+class StoredColumns(Mapping[str, np.ndarray]):
+    """Columns of a file that are read when they are asked for, and not kept.
+
+    The file stays open, so it may be moved.
+
+    Args:
+        path: The file.
+
+    Attributes:
+        metadata: Of the recording.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._file = pq.ParquetFile(path, page_checksum_verification=True, pre_buffer=False)
+        self._names = [name for name in self._file.schema_arrow.names if name != "time"]
+        text = (self._file.schema_arrow.metadata or {}).get(_METADATA_KEY)
+        self.metadata = _metadata(path, text)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        samples, end = np.empty(self._file.metadata.num_rows), 0
+        try:
+            for batch in self._file.iter_batches(_GROUP, columns=[name]):
+                start, end = end, end + batch.num_rows
+                samples[start:end] = batch.column(0).to_numpy(zero_copy_only=False)
+        except (pa.ArrowException, OSError) as error:
+            raise LeglabError(f"{self._path}: cannot be read: {first_line(error)}") from error
+        samples.setflags(write=False)
+        return samples
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._names
+
+
+class StoredRecording(Recording):
+    """A recording that leaves its columns in the file that `growing` wrote."""
+
+    def __post_init__(self) -> None:
+        """Checks nothing: a recording of any length is not read for it."""
+
+
+def stored(path: Path) -> StoredRecording:
+    """Returns a recording of ours whose columns are read when they are asked for."""
+    columns = StoredColumns(path)
+    return StoredRecording(time=columns["time"], columns=columns, metadata=columns.metadata)
+
+
+def _notes(rows: int, names: list[str], metadata: Mapping[str, Any]) -> dict[bytes, bytes]:
+    """The metadata of a file, with its checksum."""
+    text = to_json(metadata).encode()
+    return {_METADATA_KEY: text, _DIGEST_KEY: _digest([rows, *names], text)}
+
+
+def _floats(values: np.ndarray) -> pa.Array:
+    return pa.array(np.ascontiguousarray(values, dtype=np.float64))
 
 
 def _metadata(path: Path, text: bytes | None) -> dict:

@@ -12,7 +12,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import NamedTuple
 
 import mujoco
@@ -26,6 +25,8 @@ from leglab.machine.parameters import Parameter
 
 # More would take hours a second.
 _MOST_STEPS = 100_000
+# Normal numbers that are skipped at a time: how many bits one takes cannot be told.
+_SKIPPED = 8192
 # Times that differ by less are the same [s].
 _SAME_TIME = 1e-9
 
@@ -118,22 +119,37 @@ def velocity_filter_coefficient(period: float, cutoff_hz: float) -> float:
     return 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * period)
 
 
-def filtered_velocities(positions: np.ndarray, config: SensorConfiguration) -> np.ndarray:
-    """Estimates velocities from read positions as the control loop does.
+class VelocityFilter:
+    """Estimates velocities from read positions as the control loop does, block after block.
 
     Args:
-        positions: One row a control period [rad or m], (n, joints).
         config: Period, and cutoff of the filter.
-
-    Returns:
-        Velocities [rad/s or m/s], (n, joints); 0 in the first row, which has none before it.
     """
-    # Importing scipy.signal takes longer than a short run, and each run of a sweep would do it.
-    a = velocity_filter_coefficient(config.control_period, config.velocity_cutoff)
-    found = np.diff(positions, axis=0, prepend=positions[:1]) * (a / config.control_period)
-    for before, now in pairwise(found):
-        now += (1.0 - a) * before
-    return found
+
+    def __init__(self, config: SensorConfiguration) -> None:
+        a = velocity_filter_coefficient(config.control_period, config.velocity_cutoff)
+        self._gain, self._keep = a / config.control_period, 1.0 - a
+        self._position: np.ndarray | None = None
+        self._velocity: np.ndarray | float = 0.0
+
+    def of(self, positions: np.ndarray) -> np.ndarray:
+        """Takes the next positions.
+
+        Args:
+            positions: One row a control period [rad or m], (n, joints).
+
+        Returns:
+            Velocities [rad/s or m/s], (n, joints); 0 in the very first row, which has none before.
+        """
+        first = positions[:1] if self._position is None else self._position
+        found = np.diff(positions, axis=0, prepend=first) * self._gain
+        before = self._velocity
+        # Importing scipy.signal takes longer than a short run, and each run of a sweep would do it.
+        for now in found:
+            now += self._keep * before
+            before = now
+        self._position, self._velocity = positions[-1:].copy(), found[-1].copy()
+        return found
 
 
 def velocity_delay(period: float, cutoff_hz: float) -> float:
@@ -162,10 +178,24 @@ def quantise(position: np.ndarray, counts: int) -> np.ndarray:
     return rounded
 
 
-def held(reading: np.ndarray, lost: np.ndarray) -> np.ndarray:
-    """Repeats the last reading wherever one was lost; both (n,), the first is never lost."""
+def held(reading: np.ndarray, lost: np.ndarray, before: float | None = None) -> np.ndarray:
+    """Repeats the last reading wherever one was lost; both (n,).
+
+    Args:
+        reading: As they would be.
+        lost: Which are lost; the first never, where there is none before.
+        before: The reading before them; None where there is none.
+    """
+    if before is not None:
+        return held(np.append(before, reading), np.append(False, lost))[1:]
     index = np.where(lost, 0, np.arange(len(reading)))
     return reading[np.maximum.accumulate(index)]
+
+
+def skip_normal(noise: np.random.Generator, count: int) -> None:
+    """Has a generator go on as if it had drawn so many normal numbers."""
+    while count > 0:
+        count -= noise.standard_normal(min(count, _SKIPPED)).size
 
 
 ENCODER_OFFSET = "{joint}_encoder_offset"
@@ -211,18 +241,23 @@ class EncoderFaults:
     def __bool__(self) -> bool:
         return bool(self.offset.any() or (self.scale != 1.0).any() or self.delay.any())
 
-    def seen(self, positions: np.ndarray, period: float) -> np.ndarray:
+    def needed(self, period: float) -> int:
+        """Number of the latest samples that what is shown depends on."""
+        return math.ceil(float(self.delay.max(initial=0.0)) / period) + 2
+
+    def seen(self, positions: np.ndarray, last: int, period: float) -> np.ndarray:
         """Returns what encoders show of the latest of positions sampled so far, (joints,).
 
         Args:
-            positions: Shape (n, joints), the latest last.
+            positions: Sample number i at row i modulo n, n at least `needed`, (n, joints).
+            last: Number of the latest sample, counted from 0.
             period: Sampling period [s]; a delay between samples is interpolated.
         """
-        last = len(positions) - 1
         at = np.clip(last - self.delay / period, 0.0, None)
         before = np.floor(at).astype(int)
-        joints = np.arange(self.delay.size)
-        early, later = positions[before, joints], positions[np.minimum(before + 1, last), joints]
+        count, joints = len(positions), np.arange(self.delay.size)
+        early = positions[before % count, joints]
+        later = positions[np.minimum(before + 1, last) % count, joints]
         return self.scale * (early + (at - before) * (later - early)) + self.offset
 
 
@@ -279,7 +314,7 @@ class Encoders:
         sensors: Resolution and timing.
         positions: Array with the true positions [rad], which somebody else moves.
         index: Where in it the joints are, (joints,).
-        noise: Added to the readings [rad], (count, joints).
+        noise: Added to the first readings [rad], (kept, joints).
         seed: Of the losses.
         built_in: Faults that the model carries from the start; None for none.
 
@@ -288,9 +323,9 @@ class Encoders:
         position: The last reading [rad], (joints,).
         velocity: The difference of readings, filtered [rad/s], (joints,).
         sample: Function that takes the positions of this instant for the next reading.
-        shift: What faults added to every reading so far [rad], (count, joints).
-        lost: Which readings so far were lost, (count, joints).
-        noise: Added to the readings [rad], (count, joints).
+        shift: What faults added to every reading since `begin` [rad], (kept, joints).
+        lost: Which of these readings were lost, (kept, joints).
+        noise: Added to them [rad], (kept, joints).
         built_in: Faults that the model carries; None for none.
         gain: Of a difference of two readings in the filtered velocity [1/s].
         keep: Share of the velocity that is kept from one period to the next.
@@ -310,13 +345,14 @@ class Encoders:
         self.elements = joints
         self.built_in = built_in or None
         self._period = period = sensors.control_period
-        self._shown = np.zeros(noise.shape if self.built_in else (0, len(joints)))
+        needed = self.built_in.needed(period) if self.built_in else 0
+        self._shown = np.zeros((needed, len(joints)))
         self._noisy = np.zeros(len(joints))
         self.position, self.velocity = np.zeros(len(joints)), np.zeros(len(joints))
         self.shift = np.zeros(noise.shape)
         self.lost = np.zeros(noise.shape, dtype=bool)
         self._values = np.zeros((len(FAULTS), len(joints)))
-        self._seed = seed
+        self._seed, self._first = seed, 0
         self.noise = noise
         self.gain = velocity_filter_coefficient(period, sensors.velocity_cutoff) / period
         self.keep = 1.0 - self.gain * period
@@ -341,8 +377,10 @@ class Encoders:
 
     @cached_property
     def _chance(self) -> np.ndarray:
-        """Decides which readings are lost, (count, joints); only a faulty encoder asks."""
-        return np.random.default_rng([self._seed, 2]).random(self.noise.shape)
+        """Decides which readings are lost, (kept, joints); only a faulty encoder asks."""
+        bits = np.random.PCG64([self._seed, 2])
+        bits.advance(self._first * len(self.elements))  # one for each number
+        return np.random.Generator(bits).random(self.noise.shape)
 
     def has(self, element: str, name: str) -> bool:
         """Says whether a joint has a fault of this name."""
@@ -362,6 +400,17 @@ class Encoders:
         self._values[index] = FAULTS[name].check(value, f"encoder of joint {element!r}")
         self._faulty = True
 
+    def begin(self, first: int, noise: np.ndarray) -> None:
+        """Goes on with the readings from number `first` on, which are counted from 0 again.
+
+        Args:
+            first: How many readings there were.
+            noise: Added to the next ones [rad], (at most kept, joints).
+        """
+        self.noise[: len(noise)] = noise
+        self._first = first
+        self.__dict__.pop("_chance", None)
+
     def read(self, k: int) -> None:
         """Turns the last sample into reading number `k` of position and velocity."""
         if self._faulty:
@@ -378,10 +427,13 @@ class Encoders:
         """Writes shift and loss of reading `k` by faults."""
         self.shift[k] = self._values[0]
         if self.built_in:
+            number = self._first + k
             self._readings.noisy(k, self._noisy)
-            self._shown[k] = self._noisy
-            self.shift[k] += self.built_in.seen(self._shown[: k + 1], self._period) - self._noisy
-        self.lost[k] = self._chance[k] < self._values[1]
+            self._shown[number % len(self._shown)] = self._noisy
+            shown = self.built_in.seen(self._shown, number, self._period)
+            self.shift[k] += shown - self._noisy
+        # The very first reading has none before it that could be repeated.
+        self.lost[k] = (self._chance[k] < self._values[1]) & (self._first + k > 0)
 
     def _index(self, element: str, name: str) -> tuple[int, int]:
         if name not in FAULTS:

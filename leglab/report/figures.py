@@ -24,7 +24,7 @@ from leglab.base.scenario import Phase
 from leglab.report.page.wording import readable
 from leglab.report.style import BLACK, BLUE, DARK_GREY, LIGHT_GREY, ORANGE, SERIES, VERMILION, style
 from leglab.runs.metrics import phase_table, sliding_rms
-from leglab.runs.run import Run
+from leglab.runs.run import Result
 from leglab.runs.sweep import unit_of_results
 
 _BAR = 1e5  # Pa
@@ -46,6 +46,7 @@ _SUBDIVISIONS = (1.0, 2.0, 5.0)
 # A line of more samples is drawn through the smallest and the largest of as many pieces: some ten
 # of them a pixel of the widest panel.
 _PIECES = 10_000
+_AT_ONCE = 1000  # of them that are looked at together
 
 
 def tracking_figure(
@@ -72,16 +73,17 @@ def tracking_figure(
     joints = recording.tracked
     if not joints:
         raise LeglabError("no tracking to draw: no joint has '_position' and '_reference'")
-    error = recording.stack(joints, "reference") - recording.stack(joints, "position")
+    # Columns of long runs are large, and may be read from a file: few are held at a time.
+    error = recording.stack(joints, "reference")
+    error -= recording.stack(joints, "position")
     table = phase_table(recording.time, error, joints, phases) if phases else []
-    shown = recording if span is None else recording.between(*span)
-    start = int(np.searchsorted(recording.time, shown.time[0]))
-    part = slice(start, start + len(shown))
+    part = slice(None) if span is None else _rows_between(recording, *span)
+    time = recording.time[part]
     with style():
         figure, panels = add_panels(len(joints), heights=(1.35, 0.85))
         for i, (joint, (top, bottom)) in enumerate(zip(joints, panels, strict=True)):
-            _draw(top, shown.time, shown[f"{joint}_reference"], color=LIGHT_GREY, linewidth=2.6)
-            _draw(top, shown.time, shown[f"{joint}_position"], color=BLUE)
+            _draw(top, time, recording[f"{joint}_reference"][part], color=LIGHT_GREY, linewidth=2.6)
+            _draw(top, time, recording[f"{joint}_position"][part], color=BLUE)
             unit = recording.error_unit((joint,))
             top.set_ylabel(f"position [{unit.removeprefix('m')}]")
             top.set_title(readable(joint), fontweight="bold")
@@ -89,10 +91,10 @@ def tracking_figure(
                 top.set_title(
                     _rms_by_phase(table, joint, unit), loc="right", color=DARK_GREY, fontsize=8
                 )
-            _draw(bottom, shown.time, _MILLI * error[part, i], color=BLUE, linewidth=0.6)
+            _draw(bottom, time, error[part, i], scale=_MILLI, color=BLUE, linewidth=0.6)
             if window is not None:
                 moving = sliding_rms(recording.time, error[:, [i]], window)
-                _draw(bottom, shown.time, _MILLI * moving[part], color=BLACK, linewidth=1.4)
+                _draw(bottom, time, moving[part], scale=_MILLI, color=BLACK, linewidth=1.4)
             bottom.set_ylabel(f"error [{unit}]")
             for axes in (top, bottom):
                 _finish(axes, phases)
@@ -127,9 +129,19 @@ def pressure_figure(
         figure, panels = add_panels(len(joints), heights=(1.25,))
         for joint, (axes,) in zip(joints, panels, strict=True):
             if supply:
-                _draw(axes, recording.time, recording["supply_pressure"] / _BAR, color=LIGHT_GREY)
-            _draw(axes, recording.time, recording[f"{joint}_pressure_a"] / _BAR, color=BLUE)
-            _draw(axes, recording.time, recording[f"{joint}_pressure_b"] / _BAR, color=ORANGE)
+                _draw(
+                    axes,
+                    recording.time,
+                    recording["supply_pressure"],
+                    scale=1 / _BAR,
+                    color=LIGHT_GREY,
+                )
+            _draw(
+                axes, recording.time, recording[f"{joint}_pressure_a"], scale=1 / _BAR, color=BLUE
+            )
+            _draw(
+                axes, recording.time, recording[f"{joint}_pressure_b"], scale=1 / _BAR, color=ORANGE
+            )
             axes.set_title(readable(joint), fontweight="bold")
             axes.set_ylabel("pressure [bar]")
             axes.set_ylim(0, 1.05 * highest)
@@ -154,22 +166,26 @@ def command_figure(
     Raises:
         LeglabError: No command was recorded.
     """
-    found = {joint: recording.command_of(joint) for joint in recording.joints}
-    known = {joint: values for joint, values in found.items() if values is not None}
-    if not known:
+    largest = {
+        joint: float(np.nanmax(np.abs(values), initial=0.01))
+        for joint in recording.joints
+        if (values := recording.command_of(joint)) is not None
+    }
+    if not largest:
         raise LeglabError("no commands to draw: no column ends in '_command'")
-    actuators = [str(recording.actuator_of(joint)) for joint in known]
-    commands = np.column_stack(list(known.values()))
-    limit = min(1.08, 1.1 * float(np.nanmax(np.abs(commands), initial=0.01)))
+    actuators = [str(recording.actuator_of(joint)) for joint in largest]
+    limit = min(1.08, 1.1 * max(largest.values()))
     with style():
         figure, panels = add_panels(len(actuators), heights=(1.25,))
-        for i, (actuator, (axes,)) in enumerate(zip(actuators, panels, strict=True)):
-            command = np.clip(commands[:, i], -1, 1)
+        for joint, actuator, (axes,) in zip(largest, actuators, panels, strict=True):
+            values = recording.command_of(joint)
+            assert values is not None
+            command = np.clip(values, -1, 1)
             saturated = np.abs(command) >= 1
             _draw(axes, recording.time, command, color=BLUE, linewidth=0.8)
             if saturated.any():
                 ends = _ends(saturated)
-                at_limit = np.where(saturated, command, np.nan)[ends]
+                at_limit = np.where(saturated[ends], command[ends], np.nan)
                 axes.plot(
                     recording.time[ends], at_limit, color=ORANGE, linewidth=3, solid_capstyle="butt"
                 )
@@ -184,7 +200,7 @@ def command_figure(
     return figure
 
 
-def draw_run(run: Run, folder: Path) -> tuple[Path, ...]:
+def draw_run(run: Result, folder: Path) -> tuple[Path, ...]:
     """Draws a run into a folder; see `save_run_figures`."""
     settings = run.settings
     return save_run_figures(
@@ -339,11 +355,15 @@ def outline(values: np.ndarray) -> np.ndarray:
         return np.arange(count)
     size = -(-count // _PIECES)
     starts = np.arange(0, count, size)
-    ends = np.full(len(starts) * size - count, np.nan)
-    pieces = np.concatenate([values, ends]).reshape(-1, size)
-    missing = np.isnan(pieces)
-    low = np.where(missing, np.inf, pieces).argmin(axis=1)
-    high = np.where(missing, -np.inf, pieces).argmax(axis=1)
+    low, high = np.empty((2, len(starts)), dtype=np.int64)
+    for first in range(0, len(starts), _AT_ONCE):
+        part = slice(first, first + _AT_ONCE)
+        piece = values[first * size : (first + _AT_ONCE) * size]
+        pieces = np.full((len(starts[part]), size), np.nan)
+        pieces.reshape(-1)[: len(piece)] = piece
+        missing = np.isnan(pieces)
+        low[part] = np.where(missing, np.inf, pieces).argmin(axis=1)
+        high[part] = np.where(missing, -np.inf, pieces).argmax(axis=1)
     return np.unique(np.concatenate([[0, count - 1], starts + low, starts + high]))
 
 
@@ -353,9 +373,23 @@ def _ends(marked: np.ndarray) -> np.ndarray:
     return np.flatnonzero(differs[1:] | differs[:-1])
 
 
-def _draw(axes: Axes, time: np.ndarray, values: np.ndarray, **look: Any) -> None:
+def _draw(
+    axes: Axes, time: np.ndarray, values: np.ndarray, *, scale: float = 1.0, **look: Any
+) -> None:
     rows = outline(values)
-    axes.plot(time[rows], values[rows], **look)
+    axes.plot(time[rows], scale * values[rows], **look)
+
+
+def _rows_between(recording: Recording, start: float, end: float) -> slice:
+    """Rows with start <= time < end [s].
+
+    Raises:
+        LeglabError: There is no such row.
+    """
+    first, last = np.searchsorted(recording.time, (start, end))
+    if first >= last:
+        recording.between(start, end)  # says what there is
+    return slice(int(first), int(last))
 
 
 def _save(figure: Figure, path: Path) -> Path:

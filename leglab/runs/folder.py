@@ -3,7 +3,7 @@
 import hashlib
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
@@ -27,7 +27,7 @@ from leglab.runs.record import (
     RunConfiguration,
     RunMetrics,
 )
-from leglab.runs.run import Run, run_scenario
+from leglab.runs.run import Result, Run, record_scenario
 from leglab.runs.view import draw
 
 # Settings of controller, reference and sensors that a folder's name tells one by one.
@@ -67,13 +67,7 @@ def _told(settings: RunSettings) -> list[str]:
     return found
 
 
-def write_run(
-    run: Run,
-    folder: Path,
-    *,
-    overwrite: bool = False,
-    draw: Callable[[Run, Path], object] | None = None,
-) -> Path:
+def write_run(run: Run, folder: Path, *, overwrite: bool = False) -> Path:
     """Writes `metrics.json`, `run.json` and `recording.parquet`.
 
     A folder is there as a whole or not at all.
@@ -82,35 +76,28 @@ def write_run(
         run: The run, complete or not.
         folder: Where to; parents are made.
         overwrite: Whether the folder of an earlier run may be replaced.
-        draw: As `fill_folder`.
 
     Raises:
         LeglabError: If the folder exists or cannot be written, or another process writes it.
     """
     with new_folder(folder, mark=METRICS, overwrite=overwrite) as partial:
-        fill_folder(run, partial, draw=draw)
+        data.write(run.recording, partial / RECORDING)
+        write_result(run, partial)
     return folder
 
 
-def fill_folder(
-    run: Run, folder: Path, *, draw: Callable[[Run, Path], object] | None = None
-) -> None:
-    """Writes the files of a run into an empty folder.
+def write_result(run: Result, folder: Path) -> None:
+    """Writes `metrics.json` and `run.json` beside a recording.
 
     Args:
         run: The run, complete or not.
         folder: Existing.
-        draw: Draws plots of the run into a folder, for instance
-            `leglab.report.figures.draw_run`.
 
     Raises:
         LeglabError: If a file cannot be written.
     """
-    data.write(run.recording, folder / RECORDING)
     record.write(run.record, folder / METRICS)
     record.write(run.configuration, folder / CONFIGURATION)
-    if draw:
-        draw(run, folder)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -376,10 +363,10 @@ def _is_made(settings: RunSettings, folder: Path, code: str) -> bool:
 def _make(task: tuple[RunSettings, Path], code: str) -> str:
     """Makes a run, in a process of its own unless there is one job only, and says what it was."""
     settings, folder = task
-    run = run_scenario(settings)
-    if run.history.failure.startswith("interrupted"):
-        raise KeyboardInterrupt
-    made = {"asked": _asked(settings), "code": code}
-    run = replace(run, configuration=run.configuration.model_copy(update=made))
-    write_run(run, folder, overwrite=True)
+    with new_folder(folder, mark=METRICS, overwrite=True) as partial:
+        run = record_scenario(settings, partial / RECORDING)
+        if (run.record.failure or "").startswith("interrupted"):
+            raise KeyboardInterrupt
+        made = {"asked": _asked(settings), "code": code}
+        write_result(replace(run, configuration=run.configuration.model_copy(update=made)), partial)
     return f"{settings.scenario} · {settings.controller}"

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from leglab._native.loop import Drives, Rows
+from leglab._native.loop import Drives
+from leglab._native.loop import Rows as RowTaker
 from leglab.base.errors import LeglabError
 from leglab.base.scenario import Scenario
 from leglab.control import Controller, Measurement, ReferencePoint, check_command, make_controller
@@ -24,22 +25,25 @@ from leglab.machine.sensors import (
     Encoders,
     PressureFaults,
     SensorConfiguration,
-    held,
     loop_timing,
-    quantise,
+    skip_normal,
 )
 from leglab.machine.simulation import Simulation, SimulationError
 from leglab.references import Samples
-from leglab.runs.columns import Columns
 from leglab.runs.fault_bank import fault_bank
+from leglab.runs.history import Ending, History, Rows, Whole
 from leglab.runs.inversion import exact_commands, valve_slopes
 from leglab.runs.preparation import Preparation, RunSettings, scenario_of
 
 # Periods between two looks at the clock, the blow-up check and the progress report.
 _CHECK_INTERVAL = 50
 
-# A run keeps every period in memory.
+# More of them are more hours than anybody waits for.
 _MOST_PERIODS = 50_000_000
+
+# A last piece of a reference is taken with as many samples before it: matrices of few rows are
+# multiplied by other code, with other roundings.
+_LEAST_SAMPLES = 64
 
 # Columns of a recording by plugin state; `_position` is kept for joints.
 _RECORDED = {
@@ -75,7 +79,8 @@ class SampledMachine:
         simulation: The machine, at the start of the run.
         scenario: Changes.
         sensors: Resolution, noise and timing.
-        count: Periods for which noise is drawn; it repeats after them.
+        count: Periods after which the noise repeats.
+        kept: Periods whose noise is drawn at a time; the bits do not depend on it.
         seed: Of the sensor noise.
         pressures: Whether pressures are measured, where there are cylinders.
 
@@ -87,7 +92,7 @@ class SampledMachine:
         schedule: Carries out the scenario's changes.
         send: Function that sends commands (joints,) to valves and native actuators, clipped to
             [-1, 1]; False, and nothing sent, for what is no array of finite numbers.
-        row: Number of the present period within the drawn noise.
+        row: Number of the present period within the noise that is drawn.
         exact: Whether the model gives its sensors no faults of their own.
 
     Raises:
@@ -101,6 +106,7 @@ class SampledMachine:
         sensors: SensorConfiguration,
         *,
         count: int,
+        kept: int,
         seed: int,
         pressures: bool,
     ) -> None:
@@ -109,13 +115,16 @@ class SampledMachine:
         self.simulation = simulation
         self.period = sensors.control_period
         self.bodies = Bodies(simulation.model)
-        self._noise = np.random.default_rng(seed)
+        self._seed, self._position_noise = seed, sensors.position_noise
+        self._count, self._kept = count, min(kept, count)
+        self._first, self._end = 0, self._kept
+        self._encoder_noise = np.random.default_rng(seed)
         self.encoders = Encoders(
             simulation.joints,
             sensors,
             positions=simulation.data.qpos,
             index=simulation.qpos_index,
-            noise=self._noise.normal(0.0, sensors.position_noise, (count, joints)),
+            noise=self._encoder_noise.normal(0.0, sensors.position_noise, (self._kept, joints)),
             seed=seed,
             built_in=EncoderFaults.of(simulation.model, simulation.joints),
         )
@@ -125,6 +134,11 @@ class SampledMachine:
         hydraulic = simulation.hydraulic_joints
         self._pressure_faults = PressureFaults.of(simulation.model, hydraulic) or None
         self._pressures = pressures and bool(hydraulic)
+        # Noise of pressures comes behind that of all positions.
+        self._noise = self._encoder_noise
+        if self._pressures and self._kept < count:
+            self._noise = np.random.default_rng(seed)
+            skip_normal(self._noise, count * joints)
         # A control loop runs thousands of times a second: what can be looked up once is.
         self._step, self._state = simulation.step, simulation.data.plugin_state
         self._apply, self._read = self.schedule.apply, self.encoders.read
@@ -135,7 +149,7 @@ class SampledMachine:
             [simulation.slots("pressure_a"), simulation.slots("pressure_b")]
         )
         self._supply_slot = simulation.supply_slot if hydraulic else -1
-        self._cylinders, self._count = len(hydraulic), count
+        self._cylinders = len(hydraulic)
         self._sampled_pressures = self._state.take(self._pressure_slots)
         self.exact = not (self._pressure_faults or self.encoders.built_in)
         self._periods = 0
@@ -145,8 +159,9 @@ class SampledMachine:
         """Begins a period: what changes now does so, and the sensors are read."""
         now = self._periods * self.period
         row = self.row + 1
-        if row == self._count:
+        if row == self._end:
             row = 0
+            self._draw()
         self._periods += 1
         self.row = row
         self._apply(now)
@@ -159,6 +174,16 @@ class SampledMachine:
             noisy = self._pressure_faults.seen(noisy)
         supply = float(self._state[self._supply_slot])
         return Measurement(now, *self._readings, noisy[:count], noisy[count:], supply)
+
+    def _draw(self) -> None:
+        """Draws the noise of the next periods, or of the first ones again."""
+        self._first += self._end
+        if self._first == self._count:
+            self._first, self._encoder_noise = 0, np.random.default_rng(self._seed)
+        self._end = min(self._kept, self._count - self._first)
+        shape = self._end, len(self.simulation.joints)
+        noise = self._encoder_noise.normal(0.0, self._position_noise, shape)
+        self.encoders.begin(self._first, noise)
 
     def pressure_noise(self, count: int) -> np.ndarray:
         """Draws the noise of pressures for as many periods as are measured one by one otherwise.
@@ -218,6 +243,8 @@ class Loop:
         controlled: Whether there is a controller; without one, every `act` needs an action.
         pressures: Whether pressures are measured; None if the controller uses them.
         ahead: Periods by which `reference_ahead` looks beyond the scenario's duration.
+        kept: Periods whose noise and reference are kept at a time, where `ahead` is 0; None for all
+            of the scenario's duration. The bits do not depend on it.
 
     Attributes:
         settings: Of the run.
@@ -247,6 +274,7 @@ class Loop:
         controlled: bool = True,
         pressures: bool | None = None,
         ahead: int = 0,
+        kept: int | None = None,
     ) -> None:
         self.settings = settings
         wanted = scenario or scenario_of(settings)
@@ -277,7 +305,10 @@ class Loop:
         if pressures is None:
             pressures = bool(getattr(self.controller, "uses_pressures", False))
         self._pressures, self._ahead = pressures, ahead
+        self._kept = min(kept or self.count, self.count)
         self.machine: SampledMachine | None = None
+        for first in range(self._kept, self.count, self._kept):  # What it refuses, it does so now.
+            self._sample_reference(first, min(self._kept, self.count - first))
         self.reset()
 
     def reset(self) -> None:
@@ -289,13 +320,14 @@ class Loop:
             self.scenario,
             self.preparation.sensors,
             count=self.count,
+            kept=self._kept,
             seed=self.settings.seed,
             pressures=self._pressures,
         )
         # A loop has some tens of microseconds a period: what can be looked up once is.
         self._measure, self._send, self.advance = machine.measure, machine.send, machine.advance
         self._next = 0
-        self._sample_reference(0, self.count + self._ahead)
+        self._sample_reference(0, self._kept + self._ahead)
         nothing = np.zeros(len(self.simulation.joints))
         first = Measurement(0.0, nothing, nothing)
         self.present = Period(-1, first, self.reference_now(), None)
@@ -308,7 +340,8 @@ class Loop:
         try:
             point = next(self._points)
         except StopIteration:
-            self._sample_reference(number, round(_PIECE / self.period))
+            left = min(self._kept, self.count - number)
+            self._sample_reference(number, left if left > 0 else round(_PIECE / self.period))
             point = next(self._points)
         controller, wish = self.controller, None
         if controller is not None:
@@ -376,7 +409,7 @@ class Loop:
 
     @property
     def wanted(self) -> Samples:
-        """Samples of the reference, one a period and `ahead` more, each (periods, joints)."""
+        """Samples of the reference, one a kept period and `ahead` more, each (periods, joints)."""
         return self._wanted
 
     def reference_ahead(self, periods: np.ndarray) -> np.ndarray:
@@ -389,13 +422,37 @@ class Loop:
         *,
         freeze: bool = False,
         interrupted: Callable[[], bool] = lambda: False,
-    ) -> "History":
+    ) -> History:
         """Runs the scenario headless, from the present state to its end.
 
-        It ends early, and keeps what was recorded, if the simulation blows up, the controller gives
-        something that is no command, or the user interrupts it.
+        Args:
+            progress: As `stream`.
+            freeze: As `stream`.
+            interrupted: As `stream`.
+
+        Raises:
+            LeglabError: If not even one period could be recorded.
+        """
+        whole = Whole(self.count)
+        ending = self.stream(whole.keep, progress, freeze=freeze, interrupted=interrupted)
+        return whole.history(ending)
+
+    def stream(
+        self,
+        keep: Callable[[Rows], object],
+        progress: Progress | None = None,
+        *,
+        freeze: bool = False,
+        interrupted: Callable[[], bool] = lambda: False,
+    ) -> Ending:
+        """Runs the scenario headless and hands on what comes, `kept` periods at a time.
+
+        It ends early, and hands on what was recorded, if the simulation blows up, the controller
+        gives something that is no command, or the user interrupts it.
 
         Args:
+            keep: Called with the rows of some periods, in order. Their arrays are written to again
+                after it returns.
             progress: Called now and then with the simulated time [s].
             freeze: Whether the controller stops adapting just before the machine changes.
             interrupted: Asked now and then whether to end.
@@ -403,49 +460,59 @@ class Loop:
         Raises:
             LeglabError: If not even one period could be recorded.
         """
-        simulation, records = self.simulation, _Records(self)
-        times = np.arange(self.count) * self.period
-        wanted = self._wanted
-        failure = ""
+        records = _Records(self, self._kept)
         change = min(self.scenario.breakpoints, default=math.inf)
-        frozen = int(np.searchsorted(times, change)) if freeze else self.count
-        self.watch, step = records.take, self.step
-        start = time.perf_counter()
+        frozen = math.inf
+        if freeze and change < self.count * self.period:
+            times = np.arange(self.count) * self.period
+            frozen = int(np.searchsorted(times, change))
+        rows, wall_time, failure = 0, 0.0, ""
+        self.watch = records.take
         try:
-            with headless(simulation.model):
-                for k in range(self.count):
-                    if k == frozen:
-                        self.controller.freeze()  # type: ignore[union-attr]
-                    step()
-                    if k % _CHECK_INTERVAL == 0:
-                        simulation.check()
-                        if interrupted():
-                            raise KeyboardInterrupt
-                        if progress:
-                            progress(self.present.measurement.time)
-            simulation.check()
-            rows = records.rows
-        except LeglabError as error:
-            rows = records.rows
-            failure, rows = _first_failure(simulation, times[:rows], records.qvel[:rows], error)
-        except KeyboardInterrupt:
-            failure, rows = f"interrupted at {simulation.data.time:.6g} s", records.rows
+            with headless(self.simulation.model):
+                while rows < self.count and not failure:
+                    start = time.perf_counter()
+                    last = min(rows + self._kept, self.count)
+                    failure = self._run(range(rows, last), records, frozen, progress, interrupted)
+                    wall_time += time.perf_counter() - start
+                    if records.rows:
+                        keep(records.given(rows))
+                    rows += records.rows
+                    records.clear()
         finally:
-            encoders = self.machine.encoders if self.machine else None
             self.watch = None
             self.close()
-        wall_time = time.perf_counter() - start
-        if rows == 0 or encoders is None:
+        if rows == 0:
             raise LeglabError(failure)
-        return History(
-            time=times[:rows],
-            **records.first(rows),
-            reference=ReferencePoint(*[part[:rows] for part in wanted]),
-            encoder_shift=encoders.shift[:rows],
-            encoder_lost=encoders.lost[:rows],
-            wall_time=wall_time,
-            failure=failure,
-        )
+        return Ending(rows=rows, wall_time=wall_time, failure=failure)
+
+    def _run(
+        self,
+        numbers: range,
+        records: "_Records",
+        frozen: float,
+        progress: Progress | None,
+        interrupted: Callable[[], bool],
+    ) -> str:
+        """Runs some periods; returns why they ended early, empty if they did not."""
+        simulation, step = self.simulation, self.step
+        try:
+            for k in numbers:
+                if k == frozen:
+                    self.controller.freeze()  # type: ignore[union-attr]
+                step()
+                if k % _CHECK_INTERVAL == 0:
+                    simulation.check()
+                    if interrupted():
+                        raise KeyboardInterrupt
+                    if progress:
+                        progress(self.present.measurement.time)
+            simulation.check()
+        except LeglabError as error:
+            return records.cut(numbers.start, error)
+        except KeyboardInterrupt:
+            return f"interrupted at {simulation.data.time:.6g} s"
+        return ""
 
     def close(self) -> None:
         """Takes the loads off the model's bodies."""
@@ -453,8 +520,11 @@ class Loop:
             self.machine.close()
 
     def _sample_reference(self, first: int, count: int) -> None:
+        early = min(first, max(0, _LEAST_SAMPLES - count))
+        times = (first - early + np.arange(early + count)) * self.period
+        samples = self.reference.sample(times)
         self._first = first
-        self._wanted: Samples = self.reference.sample((first + np.arange(count)) * self.period)
+        self._wanted: Samples = Samples(*(part[early:] for part in samples))
         self._points = map(ReferencePoint, *self._wanted)
 
     def _bench_runs(self) -> tuple[BenchRun, BenchRun]:
@@ -529,150 +599,108 @@ def _bench_run(settings: RunSettings, scenario: Scenario, preparation: Preparati
     return _bench_cache[key]
 
 
-def recording_noise(seed: int) -> np.random.Generator:
-    """Source of the noise of recorded sensors, apart from that of the control loop's."""
-    return np.random.default_rng([seed, 1])
-
-
-def recorded_positions(
-    history: "History", sensors: SensorConfiguration, noise: np.random.Generator
-) -> np.ndarray:
-    """Positions as a logger beside the loop has them, without latency [rad], (n, joints)."""
-    columns = []
-    for i, true in enumerate(history.position.T):
-        noisy = true + noise.normal(0.0, sensors.position_noise, len(true))
-        noisy += history.encoder_shift[:, i]
-        reading = quantise(noisy, sensors.encoder_counts)
-        columns.append(held(reading, history.encoder_lost[:, i]))
-    return np.column_stack(columns)
-
-
-@dataclass(frozen=True, kw_only=True)
-class History:
-    """Everything that a closed loop left behind, one row a control period.
-
-    Attributes:
-        time: [s], shape (n,).
-        position: True positions of the driven joints [rad], (n, joints).
-        velocity: True velocities of the driven joints [rad/s], (n, joints).
-        passive: True positions of joints that nothing drives, by joint [rad or m], each (n,).
-        command: Commands in [-1, 1] from `time` on, (n, joints).
-        control: What was sent for them: to a valve the command, to a native actuator a control in
-            its own unit, (n, joints).
-        reference: Position [rad], velocity [rad/s] and acceleration [rad/s^2], each (n, joints).
-        states: Values of the plugin states asked for, by column name, each (n,).
-        encoder_shift: Added to every position by encoder faults [rad], (n, joints).
-        encoder_lost: Where an encoder repeated its last reading, (n, joints).
-        diagnostics: What the controller reports, by name, each (n, joints).
-        wall_time: Of the loop alone [s].
-        failure: Why the loop ended early; empty if it did not.
-    """
-
-    time: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray
-    passive: dict[str, np.ndarray]
-    command: np.ndarray
-    control: np.ndarray
-    reference: ReferencePoint
-    states: dict[str, np.ndarray]
-    encoder_shift: np.ndarray
-    encoder_lost: np.ndarray
-    diagnostics: dict[str, np.ndarray]
-    wall_time: float
-    failure: str = ""
-
-    def __repr__(self) -> str:
-        rows, joints = self.position.shape
-        failed = f", failed: {self.failure}" if self.failure else ""
-        return f"History({rows} periods of {joints} joints, {self.time[-1]:g} s{failed})"
-
-    @property
-    def error(self) -> np.ndarray:
-        """True tracking error, position less reference [rad], (n, joints)."""
-        return self.position - self.reference.position
-
-
 class _Records:
-    """Rows of everything that a run keeps, one a control period.
+    """Rows of everything that a run keeps, one a control period, until they are handed on.
+
+    Args:
+        loop: It runs.
+        most: Number of rows.
 
     Attributes:
-        rows: Number of rows that are kept.
-        qvel: Generalised velocities, (periods, nv).
+        rows: Number of rows that there are.
     """
 
-    def __init__(self, loop: Loop) -> None:
+    def __init__(self, loop: Loop, most: int) -> None:
         assert loop.machine is not None
-        simulation, schedule, count = loop.simulation, loop.machine.schedule, loop.count
+        simulation, schedule = loop.simulation, loop.machine.schedule
         model, data = simulation.model, simulation.data
+        self._loop, self._encoders = loop, loop.machine.encoders
         self._simulation, self._schedule = simulation, schedule
         self._diagnostics = (
             loop.diagnostics if loop.controller is None else (loop.controller.diagnostics)
         )
         self._columns, slots = _state_columns(simulation, schedule)
-        self._qpos, self.qvel = np.empty((count, model.nq)), np.empty((count, model.nv))
-        self._command = np.empty((count, model.nu))
-        self._states = Columns(data.plugin_state, slots, count)
+        self._qpos, self._qvel = np.empty((most, model.nq)), np.empty((most, model.nv))
+        self._command = np.empty((most, model.nu))
+        self._states = np.empty((most, len(slots)))
         pairs = zip(simulation.joints, simulation.actuators, strict=True)
         native = [joint for joint, name in pairs if name in simulation.native]
         self._native = tuple((joint, i) for i, joint in enumerate(native))
         driven = simulation.dof_index[[simulation.joints.index(joint) for joint in native]]
-        self._effort = np.empty((count, len(native)))
-        self._others = np.empty((count, len(schedule.others)))
+        self._effort = np.empty((most, len(native)))
+        self._others = np.empty((most, len(schedule.others)))
         self._reports: dict[str, np.ndarray] = {}
         self.rows = 0
-        rows = (
-            Rows(data.qpos, np.arange(model.nq), self._qpos),
-            Rows(data.qvel, np.arange(model.nv), self.qvel),
-            Rows(data.ctrl, np.arange(model.nu), self._command),
-            self._states,
-            Rows(data.qfrc_actuator, np.asarray(driven, dtype=np.int64), self._effort),
+        takers = (
+            RowTaker(data.qpos, np.arange(model.nq), self._qpos),
+            RowTaker(data.qvel, np.arange(model.nv), self._qvel),
+            RowTaker(data.ctrl, np.arange(model.nu), self._command),
+            RowTaker(data.plugin_state, slots, self._states),
+            RowTaker(data.qfrc_actuator, np.asarray(driven, dtype=np.int64), self._effort),
         )
-        self._takes = tuple(row.take for row in rows)
+        self._takes = tuple(taker.take for taker in takers)
 
-    def take(self, k: int) -> None:
-        """Keeps the machine as it is now and what its controller reports, as row `k`."""
+    def take(self, _number: int) -> None:
+        """Keeps the machine as it is now and what its controller reports as the next row."""
+        row = self.rows
         for take in self._takes:
-            take(k)
+            take(row)
         if self._schedule.others:
-            self._others[k] = self._schedule.values
+            self._others[row] = self._schedule.values
         reports = self._reports
         for key, value in self._diagnostics().items():
             if key not in reports:
                 reports[key] = np.full(self._command.shape, np.nan)
-            reports[key][k] = value
-        self.rows = k + 1
+            reports[key][row] = value
+        self.rows = row + 1
 
-    def first(self, rows: int) -> dict[str, Any]:
-        """The first rows, by attribute of `History`."""
-        machine, qpos = self._simulation, self._qpos[:rows]
+    def clear(self) -> None:
+        """Forgets all rows."""
+        self.rows = 0
+        for values in self._reports.values():
+            values.fill(np.nan)
+
+    def cut(self, first: int, error: LeglabError) -> str:
+        """Says why a loop failed, and forgets rows from which on it is unsound.
+
+        Args:
+            first: Number of the first row's period.
+            error: How it showed: blow-ups are looked for now and then only.
+        """
+        for row, values in enumerate(self._qvel[: self.rows]):
+            try:
+                self._simulation.check((first + row) * self._loop.period, values)
+            except SimulationError as earlier:
+                self.rows = row if first else max(row, 1)
+                return str(earlier)
+        return str(error)
+
+    def given(self, first: int) -> Rows:
+        """Returns the rows.
+
+        Args:
+            first: Number of the first row's period.
+        """
+        rows, machine, qpos = self.rows, self._simulation, self._qpos[: self.rows]
+        states = zip(self._columns, self._states[:rows].T, strict=True)
         keys = enumerate(self._schedule.others)
-        states = zip(self._columns, self._states.first(rows), strict=True)
-        return {
-            "position": qpos[:, machine.qpos_index],
-            "velocity": self.qvel[:rows, machine.dof_index],
-            "passive": {name: qpos[:, index] for name, index in machine.passive_joints.items()},
-            "command": machine.commands(self._command[:rows]),
-            "control": self._command[:rows],
-            "states": {
+        return Rows(
+            time=np.arange(first, first + rows) * self._loop.period,
+            position=qpos[:, machine.qpos_index],
+            velocity=self._qvel[:rows, machine.dof_index],
+            passive={name: qpos[:, index] for name, index in machine.passive_joints.items()},
+            command=machine.commands(self._command[:rows]),
+            control=self._command[:rows],
+            reference=ReferencePoint(*(part[:rows] for part in self._loop.wanted)),
+            states={
                 **{f"{joint}_effort": self._effort[:rows, i] for joint, i in self._native},
                 **dict(states),
                 **{"_".join(key): self._others[:rows, i] for i, key in keys},
             },
-            "diagnostics": {key: values[:rows] for key, values in self._reports.items()},
-        }
-
-
-def _first_failure(
-    simulation: Simulation, times: np.ndarray, velocity: np.ndarray, error: LeglabError
-) -> tuple[str, int]:
-    """Why a loop failed, and how many rows are sound: blow-ups are looked for now and then only."""
-    for row, values in enumerate(velocity):
-        try:
-            simulation.check(float(times[row]), values)
-        except SimulationError as first:
-            return str(first), max(row, 1)
-    return str(error), len(times)
+            encoder_shift=self._encoders.shift[:rows],
+            encoder_lost=self._encoders.lost[:rows],
+            diagnostics={key: values[:rows] for key, values in self._reports.items()},
+        )
 
 
 def _state_columns(simulation: Simulation, schedule: Schedule) -> tuple[list[str], np.ndarray]:

@@ -12,6 +12,9 @@ from leglab.base.scenario import Phase
 # Share of a sampling period by which time stamps may be off through rounding.
 _ROUNDING = 1e-6
 
+# Samples that are taken together where intermediate results are larger than the samples.
+_BLOCK = 65536
+
 
 def rms(error: np.ndarray) -> np.ndarray:
     """Returns the root mean square over the samples.
@@ -38,7 +41,7 @@ def percentile(error: np.ndarray, percent: float) -> np.ndarray:
     """
     if not 0 <= percent <= 100:
         raise LeglabError(f"percentile {percent!r} is outside [0, 100]")
-    return np.percentile(np.abs(_samples(error)), percent, axis=0)
+    return np.percentile(np.abs(_samples(error)), percent, axis=0, overwrite_input=True)
 
 
 _FIGURES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
@@ -110,12 +113,13 @@ def usage_table(
         joints, and the sum of the energies.
         Phases as in `phase_table`. A difference belongs to the phase of its later sample.
     """
-    rate = np.diff(command, axis=0) / np.diff(time)[:, None]
     table = []
     for _, part in _parts(time, phases):
         start = max(part.start, 1)
-        # A phase that is no longer than the first sample has no rate.
-        rates = rate[start - 1 : part.stop - 1] if part.stop > start else np.zeros_like(command[:1])
+        rates = np.zeros_like(command[:1])  # of a phase that is no longer than the first sample
+        if part.stop > start:
+            rates = np.diff(command[start - 1 : part.stop], axis=0)
+            rates /= np.diff(time[start - 1 : part.stop])[:, None]
         drawn = energy[part.stop - 1] - energy[start - 1]
         row = {
             "effort": dict(zip(joints, rms(command[part]).tolist(), strict=True)),
@@ -159,13 +163,20 @@ def sliding_rms(time: np.ndarray, error: np.ndarray, window: float) -> np.ndarra
     if not window > 0:
         raise LeglabError(f"window {window!r} s must be positive")
     error = _samples(error)
+    slack = _ROUNDING * _first_period(time)
+    result = np.empty(len(time))
     # Extended precision: the sum over the whole run must not swamp a window of small errors.
-    total = np.zeros(len(time) + 1, dtype=np.longdouble)
-    np.cumsum(np.mean(np.square(error), axis=1), dtype=np.longdouble, out=total[1:])
-    first = np.searchsorted(time, time - window + _ROUNDING * _first_period(time), side="right")
-    last = np.arange(1, len(time) + 1)
-    mean = np.maximum(total[last] - total[first], 0) / (last - first)
-    result = np.sqrt(mean).astype(np.float64)
+    # `total` holds the sums of all samples before number `begin`, before the next one, and so on.
+    total, begin = np.zeros(1, dtype=np.longdouble), 0
+    for start in range(0, len(time), _BLOCK):
+        part = slice(start, min(start + _BLOCK, len(time)))
+        squares = np.mean(np.square(error[part]), axis=1, dtype=np.float64)
+        first = np.searchsorted(time, time[part] - window + slack, side="right")
+        sums = np.cumsum(np.append(total[-1], squares), dtype=np.longdouble)
+        total, begin = np.append(total[first[0] - begin :], sums[1:]), int(first[0])
+        last = np.arange(part.start, part.stop) + 1
+        mean = np.maximum(total[last - begin] - total[first - begin], 0) / (last - first)
+        result[part] = np.sqrt(mean)
     result[time - time[0] < _span(time, window)] = np.nan
     return result
 

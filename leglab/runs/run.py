@@ -5,36 +5,38 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from leglab import __version__
-from leglab.base.recording import DRIVES, SIMULATION, Recording
+from leglab.base.recording import Recording
 from leglab.base.scenario import Scenario
-from leglab.base.units import CONTROL_UNIT, units_of_columns
 from leglab.control.feedforward.fault_monitor import plain
-from leglab.machine.changes import parameter_units
-from leglab.machine.sensors import CHAMBERS, PressureFaults, filtered_velocities
+from leglab.data import parquet
 from leglab.runs.clock import adaptation
+from leglab.runs.history import Ending, History, Rows
 from leglab.runs.interrupts import held
-from leglab.runs.loop import History, Loop, Progress, recorded_positions, recording_noise
+from leglab.runs.loop import Loop, Progress
 from leglab.runs.metrics import excess_error_area, phase_table, rms, usage_table
 from leglab.runs.preparation import Preparation, RunSettings, reference_config
 from leglab.runs.record import ChangeRecord, RunConfiguration, RunMetrics, as_json
+from leglab.runs.recorder import Recorder
 from leglab.runs.view import draw
+
+# Periods that a run keeps in memory before they become rows of its recording.
+BLOCK = 8192
 
 
 @dataclass(frozen=True, kw_only=True)
-class Run:
-    """A finished run, or as much of it as there is.
+class Result:
+    """What a run led to, or as much of it as there is.
 
     Attributes:
         settings: What was asked for.
         scenario: The scenario as it was built.
         recording: What sensors and commands were; format of `leglab.base.recording`.
-        history: True states and everything else of the loop.
         record: Content of `metrics.json`.
         configuration: Content of `run.json`.
         window: Window of the sliding error [s].
@@ -44,7 +46,6 @@ class Run:
     settings: RunSettings
     scenario: Scenario
     recording: Recording
-    history: History
     record: RunMetrics
     configuration: RunConfiguration
     window: float
@@ -56,7 +57,7 @@ class Run:
         return as_json(self.record)
 
     def __repr__(self) -> str:
-        return f"Run({self.record.told()})"
+        return f"{type(self).__name__}({self.record.told()})"
 
     def _repr_html_(self) -> str:
         return self.record.as_html()
@@ -76,6 +77,17 @@ class Run:
             LeglabError: pandas is missing.
         """
         return self.record.to_pandas()
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Run(Result):
+    """A finished run in memory, or as much of it as there is.
+
+    Attributes:
+        history: True states and everything else of the loop.
+    """
+
+    history: History
 
 
 def run_scenario(
@@ -99,34 +111,76 @@ def run_scenario(
         LeglabError: If a name, a setting or the machine does not fit. A run that fails half way
             does not raise: `history.failure` says why it ended.
     """
-    loop = Loop(settings, preparation=preparation)
+    loop = Loop(settings, preparation=preparation, kept=BLOCK)
+    recorder, configuration = Recorder(loop), _configuration(loop)
     with held() as hold:
-        return _run(loop, progress, hold.take)
+        history = loop.run(_share(loop, progress), interrupted=hold.take)
+        columns = recorder.columns(history)
+        recording = Recording(
+            time=history.time, columns=columns, metadata=recorder.metadata(columns)
+        )
+        ending = Ending(
+            rows=len(history.time), wall_time=history.wall_time, failure=history.failure
+        )
+        result = _result(loop, configuration, recording, ending, progress, hold.take)
+    if result.record.failure:  # of the run of the frozen twin, too
+        history = replace(history, failure=result.record.failure)
+    return Run(**vars(result), history=history)
 
 
-def _run(loop: Loop, progress: Progress | None, interrupted: Callable[[], bool]) -> Run:
-    settings, configuration = loop.settings, _configuration(loop)
-    twin = _has_twin(loop)
-    history = loop.run(_share(progress, 2 if twin else 1), interrupted=interrupted)
-    names = {name: str(getattr(settings, name)) for name in ("scenario", "controller", "model")}
-    metadata = {**names, "seed": settings.seed}
-    recording = _recording(loop, history, metadata)
+def record_scenario(settings: RunSettings, path: Path, progress: Progress | None = None) -> Result:
+    """Runs a scenario headless and writes its recording as it comes.
+
+    The recording is that of `run_scenario`, bit for bit, and what the computer has to remember
+    hardly grows with the duration.
+
+    Args:
+        settings: What to run.
+        path: The recording; Parquet.
+        progress: As in `run_scenario`.
+
+    Ctrl-C ends the run: what was recorded is in the file. While it is set up, it interrupts.
+
+    Raises:
+        LeglabError: As in `run_scenario`, or the file cannot be written.
+    """
+    loop = Loop(settings, kept=BLOCK)
+    recorder, configuration = Recorder(loop), _configuration(loop)
+    with held() as hold:
+        with parquet.growing(path, recorder.metadata) as file:
+
+            def keep(rows: Rows) -> None:
+                file.append({"time": rows.time, **recorder.columns(rows)})
+
+            ending = loop.stream(keep, _share(loop, progress), interrupted=hold.take)
+        return _result(loop, configuration, parquet.stored(path), ending, progress, hold.take)
+
+
+def _result(
+    loop: Loop,
+    configuration: RunConfiguration,
+    recording: Recording,
+    ending: Ending,
+    progress: Progress | None,
+    interrupted: Callable[[], bool],
+) -> Result:
+    """What came of a loop that was run."""
+    settings = loop.settings
     events = told(loop)  # of this run: its twin forgets them
     twin_error = None
-    if twin and not history.failure:
-        twin_history = _twin(loop, progress, interrupted)
-        if twin_history.failure.startswith("interrupted"):
-            history = replace(history, failure="interrupted in the run of the frozen twin")
-        elif not twin_history.failure:
-            twin_error = twin_history.error
-    return Run(
+    if _has_twin(loop) and not ending.failure:
+        twin_error, failure = _twin(loop, progress, interrupted)
+        if failure.startswith("interrupted"):
+            ending = replace(ending, failure="interrupted in the run of the frozen twin")
+        if failure:
+            twin_error = None
+    names = {name: str(getattr(settings, name)) for name in ("scenario", "controller", "model")}
+    metrics = _metrics(loop, recording, ending, twin_error)
+    return Result(
         settings=settings,
         scenario=loop.scenario,
         recording=recording,
-        history=history,
-        record=RunMetrics.model_validate(
-            {**metadata, **_metrics(loop, history, twin_error), **events}
-        ),
+        record=RunMetrics.model_validate({**names, "seed": settings.seed, **metrics, **events}),
         configuration=configuration,
         window=loop.reference.period,
         joints=loop.simulation.joints,
@@ -148,122 +202,93 @@ def _has_twin(loop: Loop) -> bool:
     return bool(loop.scenario.changes) and callable(getattr(loop.controller, "freeze", None))
 
 
-def _twin(loop: Loop, progress: Progress | None, interrupted: Callable[[], bool]) -> History:
-    """The same run with adaptation stopped just before the first change."""
+def _twin(
+    loop: Loop, progress: Progress | None, interrupted: Callable[[], bool]
+) -> tuple[np.ndarray, str]:
+    """The same run with adaptation stopped just before the first change.
+
+    Returns:
+        Its tracking error [rad], (n, joints), and why it failed; empty if it did not.
+    """
     half = loop.scenario.duration / 2
     loop.reset()
     show = None if progress is None else lambda now: progress(half + now / 2)
-    return loop.run(show, freeze=True, interrupted=interrupted)
+    error, count = np.empty((loop.count, len(loop.simulation.joints))), 0
+
+    def keep(rows: Rows) -> None:
+        nonlocal count
+        start, count = count, count + len(rows.time)
+        error[start:count] = rows.error
+
+    ending = loop.stream(keep, show, freeze=True, interrupted=interrupted)
+    return error[:count], ending.failure
 
 
-def _share(progress: Progress | None, parts: int) -> Progress | None:
+def _share(loop: Loop, progress: Progress | None) -> Progress | None:
+    parts = 2 if _has_twin(loop) else 1
     return None if progress is None else lambda now: progress(now / parts)
 
 
-def _metrics(loop: Loop, history: History, twin: np.ndarray | None) -> dict[str, Any]:
+def _metrics(
+    loop: Loop, recording: Recording, ending: Ending, twin: np.ndarray | None
+) -> dict[str, Any]:
     """What `metrics.json` holds beside the names: a summary of a run, as far as it came.
 
     Args:
         loop: The loop that was run.
-        history: What it left behind.
+        recording: What it left behind.
+        ending: How it ended.
         twin: Tracking error of the frozen twin [rad], (n, joints); None without one.
     """
-    scenario, joints, stride = loop.scenario, loop.simulation.joints, loop.reference.period
-    finite = np.isfinite(history.error).all(axis=1)
-    error, time = history.error[finite], history.time[finite]
-    none = np.full(len(history.time), np.nan)
-    spent = [history.states.get(f"{joint}_energy_supply", none) for joint in joints]
-    energy = np.column_stack(spent)
+    scenario, simulation, stride = loop.scenario, loop.simulation, loop.reference.period
+    joints, length = simulation.joints, float(recording.time[-1])
+    error = recording.stack(joints, "truth")
+    error -= recording.stack(joints, "reference")
+    finite = np.isfinite(error).all(axis=1)
+    # Columns of long runs are large: one that is whole is not copied, and no two are kept.
+    kept = slice(None) if finite.all() else finite
+    time, error = recording.time[kept], error[kept]
     errors = phase_table(time, error, joints, scenario.phases)
-    usage = usage_table(time, history.command[finite], energy[finite], joints, scenario.phases)
-    for row, costs in zip(errors, usage, strict=True):
-        row.update(costs)
-        if "model_error" in history.diagnostics:
-            part = (history.time >= row["start"]) & (history.time <= row["end"])
-            values = rms(history.diagnostics["model_error"][part & finite])
-            row["model_error"] = dict(zip(joints, values.tolist(), strict=True))
     change = min(scenario.breakpoints, default=None)
-    slides = [joint for joint in joints if loop.simulation.slides[joint]]
-    return {
-        **({"slides": slides} if slides else {}),
-        "duration": float(history.time[-1]),
-        "severity": scenario.severity,
-        "real_time_factor": float(history.time[-1] / max(history.wall_time, 1e-9)),
-        "completed": not history.failure,
-        "failure": history.failure or None,
-        "phases": errors,
+    figures = {
         "adaptation": adaptation(
-            scenario, stride, time, error, joints, twin=twin, failure=history.failure
+            scenario, stride, time, error, joints, twin=twin, failure=ending.failure
         ).model_dump(),
         "excess_error_area_rad_s": None
         if change is None
         else excess_error_area(time, error, change, stride),
     }
+    del error
+    for row, costs in zip(errors, _usage(loop, recording, kept), strict=True):
+        row.update(costs)
+    if f"{joints[0]}_model_error" in recording:
+        values = recording.stack(joints, "model_error")[kept]
+        for row in errors:
+            part = (time >= row["start"]) & (time <= row["end"])
+            row["model_error"] = dict(zip(joints, rms(values[part]).tolist(), strict=True))
+    slides = [joint for joint in joints if loop.simulation.slides[joint]]
+    return {
+        **({"slides": slides} if slides else {}),
+        "duration": length,
+        "severity": scenario.severity,
+        "real_time_factor": float(length / max(ending.wall_time, 1e-9)),
+        "completed": not ending.failure,
+        "failure": ending.failure or None,
+        "phases": errors,
+        **figures,
+    }
 
 
-def _recording(loop: Loop, history: History, metadata: dict[str, Any]) -> Recording:
-    simulation, sensors = loop.simulation, loop.preparation.sensors
-    noise = recording_noise(loop.settings.seed)
-    measured = recorded_positions(history, sensors, noise)
-    velocities = filtered_velocities(measured, sensors)
-    columns = {}
-    for i, (joint, actuator) in enumerate(
-        zip(simulation.joints, simulation.actuators, strict=True)
-    ):
-        columns[f"{joint}_position"] = measured[:, i]
-        columns[f"{joint}_velocity"] = velocities[:, i]
-        columns[f"{joint}_truth"] = history.position[:, i]
-        columns[f"{joint}_truth_velocity"] = history.velocity[:, i]
-        columns[f"{actuator}_command"] = history.control[:, i]
-        for suffix, values in zip(
-            ("reference", "reference_velocity", "reference_acceleration"),
-            history.reference,
-            strict=True,
-        ):
-            columns[f"{joint}_{suffix}"] = values[:, i]
-        for name, values in history.diagnostics.items():
-            columns[f"{joint}_{name}"] = values[:, i]
-    for name, values in history.passive.items():
-        columns[f"{name}_truth"] = values
-    hydraulic = simulation.hydraulic_joints
-    places = [f"{joint}_{chamber}" for chamber in CHAMBERS for joint in hydraulic]
-    faults = PressureFaults.of(simulation.model, hydraulic)
-    shown = dict(zip(places, zip(faults.scale, faults.offset, strict=True), strict=True))
-    for name, values in history.states.items():
-        columns[name] = values
-        if name in shown:
-            scale, offset = shown[name]
-            noisy = values + noise.normal(0.0, sensors.pressure_noise, len(values))
-            columns[name] = scale * noisy + offset
-            columns[name].setflags(write=False)  # The recording need not copy it.
-    # Encoders of joints that nothing drives, as linear scales of the same noise, rad or m.
-    for name, values in history.passive.items():
-        read = values + noise.normal(0.0, sensors.position_noise, len(values))
-        columns[f"{name}_position"] = read
-        columns[f"{name}_velocity"] = filtered_velocities(read[:, None], sensors)[:, 0]
-    units = units_of_columns(columns, simulation.slides)
-    changeable = parameter_units()
-    if loop.machine:
-        schedule = loop.machine.schedule
-        for element, parameter in (*schedule.parameters, *schedule.others):
-            units[f"{element}_{parameter}"] = changeable[parameter]
-    drives = {
-        simulation.model.joint(drive.joint).name: {
-            "actuator": name,
-            "centre": drive.centre,
-            "half": drive.half,
-        }
-        for name, drive in simulation.native.items()
-    }
-    for drive in drives.values():
-        units[f"{drive['actuator']}_command"] = CONTROL_UNIT
-    options = simulation.model.opt
-    made = {
-        "timestep": options.timestep,
-        "integrator": mujoco.mjtIntegrator(options.integrator).name.removeprefix("mjINT_").lower(),
-    }
-    known = {**metadata, SIMULATION: made, **({DRIVES: drives} if drives else {}), "units": units}
-    return Recording(time=history.time, columns=columns, metadata=known)
+def _usage(loop: Loop, recording: Recording, kept: slice | np.ndarray) -> list[dict[str, Any]]:
+    """What tracking cost by phase, of some rows."""
+    simulation = loop.simulation
+    command = simulation.commands(recording.stack(simulation.actuators, "command")[kept])
+    energy = np.full_like(command, np.nan)
+    for i, joint in enumerate(simulation.joints):
+        if (name := f"{joint}_energy_supply") in recording:
+            energy[:, i] = recording[name][kept]
+    time = recording.time[kept]
+    return usage_table(time, command, energy, simulation.joints, loop.scenario.phases)
 
 
 def _configuration(loop: Loop) -> RunConfiguration:

@@ -73,9 +73,7 @@ class Readings {
 
   loop::Disturbance disturbance(std::size_t period) const {
     const std::size_t first = at(period);
-    // The first reading has none before it that could be repeated.
-    const bool* lost = period > 0 ? lost_.data() + first : nullptr;
-    return {noise_.data() + first, shift_.data() + first, lost};
+    return {noise_.data() + first, shift_.data() + first, lost_.data() + first};
   }
 
   Values positions_;

@@ -1,0 +1,130 @@
+"""What a closed loop leaves behind, one row a control period: in blocks, and as a whole."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from leglab.control import ReferencePoint
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rows:
+    """Everything that a closed loop left behind, one row a control period.
+
+    Attributes:
+        time: [s], shape (n,).
+        position: True positions of the driven joints [rad], (n, joints).
+        velocity: True velocities of the driven joints [rad/s], (n, joints).
+        passive: True positions of joints that nothing drives, by joint [rad or m], each (n,).
+        command: Commands in [-1, 1] from `time` on, (n, joints).
+        control: What was sent for them: to a valve the command, to a native actuator a control in
+            its own unit, (n, joints).
+        reference: Position [rad], velocity [rad/s] and acceleration [rad/s^2], each (n, joints).
+        states: Values of the plugin states asked for, by column name, each (n,).
+        encoder_shift: Added to every position by encoder faults [rad], (n, joints).
+        encoder_lost: Where an encoder repeated its last reading, (n, joints).
+        diagnostics: What the controller reports, by name, each (n, joints).
+    """
+
+    time: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    passive: dict[str, np.ndarray]
+    command: np.ndarray
+    control: np.ndarray
+    reference: ReferencePoint
+    states: dict[str, np.ndarray]
+    encoder_shift: np.ndarray
+    encoder_lost: np.ndarray
+    diagnostics: dict[str, np.ndarray]
+
+    @property
+    def error(self) -> np.ndarray:
+        """True tracking error, position less reference [rad], (n, joints)."""
+        return self.position - self.reference.position
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ending:
+    """How a closed loop ended.
+
+    Attributes:
+        rows: Periods that were recorded.
+        wall_time: Of the loop alone [s].
+        failure: Why it ended early; empty if it did not.
+    """
+
+    rows: int
+    wall_time: float
+    failure: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class History(Rows):
+    """All rows of a closed loop, and how it ended.
+
+    Attributes:
+        wall_time: Of the loop alone [s].
+        failure: Why the loop ended early; empty if it did not.
+    """
+
+    wall_time: float
+    failure: str = ""
+
+    def __repr__(self) -> str:
+        rows, joints = self.position.shape
+        failed = f", failed: {self.failure}" if self.failure else ""
+        return f"History({rows} periods of {joints} joints, {self.time[-1]:g} s{failed})"
+
+
+class Whole:
+    """Blocks of rows put together.
+
+    Args:
+        count: Most rows.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._count, self._rows = count, 0
+        self._values: dict[tuple[str, str], np.ndarray] = {}
+
+    def keep(self, rows: Rows) -> None:
+        """Copies the next rows."""
+        start = self._rows
+        self._rows = start + len(rows.time)
+        for place, values in _parts(rows):
+            if place not in self._values:
+                # In the order in memory that it comes in: sums are rounded by it.
+                whole = np.empty_like(values, shape=(self._count, *values.shape[1:]))
+                whole[:start] = np.nan  # a report that a controller began later
+                self._values[place] = whole
+            self._values[place][start : self._rows] = values
+
+    def history(self, ending: Ending) -> History:
+        """Returns all rows; none can be kept after it."""
+        found: dict[str, Any] = {"passive": {}, "states": {}, "diagnostics": {}, "reference": {}}
+        for (field, key), values in self._values.items():
+            kept = values[: self._rows]
+            if values.ndim == 1:  # A recording takes over what is whole and cannot be written.
+                values.resize(self._rows, refcheck=False)
+                values.setflags(write=False)
+                kept = values
+            if key:
+                found[field][key] = kept
+            else:
+                found[field] = kept
+        found["reference"] = ReferencePoint(**found["reference"])
+        return History(**found, wall_time=ending.wall_time, failure=ending.failure)
+
+
+def _parts(rows: Rows) -> Iterator[tuple[tuple[str, str], np.ndarray]]:
+    """Yields the arrays with their field, and their key in it where it has several."""
+    for field in fields(rows):
+        value = getattr(rows, field.name)
+        if isinstance(value, np.ndarray):
+            yield (field.name, ""), value
+        else:
+            named = value if isinstance(value, dict) else value._asdict()
+            yield from (((field.name, key), values) for key, values in named.items())
