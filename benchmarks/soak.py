@@ -81,9 +81,12 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
                         "fault": name,
                         "element": element,
                         "rms_mrad": 1e3 * float(np.sqrt(squares / late)),
-                        "named": any((t.fault, t.element) == (name, element) for t in told),
+                        "named": any(
+                            (t.fault, t.element, t.undoes) == (name, element, None) for t in told
+                        ),
                         "noticed": bool(events),
-                        "told": [f"{t.fault} of {t.element}" for t in told],
+                        "told": [f"{t.fault} of {t.element}" for t in told if t.undoes is None],
+                        "undone": any(t.undoes is not None for t in told),
                     }
                 )
                 name, element = "", ""
@@ -136,6 +139,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         ],
         "unseen": sorted(f"{s['fault']} of {s['element']}" for s in broken if not s["shown"]),
         "repairs_named": sum(any("unknown" not in t for t in s["told"]) for s in quiet),
+        "repairs_told": sum(s["undone"] for s in quiet),
         "repairs": len(quiet),
         "first_mrad": healthy[0],
         "repaired_mrad": [float(np.median(healthy[1:])), max(healthy[1:])],
@@ -167,6 +171,7 @@ def tables(kept: dict[str, Any]) -> str:
         ("faults with the right name at the end", f"{kept['named']} of {kept['faults']}"),
         ("without it (what was said)", ", ".join(kept["missed"]) or "none"),
         ("without an alarm or a larger error", ", ".join(kept["unseen"]) or "none"),
+        ("repairs told as such", f"{kept['repairs_told']} of {kept['repairs']}"),
         ("repairs that were called a fault", f"{kept['repairs_named']} of {kept['repairs']}"),
         ("error before the first fault", f"{kept['first_mrad']:.2f} mrad"),
         (

@@ -118,18 +118,42 @@ def test_curves_of_a_fault_that_stands_begin_at_its_size():
     standings.add(
         Standing(onset=1.0, fault="null", element=ALL, meaning="", size=3.0, before=before)
     )
-    onward, back = standings.bank(after).curves
+    seen = np.random.default_rng(45).standard_normal((50, *shape))
+    onward, back = standings.bank(after, seen).curves
     np.testing.assert_array_equal(onward.sizes, [3.0, 5.0])
     np.testing.assert_allclose(onward.shifts[:, 0, 0], [0.0, 2.0])  # of 2 at a size of 3
     np.testing.assert_array_equal(back.sizes, [3.0, 0.0])
     np.testing.assert_allclose(back.shifts[:, 0, 0], [0.0, -2.2])
     assert (onward.undoes, back.undoes) == (None, 1.0)
     assert not standings.undo(1.0, 1.5)
-    (_, half) = standings.bank(1.1 * np.ones(shape)).curves
+    (_, half) = standings.bank(1.1 * np.ones(shape), seen).curves
     np.testing.assert_allclose(half.sizes, [1.5, 0.0])
     np.testing.assert_allclose(half.shifts[1], -1.1)
     assert standings.undo(1.0, 0.1)
-    assert standings.bank(before).curves == (up, down)
+    assert standings.bank(before, seen).curves == (up, down)
+
+
+def test_a_change_that_was_unlearned_without_a_word_stands_no_more():
+    rng = np.random.default_rng(46)
+    bank, shape = make_bank(rng), (len(JOINTS), PARAMETERS)
+    base, seen = rng.standard_normal(shape), rng.standard_normal((50, *shape))
+    seen[..., 0] = 0.0  # a parameter that the motion does not show may drift
+    standings = Standings(bank)
+    leak, rub = bank.curves[1].shift(6.0), bank.curves[3].shift(6.0)
+    told = {"element": "knee", "meaning": "", "size": 6.0}
+    standings.add(Standing(onset=1.0, fault="leak", before=base, **told))
+    standings.bank(base + leak, seen)
+    standings.add(
+        Standing(onset=2.0, fault="rub", before=base + leak, **{**told, "element": "hip"})
+    )
+    drift = np.zeros(shape)
+    drift[:, 0] = 0.5
+    both = standings.bank(base + leak + rub + drift, seen).curves
+    assert [c.undoes for c in both if c.undoes is not None] == [1.0, 2.0]
+    left = standings.bank(base + 0.1 * leak + rub - drift, seen).curves
+    assert [c.undoes for c in left if c.undoes is not None] == [2.0]
+    whole = [c for c in left if (c.fault, c.element) == ("leak", "knee")]
+    assert whole == [bank.curves[1]]
 
 
 def test_a_supply_that_recovers_is_told_in_the_closed_loop():

@@ -27,7 +27,7 @@ from leglab.control.feedforward.standing import Standing, Standings
 _EARLY = (0.09, 0.12, 0.15, 0.18, 0.22, 0.26, 0.3, 0.36, 0.43, 0.5, 0.6, 0.72, 0.86, 1.0)
 _LOOKS = (*_EARLY, 1.2, 1.4, 1.7, 2.0, 2.4, 2.8, 3.2)
 
-_STEADY = 1.4
+_STEADY = 2.0
 
 # From when to when after an onset an explanation may become less good, as more is seen [s].
 _GROWN = (0.1, 0.4)
@@ -296,7 +296,8 @@ class FaultMonitor:
         onset = self._onset(float(np.min(self._since[alarm])))
         before = [block for block in self._recent if block.time <= onset] or [self._recent[0]]
         base = before[-1].parameters
-        self._case = _Case(onset=onset, base=base, bank=self._standings.bank(base))
+        seen = np.concatenate([block.samples[..., :-3] for block in before])
+        self._case = _Case(onset=onset, base=base, bank=self._standings.bank(base, seen))
         for block in self._recent:
             self._collect(self._case, block.time, block.samples)
         return self._act(self._case, time)

@@ -8,6 +8,7 @@ this very machine, and its parameters moved by what is to be undone.
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import nnls
 
 from leglab.control.feedforward.fault_bank import UNKNOWN, FaultBank, FaultCurve
 
@@ -77,19 +78,39 @@ class Standings:
         """Forgets all."""
         self._changes = []
 
-    def bank(self, now: np.ndarray) -> FaultBank:
+    def bank(self, now: np.ndarray, regressor: np.ndarray) -> FaultBank:
         """The bank for the change that begins now.
 
         Args:
             now: Parameters of the map before it, (joints, parameters).
+            regressor: Of the samples before it, (n, joints, parameters).
         """
         for change in self._changes:
             if change.after is None:
                 change.after = now.copy()
+        self._drop_undone(now, regressor)
         sizes = {change.key: change.size for change in self._changes}
         curves = [_onward(c, sizes.get((c.fault, c.element))) for c in self._bank.curves]
         ways_back = [change.back() for change in self._changes]
         return FaultBank(curves=tuple(c for c in (*curves, *ways_back) if c is not None))
+
+    def _drop_undone(self, now: np.ndarray, regressor: np.ndarray) -> None:
+        """Forgets changes that the learner has unlearned since: they went without being noticed.
+
+        What the map predicts now less what it did before all of them is made of what it learned of
+        each, in shares that are not negative.
+        """
+        if not self._changes:
+            return
+
+        def predicted(parameters: np.ndarray) -> np.ndarray:
+            return np.einsum("njp,jp->nj", regressor, parameters).ravel()
+
+        changes = [c for c in self._changes if c.after is not None]
+        learned = [predicted(c.after - c.before) for c in changes]
+        shares, _ = nnls(np.stack(learned, axis=1), predicted(now - self._changes[0].before))
+        kept = zip(self._changes, shares, strict=True)
+        self._changes = [change for change, share in kept if share > 1.0 - _UNDONE]
 
     def add(self, change: Standing) -> None:
         """Remembers a change that was told."""
