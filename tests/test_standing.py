@@ -108,6 +108,30 @@ def test_another_fault_that_joins_one_is_no_repair_and_either_can_go():
     np.testing.assert_allclose(left, rub, atol=0.01)
 
 
+def test_a_fault_that_grows_beside_another_goes_back_alone():
+    rng = np.random.default_rng(47)
+    bank, shape = make_bank(rng), (len(JOINTS), PARAMETERS)
+    seen = rng.standard_normal((50, *shape))
+    leak, rub = bank.curves[1], bank.curves[3]
+    standings, base = Standings(bank), rng.standard_normal(shape)
+    now = base
+    for onset, curve, size, shift in (
+        (1.0, leak, 4.0, leak.shift(4.0)),
+        (2.0, rub, 6.0, rub.shift(6.0)),
+        (3.0, leak, 9.0, leak.shift(9.0) - leak.shift(4.0)),
+    ):
+        told = {"fault": curve.fault, "element": curve.element, "meaning": "", "size": size}
+        standings.add(Standing(onset=onset, before=now, **told))
+        now = now + shift
+        ways = {c.undoes: c for c in standings.bank(now, seen).curves if c.undoes is not None}
+    assert set(ways) == {2.0, 3.0}
+    np.testing.assert_allclose(ways[2.0].shifts[1], -rub.shift(6.0), atol=1e-12)
+    np.testing.assert_allclose(ways[3.0].shifts[1], -leak.shift(9.0), atol=1e-12)
+    standings.undo(3.0, 1.0)
+    (way,) = (c for c in standings.bank(base + rub.shift(6.0), seen).curves if c.undoes)
+    assert way.undoes == 2.0
+
+
 def test_curves_of_a_fault_that_stands_begin_at_its_size():
     sizes, shape = np.array([0.0, 2.0, 5.0]), (len(JOINTS), PARAMETERS)
     shifts = np.stack([np.zeros(shape), np.ones(shape), 4.0 * np.ones(shape)])
@@ -125,11 +149,11 @@ def test_curves_of_a_fault_that_stands_begin_at_its_size():
     np.testing.assert_array_equal(back.sizes, [3.0, 0.0])
     np.testing.assert_allclose(back.shifts[:, 0, 0], [0.0, -2.2])
     assert (onward.undoes, back.undoes) == (None, 1.0)
-    assert not standings.undo(1.0, 1.5)
+    standings.undo(1.0, 1.5)
     (_, half) = standings.bank(1.1 * np.ones(shape), seen).curves
     np.testing.assert_allclose(half.sizes, [1.5, 0.0])
     np.testing.assert_allclose(half.shifts[1], -1.1)
-    assert standings.undo(1.0, 0.1)
+    standings.undo(1.0, 0.1)
     assert standings.bank(before, seen).curves == (up, down)
 
 

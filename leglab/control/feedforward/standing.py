@@ -5,7 +5,7 @@ The way back is known better than any simulation knows it: the learner has follo
 this very machine, and its parameters moved by what is to be undone.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import nnls
@@ -24,14 +24,16 @@ class Standing:
     """A change that was noticed, as long as it is not undone.
 
     Attributes:
-        onset: When it began [s].
+        onset: When it began [s]; of a fault that has grown, when it last did.
         fault: Name of the fault, or "unknown change".
         element: Joint, joints by commas, or "all".
         meaning: What the size says.
         size: In the fault's own unit; 1 of an unknown change.
         before: Parameters of the map before it, (joints, parameters).
         healthy: Size of a machine without it; 0 of an unknown change.
-        after: Parameters when the next change was noticed; None while there was none.
+        learned: By how much it moved the parameters, (joints, parameters); what is known of it
+            from before `before`, until `settle`.
+        settled: Whether `learned` is all of it: the next change has begun.
     """
 
     onset: float
@@ -41,24 +43,33 @@ class Standing:
     size: float
     before: np.ndarray
     healthy: float = 0.0
-    after: np.ndarray | None = None
+    learned: np.ndarray = field(init=False)
+    settled: bool = False
+
+    def __post_init__(self) -> None:
+        self.learned = np.zeros_like(self.before)
 
     @property
     def key(self) -> tuple[str, str]:
         """Fault and element."""
         return self.fault, self.element
 
+    def settle(self, now: np.ndarray) -> None:
+        """Takes what the learner has made of it until now, (joints, parameters)."""
+        if not self.settled:
+            self.learned = self.learned + (now - self.before)
+            self.settled = True
+
     def back(self) -> FaultCurve | None:
-        """The curve from this size to the healthy one, by what was learned; None without it."""
-        if self.after is None or self.size == self.healthy:
+        """The curve from this size to the healthy one, by what was learned; None without one."""
+        if self.size == self.healthy:
             return None
-        learned = self.after - self.before
         return FaultCurve(
             fault=self.fault,
             element=self.element,
             meaning=self.meaning,
             sizes=np.array([self.size, self.healthy]),
-            shifts=np.stack([np.zeros_like(learned), -learned]),
+            shifts=np.stack([np.zeros_like(self.learned), -self.learned]),
             undoes=self.onset,
         )
 
@@ -72,11 +83,13 @@ class Standings:
 
     def __init__(self, bank: FaultBank) -> None:
         self._bank = bank
-        self._changes: list[Standing] = []
+        self.clear()
 
     def clear(self) -> None:
         """Forgets all."""
-        self._changes = []
+        self._changes: list[Standing] = []
+        # Parameters of the map without them.
+        self._origin = np.zeros(1)
 
     def bank(self, now: np.ndarray, regressor: np.ndarray) -> FaultBank:
         """The bank for the change that begins now.
@@ -86,8 +99,7 @@ class Standings:
             regressor: Of the samples before it, (n, joints, parameters).
         """
         for change in self._changes:
-            if change.after is None:
-                change.after = now.copy()
+            change.settle(now)
         self._drop_undone(now, regressor)
         sizes = {change.key: change.size for change in self._changes}
         curves = [_onward(c, sizes.get((c.fault, c.element))) for c in self._bank.curves]
@@ -97,8 +109,8 @@ class Standings:
     def _drop_undone(self, now: np.ndarray, regressor: np.ndarray) -> None:
         """Forgets changes that the learner has unlearned since: they went without being noticed.
 
-        What the map predicts now less what it did before all of them is made of what it learned of
-        each, in shares that are not negative.
+        What the map predicts now less what it did without them is made of what it learned of each,
+        in shares that are not negative.
         """
         if not self._changes:
             return
@@ -106,9 +118,8 @@ class Standings:
         def predicted(parameters: np.ndarray) -> np.ndarray:
             return np.einsum("njp,jp->nj", regressor, parameters).ravel()
 
-        changes = [c for c in self._changes if c.after is not None]
-        learned = [predicted(c.after - c.before) for c in changes]
-        shares, _ = nnls(np.stack(learned, axis=1), predicted(now - self._changes[0].before))
+        learned = [predicted(change.learned) for change in self._changes]
+        shares, _ = nnls(np.stack(learned, axis=1), predicted(now - self._origin))
         kept = zip(self._changes, shares, strict=True)
         self._changes = [change for change, share in kept if share > 1.0 - _UNDONE]
 
@@ -116,24 +127,27 @@ class Standings:
         """Remembers a change that was told."""
         healthy = [c.sizes[0] for c in self._bank.curves if (c.fault, c.element) == change.key]
         change.healthy = float(healthy[0]) if healthy else 0.0
+        if not self._changes:
+            self._origin = change.before
         earlier = [one for one in self._changes if one.key == change.key]
         if earlier and change.fault != UNKNOWN:
-            # More of the same: the whole way back is that from before the first.
-            change.before = earlier[0].before
+            # More of the same: the way back is that of both.
+            change.learned = change.learned + earlier[0].learned
             self._changes.remove(earlier[0])
-        self._changes = [*self._changes, change][-_MOST:]
+        self._changes.append(change)
+        for forgotten in self._changes[:-_MOST]:
+            self._origin = self._origin + forgotten.learned
+        self._changes = self._changes[-_MOST:]
 
-    def undo(self, onset: float, size: float) -> bool:
-        """Takes back a change as far as its size says; whether all of it is gone."""
+    def undo(self, onset: float, size: float) -> None:
+        """Takes back a change as far as its size says."""
         (change,) = [one for one in self._changes if one.onset == onset]
-        assert change.after is not None
         left = (size - change.healthy) / (change.size - change.healthy)
         if left <= 1.0 - _UNDONE:
             self._changes.remove(change)
-            return True
-        change.after = change.before + left * (change.after - change.before)
+            return
+        change.learned = left * change.learned
         change.size = size
-        return False
 
 
 def _onward(curve: FaultCurve, size: float | None) -> FaultCurve | None:
