@@ -18,9 +18,10 @@ from leglab.cli import main
 from leglab.report.film import encoder, look, render_film
 from leglab.report.film.encoder import Encoder
 from leglab.report.film.look import ALARM, GHOST, pressure_color
-from leglab.report.film.track import load_track
+from leglab.report.film.track import _named, load_track
 from leglab.report.film.workers import draw_frames
 from leglab.runs.folder import write_run
+from leglab.runs.record import FaultEvent
 
 LENGTH, CHANGE = 2.0, 1.0  # s
 BAR = 1e5  # Pa
@@ -384,3 +385,17 @@ def test_workers_do_not_run_code_of_the_working_folder(runs, tmp_path, monkeypat
     monkeypatch.chdir(tmp_path)
     render_film([runs["pd"]], tmp_path / "film.mp4", duration=0.1)
     assert not (tmp_path / "ran").exists()
+
+
+def test_a_name_ends_where_its_repair_is_told():
+    name = {"time": 1.2, "onset": 1.0, "fault": "payload", "element": "all", "size": 6.0}
+    name |= {"low": 5.0, "high": 7.0, "confidence": 0.93, "explained": 0.9}
+    back = {**name, "time": 3.3, "onset": 3.0, "size": 0.12, "low": 0.0, "undoes": 1.0}
+    events = [
+        FaultEvent.model_validate({"names": [one], "withdrawn": withdrawn})
+        for one, withdrawn in ((name, None), (back, None), ({**name, "onset": 5.0}, 6.0))
+    ]
+    first, second, third = _named(events)
+    assert (first.start, first.end, first.text) == (1.2, 3.3, "named: payload 6, 93 %")
+    assert (second.end, second.text) == (np.inf, "named: payload back to 0.12, 93 %")
+    assert third.end == 6.0

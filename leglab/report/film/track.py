@@ -1,6 +1,6 @@
 """One run as a film shows it: its recording, its changes and what follows from them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -168,14 +168,17 @@ def load_track(folder: Path) -> Track:
         window=min(run.window, max(0.25 * recording.duration, 1e-3)),
         failure=(told and told.failure) or "",
         undone=None if told is None else _undone(told.adaptation, run.changes),
-        named=() if told is None else (*map(_named, told.events), *map(_wear, told.health)),
+        named=() if told is None else (*_named(told.events), *map(_wear, told.health)),
     )
 
 
-def _named(event: record.FaultEvent) -> ShownChange:
-    """The name in force, told as "named: knee seal wear 11.4, 100 %"."""
-    end = np.inf if event.withdrawn is None else event.withdrawn
-    return ShownChange(start=event.names[-1].time, end=end, text=f"named: {event.short()}")
+def _named(events: Sequence[record.FaultEvent]) -> Iterator[ShownChange]:
+    """The names in force, told as "named: knee seal wear 11.4, 100 %", until one goes back."""
+    back = {name.undoes: name.time for event in events for name in event.names[-1:]}
+    for event in events:
+        name = event.names[-1]
+        end = min(back.get(name.onset, np.inf), event.withdrawn or np.inf)
+        yield ShownChange(start=name.time, end=end, text=f"named: {event.short()}")
 
 
 def _wear(trend: record.FaultTrend) -> ShownChange:
