@@ -207,3 +207,26 @@ def test_a_fault_that_changes_nothing_shifts_nothing(small, monkeypatch):
     (curve,) = bank_of().curves
     worn = np.abs(curve.shifts[2]).max()
     assert np.abs(curve.shifts[1]).max() < 1e-3 * worn
+
+
+def test_odds_are_those_of_noise_or_of_structure_whichever_are_weaker():
+    """More samples tell noise apart, and not what another machine than the nominal one leaves."""
+    shifts = np.zeros((2, 1, 2))
+    shifts[1] = 1.0
+    sizes = np.array([0.0, 1.0])
+    curves = [
+        FaultCurve(fault=name, element=ALL, meaning="", sizes=sizes, shifts=shifts)
+        for name in ("leak", "rub")
+    ]
+    bank, cost = FaultBank(curves=tuple(curves)), np.array([300.0, 200.0])
+
+    def rival(correlation, independent=None):
+        return bank.chances(cost, correlation, independent)[0]
+
+    def odds(log):
+        return 1.0 / (1.0 + np.exp(log))
+
+    assert rival(20.0) == pytest.approx(odds(100.0 / 40.0))
+    assert rival(20.0, 10.0) == pytest.approx(odds(5.0 * np.log(1.5)))
+    assert rival(50.0, 10.0) == pytest.approx(odds(100.0 / 100.0))
+    assert bank.chances(0.0 * cost, 20.0, 10.0).tolist() == [0.5, 0.5]

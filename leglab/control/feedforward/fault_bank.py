@@ -176,16 +176,29 @@ class FaultBank:
         """Place of every curve's fault and element in `keys`, (curves,)."""
         return np.array([self.keys.index((c.fault, c.element)) for c in self.curves])
 
-    def chances(self, cost: np.ndarray, correlation: float) -> np.ndarray:
+    def chances(
+        self, cost: np.ndarray, correlation: float, independent: float | None = None
+    ) -> np.ndarray:
         """Probability of every fault and element among all of the bank, by likelihood, (keys,).
+
+        What the best fault leaves is partly noise, of which more samples tell more, and partly
+        that the machine is not the nominal one, of which they do not. Either has its likelihood:
+        that of a known variance, and that of an unknown one, cost^(-n/2), with n errors that differ
+        independently. A rival is as unlikely as the weaker of both makes it.
 
         Args:
             cost: Weighted sum of squared errors of each curve, (curves,).
             correlation: Samples that count as one.
+            independent: n; None counts noise alone.
         """
         best_of = np.full(len(self.keys), np.inf)
         np.minimum.at(best_of, self.group, cost)
-        weight = np.exp(-(best_of - best_of.min()) / (2 * correlation))
+        least = max(best_of.min(), 1e-300)
+        unlikely = (best_of - least) / (2 * correlation)
+        if independent is not None:
+            structure = 0.5 * independent * np.log(np.maximum(best_of, least) / least)
+            unlikely = np.minimum(unlikely, structure)
+        weight = np.exp(-unlikely)
         chance: np.ndarray = weight / weight.sum()
         return chance
 

@@ -67,6 +67,8 @@ class MonitorConfiguration(Configuration):
         alarm: Cumulative log-likelihood ratio at which a change is declared, beyond what it
             reaches while nothing changes.
         correlation: Learned samples that count as one: neighbours err alike.
+        independent: Errors that differ independently between the nominal machine and the one that
+            runs, in the odds of two faults that both leave something.
         discrepancy: Share of the error before the correction that a right fault leaves, since no
             machine is the nominal one; a standard deviation.
         explained: Least share of the weighted squared error that a fault must take away to be
@@ -85,6 +87,7 @@ class MonitorConfiguration(Configuration):
     error_ratio: float = Field(default=4.0, gt=1)
     alarm: float = Field(default=4.0, gt=0)
     correlation: float = Field(default=20.0, ge=1)
+    independent: float = Field(default=10.0, gt=0)
     discrepancy: float = Field(default=0.15, gt=0, lt=1)
     explained: tuple[_Share, _Share] = Field(default=(0.75, 0.6))
     kept: float = Field(default=0.5, gt=0, lt=1)
@@ -386,7 +389,7 @@ class FaultMonitor:
         variance = self._normal + config.discrepancy**2 * moments.power / count
         bank = case.bank
         fit = bank.fit(moments, 1.0 / np.maximum(variance, 1e-300))
-        chance = bank.chances(fit.cost, config.correlation)
+        chance = bank.chances(fit.cost, config.correlation, config.independent)
         best = int(np.argmin(fit.cost))
         group = int(bank.group[best])
         explained = 1.0 - fit.cost[best] / max(fit.without, 1e-300)
