@@ -7,8 +7,8 @@ import resource
 
 import pytest
 
-from leglab import run_scenario
 from leglab.runs import folder as run_folders
+from leglab.runs.run import record_scenario
 from tests.report_folders import Elements, write_folder
 from tests.test_cli import leglab
 
@@ -86,11 +86,11 @@ def test_bad_requests_get_one_line(tmp_path, capsys, monkeypatch, arguments, tol
 def test_a_scenario_is_run_once_and_reported(tmp_path, capsys, monkeypatch):
     calls = []
 
-    def counted(settings):
+    def counted(settings, path):
         calls.append(settings.controller)
-        return run_scenario(settings)
+        return record_scenario(settings, path)
 
-    monkeypatch.setattr(run_folders, "run_scenario", counted)
+    monkeypatch.setattr(run_folders, "record_scenario", counted)
     command = ["report", "--scenario", "seal_wear", "--model", "knee_bench", "--duration", "4"]
     command += ["--jobs", "1", "--no-video", "--out", tmp_path / "out", "--json", "--controllers"]
     status, out, _ = leglab(*command, "pd", capsys=capsys)
