@@ -37,7 +37,7 @@ def tables(rows: list[list[str]]) -> str:
     """All faults together; then the time to nine tenths, of each fault."""
     together = results.table(list(adaptation.HEAD), [row[1:] for row in rows if row[0] == "all"])
     controllers = list(dict.fromkeys(row[1] for row in rows))
-    median, never = (2 + adaptation.HEAD.index(name) - 1 for name in ("90 % after, s", "never"))
+    median, never = (1 + adaptation.HEAD.index(name) for name in ("90 % after, s", "never"))
     cells = {(row[0], row[1]): (row[median], row[never]) for row in rows}
     lines = []
     for fault in dict.fromkeys(row[0] for row in rows if row[0] != "all"):

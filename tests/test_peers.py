@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from leglab import RunSettings
-from leglab.commissioning.adrc_gains import JointMargins, adrc_gains
+from leglab.commissioning.adrc_gains import JointMargins, adrc_gains, plant_gain
 from leglab.commissioning.adrc_gains import tuned_gains as tuned_bandwidths
 from leglab.commissioning.ilc_gains import CONTRACTION, closed_loops, ilc_gains
 from leglab.commissioning.pd_gains import sampled_plant, stored_gains
@@ -346,3 +346,17 @@ def test_adrc_behind_a_force_is_of_second_order(actuator, tmp_path):
         assert not history.failure
         errors.append(np.sqrt(np.mean(history.error**2)))
     assert errors[0] < 1.5 * errors[1]
+
+
+@pytest.mark.parametrize(
+    "actuator",
+    [
+        '<motor joint="slide" ctrlrange="-20 20"/>',
+        '<general joint="slide" ctrlrange="-20 20" dyntype="filter" dynprm="0.01"/>',
+    ],
+)
+def test_a_command_of_one_gives_full_force_over_mass_with_a_filter_too(actuator, tmp_path):
+    model = tmp_path / "slide.xml"
+    model.write_text(_SLIDE.format(actuator))
+    simulation = Simulation(load_model(str(model)), keyframe=None)
+    assert plant_gain(simulation, 0) == (pytest.approx(20.0 / 2.0), 2)

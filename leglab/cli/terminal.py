@@ -73,6 +73,7 @@ def complain(text: str, kind: str = "error") -> None:
 
 
 _WIDE = 120  # characters
+_NAME = 30  # characters of a name that a table keeps on one line
 _Made = TypeVar("_Made")
 
 
@@ -150,6 +151,7 @@ def plain_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> Table:
     cut short could be another's.
     """
     rows = list(rows)
+    longest = min(_NAME, max((len(row[0]) for row in rows), default=0))
     table = Table(box=SIMPLE_HEAD)
     for i, name in enumerate(head):
         numbers = all(_is_number(row[i]) for row in rows)
@@ -157,7 +159,7 @@ def plain_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> Table:
             Text(name),
             justify="right" if numbers else "left",
             overflow="fold",
-            min_width=max((len(row[i]) for row in rows), default=0) if i == 0 else None,
+            min_width=None if i else longest,
         )
     for row in rows:
         table.add_row(*map(Text, row))

@@ -290,9 +290,8 @@ class Replay:
         controls = np.repeat(controls, steps, axis=1)
         # Velocities lag half a step, so a kick spans half a step to both sides of its time and
         # has the mean of what is commanded then. A valve follows its command itself.
-        begins = (np.arange(controls.shape[1]) - 0.5) / steps + cut.series.command_lead / (
-            self._period
-        )
+        lead = cut.series.command_lead / self._period
+        begins = (np.arange(controls.shape[1]) - 0.5) / steps + lead
         sample = np.floor(begins).astype(np.int64)
         later = np.maximum(begins + 1.0 / steps - (sample + 1), 0.0) * steps
         for name in self.machine.native_actuators():

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from leglab._native.loop import Drives
 from leglab._native.loop import Rows as RowTaker
 from leglab.base.errors import LeglabError
 from leglab.base.scenario import Scenario
@@ -18,22 +17,15 @@ from leglab.control.feedforward.offline import BenchRun
 from leglab.controllers.exact_inverse import ExactInverse
 from leglab.controllers.pd import PdConfiguration
 from leglab.controllers.static_feedforward import ValveMapTable
-from leglab.machine.changes import Bodies, NativeJoints, Schedule
+from leglab.machine.changes import Schedule
 from leglab.machine.plugin import headless
-from leglab.machine.sensors import (
-    EncoderFaults,
-    Encoders,
-    PressureFaults,
-    SensorConfiguration,
-    loop_timing,
-    skip_normal,
-)
 from leglab.machine.simulation import Simulation, SimulationError
 from leglab.references import Samples
 from leglab.runs.fault_bank import fault_bank
 from leglab.runs.history import Ending, History, Rows, Whole
 from leglab.runs.inversion import exact_commands, valve_slopes
 from leglab.runs.preparation import Preparation, RunSettings, scenario_of
+from leglab.runs.sampled_machine import SampledMachine
 
 # Periods between two looks at the clock, the blow-up check and the progress report.
 _CHECK_INTERVAL = 50
@@ -67,147 +59,6 @@ _BENCH_DURATION, _BENCH_SETTLED = 40.0, 10.0
 _EXACT_SENSORS = {"position_noise": 0.0, "encoder_counts": 0}
 
 Progress = Callable[[float], None]
-
-
-class SampledMachine:
-    """Takes a simulation through a scenario in steps of one control period.
-
-    One period is `measure`, `send` and `advance`. Whoever steps the machine, a headless run, an
-    environment or a viewer, gets the same bits from the same seed.
-
-    Args:
-        simulation: The machine, at the start of the run.
-        scenario: Changes.
-        sensors: Resolution, noise and timing.
-        count: Periods after which the noise repeats.
-        kept: Periods whose noise is drawn at a time; the bits do not depend on it.
-        seed: Of the sensor noise.
-        pressures: Whether pressures are measured, where there are cylinders.
-
-    Attributes:
-        simulation: The machine.
-        period: Control period [s].
-        bodies: Loads on its bodies; `close` takes them off.
-        encoders: Its encoders and their faults.
-        schedule: Carries out the scenario's changes.
-        send: Function that sends commands (joints,) to valves and native actuators, clipped to
-            [-1, 1]; False, and nothing sent, for what is no array of finite numbers.
-        row: Number of the present period within the noise that is drawn.
-        exact: Whether the model gives its sensors no faults of their own.
-
-    Raises:
-        LeglabError: If the timing or a change does not fit the machine.
-    """
-
-    def __init__(
-        self,
-        simulation: Simulation,
-        scenario: Scenario,
-        sensors: SensorConfiguration,
-        *,
-        count: int,
-        kept: int,
-        seed: int,
-        pressures: bool,
-    ) -> None:
-        joints = len(simulation.joints)
-        self._to_sample, self._to_command = loop_timing(sensors, simulation.model.opt.timestep)
-        self.simulation = simulation
-        self.period = sensors.control_period
-        self.bodies = Bodies(simulation.model)
-        self._seed, self._position_noise = seed, sensors.position_noise
-        self._count, self._kept = count, min(kept, count)
-        self._first, self._end = 0, self._kept
-        self._encoder_noise = np.random.default_rng(seed)
-        self.encoders = Encoders(
-            simulation.joints,
-            sensors,
-            positions=simulation.data.qpos,
-            index=simulation.qpos_index,
-            noise=self._encoder_noise.normal(0.0, sensors.position_noise, (self._kept, joints)),
-            seed=seed,
-            built_in=EncoderFaults.of(simulation.model, simulation.joints),
-        )
-        self._native = NativeJoints(simulation)
-        self.schedule = Schedule(scenario, simulation, self._native, self.bodies, self.encoders)
-        self._pressure_noise = sensors.pressure_noise
-        hydraulic = simulation.hydraulic_joints
-        self._pressure_faults = PressureFaults.of(simulation.model, hydraulic) or None
-        self._pressures = pressures and bool(hydraulic)
-        # Noise of pressures comes behind that of all positions.
-        self._noise = self._encoder_noise
-        if self._pressures and self._kept < count:
-            self._noise = np.random.default_rng(seed)
-            skip_normal(self._noise, count * joints)
-        # A control loop runs thousands of times a second: what can be looked up once is.
-        self._step, self._state = simulation.step, simulation.data.plugin_state
-        self._apply, self._read = self.schedule.apply, self.encoders.read
-        self._sample = self.encoders.sample
-        self._readings = self.encoders.position, self.encoders.velocity
-        self.send = Drives(simulation.data.ctrl, simulation.centre, simulation.half).send
-        self._pressure_slots = np.concatenate(
-            [simulation.slots("pressure_a"), simulation.slots("pressure_b")]
-        )
-        self._supply_slot = simulation.supply_slot if hydraulic else -1
-        self._cylinders = len(hydraulic)
-        self._sampled_pressures = self._state.take(self._pressure_slots)
-        self.exact = not (self._pressure_faults or self.encoders.built_in)
-        self._periods = 0
-        self.row = -1
-
-    def measure(self) -> Measurement:
-        """Begins a period: what changes now does so, and the sensors are read."""
-        now = self._periods * self.period
-        row = self.row + 1
-        if row == self._end:
-            row = 0
-            self._draw()
-        self._periods += 1
-        self.row = row
-        self._apply(now)
-        self._read(row)
-        if not self._pressures:
-            return Measurement(now, *self._readings)
-        count = self._cylinders
-        noisy = self._sampled_pressures + self._noise.normal(0.0, self._pressure_noise, 2 * count)
-        if self._pressure_faults:
-            noisy = self._pressure_faults.seen(noisy)
-        supply = float(self._state[self._supply_slot])
-        return Measurement(now, *self._readings, noisy[:count], noisy[count:], supply)
-
-    def _draw(self) -> None:
-        """Draws the noise of the next periods, or of the first ones again."""
-        self._first += self._end
-        if self._first == self._count:
-            self._first, self._encoder_noise = 0, np.random.default_rng(self._seed)
-        self._end = min(self._kept, self._count - self._first)
-        shape = self._end, len(self.simulation.joints)
-        noise = self._encoder_noise.normal(0.0, self._position_noise, shape)
-        self.encoders.begin(self._first, noise)
-
-    def pressure_noise(self, count: int) -> np.ndarray:
-        """Draws the noise of pressures for as many periods as are measured one by one otherwise.
-
-        Returns:
-            [Pa], (count, 2 cylinders); without columns where no pressure is measured.
-        """
-        columns = 2 * self._cylinders if self._pressures else 0
-        return self._noise.normal(0.0, self._pressure_noise, (count, columns))
-
-    def advance(self) -> None:
-        """Ends a period: the command is held, and the next sample taken ahead of its end."""
-        if self._to_sample:
-            self._step(self._to_sample)
-        self._sample()
-        if self._pressures:
-            self._sampled_pressures = self._state.take(self._pressure_slots)
-        if self._to_command:
-            self._step(self._to_command)
-
-    def close(self) -> None:
-        """Gives the model back as it was: bodies without loads, joints and drives unchanged."""
-        self.bodies.restore()
-        self._native.restore()
 
 
 @dataclass(slots=True, eq=False)
