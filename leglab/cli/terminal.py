@@ -151,7 +151,7 @@ def plain_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> Table:
     cut short could be another's.
     """
     rows = list(rows)
-    longest = min(_NAME, max((len(row[0]) for row in rows), default=0))
+    short = all(len(row[0]) <= _NAME for row in rows)
     table = Table(box=SIMPLE_HEAD)
     for i, name in enumerate(head):
         numbers = all(_is_number(row[i]) for row in rows)
@@ -159,7 +159,7 @@ def plain_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> Table:
             Text(name),
             justify="right" if numbers else "left",
             overflow="fold",
-            min_width=None if i else longest,
+            no_wrap=i == 0 and short,
         )
     for row in rows:
         table.add_row(*map(Text, row))
