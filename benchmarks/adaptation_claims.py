@@ -23,7 +23,7 @@ from specimens import TOLERANCE
 from leglab import RunSettings
 from leglab.base.errors import LeglabError
 from leglab.base.scenario import get_scenario, scenario_names
-from leglab.runs.sweep import run_all
+from leglab.runs.comparison import run_all
 
 PEERS = ("pid", "arx", "bsnn_arx_paper", "adaptive_backstepping")
 NEEDED = ("static_feedforward", "bsnn_arx", "oracle")

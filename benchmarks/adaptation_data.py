@@ -20,7 +20,7 @@ ADAPTIVE, CALIBRATED = "bsnn_arx", "static_feedforward"
 
 
 def condense(cells: Cells) -> Cells:
-    """Reduces the results of `leglab.runs.sweep.run_all` to numbers, one dictionary a run.
+    """Reduces the results of `leglab.runs.comparison.run_all` to numbers, one dictionary a run.
 
     Each has `seed`, `completed` and, as `leglab.runs.clock` defines them, `before`, `after`, `end`,
     `damage`, `twin_end` [rad], `recovered` and `t90` [s], None where they cannot be told; `told`
@@ -31,7 +31,10 @@ def condense(cells: Cells) -> Cells:
     small: Cells = {}
     for (name, severity, controller), runs in cells.items():
         for run in runs:
-            metrics, found = run["metrics"], run["metrics"]["adaptation"]
+            metrics = run["metrics"]
+            if not metrics["phases"]:
+                raise SystemExit(f"{name}, {controller}: {metrics['failure']}")
+            found = metrics["adaptation"]
             before, end = found["before_rad"], found["end_rad"]
             entry = {
                 "seed": run["settings"]["seed"],

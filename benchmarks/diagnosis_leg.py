@@ -6,7 +6,7 @@ strides, by the leg's own model at a tenth of its step; fault, joint and size ar
 """
 
 import argparse
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -191,13 +191,15 @@ def recordings(case: Case) -> dict[str, Recording]:
     return found
 
 
-def judged(case: Case) -> Outcome:
+def judged(given: dict[str, Any]) -> dict[str, Any]:
     """Records and diagnoses a case on one thread."""
+    case = Case(**given["case"])
     made = recordings(case)
     began = perf_counter()
     held = held_out_choice(made, Machine("leg"))
     result, _ = diagnose("leg", made, held_out=held, settings=DiagnosisSettings(threads=1))
-    return Outcome(**vars(case), diagnosis=result.to_json(), seconds=perf_counter() - began)
+    found = Outcome(**vars(case), diagnosis=result.to_json(), seconds=perf_counter() - began)
+    return asdict(found)
 
 
 def measure(options: argparse.Namespace) -> Any:

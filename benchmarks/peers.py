@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 import results
+from joblib import Parallel, delayed
 
 from leglab import RunSettings
 from leglab.runs.loop import Loop
-from leglab.runs.parallel import in_processes
 
 CONTROLLERS = ("static_feedforward", "adrc", "ilc", "bsnn_arx")
 CASES = (
@@ -55,7 +55,7 @@ def judged(task: tuple[str, str, str, str]) -> tuple[str, list[float]]:
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """All cases and controllers."""
     tasks = [(*case, controller) for case in CASES for controller in CONTROLLERS]
-    return dict(in_processes(judged, tasks, jobs=options.jobs))
+    return dict(Parallel(n_jobs=options.jobs)(delayed(judged)(task) for task in tasks))
 
 
 def table(kept: dict[str, Any]) -> str:

@@ -17,16 +17,15 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from datetime import date
-from functools import partial
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from joblib import Parallel, delayed
 
 from leglab.data import write_atomically
-from leglab.runs.fingerprint import fingerprint
-from leglab.runs.parallel import make_missing
+from leglab.jobs.fingerprint import fingerprint
 
 ROOT = Path(__file__).parent.parent
 DATA = ROOT / "docs" / "data"
@@ -94,16 +93,12 @@ def resumed(
     place.mkdir(parents=True, exist_ok=True)
     files = {repr(item): place / f"{_digest(make, item)}.json" for item in items}
 
-    def tell(done: int, whole: int, label: str) -> None:
-        print(f"{done} of {whole} {label}", file=sys.stderr, flush=True)
-
-    make_missing(
-        list(items),
-        partial(_keep, make, files),
-        is_made=lambda item: files[repr(item)].exists(),
-        jobs=jobs,
-        progress=tell,
+    todo = [item for item in items if not files[repr(item)].exists()]
+    made = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)(
+        delayed(_keep)(make, files, item) for item in todo
     )
+    for done, label in enumerate(made, len(items) - len(todo) + 1):
+        print(f"{done} of {len(items)} {label}", file=sys.stderr, flush=True)
     return [json.loads(files[repr(item)].read_text()) for item in items]
 
 

@@ -14,7 +14,7 @@ from rich.progress import Progress
 from specimens import specimen
 
 from leglab.base.scenario import scenario_names
-from leglab.runs.sweep import run_all
+from leglab.runs.comparison import run_all
 
 CONTROLLERS = ("bsnn_arx", "oracle", "exact_inverse")
 SEEDS = range(1)

@@ -44,7 +44,7 @@ def write_sweep(folder: Path, controllers=("pd", "bsnn_arx"), *, failed=(), scen
             times.setdefault((settings.controller, settings.severity), []).append(t90)
             figures = {"rms_rad": 0.01, "end_rad": 0.01 * (number + 1), "peak_rad": 0.1}
             figures |= {"recovered": 1.0 - 0.02 * number, "t90_s": t90, "came_to_s": 10.0}
-            answer = {"outcome": {**figures, "valve_travel": 5.0, "effort": 0.1}}
+            answer = {"result": {**figures, "valve_travel": 5.0, "effort": 0.1}}
         books.add(row_of(plan, number, answer, "here"))
     books.compact()
     books.close()

@@ -20,7 +20,7 @@ from leglab import (
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.diagnosis.workflow import Search
-from leglab.runs.sweep import run_all
+from leglab.runs.comparison import run_all
 from tests.report_folders import Elements
 from tests.sweep_folders import write_sweep
 from tests.test_diagnosis_page import diagnosis

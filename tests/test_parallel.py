@@ -1,4 +1,4 @@
-"""Processes that make results: they end with their user and take no code from where he is."""
+"""Processes that work: they end with their user, take no code from where he is, and may fail."""
 
 import os
 import signal
@@ -8,13 +8,17 @@ import time
 
 import pytest
 
+from leglab.base.errors import LeglabError
+from leglab.jobs.engine import answers
+from leglab.jobs.work import WorkError, name_of, work_of
+
 # Slow enough to be interrupted, and told by a file of its own that it has begun.
 _SLEEP = """
 import os, sys, time
 from pathlib import Path
-from leglab.runs.parallel import in_processes
+from leglab.jobs.engine import answers
 
-def make(item):
+def make(given):
     Path(f"begun-{os.getpid()}").touch()
     time.sleep(30)
 
@@ -23,7 +27,7 @@ if __name__ == "__main__":
     import typer
     command = typer.Typer(cls=app.Commands)
     command.callback()(lambda: None)
-    command.command("work")(lambda: list(in_processes(make, [1, 2], jobs=2)))
+    command.command("work")(lambda: list(answers(make, [(1, {}), (2, {})], workers=2)))
     app.execute(command, ["work"])
 """
 
@@ -61,15 +65,93 @@ def test_workers_end_with_the_process_that_started_them(tmp_path, number):
         assert (process.returncode, told) == (128 + number, "")
 
 
+_SUM = """
+from leglab.jobs.engine import answers
+
+def size(given):
+    return abs(given["x"])
+
+if __name__ == "__main__":
+    found = answers(size, ((n, {"x": n}) for n in (-1, 2)), workers=2)
+    print(sum(answer["result"] for _, answer, _ in found))
+"""
+
+
 def test_workers_do_not_run_code_of_the_working_folder(tmp_path):
     here = tmp_path / "here"
-    for name in ("joblib", "leglab", "numpy"):
+    for name in ("typing_extensions", "leglab", "numpy"):
         (here / name).mkdir(parents=True)
         (here / name / "__init__.py").write_text("open('ran', 'w'); raise SystemExit('ran')")
-    code = "from leglab.runs.parallel import in_processes as f; print(sum(f(abs, [-1, 2], jobs=2)))"
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", code], cwd=here, capture_output=True, text=True, check=False
-    )
+    (tmp_path / "main.py").write_text(_SUM)
+    command = [sys.executable, "-P", str(tmp_path / "main.py")]
+    done = subprocess.run(command, cwd=here, capture_output=True, text=True, check=False)
     assert (done.stdout, done.returncode) == ("3\n", 0), done.stderr
     assert not (here / "ran").exists()
-    assert "PYTHONSAFEPATH" not in os.environ
+
+
+def odd(given):
+    """Fails in the way that it is told to."""
+    kind = given["kind"]
+    if kind == "dies":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if kind == "hangs":
+        time.sleep(60)
+    if kind == "raises":
+        raise ZeroDivisionError("by nought")
+    if kind == "refuses":
+        raise LeglabError("size is 3; allowed: 1 or 2")
+    if kind == "says how":
+        raise WorkError("ended early", "it blew up")
+    if kind == "is infinite":
+        return float("inf")
+    return {"kind": kind, "process": os.getpid(), "threads": os.environ.get("OMP_NUM_THREADS")}
+
+
+KINDS = ("dies", "hangs", "raises", "refuses", "says how", "is infinite", "works", "works")
+
+
+def test_whatever_work_does_the_rest_is_done():
+    given = ((number, {"kind": kind}) for number, kind in enumerate(KINDS))
+    found = {number: answer for number, answer, _ in answers(odd, given, workers=2, timeout=5.0)}
+    told = {KINDS[n]: (a["kind"], a["error"]) for n, a in found.items() if "error" in a}
+    assert told["dies"][0] == "died"
+    assert "signal 9 SIGKILL" in told["dies"][1]
+    assert told["hangs"] == ("time-out", "it took longer than 5 s")
+    kind, message = told["raises"]
+    assert kind == "exception"
+    assert message.startswith("ZeroDivisionError: by nought (test_parallel.py, line ")
+    assert told["refuses"] == ("refused", "size is 3; allowed: 1 or 2")
+    assert told["says how"] == ("ended early", "it blew up")
+    assert told["is infinite"] == ("ended early", "its figures are not finite")
+    for number in (6, 7):
+        result = found[number]["result"]
+        assert result["kind"] == "works"
+        assert result["process"] != os.getpid()
+        assert result["threads"] == "1"
+        assert found[number]["wall_s"] >= 0.0
+
+
+def test_one_worker_is_this_process_and_may_do_what_has_no_name():
+    seen = []
+    found = list(answers(lambda given: seen.append(given), [(7, {"a": 1})], workers=1))
+    assert [(number, answer["result"]) for number, answer, _ in found] == [(7, None)]
+    assert seen == [{"a": 1}]
+    ((_, answer, _),) = answers(odd, [(0, {"kind": "raises"})], workers=1)
+    assert answer["kind"] == "exception"
+    with pytest.raises(LeglabError, match="cannot be called by another process"):
+        list(answers(lambda given: None, [(0, {}), (1, {})], workers=2))
+
+
+def test_work_has_a_name_by_which_other_processes_find_it(tmp_path):
+    assert name_of(odd) == f"{__name__}:odd"
+    assert work_of(name_of(odd)) is odd
+    script = tmp_path / "some_script.py"
+    script.write_text("def make(given):\n    return 2 * given['x']\n")
+    assert work_of(f"{script}:make")({"x": 4}) == 8
+    with pytest.raises(LeglabError, match=r"some_script.py has no function 'mend'"):
+        work_of(f"{script}:mend")
+
+
+def test_workers_go_without_a_scheduler():
+    with pytest.raises(LeglabError, match="workers are processes of this machine"):
+        list(answers(odd, [(0, {})], workers=2, scheduler="tcp://127.0.0.1:1"))

@@ -1,6 +1,7 @@
 """The self-test on rough specimens: cases, what is kept, scores and figures."""
 
 import json
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -16,7 +17,6 @@ from leglab.studies.blind.rough_selftest import (
     RoughOutcome,
     RoughTestCase,
     RoughTestSettings,
-    Runner,
     confusion_table,
     confusions,
     interval,
@@ -24,6 +24,7 @@ from leglab.studies.blind.rough_selftest import (
     reliability_table,
     rough_cases,
     rough_self_test,
+    run_case,
     score_table,
     scores,
     told_period,
@@ -275,11 +276,12 @@ def test_an_interrupted_test_goes_on_where_it_was(tmp_path):
     ]
     ran = []
 
-    def run(case):
+    def run(given):
+        case = RoughTestCase(**given["case"])
         ran.append((case.kind, case.number))
         made = outcome(case.kind, case.faults, [("payload", 0.9)], number=case.number)
         failed = case.number == 3 and len(ran) <= 6
-        return RoughOutcome(**{**vars(made), "error": "Broken: pipe" if failed else ""})
+        return {**asdict(made), "error": "Broken: pipe" if failed else ""}
 
     first = run_all(path, cases, run)
     # Kinds keep pace with each other.
@@ -329,11 +331,11 @@ def test_a_case_is_diagnosed_with_its_healthy_recordings_when_asked(monkeypatch)
     monkeypatch.setattr(rough_selftest, "rough_case", rough_case)
     monkeypatch.setattr(rough_selftest, "held_out_choice", lambda recordings, machine: ("a",))
     case = RoughTestCase(kind="null", number=0, specimen=77, faults=())
-    found = Runner(RoughTestSettings())(case)
+    found = run_case(case, RoughTestSettings())
     assert asked[-1] == (["a"], {"b": 2})
     assert found.diagnosis["smaller"] == ["command_delay"]
     assert not found.error
-    Runner(RoughTestSettings(healthy=False, rough=False, sizes="visible"))(case)
+    run_case(case, RoughTestSettings(healthy=False, rough=False, sizes="visible"))
     assert asked[-1] == (["a"], None)
     assert made[-1] == (77, (), {"sizes": "visible", "healthy": False, "exact": True})
 
@@ -341,7 +343,7 @@ def test_a_case_is_diagnosed_with_its_healthy_recordings_when_asked(monkeypatch)
         raise LeglabError("no window is left")
 
     monkeypatch.setattr(rough_selftest, "diagnose", broken)
-    assert Runner(RoughTestSettings())(case).error == "LeglabError: no window is left"
+    assert run_case(case, RoughTestSettings()).error == "LeglabError: no window is left"
 
 
 def test_what_cannot_be_asked_is_refused(tmp_path):
@@ -359,7 +361,7 @@ def test_a_case_goes_through_the_diagnosis(monkeypatch):
         rough_selftest, "rough_case", lambda *a, **k: whole(*a, **{**k, "duration": 2.0})
     )
     case = RoughTestCase(kind="single", number=0, specimen=5, faults=("internal_leakage",))
-    found = Runner(RoughTestSettings(healthy=False))(case)
+    found = run_case(case, RoughTestSettings(healthy=False))
     assert found.error == ""
     assert found.severities[0][0] == "internal_leakage"
     assert {"verdict", "effects", "gap", "notes"} <= found.diagnosis.keys()
@@ -384,15 +386,15 @@ def test_the_command_line_runs_it(monkeypatch, tmp_path, options, settings):
 
     asked = []
 
-    def fake(folder, count, settings, *, progress):
-        asked.append((folder, count, settings))
+    def fake(folder, count, settings, *, processes, scheduler, progress):
+        asked.append((folder, count, settings, processes, scheduler))
         return [outcome("single", ("payload",), [("payload", 0.9)])]
 
     monkeypatch.setattr(rough_selftest, "rough_self_test", fake)
     words = ["diagnose", "--self-test", "--cases", "3", "--seed", "4", "--out", str(tmp_path)]
-    done = CliRunner().invoke(app, [*words, *options])
+    done = CliRunner().invoke(app, [*words, "--jobs", "1", *options])
     assert done.exit_code == 0, done.output
-    assert asked == [(tmp_path, 3, settings)]
+    assert asked == [(tmp_path, 3, settings, 1, None)]
     assert "names by confidence" in done.output
     assert (tmp_path / f"{settings.name}-confusion.png").is_file()
     done = CliRunner().invoke(app, [*words, *options, "--json"])

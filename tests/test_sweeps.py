@@ -21,6 +21,7 @@ from leglab.base import plugins
 from leglab.base.errors import LeglabError
 from leglab.base.output import claimed_folder
 from leglab.control.contract import CONTROLLERS
+from leglab.jobs import engine as jobs
 from leglab.runs.sweeps import engine, store
 from leglab.runs.sweeps.engine import read_sweep, run_sweep
 from leglab.runs.sweeps.plan import SweepPlan, read_plan
@@ -64,7 +65,7 @@ class Controller:
             elif how == "memory":
                 np.ones(10**10)
             elif how == "print":
-                print('{"outcome": {}}', flush=True)
+                print('{"result": {}}', flush=True)
             elif how == "once" and not Path(self.config.mark).exists():
                 Path(self.config.mark).touch()
                 os.kill(os.getpid(), signal.SIGKILL)
@@ -210,7 +211,7 @@ def test_a_sweep_goes_on_where_it_was_and_knows_its_folder(tmp_path, monkeypatch
     whole = run_sweep(plan, tmp_path / "whole", workers=1)
     asked = []
 
-    class Stopped(engine.Processes):
+    class Stopped(jobs.Processes):
         def _serve(self, runner, number):
             first = self._requests
             self._requests = (t for t in first if not asked.append(t[0]))
@@ -220,7 +221,7 @@ def test_a_sweep_goes_on_where_it_was_and_knows_its_folder(tmp_path, monkeypatch
         if done == 2 and label:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(engine, "Processes", Stopped)
+    monkeypatch.setattr(jobs, "Processes", Stopped)
     with pytest.raises(KeyboardInterrupt):
         run_sweep(plan, folder, workers=1, progress=stop)
     assert len(rows(folder)) == 2
@@ -478,9 +479,9 @@ def test_failed_runs_are_made_again_if_asked_for(tmp_path, wrong):
 @pytest.mark.parametrize(
     "lie",
     [
-        {"outcome": {"rms_rad": 1.0}},
-        {"outcome": {"rms_rad": "low"}},
-        {"outcome": [1]},
+        {"result": {"rms_rad": 1.0}},
+        {"result": {"rms_rad": "low"}},
+        {"result": [1]},
         {"error": 3},
         {},
     ],

@@ -122,7 +122,7 @@ def test_a_scheduler_that_ends_is_told_and_the_sweep_goes_on_later(tmp_path, cap
 
 
 def test_what_cannot_be_reached_is_told_in_one_line(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("leglab.runs.sweeps.cluster._PATIENCE", 2.0)
+    monkeypatch.setattr("leglab.jobs.cluster._PATIENCE", 2.0)
     file = tmp_path / "sweep.toml"
     file.write_text("settings = {scenario='nominal', model='knee_bench'}\n[[block]]\n")
     for address in ("tcp://127.0.0.1:9", "nonsense://x", "127.0.0.1"):

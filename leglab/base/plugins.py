@@ -122,6 +122,18 @@ def load(source: str) -> None:
     _files.update(_package_files(module))
 
 
+def imported(source: str) -> ModuleType:
+    """Returns a module by its name, or that of a Python file by its path.
+
+    Raises:
+        ImportError: There is none.
+    """
+    if source.endswith(".py"):
+        with _Importing():
+            return _import_file(Path(source))
+    return importlib.import_module(source)
+
+
 def note(module_name: str) -> None:
     """Notes that a module has registered something; those of leglab itself go without saying."""
     if _importing or module_name.partition(".")[0] == "leglab":

@@ -2,13 +2,22 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.output import check_apart, check_folder, claimed_folder, new_folder
-from leglab.cli.options import Columns, HeldOut, Json, Load, Overwrite, load_plugins
+from leglab.cli.options import (
+    Columns,
+    HeldOut,
+    Json,
+    Load,
+    Overwrite,
+    Scheduler,
+    check_jobs,
+    load_plugins,
+)
 from leglab.cli.terminal import output, print_json, progress, tell
 
 
@@ -53,6 +62,10 @@ def diagnose(
             "to gross."
         ),
     ] = "gross",
+    jobs: Annotated[
+        int, typer.Option(help="Cases of the self-test at a time; -1: one a core.")
+    ] = -1,
+    scheduler: Scheduler = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
     load: Load = None,
@@ -70,15 +83,19 @@ def diagnose(
     if self_test:
         if cases < 1:
             raise LeglabError(f"cases is {cases}; allowed: 1 or more")
-        if rough or sizes != "gross":
-            with claimed_folder(out):
-                _rough_self_test(out, cases, seed, as_json, rough, rough and not no_healthy, sizes)
-        else:
-            with claimed_folder(out):
-                _self_test(out, cases, seed, as_json)
+        check_jobs(jobs)
+        where = {"processes": jobs, "scheduler": scheduler}
+        with claimed_folder(out):
+            if rough or sizes != "gross":
+                healthy_too = rough and not no_healthy
+                _rough_self_test(out, cases, seed, as_json, rough, healthy_too, sizes, where)
+            else:
+                _self_test(out, cases, seed, as_json, where)
         return
-    if rough or no_healthy or sizes != "gross":
-        raise LeglabError("--rough, --no-healthy and --sizes are options of --self-test")
+    if rough or no_healthy or sizes != "gross" or jobs != -1 or scheduler is not None:
+        raise LeglabError(
+            "--rough, --no-healthy, --sizes, --jobs and --scheduler are options of --self-test"
+        )
     if model is None or not recordings:
         raise LeglabError("diagnose needs a model and at least one recording, or --self-test")
     from leglab.diagnosis import output as results
@@ -131,7 +148,14 @@ def diagnose(
 
 
 def _rough_self_test(
-    folder: Path, count: int, seed: int, as_json: bool, rough: bool, healthy: bool, sizes: str
+    folder: Path,
+    count: int,
+    seed: int,
+    as_json: bool,
+    rough: bool,
+    healthy: bool,
+    sizes: str,
+    where: dict[str, Any],
 ) -> None:
     from leglab.studies.blind.rough_figures import save_figures
     from leglab.studies.blind.rough_selftest import (
@@ -149,7 +173,7 @@ def _rough_self_test(
         def tell(label: str, done: int, total: int) -> None:
             show(description=label or "self-test", completed=done, total=total)
 
-        outcomes = rough_self_test(folder, count, settings, progress=tell)
+        outcomes = rough_self_test(folder, count, settings, progress=tell, **where)
     paths = save_figures(outcomes, folder, settings.name)
     if as_json:
         print_json(as_rows(outcomes))
@@ -161,7 +185,7 @@ def _rough_self_test(
         output.print(str(path), markup=False, highlight=False, soft_wrap=True)
 
 
-def _self_test(folder: Path, count: int, seed: int, as_json: bool) -> None:
+def _self_test(folder: Path, count: int, seed: int, as_json: bool, where: dict[str, Any]) -> None:
     from leglab.studies.blind.selftest import confusion_table, score_table, self_test
 
     with progress("self-test", count) as show:
@@ -169,7 +193,7 @@ def _self_test(folder: Path, count: int, seed: int, as_json: bool) -> None:
         def tell(label: str, done: int, total: int) -> None:
             show(description=label or "self-test", completed=done, total=total)
 
-        outcomes = self_test(folder, count, seed=seed, progress=tell)
+        outcomes = self_test(folder, count, seed=seed, progress=tell, **where)
     if as_json:
         print_json([asdict(o) for o in outcomes])
         return

@@ -64,6 +64,10 @@ Vary = Annotated[
 ]
 Camera = Annotated[str, typer.Option(help="Camera of the model.")]
 Jobs = Annotated[int, typer.Option(help="Processes at a time; -1: one a core.")]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(help="Dask scheduler whose workers do the work, as tcp://HOST:PORT."),
+]
 Recordings = Annotated[
     list[Path], typer.Argument(help="Recordings: .parquet, .csv, .mcap, .mat, .npz.")
 ]

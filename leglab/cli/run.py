@@ -96,6 +96,7 @@ def compare(
     tolerance: options.Tolerance = 0.0,
     vary: options.Vary = False,
     jobs: options.Jobs = -1,
+    scheduler: options.Scheduler = None,
     out: Annotated[Path, typer.Option(help="Output folder.")] = Path("runs/compare"),
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Repeat runs that are there.")
@@ -107,12 +108,13 @@ def compare(
     """Runs scenarios with several controllers and seeds and compares the tracking errors.
 
     Writes compare.json and a figure a scenario. Runs that the output folder holds with the same
-    settings and code are not repeated: an interrupted comparison goes on where it was.
+    settings and code are not repeated: an interrupted comparison goes on where it was. A run that
+    fails stops no other; the table says why.
     """
     options.load_plugins(load)
     from leglab.report.figures import save_comparison_figure
-    from leglab.runs.sweep import Comparison, run_all
-    from leglab.runs.sweep import compare as summarise
+    from leglab.runs.comparison import Comparison, run_all
+    from leglab.runs.comparison import compare as summarise
 
     options.check_jobs(jobs)
     comparison = Comparison(
@@ -129,7 +131,7 @@ def compare(
         vary=vary,
     )
     runs = comparison.runs()
-    make = partial(run_all, runs, out / "runs", jobs=jobs, overwrite=overwrite)
+    make = partial(run_all, runs, out / "runs", jobs=jobs, scheduler=scheduler, overwrite=overwrite)
     with claimed_folder(out):
         results = terminal.make_many("comparing", len(runs), make)
         summary = summarise(comparison, results)
@@ -138,12 +140,14 @@ def compare(
         if figures:
             with terminal.progress("drawing"):
                 for name in comparison.scenarios:
-                    shown = [r for r in results if r["metrics"]["scenario"] == name]
+                    shown = [r for r in results if r["metrics"]["scenario"] == name and r["time"]]
                     title = f"{name}, {Path(model).stem}, {seeds} seed{'s' * (seeds > 1)}"
                     try:
                         save_comparison_figure(shown, out / f"{name}.png", title=title)
                     except LeglabError as error:  # The results are there.
                         terminal.complain(f"no figure of {name}: {error}", "warning")
+    for line in terminal.failure_lines(summary):
+        terminal.complain(line, "warning")
     if as_json:
         terminal.print_json(summary)
     else:

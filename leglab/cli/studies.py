@@ -11,7 +11,7 @@ import typer
 
 from leglab.base.errors import LeglabError
 from leglab.base.output import claimed_folder, write_atomically
-from leglab.cli.options import Json, Load, Model, check_jobs, load_plugins
+from leglab.cli.options import Json, Load, Model, Scheduler, check_jobs, load_plugins
 from leglab.cli.terminal import (
     FAILED,
     complain,
@@ -91,10 +91,7 @@ def benchmark(
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder of the dataset.")] = Path("out/adaptation"),
     workers: Annotated[int, typer.Option(help="Processes at a time; -1: one a core.")] = -1,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(help="Dask scheduler whose workers make the runs, as tcp://HOST:PORT."),
-    ] = None,
+    scheduler: Scheduler = None,
     by_fault: Annotated[
         bool, typer.Option("--by-fault", help="Print a line for each fault as well.")
     ] = False,

@@ -17,10 +17,7 @@ def sweep(
     ],
     out: Annotated[Path, typer.Option(help="Folder of the dataset.")],
     workers: Annotated[int, typer.Option(help="Processes at a time; -1: one a core.")] = -1,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(help="Dask scheduler whose workers make the runs, as tcp://HOST:PORT."),
-    ] = None,
+    scheduler: options.Scheduler = None,
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed", help="Make runs that failed again.")
     ] = False,

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -244,6 +245,17 @@ def comparison_table(summary: dict[str, Any]) -> Table:
             )
         table.add_section()
     return table
+
+
+def failure_lines(summary: dict[str, Any]) -> list[str]:
+    """Why runs of a comparison failed, from the content of `compare.json`: a line a reason."""
+    lines = []
+    for scenario, controllers in summary["results"].items():
+        for controller, cell in controllers.items():
+            for reason, count in Counter(cell["failures"]).items():
+                runs = f"{count} of {cell['runs']} runs"
+                lines.append(f"{scenario}, {controller}: {runs} failed: {reason}")
+    return lines
 
 
 def _drawn(summary: dict[str, Any]) -> str:

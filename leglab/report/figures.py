@@ -23,9 +23,9 @@ from leglab.base.recording import Recording
 from leglab.base.scenario import Phase
 from leglab.report.page.wording import readable
 from leglab.report.style import BLACK, BLUE, DARK_GREY, LIGHT_GREY, ORANGE, SERIES, VERMILION, style
+from leglab.runs.comparison import unit_of_results
 from leglab.runs.metrics import phase_table, sliding_rms
 from leglab.runs.run import Result
-from leglab.runs.sweep import unit_of_results
 
 _BAR = 1e5  # Pa
 _MILLI = 1e3

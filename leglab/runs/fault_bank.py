@@ -20,8 +20,8 @@ from leglab.commissioning.setup import model_digest
 from leglab.control.feedforward.fault_bank import ALL, FaultBank, FaultCurve, Moments
 from leglab.controllers.bsnn_arx import AdaptiveController
 from leglab.data import write_atomically
+from leglab.jobs.fingerprint import fingerprint
 from leglab.machine.plugin import headless
-from leglab.runs.fingerprint import fingerprint
 from leglab.runs.preparation import Preparation, RunSettings, reference_config
 
 

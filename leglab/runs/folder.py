@@ -5,7 +5,6 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +13,9 @@ from leglab.base.errors import LeglabError
 from leglab.base.input import read_json
 from leglab.base.output import check_folder, claimed_folder, new_folder
 from leglab.base.recording import Recording
+from leglab.jobs.engine import Progress, answers
+from leglab.jobs.fingerprint import fingerprint
 from leglab.runs import record
-from leglab.runs.fingerprint import fingerprint
-from leglab.runs.parallel import Progress, make_missing
 from leglab.runs.preparation import RunSettings, check_controllers, scenario_of
 from leglab.runs.record import (
     CONFIGURATION,
@@ -309,7 +308,7 @@ def make_runs(
 
     A folder is there as a whole or not at all, so the same call goes on where it was interrupted.
     A folder counts only with the same settings and the same code, as `run_all` of
-    `leglab.runs.sweep` has it; another one is replaced.
+    `leglab.runs.comparison` has it; another one is replaced.
 
     Args:
         runs: What to run, each with another controller.
@@ -329,17 +328,25 @@ def make_runs(
     check_settings(runs)
     code = fingerprint()
     folders = [folder / run.controller for run in runs]
-    tasks = list(zip(runs, folders, strict=True))
-
-    def is_made(task: tuple[RunSettings, Path]) -> bool:
-        return not overwrite and _is_made(*task, code)
-
-    for task in tasks:
-        if not is_made(task):
-            check_folder(task[1], mark=METRICS, overwrite=True)
-    make = partial(_make, code=code)
+    todo = [
+        number
+        for number, run in enumerate(runs)
+        if overwrite or not _is_made(run, folders[number], code)
+    ]
+    for number in todo:
+        check_folder(folders[number], mark=METRICS, overwrite=True)
+    given = ((n, {"settings": asdict(runs[n]), "folder": str(folders[n].absolute())}) for n in todo)
+    done = len(runs) - len(todo)
     with claimed_folder(folder):
-        make_missing(tasks, make, is_made=is_made, jobs=jobs, progress=progress)
+        if progress:
+            progress(done, len(runs), "")
+        workers = min(jobs, max(len(todo), 1))
+        for number, answer, _ in answers(make_folder, given, workers=workers):
+            if "result" not in answer:
+                raise LeglabError(str(answer.get("error")))
+            done += 1
+            if progress:
+                progress(done, len(runs), f"{runs[number].scenario} · {runs[number].controller}")
     return folders
 
 
@@ -360,13 +367,20 @@ def _is_made(settings: RunSettings, folder: Path, code: str) -> bool:
     return stored.get("asked") == _asked(settings) and stored.get("code") == code
 
 
-def _make(task: tuple[RunSettings, Path], code: str) -> str:
-    """Makes a run, in a process of its own unless there is one job only, and says what it was."""
-    settings, folder = task
-    with new_folder(folder, mark=METRICS, overwrite=True) as partial:
+def make_folder(given: dict[str, Any]) -> None:
+    """Makes a run with its recording and writes its folder.
+
+    Args:
+        given: `settings` of the run and the `folder`.
+
+    Raises:
+        LeglabError: It cannot be set up, or the folder not be written.
+        KeyboardInterrupt: The user interrupts.
+    """
+    settings = RunSettings(**given["settings"])
+    with new_folder(Path(given["folder"]), mark=METRICS, overwrite=True) as partial:
         run = record_scenario(settings, partial / RECORDING)
         if (run.record.failure or "").startswith("interrupted"):
             raise KeyboardInterrupt
-        made = {"asked": _asked(settings), "code": code}
+        made = {"asked": _asked(settings), "code": fingerprint()}
         write_result(replace(run, configuration=run.configuration.model_copy(update=made)), partial)
-    return f"{settings.scenario} · {settings.controller}"

@@ -1,9 +1,7 @@
 """Makes the runs of a sweep that are missing, on this machine or on a Dask cluster."""
 
 import os
-import queue
-import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,22 +15,19 @@ from leglab.base import plugins
 from leglab.base.errors import LeglabError
 from leglab.base.notebook import html_table, panels
 from leglab.base.output import cannot_write, claimed_folder
-from leglab.runs.fingerprint import fingerprint
-from leglab.runs.parallel import Progress
+from leglab.jobs.engine import Executor, Progress, executor, terms_of
+from leglab.jobs.fingerprint import fingerprint
 from leglab.runs.sweeps import store, tuning
+from leglab.runs.sweeps.making import figures_of
 from leglab.runs.sweeps.outcome import recording_folder
 from leglab.runs.sweeps.plan import SweepPlan
 from leglab.runs.sweeps.query import ask
-from leglab.runs.sweeps.rows import column, row_of, schema, this_machine
-from leglab.runs.sweeps.runner import Answered, Runner, Task, Terms
+from leglab.runs.sweeps.rows import column, row_of, schema
 
 _ERRORS = "SELECT scenario, controller, {0} FROM runs WHERE {0} IS NOT NULL ORDER BY run"
 _MEDIANS = """SELECT scenario, controller, count(*), count(*) FILTER (status = 'failed'),
  1e3 * median(rms_rad), 1e3 * median(end_rad), 100 * median(recovered), median(t90_s)
  FROM runs GROUP BY scenario, controller ORDER BY scenario, min(run)"""
-
-# Has requests answered, several at a time; yields answers as they come. May be called again.
-Executor = Callable[[Iterator[Task]], Iterator[Answered]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,10 +150,9 @@ def run_sweep(
         KeyboardInterrupt: The user interrupts; finished runs are kept.
     """
     folder = Path(folder)
-    if scheduler is not None and workers != -1:
-        raise LeglabError("workers are processes of this machine: they go without a scheduler")
     if plan.tuned:
         tuning.check_optuna({points.draw for points in plan.tuned})
+    work = _executor(plan, workers, scheduler)
     models = plan.check(progress)
     record = store.SweepRecord(
         plan=plan.content,
@@ -177,8 +171,7 @@ def run_sweep(
             if retry_failed and kept.failed:
                 kept.forget_failed()
             _recall(plan, folder)
-            executor = _executor(workers, scheduler, _terms(plan))
-            made = _make(plan, folder, kept, executor, progress)
+            made = _make(plan, folder, kept, work, progress)
             kept.compact()
         finally:
             kept.close()
@@ -217,14 +210,13 @@ def record_runs(
             raise LeglabError(f"there is no run {number}; allowed: 0 to {len(plan) - 1}")
     keeping = [recording_folder(folder.resolve(), number) for number in numbers]
     requests = [
-        (number, {**_request(plan, number, folder), "folder": str(place)})
+        (number, _request(plan, number, place))
         for number, place in zip(numbers, keeping, strict=True)
     ]
-    terms = _terms(plan)
-    with Processes(min(len(requests), os.cpu_count() or 1), terms) as answered:
+    with _executor(plan, min(len(requests), os.cpu_count() or 1), None) as answered:
         for count, (number, answer, _) in enumerate(answered(iter(requests)), 1):
             place = recording_folder(folder.resolve(), number)
-            if "outcome" not in answer and not place.is_dir():
+            if "result" not in answer and not place.is_dir():
                 raise LeglabError(f"run {number}: {answer.get('error')}")
             if progress:
                 progress(count, len(requests), f"run {number}")
@@ -278,7 +270,7 @@ def _make(
     plan: SweepPlan,
     folder: Path,
     kept: store.Store,
-    executor: AbstractContextManager[Executor],
+    work: AbstractContextManager[Executor],
     progress: Progress | None,
 ) -> int:
     failed, made = kept.failed, 0
@@ -289,9 +281,11 @@ def _make(
     figures: dict[int, dict[str, Any]] = {}
     if plan.tuned:
         figures = {row["run"]: row for row in _tuning_rows(folder, plan)}
-    with executor as answered:
+    with work as answered:
         while numbers := _ready(plan, folder, kept, figures):
-            requests = ((number, _request(plan, number, folder)) for number in numbers)
+            requests = (
+                (number, _request(plan, number, _place(plan, number, folder))) for number in numbers
+            )
             for number, answer, by in answered(requests):
                 row = row_of(plan, number, answer, by)
                 kept.add(row)
@@ -339,93 +333,20 @@ def _ready(
     return [number for number in kept.missing() if plan.is_known(number)]
 
 
-def _request(plan: SweepPlan, number: int, folder: Path) -> dict[str, Any]:
-    where = recording_folder(folder.resolve(), number) if "recordings" in plan.keep else None
+def _place(plan: SweepPlan, number: int, folder: Path) -> Path | None:
+    """Where the recording of a run goes; None where none is kept."""
+    return recording_folder(folder.resolve(), number) if "recordings" in plan.keep else None
+
+
+def _request(plan: SweepPlan, number: int, place: Path | None) -> dict[str, Any]:
     return {
         "settings": asdict(plan.settings(number)),
         "keep": list(plan.keep),
-        "folder": None if where is None else str(where),
+        "folder": None if place is None else str(place),
     }
 
 
-def _terms(plan: SweepPlan) -> Terms:
-    return Terms(
-        luggage=plugins.carried(), code=fingerprint(), timeout=plan.timeout, memory=plan.memory
-    )
-
-
 def _executor(
-    workers: int, scheduler: str | None, terms: Terms
+    plan: SweepPlan, workers: int, scheduler: str | None
 ) -> AbstractContextManager[Executor]:
-    if scheduler is not None:
-        from leglab.runs.sweeps.cluster import Cluster
-
-        return Cluster(scheduler, terms)
-    count = (os.cpu_count() or 1) if workers == -1 else workers
-    return Processes(count, terms.limited(count))
-
-
-class Processes(AbstractContextManager[Executor]):
-    """Processes of this machine, each asked by a thread of this one; they stay between calls.
-
-    Args:
-        count: How many.
-        terms: On what terms.
-    """
-
-    def __init__(self, count: int, terms: Terms) -> None:
-        self._runners = [Runner(terms) for _ in range(count)]
-        self._threads: list[threading.Thread] = []
-        self._lock, self._over = threading.Lock(), threading.Event()
-        # Bounded: whoever keeps the rows may be slower for a while.
-        self._answers: queue.Queue[Answered | BaseException | None] = queue.Queue(1000)
-
-    def __enter__(self) -> Executor:
-        """Returns what has requests answered."""
-        return self._answered
-
-    def __exit__(self, *_: object) -> None:
-        """Ends all processes, in the middle of a run as well."""
-        self._over.set()
-        for runner in self._runners:
-            runner.stop()
-        while any(thread.is_alive() for thread in self._threads):
-            try:  # A thread may wait for room.
-                self._answers.get(timeout=0.05)
-            except queue.Empty:
-                continue
-        for runner in self._runners:
-            runner.close()
-
-    def _answered(self, requests: Iterator[Task]) -> Iterator[Answered]:
-        self._requests = requests
-        self._threads = [
-            threading.Thread(target=self._serve, args=(runner, number), daemon=True)
-            for number, runner in enumerate(self._runners)
-        ]
-        for thread in self._threads:
-            thread.start()
-        serving = len(self._threads)
-        while serving:
-            found = self._answers.get()
-            if isinstance(found, BaseException):
-                raise found
-            if found is None:
-                serving -= 1
-            else:
-                yield found
-
-    def _next(self) -> Task | None:
-        with self._lock:
-            return None if self._over.is_set() else next(self._requests, None)
-
-    def _serve(self, runner: Runner, number: int) -> None:
-        by = f"{this_machine()}, process {number}"
-        try:
-            for run, answer in runner.answers(iter(self._next, None)):
-                if self._over.is_set():
-                    break
-                self._answers.put((run, answer, by))
-            self._answers.put(None)
-        except BaseException as error:
-            self._answers.put(error)
+    return executor(workers, scheduler, terms_of(figures_of, plan.timeout, plan.memory))

@@ -1,7 +1,6 @@
 """The rows of a sweep's dataset: one a run, its settings, how it went, its figures."""
 
 import json
-import os
 from datetime import UTC, datetime
 from functools import cache
 from typing import Any
@@ -92,16 +91,16 @@ def row_of(plan: SweepPlan, number: int, answer: dict[str, Any], by: str) -> dic
     Args:
         plan: Of the sweep.
         number: Of the run.
-        answer: From `leglab.runs.sweeps.worker.answer`; not trusted.
+        answer: From `leglab.jobs`, of `leglab.runs.sweeps.making.figures_of`; not trusted.
         by: What made it.
     """
     settings = plan.settings(number)
     row = _settings_row(plan, number, settings)
     row |= dict.fromkeys(_HOW)
     outcome, problem = None, None
-    if "outcome" in answer:
+    if "result" in answer:
         try:
-            outcome = Outcome.model_validate(answer["outcome"])
+            outcome = Outcome.model_validate(answer["result"])
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
             where = ".".join(map(str, first["loc"]))
@@ -150,8 +149,3 @@ def _settings_row(plan: SweepPlan, number: int, settings: RunSettings) -> dict[s
 
 def _time(value: Any) -> float | None:
     return float(value) if isinstance(value, int | float) else None
-
-
-def this_machine() -> str:
-    """Name of this machine, for `made_by`."""
-    return os.uname().nodename

@@ -22,7 +22,7 @@ from typing import Any, Literal
 import leglab
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.input import read_json
-from leglab.runs.parallel import Progress
+from leglab.jobs.engine import Progress
 
 PACKAGES = (
     "leglab", "mujoco", "numpy", "scipy", "padasip", "river", "sysidentpy", "dm-control",

@@ -221,7 +221,8 @@ def rough_self_test(
     count: int = 100,
     settings: RoughTestSettings | None = None,
     *,
-    processes: int = 2,
+    processes: int = -1,
+    scheduler: str | None = None,
     kinds: Iterable[str] = tuple(SHARES),
     progress: Callable[[str, int, int], None] = lambda *_: None,
 ) -> list[RoughOutcome]:
@@ -231,12 +232,13 @@ def rough_self_test(
         folder: Where outcomes are kept, in a file of the settings' name.
         count: Number of single faults; the other kinds in proportion.
         settings: Which specimens, sizes and recordings.
-        processes: Cases at a time.
+        processes: Cases at a time; -1 is one a core, 1 this process. With a scheduler -1.
+        scheduler: Address of a Dask scheduler whose workers run the cases.
         kinds: Of cases to run.
         progress: Called with the last case, the number done and the total.
 
     Raises:
-        LeglabError: A kind does not exist.
+        LeglabError: A kind does not exist, or a case came to no outcome.
     """
     settings = settings or RoughTestSettings()
     kinds = tuple(kinds)
@@ -248,67 +250,65 @@ def rough_self_test(
     return run_missing(
         folder / f"outcomes-{settings.name}.jsonl",
         todo,
-        Runner(settings),
+        outcome_of,
         key=lambda one: (one.kind, one.number),
         parse=_OUTCOME.validate_python,
         done=lambda outcome: not outcome.error,
+        settings=asdict(settings),
         processes=processes,
+        scheduler=scheduler,
         progress=progress,
     )
 
 
-@dataclass(frozen=True)
-class Runner:
-    """Makes a case and diagnoses it on one thread; a failure is an outcome as well.
+def outcome_of(given: dict[str, Any]) -> dict[str, Any]:
+    """Runs a case in whatever process: `given` has the `case` and the self-test's `settings`."""
+    settings = RoughTestSettings(**given["settings"])
+    return asdict(run_case(_CASE.validate_python(given["case"]), settings))
 
-    Attributes:
-        settings: Of the self-test.
-    """
 
-    settings: RoughTestSettings
-
-    def __call__(self, case: RoughTestCase) -> RoughOutcome:
-        """Runs one case."""
-        settings = self.settings
-        made = rough_case(
-            case.specimen,
-            case.faults,
-            sizes=settings.sizes,
-            healthy=settings.healthy,
-            exact=not settings.rough,
+def run_case(case: RoughTestCase, settings: RoughTestSettings) -> RoughOutcome:
+    """Makes a case and diagnoses it on one thread; a failure is an outcome as well."""
+    made = rough_case(
+        case.specimen,
+        case.faults,
+        sizes=settings.sizes,
+        healthy=settings.healthy,
+        exact=not settings.rough,
+    )
+    content: dict[str, Any] = {}
+    ranking: list[tuple[str, str, float]] = []
+    error = ""
+    extra: dict[str, Any] = {"healthy": made.healthy} if settings.healthy else {}
+    began = perf_counter()
+    try:
+        result, _ = diagnose(
+            MODEL,
+            made.recordings,
+            held_out=held_out_choice(made.recordings, Machine(MODEL)),
+            settings=DiagnosisSettings(threads=1, seed=settings.seed),
+            **extra,
         )
-        content: dict[str, Any] = {}
-        ranking: list[tuple[str, str, float]] = []
-        error = ""
-        extra: dict[str, Any] = {"healthy": made.healthy} if settings.healthy else {}
-        began = perf_counter()
-        try:
-            result, _ = diagnose(
-                MODEL,
-                made.recordings,
-                held_out=held_out_choice(made.recordings, Machine(MODEL)),
-                settings=DiagnosisSettings(threads=1, seed=settings.seed),
-                **extra,
-            )
-            content = result.to_json()
-            best = sorted((r for r in result.ranking if r.round == 1), key=lambda r: -r.gain)
-            ranking = [(r.name, r.element, float(r.gain)) for r in best[:_RANKED]]
-        except Exception as failure:  # hours of other cases must not be lost
-            error = f"{type(failure).__name__}: {failure}"
-        return RoughOutcome(
-            kind=case.kind,
-            number=case.number,
-            specimen=case.specimen,
-            faults=case.faults,
-            severities=tuple((s.parameter, s.value) for s in made.severities),
-            diagnosis=content,
-            ranking=tuple(ranking),
-            seconds=perf_counter() - began,
-            error=error,
-        )
+        content = result.to_json()
+        best = sorted((r for r in result.ranking if r.round == 1), key=lambda r: -r.gain)
+        ranking = [(r.name, r.element, float(r.gain)) for r in best[:_RANKED]]
+    except Exception as failure:  # hours of other cases must not be lost
+        error = f"{type(failure).__name__}: {failure}"
+    return RoughOutcome(
+        kind=case.kind,
+        number=case.number,
+        specimen=case.specimen,
+        faults=case.faults,
+        severities=tuple((s.parameter, s.value) for s in made.severities),
+        diagnosis=content,
+        ranking=tuple(ranking),
+        seconds=perf_counter() - began,
+        error=error,
+    )
 
 
-_OUTCOME = TypeAdapter(RoughOutcome)  # makes tuples of JSON's lists
+# They make tuples of JSON's lists.
+_CASE, _OUTCOME = TypeAdapter(RoughTestCase), TypeAdapter(RoughOutcome)
 
 
 def interval(good: int, count: int) -> tuple[float, float]:

@@ -1,11 +1,11 @@
-"""The self-test: many blind cases, scored, on two processes, resumed where it was interrupted."""
+"""The self-test: many blind cases, scored, resumed where it was interrupted."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from pydantic import TypeAdapter
@@ -156,7 +156,8 @@ def self_test(
     count: int = 100,
     *,
     seed: int = 0,
-    processes: int = 2,
+    processes: int = -1,
+    scheduler: str | None = None,
     kinds: Iterable[str] = tuple(_SHARES),
     progress: Callable[[str, int, int], None] = lambda *_: None,
 ) -> list[Outcome]:
@@ -166,12 +167,13 @@ def self_test(
         folder: Where outcomes are kept: an interrupted test goes on from there.
         count: Number of single-effect cases; the other kinds in proportion.
         seed: With it every random choice is fixed.
-        processes: Cases at a time.
+        processes: Cases at a time; -1 is one a core, 1 this process. With a scheduler -1.
+        scheduler: Address of a Dask scheduler whose workers run the cases.
         kinds: Of cases to run.
         progress: Called with the last case, the number done and the total.
 
     Raises:
-        LeglabError: A kind does not exist.
+        LeglabError: A kind does not exist, or a case came to no outcome.
     """
     unknown = set(kinds) - set(_SHARES)
     if unknown:
@@ -182,12 +184,19 @@ def self_test(
     return run_missing(
         folder / f"outcomes-{seed}.jsonl",
         todo,
-        partial(run_case, seed=seed),
+        outcome_of,
         key=lambda one: (one.kind, one.number),
         parse=_OUTCOME.validate_python,
+        settings={"seed": seed},
         processes=processes,
+        scheduler=scheduler,
         progress=progress,
     )
+
+
+def outcome_of(given: dict[str, Any]) -> dict[str, Any]:
+    """Runs a case in whatever process: `given` has `case` and, in `settings`, its `seed`."""
+    return asdict(run_case(_CASE.validate_python(given["case"]), given["settings"]["seed"]))
 
 
 def run_case(case: Case, seed: int) -> Outcome:
@@ -223,7 +232,8 @@ def run_case(case: Case, seed: int) -> Outcome:
     )
 
 
-_OUTCOME = TypeAdapter(Outcome)  # makes tuples of JSON's lists
+# They make tuples of JSON's lists.
+_CASE, _OUTCOME = TypeAdapter(Case), TypeAdapter(Outcome)
 
 
 def scores(outcomes: list[Outcome]) -> list[tuple[str, str, str, str]]:

@@ -15,10 +15,12 @@ from matplotlib.colors import to_hex
 import leglab.controllers
 from leglab import RunSettings, run_scenario
 from leglab.base.errors import LeglabError
+from leglab.jobs import fingerprint
 from leglab.report.figures import comparison_figure
 from leglab.report.style import VERMILION
-from leglab.runs import fingerprint, sweep
-from leglab.runs.sweep import Comparison, compare, estimate, run_all
+from leglab.runs import comparison
+from leglab.runs.comparison import Comparison, compare, estimate, run_all
+from leglab.runs.sweeps import making
 from tests.test_cli import leglab as command_line
 
 
@@ -99,7 +101,7 @@ def test_finished_runs_are_not_repeated(tmp_path, monkeypatch):
         calls.append(settings)
         return run_scenario(settings, **shared)
 
-    monkeypatch.setattr(sweep, "run_scenario", counted)
+    monkeypatch.setattr(making, "run_scenario", counted)
     first = run_all(bench(seeds=2).runs(), tmp_path, jobs=1)
     assert len(calls) == 2
     told = []
@@ -118,9 +120,43 @@ def test_finished_runs_are_not_repeated(tmp_path, monkeypatch):
     run_all(bench(seeds=3).runs()[1:], tmp_path, jobs=1, overwrite=True)
     assert len(calls) == 7
     # Results of other code do not count.
-    monkeypatch.setattr(sweep, "fingerprint", lambda: "other")
+    monkeypatch.setattr(comparison, "fingerprint", lambda: "other")
     run_all(bench(seeds=1).runs(), tmp_path, jobs=1)
     assert len(calls) == 8
+
+
+def test_a_run_that_fails_stops_no_other_and_is_made_again(tmp_path, monkeypatch, capsys):
+    from leglab.runs.run import run_scenario as made
+
+    def sometimes(settings, **shared):
+        if settings.controller == "static_feedforward" and settings.seed == 1:
+            raise ZeroDivisionError("by nought")
+        return made(settings, **shared)
+
+    monkeypatch.setattr(making, "run_scenario", sometimes)
+    runs = bench(controllers=("pd", "static_feedforward"), seeds=2, duration=2.0).runs()
+    results = run_all(runs, tmp_path, jobs=1)
+    whole = [result["metrics"]["completed"] for result in results]
+    assert whole == [True, True, True, False]
+    told = results[-1]["metrics"]["failure"]
+    assert told.startswith("ZeroDivisionError: by nought (test_comparison.py, line ")
+    assert len(list(tmp_path.glob("*.json"))) == 3
+    with pytest.raises(LeglabError, match="ZeroDivisionError: by nought"):
+        run_all(runs[3:], tmp_path, jobs=1)
+    out = tmp_path / "compare"
+    words = ("compare", "seal_wear", "--controllers", "pd,static_feedforward", "--seeds", "2")
+    options = ("--model", "knee_bench", "--duration", "5", "--jobs", "1", "--out", str(out))
+    status, printed, warned = command_line(*words, *options, capsys=capsys)
+    assert status == 0
+    assert "failed 1/2" in printed
+    assert "seal_wear, static_feedforward: 1 of 2 runs failed: ZeroDivisionError" in warned
+    assert (out / "seal_wear.png").exists()
+    cell = json.loads((out / "compare.json").read_text())["results"]["seal_wear"]
+    assert cell["static_feedforward"]["runs"] == 2
+    assert len(cell["static_feedforward"]["failures"]) == 1
+    assert len(cell["static_feedforward"]["after_rad"]["values"]) == 1
+    monkeypatch.undo()
+    assert all(r["metrics"]["completed"] for r in run_all(runs, tmp_path, jobs=1))
 
 
 def test_the_fingerprint_covers_controllers_models_and_the_compiled_core(tmp_path, monkeypatch):

@@ -1,4 +1,4 @@
-"""A process that makes runs, seen from the one that asks: it may die, hang, or say nonsense."""
+"""A process that works, seen from the one that asks: it may die, hang, or say nonsense."""
 
 import json
 import os
@@ -20,39 +20,41 @@ from leglab.base.input import parse_json
 _START_TIME = 120.0  # s: a process that has imported nothing by then never will
 _MOST_ANSWER = 100_000_000  # bytes
 _MOST_SAID = 1_000_000  # bytes on standard error that are kept for the message of a death
-# A run that is shorter [s] has its successor sent ahead, if that is no longer [bytes].
+# Work that is shorter [s] has its successor sent ahead, if that is no longer [bytes].
 _SHORT, _MOST_AHEAD = 0.5, 30_000
-_TRIES = 2  # of a run whose process dies
-# Several processes share the cores: within one, linear algebra has one thread. The bits of a run
-# do not depend on how many run beside it, then.
+_TRIES = 2  # of work whose process dies
+# Several processes share the cores: within one, linear algebra has one thread. The bits of a result
+# do not depend on how many are made beside it, then.
 _THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
-# Number of a run, and what is asked of the process.
+# Number of a piece of work, and what the function is given.
 Task = tuple[int, dict[str, Any]]
-# Number of the run, answer to its request, and what made it.
+# Number of the piece, answer as `leglab.jobs.work.answer_of` has it, and what made it.
 Answered = tuple[int, dict[str, Any], str]
 
 
 class DiedError(Exception):
-    """The process ended in the middle of a run; the message says how."""
+    """The process ended in the middle of its work; the message says how."""
 
 
 class TimedOutError(Exception):
-    """A run took longer than it may."""
+    """Work took longer than it may."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Terms:
-    """On what terms processes make runs; JSON can hold them.
+    """On what terms processes work; JSON can hold them.
 
     Attributes:
+        work: Name of the function that they call, of `leglab.jobs.work.name_of`.
         luggage: What plug-ins they load.
         code: Digest of leglab's code that they must have.
-        timeout: Wall time that a run may take [s].
+        timeout: Wall time that a piece of work may take [s].
         memory: Memory that a process may take [MB]; None without a limit.
     """
 
+    work: str
     luggage: plugins.Carried
     code: str
     timeout: float
@@ -61,7 +63,7 @@ class Terms:
     def limited(self, processes: int) -> "Terms":
         """The same with each process limited to its share of this machine, unless it is already.
 
-        So a run that asks for too much ends by itself, before the system ends any process.
+        So what asks for too much ends by itself, before the system ends any process.
         """
         if self.memory is not None:
             return self
@@ -70,7 +72,7 @@ class Terms:
 
 
 class Runner:
-    """One process that makes runs; it is started when it is first asked, and again when it died.
+    """One process that works; it is started when it is first asked, and again when it died.
 
     Args:
         terms: On what terms.
@@ -85,12 +87,12 @@ class Runner:
         self._errors = tempfile.TemporaryFile("a+b")  # noqa: SIM115  as long as the runner
 
     def answers(self, tasks: Iterator[Task]) -> Iterator[tuple[int, dict[str, Any]]]:
-        """Has runs made, one after the other.
+        """Has work done, one piece after the other.
 
         A process that dies gets a second try in a new one: it may have been somebody else's doing.
 
         Args:
-            tasks: Number of each run, and request as of `leglab.runs.sweeps.worker.answer`.
+            tasks: Number of each piece, and what the function is given.
 
         Yields:
             The numbers with their answers.
@@ -98,7 +100,7 @@ class Runner:
         Raises:
             LeglabError: The process cannot be started, or has other code.
         """
-        # The first of them is being made; a short run has its successor at hand.
+        # The first of them is being done; a short one has its successor at hand.
         asked: deque[Task] = deque()
         ahead, tries = 1, 0
         while True:
@@ -130,7 +132,7 @@ class Runner:
             yield asked.popleft()[0], found
 
     def stop(self) -> None:
-        """Has the process end in the middle of a run; may be called from any thread."""
+        """Has the process end in the middle of its work; may be called from any thread."""
         self._closed = True
         process = self._process
         if process is not None:
@@ -160,7 +162,7 @@ class Runner:
         self._rest = b""
         process = subprocess.Popen(
             # -P: Python would look for modules in the working folder first.
-            [sys.executable, "-P", "-m", "leglab.runs.sweeps.worker"],
+            [sys.executable, "-P", "-m", "leglab.jobs.worker"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._errors,
@@ -170,20 +172,25 @@ class Runner:
         )
         self._process = process
         if self._closed:
-            raise DiedError("the sweep is over")
-        start = {"luggage": terms.luggage, "user": os.getpid(), "memory": terms.memory}
+            raise DiedError("nothing more is asked of it")
+        start = {
+            "work": terms.work,
+            "luggage": terms.luggage,
+            "user": os.getpid(),
+            "memory": terms.memory,
+        }
         try:
             self._send(_line_of(start))
             found = self._line(_START_TIME)
         except (DiedError, TimedOutError) as error:
             if self._closed:
-                raise DiedError("the sweep is over") from error
+                raise DiedError("nothing more is asked of it") from error
             reason = str(error) or f"it said nothing for {_START_TIME:g} s"
             self._end()
-            raise LeglabError(f"a process for runs cannot be started: {reason}") from error
+            raise LeglabError(f"a process cannot be started: {reason}") from error
         if "refused" in found:
             self._end()
-            raise LeglabError(f"a process for runs cannot be started: {found['refused']}")
+            raise LeglabError(f"a process cannot be started: {found['refused']}")
         if found.get("code") != terms.code:
             self._end()
             raise LeglabError(

@@ -4,7 +4,6 @@ import json
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +16,11 @@ from leglab.base.input import read_json
 from leglab.base.notebook import data_frame, data_index, html_table, panels
 from leglab.base.output import claimed_folder, write_atomically
 from leglab.base.units import error_unit
+from leglab.jobs.engine import Progress, answers
+from leglab.jobs.fingerprint import fingerprint
 from leglab.machine.changes import check_tolerance
-from leglab.runs.fingerprint import fingerprint
-from leglab.runs.parallel import Progress, make_missing
-from leglab.runs.preparation import RunSettings, check_controllers, prepared, scenario_of
-from leglab.runs.run import Run, run_scenario
+from leglab.runs.preparation import RunSettings, check_controllers, scenario_of
+from leglab.runs.sweeps.making import made
 from leglab.runs.sweeps.outcome import traces
 
 _MOST_SEEDS = 100_000
@@ -91,6 +90,7 @@ def run_all(
     folder: Path,
     *,
     jobs: int = -1,
+    scheduler: str | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> list[dict[str, Any]]:
@@ -98,36 +98,59 @@ def run_all(
 
     Each run is one file, which is there as a whole or not at all: after an interruption the same
     call goes on where it was. A run counts only with the same settings and the same code; what a
-    model file of the user's own includes is not looked at.
+    model file of the user's own includes is not looked at. A run that cannot be set up, raises,
+    takes longer than an hour, or whose process dies stops no other one and is not kept.
 
     Args:
         runs: What to run.
         folder: Where results are kept.
-        jobs: Processes at a time; -1 is one a core.
+        jobs: Processes at a time; -1 is one a core, 1 this process. Not with a scheduler.
+        scheduler: Address of a Dask scheduler whose workers make the runs.
         overwrite: Whether to repeat runs that are there.
         progress: Called after each run.
 
     Returns:
         The results in the order of the runs: `settings`, `metrics`, `changes` [s], `window` [s],
         `time` [s] with `windowed_error_rad` over one stride and `safety_error_rad` over 2 s, None
-        until a first window is full; `travel_rad` of the reference, by joint.
+        until a first window is full; `travel_rad` of the reference, by joint. Of a run that came
+        to nothing, `metrics` says `completed` False and why, and has no phases.
 
     Raises:
-        LeglabError: A run cannot be set up, the folder cannot be written to, or another process
-            writes to it.
+        LeglabError: No run came to anything, the folder cannot be written to, another process
+            writes to it, or the scheduler cannot be reached.
         KeyboardInterrupt: The user interrupts; finished runs are kept.
     """
     code = fingerprint()
+    stored: dict[int, dict[str, Any]] = {}
     with claimed_folder(folder):
-        make_missing(
-            runs,
-            partial(_run_and_store, folder=folder, code=code),
-            is_made=lambda run: not overwrite and _stored(run, folder, code) is not None,
-            jobs=jobs,
-            progress=progress,
-        )
-    results = [_stored(run, folder, code) for run in runs]
-    return [result for result in results if result is not None]
+        for number, run in enumerate(runs):
+            if not overwrite and (found := _stored(run, folder, code)) is not None:
+                stored[number] = found
+        todo = [number for number in range(len(runs)) if number not in stored]
+        if progress:
+            progress(len(stored), len(runs), "")
+        given = ((number, asdict(runs[number])) for number in todo)
+        workers = min(jobs, max(len(todo), 1))
+        problems: list[str] = []
+        for number, answer, _ in answers(result_of, given, workers=workers, scheduler=scheduler):
+            run = runs[number]
+            if "result" in answer:
+                stored[number] = {**answer["result"], "code": code}
+                text = json.dumps(stored[number], allow_nan=False)
+                _write(text, _path(run, folder))
+            else:
+                problems.append(str(answer.get("error")))
+                stored[number] = _failed(run, problems[-1])
+            if progress:
+                told = f"{run.scenario} · {run.controller} · seed {run.seed}"
+                progress(len(stored), len(runs), told)
+    if problems and len(problems) == len(runs):
+        raise LeglabError(problems[0])
+    return [stored[number] for number in range(len(runs))]
+
+
+def _write(text: str, path: Path) -> None:
+    write_atomically(path, lambda file: file.write(text.encode()))
 
 
 def _path(settings: RunSettings, folder: Path) -> Path:
@@ -149,17 +172,16 @@ def _stored(settings: RunSettings, folder: Path, code: str) -> dict[str, Any] | 
     return result if same else None
 
 
-def _run_and_store(settings: RunSettings, folder: Path, code: str) -> str:
-    """Makes a run, in a process of its own unless there is one job only, and says what it was."""
-    run = run_scenario(settings, preparation=prepared(settings))
-    if run.history.failure.startswith("interrupted"):
-        raise KeyboardInterrupt
-    text = json.dumps({**_result(run), "code": code}, allow_nan=False)
-    write_atomically(_path(settings, folder), lambda file: file.write(text.encode()))
-    return f"{settings.scenario} · {settings.controller} · seed {settings.seed}"
+def result_of(settings: dict[str, Any]) -> dict[str, Any]:
+    """Makes a run; what `run_all` returns of one.
 
+    Args:
+        settings: Those of `RunSettings`.
 
-def _result(run: Run) -> dict[str, Any]:
+    Raises:
+        LeglabError: It cannot be set up.
+    """
+    run = made(settings)
     kept = traces(run)
     return {
         "settings": asdict(run.settings),
@@ -170,6 +192,27 @@ def _result(run: Run) -> dict[str, Any]:
         "windowed_error_rad": kept["windowed_rad"],
         "safety_error_rad": kept["worst_rad"],
         "travel_rad": json.loads(kept["travel_rad"]),
+    }
+
+
+def _failed(run: RunSettings, problem: str) -> dict[str, Any]:
+    """The result of a run that came to nothing."""
+    return {
+        "settings": asdict(run),
+        "metrics": {
+            "scenario": run.scenario,
+            "controller": run.controller,
+            "seed": run.seed,
+            "completed": False,
+            "failure": problem,
+            "phases": [],
+        },
+        "changes": [],
+        "window": None,
+        "time": [],
+        "windowed_error_rad": [],
+        "safety_error_rad": [],
+        "travel_rad": {},
     }
 
 
@@ -295,7 +338,8 @@ def unit_of_results(results: Iterable[dict[str, Any]]) -> str:
     return error_unit(
         joint in metrics.get("slides", ())
         for metrics in every
-        for joint in metrics["phases"][0]["rms_rad"]
+        for phase in metrics["phases"][:1]
+        for joint in phase["rms_rad"]
         if joint != "all"
     )
 

@@ -1,7 +1,7 @@
-"""The runs of a sweep on an existing Dask cluster; each worker's threads have processes make them.
+"""Work on an existing Dask cluster; each worker's threads have processes do it.
 
-A run that ends its process, hangs or takes too much memory so leaves the cluster's workers alone.
-What travels is text: settings there, figures back.
+What ends its process, hangs or takes too much memory so leaves the cluster's workers alone.
+What travels is text: what a function is given there, results back.
 """
 
 import itertools
@@ -18,26 +18,26 @@ from uuid import uuid4
 
 from leglab.base.errors import LeglabError
 from leglab.base.input import parse_json
-from leglab.runs.sweeps.runner import Answered, Runner, Task, Terms
+from leglab.jobs.runner import Answered, Runner, Task, Terms
 
-# Batches of runs that the cluster knows of, for each of its threads: one is made.
+# Batches of work that the cluster knows of, for each of its threads: one is being done.
 _AHEAD = 3
 _PATIENCE = 60.0  # s, for the scheduler and its first worker
-# Runs that are shorter travel together, about so long in all [s].
+# Pieces that are shorter travel together, about so long in all [s].
 _TOGETHER, _MOST_TOGETHER = 0.3, 50
 # Looks at how many threads there are, in answers.
 _LOOK = 50
 
-# Processes of this worker that make no run just now, by their terms.
+# Processes of this worker that have nothing to do just now, by their terms.
 _idle: defaultdict[str, list[Runner]] = defaultdict(list)
 _lock = threading.Lock()
 
 
 def answers(requests: str, terms: str) -> str:
-    """Has runs made by a process beside this worker of a cluster.
+    """Has work done by a process beside this worker of a cluster.
 
     Args:
-        requests: As JSON, of `leglab.runs.sweeps.worker.answer`.
+        requests: As JSON, a list of what the function is given.
         terms: As JSON, on what terms.
 
     Returns:
@@ -68,12 +68,12 @@ class Cluster(AbstractContextManager[Any]):
 
     Args:
         address: Of its scheduler.
-        terms: On what terms processes make runs.
+        terms: On what terms processes work.
     """
 
     def __init__(self, address: str, terms: Terms) -> None:
         self._address, self._terms = address, json.dumps(asdict(terms))
-        # Numbers of the runs and future, by key.
+        # Numbers of the pieces and future, by key.
         self._waiting: dict[str, tuple[list[int], Any]] = {}
         self._closing = ExitStack()
 
@@ -177,7 +177,7 @@ class Cluster(AbstractContextManager[Any]):
                 told = {"error": "the workers that made it ended each time", "kind": "died"}
                 return [told] * count, self._address
             raise LeglabError(
-                f"scheduler {self._address!r}: a worker cannot make runs: {problem}"
+                f"scheduler {self._address!r}: a worker cannot work: {problem}"
             ) from problem
         text = future.result()
         try:

@@ -1,0 +1,105 @@
+"""A piece of work: a function by its name and what it is given, both as JSON can hold them."""
+
+import json
+import sys
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from leglab.base import plugins
+from leglab.base.errors import LeglabError
+
+# Takes and gives what JSON can hold.
+Work = Callable[[dict[str, Any]], Any]
+
+
+class WorkError(Exception):
+    """Work that failed in a way that it names itself.
+
+    Args:
+        kind: How it failed, in a word or two: "ended early".
+        message: Why, in one line.
+    """
+
+    def __init__(self, kind: str, message: str) -> None:
+        super().__init__(message)
+        self.kind = kind
+
+
+def name_of(work: Work) -> str:
+    """Returns by what name another process finds a function: MODULE:NAME, or FILE:NAME of a script.
+
+    Raises:
+        LeglabError: It is not defined at the top of a module or file.
+    """
+    module = sys.modules.get(work.__module__)
+    name = getattr(work, "__qualname__", "")
+    if getattr(module, name, None) is not work:
+        raise LeglabError(
+            f"{name or work!r} cannot be called by another process; allowed: a function defined "
+            "at the top of a module or file"
+        )
+    if work.__module__ != "__main__":
+        return f"{work.__module__}:{name}"
+    file = getattr(module, "__file__", None)
+    if file is None:
+        raise LeglabError(
+            f"{name} is defined at a prompt, where no other process finds it; allowed: one process"
+        )
+    return f"{Path(file).resolve()}:{name}"
+
+
+def work_of(name: str) -> Work:
+    """Returns the function of this name, as `name_of` gives it.
+
+    Raises:
+        LeglabError: There is none.
+    """
+    place, _, function = name.rpartition(":")
+    try:
+        module = plugins.imported(place)
+    except ImportError as error:
+        raise LeglabError(f"{place} cannot be imported: {error}") from error
+    work = getattr(module, function, None)
+    if not callable(work):
+        raise LeglabError(f"{place} has no function {function!r}")
+    return work
+
+
+def answer_of(work: Callable[[], Any]) -> dict[str, Any]:
+    """Does a piece of work.
+
+    Returns:
+        `result` as JSON can hold it, or `error` with its `kind`: that of a `WorkError`, "memory",
+        "refused" (a `LeglabError`) or "exception"; `wall_s` and `cpu_s` that it took.
+    """
+    started, used = time.perf_counter(), time.process_time()
+    found = _found(work)
+    return {
+        **found,
+        "wall_s": time.perf_counter() - started,
+        "cpu_s": time.process_time() - used,
+    }
+
+
+def _found(work: Callable[[], Any]) -> dict[str, Any]:
+    try:
+        result = work()
+        try:
+            json.dumps(result, allow_nan=False)
+        except ValueError:
+            return {"error": "its figures are not finite", "kind": "ended early"}
+        return {"result": result}
+    except WorkError as error:
+        return {"error": str(error), "kind": error.kind}
+    except MemoryError:
+        return {"error": "it needs more memory than it may have", "kind": "memory"}
+    except LeglabError as error:
+        return {"error": " ".join(str(error).split()), "kind": "refused"}
+    except Exception as error:
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        text = " ".join(str(error).split())
+        place = f"{Path(last.filename).name}, line {last.lineno}"
+        return {"error": f"{type(error).__name__}: {text} ({place})", "kind": "exception"}
