@@ -6,6 +6,7 @@ import pytest
 from leglab import RunSettings, run_scenario
 from leglab.base.errors import LeglabError
 from leglab.cli.terminal import fault_lines
+from leglab.control.feedforward import health
 from leglab.control.feedforward.fault_bank import ALL, UNKNOWN, FaultBank, FaultCurve
 from leglab.control.feedforward.health import HealthConfiguration, HealthMonitor, line_of
 
@@ -79,6 +80,25 @@ def test_slow_wear_is_named_with_its_rate_and_what_remains(number):
     hit = [worn.element in (ALL, joint) for joint in JOINTS]
     np.testing.assert_array_equal(monitor.report["health_fault"] > 0, hit)
     assert np.all(np.isnan(monitor.report["health_remaining"]) != hit)
+
+
+def test_the_history_of_looks_has_an_end_and_the_trend_stays(monkeypatch):
+    bank = make_bank(np.random.default_rng(0))
+    base = np.random.default_rng(1).standard_normal((len(JOINTS), PARAMETERS))
+    growth = wear(bank.curves[0], 10.0, 0.1)
+    told = []
+    for most in (health._MOST_LOOKS, 24):
+        monkeypatch.setattr(health, "_MOST_LOOKS", most)
+        monitor = monitor_of(bank)
+        stream(monitor, lambda time: base + growth(time))
+        assert len(monitor._looks) <= most
+        told.append(monitor.trends[-1])
+    whole, thinned = told
+    assert (thinned.fault, thinned.element) == (whole.fault, whole.element)
+    assert thinned.size == pytest.approx(whole.size, rel=0.02)
+    assert thinned.rate == pytest.approx(whole.rate, rel=0.1)
+    assert thinned.remaining == pytest.approx(whole.remaining, rel=0.15)
+    assert thinned.since == pytest.approx(whole.since, abs=6.0)
 
 
 def test_nothing_is_said_of_a_machine_that_stays_as_it_is():

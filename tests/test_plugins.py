@@ -145,6 +145,13 @@ def test_a_package_runs_compares_and_reports(site, tmp_path):
     call(*reported, *common, *out, path=site)
     page = (tmp_path / "report/report.html").read_text()
     assert "PD with the valve&#39;s overlap compensated" in page
+    sweep = tmp_path / "sweep.toml"
+    sweep.write_text(
+        '[settings]\nscenario = "load_and_leak"\nduration = 2.0\n'
+        '[[block]]\ngrid.controller = ["pd", "overlap"]\n'
+    )
+    swept = json.loads(call("sweep", sweep, "--out", tmp_path / "sweep", "--json", path=site)[0])
+    assert (swept["done"], swept["failed"]) == (2, 0)
 
 
 def test_a_package_takes_part_in_a_diagnosis(site, tmp_path):
@@ -285,7 +292,7 @@ def test_files_of_one_name_do_not_take_each_others_place(tmp_path, monkeypatch):
 def test_processes_pass_over_what_only_happened_to_register_something(monkeypatch, tmp_path):
     monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.setattr(plugins, "_sources", {})
-    luggage = {"path": [str(tmp_path)], "sources": {"no_such_module": False}}
+    luggage = {"path": [str(tmp_path)], "packages": [], "sources": {"no_such_module": False}}
     plugins.carry(luggage)
     assert str(tmp_path) in sys.path
     with pytest.raises(LeglabError, match="there is no module of this name"):

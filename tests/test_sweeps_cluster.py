@@ -1,5 +1,6 @@
 """The same sweep on a Dask cluster: a scheduler and two workers as processes of their own."""
 
+import json
 import os
 import signal
 import socket
@@ -9,9 +10,12 @@ import time
 from contextlib import contextmanager
 
 import pytest
+from pydantic import TypeAdapter
 
 from leglab.base.errors import LeglabError
 from leglab.runs.sweeps.engine import read_sweep, run_sweep
+from leglab.studies.blind.outcomes import run_missing
+from leglab.studies.blind.rough_selftest import RoughTestCase
 from tests.test_cli import leglab as command_line
 from tests.test_sweeps import BENCH, SweepPlan, rows, wrong  # noqa: F401
 
@@ -89,6 +93,34 @@ def test_a_cluster_gives_the_same_rows_and_one_of_its_workers_may_be_killed(two,
     assert workers[0].wait(10) == -signal.SIGKILL
     run_sweep(plan, tmp_path / "here", workers=2)
     assert rows(tmp_path / "there") == rows(tmp_path / "here")
+
+
+def test_a_comparison_and_a_self_test_run_on_a_cluster(two, tmp_path, capsys):
+    address, _ = two
+    words = ("compare", "seal_wear", "--controllers", "pd,pid", "--seeds", "2", "--duration", "3")
+    common = (*words, "--model", "knee_bench", "--no-figures", "--json", "--out")
+    there = command_line(*common, tmp_path / "there", "--scheduler", address, capsys=capsys)
+    here = command_line(*common, tmp_path / "here", "--jobs", "2", capsys=capsys)
+    assert (there[0], json.loads(there[1])) == (0, json.loads(here[1]))
+    status, _, told = command_line(
+        *common, tmp_path / "both", "--scheduler", address, "--jobs", "2", capsys=capsys
+    )
+    assert (status, "go without a scheduler" in told) == (2, True)
+    outcomes = run_missing(
+        tmp_path / "outcomes.jsonl",
+        [RoughTestCase(kind="null", number=n, specimen=n, faults=()) for n in range(3)],
+        told_case,
+        key=lambda one: (one.kind, one.number),
+        parse=TypeAdapter(RoughTestCase).validate_python,
+        settings={"add": 4},
+        scheduler=address,
+    )
+    assert [outcome.specimen for outcome in outcomes] == [4, 5, 6]
+
+
+def told_case(given):
+    """A case that is quickly done."""
+    return {**given["case"], "specimen": given["case"]["specimen"] + given["settings"]["add"]}
 
 
 def test_runs_that_go_wrong_leave_the_workers_alone(two, tmp_path, wrong):  # noqa: F811

@@ -1,16 +1,21 @@
 """The page of a sweep: its numbers are those of the rows, and what it says can be done."""
 
+import base64
 import html
+import json
 import re
 import shlex
+from pathlib import Path
 
 import pytest
 import typer
 
 from leglab.base.errors import LeglabError
 from leglab.cli.app import app
+from leglab.report.film import render_film
 from leglab.report.folder_index import write_index
-from leglab.report.sweep.page import page, write_sweep_page
+from leglab.report.sweep.films import film_runs
+from leglab.report.sweep.page import page, worst_runs, write_sweep_page
 from leglab.runs.sweeps.engine import run_sweep
 from leglab.runs.sweeps.plan import SweepPlan
 from leglab.runs.sweeps.query import ask
@@ -107,10 +112,11 @@ def test_a_real_sweep_is_reported_and_one_of_its_runs_recorded(tmp_path, capsys)
     plan = SweepPlan({"settings": BENCH, "block": [{"grid": {"seed": {"count": 3}}}]})
     folder = tmp_path / "s"
     run_sweep(plan, folder, workers=2)
-    status, printed, _ = command_line("report", folder, capsys=capsys)
+    status, printed, _ = command_line("report", folder, "--no-video", capsys=capsys)
     assert (status, printed) == (0, f"written to {folder / 'report.html'}\n")
     assert "exists; remove it" in command_line("report", folder, capsys=capsys)[2]
-    assert command_line("report", folder, "--out", tmp_path / "o", capsys=capsys)[0] == 0
+    other = ("report", folder, "--out", tmp_path / "o")
+    assert command_line(*other, "--no-video", capsys=capsys)[0] == 0
     assert (tmp_path / "o" / "report.html").read_text() == (folder / "report.html").read_text()
     record = ("sweep", folder / "sweep.json", "--out", folder, "--record")
     assert command_line(*record, "2", capsys=capsys)[0] == 0
@@ -125,3 +131,42 @@ def test_a_real_sweep_is_reported_and_one_of_its_runs_recorded(tmp_path, capsys)
 def test_a_folder_without_a_sweep_is_refused(tmp_path):
     with pytest.raises(LeglabError, match="holds no sweep"):
         write_sweep_page(tmp_path)
+
+
+def test_the_worst_runs_are_filmed_from_before_the_change_on(tmp_path, capsys):
+    grid = {"controller": ["pd", "static_feedforward"], "seed": {"count": 2}}
+    plan = SweepPlan({"settings": {**BENCH, "duration": 6.0}, "block": [{"grid": grid}]})
+    folder, out = tmp_path / "s", tmp_path / "o"
+    run_sweep(plan, folder, workers=2)
+    words = ("report", folder, "--out", out, "--films", "2", "--duration", "0.5", "--json")
+    status, printed, _ = command_line(*words, capsys=capsys)
+    assert status == 0
+    films = [Path(film) for film in json.loads(printed)["films"]]
+    worst = worst_runs(folder, 2)
+    assert [film.name for film in films] == [f"run-{number}.mp4" for number in worst]
+    assert sorted(path.name for path in out.iterdir()) == sorted(
+        ["report.html", *(film.name for film in films)]
+    )
+    text = (out / "report.html").read_text()
+    found = re.findall(r'<video[^>]*src="data:video/mp4;base64,([^"]*)"', text)
+    assert [base64.b64decode(data) for data in found] == [film.read_bytes() for film in films]
+    rows = tables(text)[next(c for c in tables(text) if c.startswith("The worst runs"))]
+    told = re.findall(r"<figcaption>(Run \d+): ", text)
+    assert told == [f"Run {row[0]}" for row in rows[1:3]]
+    assert "<script" not in text
+    # The change comes after half of the run, three seconds: the film begins two before.
+    still = film_runs(folder, worst[:1], tmp_path, duration=0.5, camera="three_quarter")
+    at_one = render_film(
+        [folder / "recordings" / "00000" / str(worst[0])],
+        tmp_path / "at_one.mp4",
+        start=1.0,
+        duration=0.5,
+    )
+    assert still[worst[0]].read_bytes() == at_one.read_bytes()
+    refused = command_line("report", folder, "--films", "13", "--overwrite", capsys=capsys)[2]
+    assert "films is 13; allowed: 0 to 12" in refused
+    run = folder / "recordings" / "00000" / str(worst[0])
+    assert (
+        "is for the page of a sweep"
+        in command_line("report", run, "--films", "1", capsys=capsys)[2]
+    )

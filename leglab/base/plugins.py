@@ -6,6 +6,7 @@ it defines. They are imported when a name of their kind is first looked up. `loa
 or module at once. Processes that work for this one get the same by `carried` and `carry`.
 """
 
+import contextlib
 import functools
 import hashlib
 import importlib
@@ -25,6 +26,8 @@ KINDS = ("controllers", "scenarios", "references", "effects", "models")
 # What was loaded or has registered something, in this order: absolute paths of files, and modules,
 # with whether the user named it.
 _sources: dict[str, bool] = {}
+# Modules of entry points that were loaded.
+_packages: set[str] = set()
 # Why an entry point could not be loaded, by kind and name.
 _failures: dict[tuple[str, str], str] = {}
 # Files whose content may decide a result.
@@ -38,6 +41,7 @@ class Carried(TypedDict):
     """What a process needs to know the same names: plain types, which JSON can hold."""
 
     path: list[str]
+    packages: list[str]
     sources: dict[str, bool]
 
 
@@ -81,9 +85,15 @@ def load_entry_points(
         except Exception as error:
             _failures[kind, name] = f"{where} cannot be loaded: {_line(error)}"
         else:
-            module = sys.modules.get(entry.module)
-            if module is not None:
-                _files.update(_package_files(module))
+            _take_package(entry.module)
+
+
+def _take_package(name: str) -> None:
+    """Notes that results may depend on the code of an imported module and its package."""
+    module = sys.modules.get(name)
+    if module is not None:
+        _packages.add(name)
+        _files.update(_package_files(module))
 
 
 def failures(kind: str | None = None) -> tuple[str, ...]:
@@ -151,7 +161,7 @@ def note(module_name: str) -> None:
 
 def carried() -> Carried:
     """Returns what another process gives to `carry`."""
-    return {"path": list(sys.path), "sources": dict(_sources)}
+    return {"path": list(sys.path), "packages": sorted(_packages), "sources": dict(_sources)}
 
 
 def carry(luggage: Carried) -> None:
@@ -161,6 +171,11 @@ def carry(luggage: Carried) -> None:
         LeglabError: As `load`, of what the user named.
     """
     sys.path.extend(place for place in luggage["path"] if place not in sys.path)
+    for name in luggage["packages"]:
+        # One that is not here, or fails, shows in the digest of the code.
+        with contextlib.suppress(Exception), _Importing():
+            importlib.import_module(name)
+            _take_package(name)
     for source, named in luggage["sources"].items():
         if source in _sources:
             continue

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -29,6 +29,9 @@ def report(
         typer.Option(help="Output folder; default: the run's own, or out/report for several."),
     ] = None,
     video: Annotated[bool, typer.Option(help="Film the runs.")] = True,
+    films: Annotated[
+        int | None, typer.Option(help="Of a sweep: how many of its worst runs; default: 3.")
+    ] = None,
     start: Annotated[float | None, typer.Option(help="First second of the film.")] = None,
     duration: Annotated[
         float | None, typer.Option(help="Seconds of the film; with --scenario of the runs.")
@@ -69,7 +72,7 @@ def report(
 
     Give the folders of runs, or a scenario: its runs are made below OUT/runs, and a run that is
     there with the same settings and code is kept. Writes report.html, which needs no other file,
-    and report.mp4. The page of a sweep has heat maps and the worst runs, and no film.
+    and report.mp4. The page of a sweep has heat maps and the worst runs, with films of the first.
     """
     load_plugins(load)
     from leglab.report.run.page import check_out, write_report
@@ -88,8 +91,12 @@ def report(
         "--vary": vary or None,
     }
     if folders and len(folders) == 1 and is_sweep(folders[0]):
-        _report_sweep(folders[0], out, overwrite=overwrite, as_json=as_json)
+        count = (3 if films is None else films) if video else 0
+        wanted = _SweepFilms(count=count, start=start, duration=duration, camera=camera)
+        _report_sweep(folders[0], out, wanted, overwrite=overwrite, as_json=as_json)
         return
+    if films is not None:
+        raise LeglabError("--films is for the page of a sweep; a page of runs has one film")
     if scenario is None:
         given = [name for name, value in own.items() if value is not None]
         if given:
@@ -142,16 +149,46 @@ def report(
     _tell(runs, written, as_json=as_json)
 
 
-def _report_sweep(folder: Path, out: Path | None, *, overwrite: bool, as_json: bool) -> None:
-    from leglab.report.run.page import PAGE, check_out
-    from leglab.report.sweep.page import write_sweep_page
+@dataclass(frozen=True, kw_only=True)
+class _SweepFilms:
+    count: int
+    start: float | None
+    duration: float | None
+    camera: str
 
+
+def _report_sweep(
+    folder: Path, out: Path | None, wanted: _SweepFilms, *, overwrite: bool, as_json: bool
+) -> None:
+    from leglab.report.run.page import PAGE, check_out
+    from leglab.report.sweep.films import film_runs
+    from leglab.report.sweep.page import MOST_FILMS, worst_runs, write_sweep_page
+
+    if not 0 <= wanted.count <= MOST_FILMS:
+        raise LeglabError(f"films is {wanted.count}; allowed: 0 to {MOST_FILMS}")
     place = out or folder
     check_out(place, overwrite=overwrite)
-    with claimed_folder(place) if out else nullcontext(), progress("writing"):
-        written = write_sweep_page(folder, place / PAGE)
+    films: dict[int, Path] = {}
+    with claimed_folder(place) if out else nullcontext():
+        numbers = worst_runs(folder, wanted.count)
+        if numbers:
+            with progress("filming", 1.0) as show:
+                try:
+                    films = film_runs(
+                        folder,
+                        numbers,
+                        place,
+                        start=wanted.start,
+                        duration=wanted.duration,
+                        camera=wanted.camera,
+                        progress=lambda share: show(completed=share),
+                    )
+                except LeglabError as error:  # The page is worth having without.
+                    complain(f"no films: {error}", "warning")
+        with progress("writing"):
+            written = write_sweep_page(folder, place / PAGE, films=films)
     if as_json:
-        print_json({"page": str(written)})
+        print_json({"page": str(written), "films": [str(film) for film in films.values()]})
     else:
         tell(f"written to {written}")
 

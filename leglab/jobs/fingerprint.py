@@ -1,15 +1,14 @@
 """Digest of the code, by which kept results are known to be of it."""
 
 import hashlib
+import importlib
 from functools import cache
 from pathlib import Path
 
-import leglab
-import leglab._native
-import leglab.controllers
-import leglab.models
-import leglab.scenarios
 from leglab.base import plugins
+
+# Some lie elsewhere than below the first: the source checkout has links.
+_PACKAGES = ("leglab", "leglab.controllers", "leglab.scenarios", "leglab.models", "leglab._native")
 
 
 def fingerprint() -> str:
@@ -20,7 +19,7 @@ def fingerprint() -> str:
 @cache
 def own_fingerprint() -> str:
     """Digest of all code and data of leglab."""
-    packages = (leglab, leglab.controllers, leglab.scenarios, leglab.models, leglab._native)
+    packages = [importlib.import_module(name) for name in _PACKAGES]
     folders = {Path(folder) for package in packages for folder in package.__path__}
     files = {
         file.resolve()

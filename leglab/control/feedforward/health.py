@@ -33,6 +33,9 @@ _RIDGE = 1e-2
 # Looks that are judged together.
 _TOGETHER = 3
 
+# Looks that are kept; beyond, every second of the earlier ones goes: days are a coarser line.
+_MOST_LOOKS = 1024
+
 # Mean square error of the healthy map, over what it was, from which on a joint has changed [1]; and
 # from which on a drift that nothing explains is told.
 _CHANGED, _UNEXPLAINED = 2.0, 10.0
@@ -372,6 +375,8 @@ class HealthMonitor:
                 },
             )
         )
+        if len(self._looks) > _MOST_LOOKS:
+            self._looks = self._looks[:-_TOGETHER:2] + self._looks[-_TOGETHER:]
         self._judge(time)
 
     def _leader(self) -> int | None:

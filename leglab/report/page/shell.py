@@ -129,7 +129,7 @@ def _policy(scripts: Sequence[str]) -> str:
         "script-src": " ".join(f"'sha256-{digest}'" for digest in digests) or "'none'",
         "style-src": "'unsafe-inline'",
         "img-src": "data: blob:",
-        "media-src": "blob:",
+        "media-src": "data: blob:",
     }
     rules = dict.fromkeys(_FORBIDDEN, "'none'") | allowed
     return "; ".join(f"{name} {sources}" for name, sources in rules.items())

@@ -1,14 +1,18 @@
 """The page of a sweep: tables, heat maps, distributions, and the runs that went worst."""
 
+import base64
 import json
 import math
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup
+
 from leglab.base.output import write_atomically
+from leglab.report.film.encoder import film_bytes, still_bytes
 from leglab.report.page.shell import Section, Table, render
 from leglab.report.page.wording import listed, number, readable
 from leglab.report.run.page import PAGE
@@ -20,7 +24,9 @@ from leglab.runs.sweeps.store import SWEEP, SweepRecord, read_record
 from leglab.runs.sweeps.tuning import tuned
 
 # Rows and columns of a heat map, bars of a distribution, runs of the list of the worst.
-_MOST_ROWS, _MOST_COLUMNS, _BARS, _WORST = 120, 20, 24, 12
+_MOST_ROWS, _MOST_COLUMNS, _BARS, MOST_FILMS = 120, 20, 24, 12
+# Most that a film takes on the page [byte].
+_FILM = 3_000_000
 # Controllers that the headline tells of.
 _TOLD = 4
 # Sizes that are drawn, not listed, are shown in so many classes.
@@ -89,31 +95,59 @@ class Distributions:
     rows: Sequence[Distribution]
 
 
-def write_sweep_page(folder: Path, path: Path | None = None) -> Path:
+@dataclass(frozen=True, kw_only=True)
+class Film:
+    """A film as the page shows it: its data, a still, its file's name, and what it is of."""
+
+    data: Markup
+    still: str
+    file: str
+    text: str
+
+
+def write_sweep_page(
+    folder: Path, path: Path | None = None, *, films: Mapping[int, Path] | None = None
+) -> Path:
     """Writes the page of a sweep, also of one that is not whole yet.
 
     Args:
         folder: Of the sweep.
         path: The page; None for report.html in the folder. An earlier one is replaced.
+        films: By the numbers of the runs that they show.
 
     Raises:
         LeglabError: The folder holds no sweep, one of its files is damaged, or the page cannot be
             written.
     """
     path = path or folder / PAGE
-    text = page(folder)
+    text = page(folder, films)
     write_atomically(path, lambda stream: stream.write(text.encode()))
     return path
 
 
-def page(folder: Path) -> str:
+def worst_runs(folder: Path, most: int) -> tuple[int, ...]:
+    """Numbers of the runs that went worst, as the page lists them.
+
+    Args:
+        folder: Of the sweep.
+        most: How many, `MOST_FILMS` at most.
+
+    Raises:
+        LeglabError: The folder holds no sweep, or one of its files is damaged.
+    """
+    record = read_record(folder)
+    with questions(folder) as answered:
+        return tuple(row[0] for row in _worst_runs(_Facts(folder, record, answered))[:most])
+
+
+def page(folder: Path, films: Mapping[int, Path] | None = None) -> str:
     """The page as one file that needs no other and runs no script."""
     record = read_record(folder)
     with questions(folder) as answered:
-        return _render(_Facts(folder, record, answered))
+        return _render(_Facts(folder, record, answered), films or {})
 
 
-def _render(facts: "_Facts") -> str:
+def _render(facts: "_Facts", films: Mapping[int, Path]) -> str:
     return render(
         "sweep.html",
         kind="sweep",
@@ -124,6 +158,7 @@ def _render(facts: "_Facts") -> str:
         maps=_maps(facts),
         distributions=_distributions(facts),
         worst=_worst(facts),
+        films=_films(facts, films),
         commands=_commands(facts),
         failed=_failed(facts),
         settings=_settings(facts.record),
@@ -390,7 +425,7 @@ def _worst_runs(facts: _Facts) -> tuple[tuple[Any, ...], ...]:
         rule = f"WHERE {facts.error.name} IS NOT NULL ORDER BY {facts.error.name} DESC, run"
     return facts.rows(
         f"SELECT run, scenario, controller, severity, seed, element, {facts.error.name}, t90_s,"
-        f" recovered FROM runs {rule} LIMIT {_WORST}"
+        f" recovered FROM runs {rule} LIMIT {MOST_FILMS}"
     )
 
 
@@ -418,6 +453,21 @@ def _worst(facts: _Facts) -> Table:
         rows=rows,
         words=4,
     )
+
+
+def _films(facts: _Facts, films: Mapping[int, Path]) -> list[Film]:
+    """The films that there are, in the order of the table."""
+    return [
+        Film(
+            data=Markup(base64.b64encode(film_bytes(films[run], _FILM)).decode()),
+            still=base64.b64encode(still_bytes(films[run])).decode(),
+            file=films[run].name,
+            text=f"Run {run}: {scenario} {_scaled(severity)}, {controller}, seed {seed}"
+            + (f", of the {element} alone" if element else ""),
+        )
+        for run, scenario, controller, severity, seed, element, *_ in _worst_runs(facts)
+        if run in films
+    ]
 
 
 def _commands(facts: _Facts) -> list[str]:

@@ -1,0 +1,62 @@
+"""Films of the runs of a sweep that went worst."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from leglab.report.film import render_film
+from leglab.runs import record
+from leglab.runs.record import CONFIGURATION, RunConfiguration
+from leglab.runs.sweeps.engine import read_sweep, record_runs
+
+# A film shows so much before the machine changes, and so much in all, unless it is told [s].
+_BEFORE, LENGTH = 2.0, 8.0
+
+
+def film_runs(
+    folder: Path,
+    numbers: Sequence[int],
+    place: Path,
+    *,
+    start: float | None = None,
+    duration: float | None = None,
+    camera: str,
+    progress: Callable[[float], None] = lambda _: None,
+) -> dict[int, Path]:
+    """Makes single runs of a sweep again, with their recordings, and films them.
+
+    Args:
+        folder: Of the sweep; recordings go to `recordings` there.
+        numbers: Of the runs.
+        place: Where the films go, `run-NUMBER.mp4` each.
+        start: First second shown; None for two seconds before the change.
+        duration: Seconds shown; None for `LENGTH`.
+        camera: Name of a camera of the models.
+        progress: Called with the share that is done.
+
+    Returns:
+        The films by the numbers of their runs.
+
+    Raises:
+        LeglabError: A run fails without a recording, or as `leglab.report.film.render_film`.
+    """
+    plan, films = read_sweep(folder).plan, {}
+    for done, number in enumerate(numbers):
+        (recorded,) = record_runs(plan, folder, [number])
+        first = start
+        if first is None:
+            told = record.read(RunConfiguration, recorded / CONFIGURATION)
+            changes = [change.start for change in told.changes]
+            first = max(min(changes, default=0.0) - _BEFORE, 0.0)
+
+        def tell(share: float, done: int = done) -> None:
+            progress((done + share) / len(numbers))
+
+        films[number] = render_film(
+            [recorded],
+            place / f"run-{number}.mp4",
+            start=first,
+            duration=LENGTH if duration is None else duration,
+            camera=camera,
+            progress=tell,
+        )
+    return films
