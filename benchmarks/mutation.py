@@ -21,7 +21,12 @@ import pytest
 import results
 
 ROOT = Path(__file__).parents[1]
-_JUDGING = ("tests/test_diagnosis_judging.py", "tests/test_diagnosis_parts.py")
+_JUDGING = (
+    "tests/test_diagnosis_judging.py",
+    "tests/test_diagnosis_rough_judging.py",
+    "tests/test_diagnosis_challenge.py",
+    "tests/test_diagnosis_discrepancy.py",
+)
 MODULES = {
     "leglab.runs.metrics": ("tests/test_metrics.py",),
     "leglab.runs.clock": ("tests/test_clock.py",),
