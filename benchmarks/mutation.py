@@ -22,6 +22,7 @@ import results
 
 ROOT = Path(__file__).parents[1]
 _JUDGING = (
+    "tests/test_diagnosis_judging_figures.py",
     "tests/test_diagnosis_judging.py",
     "tests/test_diagnosis_rough_judging.py",
     "tests/test_diagnosis_challenge.py",

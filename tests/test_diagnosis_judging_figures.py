@@ -1,19 +1,39 @@
 """Figures of the judging against closed forms, brute force and scipy."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
 
-from leglab.diagnosis import judging
+from leglab.diagnosis import judging, naming
 from leglab.diagnosis.judging import (
+    accepted,
     beyond_specimens,
+    earns,
     posterior,
     preferences,
     rarely_but_surely,
     t_value,
     within_library,
 )
-from leglab.diagnosis.thresholds import Thresholds
+from leglab.diagnosis.model import Machine
+from leglab.diagnosis.thresholds import DEFAULT, Thresholds
+from tests.diagnosis_sketch import (
+    ASYMMETRIC,
+    COULOMB,
+    MACHINE,
+    OFFSET,
+    VISCOUS,
+    WINDOWS,
+    a_gap,
+    a_round,
+    a_search,
+    a_sketch,
+    contender,
+    ripple,
+    rough_ties,
+)
 
 
 @pytest.mark.parametrize("count", [2, 3, 40])
@@ -134,3 +154,134 @@ def test_the_jackknife_leaves_out_each_recording_once(weighed, recordings):
     variance = (recordings - 1) / recordings * (spread**2).sum(axis=0)
     wanted = stats.t.ppf(0.975, recordings - 1) * np.sqrt(variance)
     np.testing.assert_allclose(found, wanted, rtol=1e-9)
+
+
+# Acceptance and names, on costs that are given.
+
+
+@pytest.fixture
+def sketch(monkeypatch):
+    return a_sketch(monkeypatch)
+
+
+@pytest.mark.parametrize(("level", "least"), [(1.5, 1.0), (31.0, 30.0)])
+def test_a_gain_must_matter_beside_what_is_open(sketch, level, least):
+    """An effect must save a share of what is open beyond noise, and of a noise variance."""
+    needed = DEFAULT.worthwhile * least
+    for factor, right in ((1.02, True), (0.98, False)):
+        base = np.full(WINDOWS, level)
+        found = contender(sketch.library, OFFSET, base - ripple(factor * needed, size=1e-3))
+        assert accepted(sketch, a_round([found], base), found) is right
+
+
+@pytest.mark.parametrize(("few", "right"), [(3, True), (4, False)])
+def test_three_windows_held_out_are_too_few_to_speak(sketch, few, right):
+    sketch.held = np.arange(WINDOWS) >= WINDOWS - few
+    base = np.full(WINDOWS, 10.0)
+    saved = np.where(sketch.held, -0.5, 5.0) + ripple(0.0, size=0.01)
+    found = contender(sketch.library, OFFSET, base - saved)
+    assert accepted(sketch, a_round([found], base), found) is right
+    offset = contender(sketch.library, ASYMMETRIC, base - saved)
+    simple = contender(sketch.library, VISCOUS, base)
+    assert earns(sketch, offset, simple) is right
+
+
+def exact(problem, named, contenders=()):
+    return naming.judge_exact(a_search(problem, named, contenders), np.random.default_rng(0))
+
+
+def test_contributions_and_confidence_of_an_exact_model(sketch):
+    both = frozenset([OFFSET, VISCOUS])
+    sketch.costs |= {
+        frozenset(): 30.0,
+        frozenset([OFFSET]): 11.0,
+        frozenset([VISCOUS]): 21.0,
+        both: 1.5,
+    }
+    said, effects, _ = exact(sketch, [OFFSET, VISCOUS])
+    assert said == "named"
+    # What the machine without it leaves beyond noise, the larger contribution first.
+    assert [(e.name, e.contribution) for e in effects] == [
+        ("force_offset", pytest.approx((21.0 - 1.5) / (21.0 - 1.0))),
+        ("viscous_friction", pytest.approx((11.0 - 1.5) / (11.0 - 1.0))),
+    ]
+    assert [e.confidence for e in effects] == [1.0, 1.0]
+    sketch.costs[both] = 4.0
+    said, effects, _ = exact(sketch, [OFFSET, VISCOUS])
+    assert said == "partial"
+    wanted = DEFAULT.explained / 4.0 * (30.0 - 4.0) / (30.0 - 1.0)
+    assert [e.confidence for e in effects] == [pytest.approx(wanted)] * 2
+    # Costs below that of noise are no gap that could be closed.
+    sketch.costs |= {both: 1.0, frozenset([OFFSET]): 1.0, frozenset([VISCOUS]): 0.9}
+    _, effects, _ = exact(sketch, [OFFSET, VISCOUS])
+    assert [e.contribution for e in effects] == [0.0, 0.0]
+
+
+def test_one_effect_that_is_not_told_apart_makes_a_confusion_set(sketch):
+    sketch.costs |= {
+        frozenset(): 30.0,
+        frozenset([OFFSET]): 9.0,
+        frozenset([VISCOUS]): 9.0,
+        frozenset([OFFSET, VISCOUS]): 1.0,
+    }
+    own = ripple(1.0)
+    tried = [contender(sketch.library, k, own) for k in (OFFSET, COULOMB)]
+    sure = [contender(sketch.library, VISCOUS, own)]
+    found = a_search(sketch, [OFFSET, VISCOUS])
+    found = replace(found, checks={OFFSET: tuple(tried), VISCOUS: tuple(sure)})
+    said, effects, _ = naming.judge_exact(found, np.random.default_rng(0))
+    assert said == "confusion_set"
+    ties = {e.name: e.indistinguishable_from for e in effects}
+    assert ties == {"force_offset": ("coulomb_friction",), "viscous_friction": ()}
+    gap = a_gap(unnamed=10.0)
+    level = {frozenset(): 10.0, frozenset([OFFSET]): 6.0, frozenset([VISCOUS]): 6.0}
+    rough = naming.judge_rough(found, gap, lambda hypothesis: level[frozenset(hypothesis)])
+    assert rough[0] == "confusion_set"
+
+
+def test_the_round_in_which_an_effect_did_best_says_what_it_is_told_apart_from(sketch):
+    """An early round lacked the other effects: both cost much there, and alike."""
+    early = [contender(sketch.library, k, ripple(20.0)) for k in (OFFSET, COULOMB)]
+    late = [contender(sketch.library, k, c) for k, c in ((OFFSET, 1.0), (COULOMB, 9.0))]
+    found = a_search(sketch, [OFFSET])
+    found = replace(found, rounds=(a_round(early), a_round(late)))
+    assert rough_ties(found, OFFSET)[0] == ()
+    assert rough_ties(found, OFFSET)[1] > 0.95
+
+
+def test_late_commands_and_late_sensors_are_one_where_no_third_signal_is(sketch):
+    key = ("sensor_delay", "hinge")
+    assert naming.twins(sketch, key) == ("command_delay",)
+    found = a_search(sketch, [key])
+    assert rough_ties(found, key) == (("command_delay",), 0.5)
+
+
+def test_half_widths_allow_for_laws_that_are_not_the_models(sketch):
+    site = sketch.library.sites[ASYMMETRIC]
+    values = site.nominal + np.arange(1.0, 5.0)
+    half = naming._allowing_for_structure(sketch, ASYMMETRIC, values, np.full(4, 0.3))
+    for width, change, parameter in zip(half, np.arange(1.0, 5.0), site.parameters, strict=True):
+        further = 1.96 * DEFAULT.rough_size * change if parameter.role == "strength" else 0.0
+        assert width == pytest.approx(np.hypot(0.3, further))
+    less = naming._allowing_for_structure(sketch, ASYMMETRIC, site.nominal - 2.0, np.full(4, 0.3))
+    assert max(less) == pytest.approx(np.hypot(0.3, 1.96 * DEFAULT.rough_size * 2.0))
+
+
+FOLDED = """
+<mujoco><worldbody><body name="upper"><joint name="shoulder" axis="0 1 0"/>
+<geom type="sphere" size=".05" pos="1 0 0" mass="3"/>
+<body name="lower" pos="1 0 0"><joint name="elbow" axis="0 1 0"/>
+<geom type="sphere" size=".01" pos="-1 0 0" mass="1"/></body></body>
+<body name="other" pos="0 2 0"><joint name="lonely" axis="0 1 0"/>
+<geom type="sphere" size=".05" pos="1 0 0" mass="3"/></body></worldbody>
+<actuator><motor name="a" joint="shoulder"/><motor name="b" joint="elbow"/>
+<motor name="c" joint="lonely"/></actuator></mujoco>
+"""
+
+
+def test_joints_that_feel_each_other_at_some_pose_only_are_coupled(tmp_path):
+    path = tmp_path / "folded.xml"
+    path.write_text(FOLDED)
+    machine = Machine(str(path))
+    assert naming.coupled_joints(machine) == ("shoulder", "elbow")
+    assert naming.coupled_joints(MACHINE) == ()
