@@ -19,6 +19,7 @@ from leglab.diagnosis.judging import (
 )
 from leglab.diagnosis.model import Machine
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
+from leglab.diagnosis.windows import Channel
 from tests.diagnosis_sketch import (
     ASYMMETRIC,
     COULOMB,
@@ -254,17 +255,27 @@ def test_late_commands_and_late_sensors_are_one_where_no_third_signal_is(sketch)
     assert naming.twins(sketch, key) == ("command_delay",)
     found = a_search(sketch, [key])
     assert rough_ties(found, key) == (("command_delay",), 0.5)
+    pressure = Channel(column="hinge_pressure_a", joint="hinge", chamber="a")
+    sketch.channels = (*sketch.channels, pressure)
+    assert naming.twins(sketch, key) == ()
 
 
-def test_half_widths_allow_for_laws_that_are_not_the_models(sketch):
-    site = sketch.library.sites[ASYMMETRIC]
-    values = site.nominal + np.arange(1.0, 5.0)
-    half = naming._allowing_for_structure(sketch, ASYMMETRIC, values, np.full(4, 0.3))
-    for width, change, parameter in zip(half, np.arange(1.0, 5.0), site.parameters, strict=True):
-        further = 1.96 * DEFAULT.rough_size * change if parameter.role == "strength" else 0.0
+@pytest.mark.parametrize("key", [("backlash", "hinge"), VISCOUS, ASYMMETRIC])
+def test_half_widths_allow_for_laws_that_are_not_the_models(sketch, key):
+    """By a share of the change of each strength; what is a shape keeps its own."""
+    site = sketch.library.sites[key]
+    change = np.array([-2.0, 0.7, 3.0, 1.0])[: len(site.parameters)]
+    own = np.full(len(change), 0.3)
+    half = naming._allowing_for_structure(sketch, key, site.nominal + change, own)
+    for width, by, parameter in zip(half, change, site.parameters, strict=True):
+        further = 1.96 * DEFAULT.rough_size * abs(by) if parameter.role == "strength" else 0.0
         assert width == pytest.approx(np.hypot(0.3, further))
-    less = naming._allowing_for_structure(sketch, ASYMMETRIC, site.nominal - 2.0, np.full(4, 0.3))
-    assert max(less) == pytest.approx(np.hypot(0.3, 1.96 * DEFAULT.rough_size * 2.0))
+
+
+def test_no_effect_closes_more_than_all(sketch):
+    sketch.costs |= {frozenset(): 30.0, frozenset([OFFSET]): 0.5}
+    _, (effect,), _ = exact(sketch, [OFFSET])
+    assert effect.contribution == 1.0
 
 
 FOLDED = """
