@@ -23,6 +23,7 @@ from leglab.diagnosis.windows import Channel
 from tests.diagnosis_sketch import (
     ASYMMETRIC,
     COULOMB,
+    LIBRARY,
     MACHINE,
     OFFSET,
     VISCOUS,
@@ -35,6 +36,7 @@ from tests.diagnosis_sketch import (
     ripple,
     rough_ties,
 )
+from tests.test_diagnosis_judging import linear
 
 
 @pytest.mark.parametrize("count", [2, 3, 40])
@@ -155,6 +157,20 @@ def test_the_jackknife_leaves_out_each_recording_once(weighed, recordings):
     variance = (recordings - 1) / recordings * (spread**2).sum(axis=0)
     wanted = stats.t.ppf(0.975, recordings - 1) * np.sqrt(variance)
     np.testing.assert_allclose(found, wanted, rtol=1e-9)
+
+
+def test_windows_that_err_much_weigh_less_in_intervals():
+    """A window of mean square c weighs limit / c where that is beyond the limit, else 1."""
+    problem, fit, _ = linear(LIBRARY, np.random.default_rng(4))
+    fit.at.residual[0] *= 10.0
+    plain = judging._sums(problem, fit, fit.at, 1e-3)
+    problem.thresholds = replace(problem.thresholds, robust_limit=3.0)
+    robust = judging._sums(problem, fit, fit.at, 1e-3)
+    weight = 3.0 / np.maximum(np.mean(fit.at.residual**2, axis=1), 3.0)
+    assert weight[0] < 0.1
+    assert weight[1:].min() == 1.0
+    np.testing.assert_allclose(robust[0], weight[:, None, None] * plain[0])
+    np.testing.assert_allclose(robust[1], weight[:, None] * plain[1])
 
 
 # Acceptance and names, on costs that are given.
