@@ -216,7 +216,8 @@ def _moments(
     loop = make_loop(settings, preparation=preparation, scenario=scenario)
     controller = loop.controller
     assert isinstance(controller, AdaptiveController)
-    learning, sums = controller.adaptation, None
+    learning = controller.adaptation
+    sums = Moments(*np.atleast_2d(learning.learner.parameters).shape)
     start = round(_SETTLED * period / loop.period)
     with headless(loop.simulation.model):
         for k in range(loop.count):
@@ -224,12 +225,9 @@ def _moments(
             if k == start:
                 learning.keep(_SAMPLES)
             if learning.kept_count() == _SAMPLES or (k == loop.count - 1):
-                rows = learning.kept()
-                own = Moments.of(rows[..., :-3], rows[..., -3], rows[..., -1])
-                sums = own if sums is None else sums + own
+                sums.add(learning.kept())
     loop.close()
     loop.simulation.check()
-    assert sums is not None
     return sums
 
 
