@@ -54,9 +54,7 @@ class Bank:
     def fit(self, moments: Moments, weight: Array, out: Array) -> float:
         """Writes size, spread and cost, (3, curves); returns the cost without any fault."""
 
-    def chances(
-        self, cost: Array, correlation: float, independent: float, out: Array
-    ) -> None:
+    def chances(self, cost: Array, correlation: float, independent: float, out: Array) -> None:
         """Writes the probability of every key, (keys,); 0 independent errors count noise alone."""
 
 class Monitor:
@@ -87,5 +85,22 @@ class Monitor:
     def regressors_before(self) -> Array:
         """Regressors of the blocks before the case's onset, (n, joints, parameters)."""
 
-    def look(self, bank: Bank) -> tuple[int, float, float, float, float, float]:
-        """Asks a bank: curve, size, spread, cost, cost without any fault, chance of its key."""
+    def sum(self, samples: int = ...) -> bool:
+        """Adds so many waiting samples of the case to its sums; returns whether none waits."""
+
+    def begin_look(self, bank: Bank) -> None:
+        """Begins to fit a bank to the sums as they are now.
+
+        Raises:
+            ValueError: No case is open, or the bank is of another size.
+        """
+
+    def look(self, curves: int = ...) -> bool:
+        """Fits so many curves more; returns whether all are fitted."""
+
+    def finding(self) -> tuple[int, float, float, float, float, float]:
+        """The look's best curve, size, spread, cost, cost without any fault, chance of its key.
+
+        Raises:
+            ValueError: The look is not done.
+        """

@@ -162,7 +162,8 @@ class _Case:
     base: np.ndarray
     bank: FaultBank
     look: int = 0
-    # Times of looks; squared errors of the map before the change until then, and samples, (joints,).
+    # Times of looks, and until then squared errors of the map before the change and samples, each
+    # (joints,).
     errors: list[tuple[float, np.ndarray, np.ndarray]] = field(default_factory=list)
     shift: np.ndarray | None = None
     size: float = 0.0
@@ -252,6 +253,7 @@ class FaultMonitor:
             ValueError: Arrays have other shapes.
         """
         opens = self._core.take(time, samples, parameters)
+        self._core.sum()
         if opens:
             base = self._core.base()
             bank = self._standings.bank(base, self._core.regressors_before())
@@ -305,7 +307,9 @@ class FaultMonitor:
     ) -> np.ndarray | None:
         """Asks the bank; parameters to be set, or None. Sets `gain` where it is to be changed."""
         config, bank = self._config, case.bank
-        best, size, spread, cost, without, chance = self._core.look(bank.core)
+        self._core.begin_look(bank.core)
+        self._core.look()
+        best, size, spread, cost, without, chance = self._core.finding()
         moments, normal = self._core.seen(), self._core.normal()
         power, count = moments.power, np.maximum(moments.count, 1.0)
         case.errors.append((time, power, moments.count))
@@ -316,9 +320,7 @@ class FaultMonitor:
             least = float(np.interp(time - case.onset, _GROWN, config.explained))
         evidence = (without - cost) / (2 * config.correlation)
         stands_out = (
-            explained >= least
-            and chance >= config.confidence
-            and evidence >= config.evidence
+            explained >= least and chance >= config.confidence and evidence >= config.evidence
         )
         if stands_out:
             curve = bank.curves[best]

@@ -199,10 +199,10 @@ class FaultMonitor {
                              std::to_string(settings_.most_samples))
                                 .c_str());
     }
-    const bool opens = core_.take(time, samples.data(), count, parameters.data());
-    core_.sum(core_.all);
-    return opens;
+    return core_.take(time, samples.data(), count, parameters.data());
   }
+
+  bool sum(int samples) { return core_.sum(samples); }
 
   Array base() const { return map(core_.base()); }
   Array normal() const {
@@ -227,8 +227,9 @@ class FaultMonitor {
     return array_of(std::move(out), {samples, joints, parameters});
   }
 
-  // Curve, size, spread, cost, cost without, chance.
-  std::tuple<int, double, double, double, double, double> look(const Bank& bank) {
+  // The look keeps the bank.
+  void begin_look(nb::object kept) {
+    const Bank& bank = nb::cast<const Bank&>(kept);
     if (!core_.open()) throw nb::value_error("no case is open");
     if (bank.joints() != joints_ || bank.parameters() != parameters_) {
       throw nb::value_error("monitor and bank differ in joints or parameters");
@@ -236,8 +237,18 @@ class FaultMonitor {
     if (bank.count() > settings_.most_curves || bank.keys() > settings_.most_keys) {
       throw nb::value_error("the bank has more curves than the monitor has room for");
     }
+    bank_ = std::move(kept);
     core_.begin_look(bank.curves(), bank.count(), bank.keys());
-    core_.look(core_.all);
+  }
+
+  bool look(int curves) {
+    if (!bank_.is_valid()) throw nb::value_error("no look was begun");
+    return core_.look(curves);
+  }
+
+  // Curve, size, spread, cost, cost without, chance.
+  std::tuple<int, double, double, double, double, double> finding() {
+    if (!look(0)) throw nb::value_error("the look is not done");
     const mon::Finding found = core_.finding();
     return {found.curve, found.size, found.spread, found.cost, found.without, found.chance};
   }
@@ -251,6 +262,7 @@ class FaultMonitor {
   mon::MonitorSettings settings_;
   int joints_, parameters_;
   mon::FaultMonitor<double> core_;
+  nb::object bank_;  // whose curves the look points to
 };
 
 }  // namespace
@@ -282,7 +294,10 @@ NB_MODULE(monitor, module) {
       .def("normal", &FaultMonitor::normal)
       .def("seen", &FaultMonitor::seen)
       .def("regressors_before", &FaultMonitor::regressors_before)
-      .def("look", &FaultMonitor::look, nb::arg("bank"));
+      .def("sum", &FaultMonitor::sum, nb::arg("samples") = mon::everything)
+      .def("begin_look", &FaultMonitor::begin_look, nb::arg("bank"))
+      .def("look", &FaultMonitor::look, nb::arg("curves") = mon::everything)
+      .def("finding", &FaultMonitor::finding);
 }
 
 }  // namespace leglab::bindings

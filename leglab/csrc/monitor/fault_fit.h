@@ -139,18 +139,38 @@ class FaultFit {
     const double* row = moments_->information(joint);
     const double* correlation = moments_->correlation(joint);
     Forms own;
-    for (int i = 0; i < parameters; row += parameters - i, ++i) {
+    const auto add = [&](int i, const double* image) {
       const double* shift = packed_.data() + i * number;
-      double image[number];
-      for (int k = 0; k < number; ++k) image[k] = 0.5 * row[0] * shift[k];
-      for (int j = 1; j < parameters - i; ++j) {
-        for (int k = 0; k < number; ++k) image[k] += row[j] * shift[j * number + k];
-      }
       for (int k = 0; k < number; ++k) {
         own.linear[k] += shift[k] * correlation[i];
         own.square[k] += shift[k] * image[k];
         if (k > 0) own.cross[k - 1] += shift[k - 1] * image[k] + shift[k] * image[k - 1];
       }
+    };
+    int i = 0;
+    for (; i + 1 < parameters; row += 2 * (parameters - i) - 1, i += 2) {
+      // Two rows of U at a time: each shift is read once for both.
+      const double* next = row + parameters - i - 1;
+      const double* shift = packed_.data() + i * number;
+      double image[number], image_next[number];
+      for (int k = 0; k < number; ++k) {
+        image[k] = 0.5 * row[0] * shift[k] + row[1] * shift[number + k];
+        image_next[k] = 0.5 * next[1] * shift[number + k];
+      }
+      for (int j = 2; j < parameters - i; ++j) {
+        for (int k = 0; k < number; ++k) {
+          image[k] += row[j] * shift[j * number + k];
+          image_next[k] += next[j] * shift[j * number + k];
+        }
+      }
+      add(i, image);
+      add(i + 1, image_next);
+    }
+    if (i < parameters) {
+      const double* shift = packed_.data() + i * number;
+      double image[number];
+      for (int k = 0; k < number; ++k) image[k] = 0.5 * row[0] * shift[k];
+      add(i, image);
     }
     for (int k = 0; k < number; ++k) {
       sum.linear[k] += weight * own.linear[k];

@@ -33,14 +33,15 @@ struct Finding {
   double chance = 0.0;  // of its fault and element among all
 };
 
+// Samples or curves that are taken at once where time does not matter.
+constexpr int everything = std::numeric_limits<int>::max();
+
 // Takes blocks of samples. With an alarm it opens a case: samples from the onset on are summed up,
 // and `look` asks a bank what happened. Sums and looks are made in pieces as small as there is
 // time for, with the same results.
 template <class Shift>
 class FaultMonitor {
  public:
-  static constexpr int all = std::numeric_limits<int>::max();
-
   FaultMonitor(int joints, int parameters, const MonitorSettings& settings)
       : settings_(settings), watch_(joints, settings.watch),
         recent_(joints, parameters, settings.blocks, settings.most_samples),
@@ -76,7 +77,7 @@ class FaultMonitor {
   // `most_samples`, and the map then, (joints, parameters). Returns whether it opens a case.
   bool take(double time, const double* samples, int count, const double* parameters) {
     // What waits is summed up before it is overwritten.
-    if (open_ && recent_.end() - waiting_ == recent_.blocks()) sum_block(all);
+    if (open_ && recent_.end() - waiting_ == recent_.blocks()) sum_block(everything);
     recent_.push(time, samples, count, parameters);
     measure(samples, count);
     const bool alarm = watch_.take(time, mean_.data(), used_.data());

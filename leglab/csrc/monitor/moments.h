@@ -87,7 +87,9 @@ class Moments {
     double* __restrict correlation = correlation_.data() + joint * parameters_;
     for (int i = 0; i < parameters_; sum += parameters_ - i, ++i) {
       double own[rows];
-      for (int k = 0; k < rows; ++k) own[k] = x[k][i];
+      bool shown = false;
+      for (int k = 0; k < rows; ++k) shown |= (own[k] = x[k][i]) != 0.0;
+      if (!shown) continue;  // of a spline, whose parameters are elsewhere most of the time
       for (int j = i; j < parameters_; ++j) {
         double value = sum[j - i];
         for (int k = 0; k < rows; ++k) value += own[k] * x[k][j];
