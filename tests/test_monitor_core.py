@@ -170,6 +170,39 @@ def test_monitor_is_that_of_numpy():
     assert looks > 50
 
 
+def test_changes_that_hardly_show_among_bursts_are_noticed_when_numpy_does():
+    """Errors alone: they burst now and then, at times before an alarm is allowed, and grow.
+
+    One joint is seen later than the others.
+    """
+    onsets = []
+    for seed in range(30):
+        rng = np.random.default_rng(100 + seed)
+        core, plain = Monitor(JOINTS, 1, SETTINGS), oracle.Monitor(JOINTS, SETTINGS, 400)
+        core.reset(400)
+        growth = 1.0 + rng.uniform(1.0, 5.0, JOINTS) * (rng.random(JOINTS) < 0.5)
+        time = 0.0
+        while time < 12.0 and not core.open:
+            count = int(rng.integers(1, 11))
+            time += count * SETTINGS["sample_period"]
+            samples = np.zeros((count, JOINTS, 4))
+            level = 2.0 if time % 1.3 < 0.2 else 1.0
+            samples[..., 2] = level * rng.standard_normal((count, JOINTS))
+            samples[..., 2] *= growth if time > 6.0 else 1.0
+            samples[..., 3] = 1.0
+            samples[:, 1] *= time > 3.0
+            if seed % 3 == 0 and 1.0 < time < 1.3:
+                samples[..., 2] *= 4.0
+            block = time, samples, np.zeros((JOINTS, 1))
+            assert core.take(*block) == plain.take(*block)
+            np.testing.assert_allclose(core.normal(), plain.watch.normal, rtol=1e-12)
+        if core.open:
+            assert core.onset == plain.onset
+            onsets.append(core.onset)
+    assert 5 < len(onsets) < 30
+    assert sum(onset > 5.9 for onset in onsets) > 5
+
+
 @pytest.mark.parametrize(("samples", "curves"), [(1, 1), (4, 2), (13, 3)])
 def test_in_pieces_all_is_as_at_once(samples, curves):
     """One monitor sums and looks a little after each block, as long as it takes."""
