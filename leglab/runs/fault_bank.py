@@ -169,7 +169,7 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
     drawn = _solve(healthy.about(base))
     joints = preparation.nominal.joints
     curves = []
-    for fault, element, faults in _cases(joints):
+    for fault, element, faults in cases(joints):
         shifts, sizes = [np.zeros_like(base)], [faults.healthy]
         for size in faults.sizes:
             joint = None if element == ALL else element
@@ -194,7 +194,8 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
     return FaultBank(curves=tuple(curves))
 
 
-def _cases(joints: tuple[str, ...]) -> Iterator[tuple[str, str, Faults]]:
+def cases(joints: tuple[str, ...]) -> Iterator[tuple[str, str, Faults]]:
+    """Faults of the bank with the element that has each: a joint by name, or "all"."""
     for fault, sides in FAULTS.items():
         for faults in sides:
             yield fault, ALL, faults
