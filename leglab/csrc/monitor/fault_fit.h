@@ -131,9 +131,10 @@ class FaultFit {
   }
 
   // With the upper triangle U of G, its diagonal halved, G = U + U': D G D = 2 D U D and
-  // D_1 G D_2 = D_1 U D_2 + D_2 U D_1. So one half of G is multiplied once a node.
+  // D_1 G D_2 = D_1 U D_2 + D_2 U D_1. So one half of G is multiplied once a node. Not inlined: the
+  // sums would lack registers.
   template <int number>
-  void add_forms(int joint, Forms& sum) const {
+  [[gnu::noinline]] void add_forms(int joint, Forms& sum) const {
     const int parameters = moments_->parameters();
     const double weight = weight_[std::size_t(joint)];
     const double* row = moments_->information(joint);
