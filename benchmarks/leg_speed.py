@@ -3,7 +3,8 @@
 The step of leg.xml against the same leg with native motors on the same tendons, and the closed
 loop against real time, with PD and with six adaptive identifiers. Measurements alternate and each
 figure is its best burst, so that other work on the machine disturbs both sides alike; the median
-says how much it did.
+says how much it did. Runs of the loop are longer than a quiet moment of a shared machine: their
+ratio to `pd` is the median of those to the run of `pd` in the same turn.
 """
 
 import argparse
@@ -56,13 +57,23 @@ def step_times(bursts: int, *, visual: bool, moving: bool) -> dict[str, float]:
 
 
 def loop_speeds(rounds: int, duration: float) -> dict[str, dict[str, float]]:
-    """Closed loop, 1 ms step, 2 ms control period: runs of the controllers take turns."""
+    """Closed loop, 1 ms step, 2 ms control period: runs of the controllers take turns.
+
+    The monitor of faults waits for 7.6 s: shorter runs show no alarm, no looks and no slow wear.
+    """
     factors: dict[str, list[float]] = {name: [] for name in ASKED}
     for _ in range(rounds):
         for name, found in factors.items():
             settings = RunSettings(scenario="seal_wear", controller=name, duration=duration)
             found.append(run_scenario(settings).metrics["real_time_factor"])
-    return {n: {"best": max(f), "median": statistics.median(f)} for n, f in factors.items()}
+    return {
+        name: {
+            "best": max(found),
+            "median": statistics.median(found),
+            "of_pd": statistics.median(np.divide(found, factors["pd"])),
+        }
+        for name, found in factors.items()
+    }
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
@@ -80,19 +91,18 @@ def tables(found: dict[str, Any]) -> str:
         (label, *(results.number(row[k]) for k in (*MODELS, "ratio")), "at most 2.0")
         for label, row in found["step_us"].items()
     ]
-    pd = found["loop"]["pd"]["best"]
     loop = [
         (
             f"`{name}`",
             f"{factor['best']:.0f}",
             f"{factor['median']:.0f}",
             ASKED[name],
-            f"{1 - factor['best'] / pd:.0%}",
+            f"{factor['of_pd']:.2f}",
         )
         for name, factor in found["loop"].items()
     ]
     times = "times real time, best", "median"
-    head = ("closed loop of the leg", *times, "asked", "of its time beyond PD's")
+    head = ("closed loop of the leg", *times, "asked", "of the speed of `pd`")
     return "\n".join(
         (
             results.table(("one step", "`leg`, µs", "`leg_motor`, µs", "ratio", "asked"), step),
@@ -105,8 +115,8 @@ def main() -> None:
     """Measures, or prints what is kept."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--bursts", type=int, default=200, help=f"of {STEPS} steps")
-    parser.add_argument("--rounds", type=int, default=30, help="runs of each controller")
-    parser.add_argument("--duration", type=float, default=6.0, help="of a run [s]")
+    parser.add_argument("--rounds", type=int, default=12, help="runs of each controller")
+    parser.add_argument("--duration", type=float, default=20.0, help="of a run [s]")
     results.main(parser, measure, tables)
 
 

@@ -1,10 +1,12 @@
-"""Cycles of `bsnn_arx` on a Cortex-M7: `python benchmarks/microcontroller.py`.
+"""Cycles of `bsnn_arx_bank` on a Cortex-M7: `python benchmarks/microcontroller.py`.
 
-Builds the controller of the whole leg (`tests/microcontroller/leg.cc`, the same C++ core that the
-simulation runs, in double precision) with the ARM compiler, runs it in an emulator (Unicorn, which
-is QEMU's) and counts the instructions that a control period executes, by kind. An emulator knows no
-cycles: they are an upper bound by `CYCLES`, each instruction alone and none beside another, as from
-memory without wait states (tightly coupled memory or warm caches).
+Builds the controller of the whole leg with the monitor that names faults
+(`tests/microcontroller/leg.cc`: the same C++ core that the simulation runs, in double precision)
+with the ARM compiler, runs it in an emulator (Unicorn, which is QEMU's) and counts the instructions
+that a control period executes, by kind. An emulator knows no cycles: they are an upper bound by
+`CYCLES`, each instruction alone and none beside another, as from memory without wait states
+(tightly coupled memory or warm caches). What the monitor finds there is held against what it finds
+here.
 """
 
 import argparse
@@ -20,19 +22,39 @@ from typing import Any
 import numpy as np
 import results
 
+from leglab._native.monitor import Monitor
+from leglab.control.feedforward.fault_bank import FaultBank, FaultCurve
+from leglab.control.feedforward.fault_monitor import MonitorConfiguration
 from leglab.control.feedforward.inverse_map import InverseMap
 from leglab.control.feedforward.motion import smoothing_kernel
 from leglab.controllers.bsnn_arx import AdaptiveConfiguration
+from leglab.runs.fault_bank import cases
+
+# What the emulator calls beside `setup`, and parts of the monitor.
+_MONITOR = {
+    "take_block": "takes a block of five samples (every tenth period)",
+    "sum_sample": "sums a sample of an open case",
+    "begin_look": "begins a look",
+    "fit_curve": "fits one curve of a look",
+    "find": "the odds of all, after a look",
+}
+_CALLED = ("plant", "period", *_MONITOR)
 
 COMPILER = "arm-none-eabi-g++"
 FLAGS = [
     "-std=c++20", "-O3", "-mcpu=cortex-m7", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv5-d16",
     "-ffreestanding", "-fno-exceptions", "-fno-rtti", "-fno-threadsafe-statics", "-Wall",
     "-Wextra", "--specs=nosys.specs", "-nostartfiles", "-Wl,--gc-sections",
-    "-Wl,-u,plant,-u,period,-e,setup", "-Wl,-Ttext=0x10000", "-Wl,--no-warn-rwx-segments",
+    *(f"-Wl,-u,{name}" for name in _CALLED), "-Wl,-e,setup",
+    "-Wl,-Ttext=0x10000", "-Wl,--no-warn-rwx-segments",
 ]  # fmt: skip
 JOINTS, CLOCK, RATE = 6, 400e6, 500.0  # Hz, Hz
-PERIODS, SETTLED = 600, 200
+# Control periods, those that are not counted, and the one at which the machine changes.
+PERIODS, SETTLED, FAULT_AT = 480, 200, 330
+# Of the monitor: learned samples in a block; samples of an open case that are summed up and curves
+# of a look that are fitted in a period that does not learn.
+BLOCK, SUMMED, FITTED = 5, 2, 2
+MOST_CURVES, MOST_NODES = 96, 8  # as in the program
 
 # Cycles of an instruction from its start until its result can be used: those that LLVM schedules
 # double precision by (ARMScheduleM7.td, llvm.org), and choices on the safe side for the rest. Every
@@ -107,10 +129,10 @@ class Machine:
         self._kinds = _listing(elf)
         self._cpu = cpu = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB)
         cpu.ctl_set_cpu_model(arm.UC_CPU_ARM_CORTEX_M7)
-        cpu.mem_map(0, 0x200000)
+        cpu.mem_map(0, 0x400000)
         for address, content in _segments(elf):
             cpu.mem_write(address, content)
-        self._end = 0x1FF000
+        self._end = 0x3FF000
         self.counts: Counter[tuple[int, int]] = Counter()
         cpu.hook_add(unicorn.UC_HOOK_BLOCK, self._count)
 
@@ -120,13 +142,13 @@ class Machine:
     def call(self, name: str) -> None:
         """Calls a function without arguments."""
         cpu, arm = self._cpu, self._arm
-        cpu.reg_write(arm.UC_ARM_REG_SP, 0x1F0000)
+        cpu.reg_write(arm.UC_ARM_REG_SP, 0x3F0000)
         cpu.reg_write(arm.UC_ARM_REG_LR, self._end | 1)
         cpu.emu_start(self.symbols[name] | 1, self._end)
 
-    def write(self, name: str, values: Any) -> None:
-        """Writes doubles to a variable."""
-        content = np.asarray(values, dtype="<f8").tobytes()
+    def write(self, name: str, values: Any, kind: str = "<f8") -> None:
+        """Writes numbers, by default doubles, to a variable."""
+        content = np.asarray(values, dtype=kind).tobytes()
         self._cpu.mem_write(self.symbols[name], content)
 
     def unsigned(self, name: str) -> int:
@@ -136,6 +158,14 @@ class Machine:
     def number(self, name: str) -> float:
         """A variable."""
         return float(struct.unpack("<d", self._cpu.mem_read(self.symbols[name], 8))[0])
+
+    def numbers(self, name: str, count: int) -> np.ndarray:
+        """Doubles of a variable."""
+        return np.frombuffer(self._cpu.mem_read(self.symbols[name], 8 * count), dtype="<f8")
+
+    def pointed(self, name: str, count: int) -> np.ndarray:
+        """Doubles that a variable points to."""
+        return np.frombuffer(self._cpu.mem_read(self.unsigned(name), 8 * count), dtype="<f8")
 
     def executed(self) -> Counter[str]:
         """Instructions by kind since `counts` was cleared."""
@@ -198,45 +228,45 @@ def _segments(elf: Path) -> list[tuple[int, bytes]]:
     return found
 
 
-def measure(options: argparse.Namespace) -> dict[str, Any]:
-    """Instructions and cycles of a period, with learning and without, and memory."""
+def measure(_options: argparse.Namespace) -> dict[str, Any]:
+    """Instructions and cycles of a period and of the monitor's parts, and memory."""
     with tempfile.TemporaryDirectory() as folder:
         elf = build(Path(folder))
         sizes = _tool("size", str(elf)).splitlines()[1].split()
         machine = Machine(elf)
         config = AdaptiveConfiguration()
-        shape = InverseMap(
+        inverse_map = InverseMap(
             JOINTS,
             config.rls,
             velocity_splines=config.velocity_splines,
             position_splines=config.position_splines,
             least_memory=config.least_memory,
-        ).settings
+        )
+        shape = inverse_map.settings
         machine.write("kernel", smoothing_kernel(config.window, 4, 1 / RATE))
         machine.write("velocity_knots", shape.features[0].basis.knots)  # type: ignore[union-attr]
         machine.write("position_knots", shape.features[1].basis.knots)  # type: ignore[union-attr]
         machine.write("prior", [2 / (s.upper - s.lower) for s in shape.inputs])
         machine.write("forgetting_factor", [shape.rls.forgetting_factor])
+        bank = bank_of(inverse_map.learner().parameters.shape[-1])
+        _hand_over(machine, bank)
         machine.call("setup")
-        rows: dict[str, list[Counter[str]]] = {"learns": [], "between": []}
-        errors = []
-        for k in range(options.periods):
-            machine.call("plant")
-            machine.counts.clear()
-            machine.call("period")
-            errors.append(machine.number("last_error"))
-            if k >= SETTLED:
-                # Every second period learns; the counter of the controller starts at 1.
-                rows["learns" if k % config.interval == config.interval - 1 else "between"].append(
-                    machine.executed()
-                )
+        rows, errors, differences = _run(machine, bank, config.interval)
+        if machine.unsigned("late_bytes"):
+            raise SystemExit("memory was taken after the setup")
+    nodes = sum(len(curve.sizes) - 1 for curve in bank.curves)
     found: dict[str, Any] = {
         "parameters": machine.unsigned("parameters"),
         "learner_bytes": machine.unsigned("learner_bytes"),
         "heap_bytes": machine.unsigned("heap_bytes"),
+        "monitor_bytes": machine.unsigned("monitor_bytes"),
+        "curves": len(bank.curves),
+        "sizes": nodes,
         "code_bytes": int(sizes[0]),
         "first_error": float(np.mean(errors[20:60])),
-        "last_error": float(np.mean(errors[-100:])),
+        "last_error": float(np.mean(errors[FAULT_AT - 100 : FAULT_AT])),
+        "looks": len(differences),
+        "difference": max(differences),
     }
     for name, counts in rows.items():
         worst = max(counts, key=_cycles)
@@ -244,8 +274,123 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
             "instructions": max(_instructions(c) for c in counts),
             "cycles": _cycles(worst),
             "kinds": {key: worst[key] for key in CYCLES},
+            "mean_cycles": float(np.mean([_cycles(c) for c in counts])),
         }
     return found
+
+
+def bank_of(parameters: int) -> FaultBank:
+    """A bank of the leg's dimensions: all faults, elements and sizes, with made-up shifts."""
+    rng = np.random.default_rng(1)
+    curves = []
+    for fault, element, faults in cases(tuple(f"joint_{j}" for j in range(JOINTS))):
+        sizes = np.array([faults.healthy, *faults.sizes])
+        shifts = 0.05 * rng.standard_normal((len(sizes), JOINTS, parameters)).astype(np.float32)
+        shifts[0] = 0.0
+        shifts = shifts.astype(float)
+        curves.append(
+            FaultCurve(fault=fault, element=element, meaning="", sizes=sizes, shifts=shifts)
+        )
+    return FaultBank(curves=tuple(curves))
+
+
+def _hand_over(machine: Machine, bank: FaultBank) -> None:
+    """Writes a bank to the program."""
+    sizes = np.zeros((MOST_CURVES, MOST_NODES))
+    for row, curve in zip(sizes, bank.curves, strict=False):
+        row[: len(curve.sizes)] = curve.sizes
+    machine.write("bank_sizes", sizes)
+    machine.write("bank_nodes", [len(curve.sizes) for curve in bank.curves])
+    machine.write("bank_group", bank.group)
+    machine.write("bank_curves", [len(bank.curves)], "<u4")
+    machine.write("bank_keys", [len(bank.keys)], "<u4")
+    machine.write("bank_shifts", np.concatenate([c.shifts[1:] for c in bank.curves]), "<f4")
+
+
+class _Twin:
+    """The monitor on this machine, with the samples of the emulated one."""
+
+    def __init__(self, machine: Machine, bank: FaultBank) -> None:
+        self._machine, self._bank = machine, bank
+        self._shape = JOINTS, machine.unsigned("parameters")
+        config = {**MonitorConfiguration().model_dump(), "slow_window": 100}
+        numbers = {"sample_period": 2 / RATE, "passing": 0.06, "blocks": 25, "most_samples": BLOCK}
+        self.core = Monitor(
+            *self._shape,
+            {**config, **numbers, "most_curves": MOST_CURVES, "most_keys": MOST_CURVES},
+        )
+        self.core.reset(150)
+
+    def take(self) -> None:
+        joints, parameters = self._shape
+        rows = self._machine.pointed("block_samples", BLOCK * joints * (parameters + 3))
+        learned = self._machine.numbers("block_parameters", joints * parameters)
+        self.core.take(
+            self._machine.number("time_now"),
+            rows.reshape(BLOCK, joints, -1),
+            learned.reshape(joints, parameters),
+        )
+
+    def difference(self) -> float:
+        """Of the findings of both, the largest against their own size or the cost without."""
+        here, there = np.array(self.core.finding()), self._machine.numbers("found", 6)
+        scale = np.abs(here)
+        scale[3] = here[4]  # what is left is a difference
+        return float(np.max(np.abs(here - there) / np.maximum(scale, 1e-3)))
+
+
+def _run(
+    machine: Machine, bank: FaultBank, interval: int
+) -> tuple[dict[str, list[Counter[str]]], list[float], list[float]]:
+    """Counts of every part, errors of the model, and how far the monitors' findings differ."""
+    names = ("learns", "between", *_MONITOR)
+    rows: dict[str, list[Counter[str]]] = {name: [] for name in names}
+    errors, differences = [], []
+    twin = _Twin(machine, bank)
+    looking = False
+
+    def call(name: str, kind: str) -> None:
+        machine.counts.clear()
+        machine.call(name)
+        rows[kind].append(machine.executed())
+
+    for k in range(PERIODS):
+        if k == FAULT_AT:
+            machine.write("plant_gain", [0.5])
+        machine.call("plant")
+        # Every second period learns; the counter of the controller starts at 1.
+        learns = k % interval == interval - 1
+        call("period", "learns" if learns else "between")
+        errors.append(machine.number("last_error"))
+        if learns:
+            continue
+        if machine.unsigned("kept") == BLOCK:
+            call("take_block", "take_block")
+            twin.take()
+        if not machine.unsigned("case_open"):
+            continue
+        for _ in range(SUMMED):
+            waits = not twin.core.sum(0)
+            machine.counts.clear()
+            machine.call("sum_sample")
+            twin.core.sum(1)
+            if waits:
+                rows["sum_sample"].append(machine.executed())
+        if not looking and machine.number("time_now") > machine.number("onset") + 0.09:
+            call("begin_look", "begin_look")
+            twin.core.begin_look(bank.core)
+            looking = True
+        for _ in range(FITTED if looking else 0):
+            call("fit_curve", "fit_curve")
+            if machine.unsigned("look_done"):
+                call("find", "find")
+                twin.core.look()
+                differences.append(twin.difference())
+                looking = False
+                break
+    for name in ("learns", "between"):
+        rows[name] = rows[name][SETTLED // interval :]
+    return rows, errors, differences
 
 
 def _instructions(counts: Counter[str]) -> int:
@@ -257,7 +402,7 @@ def _cycles(counts: Counter[str]) -> float:
 
 
 def tables(kept: dict[str, Any]) -> str:
-    """Periods with learning and without, worst ones; then memory."""
+    """Periods with learning and without, worst ones; the monitor's parts; memory."""
     budget = CLOCK / RATE
     head = [
         "period of six joints",
@@ -286,25 +431,41 @@ def tables(kept: dict[str, Any]) -> str:
     rows.append(["mean", f"{number:,.0f}", f"{mean:,.0f}", f"{mean / JOINTS:,.0f}", share])
     rows[-1] += [""] * len(CYCLES)
     cost = ["cycles an instruction", "", "", "", "", *(f"{c:g}" for c in CYCLES.values())]
+    parts = [
+        [
+            label,
+            f"{kept[name]['instructions']:,.0f}",
+            f"{kept[name]['cycles']:,.0f}",
+            f"{kept[name]['mean_cycles']:,.0f}",
+            f"{kept[name]['mean_cycles'] / JOINTS:,.0f}",
+            f"{100 * kept[name]['mean_cycles'] / budget:.0f} %",
+        ]
+        for name, label in _MONITOR.items()
+    ]
+    part_head = ["monitor", "instructions", "cycles at most", "in the mean", *head[3:5]]
     memory = [
         [f"learners, {JOINTS} of {kept['parameters']} parameters",
          f"{JOINTS * kept['learner_bytes'] / 1024:.0f}"],
-        ["the rest: windows, tables, settings", f"{kept['heap_bytes'] / 1024:.0f}"],
-        ["code and constants (flash)", f"{kept['code_bytes'] / 1024:.0f}"],
+        ["windows, tables, settings", f"{kept['heap_bytes'] / 1024:.0f}"],
+        ["monitor: half a second of samples, two sums", f"{kept['monitor_bytes'] / 1024:.0f}"],
+        ["flash: code and constants", f"{kept['code_bytes'] / 1024:.0f}"],
+        [f"flash: bank of {kept['curves']} curves, {kept['sizes']} sizes, in single precision",
+         f"{4 * kept['sizes'] * JOINTS * kept['parameters'] / 1024:.0f}"],
     ]  # fmt: skip
     learned = (
         "Mean error of the model, a joint, in share of full speed: "
         f"{kept['first_error'] / JOINTS:.2g} in the first 0.1 s of learning, "
-        f"{kept['last_error'] / JOINTS:.2g} at the end."
+        f"{kept['last_error'] / JOINTS:.2g} before the machine changes. What the monitor finds "
+        f"there differs by {kept['difference']:.1g} from what it finds here."
     )
     counted = results.table(head, [*rows, cost])
-    return "\n".join([counted, results.table(["memory", "KiB"], memory), learned])
+    monitored = results.table(part_head, parts)
+    return "\n".join([counted, monitored, results.table(["memory", "KiB"], memory), learned])
 
 
 def main() -> None:
     """Measures, or prints what is kept."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--periods", type=int, default=PERIODS, help="control periods to run")
     results.main(parser, measure, tables)
 
 

@@ -61,6 +61,11 @@ PARTS = {
         headers="feedforward",
         tests=("tests/test_feedforward_core.py",),
     ),
+    "monitor": Part(
+        module="monitor",
+        headers="monitor",
+        tests=("tests/test_monitor_core.py",),
+    ),
 }
 _CHANGES = (
     (r" \+ ", " - "), (r" - ", " + "), (r" \* ", " / "), (r" / ", " * "), (r" < ", " <= "),

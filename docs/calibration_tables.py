@@ -113,13 +113,16 @@ def made(name: str) -> tuple[Controller, set[str]]:
 
 
 def bank() -> FaultBank:
-    """In place of a bank of faults: one curve, which nothing that happens here will meet."""
+    """In place of a bank of faults: one curve, which nothing that happens here will meet.
+
+    It is of the parameters that the map of one joint has.
+    """
     curve = FaultCurve(
         fault="seal_wear",
         element="all",
         meaning="",
         sizes=np.array([1.0, 2.0]),
-        shifts=np.stack([np.zeros((1, 1)), np.ones((1, 1))]),
+        shifts=np.stack([np.zeros((1, 22)), np.ones((1, 22))]),
     )
     return FaultBank(curves=(curve,))
 

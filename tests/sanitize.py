@@ -19,7 +19,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 BUILD = ROOT / "build" / "sanitize"
 # After runs of `tests/sanitized_run.py`: hydraulics, plugins and wrong input to them, identifiers
-# and damaged states of them, the feed-forward, the rough bench.
+# and damaged states of them, the feed-forward, the monitor of faults, the rough bench.
 TESTS = (
     "tests/test_hydraulics_core.py",
     "tests/test_plugin_errors.py",
@@ -31,6 +31,7 @@ TESTS = (
     "tests/test_identification_storage.py",
     "tests/test_rough_bench.py",
     "tests/test_feedforward_core.py",
+    "tests/test_monitor_core.py",
 )
 _OURS = re.compile(r"(at|by) 0x.*(leglab::|libleglab_plugin|/_native/)")
 # Python finds the compiled modules of `folder` before those that are installed.

@@ -233,3 +233,36 @@ def test_a_time_step_that_never_ends_is_refused():
     for timestep in (1e-300, 5e-324, 1e-9):
         with pytest.raises(LeglabError, match="allowed: at least 2e-08 s, 100000 steps a control"):
             loop_timing(SensorConfiguration(), timestep)
+
+
+@pytest.mark.parametrize("way", ["same arrays", "new arrays", "new dictionary", "more", "integers"])
+def test_reports_are_recorded_however_a_controller_hands_them_out(way):
+    loop = Loop(RunSettings(scenario="nominal", controller="pd", model="knee_bench", duration=0.2))
+    number, told = np.zeros(1), {}
+
+    def diagnostics():
+        """The period's number and its square."""
+        nonlocal told
+        number[:] += 1.0
+        if way == "new dictionary":
+            told = {}
+        late = number[0] > 50
+        if way == "integers":
+            told.update(one=np.array([int(number[0])]), two=int(number[0]) ** 2)
+        elif not told or (way == "new arrays" and late):
+            told.update(one=number.copy(), two=number**2)
+        else:
+            told["one"][:] = number
+            told["two"][:] = number**2
+        if way == "more" and late:
+            told["three"] = number
+        return told
+
+    loop.controller.diagnostics = diagnostics
+    kept = loop.run().diagnostics
+    right = np.arange(1.0, len(kept["one"]) + 1)
+    assert len(right) > 90
+    np.testing.assert_array_equal(kept["one"][:, 0], right)
+    np.testing.assert_array_equal(kept["two"][:, 0], right**2)
+    if way == "more":
+        np.testing.assert_array_equal(kept["three"][:, 0], np.where(right > 50, right, np.nan))

@@ -226,6 +226,25 @@ def test_a_wrong_bank_does_no_harm(wrong, monkeypatch):
     assert loop.controller.events[-1].names[-1].fault == UNKNOWN
 
 
+def test_a_bank_in_single_precision_says_the_same(worn, monkeypatch):
+    """So a controller may keep its constants in half the memory."""
+    import leglab.runs.loop as module
+
+    def rounded(bank):
+        shifts = (c.shifts.astype(np.float32).astype(float) for c in bank.curves)
+        pairs = zip(bank.curves, shifts, strict=True)
+        return FaultBank(curves=tuple(replace(c, shifts=s) for c, s in pairs))
+
+    real = module.fault_bank
+    monkeypatch.setattr(module, "fault_bank", lambda *arguments: rounded(real(*arguments)))
+    loop, _, _ = run("bsnn_arx_bank")
+    (event,), (told,) = loop.controller.events, worn[0].controller.events
+    for name, right in zip(event.names, told.names, strict=True):
+        assert (name.fault, name.element, name.time) == (right.fault, right.element, right.time)
+        assert name.size == pytest.approx(right.size, rel=1e-4)
+        assert name.confidence == pytest.approx(right.confidence, abs=1e-3)
+
+
 def test_events_are_in_the_metrics_and_in_words():
     result = run_scenario(
         RunSettings(

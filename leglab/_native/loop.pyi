@@ -38,6 +38,17 @@ class Rows:
     def __init__(self, source: Array, index: NDArray[int64], rows: Array) -> None: ...
     def take(self, row: int) -> None: ...
 
+class Reports:
+    """Copies arrays (size,) of a dictionary into rows (most, size), while it holds the same ones.
+
+    Raises:
+        ValueError: A value of the dictionary is no array of numbers, or rows do not fit.
+    """
+
+    def __init__(self, reports: dict[str, Array], rows: list[Array]) -> None: ...
+    def take(self, reports: dict[str, Array], row: int) -> bool:
+        """Writes a row; False, and nothing written, where the dictionary holds others."""
+
 class Drives:
     """Writes commands, clipped to [-1, 1], into an array as centre + half x command."""
 

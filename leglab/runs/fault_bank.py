@@ -169,7 +169,7 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
     drawn = _solve(healthy.about(base))
     joints = preparation.nominal.joints
     curves = []
-    for fault, element, faults in _cases(joints):
+    for fault, element, faults in cases(joints):
         shifts, sizes = [np.zeros_like(base)], [faults.healthy]
         for size in faults.sizes:
             joint = None if element == ALL else element
@@ -194,7 +194,8 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
     return FaultBank(curves=tuple(curves))
 
 
-def _cases(joints: tuple[str, ...]) -> Iterator[tuple[str, str, Faults]]:
+def cases(joints: tuple[str, ...]) -> Iterator[tuple[str, str, Faults]]:
+    """Faults of the bank with the element that has each: a joint by name, or "all"."""
     for fault, sides in FAULTS.items():
         for faults in sides:
             yield fault, ALL, faults
@@ -216,7 +217,8 @@ def _moments(
     loop = make_loop(settings, preparation=preparation, scenario=scenario)
     controller = loop.controller
     assert isinstance(controller, AdaptiveController)
-    learning, sums = controller.adaptation, None
+    learning = controller.adaptation
+    sums = Moments(*np.atleast_2d(learning.learner.parameters).shape)
     start = round(_SETTLED * period / loop.period)
     with headless(loop.simulation.model):
         for k in range(loop.count):
@@ -224,12 +226,9 @@ def _moments(
             if k == start:
                 learning.keep(_SAMPLES)
             if learning.kept_count() == _SAMPLES or (k == loop.count - 1):
-                rows = learning.kept()
-                own = Moments.of(rows[..., :-3], rows[..., -3], rows[..., -1])
-                sums = own if sums is None else sums + own
+                sums.add(learning.kept())
     loop.close()
     loop.simulation.check()
-    assert sums is not None
     return sums
 
 

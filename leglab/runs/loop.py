@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from leglab._native.loop import Reports
 from leglab._native.loop import Rows as RowTaker
 from leglab.base.errors import LeglabError
 from leglab.base.scenario import Scenario
@@ -481,6 +482,7 @@ class _Records:
         self._effort = np.empty((most, len(native)))
         self._others = np.empty((most, len(schedule.others)))
         self._reports: dict[str, np.ndarray] = {}
+        self._copier: Reports | None = None
         self.rows = 0
         takers = (
             RowTaker(data.qpos, np.arange(model.nq), self._qpos),
@@ -498,12 +500,23 @@ class _Records:
             take(row)
         if self._schedule.others:
             self._others[row] = self._schedule.values
-        reports = self._reports
-        for key, value in self._diagnostics().items():
-            if key not in reports:
-                reports[key] = np.full(self._command.shape, np.nan)
-            reports[key][row] = value
+        reports = self._diagnostics()
+        if self._copier is None or not self._copier.take(reports, row):
+            self._keep(reports, row)
         self.rows = row + 1
+
+    def _keep(self, reports: dict[str, np.ndarray], row: int) -> None:
+        """Keeps reports one by one; later rows at once, while they come in the same arrays."""
+        kept = self._reports
+        for key, value in reports.items():
+            if key not in kept:
+                kept[key] = np.full(self._command.shape, np.nan)
+            kept[key][row] = value
+        if row == 0:
+            try:
+                self._copier = Reports(reports, [kept[key] for key in reports])
+            except (TypeError, ValueError):
+                self._copier = None
 
     def clear(self) -> None:
         """Forgets all rows."""

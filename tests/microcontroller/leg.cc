@@ -1,21 +1,24 @@
-// bsnn_arx of the whole leg for a Cortex-M7 with double precision: six joints of 47 parameters, as
-// `controllers/bsnn_arx.py` sets them up. An emulator calls `setup`, then `plant` and `period` in
-// turn; it counts what `period` takes. Memory is taken once, in `setup`, and never given back.
+// bsnn_arx of the whole leg, and the monitor that names faults, for a Cortex-M7 with double
+// precision: six joints of 47 parameters, as `controllers/bsnn_arx_bank.py` sets them up. An emulator
+// calls `setup`, then `plant`, `period` and parts of the monitor in turn; it counts what each takes.
+// Memory is taken once, in `setup`, and never given back.
 #include <cmath>
 #include <cstddef>
 #include <new>
 #include <vector>
 
 #include "feedforward/adaptive.h"
+#include "monitor/fault_monitor.h"
 
 namespace ff = leglab::feedforward;
 namespace id = leglab::identification;
+namespace mon = leglab::monitor;
 
 namespace {
 
 constexpr int joints = 6, inputs = 2 + 5 * joints, window = 15, rows = 15, columns = 25;
 
-alignas(16) std::byte heap[131072];
+alignas(16) std::byte heap[786432];
 std::size_t taken = 0;
 
 alignas(16) std::byte learner_memory[joints][32768];
@@ -25,6 +28,11 @@ struct Leg {
   id::SplineNarx<double> learners[joints];
 };
 Leg* leg = nullptr;
+
+// Curves of the bank, sizes of one, and learned samples from one block to the next.
+constexpr int most_curves = 96, most_nodes = 8, block = 5;
+mon::FaultMonitor<float>* monitor = nullptr;
+mon::FaultCurve<float> curves[most_curves];
 
 double time = 0.0;
 double measured[joints], measured_velocity[joints];
@@ -45,9 +53,20 @@ double ramp(int i, int count) { return -1.0 + 2.0 * i / (count - 1); }
 extern "C" {
 double kernel[4 * window], velocity_knots[11], position_knots[4], prior[inputs];
 double forgetting_factor;
-// The host reads these after `setup`.
-unsigned heap_bytes, learner_bytes, parameters;
+// The bank: sizes of each curve, how many, the number of its fault and element, and shifts of all
+// curves one behind the other. On the controller it is constant and lies in flash.
+double bank_sizes[most_curves * most_nodes], bank_nodes[most_curves], bank_group[most_curves];
+float bank_shifts[256 * joints * 47];
+unsigned bank_curves, bank_keys;
+// Gain of the plant's cylinders; another one is a fault.
+double plant_gain = 0.9;
+// The host reads these.
+unsigned heap_bytes, learner_bytes, monitor_bytes, late_bytes, parameters;
 double last_error;
+double time_now, block_parameters[joints * 47];
+const double* block_samples;
+unsigned kept, case_open, look_done;
+double onset, found[6];
 }
 
 void* operator new(std::size_t bytes) {
@@ -141,9 +160,28 @@ extern "C" void setup() {
   parameters = unsigned(leg->learners[0].parameters());
   leg->core.reset(all);
   heap_bytes = unsigned(taken);
+
+  mon::MonitorSettings watched;  // as bsnn_arx_bank's, but that it knows sooner what is normal
+  watched.watch = {settings.interval * h, 4.0, 4.0, 20.0, 100};
+  watched.passing = 0.06;
+  watched.independent = 10.0;
+  watched.discrepancy = 0.15;
+  watched.blocks = 25;
+  watched.most_samples = block;
+  watched.most_curves = watched.most_keys = most_curves;
+  monitor = new mon::FaultMonitor<float>(joints, int(parameters), watched);
+  monitor->reset(150.0);
+  leg->core.keep(block);
+  monitor_bytes = unsigned(taken) - heap_bytes;
+  const float* shifts = bank_shifts;
+  for (unsigned i = 0; i < bank_curves; ++i) {
+    const int nodes = int(bank_nodes[i]);
+    curves[i] = {nodes, bank_sizes + i * most_nodes, shifts, int(bank_group[i])};
+    shifts += (nodes - 1) * joints * int(parameters);
+  }
 }
 
-// Moves reference and machine by a period: each joint takes nine tenths of its commanded speed.
+// Moves reference and machine by a period: each joint takes a share of its commanded speed.
 extern "C" void plant() {
   time += 0.002;
   for (int j = 0; j < joints; ++j) {
@@ -151,7 +189,7 @@ extern "C" void plant() {
     reference[j] = 0.4 * std::sin(phase);
     reference_velocity[j] = 0.4 * w * std::cos(phase);
     reference_acceleration[j] = -0.4 * w * w * std::sin(phase);
-    const double speed = 0.9 * 8.0 * out[0][j] / 0.85 - 0.3 * measured[j];
+    const double speed = plant_gain * 8.0 * out[0][j] / 0.85 - 0.3 * measured[j];
     measured_velocity[j] = speed;
     measured[j] += 0.002 * speed;
   }
@@ -163,6 +201,32 @@ extern "C" void period() {
                  {out[0], out[1], out[2], out[3], out[4]});
   last_error = 0.0;
   for (int j = 0; j < joints; ++j) last_error += std::abs(out[3][j]);
+  kept = unsigned(leg->core.kept());
+  time_now = time;
+}
+
+// The monitor takes the block that the learner has kept.
+extern "C" void take_block() {
+  double* to = block_parameters;
+  for (auto& learner : leg->learners) {
+    for (int i = 0; i < int(parameters); ++i) *to++ = learner.rls().theta()[i];
+  }
+  block_samples = leg->core.kept_samples();
+  monitor->take(time, block_samples, leg->core.kept(), block_parameters);
+  leg->core.drop_kept();
+  case_open = monitor->open();
+  onset = monitor->onset();
+}
+
+extern "C" void sum_sample() { monitor->sum(1); }
+extern "C" void begin_look() { monitor->begin_look(curves, int(bank_curves), int(bank_keys)); }
+extern "C" void fit_curve() { look_done = monitor->look(1); }
+
+extern "C" void find() {
+  const mon::Finding all = monitor->finding();
+  const double values[] = {double(all.curve), all.size, all.spread, all.cost, all.without, all.chance};
+  for (int i = 0; i < 6; ++i) found[i] = values[i];
+  late_bytes = unsigned(taken) - heap_bytes - monitor_bytes;
 }
 
 extern "C" void _exit(int) { for (;;) {} }

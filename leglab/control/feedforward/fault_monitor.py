@@ -5,10 +5,12 @@ of the learner's own error (Page 1954, Biometrika 41, 100). From its onset on, s
 up, and at growing intervals every fault of the bank is fitted to them, its size by least squares
 along its curve. What fits best, by enough, is the name; its shift goes to the parameters at once,
 and later samples may revise it. What nothing explains is an unknown change.
+
+The arithmetic of samples and fits is C++ (`csrc/monitor`, which also suits a microcontroller); what
+is said, and what stands, is decided here.
 """
 
 import math
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, NamedTuple
@@ -16,10 +18,11 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from pydantic import Field
 
+from leglab._native.monitor import Monitor
 from leglab.base.errors import LeglabError
 from leglab.base.settings import Configuration
-from leglab.control.feedforward.fault_bank import ALL, UNKNOWN, FaultBank, FaultCurve, Moments
-from leglab.control.feedforward.standing import Standing, Standings
+from leglab.control.feedforward.fault_bank import ALL, UNKNOWN, FaultBank, FaultCurve
+from leglab.control.feedforward.standing import MOST_STANDING, Standing, Standings
 
 # Times after an onset at which the bank is asked [s]: often at first, as the evidence grows. The
 # case is closed at the last one, or once a name has stood for `_STEADY` [s]: the machine may change
@@ -35,12 +38,8 @@ _GROWN = (0.1, 0.4)
 # Samples right after an onset do not count: valves and oil pass over to their new state [s].
 _PASSING = 0.06
 
-# How much of what the cumulative sum reached before is added to the alarm, and the time constant in
-# which that is forgotten [s].
-_MARGIN, _PEAK_TIME = 2.0, 6.0
-
-# A mean square error of a block counts at most so many times the mean before it towards that mean.
-_OUTLIER = 9.0
+# Blocks that are kept to look back at, from an alarm on.
+_BLOCKS = 25
 
 # Mean square error of a joint, over the normal one, from which on the change concerns it [1].
 _HIT = 2.0
@@ -155,12 +154,6 @@ class Advice(NamedTuple):
     gain: np.ndarray
 
 
-class _Block(NamedTuple):
-    time: float
-    samples: np.ndarray
-    parameters: np.ndarray
-
-
 @dataclass(eq=False, kw_only=True)
 class _Case:
     """An open case: a change whose samples are being collected."""
@@ -168,9 +161,10 @@ class _Case:
     onset: float
     base: np.ndarray
     bank: FaultBank
-    moments: Moments | None = None
     look: int = 0
-    sums: list[tuple[float, Moments]] = field(default_factory=list)
+    # Times of looks, and until then squared errors of the map before the change and samples, each
+    # (joints,).
+    errors: list[tuple[float, np.ndarray, np.ndarray]] = field(default_factory=list)
     shift: np.ndarray | None = None
     size: float = 0.0
     key: tuple[str, str] | None = None
@@ -212,7 +206,19 @@ class FaultMonitor:
             )
         self._bank, self._joints, self._config = bank, joints, config
         self._standings = Standings(bank)
-        self._period = sample_period
+        self._core = Monitor(
+            len(joints),
+            bank.curves[0].shifts.shape[2],
+            {
+                **config.model_dump(),
+                "sample_period": sample_period,
+                "passing": _PASSING,
+                "blocks": _BLOCKS,
+                "most_samples": 2 * config.block,
+                "most_curves": len(bank.curves) + MOST_STANDING,
+                "most_keys": len(bank.keys) + MOST_STANDING,
+            },
+        )
         kinds = ("fault", "fault_size", "fault_confidence")
         self.report = {name: np.zeros(len(joints)) for name in kinds}
         self.reset()
@@ -220,23 +226,11 @@ class FaultMonitor:
     def reset(self) -> None:
         """Forgets everything."""
         self.events: list[Event] = []
-        self._recent: deque[_Block] = deque(maxlen=25)
+        self._core.reset(self._config.warm_up)
         self._case: _Case | None = None
         self._standings.clear()
-        self._start(self._config.warm_up)
         for values in self.report.values():
             values[:] = 0.0
-
-    def _start(self, wait: float) -> None:
-        """Begins to learn what errors are normal; without alarms for so many samples."""
-        self._wait = wait
-        self._normal = np.zeros(len(self._joints))
-        self._seen = np.zeros(len(self._joints))
-        # Of every joint, and of all together.
-        self._sum = np.zeros(len(self._joints) + 1)
-        self._peak = np.zeros(len(self._joints) + 1)
-        self._top = np.zeros(len(self._joints) + 1)
-        self._since = np.full(len(self._joints) + 1, np.nan)
 
     @property
     def busy(self) -> bool:
@@ -248,98 +242,35 @@ class FaultMonitor:
 
         Args:
             time: Of the last one [s].
-            samples: As `AdaptiveFeedforward.kept`, (n, joints, parameters + 3).
+            samples: As `AdaptiveFeedforward.kept`, (n, joints, parameters + 3); at most twice
+                `block`.
             parameters: The learner's now, (joints, parameters).
 
         Returns:
             What to do with the learner; None for nothing.
+
+        Raises:
+            ValueError: Arrays have other shapes.
         """
-        self._recent.append(_Block(time, samples, parameters))
-        used = samples[..., -1].sum(axis=0)
-        squared = np.einsum("nj,nj->j", samples[..., -2], samples[..., -2])
-        mean = squared / np.maximum(used, 1.0)
-        alarm = self._watch(time, mean, used)
-        if self._case is None:
-            if not alarm.any():
-                self._learn_normal(mean, used)
-                return None
-            return self._open(time, alarm)
-        return self._follow(time, samples)
+        opens = self._core.take(time, samples, parameters)
+        self._core.sum()
+        if opens:
+            base = self._core.base()
+            bank = self._standings.bank(base, self._core.regressors_before())
+            self._case = _Case(onset=self._core.onset, base=base, bank=bank)
+            return self._act(self._case, time, parameters)
+        return None if self._case is None else self._follow(self._case, time, parameters)
 
-    def _watch(self, time: float, mean: np.ndarray, used: np.ndarray) -> np.ndarray:
-        """Advances the cumulative sums; where they are at the alarm, (joints + 1,)."""
-        config = self._config
-        ratio = mean / np.maximum(self._normal, 1e-300)
-        rise = ratio * (1 - 1 / config.error_ratio) - math.log(config.error_ratio)
-        step = used / (2 * config.correlation) * rise
-        step = np.append(step, step.sum())
-        seen = np.append(self._seen, self._seen.min())
-        # What the sum reaches in every stride, where a motion is hard for a moment, is no alarm.
-        limit = config.alarm + _MARGIN * self._peak
-        total = np.where(seen >= config.slow_window, np.maximum(self._sum + step, 0.0), 0.0)
-        begins = (self._sum == 0.0) & (total > 0.0)
-        self._since[begins] = time - used.max() * self._period
-        self._sum = total
-        alarm = (total > limit) & (seen >= self._wait)
-        decay = np.exp(-used.max() * self._period / _PEAK_TIME)
-        self._top = np.maximum(self._top, total)
-        over = np.where(total == 0.0, self._top, 0.0)  # of a rise that has ended without alarm
-        self._peak = np.maximum(decay * self._peak, over)
-        self._top[total == 0.0] = 0.0
-        return alarm
-
-    def _learn_normal(self, mean: np.ndarray, used: np.ndarray) -> None:
-        self._seen += used
-        weight = np.maximum(used / self._config.slow_window, used / np.maximum(self._seen, 1.0))
-        young = self._seen < self._config.slow_window
-        most = np.where(young, mean, _OUTLIER * self._normal)
-        self._normal += weight * (np.minimum(mean, most) - self._normal)
-
-    def _open(self, time: float, alarm: np.ndarray) -> Advice | None:
-        onset = self._onset(float(np.min(self._since[alarm])))
-        before = [block for block in self._recent if block.time <= onset] or [self._recent[0]]
-        base = before[-1].parameters
-        seen = np.concatenate([block.samples[..., :-3] for block in before])
-        self._case = _Case(onset=onset, base=base, bank=self._standings.bank(base, seen))
-        for block in self._recent:
-            self._collect(self._case, block.time, block.samples)
-        return self._act(self._case, time)
-
-    def _onset(self, since: float) -> float:
-        """The time of the change by maximum likelihood, within the rise of the sums [s].
-
-        The error's variance is the normal one before, and its mean square from then on (Hinkley
-        1970, Biometrika 57, 1), over the joints together; without a rise, the start of the sums.
-        """
-        blocks = [block for block in self._recent if block.time > since]
-        normal = np.maximum(self._normal, 1e-300)
-        ratio = np.array(
-            [np.sum(block.samples[..., -2] ** 2 / normal, axis=(0, 1)) for block in blocks]
-        )
-        count = np.array([block.samples[..., -1].sum() for block in blocks])
-        best, onset = -math.inf, since
-        for first, block in enumerate(blocks):
-            after = count[first:].sum()
-            level = max(ratio[first:].sum() / max(after, 1.0), 1.0)
-            likelihood = -(ratio[:first].sum() + after * (math.log(level) + 1.0))
-            if likelihood > best:
-                best = likelihood
-                onset = block.time - len(block.samples) * self._period
-        return onset
-
-    def _follow(self, time: float, samples: np.ndarray) -> Advice | None:
-        case = self._case
-        assert case is not None
-        self._collect(case, time, samples)
+    def _follow(self, case: _Case, time: float, now: np.ndarray) -> Advice | None:
         named = case.event and case.event.withdrawn is None and case.event.names[-1].time
         if case.look >= len(_LOOKS) or (named and time > named + _STEADY):
             self._close(case)
             self._case = None
-            self._start(self._config.slow_window)
+            self._core.close(self._config.slow_window)
             if case.event is None or case.event.withdrawn is not None:
                 self._tell(None)
             return None
-        return self._act(case, time)
+        return self._act(case, time, now)
 
     def _close(self, case: _Case) -> None:
         """Remembers what was told last, for a machine that is changed again."""
@@ -359,64 +290,49 @@ class FaultMonitor:
         )
         self._standings.add(change)
 
-    def _collect(self, case: _Case, time: float, samples: np.ndarray) -> None:
-        count = len(samples)
-        times = time - self._period * np.arange(count)[::-1]
-        late = samples[times >= case.onset + _PASSING]
-        if len(late):
-            own = Moments.of(late[..., :-3], late[..., -3], late[..., -1])
-            case.moments = own if case.moments is None else case.moments + own
-
-    def _act(self, case: _Case, time: float) -> Advice | None:
+    def _act(self, case: _Case, time: float, now: np.ndarray) -> Advice | None:
         """A decision, where one is due."""
         gain = np.full(len(self._joints), np.nan)
         parameters = None
         if time >= case.onset + _LOOKS[case.look]:
             while case.look < len(_LOOKS) and time >= case.onset + _LOOKS[case.look]:
                 case.look += 1
-            if case.moments is not None:
-                parameters = self._decide(case, time, gain)
-                case.sums.append((time, case.moments))
+            parameters = self._decide(case, time, now, gain)
         if parameters is None and np.isnan(gain).all():
             return None
         return Advice(parameters, gain)
 
-    def _decide(self, case: _Case, time: float, gain: np.ndarray) -> np.ndarray | None:
+    def _decide(
+        self, case: _Case, time: float, now: np.ndarray, gain: np.ndarray
+    ) -> np.ndarray | None:
         """Asks the bank; parameters to be set, or None. Sets `gain` where it is to be changed."""
-        assert case.moments is not None
-        config, moments = self._config, case.moments.about(case.base)
-        count = np.maximum(moments.count, 1.0)
-        variance = self._normal + config.discrepancy**2 * moments.power / count
-        bank = case.bank
-        fit = bank.fit(moments, 1.0 / np.maximum(variance, 1e-300))
-        chance = bank.chances(fit.cost, config.correlation, config.independent)
-        best = int(np.argmin(fit.cost))
-        group = int(bank.group[best])
-        explained = 1.0 - fit.cost[best] / max(fit.without, 1e-300)
-        key = bank.keys[group]
+        config, bank = self._config, case.bank
+        self._core.begin_look(bank.core)
+        self._core.look()
+        best, size, spread, cost, without, chance = self._core.finding()
+        moments, normal = self._core.seen(), self._core.normal()
+        power, count = moments.power, np.maximum(moments.count, 1.0)
+        case.errors.append((time, power, moments.count))
+        explained = 1.0 - cost / max(without, 1e-300)
+        key = bank.keys[bank.group[best]]
         least = config.kept
         if key != case.key:
             least = float(np.interp(time - case.onset, _GROWN, config.explained))
-        evidence = (fit.without - fit.cost[best]) / (2 * config.correlation)
+        evidence = (without - cost) / (2 * config.correlation)
         stands_out = (
-            explained >= least
-            and chance[group] >= config.confidence
-            and evidence >= config.evidence
+            explained >= least and chance >= config.confidence and evidence >= config.evidence
         )
-        now = self._recent[-1].parameters
         if stands_out:
             curve = bank.curves[best]
-            case.size = float(fit.size[best])
+            case.size = size
             shift = curve.shift(case.size)
-            self._name(
-                case, time, curve, fit.size[best], fit.spread[best], chance[group], explained
-            )
+            self._name(case, time, curve, size, spread, chance, explained)
             if key == case.key and case.shift is not None:
                 parameters = now + shift - case.shift
             else:
                 parameters = case.base + shift
-                left = moments.about(shift).power / np.maximum(moments.power, 1e-300)
-                case.hit = moments.power / count > _HIT * self._normal
+                left = moments.about(shift).power / np.maximum(power, 1e-300)
+                case.hit = power / count > _HIT * normal
                 gain[case.hit] = config.open_share * np.minimum(left[case.hit], 1.0)
             if case.shift is None and time > case.onset + _LATE:
                 gain[:] = np.nan
@@ -437,11 +353,11 @@ class FaultMonitor:
 
         A motion never made before may err for a moment, a changed machine does so for good.
         """
-        assert case.moments is not None
-        earlier = [sums for then, sums in case.sums if then <= time - _RECENT]
-        recent = (case.moments - earlier[-1] if earlier else case.moments).about(case.base)
-        mean = recent.power / np.maximum(recent.count, 1.0)
-        return mean > _UNEXPLAINED * self._normal
+        _, power, count = case.errors[-1]
+        earlier = [look for look in case.errors if look[0] <= time - _RECENT]
+        if earlier:
+            power, count = power - earlier[-1][1], count - earlier[-1][2]
+        return power / np.maximum(count, 1.0) > _UNEXPLAINED * self._core.normal()
 
     def _withdraw(
         self, case: _Case, time: float, now: np.ndarray, gain: np.ndarray
@@ -468,14 +384,14 @@ class FaultMonitor:
     ) -> None:
         config = self._config
         # Samples scatter, and a machine is not the nominal one: its size is off by as much.
-        sampled = math.sqrt(config.correlation) * float(spread)
+        sampled = math.sqrt(config.correlation) * spread
         differs = config.discrepancy * abs(size - curve.sizes[0])
         half = 1.645 * math.hypot(sampled, differs)
         ends = float(np.min(curve.sizes)), float(np.max(curve.sizes))
         sized: dict[str, Any] = {
-            "size": float(size),
-            "low": max(float(size) - half, ends[0]),
-            "high": min(float(size) + half, ends[1]),
+            "size": size,
+            "low": max(size - half, ends[0]),
+            "high": min(size + half, ends[1]),
             "meaning": curve.meaning,
         }
         self._say(
@@ -485,8 +401,8 @@ class FaultMonitor:
                 onset=case.onset,
                 fault=curve.fault,
                 element=curve.element,
-                confidence=float(chance),
-                explained=float(explained),
+                confidence=chance,
+                explained=explained,
                 undoes=curve.undoes,
                 **(sized if curve.fault != UNKNOWN else {}),
             ),
@@ -504,8 +420,8 @@ class FaultMonitor:
                 onset=case.onset,
                 fault=UNKNOWN,
                 element=element,
-                confidence=1.0 - float(explained),
-                explained=float(explained),
+                confidence=1.0 - explained,
+                explained=explained,
             ),
         )
 

@@ -24,9 +24,6 @@ from leglab.control.feedforward.fault_bank import ALL, UNKNOWN, FaultBank, Fault
 # are its values. A drift of it is no wear, wherever it begins.
 CONDITIONS: Mapping[str, tuple[str, ...]] = {"oil_temperature": ("cold_oil", "hot_oil")}
 
-# Samples that are summed up at a time: many small products cost more than a large one.
-_CHUNK = 100
-
 # Weight of a squared parameter about the learner's against the squared errors of the first samples.
 _RIDGE = 1e-2
 
@@ -301,9 +298,8 @@ class HealthMonitor:
 
     def drop(self) -> None:
         """Forgets the samples of the present look, in which the machine has changed at once."""
-        self._chunk: list[np.ndarray] = []
         self._sums: Moments | None = None
-        self._number = self._chunked = 0
+        self._number = 0
 
     def renew(self) -> None:
         """Takes the machine as it is now, after a change at once, for where wear goes on from."""
@@ -326,15 +322,10 @@ class HealthMonitor:
         if self._waits > 0:
             self._waits -= len(samples)
             return
-        self._chunk.append(samples)
-        self._chunked += len(samples)
-        if self._chunked < _CHUNK:
-            return
-        rows = np.concatenate(self._chunk)
-        self._chunk, self._chunked = [], 0
-        own = Moments.of(rows[..., :-3], rows[..., -3], rows[..., -1])
-        self._sums = own if self._sums is None else self._sums + own
-        self._number += len(rows)
+        if self._sums is None:
+            self._sums = Moments(len(self._joints), parameters.shape[1])
+        self._sums.add(samples)
+        self._number += len(samples)
         wanted = self._config.look * (1 if self._base is not None else self._config.healthy)
         if self._number < wanted:
             return

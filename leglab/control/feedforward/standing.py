@@ -13,7 +13,7 @@ from scipy.optimize import nnls
 from leglab.control.feedforward.fault_bank import UNKNOWN, FaultBank, FaultCurve
 
 # So many changes are remembered.
-_MOST = 4
+MOST_STANDING = 4
 
 # Share of what is learned of a change that must go for it to count as undone.
 _UNDONE = 0.7
@@ -101,6 +101,8 @@ class Standings:
         for change in self._changes:
             change.settle(now)
         self._drop_undone(now, regressor)
+        if not self._changes:
+            return self._bank
         sizes = {change.key: change.size for change in self._changes}
         curves = [_onward(c, sizes.get((c.fault, c.element))) for c in self._bank.curves]
         ways_back = [change.back() for change in self._changes]
@@ -135,9 +137,9 @@ class Standings:
             change.learned = change.learned + earlier[0].learned
             self._changes.remove(earlier[0])
         self._changes.append(change)
-        for forgotten in self._changes[:-_MOST]:
+        for forgotten in self._changes[:-MOST_STANDING]:
             self._origin = self._origin + forgotten.learned
-        self._changes = self._changes[-_MOST:]
+        self._changes = self._changes[-MOST_STANDING:]
 
     def undo(self, onset: float, size: float) -> None:
         """Takes back a change as far as its size says."""

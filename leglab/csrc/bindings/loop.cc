@@ -107,6 +107,51 @@ class Rows {
   Values rows_;
 };
 
+// Copies arrays that a dictionary holds into rows, as long as it holds the same ones.
+class Reports {
+ public:
+  // rows: of each array of the dictionary, in its order, (most, size).
+  Reports(nb::dict reports, std::vector<Values> rows) {
+    if (rows.size() != reports.size()) throw nb::value_error("as many rows as reports are needed");
+    std::size_t i = 0;
+    for (auto [key, value] : reports) {
+      Array<const double> from;
+      if (!nb::try_cast(value, from, false) || from.ndim() != 1 || rows[i].ndim() != 2 ||
+          rows[i].shape(1) != from.size()) {
+        throw nb::value_error("a report is no row of numbers");
+      }
+      entries_.push_back(
+          {nb::borrow(key), nb::borrow(value), std::move(from), std::move(rows[i++])});
+    }
+  }
+
+  // Writes a row; false, and nothing written, where the dictionary is another one.
+  bool take(nb::dict reports, std::size_t row) {
+    if (reports.size() != entries_.size()) return false;
+    std::size_t i = 0;
+    for (auto [key, value] : reports) {
+      const Entry& entry = entries_[i++];
+      if (!key.is(entry.key) || !value.is(entry.value)) return false;
+    }
+    for (const Entry& entry : entries_) {
+      if (row >= entry.rows.shape(0)) throw nb::index_error("no such row");
+    }
+    for (Entry& entry : entries_) {
+      std::copy_n(entry.from.data(), entry.from.size(),
+                  entry.rows.data() + row * entry.from.size());
+    }
+    return true;
+  }
+
+ private:
+  struct Entry {
+    nb::object key, value;
+    Array<const double> from;
+    Values rows;
+  };
+  std::vector<Entry> entries_;
+};
+
 // Writes commands, clipped to [-1, 1], into an array as centre + half x command; false, and nothing
 // written, for anything but an array of as many finite numbers.
 class Drives {
@@ -154,6 +199,9 @@ NB_MODULE(loop, module) {
   nb::class_<Rows>(module, "Rows")
       .def(nb::init<Values, Index, Values>(), nb::arg("source"), nb::arg("index"), nb::arg("rows"))
       .def("take", &Rows::take);
+  nb::class_<Reports>(module, "Reports")
+      .def(nb::init<nb::dict, std::vector<Values>>())
+      .def("take", &Reports::take);
   nb::class_<Drives>(module, "Drives")
       .def(nb::init<Values, Array<const double>, Array<const double>>(), nb::arg("target"),
            nb::arg("centre"), nb::arg("half"))

@@ -101,7 +101,7 @@ def _row(rows: Mapping[str, Any], beginning: str) -> Any:
 
 
 def _loop(over: str) -> Callable[[Any], float]:
-    return lambda found: found["loop"][over]["best"] / found["loop"]["pd"]["best"]
+    return lambda found: found["loop"][over]["of_pd"]
 
 
 def _of_bare(beginning: str) -> Callable[[Any], float]:

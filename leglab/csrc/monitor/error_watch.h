@@ -1,0 +1,107 @@
+// Notices that a learner errs more than it normally does: a cumulative sum.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+namespace leglab::monitor {
+
+struct WatchSettings {
+  double sample_period = 0.0;  // from one learned sample to the next [s]
+  double error_ratio = 4.0;    // rise of the mean square error that is tested for
+  double alarm = 4.0;          // log-likelihood ratio of a change, beyond what is reached without
+  double correlation = 1.0;    // samples that count as one
+  int slow_window = 1;         // samples in the mean square error that is normal
+};
+
+// Cumulative sums (Page 1954, Biometrika 41, 100) of the log-likelihood ratio of errors that are
+// `error_ratio` times as large to normal ones, of every joint and, last, of all together.
+class ErrorWatch {
+ public:
+  ErrorWatch(int joints, const WatchSettings& settings)
+      : settings_(settings), normal_(std::size_t(joints)), seen_(normal_),
+        sum_(std::size_t(joints + 1)), peak_(sum_), top_(sum_), since_(sum_) {}
+
+  // Begins to learn what is normal; without alarms for so many samples.
+  void start(double wait) {
+    wait_ = wait;
+    for (auto* values : {&normal_, &seen_, &sum_, &peak_, &top_, &since_}) {
+      std::fill(values->begin(), values->end(), 0.0);
+    }
+  }
+
+  // Mean square errors that are normal, (joints).
+  const double* normal() const { return normal_.data(); }
+
+  // When the earliest sum that is at the alarm began to rise [s].
+  double since() const { return alarm_since_; }
+
+  // Takes the mean square errors of a block that ends at `time` and the number of samples in them,
+  // (joints). Returns whether there is an alarm.
+  bool take(double time, const double* mean, const double* used) {
+    const std::size_t joints = normal_.size();
+    const double samples = *std::max_element(used, used + joints);
+    const double duration = samples * settings_.sample_period;
+    const double decay = std::exp(-duration / peak_time);
+    double all = 0.0;
+    alarm_since_ = std::numeric_limits<double>::infinity();
+    bool alarm = false;
+    for (std::size_t j = 0; j <= joints; ++j) {
+      const double step = j < joints ? rise(mean[j], used[j], normal_[j]) : all;
+      all += step;
+      const double seen =
+          j < joints ? seen_[j] : *std::min_element(seen_.begin(), seen_.end());
+      // What the sum reaches in every stride, where a motion is hard for a moment, is no alarm.
+      const double limit = settings_.alarm + margin * peak_[j];
+      const double total =
+          seen >= settings_.slow_window ? std::max(sum_[j] + step, 0.0) : 0.0;
+      if (sum_[j] == 0.0 && total > 0.0) since_[j] = time - duration;
+      sum_[j] = total;
+      if (total > limit && seen >= wait_) {
+        alarm = true;
+        alarm_since_ = std::min(alarm_since_, since_[j]);
+      }
+      top_[j] = std::max(top_[j], total);
+      peak_[j] *= decay;
+      if (total == 0.0) {  // a rise has ended without alarm
+        peak_[j] = std::max(peak_[j], top_[j]);
+        top_[j] = 0.0;
+      }
+    }
+    return alarm;
+  }
+
+  // Takes the same block for normal.
+  void learn(const double* mean, const double* used) {
+    for (std::size_t j = 0; j < normal_.size(); ++j) {
+      seen_[j] += used[j];
+      const double weight =
+          std::max(used[j] / settings_.slow_window, used[j] / std::max(seen_[j], 1.0));
+      const bool young = seen_[j] < settings_.slow_window;
+      const double most = young ? mean[j] : outlier * normal_[j];
+      normal_[j] += weight * (std::min(mean[j], most) - normal_[j]);
+    }
+  }
+
+ private:
+  // How much of what a sum reached before is added to the alarm, and the time constant in which
+  // that is forgotten [s].
+  static constexpr double margin = 2.0, peak_time = 6.0;
+  // A mean square error counts at most so many times the normal one towards that.
+  static constexpr double outlier = 9.0;
+
+  double rise(double mean, double used, double normal) const {
+    const double ratio = mean / std::max(normal, 1e-300);
+    const double more = settings_.error_ratio;
+    return used / (2.0 * settings_.correlation) * (ratio * (1.0 - 1.0 / more) - std::log(more));
+  }
+
+  WatchSettings settings_;
+  double wait_ = 0.0, alarm_since_ = 0.0;
+  std::vector<double> normal_, seen_;               // (joints)
+  std::vector<double> sum_, peak_, top_, since_;    // (joints + 1)
+};
+
+}  // namespace leglab::monitor

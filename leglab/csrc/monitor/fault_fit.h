@@ -1,0 +1,218 @@
+// The size of every fault of a bank that fits samples best, and the odds among the faults.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "monitor/moments.h"
+
+namespace leglab::monitor {
+
+// Shifts of a map's parameters by one fault, straight between its sizes. It points to constants,
+// which may lie in read-only memory; `Shift` is double or float.
+template <class Shift>
+struct FaultCurve {
+  int nodes = 0;                  // sizes, the healthy one first
+  const double* sizes = nullptr;  // strictly monotone, (nodes)
+  const Shift* shifts = nullptr;  // without that of the healthy size, (nodes - 1, joints, parameters)
+  int key = 0;                    // number of its fault and element
+};
+
+// Finds the best size of every curve by weighted least squares, so many curves at a time.
+// On a straight piece D(t) = D_0 + t (D_1 - D_0) of a curve the cost
+// sum_j w_j sum (y - phi D_j(t))^2 is a parabola in t: its least value within [0, 1] is in closed
+// form.
+template <class Shift>
+class FaultFit {
+ public:
+  // Of banks of at most so many curves.
+  FaultFit(int joints, int parameters, int most_curves)
+      : weight_(std::size_t(joints)), packed_(std::size_t(parameters * together)),
+        size_(std::size_t(most_curves)), spread_(size_), cost_(size_) {}
+
+  // Begins with samples about the map before the fault and a weight of each joint's squared errors.
+  // Curves and moments must stay as they are until `advance` says that all is done.
+  void begin(const FaultCurve<Shift>* curves, int count, const Moments& moments,
+             const double* weight) {
+    curves_ = curves;
+    count_ = count;
+    done_ = 0;
+    moments_ = &moments;
+    std::copy_n(weight, weight_.size(), weight_.begin());
+    without_ = 0.0;
+    for (int j = 0; j < moments.joints(); ++j) without_ += weight[j] * moments.power(j);
+  }
+
+  // Fits so many curves more; true once all are fitted.
+  bool advance(int curves) {
+    for (; curves > 0 && done_ < count_; --curves, ++done_) fit(curves_[done_], std::size_t(done_));
+    return done_ == count_;
+  }
+
+  int curves() const { return count_; }
+  double without() const { return without_; }  // weighted sum of squared errors without any fault
+  const double* size() const { return size_.data(); }
+  const double* spread() const { return spread_.data(); }  // change of size that costs one more
+  const double* cost() const { return cost_.data(); }      // as `without`, with the fault
+
+  // The curve that fits best.
+  int best() const {
+    return int(std::min_element(cost_.begin(), cost_.begin() + count_) - cost_.begin());
+  }
+
+ private:
+  static constexpr int together = 4;  // nodes whose forms are computed at a time
+
+  // Sums over the joints for neighbouring nodes: of D c, of D G D, and of D_k G D_{k+1}, with the
+  // correlation c and the information G.
+  struct Forms {
+    double linear[together] = {}, square[together] = {}, cross[together] = {};
+  };
+
+  void fit(const FaultCurve<Shift>& curve, std::size_t place) {
+    const int shifted = curve.nodes - 1;
+    double best = -std::numeric_limits<double>::infinity();
+    double linear = 0.0, square = 0.0;  // of the node where a piece begins; nil of the healthy one
+    for (int first = 0; first < shifted;) {
+      // The last node of the pieces before leads, for the form that it has with the next.
+      const int lead = first > 0 ? 1 : 0;
+      const int number = std::min(shifted - first + lead, together);
+      const Forms forms = forms_of(curve, first - lead, number);
+      for (int k = lead; k < number; ++k) {
+        const double cross = k > 0 ? forms.cross[k - 1] : 0.0;
+        const double rise = forms.linear[k] - linear - (cross - square);
+        const double bend = std::max(square - 2.0 * cross + forms.square[k], 1e-300);
+        const double share = std::clamp(rise / bend, 0.0, 1.0);
+        const double gain = 2.0 * (linear + share * (forms.linear[k] - linear)) -
+                            (square + 2.0 * share * (cross - square) + share * share * bend);
+        if (gain > best) {
+          best = gain;
+          const double* end = curve.sizes + first + (k - lead) + 1;
+          const double width = end[0] - end[-1];
+          size_[place] = end[-1] + share * width;
+          spread_[place] = std::abs(width) / std::sqrt(bend);
+        }
+        linear = forms.linear[k];
+        square = forms.square[k];
+      }
+      first += number - lead;
+    }
+    cost_[place] = std::max(without_ - best, 0.0);
+  }
+
+  Forms forms_of(const FaultCurve<Shift>& curve, int first, int number) {
+    Forms sum;
+    for (int joint = 0; joint < moments_->joints(); ++joint) {
+      if (weight_[std::size_t(joint)] == 0.0 || !pack(curve, first, number, joint)) continue;
+      switch (number) {
+        case 1: add_forms<1>(joint, sum); break;
+        case 2: add_forms<2>(joint, sum); break;
+        case 3: add_forms<3>(joint, sum); break;
+        default: add_forms<together>(joint, sum);
+      }
+    }
+    return sum;
+  }
+
+  // Lays a joint's shifts of some nodes side by side, (parameters, number); false where all are nil.
+  bool pack(const FaultCurve<Shift>& curve, int first, int number, int joint) {
+    const int parameters = moments_->parameters();
+    const Shift* shifts = curve.shifts + (first * moments_->joints() + joint) * parameters;
+    bool any = false;
+    for (int k = 0; k < number; ++k, shifts += moments_->joints() * parameters) {
+      for (int i = 0; i < parameters; ++i) {
+        packed_[std::size_t(i * number + k)] = double(shifts[i]);
+        any |= shifts[i] != Shift(0);
+      }
+    }
+    return any;
+  }
+
+  // With the upper triangle U of G, its diagonal halved, G = U + U': D G D = 2 D U D and
+  // D_1 G D_2 = D_1 U D_2 + D_2 U D_1. So one half of G is multiplied once a node. Not inlined: the
+  // sums would lack registers.
+  template <int number>
+  [[gnu::noinline]] void add_forms(int joint, Forms& sum) const {
+    const int parameters = moments_->parameters();
+    const double weight = weight_[std::size_t(joint)];
+    const double* row = moments_->information(joint);
+    const double* correlation = moments_->correlation(joint);
+    Forms own;
+    const auto add = [&](int i, const double* image) {
+      const double* shift = packed_.data() + i * number;
+      for (int k = 0; k < number; ++k) {
+        own.linear[k] += shift[k] * correlation[i];
+        own.square[k] += shift[k] * image[k];
+        if (k > 0) own.cross[k - 1] += shift[k - 1] * image[k] + shift[k] * image[k - 1];
+      }
+    };
+    int i = 0;
+    for (; i + 1 < parameters; row += 2 * (parameters - i) - 1, i += 2) {
+      // Two rows of U at a time: each shift is read once for both.
+      const double* next = row + parameters - i - 1;
+      const double* shift = packed_.data() + i * number;
+      double image[number], image_next[number];
+      for (int k = 0; k < number; ++k) {
+        image[k] = 0.5 * row[0] * shift[k] + row[1] * shift[number + k];
+        image_next[k] = 0.5 * next[1] * shift[number + k];
+      }
+      for (int j = 2; j < parameters - i; ++j) {
+        for (int k = 0; k < number; ++k) {
+          image[k] += row[j] * shift[j * number + k];
+          image_next[k] += next[j] * shift[j * number + k];
+        }
+      }
+      add(i, image);
+      add(i + 1, image_next);
+    }
+    if (i < parameters) {
+      const double* shift = packed_.data() + i * number;
+      double image[number];
+      for (int k = 0; k < number; ++k) image[k] = 0.5 * row[0] * shift[k];
+      add(i, image);
+    }
+    for (int k = 0; k < number; ++k) {
+      sum.linear[k] += weight * own.linear[k];
+      sum.square[k] += 2.0 * weight * own.square[k];
+      sum.cross[k] += weight * own.cross[k];
+    }
+  }
+
+  const FaultCurve<Shift>* curves_ = nullptr;
+  int count_ = 0, done_ = 0;
+  const Moments* moments_ = nullptr;
+  double without_ = 0.0;
+  std::vector<double> weight_, packed_, size_, spread_, cost_;
+};
+
+// Probability of every key among all by likelihood, (keys).
+// What the best fault leaves is partly noise, of which more samples tell more, and partly that the
+// machine is not the nominal one, of which they do not. Either has its likelihood: that of a known
+// variance, and that of an unknown one, cost^(-n/2), with n errors that differ independently. A
+// rival is as unlikely as the weaker of both makes it. Without n (0) noise alone counts.
+// correlation: samples that count as one.
+template <class Curve>
+void chances(const Curve* curves, int count, const double* cost, double correlation,
+             double independent, double* chance, int keys) {
+  std::fill_n(chance, keys, std::numeric_limits<double>::infinity());
+  for (int i = 0; i < count; ++i) {
+    double& best = chance[curves[i].key];
+    best = std::min(best, cost[i]);
+  }
+  const double least = std::max(*std::min_element(chance, chance + keys), 1e-300);
+  double sum = 0.0;
+  for (int k = 0; k < keys; ++k) {
+    double unlikely = (chance[k] - least) / (2.0 * correlation);
+    if (independent > 0.0) {
+      const double structure = 0.5 * independent * std::log(std::max(chance[k], least) / least);
+      unlikely = std::min(unlikely, structure);
+    }
+    chance[k] = std::exp(-unlikely);
+    sum += chance[k];
+  }
+  for (int k = 0; k < keys; ++k) chance[k] /= sum;
+}
+
+}  // namespace leglab::monitor
