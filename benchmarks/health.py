@@ -7,7 +7,6 @@ it is; where nothing changes nothing is to be said.
 """
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +14,9 @@ import numpy as np
 import results
 
 from leglab import RunSettings
-from leglab.base.scenario import Scenario, get_scenario
+from leglab.base.scenario import ParameterChange, Scenario, get_scenario
 from leglab.control.feedforward.health import HealthMonitor, Trend
+from leglab.runs.fault_bank import FAULTS, part_of
 from leglab.runs.loop import Loop
 
 BANK, START, RAMP = "bsnn_arx_bank", 40.0, 600.0  # s
@@ -49,15 +49,24 @@ def followed(case: tuple[str, int]) -> dict[str, Any]:
     else:
         (scenario, severity, duration), element = SOUND[label], None  # type: ignore[assignment]
     ramped = scenario not in ("cold_start", "nominal")
-    if ramped:
-        # The ramp is cut where the run ends: the machine is then on its way.
-        span = duration - START
-        assert severity is not None
-        severity = _healthy(scenario) + span / RAMP * (severity - _healthy(scenario))
+    settings = RunSettings(scenario="nominal", controller=BANK, tolerance=0.1, seed=seed, vary=True)
     changes = get_scenario(scenario, duration=duration, severity=severity, element=element).changes
     if ramped:
-        changes = tuple(replace(c, start=START, ramp_duration=span) for c in changes)
-    settings = RunSettings(scenario="nominal", controller=BANK, tolerance=0.1, seed=seed, vary=True)
+        # The ramp is cut where the run ends: the machine is then on its way, from its own values.
+        span = duration - START
+        machine = Loop(settings, scenario=Scenario(name="nominal", duration=1.0)).simulation
+        ends = part_of(changes, machine, span / RAMP)
+        changes = tuple(
+            ParameterChange(
+                parameter=parameter,
+                element=place,
+                kind="set",
+                value=end,
+                start=START,
+                ramp_duration=span,
+            )
+            for place, parameter, end in ends
+        )
     loop = Loop(settings, scenario=Scenario(name=scenario, duration=duration, changes=changes))
     health: HealthMonitor = loop.controller.health  # type: ignore[union-attr]
     history = loop.run()
@@ -97,8 +106,6 @@ def _judged(last: Trend, scenario: str, element: str | None, rate: float) -> dic
 
 def _healthy(scenario: str) -> float:
     """Severity that changes nothing."""
-    from leglab.runs.fault_bank import FAULTS
-
     return FAULTS[scenario][0].healthy
 
 
