@@ -7,6 +7,8 @@ it is; where nothing changes nothing is to be said.
 """
 
 import argparse
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,8 @@ import results
 from leglab import RunSettings
 from leglab.base.scenario import ParameterChange, Scenario, get_scenario
 from leglab.control.feedforward.health import HealthMonitor, Trend
-from leglab.runs.fault_bank import FAULTS, part_of
+from leglab.machine.simulation import Simulation
+from leglab.runs.fault_bank import FAULTS
 from leglab.runs.loop import Loop
 
 BANK, START, RAMP = "bsnn_arx_bank", 40.0, 600.0  # s
@@ -55,18 +58,7 @@ def followed(case: tuple[str, int]) -> dict[str, Any]:
         # The ramp is cut where the run ends: the machine is then on its way, from its own values.
         span = duration - START
         machine = Loop(settings, scenario=Scenario(name="nominal", duration=1.0)).simulation
-        ends = part_of(changes, machine, span / RAMP)
-        changes = tuple(
-            ParameterChange(
-                parameter=parameter,
-                element=place,
-                kind="set",
-                value=end,
-                start=START,
-                ramp_duration=span,
-            )
-            for place, parameter, end in ends
-        )
+        changes = tuple(_begun(changes, machine, span))
     loop = Loop(settings, scenario=Scenario(name=scenario, duration=duration, changes=changes))
     health: HealthMonitor = loop.controller.health  # type: ignore[union-attr]
     history = loop.run()
@@ -91,6 +83,19 @@ def followed(case: tuple[str, int]) -> dict[str, Any]:
         "named_size": _healthy(scenario) + rate * (first.time - START),
         "error_ratio": at_naming / before,
     }  # fmt: skip
+
+
+def _begun(
+    changes: Sequence[ParameterChange], machine: Simulation, span: float
+) -> Iterator[ParameterChange]:
+    """The first seconds of ramps, from the machine's own values: not all are the scenario's."""
+    for change in changes:
+        whole = replace(change, start=0.0, ramp_duration=RAMP)
+        for element in machine.elements:
+            if change.applies_to(element) and machine.has(element, change.parameter):
+                end = whole.value_at(span, machine.parameter(element, change.parameter))
+                cut = replace(change, element=element, kind="set", value=end)
+                yield replace(cut, start=START, ramp_duration=span)
 
 
 def _judged(last: Trend, scenario: str, element: str | None, rate: float) -> dict[str, Any]:

@@ -209,39 +209,6 @@ def test_a_fault_that_changes_nothing_shifts_nothing(small, monkeypatch):
     assert np.abs(curve.shifts[1]).max() < 1e-3 * worn
 
 
-def test_a_part_of_a_change_is_on_the_way_from_the_machines_own_values():
-    machine = Simulation(load_model("leg", visual=False))
-
-    def values(fault, severity, share, joint=None):
-        changes = get_scenario(fault, severity=severity, element=joint).changes
-        return {(e, p): value for e, p, value in making.part_of(changes, machine, share)}
-
-    # New valves have an overlap of 0.02 and no hysteresis.
-    assert values("valve_wear", 0.03, 0.5, "knee") == {
-        ("knee_valve", "lap"): pytest.approx(0.025),
-        ("knee_valve", "hysteresis"): pytest.approx(0.015),
-    }
-    assert values("supply_drop", 100.0, 0.2) == {("supply", "supply_pressure"): 148e5}
-    own = machine.parameter("knee_valve", "internal_leakage")
-    worn = values("seal_wear", 10.0, 1 / 3)
-    assert worn["knee_valve", "internal_leakage"] == pytest.approx(4.0 * own)
-    assert len(worn) == 6
-
-
-def test_sizes_on_the_way_are_made_of_a_part_of_the_smallest_change(small, monkeypatch):
-    faults = {"seal_wear": (making.Faults(healthy=1.0, sizes=(3.0, 10.0), on_the_way=(0.5,)),)}
-    monkeypatch.setattr(making, "FAULTS", faults)
-    (on_the_way,) = bank_of().curves
-    assert on_the_way.sizes.tolist() == [1.0, 2.0, 3.0, 10.0]
-    monkeypatch.setattr(making, "_banks", {})
-    faults = {"seal_wear": (making.Faults(healthy=1.0, sizes=(2.0, 3.0, 10.0)),)}
-    monkeypatch.setattr(making, "FAULTS", faults)
-    for file in small.iterdir():
-        file.unlink()
-    # A factor changes the machine's own value: half way to three times is twice.
-    np.testing.assert_array_equal(on_the_way.shifts, bank_of().curves[0].shifts)
-
-
 def test_odds_are_those_of_noise_or_of_structure_whichever_are_weaker():
     """More samples tell noise apart, and not what another machine than the nominal one leaves."""
     shifts = np.zeros((2, 1, 2))

@@ -5,7 +5,7 @@ A machine of its own runs, never that of the run: what happens to that one canno
 
 import hashlib
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -15,19 +15,12 @@ from zipfile import BadZipFile
 import numpy as np
 
 from leglab.base.errors import LeglabError
-from leglab.base.scenario import (
-    ParameterChange,
-    Scenario,
-    get_scenario,
-    scenario_per_joint,
-    scenario_severity,
-)
+from leglab.base.scenario import Scenario, get_scenario, scenario_per_joint, scenario_severity
 from leglab.commissioning.setup import model_digest
 from leglab.control.feedforward.fault_bank import ALL, FaultBank, FaultCurve, Moments
 from leglab.controllers.bsnn_arx import AdaptiveController
 from leglab.data import write_atomically
 from leglab.machine.plugin import headless
-from leglab.machine.simulation import Simulation
 from leglab.runs.fingerprint import fingerprint
 from leglab.runs.preparation import Preparation, RunSettings, reference_config
 
@@ -39,25 +32,21 @@ class Faults:
     Attributes:
         healthy: Severity that changes nothing.
         sizes: Severities on one side of it, from small to large change.
-        on_the_way: Shares of the way from the machine as it is to the smallest size, where the
-            shift is far from straight. They are no severities: a scenario may set what a new part
-            has more of.
     """
 
     healthy: float
     sizes: tuple[float, ...]
-    on_the_way: tuple[float, ...] = ()
 
 
 # By scenario; a second entry is the other side of the healthy value. New valves have an overlap of
-# 0.02 and no hysteresis: a `valve_wear` of 0.01 would mend the one and add to the other.
+# 0.02 and no hysteresis, so a `valve_wear` below 0.03 is no smaller wear: it mends the overlap.
 FAULTS: Mapping[str, tuple[Faults, ...]] = {
     "seal_wear": (Faults(healthy=1.0, sizes=(3.0, 10.0, 25.0)),),
     "external_leak": (Faults(healthy=0.0, sizes=(2e-13, 5e-13, 1e-12)),),
     "friction_rise": (Faults(healthy=1.0, sizes=(2.0, 3.0, 5.0)),),
     "stiction": (Faults(healthy=1.0, sizes=(2.5, 4.0, 7.0)),),
     "spring_fatigue": (Faults(healthy=1.0, sizes=(0.7, 0.4, 0.1)),),
-    "valve_wear": (Faults(healthy=0.0, sizes=(0.03, 0.06, 0.1), on_the_way=(0.1, 0.3, 0.6)),),
+    "valve_wear": (Faults(healthy=0.0, sizes=(0.03, 0.06, 0.1)),),
     "valve_null_shift": (
         Faults(healthy=0.0, sizes=(0.02, 0.05)),
         Faults(healthy=0.0, sizes=(-0.02, -0.05)),
@@ -183,11 +172,11 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
     curves = []
     for fault, element, faults in _cases(joints):
         shifts, sizes = [np.zeros_like(base)], [faults.healthy]
-        for size, severity_there, share in _steps(faults):
+        for size in faults.sizes:
             joint = None if element == ALL else element
-            scenario = get_scenario(fault, severity=severity_there, element=joint)
+            scenario = get_scenario(fault, severity=size, element=joint).changed_from_start()
             try:
-                found = moments(scenario.changed_from_start().changes, share)
+                found = moments(scenario.changes)
             except LeglabError:
                 break  # model or joint have no such part, or cannot move with so much of it
             shifts.append(_solve(found.about(base)) - drawn)
@@ -215,32 +204,17 @@ def _cases(joints: tuple[str, ...]) -> Iterator[tuple[str, str, Faults]]:
                     yield fault, joint, faults
 
 
-def _steps(faults: Faults) -> Iterator[tuple[float, float, float]]:
-    """Size, severity of the scenario, and how much of its change has come about, of each step."""
-    first = faults.sizes[0]
-    for share in faults.on_the_way:
-        yield faults.healthy + share * (first - faults.healthy), first, share
-    for size in faults.sizes:
-        yield size, size, 1.0
-
-
 def _moments(
     settings: RunSettings,
     preparation: Preparation,
     make_loop: MakeLoop,
-    changes: tuple[ParameterChange, ...],
-    share: float = 1.0,
+    changes: tuple[Any, ...],
 ) -> Moments:
-    """Samples that the controller learns from on a nominal machine, these changes come about."""
+    """Samples that the controller learns from on a nominal machine with these changes."""
     told = Scenario(name="nominal", duration=1.0, reference=settings.reference or "")
     period = preparation.reference(settings, told).period
-    scenario = replace(told, duration=(_SETTLED + _SAMPLED) * period)
-    if share == 1.0:
-        scenario = replace(scenario, changes=changes)
+    scenario = replace(told, duration=(_SETTLED + _SAMPLED) * period, changes=changes)
     loop = make_loop(settings, preparation=preparation, scenario=scenario)
-    if share < 1.0:
-        for element, parameter, value in part_of(changes, loop.simulation, share):
-            loop.simulation.set_parameter(element, parameter, value)
     controller = loop.controller
     assert isinstance(controller, AdaptiveController)
     learning, sums = controller.adaptation, None
@@ -258,24 +232,6 @@ def _moments(
     loop.simulation.check()
     assert sums is not None
     return sums
-
-
-def part_of(
-    changes: Sequence[ParameterChange], machine: Simulation, share: float
-) -> Iterator[tuple[str, str, float]]:
-    """Yields elements, their parameters and values where a share of the changes has come about.
-
-    Args:
-        changes: Of parameters that the machine has.
-        machine: As it is before them.
-        share: Of the way from its own values.
-    """
-    for change in changes:
-        way = replace(change, start=0.0, ramp_duration=1.0)
-        for element in machine.elements:
-            if change.applies_to(element) and machine.has(element, change.parameter):
-                own = machine.parameter(element, change.parameter)
-                yield element, change.parameter, way.value_at(share, own)
 
 
 def _solve(moments: Moments) -> np.ndarray:
