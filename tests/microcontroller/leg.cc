@@ -93,7 +93,7 @@ extern "C" void setup() {
   settings.settle_time = 0.4;
   settings.proof_time = 0.15;
   settings.proof_horizon = 0.02;
-  settings.proof_doubt = 0.03;
+  settings.proof_doubt = 0.06;
   settings.proof_noise = 0.0005;
   settings.learn_lower = std::vector<double>(joints, -2.0);
   settings.learn_upper = std::vector<double>(joints, 2.0);

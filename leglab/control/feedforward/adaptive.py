@@ -31,7 +31,7 @@ _TRUST_TIME, _MARGIN = 0.5, 1.05
 # What was learned beyond the slow map is used by the share that held over this time [s], as
 # snapshots so far apart said it [s]. This share of the slow map's mean squared error speaks for
 # what was learned: where hardly anything was said nothing is disproved.
-_PROOF_TIME, _PROOF_HORIZON, _PROOF_DOUBT = 0.15, 0.02, 0.03
+_PROOF_TIME, _PROOF_HORIZON, _PROOF_DOUBT = 0.15, 0.02, 0.06
 
 # What the slow and the learned map differ by without being held to it [share of full speed].
 _PROOF_NOISE = 0.0005
