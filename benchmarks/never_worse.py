@@ -18,7 +18,7 @@ from leglab.runs.fault_bank import FAULTS
 from leglab.runs.metrics import sliding_rms
 from leglab.studies.adaptation import SAFE_FROM
 
-FIRST_SEED = 4000  # of no run that a setting was chosen by
+FIRST_SEED = 6000  # of no run that a setting was chosen by
 WINDOWS = ((0.0, 0.3), (0.3, 0.6), (0.6, 1.2), (1.2, 2.4), (2.4, 4.8), (4.8, 7.2))  # after, s
 WITHOUT, WITH = "without", "with"
 LABELS = {WITHOUT: {"settle_time": 0.0}, WITH: {}}
