@@ -7,6 +7,7 @@ it is; where nothing changes nothing is to be said.
 """
 
 import argparse
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,10 @@ import numpy as np
 import results
 
 from leglab import RunSettings
-from leglab.base.scenario import Scenario, get_scenario
+from leglab.base.scenario import ParameterChange, Scenario, get_scenario
 from leglab.control.feedforward.health import HealthMonitor, Trend
+from leglab.machine.simulation import Simulation
+from leglab.runs.fault_bank import FAULTS
 from leglab.runs.loop import Loop
 
 BANK, START, RAMP = "bsnn_arx_bank", 40.0, 600.0  # s
@@ -49,15 +52,13 @@ def followed(case: tuple[str, int]) -> dict[str, Any]:
     else:
         (scenario, severity, duration), element = SOUND[label], None  # type: ignore[assignment]
     ramped = scenario not in ("cold_start", "nominal")
-    if ramped:
-        # The ramp is cut where the run ends: the machine is then on its way.
-        span = duration - START
-        assert severity is not None
-        severity = _healthy(scenario) + span / RAMP * (severity - _healthy(scenario))
+    settings = RunSettings(scenario="nominal", controller=BANK, tolerance=0.1, seed=seed, vary=True)
     changes = get_scenario(scenario, duration=duration, severity=severity, element=element).changes
     if ramped:
-        changes = tuple(replace(c, start=START, ramp_duration=span) for c in changes)
-    settings = RunSettings(scenario="nominal", controller=BANK, tolerance=0.1, seed=seed, vary=True)
+        # The ramp is cut where the run ends: the machine is then on its way, from its own values.
+        span = duration - START
+        machine = Loop(settings, scenario=Scenario(name="nominal", duration=1.0)).simulation
+        changes = tuple(_begun(changes, machine, span))
     loop = Loop(settings, scenario=Scenario(name=scenario, duration=duration, changes=changes))
     health: HealthMonitor = loop.controller.health  # type: ignore[union-attr]
     history = loop.run()
@@ -84,6 +85,19 @@ def followed(case: tuple[str, int]) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _begun(
+    changes: Sequence[ParameterChange], machine: Simulation, span: float
+) -> Iterator[ParameterChange]:
+    """The first seconds of ramps, from the machine's own values: not all are the scenario's."""
+    for change in changes:
+        whole = replace(change, start=0.0, ramp_duration=RAMP)
+        for element in machine.elements:
+            if change.applies_to(element) and machine.has(element, change.parameter):
+                end = whole.value_at(span, machine.parameter(element, change.parameter))
+                cut = replace(change, element=element, kind="set", value=end)
+                yield replace(cut, start=START, ramp_duration=span)
+
+
 def _judged(last: Trend, scenario: str, element: str | None, rate: float) -> dict[str, Any]:
     """What was said last beside what is true."""
     healthy = _healthy(scenario)
@@ -97,8 +111,6 @@ def _judged(last: Trend, scenario: str, element: str | None, rate: float) -> dic
 
 def _healthy(scenario: str) -> float:
     """Severity that changes nothing."""
-    from leglab.runs.fault_bank import FAULTS
-
     return FAULTS[scenario][0].healthy
 
 

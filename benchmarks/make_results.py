@@ -45,6 +45,7 @@ JOBS = (
     _job("integration_accuracy", 0.7),
     _job("diagnosis_rollouts", 0.4),
     _job("readaptation_limit", 0.4),
+    _job("never_worse", 4, options="--specimens 2"),
     _job("two_routes", 0.5),
     _job("real_data", 0.2),
     _job("replication", 1),

@@ -12,10 +12,13 @@ class ArxConfiguration(AdaptiveConfiguration):
     Attributes:
         velocity_splines: None.
         position_splines: None.
+        settle_time: As `bsnn_arx`; what a linear map leaves out it makes good by following within
+            the stride, which a slow map takes away.
     """
 
     velocity_splines: int = Field(default=0, ge=0, le=0)
     position_splines: int = Field(default=0, ge=0, le=0)
+    settle_time: float = Field(default=0.0, ge=0)
 
 
 @register_controller(

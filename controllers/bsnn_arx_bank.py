@@ -95,6 +95,7 @@ class BankController(AdaptiveController):
             return
         if advice.parameters is not None:
             learner.parameters = advice.parameters.reshape(learner.parameters.shape)
+            self.adaptation.trust()
         for joint in np.flatnonzero(np.isfinite(advice.gain)):
             opened = self._config.change_gain * max(float(advice.gain[joint]), 1e-9)
             # An alarm of the learner's own would open what a name has just closed.

@@ -21,12 +21,14 @@ class PressureConfiguration(AdaptiveConfiguration):
 
     Attributes:
         route: As `bsnn_arx`; with pressures only the inverse map is learned.
+        settle_time: As `bsnn_arx`; the cascade shakes no machine, and is slower with a slow map.
         leak_gain: Prior deviation of the parameters of leak paths, against 1 of the splines'. 10
             learns a worn seal sooner, and bursts in the squat on the ground.
         load_noise: Error of the load map [share of the piston's force] that is no reason to forget.
     """
 
     route: Literal["inverse"] = Field(default="inverse")
+    settle_time: float = Field(default=0.0, ge=0)
     velocity_splines: int = Field(default=12, ge=3, le=100)
     leak_gain: float = Field(default=1.0, gt=0)
     load_noise: float = Field(default=0.015, gt=0)

@@ -14,6 +14,7 @@ from leglab.control import (
 )
 from leglab.control.feedforward.motion import ReferenceMotion, SmoothingWindow, smoothing_kernel
 from leglab.controllers.bsnn_arx import AdaptiveController
+from leglab.runs.metrics import sliding_rms
 
 ADAPTIVE = ("bsnn_arx", "frozen", "arx")
 
@@ -262,6 +263,49 @@ def test_supervisor_returns_to_the_calibration_where_it_tracks_better():
     assert made.diagnostics()["feedforward"][0] == pytest.approx(0.1 * point.velocity[0], abs=0.02)
     spoilt_error, end = np.abs(errors[1000:1200]).max(axis=0), np.abs(errors[2500:]).max(axis=0)
     assert end[0] < spoilt_error[0] / 3
+
+
+@pytest.mark.parametrize("settle_time", [0.4, 0.0])
+def test_what_was_learned_lately_and_does_not_hold_is_not_used(settle_time):
+    # The machine follows exactly: any flow beyond its motion is wrong.
+    made = controller({"settle_time": settle_time, "supervised": False})
+    adaptation, asked = made.adaptation, []
+    for k in range(1100):
+        t = 0.002 * k
+        phase = 3.0 * t + np.arange(2)
+        point = ReferencePoint(0.5 * np.sin(phase), 1.5 * np.cos(phase), -4.5 * np.sin(phase))
+        measurement = Measurement(t, 0.5 * np.sin(phase - 0.003), point.velocity)
+        if k == 1000:
+            before = made.diagnostics()["feedforward"].copy()
+            spoilt = adaptation.learner.parameters
+            spoilt[0] += 0.1
+            adaptation.learner.parameters = spoilt
+            adaptation.learner.set_gain(1e-12 * np.eye(spoilt.shape[1]), 0)
+            adaptation.learner.hold_alarm(0)
+        if k == 1090:
+            adaptation.trust()
+        made.command(measurement, point)
+        # The machine of the calibration: what is sent is what moves it.
+        adaptation.sent(0.1 * point.velocity)
+        asked.append(made.diagnostics()["feedforward"] - 0.1 * point.velocity)
+    off = np.abs(np.array(asked)[:, 0])
+    assert off[900:1000].max() < 0.002 < before.max()
+    assert off[1010] > 0.02
+    if settle_time:
+        assert off[1080] < 0.5 * off[1010]
+        assert off[1095] > 0.9 * off[1010]
+    else:
+        assert off[1080] > 0.9 * off[1010]
+
+
+def test_a_soft_machine_is_not_shaken_by_what_is_learned():
+    settings = {"model": "leg", "severity": 0.15, "tolerance": 0.1, "seed": 1000, "vary": True}
+    machine = {
+        name: run(name, "air_in_oil", **settings) for name in ("static_feedforward", "bsnn_arx")
+    }
+    worst = {name: sliding_rms(r.history.time, r.history.error, 2.0) for name, r in machine.items()}
+    counted = machine["bsnn_arx"].history.time >= 7.0
+    assert (worst["bsnn_arx"] / worst["static_feedforward"])[counted].max() < 1.1
 
 
 @pytest.mark.parametrize(

@@ -101,6 +101,36 @@ def runs(tmp_path_factory):
     }
 
 
+def test_slow_wear_is_told_as_it_was_said_then(runs, tmp_path):
+    wear = {"fault": "seal_wear", "element": "knee", "since": 0.1, "time": 0.5, "seen": 1.9}
+    wear |= {"size": 4.0, "remaining": 60.0, "confidence": 1.0, "explained": 0.9}
+
+    def looks(columns):
+        time = np.linspace(0.0, LENGTH, len(columns["knee_truth"]))
+        parts = [time < 0.5, time < 1.0]
+        return {
+            "knee_health_fault": np.select(parts, [0.0, 1.0], 1.0),
+            "knee_health_size": np.select(parts, [0.0, 2.0], 4.0),
+            "knee_health_remaining": np.select(parts, [np.nan, np.nan], 60.0),
+        }
+
+    folder = edited(runs["pd"], tmp_path / "wear", looks)
+    metrics = json.loads((folder / "metrics.json").read_text())
+    condition = {**wear, "fault": "oil_temperature", "element": "hip", "condition": True}
+    metrics["health"] = [wear, condition]
+    (folder / "metrics.json").write_text(json.dumps(metrics))
+    first, last, other = load_track(folder).named
+    assert (first.text, last.text) == (
+        "slowly: knee seal wear 2",
+        "slowly: knee seal wear 4, left 1 min",
+    )
+    assert first.start == pytest.approx(0.5, abs=0.01)
+    assert first.end == last.start == pytest.approx(1.0, abs=0.01)
+    assert last.end == np.inf
+    # What the recording does not follow stands as it was at the end.
+    assert other.text == "slowly until 2 s: hip oil temperature 4, left 1 min"
+
+
 @pytest.fixture(scope="module")
 def stills(runs, tmp_path_factory):
     """Frames, (times, 720, 1280, 3), by name; all drawn by one process."""

@@ -109,6 +109,11 @@ extern "C" void setup() {
   settings.trust_time = 0.5;
   settings.margin = 1.05;
   settings.noise = 0.2e-3;
+  settings.settle_time = 0.4;
+  settings.proof_time = 0.15;
+  settings.proof_horizon = 0.02;
+  settings.proof_doubt = 0.06;
+  settings.proof_noise = 0.0005;
   settings.learn_lower = std::vector<double>(joints, -2.0);
   settings.learn_upper = std::vector<double>(joints, 2.0);
   settings.bandwidth = std::vector<double>(joints, 20.0);

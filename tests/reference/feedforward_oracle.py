@@ -35,11 +35,61 @@ def table_share(table, joint, position, command):
     return brentq(lambda s: on_row(x, row, s) - command, -1e3, 1e3, xtol=1e-15)
 
 
+class Proof:
+    """Which share of what was learned lately is used, joint by joint."""
+
+    def __init__(self, parts, learner):
+        self.p, self.learner, self.other = parts, learner, learner.copy()
+        self.joints = self.other.joints
+        self.slow = np.zeros_like(np.atleast_2d(learner.parameters))
+        self.snapshots = [[0 * self.slow[j]] * 2 for j in range(self.joints)]
+        self.said = {}
+        self.means = np.zeros((3, self.joints))
+        self.share = np.ones(self.joints)
+        self.taken = np.zeros(self.joints, dtype=int)
+        self.sample = parts["interval"] * parts["control_period"]
+
+    def predict(self, parameters, inputs):
+        self.other.parameters = np.reshape(parameters, self.other.parameters.shape)
+        return self.other.predict(inputs)
+
+    def used(self, count, inputs):
+        learned = self.learner.predict(inputs)
+        if self.p["settle_time"] == 0:
+            return learned
+        slow = self.predict(self.slow, inputs)
+        beyond = self.predict([old for old, _ in self.snapshots], inputs)
+        self.said[count] = slow, beyond
+        return slow + self.share * (learned - slow)
+
+    def take(self, count, found, learned):
+        """Flows found (joints,), and which joints learned from them."""
+        if self.p["settle_time"] == 0:
+            return
+        p, theta = self.p, np.atleast_2d(self.learner.parameters)
+        asked = count - p["kernel"].shape[1] // 2 - 1
+        nothing = np.zeros(self.joints), np.zeros(self.joints)
+        slow, beyond = self.said.get(asked, nothing)
+        for j in np.flatnonzero(learned):
+            error = found[j] - slow[j]
+            seen = np.array([error * beyond[j], beyond[j] ** 2, error**2])
+            self.means[:, j] += min(1, self.sample / p["proof_time"]) * (seen - self.means[:, j])
+            agreed, power, missed = self.means[:, j]
+            prior = p["proof_noise"] ** 2 + p["proof_doubt"] * missed
+            self.share[j] = np.clip((agreed + prior) / (power + prior), 0, 1)
+            settle = min(1, self.sample / p["settle_time"])
+            self.slow[j] = (1 - settle) * self.slow[j] + settle * theta[j]
+            self.taken[j] += 1
+            if self.taken[j] % max(1, round(p["proof_horizon"] / self.sample)) == 0:
+                self.snapshots[j] = [self.snapshots[j][1], theta[j] - self.slow[j]]
+
+
 class Feedforward:
     """The same constants as `leglab.control.feedforward.adaptive` hands to the core."""
 
     def __init__(self, parts, table, learner):
         self.p, self.table, self.learner = parts, table, learner
+        self.proof = Proof(parts, learner)
         self.joints = len(table.start)
         n, h = parts["kernel"].shape[1], parts["control_period"]
         self.kernel = [savgol_coeffs(n, 4, deriv=d, delta=h, use="dot") for d in range(4)]
@@ -102,13 +152,19 @@ class Feedforward:
         return [table_share(self.table, j, position[j], self.sent[j]) for j in range(self.joints)]
 
     def update(self, inputs, motion, excess, usable, middle):
+        self.learn_excess(inputs, excess, usable)
+
+    def learn_excess(self, inputs, excess, usable):
+        counts = [self.learner.diagnostics(j)["learned"] for j in range(self.joints)]
         self.learner.update(inputs, np.where(usable, excess, np.nan))
+        now = [self.learner.diagnostics(j)["learned"] for j in range(self.joints)]
+        self.proof.take(self.count, excess, np.array(now) > counts)
 
     def wanted(self, motion, inputs, v):
         """Commands for the flow that the learned map asks for."""
-        excess = self.learner.predict(inputs)
+        excess = self.proof.used(self.count, inputs)
         for _ in range(3 if self.p["forward"] else 0):
-            excess = self.learner.predict(self.inputs(motion, v + excess)[0])
+            excess = self.proof.used(self.count, self.inputs(motion, v + excess)[0])
         return [
             table_command(self.table, j, motion[0, j], v[j] + excess[j]) for j in range(self.joints)
         ]
@@ -257,13 +313,13 @@ class PressureFeedforward(Feedforward):
             sign = np.sign(np.interp(q, d.position[0], d.lever[0]))
             targets[j] = sign * force / (d.area[0, 0] * d.supply_pressure[0])
         self.loads.update(inputs, np.where(usable, targets, np.nan))
-        self.learner.update(np.hstack([inputs, leaks]), np.where(usable, excess, np.nan))
+        self.learn_excess(np.hstack([inputs, leaks]), excess, usable)
 
     def wanted(self, motion, inputs, v):
         rows, loads = np.array(self.measured).T, self.loads.predict(inputs)
         found = [self.expected(j, motion[0, j], rows[j], loads[j]) for j in range(self.joints)]
         leaks = [leak for _, leak in found]
-        share = v + self.learner.predict(np.hstack([inputs, leaks]))
+        share = v + self.proof.used(self.count, np.hstack([inputs, leaks]))
 
         def root(j):
             return brentq(

@@ -28,6 +28,14 @@ _GREATEST_ACCELERATION = 1000.0
 # calibrated one takes over where the learned one's RMS error is so many times its own.
 _TRUST_TIME, _MARGIN = 0.5, 1.05
 
+# What was learned beyond the slow map is used by the share that held over this time [s], as
+# snapshots so far apart said it [s]. This share of the slow map's mean squared error speaks for
+# what was learned: where hardly anything was said nothing is disproved.
+_PROOF_TIME, _PROOF_HORIZON, _PROOF_DOUBT = 0.15, 0.02, 0.06
+
+# What the slow and the learned map differ by without being held to it [share of full speed].
+_PROOF_NOISE = 0.0005
+
 
 class LearningConfiguration(Configuration):
     """How the map is learned and its use kept safe; the core reads these names.
@@ -56,6 +64,8 @@ class LearningConfiguration(Configuration):
         limit: Largest feed-forward [valve command].
         rate_limit: Fastest change of the feed-forward [1/s].
         least_speed: Nothing is learned while all joints are slower, as a share of their full speed.
+        settle_time: Time constant of a slow mean of the parameters [s]: what was learned beyond it
+            is used as far as its predictions held. 0 uses all that was learned at once.
         supervised: Whether the calibrated map takes over where it predicts better.
     """
 
@@ -78,6 +88,7 @@ class LearningConfiguration(Configuration):
     limit: float = Field(default=0.95, gt=0, le=1)
     rate_limit: float = Field(default=50.0, gt=0)
     least_speed: float = Field(default=1e-3, ge=0)
+    settle_time: float = Field(default=0.4, ge=0)
     supervised: bool = Field(default=True)
 
     @field_validator("window")
@@ -169,6 +180,10 @@ class AdaptiveFeedforward:
                 "trust_time": _TRUST_TIME,
                 "margin": _MARGIN,
                 "noise": _NOISE,
+                "proof_time": _PROOF_TIME,
+                "proof_horizon": _PROOF_HORIZON,
+                "proof_doubt": _PROOF_DOUBT,
+                "proof_noise": _PROOF_NOISE,
                 "centre": (table.start + table.end) / 2,
                 "half_range": width / 2,
                 "acceleration": ACCELERATION,
@@ -202,6 +217,10 @@ class AdaptiveFeedforward:
     def freeze(self) -> None:
         """Stops learning until the next `reset`."""
         self._core.freeze()
+
+    def trust(self) -> None:
+        """Uses the learner's parameters as they are now: who calls knows them to be right."""
+        self._core.trust()
 
     def keep(self, samples: int) -> None:
         """Keeps learned samples from now on, so many at most, for `kept`; `reset` ends it."""

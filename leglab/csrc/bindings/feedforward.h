@@ -95,6 +95,8 @@ inline ff::AdaptiveSettings read_adaptive(const nb::dict& settings) {
   LEGLAB_READ_4(rate_limit, least_speed, saturation, greatest_acceleration)
   LEGLAB_READ_2(forward, supervised)
   LEGLAB_READ_3(trust_time, margin, noise)
+  LEGLAB_READ_3(settle_time, proof_time, proof_horizon)
+  LEGLAB_READ_2(proof_doubt, proof_noise)
   LEGLAB_READ_3(learn_lower, learn_upper, bandwidth)
   LEGLAB_READ_2(position_gain, velocity_gain)
   return out;
@@ -153,6 +155,7 @@ class Feedforward {
   }
 
   void freeze() { core_.freeze(); }
+  void trust() { core_.trust(); }
 
   void keep(int samples) { core_.keep(samples); }
   int kept() const { return core_.kept(); }
@@ -201,7 +204,8 @@ inline void bind_feedforward(nb::module_& module) {
       .def("keep", &Feedforward::keep)
       .def("kept", &Feedforward::kept)
       .def("take_kept", &Feedforward::take_kept)
-      .def("freeze", &Feedforward::freeze);
+      .def("freeze", &Feedforward::freeze)
+      .def("trust", &Feedforward::trust);
   nb::class_<ValveMaps>(module, "ValveMaps")
       .def(nb::init<nb::dict>(), nb::arg("parts"))
       .def("command", &ValveMaps::command);

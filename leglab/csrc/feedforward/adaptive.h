@@ -8,6 +8,7 @@
 #include "feedforward/inverse_map.h"
 #include "feedforward/motion.h"
 #include "feedforward/pressure_valve.h"
+#include "feedforward/proof.h"
 #include "feedforward/valve_table.h"
 #include "identification/spline_narx.h"
 
@@ -27,6 +28,11 @@ struct AdaptiveSettings {
   double trust_time = 0.0;      // time constant of the errors that are compared [s]
   double margin = 1.0;          // learned over calibrated RMS at which the calibration takes over
   double noise = 0.0;           // tracking errors below this are no reason to distrust [rad]
+  double settle_time = 0.0;     // of the slow map [s]; 0: what was learned is used at once
+  double proof_time = 0.0;      // time constant of what is held against it [s]
+  double proof_horizon = 0.0;   // from one snapshot of what was learned to the next [s]
+  double proof_doubt = 0.0;     // see ProofSettings
+  double proof_noise = 0.0;     // predictions that differ by less need no proof [share of full speed]
   std::vector<double> learn_lower, learn_upper;  // positions between which it learns [rad]
   std::vector<double> bandwidth;                 // crossover of the feedback loops [rad/s]
   std::vector<double> position_gain, velocity_gain;  // [1/rad], [s/rad], with the valve's sign
@@ -85,8 +91,15 @@ class AdaptiveFeedforward {
                          &withheld_, &fallback_}) {
       std::fill(values->begin(), values->end(), 0.0);
     }
+    proofs_.clear();
+    for (const Learner* learner : learners_) proofs_.emplace_back(proof(), learner->parameters());
     count_ = 0;
     frozen_ = false;
+  }
+
+  // Uses the learned parameters of all joints as they are now: they were set by who knows.
+  void trust() {
+    for (std::size_t j = 0; j < proofs_.size(); ++j) proofs_[j].trust(learners_[j]->rls().theta());
   }
 
   // Nothing is learned from now on, until `reset`.
@@ -157,9 +170,29 @@ class AdaptiveFeedforward {
     double flow = share;
     for (int k = 0; k < (settings_.forward ? 4 : 1); ++k) {
       map_.inputs(i, flow, inputs_);
-      flow = share + learners_[std::size_t(i)]->peek(inputs_);
+      flow = share + excess(std::size_t(i));
     }
     return flow;
+  }
+
+  // Flow beyond that of the motion itself for the inputs, as a share of full speed.
+  double excess(std::size_t j) {
+    const double learned = learners_[j]->peek(inputs_);
+    return proofs_[j].used(count_, learners_[j]->regressor(), learned);
+  }
+
+  ProofSettings proof() const {
+    const double sample = settings_.interval * settings_.control_period;
+    const auto share = [&](double time) { return std::min(1.0, sample / time); };
+    ProofSettings out;
+    out.settle = settings_.settle_time > 0.0 ? share(settings_.settle_time) : 0.0;
+    out.forget = share(settings_.proof_time);
+    out.horizon = std::max(1, int(std::lround(settings_.proof_horizon / sample)));
+    out.doubt = settings_.proof_doubt;
+    out.noise = settings_.proof_noise;
+    // The motion asked in one period is measured in the next, and sampled in the window's middle.
+    out.delay = window_.half() + 1;
+    return out;
   }
 
   // The same with pressures, and the command for it.
@@ -169,7 +202,7 @@ class AdaptiveFeedforward {
     const ChamberPressures now{pressure_a_[j], pressure_b_[j]};
     const PressureValve::Place at = valves_[j].at(motion_[j], now, supply_);
     const ChamberPressures expected = expect(j, at, now);
-    return valves_[j].command(at, expected, share + learners_[j]->peek(inputs_));
+    return valves_[j].command(at, expected, share + excess(j));
   }
 
   // Pressures under the load that the second map gives for the inputs; their leaks join the inputs.
@@ -247,8 +280,12 @@ class AdaptiveFeedforward {
                         motion_[j] > settings_.learn_lower[j] &&
                         motion_[j] < settings_.learn_upper[j];
     if (!valves_.empty()) excess += learn_load(j, usable);
+    const auto learned = learners_[j]->state().learned;
     const double predicted = learners_[j]->update(inputs_, excess, usable);
     error_[j] = usable ? excess - predicted : 0.0;
+    if (learners_[j]->state().learned > learned) {
+      proofs_[j].take(count_, excess, learners_[j]->rls().theta());
+    }
     if (kept_ < capacity_) keep_sample(j, excess, usable);
   }
 
@@ -304,6 +341,7 @@ class AdaptiveFeedforward {
   std::vector<ValveTable> tables_;
   std::vector<PressureValve> valves_;  // none without pressures
   std::vector<Learner*> learners_, load_learners_;
+  std::vector<Proof> proofs_;
   std::vector<double> motion_, feedforward_, error_, sent_, flow_, learned_, calibrated_;
   // What the excess in use adds to the tracking error, and what the one not in use would [rad].
   std::vector<double> applied_, withheld_;

@@ -23,6 +23,7 @@ class SmoothingWindow {
   }
 
   void clear() { next_ = filled_ = 0; }
+  int half() const { return window_ / 2; }  // samples from the middle to the latest
   bool full() const { return filled_ >= window_; }
 
   void push(const double* position, const double* flow, const double* command) {

@@ -18,6 +18,9 @@ from leglab.runs import metrics, record
 # A run counts as stopped early where it lacks more than this [s].
 _TOLERANCE = 0.05
 
+# Columns of a joint that follow slow wear: the fault's number, its size and what remains [s].
+_FOLLOWED = ("fault", "size", "remaining")
+
 
 @dataclass(frozen=True, kw_only=True)
 class ShownChange:
@@ -168,7 +171,7 @@ def load_track(folder: Path) -> Track:
         window=min(run.window, max(0.25 * recording.duration, 1e-3)),
         failure=(told and told.failure) or "",
         undone=None if told is None else _undone(told.adaptation, run.changes),
-        named=() if told is None else (*_named(told.events), *map(_wear, told.health)),
+        named=() if told is None else (*_named(told.events), *_slowly(told.health, recording)),
     )
 
 
@@ -181,10 +184,38 @@ def _named(events: Sequence[record.FaultEvent]) -> Iterator[ShownChange]:
         yield ShownChange(start=name.time, end=end, text=f"named: {event.short()}")
 
 
-def _wear(trend: record.FaultTrend) -> ShownChange:
-    """Slow wear, from when it was said first: its size and what remains are those at the end."""
-    text = f"slowly until {trend.seen:.0f} s: {trend.short()}"
-    return ShownChange(start=trend.time, end=np.inf, text=text)
+def _slowly(trends: Sequence[record.FaultTrend], recording: Recording) -> Iterator[ShownChange]:
+    """Slow wear, from when it was said first: size and what remains as they were said then.
+
+    Of what the recording does not follow, as a condition, those at the end stand for all.
+    """
+    for trend in trends:
+        elements = recording.tracked if trend.element == "all" else trend.element.split(",")
+        names = [[f"{element}_health_{what}" for what in _FOLLOWED] for element in elements]
+        there = [columns for columns in names if all(name in recording for name in columns)]
+        said = [np.array([recording[name] for name in columns]) for columns in there]
+        # The name is in force where the joint has it; another one before it has its own trend.
+        said = [values for values in said if values[0, recording.time >= trend.time].any()]
+        if trend.condition or not said:
+            text = f"slowly until {trend.seen:.0f} s: {trend.short()}"
+            yield ShownChange(start=trend.time, end=np.inf, text=text)
+            continue
+        yield from _looks(trend, recording.time, said[0])
+
+
+def _looks(trend: record.FaultTrend, time: np.ndarray, said: np.ndarray) -> Iterator[ShownChange]:
+    """What was said of a trend from look to look; `said` has a row for each of `_FOLLOWED`."""
+    before, after = said[:, :-1], said[:, 1:]
+    new = np.any((before != after) & ~(np.isnan(before) & np.isnan(after)), axis=0)
+    starts = np.union1d(np.flatnonzero(new) + 1, np.searchsorted(time, trend.time))
+    starts = starts[(time[np.minimum(starts, len(time) - 1)] >= trend.time) & (starts < len(time))]
+    for first, last in zip(starts, [*starts[1:], len(time)], strict=True):
+        fault, size, remaining = (None if np.isnan(x) else float(x) for x in said[:, first])
+        if not fault:
+            continue
+        then = trend.model_copy(update={"size": size, "remaining": remaining})
+        end = np.inf if last == len(time) else float(time[last])
+        yield ShownChange(start=float(time[first]), end=end, text=f"slowly: {then.short()}")
 
 
 def _undone(
