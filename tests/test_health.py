@@ -91,7 +91,7 @@ def test_the_history_of_looks_has_an_end_and_the_trend_stays(monkeypatch):
         monkeypatch.setattr(health, "_MOST_LOOKS", most)
         monitor = monitor_of(bank)
         stream(monitor, lambda time: base + growth(time))
-        assert len(monitor._looks) <= most
+        assert monitor._history.count <= most
         told.append(monitor.trends[-1])
     whole, thinned = told
     assert (thinned.fault, thinned.element) == (whole.fault, whole.element)

@@ -9,6 +9,7 @@ of the Royal Statistical Society B 16, 175). It sees the samples of the learner 
 """
 
 import math
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -30,7 +31,7 @@ _RIDGE = 1e-2
 # Looks that are judged together.
 _TOGETHER = 3
 
-# Looks that are kept; beyond, every second of the earlier ones goes: days are a coarser line.
+# Looks whose sizes are kept: days are a coarser line.
 _MOST_LOOKS = 1024
 
 # Mean square error of the healthy map, over what it was, from which on a joint has changed [1]; and
@@ -242,6 +243,31 @@ class _Look:
     ]  # cost and values of conditions that joints differ in
 
 
+class _History:
+    """Sizes of all curves in the looks so far, in memory that is taken once.
+
+    Small arrays that are kept among large ones that are not would hold much more than their own.
+    """
+
+    def __init__(self, curves: int) -> None:
+        self._time, self._size = np.empty(_MOST_LOOKS + 1), np.empty((_MOST_LOOKS + 1, curves))
+        self.count = 0
+
+    def add(self, look: _Look) -> None:
+        """Adds a look; where there are too many, every second of the earlier ones goes."""
+        self._time[self.count], self._size[self.count] = look.time, look.size
+        self.count += 1
+        if self.count > _MOST_LOOKS:
+            early = np.arange(0, self.count - _TOGETHER, 2)
+            kept = np.append(early, np.arange(self.count - _TOGETHER, self.count))
+            self._time[: kept.size], self._size[: kept.size] = self._time[kept], self._size[kept]
+            self.count = kept.size
+
+    def of(self, curve: int) -> tuple[np.ndarray, np.ndarray]:
+        """Times and sizes of a curve, (looks,) each."""
+        return self._time[: self.count].copy(), self._size[: self.count, curve].copy()
+
+
 class HealthMonitor:
     """Follows slow wear from the samples of a learner.
 
@@ -293,7 +319,8 @@ class HealthMonitor:
         """Begins to learn the map of the machine as it is."""
         self._base: np.ndarray | None = None
         self._normal = np.zeros(len(self._joints))
-        self._looks: list[_Look] = []
+        self._looks: deque[_Look] = deque(maxlen=_TOGETHER)
+        self._history = _History(len(self._bank.curves))
         self.drop()
 
     def drop(self) -> None:
@@ -366,19 +393,17 @@ class HealthMonitor:
                 },
             )
         )
-        if len(self._looks) > _MOST_LOOKS:
-            self._looks = self._looks[:-_TOGETHER:2] + self._looks[-_TOGETHER:]
+        self._history.add(self._looks[-1])
         self._judge(time)
 
     def _leader(self) -> int | None:
         """The curve that explains the last looks best; None before there are enough."""
-        recent = self._looks[-_TOGETHER:]
-        if len(recent) < _TOGETHER:
+        if len(self._looks) < _TOGETHER:
             return None
-        return int(np.argmin(np.sum([look.cost for look in recent], axis=0)))
+        return int(np.argmin(np.sum([look.cost for look in self._looks], axis=0)))
 
     def _judge(self, time: float) -> None:
-        config, recent = self._config, self._looks[-_TOGETHER:]
+        config, recent = self._config, self._looks
         leader = self._leader()
         if leader is None:
             return
@@ -422,7 +447,7 @@ class HealthMonitor:
         Returns:
             Whether one explains the last looks best, and enough.
         """
-        config, recent = self._config, self._looks[-_TOGETHER:]
+        config, recent = self._config, self._looks
         joints = len(self._joints)
         samples = joints * config.look * _TOGETHER / config.correlation
         more = config.correlation * (2 * joints - 2) * math.log(samples)
@@ -470,7 +495,7 @@ class HealthMonitor:
         return Trend(
             fault=UNKNOWN,
             element=ALL if hit.all() and len(hit) > 1 else names,
-            since=self._looks[-_TOGETHER].time,
+            since=self._looks[0].time,
             time=time,
             seen=time,
             confidence=1.0 - max(explained, 0.0),
@@ -480,8 +505,7 @@ class HealthMonitor:
     def _trend(self, time: float, leader: int, chance: float, explained: float) -> Trend:
         curve, config = self._bank.curves[leader], self._config
         condition = curve.fault in CONDITIONS
-        times = np.array([look.time for look in self._looks])
-        sizes = np.array([look.size[leader] for look in self._looks])
+        times, sizes = self._history.of(leader)
         healthy, scale = float(curve.sizes[0]), config.discrepancy
         worn_out = None
         if not condition:
