@@ -10,6 +10,7 @@ nothing to be named by: it is listed and does not count.
 
 import argparse
 import os
+import signal
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -54,7 +55,7 @@ def fault_at(now: float, joints: tuple[str, ...], rng: np.random.Generator) -> t
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
-    """Walks, breaks and repairs; prints a line a minute."""
+    """Walks, breaks and repairs; prints a line a minute. Ctrl-C ends it at the end of a state."""
     settings = specimen(
         options.seed,
         scenario="nominal",
@@ -69,6 +70,8 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     squares, memories, skipped, heard = 0.0, [], 0, 0
     name, element = "", ""
     per_state, count = round(STATE / period), round(60.0 * options.minutes / period)
+    stopped = []
+    signal.signal(signal.SIGINT, lambda *_: stopped.append(True))
     with headless(simulation.model):
         for k in range(count):
             at = k % per_state
@@ -89,6 +92,8 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
                         "undone": any(t.undoes is not None for t in told),
                     }
                 )
+                if stopped and len(memories) > 1:
+                    break
                 name, element = "", ""
                 if (k // per_state) % 2:
                     try:
@@ -127,7 +132,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     for state in broken:
         state["shown"] = state["noticed"] or state["rms_mrad"] > SEEN * healthy[0]
     return {
-        "minutes": options.minutes,
+        "minutes": len(states) * STATE / 60.0,
         "model": options.model,
         "faults": sum(s["shown"] for s in broken),
         "named": sum(s["named"] for s in broken),

@@ -180,12 +180,16 @@ def test_every_hydraulic_model_runs_reports_and_converts(model, tmp_path, capsys
     assert ("rail_position" in data.read(folder / "recording.parquet")) == (model == "leg_rail")
 
 
+OF_SELF_TEST = "--rough, --no-healthy, --sizes, --jobs and --scheduler are options of --self-test"
+
+
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
-        (["--rough"], "--rough, --no-healthy and --sizes are options of --self-test"),
-        (["--no-healthy"], "--rough, --no-healthy and --sizes are options of --self-test"),
-        (["--sizes", "visible"], "--rough, --no-healthy and --sizes are options of --self-test"),
+        (["--rough"], OF_SELF_TEST),
+        (["--jobs", "2"], OF_SELF_TEST),
+        (["--no-healthy"], OF_SELF_TEST),
+        (["--sizes", "visible"], OF_SELF_TEST),
         (["--healthy", "walk.csv"], "walk.csv is given as a recording and as --healthy"),
     ],
 )
