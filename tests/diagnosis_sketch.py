@@ -102,6 +102,12 @@ def ripple(mean, size=0.3, seed=0):
     return mean + scatter - scatter.mean()
 
 
+def exact_verdict(problem, named, contenders=()):
+    """What is said of a model that is taken for exact."""
+    found = a_search(problem, named, contenders)
+    return naming.judge_exact(found, np.random.default_rng(0))
+
+
 def rough_ties(found, key):
     def weigh(own, rivals):
         return naming._by_posterior(found.problem, own, rivals)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from leglab.diagnosis import naming, verdict
+from leglab.diagnosis import verdict
 from leglab.diagnosis.fitting import Fit
 from leglab.diagnosis.hypothesis import Hypothesis
 from leglab.diagnosis.judging import (
@@ -38,6 +38,7 @@ from tests.diagnosis_sketch import (
     a_search,
     a_sketch,
     contender,
+    exact_verdict,
     ripple,
     rough_ties,
 )
@@ -53,19 +54,13 @@ def library():
     return LIBRARY
 
 
-def exact(problem, named, contenders=()):
-    rng = np.random.default_rng(0)
-    found = a_search(problem, named, contenders)
-    return naming.judge_exact(found, rng)
-
-
 # The eight faults of the judging of exact models.
 
 
 @pytest.mark.parametrize(("left", "expected"), [(1.6, "named"), (3.0, "partial")])
 def test_an_effect_that_leaves_more_than_noise_is_no_explanation(sketch, left, expected):
     sketch.costs |= {frozenset(): 30.0, frozenset([OFFSET]): left}
-    said, (effect,), _ = exact(sketch, [OFFSET], [contender(sketch.library, OFFSET, left)])
+    said, (effect,), _ = exact_verdict(sketch, [OFFSET], [contender(sketch.library, OFFSET, left)])
     assert said == expected
     assert effect.confidence == 1.0 if left < 2.0 else effect.confidence < 0.8
 
@@ -73,7 +68,7 @@ def test_an_effect_that_leaves_more_than_noise_is_no_explanation(sketch, left, e
 @pytest.mark.parametrize(("left", "expected"), [(1.6, "nothing_missing"), (3.0, "unexplained")])
 def test_what_is_left_without_any_name_is_told(sketch, left, expected):
     sketch.costs[frozenset()] = left
-    assert exact(sketch, [])[0] == expected
+    assert exact_verdict(sketch, [])[0] == expected
 
 
 def test_a_rival_that_wins_every_fifth_resample_is_not_told_apart(sketch):
@@ -82,7 +77,7 @@ def test_a_rival_that_wins_every_fifth_resample_is_not_told_apart(sketch):
     rival = own + ripple(0.9 * 0.3 / np.sqrt(WINDOWS), seed=1)
     sketch.costs |= {frozenset(): 30.0, frozenset([OFFSET]): own}
     tried = [contender(sketch.library, k, c) for k, c in ((OFFSET, own), (COULOMB, rival))]
-    said, (effect,), _ = exact(sketch, [OFFSET], tried)
+    said, (effect,), _ = exact_verdict(sketch, [OFFSET], tried)
     assert said == "confusion_set"
     assert effect.indistinguishable_from == ("coulomb_friction",)
     assert 0.6 < effect.confidence < 0.95
@@ -92,7 +87,7 @@ def test_a_rival_that_costs_the_same_is_not_told_apart_however_surely(sketch):
     own = np.full(WINDOWS, 1.0)
     sketch.costs |= {frozenset(): 30.0, frozenset([OFFSET]): own}
     tried = [contender(sketch.library, k, c) for k, c in ((OFFSET, own), (COULOMB, own + 0.005))]
-    said, (effect,), _ = exact(sketch, [OFFSET], tried)
+    said, (effect,), _ = exact_verdict(sketch, [OFFSET], tried)
     assert said == "confusion_set"
     assert effect.confidence <= 0.5
 

@@ -33,6 +33,7 @@ from tests.diagnosis_sketch import (
     a_search,
     a_sketch,
     contender,
+    exact_verdict,
     ripple,
     rough_ties,
 )
@@ -203,10 +204,6 @@ def test_three_windows_held_out_are_too_few_to_speak(sketch, few, right):
     assert earns(sketch, offset, simple) is right
 
 
-def exact(problem, named, contenders=()):
-    return naming.judge_exact(a_search(problem, named, contenders), np.random.default_rng(0))
-
-
 def test_contributions_and_confidence_of_an_exact_model(sketch):
     both = frozenset([OFFSET, VISCOUS])
     sketch.costs |= {
@@ -215,7 +212,7 @@ def test_contributions_and_confidence_of_an_exact_model(sketch):
         frozenset([VISCOUS]): 21.0,
         both: 1.5,
     }
-    said, effects, _ = exact(sketch, [OFFSET, VISCOUS])
+    said, effects, _ = exact_verdict(sketch, [OFFSET, VISCOUS])
     assert said == "named"
     # What the machine without it leaves beyond noise, the larger contribution first.
     assert [(e.name, e.contribution) for e in effects] == [
@@ -224,13 +221,13 @@ def test_contributions_and_confidence_of_an_exact_model(sketch):
     ]
     assert [e.confidence for e in effects] == [1.0, 1.0]
     sketch.costs[both] = 4.0
-    said, effects, _ = exact(sketch, [OFFSET, VISCOUS])
+    said, effects, _ = exact_verdict(sketch, [OFFSET, VISCOUS])
     assert said == "partial"
     wanted = DEFAULT.explained / 4.0 * (30.0 - 4.0) / (30.0 - 1.0)
     assert [e.confidence for e in effects] == [pytest.approx(wanted)] * 2
     # Costs below that of noise are no gap that could be closed.
     sketch.costs |= {both: 1.0, frozenset([OFFSET]): 1.0, frozenset([VISCOUS]): 0.9}
-    _, effects, _ = exact(sketch, [OFFSET, VISCOUS])
+    _, effects, _ = exact_verdict(sketch, [OFFSET, VISCOUS])
     assert [e.contribution for e in effects] == [0.0, 0.0]
 
 
@@ -290,7 +287,7 @@ def test_half_widths_allow_for_laws_that_are_not_the_models(sketch, key):
 
 def test_no_effect_closes_more_than_all(sketch):
     sketch.costs |= {frozenset(): 30.0, frozenset([OFFSET]): 0.5}
-    _, (effect,), _ = exact(sketch, [OFFSET])
+    _, (effect,), _ = exact_verdict(sketch, [OFFSET])
     assert effect.contribution == 1.0
 
 

@@ -109,7 +109,7 @@ def compare(
 
     Writes compare.json and a figure a scenario. Runs that the output folder holds with the same
     settings and code are not repeated: an interrupted comparison goes on where it was. A run that
-    fails stops no other; the table says why.
+    fails stops no other; a line below the table says why.
     """
     options.load_plugins(load)
     from leglab.report.figures import save_comparison_figure
@@ -146,13 +146,13 @@ def compare(
                         save_comparison_figure(shown, out / f"{name}.png", title=title)
                     except LeglabError as error:  # The results are there.
                         terminal.complain(f"no figure of {name}: {error}", "warning")
-    for line in terminal.failure_lines(summary):
-        terminal.complain(line, "warning")
     if as_json:
         terminal.print_json(summary)
     else:
         terminal.print_wide(terminal.comparison_table(summary))
         terminal.tell(f"written to {out}")
+    for line in terminal.failure_lines(summary):
+        terminal.complain(line, "warning")
 
 
 def view(
