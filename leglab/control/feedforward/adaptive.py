@@ -29,8 +29,8 @@ _GREATEST_ACCELERATION = 1000.0
 _TRUST_TIME, _MARGIN = 0.5, 1.05
 
 # What was learned beyond the slow map is used by the share that held over this time [s], as
-# snapshots so far apart said it [s]. This share of the slow map's mean squared error speaks for
-# what was learned: where hardly anything was said nothing is disproved.
+# predicted by snapshots so far apart [s]. This share of the slow map's mean squared error counts as
+# evidence for what was learned, so that it is used before there is other evidence.
 _PROOF_TIME, _PROOF_HORIZON, _PROOF_DOUBT = 0.15, 0.02, 0.06
 
 # What the slow and the learned map differ by without being held to it [share of full speed].
@@ -219,7 +219,7 @@ class AdaptiveFeedforward:
         self._core.freeze()
 
     def trust(self) -> None:
-        """Uses the learner's parameters as they are now: who calls knows them to be right."""
+        """Uses the learner's parameters as they are now: the caller knows that they are right."""
         self._core.trust()
 
     def keep(self, samples: int) -> None:

@@ -97,7 +97,7 @@ class AdaptiveFeedforward {
     frozen_ = false;
   }
 
-  // Uses the learned parameters of all joints as they are now: they were set by who knows.
+  // Uses the learned parameters of all joints as they are now: the caller knows that they are right.
   void trust() {
     for (std::size_t j = 0; j < proofs_.size(); ++j) proofs_[j].trust(learners_[j]->rls().theta());
   }

@@ -21,7 +21,7 @@ struct ProofSettings {
 // and the map of the shaking is not that of the reference. So a slow map, the parameters' mean, stands
 // beside the learned one. What was learned beyond it is used by the share that held: the least
 // squares of the flows found on what snapshots taken a while before had said of them beyond the
-// slow map, for the reference. What shakes has turned about in that while.
+// slow map, for the reference. A joint that shakes has reversed by then.
 class Proof {
  public:
   Proof(const ProofSettings& settings, int parameters)
