@@ -7,7 +7,13 @@ import leglab.runs.fault_bank as making
 from leglab import RunSettings
 from leglab.base.errors import LeglabError
 from leglab.base.scenario import get_scenario
-from leglab.control.feedforward.fault_bank import ALL, FaultBank, FaultCurve, Moments
+from leglab.control.feedforward.fault_bank import (
+    ALL,
+    FaultBank,
+    FaultCurve,
+    Moments,
+    explained_share,
+)
 from leglab.machine.changes import Schedule
 from leglab.machine.simulation import Simulation, load_model
 from leglab.runs.loop import Loop
@@ -156,7 +162,7 @@ def bank_of(**changed) -> FaultBank:
 
 def same(one: FaultBank, other: FaultBank) -> bool:
     return all(
-        a.fault == b.fault and np.array_equal(a.shifts, b.shifts)
+        (a.fault, a.explains) == (b.fault, b.explains) and np.array_equal(a.shifts, b.shifts)
         for a, b in zip(one.curves, other.curves, strict=True)
     )
 
@@ -237,3 +243,28 @@ def test_odds_are_those_of_noise_or_of_structure_whichever_are_weaker():
     assert rival(20.0, 10.0) == pytest.approx(odds(5.0 * np.log(1.5)))
     assert rival(50.0, 10.0) == pytest.approx(odds(100.0 / 100.0))
     assert bank.chances(0.0 * cost, 20.0, 10.0).tolist() == [0.5, 0.5]
+    # What noise makes of both is no likeness: a fifth of it is not known, and it is at most what
+    # the best leaves.
+    few = 1.0
+    assert bank.chances(cost, few, 10.0, 150.0)[0] == pytest.approx(odds(5.0 * np.log(180 / 80)))
+    assert bank.chances(cost, few, 10.0, 250.0)[0] == pytest.approx(odds(5.0 * np.log(140 / 40)))
+    assert bank.chances(cost, few, None, 150.0)[0] == pytest.approx(odds(100.0 / 2.0))
+
+
+def test_explained_is_the_share_of_what_is_beyond_noise():
+    assert explained_share(40.0, 100.0, 20.0) == pytest.approx(60.0 / 80.0)
+    assert explained_share(10.0, 100.0, 20.0) == 1.0
+    assert explained_share(110.0, 100.0, 20.0) == 0.0
+    assert explained_share(10.0, 100.0, 100.0) == 0.0
+
+
+def test_a_bank_knows_how_much_a_map_can_say_of_each_fault(small, monkeypatch):
+    """A leak is a function of the motion; soft oil shakes, which the motion hardly tells."""
+    faults = {
+        "seal_wear": (making.Faults(healthy=1.0, sizes=(10.0,)),),
+        "air_in_oil": (making.Faults(healthy=0.005, sizes=(0.15,)),),
+    }
+    monkeypatch.setattr(making, "FAULTS", faults)
+    leak, air = bank_of().curves
+    assert leak.explains > 0.95
+    assert 0.1 < air.explains < 0.9

@@ -113,6 +113,56 @@ def test_a_later_sample_revises_the_name_and_the_parameters():
     np.testing.assert_allclose(parameters, base + right.shift(6.0), atol=0.01)
 
 
+def test_a_weak_fault_of_one_joint_is_named_though_most_of_the_error_is_noise():
+    """One joint errs five times as much as before (squared), the other as before."""
+    rng = np.random.default_rng(25)
+    bank = make_bank(rng)
+    right = bank.curves[4]
+    step = np.sqrt(4.0) * 1e-3 / np.linalg.norm(right.shifts[1])
+    weak = replace(right, shifts=step * right.shifts)
+    _, true = planted(weak.shift(4.0), rng)
+    weak_bank = FaultBank(curves=(*bank.curves[:4], weak))
+    config = CONFIG.model_copy(update={"slow_window": 600, "explained": (0.8, 0.8)})
+    monitor = FaultMonitor(weak_bank, JOINTS, config, sample_period=PERIOD)
+    stream(monitor, true)
+    (event,) = monitor.events
+    assert [(name.fault, name.element) for name in event.names] == [("rub", "knee")]
+    assert event.names[0].explained > 0.8
+
+
+@pytest.mark.parametrize("told", [0.5, 1.0])
+def test_a_fault_must_explain_what_a_map_can_say_of_it(told):
+    """A good third of the error is the fault's shift, which says nothing of the rest."""
+    rng = np.random.default_rng(26)
+    bank = make_bank(rng)
+    right = replace(bank.curves[1], explains=told)
+    shift = right.shift(6.0)
+    rest = rng.standard_normal(PARAMETERS)
+    rest -= (rest @ shift[1]) / (shift[1] @ shift[1]) * shift[1]
+    true_shift = shift.copy()
+    true_shift[1] += 1.3 * rest * np.linalg.norm(shift[1]) / np.linalg.norm(rest)
+    _, true = planted(true_shift, rng)
+    monitor = monitor_of(FaultBank(curves=(bank.curves[0], right, *bank.curves[2:])))
+    stream(monitor, true)
+    (name,) = monitor.events[0].names
+    assert name.fault == ("leak" if told < 1.0 else UNKNOWN)
+    assert name.explained == pytest.approx(0.37, abs=0.08)
+
+
+def test_the_first_evidence_must_be_stronger():
+    rng = np.random.default_rng(27)
+    bank = make_bank(rng)
+    _, true = planted(bank.curves[3].shift(6.0), rng)
+    said = []
+    for first in (8.0, 1e6):
+        config = CONFIG.model_copy(update={"evidence": (first, 8.0)})
+        monitor = FaultMonitor(bank, JOINTS, config, sample_period=PERIOD)
+        stream(monitor, true)
+        said.append(monitor.events[0].names[0].time - CHANGE)
+    assert said[0] < 0.2
+    assert 0.38 < said[1] < 0.55
+
+
 def test_same_samples_same_words():
     said = []
     for _ in range(2):

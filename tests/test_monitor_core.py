@@ -102,10 +102,10 @@ def test_odds_are_those_of_numpy():
     bank = bank_of(rng, 5)
     for _ in range(5):
         cost = rng.uniform(50.0, 500.0, len(bank.curves))
-        for independent in (10.0, None):
+        for independent, noise in ((10.0, 0.0), (10.0, 120.0), (None, 0.0)):
             np.testing.assert_allclose(
-                bank.chances(cost, 20.0, independent),
-                oracle.chances(bank.group, cost, 20.0, independent),
+                bank.chances(cost, 20.0, independent, noise),
+                oracle.chances(bank.group, cost, 20.0, independent, noise),
                 rtol=1e-12,
             )
 

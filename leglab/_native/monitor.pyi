@@ -54,7 +54,9 @@ class Bank:
     def fit(self, moments: Moments, weight: Array, out: Array) -> float:
         """Writes size, spread and cost, (3, curves); returns the cost without any fault."""
 
-    def chances(self, cost: Array, correlation: float, independent: float, out: Array) -> None:
+    def chances(
+        self, cost: Array, correlation: float, independent: float, noise: float, out: Array
+    ) -> None:
         """Writes the probability of every key, (keys,); 0 independent errors count noise alone."""
 
 class Monitor:
@@ -98,8 +100,10 @@ class Monitor:
     def look(self, curves: int = ...) -> bool:
         """Fits so many curves more; returns whether all are fitted."""
 
-    def finding(self) -> tuple[int, float, float, float, float, float]:
-        """The look's best curve, size, spread, cost, cost without any fault, chance of its key.
+    def finding(self) -> tuple[int, float, float, float, float, float, float]:
+        """The look's best curve, size, spread and cost, and the chance of its key, last.
+
+        Before the chance stand the costs without any fault and of a machine that had not changed.
 
         Raises:
             ValueError: The look is not done.

@@ -17,7 +17,14 @@ import numpy as np
 from leglab.base.errors import LeglabError
 from leglab.base.scenario import Scenario, get_scenario, scenario_per_joint, scenario_severity
 from leglab.commissioning.setup import model_digest
-from leglab.control.feedforward.fault_bank import ALL, FaultBank, FaultCurve, Moments
+from leglab.control.feedforward.fault_bank import (
+    ALL,
+    FaultBank,
+    FaultCurve,
+    Moments,
+    explained_share,
+)
+from leglab.control.feedforward.fault_monitor import DISCREPANCY
 from leglab.controllers.bsnn_arx import AdaptiveController
 from leglab.data import write_atomically
 from leglab.jobs.fingerprint import fingerprint
@@ -132,6 +139,7 @@ def _write(bank: FaultBank, file: Path) -> None:
     arrays: dict[str, Any] = {"names": names, "code": np.array(fingerprint())}
     for i, curve in enumerate(bank.curves):
         arrays |= {f"sizes_{i}": curve.sizes, f"shifts_{i}": curve.shifts}
+    arrays["explains"] = np.array([curve.explains for curve in bank.curves])
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(file, lambda stream: np.savez(stream, **arrays))
@@ -153,6 +161,7 @@ def _read(file: Path) -> FaultBank | None:
                         meaning=str(meaning),
                         sizes=kept[f"sizes_{i}"],
                         shifts=kept[f"shifts_{i}"],
+                        explains=float(kept["explains"][i]),
                     )
                     for i, (fault, element, meaning) in enumerate(kept["names"])
                 )
@@ -168,10 +177,12 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
     # The ridge draws towards the map that it is about: what it takes off a healthy machine's own
     # map is no shift.
     drawn = _solve(healthy.about(base))
+    normal = healthy.about(base).power / np.maximum(healthy.count, 1.0)
     joints = preparation.nominal.joints
     curves = []
     for fault, element, faults in cases(joints):
         shifts, sizes = [np.zeros_like(base)], [faults.healthy]
+        sums = np.zeros(3)
         for size in faults.sizes:
             joint = None if element == ALL else element
             scenario = get_scenario(fault, severity=size, element=joint).changed_from_start()
@@ -179,8 +190,10 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
                 found = moments(scenario.changes)
             except LeglabError:
                 break  # model or joint have no such part, or cannot move with so much of it
-            shifts.append(_solve(found.about(base)) - drawn)
+            changed = found.about(base)
+            shifts.append(_solve(changed) - drawn)
             sizes.append(size)
+            sums += _shown(changed, shifts[-1], normal)
         if len(sizes) > 1:
             severity = scenario_severity(fault)
             curves.append(
@@ -190,6 +203,7 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
                     meaning="" if severity is None else severity.meaning,
                     sizes=np.array(sizes),
                     shifts=np.array(shifts),
+                    explains=explained_share(*sums.tolist()) or 1.0,
                 )
             )
     return FaultBank(curves=tuple(curves))
@@ -231,6 +245,20 @@ def _moments(
     loop.close()
     loop.simulation.check()
     return sums
+
+
+def _shown(changed: Moments, shift: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """What a fault's errors cost, weighted as the monitor does: with its shift, without, healthy.
+
+    Args:
+        changed: About the healthy map.
+        shift: Of that map, (joints, parameters).
+        normal: Mean square errors of the healthy machine, (joints,).
+    """
+    count = np.maximum(changed.count, 1.0)
+    weight = 1.0 / np.maximum(normal + DISCREPANCY**2 * changed.power / count, 1e-300)
+    powers = np.stack([changed.about(shift).power, changed.power, changed.count * normal])
+    return powers @ weight
 
 
 def _solve(moments: Moments) -> np.ndarray:

@@ -66,7 +66,7 @@ double last_error;
 double time_now, block_parameters[joints * 47];
 const double* block_samples;
 unsigned kept, case_open, look_done;
-double onset, found[6];
+double onset, found[7];
 }
 
 void* operator new(std::size_t bytes) {
@@ -229,8 +229,9 @@ extern "C" void fit_curve() { look_done = monitor->look(1); }
 
 extern "C" void find() {
   const mon::Finding all = monitor->finding();
-  const double values[] = {double(all.curve), all.size, all.spread, all.cost, all.without, all.chance};
-  for (int i = 0; i < 6; ++i) found[i] = values[i];
+  const double values[] = {double(all.curve), all.size,  all.spread, all.cost,
+                           all.without,       all.noise, all.chance};
+  for (int i = 0; i < 7; ++i) found[i] = values[i];
   late_bytes = unsigned(taken) - heap_bytes - monitor_bytes;
 }
 

@@ -48,12 +48,14 @@ def fit(curves, moments, weight):
     return (*np.array(found).T, without)
 
 
-def chances(keys, cost, correlation, independent):
+def chances(keys, cost, correlation, independent, noise=0.0):
     """Probability of every key: noise and structure, whichever is the weaker evidence."""
     best = np.array([cost[keys == key].min() for key in range(max(keys) + 1)])
     unlikely = (best - best.min()) / (2 * correlation)
     if independent is not None:
-        unlikely = np.minimum(unlikely, independent / 2 * np.log(best / best.min()))
+        noise = min(noise, best.min())
+        beyond = best - noise + 0.2 * noise
+        unlikely = np.minimum(unlikely, independent / 2 * np.log(beyond / beyond.min()))
     return np.exp(-unlikely) / np.sum(np.exp(-unlikely))
 
 
@@ -145,11 +147,12 @@ class Monitor:
         return onset
 
     def look(self, curves, keys):
-        """Best curve, size, spread, cost, cost without any fault, chance of its key."""
+        """Best curve, size, spread, cost, those without any fault and of noise, chance of its key."""
         moments = Moments(np.array(self.samples)).about(self.base)
         share = self.set["discrepancy"] ** 2 * moments.power / np.maximum(moments.count, 1.0)
         weight = 1.0 / (self.watch.normal + share)
         size, spread, cost, without = fit(curves, moments, weight)
         best = int(np.argmin(cost))
-        chance = chances(keys, cost, self.set["correlation"], self.set["independent"])
-        return best, size[best], spread[best], cost[best], without, chance[keys[best]]
+        noise = weight @ (moments.count * self.watch.normal)
+        chance = chances(keys, cost, self.set["correlation"], self.set["independent"], noise)
+        return best, size[best], spread[best], cost[best], without, noise, chance[keys[best]]

@@ -19,6 +19,18 @@ ALL = "all"
 UNKNOWN = "unknown change"
 
 
+def explained_share(cost: float, without: float, noise: float) -> float:
+    """Share of the squared error beyond noise that a fault takes away, within [0, 1].
+
+    Args:
+        cost: Weighted sum of squared errors with the fault's shift.
+        without: The same without any.
+        noise: What it would be of a machine without a fault.
+    """
+    beyond = without - noise
+    return min(max((without - cost) / beyond, 0.0), 1.0) if beyond > 0 else 0.0
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FaultCurve:
     """Parameter shifts of one fault of one element, straight between its sizes.
@@ -30,6 +42,8 @@ class FaultCurve:
         sizes: Strictly monotone, the healthy one first, (sizes,).
         shifts: Parameters with the fault less those without, (sizes, joints, parameters); zero at
             the healthy size.
+        explains: Share of the weighted squared error beyond noise that the shifts took away where
+            they were made: what a map of this structure can say of the fault.
         undoes: When the change began that the curve leads back from [s]; None of one that leads
             away from the healthy size. Such a curve has the present size first.
 
@@ -42,6 +56,7 @@ class FaultCurve:
     meaning: str
     sizes: np.ndarray
     shifts: np.ndarray
+    explains: float = 1.0
     undoes: float | None = None
 
     def __post_init__(self) -> None:
@@ -116,7 +131,11 @@ class FaultBank:
         return np.array([self.keys.index((c.fault, c.element)) for c in self.curves])
 
     def chances(
-        self, cost: np.ndarray, correlation: float, independent: float | None = None
+        self,
+        cost: np.ndarray,
+        correlation: float,
+        independent: float | None = None,
+        noise: float = 0.0,
     ) -> np.ndarray:
         """Probability of every fault and element among all of the bank, by likelihood, (keys,).
 
@@ -127,9 +146,10 @@ class FaultBank:
             cost: Weighted sum of squared errors of each curve, (curves,).
             correlation: Samples that count as one.
             independent: n; None counts noise alone.
+            noise: Part of every cost that noise makes.
         """
-        chance = np.empty(len(self.keys))
-        self.core.chances(cost, correlation, 0.0 if independent is None else independent, chance)
+        chance, errors = np.empty(len(self.keys)), independent or 0.0
+        self.core.chances(cost, correlation, errors, noise, chance)
         return chance
 
     def without(self, faults: Sequence[str]) -> "FaultBank":

@@ -21,7 +21,13 @@ from pydantic import Field
 from leglab._native.monitor import Monitor
 from leglab.base.errors import LeglabError
 from leglab.base.settings import Configuration
-from leglab.control.feedforward.fault_bank import ALL, UNKNOWN, FaultBank, FaultCurve
+from leglab.control.feedforward.fault_bank import (
+    ALL,
+    UNKNOWN,
+    FaultBank,
+    FaultCurve,
+    explained_share,
+)
 from leglab.control.feedforward.standing import MOST_STANDING, Standing, Standings
 
 # Times after an onset at which the bank is asked [s]: often at first, as the evidence grows. The
@@ -32,7 +38,7 @@ _LOOKS = (*_EARLY, 1.2, 1.4, 1.7, 2.0, 2.4, 2.8, 3.2)
 
 _STEADY = 2.0
 
-# From when to when after an onset an explanation may become less good, as more is seen [s].
+# From when to when after an onset an explanation may become less good, and evidence less [s].
 _GROWN = (0.1, 0.4)
 
 # Samples right after an onset do not count: valves and oil pass over to their new state [s].
@@ -52,7 +58,11 @@ _UNEXPLAINED, _PATIENCE, _RECENT = 10.0, 1.3, 0.65
 _LATE = 1.0
 
 
+# Share of the error that a right fault leaves, since no machine is the nominal one; a deviation.
+DISCREPANCY = 0.15
+
 _Share = Annotated[float, Field(gt=0, lt=1)]
+_Evidence = Annotated[float, Field(ge=0)]
 
 
 class MonitorConfiguration(Configuration):
@@ -70,11 +80,12 @@ class MonitorConfiguration(Configuration):
             runs, in the odds of two faults that both leave something.
         discrepancy: Share of the error before the correction that a right fault leaves, since no
             machine is the nominal one; a standard deviation.
-        explained: Least share of the weighted squared error that a fault must take away to be
-            named: a tenth of a second after the onset, and from four tenths on.
-        kept: Least share with which a name stays.
-        evidence: Least log-likelihood ratio of a fault to no change with which it is named: one
-            joint must be seen for longer than many.
+        explained: Least share of the weighted squared error beyond noise that a fault must take
+            away to be named, of the share that it takes away on the nominal machine: a tenth of a
+            second after the onset, and from four tenths on.
+        kept: Least share with which a name stays, likewise.
+        evidence: Least log-likelihood ratio of a fault to no change with which it is named, at the
+            same two times: what a machine has never done before may look like a fault at first.
         confidence: Least probability among all faults of the bank of one that is named.
         open_share: Gain of the learner after a fault was named, as a share of its gain on a change
             times the share of the squared error that the fault leaves.
@@ -86,11 +97,11 @@ class MonitorConfiguration(Configuration):
     error_ratio: float = Field(default=4.0, gt=1)
     alarm: float = Field(default=4.0, gt=0)
     correlation: float = Field(default=20.0, ge=1)
-    independent: float = Field(default=10.0, gt=0)
-    discrepancy: float = Field(default=0.15, gt=0, lt=1)
-    explained: tuple[_Share, _Share] = Field(default=(0.75, 0.6))
+    independent: float = Field(default=12.0, gt=0)
+    discrepancy: float = Field(default=DISCREPANCY, gt=0, lt=1)
+    explained: tuple[_Share, _Share] = Field(default=(0.8, 0.6))
     kept: float = Field(default=0.5, gt=0, lt=1)
-    evidence: float = Field(default=20.0, ge=0)
+    evidence: tuple[_Evidence, _Evidence] = Field(default=(20.0, 8.0))
     confidence: float = Field(default=0.5, gt=0, lt=1)
     open_share: float = Field(default=0.1, ge=0, le=1)
 
@@ -110,8 +121,8 @@ class Name:
         meaning: What the size says, with its unit.
         confidence: Probability of fault and element among all of the bank [1]; of an unknown
             change, the share of the squared error that the best fault of the bank leaves.
-        explained: Share of the weighted squared error since the onset that it takes away [1]; of an
-            unknown change, what the best fault would.
+        explained: Share of the weighted squared error since the onset, beyond noise, that it takes
+            away [1]; of an unknown change, what the best fault would.
         undoes: Onset of the change that this one takes back, all or in part [s]; None of a new one.
     """
 
@@ -309,21 +320,21 @@ class FaultMonitor:
         config, bank = self._config, case.bank
         self._core.begin_look(bank.core)
         self._core.look()
-        best, size, spread, cost, without, chance = self._core.finding()
+        best, size, spread, cost, without, noise, chance = self._core.finding()
         moments, normal = self._core.seen(), self._core.normal()
         power, count = moments.power, np.maximum(moments.count, 1.0)
         case.errors.append((time, power, moments.count))
-        explained = 1.0 - cost / max(without, 1e-300)
-        key = bank.keys[bank.group[best]]
-        least = config.kept
-        if key != case.key:
-            least = float(np.interp(time - case.onset, _GROWN, config.explained))
-        evidence = (without - cost) / (2 * config.correlation)
+        explained = explained_share(cost, without, noise)
+        key, curve = bank.keys[bank.group[best]], bank.curves[best]
+        age = time - case.onset
+        share = config.kept if key == case.key else np.interp(age, _GROWN, config.explained)
         stands_out = (
-            explained >= least and chance >= config.confidence and evidence >= config.evidence
+            explained >= share * curve.explains
+            and chance >= config.confidence
+            and (without - cost) / (2 * config.correlation)
+            >= np.interp(age, _GROWN, config.evidence)
         )
         if stands_out:
-            curve = bank.curves[best]
             case.size = size
             shift = curve.shift(case.size)
             self._name(case, time, curve, size, spread, chance, explained)
@@ -340,7 +351,7 @@ class FaultMonitor:
                 return None
             case.key, case.shift = key, shift
             return parameters
-        if case.key is not None and explained < config.kept:
+        if case.key is not None and explained < config.kept * curve.explains:
             return self._withdraw(case, time, now, gain)
         if case.key is None and time >= case.onset + _PATIENCE:
             joints = self._still_off(case, time)

@@ -151,10 +151,10 @@ class Bank {
     return fit.without();
   }
 
-  void chances(Input cost, double correlation, double independent, Output out) const {
+  void chances(Input cost, double correlation, double independent, double noise, Output out) const {
     require("costs", cost, {count()});
     require("chances", out, {keys_});
-    mon::chances(curves(), count(), cost.data(), correlation, independent, out.data(), keys_);
+    mon::chances(curves(), count(), cost.data(), correlation, independent, noise, out.data(), keys_);
   }
 
  private:
@@ -246,11 +246,12 @@ class FaultMonitor {
     return core_.look(curves);
   }
 
-  // Curve, size, spread, cost, cost without, chance.
-  std::tuple<int, double, double, double, double, double> finding() {
+  // Curve, size, spread, cost, cost without, that of noise, chance.
+  std::tuple<int, double, double, double, double, double, double> finding() {
     if (!look(0)) throw nb::value_error("the look is not done");
     const mon::Finding found = core_.finding();
-    return {found.curve, found.size, found.spread, found.cost, found.without, found.chance};
+    return {found.curve,   found.size,  found.spread, found.cost,
+            found.without, found.noise, found.chance};
   }
 
  private:
@@ -281,7 +282,7 @@ NB_MODULE(monitor, module) {
            nb::arg("shifts"), nb::arg("keys"))
       .def("fit", &Bank::fit, nb::arg("moments"), nb::arg("weight"), nb::arg("out"))
       .def("chances", &Bank::chances, nb::arg("cost"), nb::arg("correlation"),
-           nb::arg("independent"), nb::arg("out"));
+           nb::arg("independent"), nb::arg("noise"), nb::arg("out"));
   nb::class_<FaultMonitor>(module, "Monitor")
       .def(nb::init<int, int, nb::dict>(), nb::arg("joints"), nb::arg("parameters"),
            nb::arg("settings"))

@@ -187,26 +187,35 @@ class FaultFit {
   std::vector<double> weight_, packed_, size_, spread_, cost_;
 };
 
+// Share of what noise costs that is not known.
+constexpr double noise_doubt = 0.2;
+
 // Probability of every key among all by likelihood, (keys).
 // What the best fault leaves is partly noise, of which more samples tell more, and partly that the
 // machine is not the nominal one, of which they do not. Either has its likelihood: that of a known
 // variance, and that of an unknown one, cost^(-n/2), with n errors that differ independently. A
 // rival is as unlikely as the weaker of both makes it. Without n (0) noise alone counts.
-// correlation: samples that count as one.
+// correlation: samples that count as one. noise: the part of all costs that noise makes, at most the
+// least cost. The unknown variance is of what costs have beyond it, so that joints that show nothing
+// hide no difference.
 template <class Curve>
 void chances(const Curve* curves, int count, const double* cost, double correlation,
-             double independent, double* chance, int keys) {
+             double independent, double noise, double* chance, int keys) {
   std::fill_n(chance, keys, std::numeric_limits<double>::infinity());
   for (int i = 0; i < count; ++i) {
     double& best = chance[curves[i].key];
     best = std::min(best, cost[i]);
   }
-  const double least = std::max(*std::min_element(chance, chance + keys), 1e-300);
+  const double least = *std::min_element(chance, chance + keys);
+  noise = std::min(noise, least);
+  const auto beyond = [noise](double value) {
+    return value - noise + std::max(noise_doubt * noise, 1e-300);
+  };
   double sum = 0.0;
   for (int k = 0; k < keys; ++k) {
     double unlikely = (chance[k] - least) / (2.0 * correlation);
     if (independent > 0.0) {
-      const double structure = 0.5 * independent * std::log(std::max(chance[k], least) / least);
+      const double structure = 0.5 * independent * std::log(beyond(chance[k]) / beyond(least));
       unlikely = std::min(unlikely, structure);
     }
     chance[k] = std::exp(-unlikely);

@@ -30,6 +30,7 @@ struct Finding {
   double spread = 0.0;
   double cost = 0.0;    // weighted sum of squared errors with it and
   double without = 0.0; // without
+  double noise = 0.0;   // what it would be of a machine that had not changed
   double chance = 0.0;  // of its fault and element among all
 };
 
@@ -102,10 +103,12 @@ class FaultMonitor {
     keys_ = keys;
     seen_ = sums_;
     seen_.take_off(base_.data());
+    noise_ = 0.0;
     for (int j = 0; j < seen_.joints(); ++j) {
       const double mean = seen_.power(j) / std::max(seen_.count(j), 1.0);
       const double left = settings_.discrepancy * settings_.discrepancy * mean;
       weight_[std::size_t(j)] = 1.0 / std::max(watch_.normal()[j] + left, 1e-300);
+      noise_ += weight_[std::size_t(j)] * seen_.count(j) * watch_.normal()[j];
     }
     fit_.begin(curves, count, seen_, weight_.data());
   }
@@ -117,8 +120,8 @@ class FaultMonitor {
   Finding finding() {
     const int best = fit_.best();
     chances(curves_, fit_.curves(), fit_.cost(), settings_.watch.correlation,
-            settings_.independent, chances_.data(), keys_);
-    return {best, fit_.size()[best], fit_.spread()[best], fit_.cost()[best], fit_.without(),
+            settings_.independent, noise_, chances_.data(), keys_);
+    return {best, fit_.size()[best], fit_.spread()[best], fit_.cost()[best], fit_.without(), noise_,
             chances_[std::size_t(curves_[best].key)]};
   }
 
@@ -181,7 +184,7 @@ class FaultMonitor {
   int keys_ = 0;
   std::vector<double> chances_, base_, mean_, used_, weight_;
   bool open_ = false;
-  double onset_ = 0.0;
+  double onset_ = 0.0, noise_ = 0.0;
   long first_after_ = 0, waiting_ = 0;  // blocks; the next one to be summed up
   int waiting_sample_ = 0;              // and its next sample
 };
