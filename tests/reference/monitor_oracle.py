@@ -147,7 +147,7 @@ class Monitor:
         return onset
 
     def look(self, curves, keys):
-        """Best curve, size, spread, cost, those without any fault and of noise, chance of its key."""
+        """Best curve, size, spread, cost, that without any and that of noise, chance of its key."""
         moments = Moments(np.array(self.samples)).about(self.base)
         share = self.set["discrepancy"] ** 2 * moments.power / np.maximum(moments.count, 1.0)
         weight = 1.0 / (self.watch.normal + share)
