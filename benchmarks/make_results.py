@@ -85,7 +85,7 @@ JOBS = (
         "diagnosis_self_test",
         "--sizes visible --cases 23 --seed 303 --out runs/diagnosis_sizes",
     ),
-    _job("diagnosis_leg", 60, options="--cases 9 --nothing 2 --out runs/diagnosis_leg"),
+    _job("diagnosis_leg", 130, options="--jobs 1 --cases 22 --nothing 5 --out runs/diagnosis_leg"),
     _job("adaptation_results", 90, "adaptation_claims"),
 )
 
