@@ -65,7 +65,7 @@ JOBS = (
     ),
     _job("health", 20, options="--specimens 1"),
     _job("microcontroller", 2),
-    _job("pressures", 6, options="--specimens 1 --controllers bsnn_arx,bsnn_arx_pressure"),
+    _job("pressures", 10, options="--specimens 3"),
     _job("tracking_bound", 8),
     _job("adaptation_benchmark", 25),
     _job("diagnosis_bench", 3),

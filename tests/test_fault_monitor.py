@@ -154,13 +154,13 @@ def test_the_first_evidence_must_be_stronger():
     bank = make_bank(rng)
     _, true = planted(bank.curves[3].shift(6.0), rng)
     said = []
-    for first in (8.0, 1e6):
+    for first in (8.0, 1e6):  # six tenths after the onset it no longer counts
         config = CONFIG.model_copy(update={"evidence": (first, 8.0)})
         monitor = FaultMonitor(bank, JOINTS, config, sample_period=PERIOD)
         stream(monitor, true)
         said.append(monitor.events[0].names[0].time - CHANGE)
     assert said[0] < 0.2
-    assert 0.38 < said[1] < 0.55
+    assert 0.58 < said[1] < 0.75
 
 
 def test_same_samples_same_words():

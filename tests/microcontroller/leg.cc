@@ -169,7 +169,7 @@ extern "C" void setup() {
   mon::MonitorSettings watched;  // as bsnn_arx_bank's, but that it knows sooner what is normal
   watched.watch = {settings.interval * h, 4.0, 4.0, 20.0, 100};
   watched.passing = 0.06;
-  watched.independent = 10.0;
+  watched.independent = 12.0;
   watched.discrepancy = 0.15;
   watched.blocks = 25;
   watched.most_samples = block;

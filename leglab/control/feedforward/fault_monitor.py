@@ -38,8 +38,9 @@ _LOOKS = (*_EARLY, 1.2, 1.4, 1.7, 2.0, 2.4, 2.8, 3.2)
 
 _STEADY = 2.0
 
-# From when to when after an onset an explanation may become less good, and evidence less [s].
-_GROWN = (0.1, 0.4)
+# From when to when after an onset an explanation may become less good, as more is seen, and
+# evidence less [s].
+_GROWN, _PROVEN = (0.1, 0.4), (0.1, 0.6)
 
 # Samples right after an onset do not count: valves and oil pass over to their new state [s].
 _PASSING = 0.06
@@ -84,8 +85,9 @@ class MonitorConfiguration(Configuration):
             away to be named, of the share that it takes away on the nominal machine: a tenth of a
             second after the onset, and from four tenths on.
         kept: Least share with which a name stays, likewise.
-        evidence: Least log-likelihood ratio of a fault to no change with which it is named, at the
-            same two times: what a machine has never done before may look like a fault at first.
+        evidence: Least log-likelihood ratio of a fault to no change with which it is named: a tenth
+            of a second after the onset, and from six tenths on. What a machine has never done
+            before may look like a fault at first.
         confidence: Least probability among all faults of the bank of one that is named.
         open_share: Gain of the learner after a fault was named, as a share of its gain on a change
             times the share of the squared error that the fault leaves.
@@ -101,7 +103,7 @@ class MonitorConfiguration(Configuration):
     discrepancy: float = Field(default=DISCREPANCY, gt=0, lt=1)
     explained: tuple[_Share, _Share] = Field(default=(0.8, 0.6))
     kept: float = Field(default=0.5, gt=0, lt=1)
-    evidence: tuple[_Evidence, _Evidence] = Field(default=(20.0, 8.0))
+    evidence: tuple[_Evidence, _Evidence] = Field(default=(60.0, 8.0))
     confidence: float = Field(default=0.5, gt=0, lt=1)
     open_share: float = Field(default=0.1, ge=0, le=1)
 
@@ -332,7 +334,7 @@ class FaultMonitor:
             explained >= share * curve.explains
             and chance >= config.confidence
             and (without - cost) / (2 * config.correlation)
-            >= np.interp(age, _GROWN, config.evidence)
+            >= np.interp(age, _PROVEN, config.evidence)
         )
         if stands_out:
             case.size = size
