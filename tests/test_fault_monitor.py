@@ -149,18 +149,22 @@ def test_a_fault_must_explain_what_a_map_can_say_of_it(told):
     assert name.explained == pytest.approx(0.37, abs=0.08)
 
 
-def test_the_first_evidence_must_be_stronger():
+@pytest.mark.parametrize(
+    ("evidence", "proof", "corrected", "named"),
+    [(8.0, 8.0, 0.1, 0.1), (8.0, 1e6, 0.1, 0.6), (1e6, 8.0, 0.4, 0.4)],
+)
+def test_the_first_evidence_must_be_stronger_and_for_a_name_stronger_still(
+    evidence, proof, corrected, named
+):
     rng = np.random.default_rng(27)
     bank = make_bank(rng)
     _, true = planted(bank.curves[3].shift(6.0), rng)
-    said = []
-    for first in (8.0, 1e6):  # six tenths after the onset it no longer counts
-        config = CONFIG.model_copy(update={"evidence": (first, 8.0)})
-        monitor = FaultMonitor(bank, JOINTS, config, sample_period=PERIOD)
-        stream(monitor, true)
-        said.append(monitor.events[0].names[0].time - CHANGE)
-    assert said[0] < 0.2
-    assert 0.58 < said[1] < 0.75
+    config = CONFIG.model_copy(update={"evidence": (evidence, 8.0), "proof": (proof, 8.0)})
+    monitor = FaultMonitor(bank, JOINTS, config, sample_period=PERIOD)
+    _, given = stream(monitor, true)
+    assert given[0][0] - CHANGE == pytest.approx(corrected + 0.05, abs=0.07)
+    (event,) = monitor.events
+    assert event.names[0].time - CHANGE == pytest.approx(named + 0.05, abs=0.07)
 
 
 def test_same_samples_same_words():

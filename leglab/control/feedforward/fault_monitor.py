@@ -38,8 +38,8 @@ _LOOKS = (*_EARLY, 1.2, 1.4, 1.7, 2.0, 2.4, 2.8, 3.2)
 
 _STEADY = 2.0
 
-# From when to when after an onset an explanation may become less good, as more is seen, and
-# evidence less [s].
+# From when to when after an onset an explanation may become less good, as more is seen, and the
+# evidence for it and for its name less [s].
 _GROWN, _PROVEN = (0.1, 0.4), (0.1, 0.6)
 
 # Samples right after an onset do not count: valves and oil pass over to their new state [s].
@@ -85,9 +85,11 @@ class MonitorConfiguration(Configuration):
             away to be named, of the share that it takes away on the nominal machine: a tenth of a
             second after the onset, and from four tenths on.
         kept: Least share with which a name stays, likewise.
-        evidence: Least log-likelihood ratio of a fault to no change with which it is named: a tenth
-            of a second after the onset, and from six tenths on. What a machine has never done
-            before may look like a fault at first.
+        evidence: Least log-likelihood ratio of a fault to no change with which it corrects the map,
+            at the same two times.
+        proof: The same with which it is named: a tenth of a second after the onset, and from six
+            tenths on. What a machine has never done before may look like a fault at first; a
+            correction that explains it does no harm, a name would be false.
         confidence: Least probability among all faults of the bank of one that is named.
         open_share: Gain of the learner after a fault was named, as a share of its gain on a change
             times the share of the squared error that the fault leaves.
@@ -103,7 +105,8 @@ class MonitorConfiguration(Configuration):
     discrepancy: float = Field(default=DISCREPANCY, gt=0, lt=1)
     explained: tuple[_Share, _Share] = Field(default=(0.8, 0.6))
     kept: float = Field(default=0.5, gt=0, lt=1)
-    evidence: tuple[_Evidence, _Evidence] = Field(default=(60.0, 8.0))
+    evidence: tuple[_Evidence, _Evidence] = Field(default=(20.0, 8.0))
+    proof: tuple[_Evidence, _Evidence] = Field(default=(60.0, 8.0))
     confidence: float = Field(default=0.5, gt=0, lt=1)
     open_share: float = Field(default=0.1, ge=0, le=1)
 
@@ -330,16 +333,17 @@ class FaultMonitor:
         key, curve = bank.keys[bank.group[best]], bank.curves[best]
         age = time - case.onset
         share = config.kept if key == case.key else np.interp(age, _GROWN, config.explained)
+        evidence = (without - cost) / (2 * config.correlation)
         stands_out = (
             explained >= share * curve.explains
             and chance >= config.confidence
-            and (without - cost) / (2 * config.correlation)
-            >= np.interp(age, _PROVEN, config.evidence)
+            and evidence >= np.interp(age, _GROWN, config.evidence)
         )
         if stands_out:
             case.size = size
             shift = curve.shift(case.size)
-            self._name(case, time, curve, size, spread, chance, explained)
+            if evidence >= np.interp(age, _PROVEN, config.proof):
+                self._name(case, time, curve, size, spread, chance, explained)
             if key == case.key and case.shift is not None:
                 parameters = now + shift - case.shift
             else:
