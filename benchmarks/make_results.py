@@ -61,7 +61,8 @@ JOBS = (
         25,
         "live_names",
         "--specimens 3 --elsewhere "
-        "'12-bit encoders with 15 times the noise,another fault 5 s before'",
+        "'12-bit encoders with 15 times the noise,squat,squat on the ground,"
+        "another fault 5 s before'",
     ),
     _job("health", 20, options="--specimens 1"),
     _job("microcontroller", 2),
