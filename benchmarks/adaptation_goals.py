@@ -46,11 +46,8 @@ def _percent(values: list[bool]) -> str:
 
 def _clock(cases: list[dict[str, Any]], label: str) -> str:
     """Median and worst time to nine tenths, and how many never get there."""
-    times = [case[label]["t90"] for case in cases if case[label]["clocked"]]
-    whole = np.array([np.inf if t is None else t for t in times])
-    done = whole[np.isfinite(whole)]
-    never = f"never in {len(whole) - len(done)} of {len(whole)}"
-    return f"{_number(np.median(whole))} / {_number(done.max())} s, {never}"
+    median, worst, never = live_names._t90(cases, label)
+    return f"{median} / {worst} s, never in {never}"
 
 
 def names(kept: dict[str, Any]) -> Iterator[Goal]:
