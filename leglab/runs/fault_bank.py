@@ -203,6 +203,7 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
                     meaning="" if severity is None else severity.meaning,
                     sizes=np.array(sizes),
                     shifts=np.array(shifts),
+                    # A fault that shows nothing beyond noise has no share to go by.
                     explains=explained_share(*sums.tolist()) or 1.0,
                 )
             )
