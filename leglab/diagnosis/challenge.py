@@ -14,7 +14,7 @@ from leglab.diagnosis.fitting import Fit, refit
 from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.judging import earns, t_value
 from leglab.diagnosis.residual import Problem
-from leglab.diagnosis.search import Contender, Round, finished
+from leglab.diagnosis.search import Contender, Round, finished, total_cost
 
 # Steps of a fit with a rival in an effect's place.
 _SWAPPING = 8
@@ -67,12 +67,12 @@ def _needless(problem: Problem, best: np.ndarray, cost: np.ndarray) -> bool:
 def _needed(problem: Problem, fit: Fit, named: list[Key]) -> tuple[Fit, list[Key]]:
     """The fit without effects that can go, the least needed first."""
     while len(named) > 1:
-        best = problem.window_cost(fit.hypothesis)
+        best = total_cost(problem, fit)
         tried = []
         for key in named:
             start = fit.hypothesis.without(key)
             without = _refitted(problem, fit, frozenset(named) - {key}, start)
-            tried.append((problem.window_cost(without.hypothesis), without, key))
+            tried.append((total_cost(problem, without), without, key))
         cost, without, key = min(tried, key=lambda entry: float(entry[0].mean()))
         if not _needless(problem, best, cost):
             break
@@ -98,7 +98,7 @@ def _swapped(
     problem: Problem, fit: Fit, named: list[Key], rounds: Sequence[Round]
 ) -> tuple[tuple[Fit, list[Key]] | None, dict[Key, tuple[Contender, ...]]]:
     """The first swap that explains more, or as much with less; and what was tried."""
-    best = problem.window_cost(fit.hypothesis)
+    best = total_cost(problem, fit)
     checks: dict[Key, tuple[Contender, ...]] = {}
     for key in named:
         tried = [Contender(key=key, fit=fit, cost=best)]
@@ -108,7 +108,7 @@ def _swapped(
             start = start.with_values(rival.key, rival.fit.hypothesis[rival.key])
             # The others may have to go far: what stood in for a rival has bent them.
             swapped = _refitted(problem, fit, frozenset(changed), start, iterations=_SWAPPING)
-            cost = problem.window_cost(swapped.hypothesis)
+            cost = total_cost(problem, swapped)
             swap = Contender(key=rival.key, fit=swapped, cost=cost)
             if cost.mean() < _promising(problem, best):
                 swap = finished(problem, swap)
@@ -150,6 +150,6 @@ def _freed(
             continue
         start = swap.fit.hypothesis.without(key)
         fewer = _refitted(problem, swap.fit, frozenset(named) - {key}, start)
-        if _needless(problem, best, problem.window_cost(fewer.hypothesis)):
+        if _needless(problem, best, total_cost(problem, fewer)):
             return fewer, [k for k in named if k != key]
     return None

@@ -19,7 +19,7 @@ class Unknowns:
 
     Attributes:
         now: Present departures from the priors' means, in tolerances.
-        prior: 1 for an unknown under a prior, 0 for a free one.
+        prior: Weight of the squared departure of an unknown under a prior; 0 for a free one.
         lower: Smallest step.
         upper: Largest step.
     """
@@ -30,12 +30,22 @@ class Unknowns:
     upper: np.ndarray
 
     @classmethod
-    def of(cls, lower: np.ndarray, upper: np.ndarray, eta: np.ndarray, box: float) -> "Unknowns":
-        """Free unknowns within bounds, then nuisances at departures, which stay within a box."""
+    def of(
+        cls,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        eta: np.ndarray,
+        box: float,
+        weight: float = 1.0,
+    ) -> "Unknowns":
+        """Free unknowns within bounds, then nuisances at departures, which stay within a box.
+
+        `weight` is that of the nuisances' squared departures.
+        """
         free = np.zeros(lower.size)
         return cls(
             now=np.concatenate([free, eta]),
-            prior=np.concatenate([free, np.ones(eta.size)]),
+            prior=np.concatenate([free, np.full(eta.size, weight)]),
             lower=np.concatenate([lower, -box - eta]),
             upper=np.concatenate([upper, box - eta]),
         )
@@ -188,9 +198,10 @@ def profiled(problem: Problem, at: Linearisation, own: FreeTangents) -> tuple[np
     """
     count, eta = own.lower.size, departures(at.base, at.nuisances)
     jacobian = np.concatenate([own.columns, at.tangents], axis=2)
-    unknowns = Unknowns.of(own.lower, own.upper, eta, problem.thresholds.nuisance_box)
+    weight = problem.prior_weight(at.chosen)
+    unknowns = Unknowns.of(own.lower, own.upper, eta, problem.thresholds.nuisance_box, weight)
     step = Sums.of(at.residual, jacobian, problem.thresholds).step(unknowns)
-    prior = float(((eta + step[count:]) ** 2).sum())
+    prior = weight * float(((eta + step[count:]) ** 2).sum())
     return step[:count], problem.cost(at.residual + jacobian @ step, prior)
 
 
@@ -232,12 +243,13 @@ def refit(
     base = placed(theta, eta, base)
     residual = at.residual if start is None else problem.residual(base, at.chosen)
     at = replace(at, base=base, residual=residual)
-    cost = problem.cost(residual, float((eta**2).sum()))
+    weight = problem.prior_weight(at.chosen)
+    cost = problem.cost(residual, weight * float((eta**2).sum()))
     damping = 1e-3
     for _ in range(iterations):
         own = free_tangents(problem, at, free, fine)
         jacobian = np.concatenate([own.columns, at.tangents], axis=2)
-        unknowns = Unknowns.of(own.lower, own.upper, eta, problem.thresholds.nuisance_box)
+        unknowns = Unknowns.of(own.lower, own.upper, eta, problem.thresholds.nuisance_box, weight)
         sums = Sums.of(at.residual, jacobian, problem.thresholds)
         for _ in range(4):
             step = sums.step(unknowns, damping)
@@ -245,7 +257,7 @@ def refit(
             new_eta = eta + step[theta.size :]
             trial = placed(new_theta, new_eta, at.base)
             residual = problem.residual(trial, at.chosen)
-            new_cost = problem.cost(residual, float((new_eta**2).sum()))
+            new_cost = problem.cost(residual, weight * float((new_eta**2).sum()))
             if new_cost < cost:
                 break
             damping = max(damping, 1e-2) * 10.0

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.stats import chi2, norm
 from scipy.stats import t as student
 
+from leglab.diagnosis.evidence import posterior
 from leglab.diagnosis.fitting import Fit, Sums, free_tangents
 from leglab.diagnosis.hypothesis import Key
 from leglab.diagnosis.nuisances import Nuisance
@@ -26,6 +27,10 @@ def accepted(problem: Problem, tried: Round, contender: Contender) -> bool:
         # would reach by chance in 1 of 100 cases (Bonferroni).
         chance = float(norm.isf(0.01 / max(len(tried.candidates), 1)))
         holds |= _no_worse(held) and t_value(saved) >= max(chance, limits.significant)
+        # Errors that are few numbers must speak for it beyond the parameters that it adds.
+        count = len(problem.library.sites[contender.key].parameters)
+        costs = [float(tried.base.mean()), float(contender.cost.mean())]
+        holds &= posterior(costs, limits.rough_numbers, (0, count))[1] >= 0.5
     return bool(
         problem.size * saved[contender.fit.at.chosen].sum() >= tried.threshold
         and holds
@@ -107,6 +112,21 @@ def noticeable(problem: Problem, key: Key, hypothesis: Mapping[Key, np.ndarray])
     return departure(problem, key, hypothesis) > problem.thresholds.noticeable
 
 
+def specimens_spread(problem: Problem, key: Key) -> float:
+    """Standard deviation of an effect's strengths among good machines, in their smallest trials.
+
+    Where a tolerance is known it says so; elsewhere some share of what is barely noticeable.
+    """
+    limits = problem.thresholds
+    return max(
+        min(limits.specimen_spread, limits.rough_tolerance * p.tolerance / p.scale)
+        if p.tolerance > 0.0
+        else limits.specimen_spread
+        for p in problem.library.sites[key].parameters
+        if p.role == "strength"
+    )
+
+
 def beyond_specimens(
     departure: float, spread: float = DEFAULT.specimen_spread, reach: float = DEFAULT.fault_range
 ) -> float:
@@ -166,28 +186,6 @@ def preferences(
     wins = (totals[:, :, None] < totals[:, None, :]).mean(axis=0)
     ties = (totals[:, :, None] == totals[:, None, :]).mean(axis=0)
     return wins + 0.5 * ties
-
-
-def posterior(
-    costs: Sequence[float], numbers: float, parameters: Sequence[int] | None = None
-) -> np.ndarray:
-    """Probability of each explanation among some, whose model errors have an unknown size.
-
-    With the size of a Gaussian error replaced by its estimate, n numbers of mean square c have the
-    likelihood c^(-n/2) (concentrated likelihood; Seber and Wild 1989, Sec. 2.2), and k fitted
-    parameters cost a factor n^(-k/2) (Schwarz 1978). Errors of a model go together in time and
-    across channels, so that they are few numbers.
-
-    Args:
-        costs: Mean square of each explanation.
-        numbers: How many independent numbers the errors are worth.
-        parameters: How many each explanation has; None for as many.
-    """
-    log = -0.5 * numbers * np.log(np.maximum(np.asarray(costs, dtype=float), 1e-300))
-    if parameters is not None:
-        log -= 0.5 * np.log(max(numbers, 1.0)) * np.asarray(parameters, dtype=float)
-    weights = np.exp(log - log.max())
-    return weights / weights.sum()
 
 
 def probabilities(problem: Problem, contenders: Sequence[Contender]) -> np.ndarray:

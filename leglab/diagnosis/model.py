@@ -26,6 +26,8 @@ _SIMPLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _CACHED_VARIANTS = 64
 # Share of an actuator's largest moment below which another is rounding, see `moved`.
 _ROUNDING = 1e-9
+# Of a parameter that must be more than its minimum, this share of what the model has beyond it.
+_LEAST_SHARE = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -282,8 +284,19 @@ class Change:
         self.parameters[element, name] = float(value)
 
     def add_parameter(self, element: str, name: str, difference: float) -> None:
-        """Adds to a plugin parameter, so that effects on the same one compose."""
-        self.set_parameter(element, name, self.parameter(element, name) + difference)
+        """Adds to a plugin parameter, so that effects on the same one compose.
+
+        Two effects that lower the same one together end at the least that the plugin takes; where
+        that is more than zero, but any more, at a share of what the model has.
+        """
+        value = self.parameter(element, name) + difference
+        if element in self.machine.base.elements:  # else it was inserted by the effect itself
+            row = self.machine.base.elements[element][1].parameters[name]
+            low = row.minimum
+            if not row.minimum_allowed:
+                low += _LEAST_SHARE * (self.machine.parameter(element, name) - low)
+            value = min(max(value, low), row.maximum)
+        self.set_parameter(element, name, value)
 
     def edit(self, key: Hashable, function: Callable[[mujoco.MjSpec], None]) -> None:
         """Edits the specification: inserts an element, or changes a native attribute.

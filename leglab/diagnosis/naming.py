@@ -16,6 +16,7 @@ from leglab.diagnosis.judging import (
     intervals,
     preferences,
     probabilities,
+    specimens_spread,
     within_library,
 )
 from leglab.diagnosis.model import Machine
@@ -80,14 +81,16 @@ def judge_rough(found: Search, gap: Gap, level: Callable[[Hypothesis], float]) -
 
     explained, final = gap.explained or 0.0, found.fit.hypothesis
     # A good machine may differ as much from its model, or from what it was on another day.
-    spread = limits.specimen_spread if found.specimen is None else limits.day_spread
+    known = found.specimen is not None
     beside = all_strengths(found.problem.library, limits.rough_share, 1.0)
     causes: list[NamedEffect] = []
     smaller: list[NamedEffect] = []
     for e in _effects(found, contribution, weigh, within_library(explained), beside):
         # What takes back a part of the calibration does so beside a larger change only.
         far = departure_from_known if causes else departure
-        distance = far(found.problem, (e.name, e.element), final)
+        key = (e.name, e.element)
+        distance = far(found.problem, key, final)
+        spread = limits.day_spread if known else specimens_spread(found.problem, key)
         own = beyond_specimens(distance, spread, limits.fault_range)
         fault = e.contribution >= limits.smaller_share and own >= limits.fault
         (causes if fault else smaller).append(replace(e, confidence=e.confidence * own))

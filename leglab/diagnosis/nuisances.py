@@ -47,19 +47,25 @@ def within_tolerance(library: Library, share: float = 1.0) -> tuple[Nuisance, ..
     )
 
 
-def rough_nuisances(library: Library, share: float) -> tuple[Nuisance, ...]:
+def rough_nuisances(
+    library: Library, share: float, tolerances: float = 1.0
+) -> tuple[Nuisance, ...]:
     """Parameters that differ on a rough machine of which nothing is known.
 
     Beside tolerances, what every real command path and sensor has a little of: delay, hysteresis,
-    offset. Any strength of the mechanism would be wider than some of its faults.
+    offset. Any strength of the mechanism would be wider than some of its faults. Shapes of laws in
+    which good machines differ, which no diagnosis names, may be anything.
 
     Args:
         library: Effects.
         share: Standard deviation as a share of what is barely noticeable.
+        tolerances: That of parameters that have a tolerance, in tolerances.
     """
-    found = list(within_tolerance(library))
+    found = list(within_tolerance(library, tolerances))
     for key, site in library.sites.items():
-        if site.effect.group in _PATHS and site.effect.gradual:
+        if not site.effect.nameable:
+            found += _strengths(key, site, 1.0, 0.0)
+        elif site.effect.group in _PATHS and site.effect.gradual:
             found += [n for n in _strengths(key, site, share, 0.0) if n.tolerance > 0.0]
     unique = {(n.key, n.index): n for n in reversed(found)}  # a tolerance comes first
     return tuple(sorted(unique.values(), key=lambda n: (n.key, n.index)))

@@ -46,7 +46,7 @@ def suspected_onset(problem: Problem, chosen: np.ndarray) -> tuple[np.ndarray, F
     residual = problem.residual(base, chosen)
     none = np.zeros((*residual.shape, 0))
     at = Linearisation(base=base, residual=residual, tangents=none, nuisances=(), chosen=chosen)
-    cost_now = problem.cost(residual, problem.prior_cost(base, ()))
+    cost_now = problem.cost(residual, problem.departed(base, ()))
     return onsets, Fit(free=frozenset(), cost=cost_now, at=at)
 
 

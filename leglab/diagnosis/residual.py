@@ -142,6 +142,8 @@ class Problem:
         size: Numbers in a whitened window.
         sensor_noise: Standard deviation of each channel's samples, (recordings, channels).
         noise: Noise model, at first about the unmodified machine; see `about`.
+        worth: How many independent numbers all errors together are worth beside the priors of the
+            nuisances; None: as many as they are.
     """
 
     def __init__(
@@ -163,6 +165,7 @@ class Problem:
         self.fitted = np.isin(self.replay.recording, list(fit))
         self.held = ~self.fitted
         self.nuisances = within_tolerance(library)
+        self.worth: float | None = None
         level = [[channel_noise(s, c) for c in channels] for s in series]
         floor = np.array([_resolution(series, c.column) for c in channels])
         self.sensor_noise = np.maximum(np.array(level), floor)
@@ -209,13 +212,31 @@ class Problem:
         limits = self.thresholds
         other.library = self.library.of_specimen(self.library.whole(hypothesis))
         other.nuisances = within_tolerance(other.library, limits.drift_share)
+        other.worth = None
         return other
 
-    def with_nuisances(self, nuisances: Sequence[Nuisance]) -> "Problem":
-        """The same problem with other parameters that follow every fit."""
+    def with_nuisances(
+        self, nuisances: Sequence[Nuisance], worth: float | None = None
+    ) -> "Problem":
+        """The same problem with other parameters that follow every fit.
+
+        Args:
+            nuisances: The parameters.
+            worth: How many independent numbers all errors together are worth beside the priors;
+                None: as many as they are.
+        """
         other = copy(self)
         other.nuisances = tuple(nuisances)
+        other.worth = worth
         return other
+
+    def prior_weight(self, chosen: np.ndarray) -> float:
+        """Weight of a squared departure, in tolerances, beside the chi-square of chosen windows.
+
+        Errors of a model go together in time and across channels, so that they are few numbers:
+        counted one by one they would carry any nuisance as far as a fault has moved it.
+        """
+        return 1.0 if self.worth is None else float(self.size * chosen.sum()) / self.worth
 
     def rewhitened(self, at: Linearisation, before: "Problem") -> Linearisation:
         """A linearisation that was taken under another discrepancy of the model."""
@@ -393,7 +414,7 @@ class Problem:
         """Nuisances but those of effects that are fitted freely."""
         return tuple(n for n in self.nuisances if n.key not in free)
 
-    def prior_cost(self, hypothesis: Mapping[Key, np.ndarray], free: Collection[Key]) -> float:
+    def departed(self, hypothesis: Mapping[Key, np.ndarray], free: Collection[Key]) -> float:
         """Sum of squared departures of the nuisances in tolerances."""
         return float((departures(hypothesis, self.active_nuisances(free)) ** 2).sum())
 

@@ -17,7 +17,7 @@ from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.judging import accepted, probabilities, simplest_first
 from leglab.diagnosis.nuisances import rough_nuisances, within_tolerance
 from leglab.diagnosis.residual import Problem
-from leglab.diagnosis.search import Contender, Progress, Round, search_round, thinned
+from leglab.diagnosis.search import Contender, Progress, Round, search_round, thinned, total_cost
 
 
 def at_least(discrepancy: Discrepancy, floor: Discrepancy | None) -> Discrepancy:
@@ -93,8 +93,8 @@ def rough_search(
     if calibrated:
         nuisances = within_tolerance(problem.library, limits.drift_share)
     else:
-        nuisances = rough_nuisances(problem.library, limits.rough_share)
-    problem = problem.with_nuisances(nuisances)
+        nuisances = rough_nuisances(problem.library, limits.rough_share, limits.rough_tolerance)
+    problem = problem.with_nuisances(nuisances, worth=limits.rough_numbers)
     problem, current = settled_baseline(problem, chosen, floor)
     baseline = current
     named: list[Key] = []
@@ -158,8 +158,3 @@ def _under(problem: Problem, before: Problem, contender: Contender) -> Contender
     fit = refit(problem, at, fit.free, start=fit.hypothesis, iterations=3, fine=fine)
     return Contender(key=contender.key, fit=fit, cost=total_cost(problem, fit))
 
-
-def total_cost(problem: Problem, fit: Fit) -> np.ndarray:
-    """Robust mean square of every window and its share of the priors' cost, shape (windows,)."""
-    prior = problem.prior_cost(fit.hypothesis, fit.free)
-    return problem.window_cost(fit.hypothesis) + prior / (problem.size * fit.at.chosen.sum())

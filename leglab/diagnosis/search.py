@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from leglab.diagnosis.evidence import posterior
 from leglab.diagnosis.fitting import Fit, free_tangents, refit
 from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.residual import Problem
@@ -66,6 +67,17 @@ def sharpen(
     chosen = fit.at.chosen if chosen is None else chosen
     at = problem.linearise(fit.hypothesis, chosen, fit.free, share=fine)
     return refit(problem, at, fit.free, iterations=iterations, fine=fine)
+
+
+def total_cost(problem: Problem, fit: Fit) -> np.ndarray:
+    """Robust mean square of every window and its share of the priors' cost, shape (windows,).
+
+    Beside all errors of an exact model, counted one by one, priors are nothing.
+    """
+    cost = problem.window_cost(fit.hypothesis)
+    if problem.worth is None:
+        return cost
+    return cost + problem.departed(fit.hypothesis, fit.free) / problem.worth
 
 
 def chance_gain(
@@ -135,7 +147,7 @@ def search_round(
     same = best.hypothesis is start
     floor = problem.cost(
         at.residual if same else problem.residual(best.hypothesis, chosen),
-        problem.prior_cost(best.hypothesis, named),
+        problem.prior_weight(chosen) * problem.departed(best.hypothesis, named),
     )
     candidates = screen(problem, at, own, floor, skip=named, onset=onset, started_best=same)
     settled = float(np.median(np.mean(best.at.residual**2, axis=1)))
@@ -157,6 +169,9 @@ def search_round(
             fit = min(fit, fitted(best.hypothesis), key=lambda f: f.cost)
         rough.append((key, fit))
     rough.sort(key=lambda entry: entry[1].cost)
+    exact = problem.noise.discrepancy is None
+    if not exact:
+        rough = _possible(problem, floor, rough)
     if rough:
         progress("start states and time step about the best fit")
         problem = problem.about(rough[0][1].hypothesis)
@@ -172,23 +187,45 @@ def search_round(
         progress(f"sharpening {key[0]}")
         one = _contender(problem, key, sharpen(problem, fit))
         # A rival that comes near is fitted to the end, or a tie would pass for a victory; and so
-        # is the first one, if a rival has overtaken it.
-        if contenders and one.fit.cost < limits.close_cost * noise:
+        # is the first one, if a rival has overtaken it. On a rough machine all come near, and are
+        # fitted again as its discrepancy is annealed.
+        close = one.fit.cost < limits.close_cost * noise and exact
+        if contenders and close:
             one = finished(problem, one)
         lead = min(lead, one.fit.cost - noise)
         contenders.append(one)
-    if contenders and lead + noise < contenders[0].fit.cost < limits.close_cost * noise:
+    if contenders and exact and lead + noise < contenders[0].fit.cost < limits.close_cost * noise:
         contenders[0] = finished(problem, contenders[0])
     return problem, Round(
-        base=problem.window_cost(best.hypothesis),
+        base=total_cost(problem, best),
         candidates=tuple(candidates),
         contenders=tuple(sorted(contenders, key=lambda c: c.fit.cost)),
         threshold=threshold,
     )
 
 
+def _possible(
+    problem: Problem, floor: float, rough: list[tuple[Key, Fit]]
+) -> list[tuple[Key, Fit]]:
+    """First fits on a rough machine, without those that another one leaves no chance.
+
+    All are left out where none comes near to what its parameters cost, `floor` being the cost
+    without any.
+    """
+    limits = problem.thresholds
+    sites = problem.library.sites
+    costs = [floor, *(fit.cost for _, fit in rough)]
+    counts = [0, *(len(sites[key].parameters) for key, _ in rough)]
+    share = posterior(costs, limits.rough_numbers, counts)
+    import os
+    if os.environ.get("SHOWP"): print("   possible", [("floor", round(float(share[0]),4))]+[(k[0], round(f.cost/floor,3), round(float(q),4)) for (k,f),q in zip(rough,share[1:])], file=open(os.environ["SHOWP"],"a"), flush=True)
+    if (share[1:] < limits.rough_chance * share[0]).all():
+        return []
+    return [entry for entry, own in zip(rough, share[1:], strict=True) if own > limits.rough_hopeless * share.max()]
+
+
 def _contender(problem: Problem, key: Key, fit: Fit) -> Contender:
-    return Contender(key=key, fit=fit, cost=problem.window_cost(fit.hypothesis))
+    return Contender(key=key, fit=fit, cost=total_cost(problem, fit))
 
 
 def finished(problem: Problem, rival: Contender) -> Contender:

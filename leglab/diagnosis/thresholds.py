@@ -97,6 +97,8 @@ class Thresholds:
     # this share of what is barely noticeable. Wider, that would hide faults; healthy recordings,
     # which have none, allow all of it for all strengths, and tolerances so many times as wide.
     rough_share: float = 0.3
+    # ... and its parameters that have a tolerance by so many.
+    rough_tolerance: float = 2.0
     healthy_tolerance: float = 3.0
     # The same machine on another day stays within this share of them.
     drift_share: float = 0.5
@@ -126,6 +128,10 @@ class Thresholds:
     stuck_share: float = 0.95
     # A rival whose excess over noise is this many times the leader's stays behind.
     hopeless_factor: float = 8.0
+    # On a rough machine: first fits that are this many times as probable as no effect are worth
+    # sharpening, if they are at least so probable beside the best one.
+    rough_chance: float = 0.5
+    rough_hopeless: float = 1e-3
     # A rival below this cost may still catch up, in so many more fits.
     close_cost: float = 4.0
     patience: int = 3
