@@ -49,6 +49,7 @@ def a_sketch(monkeypatch):
         noise=SimpleNamespace(discrepancy=None),
         costs=costs,
         window_cost=cost,
+        worth=None,
         noise_levels=cost,
     )
     problem.trusting = lambda discrepancy: problem

@@ -218,7 +218,7 @@ def test_a_rough_search_names_only_what_is_accepted(
     monkeypatch.setattr(rough, "settled_baseline", settled)
     monkeypatch.setattr(rough, "search_round", searched)
     monkeypatch.setattr(rough, "annealed", lambda problem, *_: (problem, tried))
-    sketch.with_nuisances = lambda nuisances: sketch
+    sketch.with_nuisances = lambda nuisances, worth: sketch
     sketch.discrepancy = lambda hypothesis: a_discrepancy()
     rng = np.random.default_rng(0)
     *_, named, rounds = rough.rough_search(sketch, 1, rng, lambda _: None, calibrated=calibrated)

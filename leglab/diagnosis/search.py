@@ -169,12 +169,27 @@ def search_round(
             fit = min(fit, fitted(best.hypothesis), key=lambda f: f.cost)
         rough.append((key, fit))
     rough.sort(key=lambda entry: entry[1].cost)
-    exact = problem.noise.discrepancy is None
-    if not exact:
+    if problem.noise.discrepancy is not None:
         rough = _possible(problem, floor, rough)
     if rough:
         progress("start states and time step about the best fit")
         problem = problem.about(rough[0][1].hypothesis)
+    contenders = _sharpened(problem, rough, noise, progress)
+    return problem, Round(
+        base=total_cost(problem, best),
+        candidates=tuple(candidates),
+        contenders=tuple(sorted(contenders, key=lambda c: c.fit.cost)),
+        threshold=threshold,
+    )
+
+
+def _sharpened(
+    problem: Problem, rough: Sequence[tuple[Key, Fit]], noise: float, progress: Progress
+) -> list[Contender]:
+    """The best of the first fits, fitted further; `noise` is the cost of noise alone."""
+    limits = problem.thresholds
+    # On a rough machine all come near, and are fitted again as its discrepancy is annealed.
+    near = limits.close_cost * noise if problem.noise.discrepancy is None else 0.0
     contenders: list[Contender] = []
     lead = np.inf
     for place, (key, fit) in enumerate(rough):
@@ -187,21 +202,14 @@ def search_round(
         progress(f"sharpening {key[0]}")
         one = _contender(problem, key, sharpen(problem, fit))
         # A rival that comes near is fitted to the end, or a tie would pass for a victory; and so
-        # is the first one, if a rival has overtaken it. On a rough machine all come near, and are
-        # fitted again as its discrepancy is annealed.
-        close = one.fit.cost < limits.close_cost * noise and exact
-        if contenders and close:
+        # is the first one, if a rival has overtaken it.
+        if contenders and one.fit.cost < near:
             one = finished(problem, one)
         lead = min(lead, one.fit.cost - noise)
         contenders.append(one)
-    if contenders and exact and lead + noise < contenders[0].fit.cost < limits.close_cost * noise:
+    if contenders and lead + noise < contenders[0].fit.cost < near:
         contenders[0] = finished(problem, contenders[0])
-    return problem, Round(
-        base=total_cost(problem, best),
-        candidates=tuple(candidates),
-        contenders=tuple(sorted(contenders, key=lambda c: c.fit.cost)),
-        threshold=threshold,
-    )
+    return contenders
 
 
 def _possible(
@@ -217,11 +225,11 @@ def _possible(
     costs = [floor, *(fit.cost for _, fit in rough)]
     counts = [0, *(len(sites[key].parameters) for key, _ in rough)]
     share = posterior(costs, limits.rough_numbers, counts)
-    import os
-    if os.environ.get("SHOWP"): print("   possible", [("floor", round(float(share[0]),4))]+[(k[0], round(f.cost/floor,3), round(float(q),4)) for (k,f),q in zip(rough,share[1:])], file=open(os.environ["SHOWP"],"a"), flush=True)
-    if (share[1:] < limits.rough_chance * share[0]).all():
+    none, own = share[0], share[1:]
+    if (own < limits.rough_chance * none).all():
         return []
-    return [entry for entry, own in zip(rough, share[1:], strict=True) if own > limits.rough_hopeless * share.max()]
+    least = limits.rough_hopeless * share.max()
+    return [entry for entry, p in zip(rough, own, strict=True) if p >= least]
 
 
 def _contender(problem: Problem, key: Key, fit: Fit) -> Contender:

@@ -1,0 +1,202 @@
+"""Priors of what differs between good machines, beside errors that are few numbers.
+
+The errors of a rough machine are thousands of numbers in a fit, and worth some thirty. Counted one
+by one they carried every nuisance to the end of its box, and faults with them.
+"""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from leglab.diagnosis.effects.base import EffectParameter
+from leglab.diagnosis.evidence import posterior
+from leglab.diagnosis.fitting import Fit, profiled, refit
+from leglab.diagnosis.fitting import FreeTangents as Free
+from leglab.diagnosis.hypothesis import Hypothesis, Library
+from leglab.diagnosis.judging import accepted, specimens_spread
+from leglab.diagnosis.model import Change, Machine
+from leglab.diagnosis.nuisances import rough_nuisances, within_tolerance
+from leglab.diagnosis.search import _possible, total_cost
+from leglab.diagnosis.thresholds import DEFAULT
+from leglab.diagnosis.workflow import DiagnosisSettings, set_up
+from tests.diagnosis_sketch import (
+    ASYMMETRIC,
+    HELD,
+    LIBRARY,
+    OFFSET,
+    SIZE,
+    VISCOUS,
+    WINDOWS,
+    a_discrepancy,
+    a_fit,
+    a_round,
+    a_sketch,
+    contender,
+    ripple,
+)
+from tests.rigs import PENDULUM, Truth, record
+
+GAIN = ("actuator_gain", "motor")
+
+
+@pytest.fixture(scope="module")
+def weak():
+    """A motor that has lost a sixth of its torque, under a model whose error is counted in."""
+    kinds = ("multisine", "fast")
+    # All that it moves and overcomes is a fifth more instead.
+    more = {name: 1.2 * getattr(PENDULUM, name) for name in ("load", "motor", "pull", "viscous")}
+    rig = replace(PENDULUM, **more)
+    logs = {k: record(rig, k, Truth(), seed=i, seconds=3.0) for i, k in enumerate(kinds)}
+    settings = DiagnosisSettings(effects=("actuator_gain",), threads=1)
+    problem = set_up(PENDULUM.model, logs, (), settings)
+    return problem.trusting(problem.discrepancy(Hypothesis()))
+
+
+def fitted(problem) -> Fit:
+    at = problem.linearise(Hypothesis(), problem.fitted)
+    return refit(problem, at, frozenset(), iterations=8, tolerance=1e-6)
+
+
+def departed(fit):
+    (nuisance,) = fit.at.nuisances
+    return (nuisance.value(fit.hypothesis) - nuisance.nominal) / nuisance.tolerance
+
+
+def test_a_nuisance_goes_as_far_as_errors_worth_few_numbers_carry_it(weak):
+    each = fitted(weak.with_nuisances(weak.nuisances))
+    few = weak.with_nuisances(weak.nuisances, worth=30.0)
+    fit = fitted(few)
+    weight = few.size * few.fitted.sum() / 30.0
+    assert few.prior_weight(few.fitted) == pytest.approx(weight)
+    assert weak.prior_weight(weak.fitted) == 1.0
+    assert departed(each) == pytest.approx(-4.0, abs=0.2)  # the end of its box
+    assert -3.0 < departed(fit) < -0.3
+    # And it is at the least of chi-square and weighted prior.
+    (nuisance,) = fit.at.nuisances
+
+    def cost(eta):
+        moved = few.moved(Hypothesis(), (nuisance,), np.array([eta]))
+        return few.cost(few.residual(moved, few.fitted), weight * eta**2)
+
+    assert fit.cost == pytest.approx(cost(departed(fit)))
+    assert fit.cost < min(cost(departed(fit) - 0.2), cost(departed(fit) + 0.2))
+
+
+def test_what_an_effect_gains_to_first_order_counts_priors_alike(weak):
+    few = weak.with_nuisances(weak.nuisances, worth=30.0)
+    none = np.zeros(0)
+    own = Free(columns=np.zeros((few.fitted.sum(), few.size, 0)), lower=none, upper=none)
+    costs = {}
+    for problem in (weak, few):
+        at = problem.linearise(Hypothesis(), problem.fitted)
+        costs[problem.worth] = profiled(problem, at, own)[1]
+    assert costs[None] < costs[30.0] <= few.cost(few.residual(Hypothesis(), few.fitted))
+
+
+def test_the_cost_of_a_fit_has_its_departures(weak):
+    few = weak.with_nuisances(weak.nuisances, worth=30.0)
+    fit = fitted(few)
+    plain = few.window_cost(fit.hypothesis)
+    np.testing.assert_allclose(total_cost(few, fit), plain + departed(fit) ** 2 / 30.0)
+    np.testing.assert_array_equal(total_cost(weak, fit), plain)
+    assert few.calibrated(Hypothesis()).worth is None
+
+
+def test_shapes_that_no_diagnosis_names_may_be_anything_on_a_rough_machine():
+    machine = Machine("knee_bench")
+    library = Library(machine)
+    tolerance = {(n.key[0], n.index): n.tolerance for n in within_tolerance(library)}
+    found = {(n.key[0], n.index): n for n in rough_nuisances(library, 0.3, 2.0)}
+    for name, count in (("metering_edges", 1), ("friction_curve", 2)):
+        site = library.sites[name, "knee_valve"]
+        for i in range(count):
+            assert found[name, i].tolerance == pytest.approx(site.parameters[i].scale)
+    for known, width in tolerance.items():
+        assert found[known].tolerance == pytest.approx(2.0 * width)
+    delay = library.sites["command_delay", "knee_valve"].parameters[0]
+    assert found["command_delay", 0].tolerance == pytest.approx(0.3 * delay.scale)
+
+
+def test_strengths_with_a_tolerance_scatter_by_it_others_by_what_is_noticeable():
+    library = Library(Machine("knee_bench"))
+    problem = SimpleNamespace(library=library, thresholds=DEFAULT)
+
+    def spread(name):
+        return specimens_spread(problem, (name, "knee_valve"))
+
+    (flow,) = library.sites["valve_gain", "knee_valve"].parameters
+    assert spread("valve_gain") == pytest.approx(2.0 * flow.tolerance / flow.scale)
+    assert spread("valve_gain") < 0.5
+    assert spread("valve_deadband") == DEFAULT.specimen_spread
+    wide = EffectParameter("p", "1", nominal=1.0, upper=9.0, trials=(2.0,), tolerance=0.6)
+    sites = {OFFSET: SimpleNamespace(parameters=(wide,))}
+    problem = SimpleNamespace(library=SimpleNamespace(sites=sites), thresholds=DEFAULT)
+    assert specimens_spread(problem, OFFSET) == DEFAULT.specimen_spread
+
+
+def test_effects_that_lower_the_same_parameter_end_where_the_plugin_does():
+    machine = Machine("knee_bench")
+    for name, most, least in (
+        ("stribeck_velocity", 10.0, 0.05),  # must be more than zero
+        ("stribeck_exponent", 20.0, 0.0),
+        ("viscous", 1e6, 0.0),
+    ):
+        row = machine.base.elements["knee_valve"][1].parameters[name]
+        own = machine.parameter("knee_valve", name)
+        for differences, end in (
+            ((-0.6 * own, -0.6 * own), row.minimum + least * own),
+            ((1e7, 1e7), most),
+            ((0.2 * own, -0.1 * own), 1.1 * own),
+        ):
+            change = Change(machine)
+            for difference in differences:
+                change.add_parameter("knee_valve", name, difference)
+            assert change.parameter("knee_valve", name) == pytest.approx(end)
+
+
+# What a round of the search takes further.
+
+
+@pytest.fixture
+def sketch(monkeypatch):
+    return a_sketch(monkeypatch)
+
+
+def first_fits(costs):
+    return [(key, SimpleNamespace(cost=cost)) for key, cost in costs.items()]
+
+
+def test_first_fits_that_have_no_chance_beside_the_best_go(sketch):
+    fits = first_fits({OFFSET: 100.0, VISCOUS: 140.0, ASYMMETRIC: 150.0})
+    kept = [key for key, _ in _possible(sketch, 900.0, fits)]
+    # 1.4^-15 is 1 in 155; three parameters more and 1.5^-15 are 1 in 72,000.
+    assert kept == [OFFSET, VISCOUS]
+    share = posterior([100.0, 140.0, 150.0], DEFAULT.rough_numbers, [1, 1, 4])
+    assert share[1] > DEFAULT.rough_hopeless > share[2]
+
+
+def test_nothing_is_sharpened_where_no_first_fit_pays_for_its_parameters(sketch):
+    # One parameter must lower the cost by 11 % to be half as probable as none: 30^(1/30).
+    paying = 900.0 * 2.0 ** (1.0 / 15.0) / 30.0 ** (1.0 / 30.0)
+    assert _possible(sketch, 900.0, first_fits({OFFSET: 1.001 * paying})) == []
+    assert len(_possible(sketch, 900.0, first_fits({OFFSET: 0.999 * paying}))) == 1
+    assert _possible(sketch, 900.0, first_fits({ASYMMETRIC: 0.999 * paying})) == []
+
+
+def test_an_effect_of_a_rough_machine_must_pay_for_its_parameters(sketch):
+    """Every window gains, far beyond chance, and thirty numbers do not say so."""
+    sketch.noise.discrepancy = a_discrepancy()
+    base = ripple(1.0, 0.1)
+    for gain, expected in ((0.05, False), (0.2, True)):
+        one = contender(LIBRARY, OFFSET, base - gain)
+        tried = a_round([one], base, threshold=0.5 * gain * SIZE * (~HELD).sum())
+        assert accepted(sketch, tried, one) == expected
+        sketch.noise.discrepancy = None
+        assert accepted(sketch, tried, one) == (gain > DEFAULT.worthwhile)
+        sketch.noise.discrepancy = a_discrepancy()
+    four = contender(LIBRARY, ASYMMETRIC, base - 0.2)
+    assert a_fit(LIBRARY, ASYMMETRIC).free == {ASYMMETRIC}
+    assert not accepted(sketch, a_round([four], base, threshold=0.0), four)
+    assert WINDOWS == base.size
