@@ -47,6 +47,7 @@ def sketch(monkeypatch):
         noise=SimpleNamespace(discrepancy=None),
         costs=costs,
         window_cost=window_cost,
+        worth=None,
     )
     problem.with_defect_of = lambda hypothesis: problem
     return problem
@@ -81,6 +82,16 @@ def test_an_effect_that_the_others_make_needless_goes(sketch):
     rounds = [a_round(sketch.library, OFFSET), a_round(sketch.library, VISCOUS)]
     kept, checks = challenged(sketch, [OFFSET, VISCOUS], rounds)
     assert kept == list(checks) == [VISCOUS]
+
+
+def test_an_effect_that_nuisances_stand_in_for_stays(sketch):
+    """Without it the errors are as small, and other parameters have gone far for that."""
+    costs(sketch, {(OFFSET, VISCOUS): 1.0, (VISCOUS,): 1.02, (OFFSET,): 9.0})
+    sketch.worth = 30.0
+    sketch.departed = lambda hypothesis, free: 0.0 if OFFSET in free else 12.0
+    rounds = [a_round(sketch.library, OFFSET), a_round(sketch.library, VISCOUS)]
+    kept, checks = challenged(sketch, [OFFSET, VISCOUS], rounds)
+    assert kept == list(checks) == [OFFSET, VISCOUS]
 
 
 def test_the_least_needed_goes_first(sketch):
