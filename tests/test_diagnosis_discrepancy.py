@@ -218,7 +218,17 @@ def test_a_rough_search_names_only_what_is_accepted(
     monkeypatch.setattr(rough, "settled_baseline", settled)
     monkeypatch.setattr(rough, "search_round", searched)
     monkeypatch.setattr(rough, "annealed", lambda problem, *_: (problem, tried))
-    sketch.with_nuisances = lambda nuisances, worth: sketch
+    width = sketch.library.sites[VISCOUS].parameters[0].tolerance
+
+    def following(nuisances, worth):
+        """Errors of a rough machine are few numbers beside the priors, and these are wide."""
+        assert worth == DEFAULT.rough_numbers
+        (viscous,) = [n for n in nuisances if n.key == VISCOUS]
+        share = DEFAULT.drift_share if calibrated else DEFAULT.rough_tolerance
+        assert viscous.tolerance == pytest.approx(share * width)
+        return sketch
+
+    sketch.with_nuisances = following
     sketch.discrepancy = lambda hypothesis: a_discrepancy()
     rng = np.random.default_rng(0)
     *_, named, rounds = rough.rough_search(sketch, 1, rng, lambda _: None, calibrated=calibrated)
