@@ -28,9 +28,7 @@ from tests.diagnosis_sketch import (
     OFFSET,
     SIZE,
     VISCOUS,
-    WINDOWS,
     a_discrepancy,
-    a_fit,
     a_round,
     a_sketch,
     contender,
@@ -201,6 +199,4 @@ def test_an_effect_of_a_rough_machine_must_pay_for_its_parameters(sketch):
         assert accepted(sketch, tried, one) == (gain > DEFAULT.worthwhile)
         sketch.noise.discrepancy = a_discrepancy()
     four = contender(LIBRARY, ASYMMETRIC, base - 0.2)
-    assert a_fit(LIBRARY, ASYMMETRIC).free == {ASYMMETRIC}
     assert not accepted(sketch, a_round([four], base, threshold=0.0), four)
-    assert WINDOWS == base.size
