@@ -157,4 +157,3 @@ def _under(problem: Problem, before: Problem, contender: Contender) -> Contender
     fine = problem.thresholds.fine_differences
     fit = refit(problem, at, fit.free, start=fit.hypothesis, iterations=3, fine=fine)
     return Contender(key=contender.key, fit=fit, cost=total_cost(problem, fit))
-
