@@ -7,15 +7,13 @@ import pytest
 from scipy import stats
 
 from leglab.diagnosis import judging, naming
+from leglab.diagnosis.evidence import beyond_specimens, posterior, within_library
 from leglab.diagnosis.judging import (
     accepted,
-    beyond_specimens,
     earns,
-    posterior,
     preferences,
     rarely_but_surely,
     t_value,
-    within_library,
 )
 from leglab.diagnosis.model import Machine
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds

@@ -13,11 +13,10 @@ from scipy.stats import norm
 
 from leglab.diagnosis import naming, workflow
 from leglab.diagnosis.effects.base import EffectParameter
+from leglab.diagnosis.evidence import beyond_specimens, posterior
 from leglab.diagnosis.hypothesis import Hypothesis
 from leglab.diagnosis.judging import (
-    beyond_specimens,
     earns,
-    posterior,
 )
 from leglab.diagnosis.measure import Measure
 from leglab.diagnosis.thresholds import DEFAULT

@@ -1,8 +1,10 @@
-"""What the errors of a rough machine say between explanations: they are few numbers."""
+"""Probabilities on rough machines, whose errors are worth few independent numbers."""
 
 from collections.abc import Sequence
 
 import numpy as np
+
+from leglab.diagnosis.thresholds import DEFAULT
 
 
 def posterior(
@@ -25,3 +27,33 @@ def posterior(
         log -= 0.5 * np.log(max(numbers, 1.0)) * np.asarray(parameters, dtype=float)
     weights = np.exp(log - log.max())
     return weights / weights.sum()
+
+
+def within_library(explained: float) -> float:
+    """Probability that the cause is among the effects that were tried, by the share they explain.
+
+    The right cause explains nearly all that a fault opens, a wrong one that imitates it seldom more
+    than half: the odds are taken for the square of the explained to the unexplained share. The
+    self-test on rough specimens says how true the product is (docs/diagnosis.md).
+    """
+    share = min(max(explained, 0.0), 1.0)
+    return share**2 / (share**2 + (1.0 - share) ** 2)
+
+
+def beyond_specimens(
+    departure: float, spread: float = DEFAULT.specimen_spread, reach: float = DEFAULT.fault_range
+) -> float:
+    """Probability that a departure from the model is a fault and not this specimen's own.
+
+    Strengths of healthy machines scatter normally about their model, by some share of what is
+    barely noticeable; those of faults lie anywhere up to several times that. Bayes' rule with even
+    odds: what shows at all is one or the other.
+
+    Args:
+        departure: In smallest trials.
+        spread: Standard deviation of healthy ones, in smallest trials.
+        reach: Of faults, likewise.
+    """
+    own = np.exp(-0.5 * (departure / spread) ** 2) / (spread * np.sqrt(2.0 * np.pi))
+    fault = 1.0 / reach
+    return float(fault / (fault + 2.0 * own))

@@ -7,9 +7,9 @@ import mujoco
 import numpy as np
 
 from leglab.diagnosis.effects.base import EffectParameter
+from leglab.diagnosis.evidence import beyond_specimens, within_library
 from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.judging import (
-    beyond_specimens,
     departure,
     departure_from_known,
     earns,
@@ -17,7 +17,6 @@ from leglab.diagnosis.judging import (
     preferences,
     probabilities,
     specimens_spread,
-    within_library,
 )
 from leglab.diagnosis.model import Machine
 from leglab.diagnosis.nuisances import Nuisance, all_strengths
