@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from leglab.diagnosis import improve
 from leglab.diagnosis.effects.base import EffectParameter
 from leglab.diagnosis.evidence import posterior
 from leglab.diagnosis.fitting import Fit, profiled, refit
@@ -20,7 +21,7 @@ from leglab.diagnosis.model import Change, Machine
 from leglab.diagnosis.nuisances import rough_nuisances, within_tolerance
 from leglab.diagnosis.search import _possible, total_cost
 from leglab.diagnosis.thresholds import DEFAULT
-from leglab.diagnosis.workflow import DiagnosisSettings, set_up
+from leglab.diagnosis.workflow import DiagnosisSettings, Search, set_up
 from tests.diagnosis_sketch import (
     ASYMMETRIC,
     HELD,
@@ -36,7 +37,7 @@ from tests.diagnosis_sketch import (
 )
 from tests.rigs import PENDULUM, Truth, record
 
-GAIN = ("actuator_gain", "motor")
+GAIN = ("actuator_gain", "drive")
 
 
 @pytest.fixture(scope="module")
@@ -104,6 +105,30 @@ def test_the_cost_of_a_fit_has_its_departures(weak):
     np.testing.assert_allclose(total_cost(few, fit), plain + departed(fit) ** 2 / 30.0)
     np.testing.assert_array_equal(total_cost(weak, fit), plain)
     assert few.calibrated(Hypothesis()).worth is None
+
+
+def test_a_model_that_is_to_be_used_is_recalibrated_as_far_as_replays_ask_for(weak):
+    few = weak.with_nuisances(weak.nuisances, worth=30.0)
+    fit = fitted(few)
+    found = Search(problem=few, baseline=fit, fit=fit, named=(), rounds=())
+    problem, hypothesis = improve._recalibrated(found, ())
+    told, free = (
+        p.noise_levels(h).mean() for p, h in ((few, fit.hypothesis), (problem, hypothesis))
+    )
+    assert free < 0.7 * told
+    # An effect that has a name keeps the value that was told; its nuisance is that effect itself.
+    named = replace(fit, free=frozenset({GAIN}))
+    found = replace(found, fit=named, named=(GAIN,))
+    _, hypothesis = improve._recalibrated(found, (GAIN,))
+    assert hypothesis[GAIN] == fit.hypothesis[GAIN]
+
+
+def test_a_recalibration_that_errs_more_where_held_out_is_not_taken(weak, monkeypatch):
+    few = weak.with_nuisances(weak.nuisances, worth=30.0)
+    fit = fitted(few)
+    worse = few.moved(Hypothesis(), few.nuisances, np.array([3.0]))
+    monkeypatch.setattr(improve, "refit", lambda *_, **__: fit.with_hypothesis(worse))
+    assert improve._settled(few, fit, fit.hypothesis, ()) == fit.hypothesis
 
 
 def test_shapes_that_no_diagnosis_names_may_be_anything_on_a_rough_machine():

@@ -9,6 +9,7 @@ import numpy as np
 
 from leglab.base.recording import Recording
 from leglab.diagnosis.effects.joints import unit
+from leglab.diagnosis.fitting import Fit, refit
 from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.output import write_model
 from leglab.diagnosis.recordings import split_held_out
@@ -142,10 +143,28 @@ def _recalibrated(found: Search, named: Sequence[Key]) -> tuple[Problem, Hypothe
     exact.
     """
     others = [key for key in found.named if key not in named]
-    hypothesis = (found.fit if named else found.baseline).hypothesis.without(*others)
+    fit = found.fit if named else found.baseline
+    hypothesis = fit.hypothesis.without(*others)
     if not found.rough:
         return found.problem, hypothesis
+    hypothesis = _settled(found.problem, fit, hypothesis, named)
     return found.problem.calibrated(hypothesis.without(*named)), hypothesis.only(named)
+
+
+def _settled(
+    problem: Problem, fit: Fit, hypothesis: Hypothesis, named: Sequence[Key]
+) -> Hypothesis:
+    """The hypothesis with nuisances as far off as the replays ask for, if it then errs less.
+
+    Names need priors that no fault is recalibrated away by; a model that is to be used does not.
+    Values of named effects stay as they were told.
+    """
+    each = problem.with_nuisances(problem.nuisances)
+    fine = problem.thresholds.fine_differences
+    at = each.linearise(hypothesis, fit.at.chosen, named, share=fine)
+    free = refit(each, at, frozenset(), iterations=4, fine=fine).hypothesis
+    told, moved = (problem.noise_levels(h)[problem.judged].mean() for h in (hypothesis, free))
+    return free if moved < told else hypothesis
 
 
 def improve(
