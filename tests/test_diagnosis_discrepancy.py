@@ -220,9 +220,9 @@ def test_a_rough_search_names_only_what_is_accepted(
     monkeypatch.setattr(rough, "annealed", lambda problem, *_: (problem, tried))
     width = sketch.library.sites[VISCOUS].parameters[0].tolerance
 
-    def following(nuisances, worth):
-        """Errors of a rough machine are few numbers beside the priors, and these are wide."""
-        assert worth == DEFAULT.rough_numbers
+    def following(nuisances, worth=None):
+        """Of an unknown machine errors are few numbers beside the priors, and these are wide."""
+        assert worth == (None if calibrated else DEFAULT.rough_numbers)
         (viscous,) = [n for n in nuisances if n.key == VISCOUS]
         share = DEFAULT.drift_share if calibrated else DEFAULT.rough_tolerance
         assert viscous.tolerance == pytest.approx(share * width)

@@ -91,10 +91,12 @@ def rough_search(
     chosen = thinned(problem.fitted, every)
     progress("how far the model is to be trusted")
     if calibrated:
+        # What healthy recordings leave open is little, and takes no fault away.
         nuisances = within_tolerance(problem.library, limits.drift_share)
+        problem = problem.with_nuisances(nuisances)
     else:
         nuisances = rough_nuisances(problem.library, limits.rough_share, limits.rough_tolerance)
-    problem = problem.with_nuisances(nuisances, worth=limits.rough_numbers)
+        problem = problem.with_nuisances(nuisances, worth=limits.rough_numbers)
     problem, current = settled_baseline(problem, chosen, floor)
     baseline = current
     named: list[Key] = []
