@@ -13,8 +13,7 @@ import pytest
 from leglab.diagnosis import improve
 from leglab.diagnosis.effects.base import EffectParameter
 from leglab.diagnosis.evidence import posterior
-from leglab.diagnosis.fitting import Fit, profiled, refit
-from leglab.diagnosis.fitting import FreeTangents as Free
+from leglab.diagnosis.fitting import Fit, FreeTangents, profiled, refit
 from leglab.diagnosis.hypothesis import Hypothesis, Library
 from leglab.diagnosis.judging import accepted, specimens_spread
 from leglab.diagnosis.model import Change, Machine
@@ -86,7 +85,7 @@ def test_a_nuisance_goes_as_far_as_errors_worth_few_numbers_carry_it(weak):
 def test_what_an_effect_gains_to_first_order_counts_priors_alike(weak):
     few = weak.with_nuisances(weak.nuisances, worth=30.0)
     none = np.zeros(0)
-    own = Free(columns=np.zeros((few.fitted.sum(), few.size, 0)), lower=none, upper=none)
+    own = FreeTangents(columns=np.zeros((few.fitted.sum(), few.size, 0)), lower=none, upper=none)
     for problem in (weak, few):
         at = problem.linearise(Hypothesis(), problem.fitted)
         weight = problem.prior_weight(problem.fitted)
@@ -128,10 +127,10 @@ def test_a_recalibration_that_errs_more_where_held_out_is_not_taken(weak, monkey
     fit = fitted(few)
     worse = few.moved(Hypothesis(), few.nuisances, np.array([3.0]))
     monkeypatch.setattr(improve, "refit", lambda *_, **__: fit.with_hypothesis(worse))
-    assert improve._settled(few, fit, fit.hypothesis, ()) == fit.hypothesis
+    assert improve._freely_calibrated(few, fit, fit.hypothesis, ()) == fit.hypothesis
 
 
-def test_shapes_that_no_diagnosis_names_may_be_anything_on_a_rough_machine():
+def test_shapes_that_no_diagnosis_names_follow_on_a_rough_machine():
     machine = Machine("knee_bench")
     library = Library(machine)
     tolerance = {(n.key[0], n.index): n.tolerance for n in within_tolerance(library)}

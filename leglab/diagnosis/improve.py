@@ -147,17 +147,18 @@ def _recalibrated(found: Search, named: Sequence[Key]) -> tuple[Problem, Hypothe
     hypothesis = fit.hypothesis.without(*others)
     if not found.rough:
         return found.problem, hypothesis
-    hypothesis = _settled(found.problem, fit, hypothesis, named)
+    if found.problem.worth is not None:
+        hypothesis = _freely_calibrated(found.problem, fit, hypothesis, named)
     return found.problem.calibrated(hypothesis.without(*named)), hypothesis.only(named)
 
 
-def _settled(
+def _freely_calibrated(
     problem: Problem, fit: Fit, hypothesis: Hypothesis, named: Sequence[Key]
 ) -> Hypothesis:
-    """The hypothesis with nuisances as far off as the replays ask for, if it then errs less.
+    """The hypothesis with its nuisances refitted under priors of weight 1, if it then errs less.
 
-    Names need priors that no fault is recalibrated away by; a model that is to be used does not.
-    Values of named effects stay as they were told.
+    The search weighs priors more, so that no fault is recalibrated away; an improved model has no
+    need of that. Values of named effects stay as they were told. The held-out windows decide.
     """
     each = problem.with_nuisances(problem.nuisances)
     fine = problem.thresholds.fine_differences

@@ -47,14 +47,13 @@ def within_tolerance(library: Library, share: float = 1.0) -> tuple[Nuisance, ..
     )
 
 
-def rough_nuisances(
-    library: Library, share: float, tolerances: float = 1.0
-) -> tuple[Nuisance, ...]:
+def rough_nuisances(library: Library, share: float, tolerances: float) -> tuple[Nuisance, ...]:
     """Parameters that differ on a rough machine of which nothing is known.
 
     Beside tolerances, what every real command path and sensor has a little of: delay, hysteresis,
     offset. Any strength of the mechanism would be wider than some of its faults. Shapes of laws in
-    which good machines differ, which no diagnosis names, may be anything.
+    which good machines differ, which no diagnosis names, follow within all that is barely
+    noticeable.
 
     Args:
         library: Effects.

@@ -94,10 +94,10 @@ class Thresholds:
     # Median over windows of the mean square of errors whose mean is 1 and that go together.
     usual_cost: float = 0.7
     # A machine that differs from its model everywhere: its command paths and sensors are off by
-    # this share of what is barely noticeable. Wider, that would hide faults; healthy recordings,
-    # which have none, allow all of it for all strengths, and tolerances so many times as wide.
+    # this share of what is barely noticeable, parameters with a tolerance by so many tolerances.
+    # Wider, that would hide faults; healthy recordings, which have none, allow all that is barely
+    # noticeable for all strengths, and so many tolerances.
     rough_share: float = 0.3
-    # ... and its parameters that have a tolerance by so many.
     rough_tolerance: float = 2.0
     healthy_tolerance: float = 3.0
     # The same machine on another day stays within this share of them.
@@ -128,8 +128,8 @@ class Thresholds:
     stuck_share: float = 0.95
     # A rival whose excess over noise is this many times the leader's stays behind.
     hopeless_factor: float = 8.0
-    # On a rough machine: first fits that are this many times as probable as no effect are worth
-    # sharpening, if they are at least so probable beside the best one.
+    # On a rough machine a round ends where no first fit is this many times as probable as no
+    # effect at all; else those are sharpened that are so many times as probable as the best.
     rough_chance: float = 0.5
     rough_hopeless: float = 1e-3
     # A rival below this cost may still catch up, in so many more fits.
