@@ -123,4 +123,5 @@ def memory(bins, reach):
 
 def a_discrepancy(bins=12, reach=4.0):
     pattern = np.stack([memory(bins, reach), np.eye(bins)])
-    return Discrepancy(pattern=pattern, variance=np.array([[1.0, 4.0], [9.0, 0.0]]))
+    variance = np.array([[1.0, 4.0], [9.0, 0.0]])
+    return Discrepancy(directions=np.eye(2), pattern=pattern, variance=variance)

@@ -11,15 +11,18 @@ import numpy as np
 import pytest
 
 from leglab.diagnosis import rough
-from leglab.diagnosis.discrepancy import Discrepancy, from_errors
+from leglab.diagnosis.discrepancy import Discrepancy, directions_of, from_errors
 from leglab.diagnosis.hypothesis import Hypothesis, Library
 from leglab.diagnosis.judging import (
     noticeable,
 )
+from leglab.diagnosis.model import Machine
 from leglab.diagnosis.nuisances import all_strengths, rough_nuisances, within_tolerance
 from leglab.diagnosis.residual import NoiseModel
 from leglab.diagnosis.rough import at_least, settled_baseline
 from leglab.diagnosis.thresholds import DEFAULT
+from leglab.diagnosis.windows import Channel
+from leglab.machine.cylinder import Cylinder
 from tests.diagnosis_sketch import (
     COULOMB,
     HELD,
@@ -77,7 +80,7 @@ def test_errors_show_the_discrepancy_that_they_were_drawn_from():
     roots = np.linalg.cholesky(truth.pattern)
     errors = np.einsum("kij,wkj->wki", roots, rng.normal(size=(600, 2, bins)))
     errors *= np.sqrt(variance)[recording][:, :, None]
-    found = from_errors(errors, recording, np.ones((2, 2)))
+    found = from_errors(errors, recording, np.ones((2, 2)), np.eye(2))
     np.testing.assert_allclose(found.pattern, truth.pattern, atol=0.15)
     assert found.pattern[0, 5, 6] > 0.3 > abs(found.pattern[1, 5, 6])
     np.testing.assert_allclose(np.trace(found.pattern, axis1=1, axis2=2), bins)
@@ -86,14 +89,39 @@ def test_errors_show_the_discrepancy_that_they_were_drawn_from():
     assert (found.variance > 0.6 * variance).all()
     # A wild window does not change what is usual.
     errors[7] *= 1e3
-    wild = from_errors(errors, recording, np.ones((2, 2)))
+    wild = from_errors(errors, recording, np.ones((2, 2)), np.eye(2))
     np.testing.assert_allclose(wild.variance, found.variance, rtol=0.05)
     np.testing.assert_allclose(wild.pattern, found.pattern, atol=0.05)
 
 
+def test_a_cylinder_errs_little_in_force_where_its_chambers_err_alike():
+    machine = Machine("knee_bench")
+    position, *chambers = (Channel(column=c, joint="knee") for c in "qab")
+    chambers = [replace(c, cylinder="knee_valve", chamber=f"pressure_{c.column}") for c in chambers]
+    directions = directions_of(machine, (position, *chambers))
+    np.testing.assert_allclose(directions @ directions.T, np.eye(3), atol=1e-12)
+    # Pressures that balance each other over the cylinder's areas make no force.
+    cylinder = Cylinder({n: machine.parameter("knee_valve", n) for n in ("bore", "rod", "stroke")})
+    balanced = np.array([0.0, cylinder.area_b, cylinder.area_a])
+    np.testing.assert_allclose(directions[1] @ balanced, 0.0, atol=1e-12)
+    assert directions[2] @ balanced == pytest.approx(np.linalg.norm(balanced))
+    np.testing.assert_array_equal(directions_of(machine, (position, chambers[0])), np.eye(2))
+
+    rng = np.random.default_rng(5)
+    truth = np.array([2.0, 0.5, 8.0])  # of position, force and what makes none
+    drawn = rng.normal(size=(4000, 3, 4)) * np.sqrt(truth)[:, None]
+    errors = np.einsum("kc,wkb->wcb", directions, drawn)
+    recording = np.zeros(4000, dtype=int)
+    found = from_errors(errors, recording, np.ones((1, 3)), directions)
+    np.testing.assert_allclose(found.variance[0] / truth, found.variance[0, 0] / 2.0, rtol=0.1)
+    # The whole covariance is that of the errors, but for what the middle of windows is too low.
+    whole = found.covariance(np.zeros(1, dtype=int))[0] * (2.0 / found.variance[0, 0])
+    np.testing.assert_allclose(whole, np.cov(errors.reshape(4000, 12).T), atol=0.8)
+
+
 def test_errors_that_sensors_explain_show_no_discrepancy():
     errors = np.random.default_rng(3).normal(size=(50, 2, 12))
-    found = from_errors(errors, np.zeros(50, dtype=int), np.zeros((1, 2)))
+    found = from_errors(errors, np.zeros(50, dtype=int), np.zeros((1, 2)), np.eye(2))
     assert not found.variance.any()
     assert not found.covariance(np.zeros(5, dtype=int)).any()
 
@@ -133,7 +161,9 @@ def test_a_baseline_and_its_discrepancy_are_fitted_in_turn(monkeypatch):
     level, trusted, shares = [64.0], [], []
 
     def estimated(hypothesis):
-        return Discrepancy(pattern=np.eye(2)[None], variance=np.array([[level[0]]]))
+        return Discrepancy(
+            directions=np.eye(1), pattern=np.eye(2)[None], variance=np.array([[level[0]]])
+        )
 
     problem = SimpleNamespace(
         thresholds=DEFAULT,
@@ -180,7 +210,9 @@ def test_a_round_is_judged_under_the_discrepancy_of_its_best(sketch, monkeypatch
         return replace(contender, cost=cost)
 
     def estimated(hypothesis):
-        return Discrepancy(pattern=np.eye(2)[None], variance=np.array([[level(hypothesis)]]))
+        return Discrepancy(
+            directions=np.eye(1), pattern=np.eye(2)[None], variance=np.array([[level(hypothesis)]])
+        )
 
     sketch.noise_levels = lambda hypothesis: np.full(WINDOWS, level(hypothesis))
     sketch.trusting, sketch.discrepancy = trusting, estimated
@@ -202,7 +234,8 @@ def test_a_round_is_judged_under_the_discrepancy_of_its_best(sketch, monkeypatch
 def test_a_rough_search_names_only_what_is_accepted(
     sketch, monkeypatch, threshold, expected, calibrated
 ):
-    """And screens from where no strength has been pulled along by what is missing."""
+    """And screens where no strength has been pulled along by what is missing, of an unknown machine
+    also where all that follows has followed."""
     base = ripple(10.0)
     tried = a_round([contender(sketch.library, OFFSET, base - 5.0)], base, threshold)
     fitted = []
@@ -211,13 +244,16 @@ def test_a_rough_search_names_only_what_is_accepted(
         fitted.append(chosen)
         return problem, a_fit(sketch.library, VISCOUS)
 
-    def searched(problem, start, *_):
-        assert start == {}
+    def searched(problem, start, best, *_, beside=None):
+        assert best.free == {VISCOUS}
+        assert start == ({} if calibrated else best.hypothesis)
+        assert beside == (None if calibrated else {})
         return problem, tried
 
     monkeypatch.setattr(rough, "settled_baseline", settled)
     monkeypatch.setattr(rough, "search_round", searched)
     monkeypatch.setattr(rough, "annealed", lambda problem, *_: (problem, tried))
+    monkeypatch.setattr(rough, "paired", lambda *_: None)
     width = sketch.library.sites[VISCOUS].parameters[0].tolerance
 
     def following(nuisances, worth=None):

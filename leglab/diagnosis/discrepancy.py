@@ -6,21 +6,31 @@ fit so far say how far the model is to be trusted, channel by channel and record
 (Kennedy and O'Hagan 2001); as explanations get better, so does the trust.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from leglab.diagnosis.model import CYLINDER, Machine
+from leglab.diagnosis.windows import Channel
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Discrepancy:
-    """Covariance of the model's own error in a window: a shape by channel, a size by recording.
+    """Covariance of the model's own error in a window: a shape by direction, a size by recording.
+
+    Directions are the channels, but for the two chambers of a cylinder: what their errors do to its
+    force, which the mechanism decides, and what they have in common, which the valve's edges and
+    the oil decide, have different sizes.
 
     Attributes:
+        directions: Orthonormal, (channels, channels): each row one as a sum of channels.
         pattern: Covariance over the bins of a window, of trace `bins`, (channels, bins, bins):
-            model errors have a memory of their own in every channel.
-        variance: Mean over the bins, (recordings, channels).
+            model errors have a memory of their own in every direction.
+        variance: Mean over the bins, (recordings, channels), of every direction.
     """
 
+    directions: np.ndarray
     pattern: np.ndarray
     variance: np.ndarray
 
@@ -28,8 +38,11 @@ class Discrepancy:
         """Covariance of windows of recordings, shape (windows, size, size)."""
         channels, bins, _ = self.pattern.shape
         whole = np.zeros((len(self.variance), channels, bins, channels, bins))
-        for channel, pattern in enumerate(self.pattern):
-            whole[:, channel, :, channel] = self.variance[:, channel, None, None] * pattern
+        for direction, pattern, variance in zip(
+            self.directions, self.pattern, self.variance.T, strict=True
+        ):
+            together = np.outer(direction, direction)[:, None, :, None] * pattern[None, :, None, :]
+            whole += variance[:, None, None, None, None] * together
         return whole.reshape(len(whole), channels * bins, channels * bins)[recording]
 
     def scaled(self, factor: float) -> "Discrepancy":
@@ -37,14 +50,34 @@ class Discrepancy:
         return replace(self, variance=factor * self.variance)
 
 
-def from_errors(errors: np.ndarray, recording: np.ndarray, excess: np.ndarray) -> Discrepancy:
+def directions_of(machine: Machine, channels: Sequence[Channel]) -> np.ndarray:
+    """Directions of a discrepancy, (channels, channels), as `Discrepancy` has them."""
+    found = np.eye(len(channels))
+    for cylinder in machine.instances(CYLINDER):
+        own = sorted((c.chamber or "", k) for k, c in enumerate(channels) if c.cylinder == cylinder)
+        chambers = [k for _, k in own]
+        if len(chambers) < 2:
+            continue
+        bore, rod = (machine.parameter(cylinder, name) for name in ("bore", "rod"))
+        areas = np.array([bore**2, bore**2 - rod**2])
+        cap, ring = areas / np.linalg.norm(areas)
+        found[np.ix_(chambers, chambers)] = [[cap, -ring], [ring, cap]]
+    return found
+
+
+def from_errors(
+    errors: np.ndarray, recording: np.ndarray, excess: np.ndarray, directions: np.ndarray
+) -> Discrepancy:
     """The discrepancy that errors of a fitted model show.
 
     Args:
         errors: Measured less predicted, shape (windows, channels, bins).
         recording: Of each window, shape (windows,).
         excess: Share of the errors' variance that sensors do not explain, (recordings, channels).
+        directions: As of `Discrepancy`.
     """
+    excess = excess @ (directions**2).T
+    errors = np.einsum("kc,wcb->wkb", directions, errors)
     windows, _, bins = errors.shape
     # The middle of all windows counts: single ones start in stick-slip or beside a jump.
     size = np.sqrt((errors**2).mean(axis=2))
@@ -60,4 +93,4 @@ def from_errors(errors: np.ndarray, recording: np.ndarray, excess: np.ndarray) -
     index = np.arange(bins)
     shape[:, index, index] += share * diagonal
     shape /= diagonal.mean(axis=1)[:, None, None]
-    return Discrepancy(pattern=shape, variance=excess * usual**2)
+    return Discrepancy(directions=directions, pattern=shape, variance=excess * usual**2)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg.lapack import dtrtri
 from scipy.signal import savgol_coeffs
 
-from leglab.diagnosis.discrepancy import Discrepancy, from_errors
+from leglab.diagnosis.discrepancy import Discrepancy, directions_of, from_errors
 from leglab.diagnosis.hypothesis import Hypothesis, Key, Library
 from leglab.diagnosis.model import CHAMBERS, CYLINDER, Change, Machine
 from leglab.diagnosis.nuisances import Nuisance, departures, within_tolerance
@@ -260,7 +260,8 @@ class Problem:
             level[number] = np.median(squares[use & (recording == number)], axis=0)
         excess = np.clip(1.0 - 1.0 / np.maximum(level, 1e-12), 0.0, 1.0)
         rows = np.unique(recording[use])
-        found = from_errors(errors[use], recording[use], excess[rows])
+        directions = directions_of(self.machine, self.channels)
+        found = from_errors(errors[use], recording[use], excess[rows], directions)
         variance = np.zeros(level.shape)
         variance[rows] = found.variance
         found = replace(found, variance=variance)

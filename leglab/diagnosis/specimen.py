@@ -1,7 +1,7 @@
 """The specimen at hand, from recordings of it while it was healthy."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,7 +44,7 @@ class Specimen:
         if self.discrepancy is None:
             return None
         variance = self.discrepancy.variance[self.nearest(series)]
-        return Discrepancy(pattern=self.discrepancy.pattern, variance=variance)
+        return replace(self.discrepancy, variance=variance)
 
     def nearest(self, series: Sequence[UniformSeries]) -> list[int]:
         """The healthy recording of the most similar motion to each of others."""
