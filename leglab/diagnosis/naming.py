@@ -14,6 +14,7 @@ from leglab.diagnosis.judging import (
     departure_from_known,
     earns,
     intervals,
+    may_be_fault,
     preferences,
     probabilities,
     specimens_spread,
@@ -91,6 +92,8 @@ def judge_rough(found: Search, gap: Gap, level: Callable[[Hypothesis], float]) -
         distance = far(found.problem, key, final)
         spread = limits.day_spread if known else specimens_spread(found.problem, key)
         own = beyond_specimens(distance, spread, limits.fault_range)
+        if not known and not may_be_fault(found.problem, key, final):
+            own = 0.0  # A better part than the model's is how this machine was made.
         fault = e.contribution >= limits.smaller_share and own >= limits.fault
         (causes if fault else smaller).append(replace(e, confidence=e.confidence * own))
     if not causes:

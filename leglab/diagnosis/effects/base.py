@@ -12,6 +12,7 @@ from leglab.base import plugins
 from leglab.base.errors import LeglabError
 from leglab.diagnosis.model import Change, ForceLeft, Machine, Measured, Variant
 
+Side = Literal["above", "below", "either"]
 Group = Literal["oil and seals", "valve and command", "friction", "mechanics", "sensing"]
 # Values of an effect's parameters by name.
 Values = Mapping[str, float]
@@ -35,6 +36,8 @@ class EffectParameter:
             is named. 0: anything that can be told from noise is named.
         role: A "strength" at its nominal value switches the effect off; a "shape" means nothing
             while all strengths are nominal.
+        faults: On which side of the nominal value they lie. Beyond it on the other side is a
+            better part than the model's: edges do not get sharper as they wear.
     """
 
     name: str
@@ -46,6 +49,7 @@ class EffectParameter:
     trials: tuple[float, ...] = ()
     tolerance: float = 0.0
     role: Literal["strength", "shape"] = "strength"
+    faults: Side = "either"
 
     def __post_init__(self) -> None:
         if not self.lower <= self.nominal <= self.upper:
@@ -59,6 +63,11 @@ class EffectParameter:
         """Distance from nominal that matters: what finite differences and fits step by."""
         steps = [abs(trial - self.nominal) for trial in self.trials if trial != self.nominal]
         return min(steps) if steps else 0.1 * (self.upper - self.lower)
+
+    def may_be_fault(self, value: float, nominal: float) -> bool:
+        """Whether a value lies on a side of `nominal` on which faults lie."""
+        beyond = {"above": value > nominal, "below": value < nominal}
+        return beyond.get(self.faults, True)
 
     def departure(self, value: float, nominal: float) -> float:
         """How severe a value is: 1 for a barely noticeable distance from `nominal`, more beyond.

@@ -3,7 +3,14 @@
 from dataclasses import KW_ONLY, dataclass
 from typing import ClassVar, Literal
 
-from leglab.diagnosis.effects.base import Effect, EffectParameter, Group, Values, register_effect
+from leglab.diagnosis.effects.base import (
+    Effect,
+    EffectParameter,
+    Group,
+    Side,
+    Values,
+    register_effect,
+)
 from leglab.diagnosis.model import CYLINDER, Change, Machine
 
 HYQ = "HyQ leg parameters (Ledezma 2016)"
@@ -23,6 +30,7 @@ class CylinderRow:
         relative: Whether trials, tolerance and bounds are factors of the nominal value.
         follows: Parameters that are shifted by the same difference (stiction stays above Coulomb).
         role: As in `EffectParameter`.
+        faults: Likewise.
     """
 
     name: str
@@ -34,6 +42,7 @@ class CylinderRow:
     relative: bool = True
     follows: tuple[str, ...] = ()
     role: Literal["strength", "shape"] = "strength"
+    faults: Side = "either"
 
     def parameter(self, machine: Machine, cylinder: str) -> EffectParameter:
         """The effect's parameter on a cylinder, within the bounds of the plugin's own."""
@@ -49,6 +58,7 @@ class CylinderRow:
             trials=tuple(t * nominal if self.relative else nominal + t for t in self.trials),
             tolerance=self.tolerance * unit,
             role=self.role,
+            faults=self.faults,
         )
 
 
@@ -103,7 +113,7 @@ define(
     "Flow past the piston seal, C_i (p_A - p_B); grows with the cube of the clearance.",
     f"{HYQ}; seal wear up to x50",
     "a pressure difference across the piston while the valve opens little",
-    CylinderRow("internal_leakage", (3.0, 10.0, 35.0), tolerance=0.15, upper=300.0),
+    CylinderRow("internal_leakage", (3.0, 10.0, 35.0), tolerance=0.15, upper=300.0, faults="above"),
 )
 
 define(
@@ -122,7 +132,7 @@ define(
     "Air in the oil makes it soft at low pressure: beta = (g + l)/(g/(n p) + l/beta_l).",
     "docs/physics.md; 0.5 % is normal, foaming oil holds several per cent",
     "pressures that change quickly",
-    CylinderRow("entrained_air", (0.3, 3.0, 10.0), tolerance=0.2, upper=40.0),
+    CylinderRow("entrained_air", (0.3, 3.0, 10.0), tolerance=0.2, upper=40.0, faults="above"),
 )
 
 define(
@@ -304,7 +314,9 @@ define(
     "Worn metering edges: rounding eps of each, so that at its lap it is open by eps/2.",
     "null leakage of servovalves: a few per cent of the rated flow, several times that when worn",
     "small openings under load, standstill",
-    CylinderRow("edge_rounding", (0.5, 2.0, 4.0), tolerance=0.1, lower=0.02, upper=20.0),
+    CylinderRow(
+        "edge_rounding", (0.5, 2.0, 4.0), tolerance=0.1, lower=0.02, upper=20.0, faults="above"
+    ),
 )
 
 
@@ -353,7 +365,7 @@ define(
     "A slow spool: x_s'' = w^2 (u - x_s) - 2 zeta w x_s'.",
     "servovalves of the E024 class: 250 Hz; clogged first stages fall to a tenth",
     "commands that change within some hundredths of a second",
-    CylinderRow("bandwidth_hz", (0.05, 0.12, 0.35), lower=0.015, upper=2.0),
+    CylinderRow("bandwidth_hz", (0.05, 0.12, 0.35), lower=0.015, upper=2.0, faults="below"),
     # A large one is a lag of first order, of time constant 2 zeta / w.
     CylinderRow("damping_ratio", (), lower=0.5, upper=8.0, role="shape"),
 )
