@@ -51,6 +51,22 @@ class Measure:
             return self.problem.window_cost(hypothesis)
         return self.problem.noise_levels(hypothesis)
 
+    def hardly_shows(self, windows: np.ndarray, without: Hypothesis, final: Hypothesis) -> bool:
+        """Whether effects move a mask of windows little beside all, (windows,).
+
+        What they move, not what they mend: that would excuse effects that are wrong there.
+
+        Args:
+            windows: The mask.
+            without: The final hypothesis without the effects.
+            final: With them.
+        """
+        problem = self.problem
+        change = problem.raw_errors(without) - problem.raw_errors(final)
+        noise = problem.sensor_noise[problem.replay.recording]
+        moved = np.mean((change / noise[:, :, None]) ** 2, axis=(1, 2))
+        return rms(moved[windows]) < problem.thresholds.shown_share * rms(moved)
+
     def floor(self, windows: np.ndarray) -> float:
         """RMS error that is no part of the gap in a mask of windows."""
         return rms(self.floors[self.problem.replay.recording[windows]])

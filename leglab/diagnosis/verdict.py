@@ -132,7 +132,7 @@ def assemble(found: Search, settings: DiagnosisSettings, *, seconds: float) -> D
         compared, overall = (
             (rms(errors[0][w]), rms(errors[1][w]), measure.floor(w)) for w in (held, every)
         )
-        if compared[0] - compared[2] < limits.shown_share * (overall[0] - overall[2]):
+        if measure.hardly_shows(held, models["unnamed"], final):
             # A slow motion that nobody fitted cannot tell what a fast one would show.
             compared, shown = overall, every
         gap = replace(gap, compared=compared)
