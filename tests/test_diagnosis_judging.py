@@ -121,7 +121,7 @@ def test_the_best_of_many_effects_must_say_more_than_a_single_one(sketch, t, rig
     """Bonferroni: of 70 effects chance reaches t = 3.6 in 1 of 100 cases, a single one 2.3."""
     sketch.noise.discrepancy = a_discrepancy()
     base = np.full(WINDOWS, 10.0)
-    shape = np.where(HELD, 0.2 * ripple(0.0), 2.0 + ripple(0.0, size=1.0))
+    shape = np.where(HELD, 0.2 * ripple(0.0), 8.0 + ripple(0.0, size=1.0))
     shape[HELD] += 0.01 - shape[HELD].mean()
     low, high = 0.0, 100.0
     for _ in range(60):  # the scatter that gives this t

@@ -18,7 +18,7 @@ from leglab.diagnosis.hypothesis import Hypothesis, Library
 from leglab.diagnosis.judging import accepted, specimens_spread
 from leglab.diagnosis.model import Change, Machine
 from leglab.diagnosis.nuisances import rough_nuisances, within_tolerance
-from leglab.diagnosis.search import _possible, total_cost
+from leglab.diagnosis.search import _by_rank, _possible, total_cost
 from leglab.diagnosis.thresholds import DEFAULT
 from leglab.diagnosis.workflow import DiagnosisSettings, Search, set_up
 from tests.diagnosis_sketch import (
@@ -201,6 +201,22 @@ def test_first_fits_that_have_no_chance_beside_the_best_go(sketch):
     assert kept == [OFFSET, VISCOUS]
     share = posterior([100.0, 140.0, 150.0], DEFAULT.rough_numbers, [1, 1, 4])
     assert share[1] > DEFAULT.rough_hopeless > share[2]
+
+
+def test_first_fits_that_are_not_finished_stay(sketch):
+    """Both have closed nearly all, and three times as much is left of one: so far."""
+    fits = first_fits({OFFSET: 5.0, VISCOUS: 15.0})
+    assert [key for key, _ in _possible(sketch, 900.0, fits)] == [OFFSET, VISCOUS]
+    assert len(_possible(sketch, 20.0, fits)) == 1
+
+
+def test_what_ranks_higher_in_one_of_two_screenings_is_fitted_from_there(sketch):
+    first, second = (
+        [(name, SimpleNamespace(key=key)) for key in keys]
+        for name, keys in (("first", (OFFSET, VISCOUS)), ("second", (ASYMMETRIC, OFFSET)))
+    )
+    found = [(name, one.key) for name, one in _by_rank(first, second)]
+    assert found == [("first", OFFSET), ("second", ASYMMETRIC), ("first", VISCOUS)]
 
 
 def test_nothing_is_sharpened_where_no_first_fit_pays_for_its_parameters(sketch):

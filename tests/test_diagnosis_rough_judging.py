@@ -4,6 +4,7 @@ Here: names and their probability on machines that differ from their model every
 docs/diagnosis.md, "How the judging is tested", lists the faults beside the tests.
 """
 
+from copy import copy
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -15,18 +16,19 @@ from leglab.diagnosis import naming, workflow
 from leglab.diagnosis.effects.base import EffectParameter
 from leglab.diagnosis.evidence import beyond_specimens, posterior
 from leglab.diagnosis.hypothesis import Hypothesis
-from leglab.diagnosis.judging import (
-    earns,
-)
+from leglab.diagnosis.judging import earns, nothing_more
 from leglab.diagnosis.measure import Measure
 from leglab.diagnosis.thresholds import DEFAULT
 from tests.diagnosis_sketch import (
     ASYMMETRIC,
     COULOMB,
+    LIBRARY,
     OFFSET,
     VISCOUS,
+    WINDOWS,
     a_fit,
     a_gap,
+    a_round,
     a_search,
     a_sketch,
     contender,
@@ -201,6 +203,59 @@ def test_what_a_good_machine_may_have_is_no_fault_unless_healthy_recordings_lack
     drifted = replace(known, fit=a_fit(sketch.library, OFFSET, trials=0.2))
     said, causes, smaller = naming.judge_rough(drifted, gap, level)
     assert (said, len(causes), len(smaller)) == ("unexplained", 0, 1)
+
+
+@pytest.mark.parametrize(("side", "named"), [("either", 1), ("above", 1), ("below", 0)])
+def test_a_better_part_than_the_models_is_no_fault(sketch, side, named):
+    """Edges do not get sharper as they wear; since healthy recordings it is a change."""
+    sketch.costs |= {frozenset(): 10.0**2, frozenset([OFFSET]): 1.0}
+    site = LIBRARY.sites[OFFSET]
+    one = replace(site, parameters=(replace(site.parameters[0], faults=side),))
+    library = copy(LIBRARY)
+    library.sites = {**LIBRARY.sites, OFFSET: one}
+    sketch.library = library
+
+    def level(hypothesis):
+        return naming.rms(sketch.noise_levels(hypothesis))
+
+    found = a_search(sketch, [OFFSET])
+    said, causes, smaller = naming.judge_rough(found, a_gap(unnamed=10.0), level)
+    assert (said == "named", len(causes), len(smaller)) == (bool(named), named, 1 - named)
+    known = replace(found, specimen=SimpleNamespace(discrepancy_of=lambda series: None))
+    assert naming.judge_rough(known, a_gap(unnamed=10.0), level)[0] == "named"
+
+
+def test_one_more_effect_is_as_probable_as_none_whatever_its_name(sketch):
+    """Of seventy effects each is a seventieth of that; rivals speak together for one more."""
+    base = np.full(WINDOWS, 10.0)
+    price = DEFAULT.rough_numbers**0.5  # of a parameter
+    gain = 10.0 * (1.0 - 140.0 ** (-2.0 / DEFAULT.rough_numbers))
+    one = contender(sketch.library, OFFSET, base - gain)
+    tried = a_round([one], base, tried=70)
+    none = nothing_more(sketch, tried)
+    assert none == pytest.approx(70.0 * price / (70.0 * price + 140.0))
+    rival = contender(sketch.library, COULOMB, base - gain)
+    both = nothing_more(sketch, a_round([one, rival], base, tried=70))
+    assert both == pytest.approx(70.0 * price / (70.0 * price + 280.0))
+
+
+def test_what_held_out_windows_hardly_show_is_told_by_what_moves_there():
+    """Not by what it mends there: a wrong effect moves them and mends nothing."""
+    predictions = {"fast": np.array([9.0, 9.0, 1.0, 1.0]), "wrong": np.array([9.0, 9.0, 9.0, 9.0])}
+
+    def measured(name):
+        raw = {"without": np.zeros((4, 1, 3)), "final": predictions[name][:, None, None]}
+        problem = SimpleNamespace(
+            raw_errors=lambda hypothesis: raw[hypothesis] + np.zeros((4, 1, 3)),
+            sensor_noise=np.full((1, 1), 2.0),
+            replay=SimpleNamespace(recording=np.zeros(4, dtype=int)),
+            thresholds=DEFAULT,
+        )
+        return Measure(problem=problem, weighed=False, floors=np.ones(1))
+
+    held = np.array([False, False, True, True])
+    assert measured("fast").hardly_shows(held, "without", "final")
+    assert not measured("wrong").hardly_shows(held, "without", "final")
 
 
 @pytest.mark.parametrize(("now", "faults"), [(1.0, 0), (2.9, 0), (5.0, 1), (-2.0, 1)])

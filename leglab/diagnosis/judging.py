@@ -27,16 +27,26 @@ def accepted(problem: Problem, tried: Round, contender: Contender) -> bool:
         # would reach by chance in 1 of 100 cases (Bonferroni).
         chance = float(norm.isf(0.01 / max(len(tried.candidates), 1)))
         holds |= _no_worse(held) and t_value(saved) >= max(chance, limits.significant)
-        # Errors that are few numbers must speak for it beyond the parameters that it adds.
-        count = len(problem.library.sites[contender.key].parameters)
-        costs = [float(tried.base.mean()), float(contender.cost.mean())]
-        holds &= posterior(costs, limits.rough_numbers, (0, count))[1] >= 0.5
+        holds &= nothing_more(problem, tried) <= 0.5
     return bool(
         problem.size * saved[contender.fit.at.chosen].sum() >= tried.threshold
         and holds
         and saved.mean() >= limits.worthwhile * max(1.0, tried.base.mean() - 1.0)
         and noticeable(problem, contender.key, contender.fit.hypothesis)
     )
+
+
+def nothing_more(problem: Problem, tried: Round) -> float:
+    """Probability, on a rough machine, that no effect is there beyond those named before a round.
+
+    That one more is there is as probable as that none is, and each of all effects alike.
+    """
+    sites = problem.library.sites
+    costs = [float(tried.base.mean()), *(float(c.cost.mean()) for c in tried.contenders)]
+    counts = [0, *(len(sites[c.key].parameters) for c in tried.contenders)]
+    share = posterior(costs, problem.thresholds.rough_numbers, counts)
+    none = max(len(tried.candidates), 1) * share[0]
+    return float(none / (none + share[1:].sum()))
 
 
 def _no_worse(held: np.ndarray) -> bool:
@@ -107,6 +117,16 @@ def departure_from_known(problem: Problem, key: Key, hypothesis: Mapping[Key, np
     )
 
 
+def may_be_fault(problem: Problem, key: Key, hypothesis: Mapping[Key, np.ndarray]) -> bool:
+    """Whether a strength of an effect lies on a side on which faults lie."""
+    site = problem.library.sites[key]
+    return any(
+        p.may_be_fault(float(value), float(nominal))
+        for value, nominal, p in zip(hypothesis[key], site.nominal, site.parameters, strict=True)
+        if p.role == "strength"
+    )
+
+
 def noticeable(problem: Problem, key: Key, hypothesis: Mapping[Key, np.ndarray]) -> bool:
     """Whether a strength departs from nominal by a share of its smallest trial that matters."""
     return departure(problem, key, hypothesis) > problem.thresholds.noticeable
@@ -172,8 +192,13 @@ def preferences(
 def probabilities(problem: Problem, contenders: Sequence[Contender]) -> np.ndarray:
     """Probability of each contender among some, on a rough machine, shape (contenders,)."""
     costs = [float(c.cost.mean()) for c in contenders]
-    counts = [len(problem.library.sites[c.key].parameters) for c in contenders]
+    counts = [parameters(problem, c.fit) for c in contenders]
     return posterior(costs, problem.thresholds.rough_numbers, counts)
+
+
+def parameters(problem: Problem, fit: Fit) -> int:
+    """Number of parameters of a fit's effects."""
+    return sum(len(problem.library.sites[key].parameters) for key in fit.free)
 
 
 def intervals(

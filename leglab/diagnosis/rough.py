@@ -17,7 +17,17 @@ from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.judging import accepted, probabilities, simplest_first
 from leglab.diagnosis.nuisances import rough_nuisances, within_tolerance
 from leglab.diagnosis.residual import Problem
-from leglab.diagnosis.search import Contender, Progress, Round, search_round, thinned, total_cost
+from leglab.diagnosis.search import (
+    Contender,
+    Progress,
+    Round,
+    as_pair,
+    best_pair,
+    search_round,
+    sharpen,
+    thinned,
+    total_cost,
+)
 
 
 def at_least(discrepancy: Discrepancy, floor: Discrepancy | None) -> Discrepancy:
@@ -98,7 +108,7 @@ def rough_search(
         nuisances = rough_nuisances(problem.library, limits.rough_share, limits.rough_tolerance)
         problem = problem.with_nuisances(nuisances, worth=limits.rough_numbers)
     problem, current = settled_baseline(problem, chosen, floor)
-    baseline = current
+    settled, baseline = problem, current
     named: list[Key] = []
     found: list[Round] = []
     while len(named) < rounds:
@@ -107,21 +117,71 @@ def rough_search(
         trusted = at_least(problem.discrepancy(current.hypothesis), floor)
         problem = problem.trusting(trusted)
         # Strengths that a missing effect has pulled along would mislead the screening: drift of a
-        # calibrated machine can take a size past the trials of the effect that is missing.
+        # calibrated machine can take a size past the trials of the effect that is missing. Where
+        # much follows, it must be off for the others to be seen: screened both ways.
         start = current.hypothesis.only(named)
-        problem, tried = search_round(problem, start, current, rng, progress)
-        if not tried.contenders:
-            found.append(tried)
-            break
-        progress("how far the model with the effect is to be trusted")
-        problem, tried = annealed(problem, current, tried, floor)
+        screened = problem
+        if calibrated:
+            problem, tried = search_round(problem, start, current, rng, progress)
+        else:
+            problem, tried = search_round(
+                problem, current.hypothesis, current, rng, progress, beside=start
+            )
+        winner = None
+        if tried.contenders:
+            progress("how far the model with the effect is to be trusted")
+            problem, tried = annealed(problem, current, tried, floor)
+            winner = next((c for c in tried.contenders if accepted(problem, tried, c)), None)
         found.append(tried)
-        winner = next((c for c in tried.contenders if accepted(problem, tried, c)), None)
+        if not named:
+            pair = paired(problem, settled, screened, current, tried, progress)
+            if pair is not None:
+                found.append(replace(tried, contenders=(pair,)))
+                named, winner = sorted(pair.fit.free - {pair.key}), pair
         if winner is None:
             break
         named.append(winner.key)
         current = winner.fit
     return problem, baseline, current, named, found
+
+
+def paired(
+    problem: Problem,
+    settled: Problem,
+    screened: Problem,
+    base: Fit,
+    tried: Round,
+    progress: Progress,
+) -> Contender | None:
+    """Two effects at once, where they are more probable than any single one.
+
+    A single effect may be an impostor that stands in for both. That a second one of all effects
+    is there as well is as much less probable as there are effects.
+
+    Args:
+        problem: As the round left it.
+        settled: As `base` was fitted.
+        screened: As the round began.
+        base: The fit without any effect.
+        tried: The round.
+        progress: Called with what is being done.
+    """
+    chosen = base.at.chosen
+    at = problem.rewhitened(base.at, settled)
+    at = replace(at, residual=problem.residual(at.base, chosen))
+    turn = problem.noise.whitening[chosen] @ np.linalg.inv(screened.noise.whitening[chosen])
+    candidates = [
+        replace(c, step=(turn @ c.step[:, :, None])[:, :, 0])
+        for c in tried.candidates
+        if c.detectable > 0.0
+    ]
+    fit = best_pair(problem, at, candidates, progress)
+    if fit is None:
+        return None
+    pair = as_pair(problem, sharpen(problem, fit))
+    nothing = Contender(key=pair.key, fit=base, cost=total_cost(problem, base))
+    share = probabilities(problem, (pair, nothing, *tried.contenders))
+    return pair if share[0] > len(tried.candidates) * (1.0 - share[0]) else None
 
 
 def cost_under(problem: Problem, fit: Fit, discrepancy: Discrepancy | None) -> float:

@@ -198,6 +198,7 @@ def pairs(
     steps = np.stack([c.step for c in candidates], axis=2)
     sums = Sums.of(at.residual, np.concatenate([steps, at.tangents], axis=2), limits)
     away = departures(at.base, at.nuisances)
+    weight = problem.prior_weight(at.chosen)
     found = []
     for places in combinations(range(len(candidates)), 2):
         both = [candidates[i] for i in places]
@@ -205,7 +206,7 @@ def pairs(
         kept = [i for i, n in enumerate(at.nuisances) if n.key not in keys]
         part = sums.only([*places, *(len(candidates) + i for i in kept)])
         furthest = np.full(2, limits.pair_furthest)
-        unknowns = Unknowns.of(np.zeros(2), furthest, away[kept], limits.nuisance_box)
+        unknowns = Unknowns.of(np.zeros(2), furthest, away[kept], limits.nuisance_box, weight)
         step = part.step(unknowns)
         cost = part.cost(step) + float((unknowns.prior * (unknowns.now + step) ** 2).sum())
         start = at.base

@@ -8,7 +8,7 @@ import numpy as np
 from leglab.diagnosis.evidence import posterior
 from leglab.diagnosis.fitting import Fit, free_tangents, refit
 from leglab.diagnosis.hypothesis import Hypothesis, Key
-from leglab.diagnosis.residual import Problem
+from leglab.diagnosis.residual import Linearisation, Problem
 from leglab.diagnosis.screening import Candidate, beyond_tangents, pairs, screen
 
 Progress = Callable[[str], None]
@@ -124,6 +124,8 @@ def search_round(
     rng: np.random.Generator,
     progress: Progress,
     onset: np.ndarray | None = None,
+    *,
+    beside: Hypothesis | None = None,
 ) -> tuple[Problem, Round]:
     """Looks for one more effect on top of those that are named already.
 
@@ -135,6 +137,7 @@ def search_round(
         rng: For the null.
         progress: Called with what is being done.
         onset: Time at which the effect begins, shape (recordings,); None: throughout.
+        beside: Where screening starts once more: what does best there is fitted as well.
 
     Returns:
         The problem, its noise model about the best rough fit if there is one; and the round.
@@ -154,17 +157,28 @@ def search_round(
     threshold = chance_gain(candidates, at.tangents, float(np.clip(settled, 1.0, 2.0)), rng)
     noise = problem.size * chosen.sum()  # chi-square of noise alone
     hopeful = candidates and candidates[0].gain > limits.hopeful_gain * noise
+    tried = [(at, c) for c in _refitted(problem, candidates)] if hopeful else []
+    if tried and beside is not None:
+        other = problem.linearise(beside, chosen, named)
+        own = free_tangents(problem, other, named)
+        again = screen(problem, other, own, floor, skip=named, onset=onset)
+        tried = _by_rank(tried, [(other, c) for c in _refitted(problem, again)])
     rough: list[tuple[Key, Fit]] = []
-    for candidate in _refitted(problem, candidates) if hopeful else ():
+    for about, candidate in tried:
         key, values = candidate.key, candidate.values
         progress(f"fitting {key[0]}")
 
-        def fitted(base: Hypothesis, key: Key = key, values: np.ndarray = values) -> Fit:
+        def fitted(
+            base: Hypothesis,
+            about: Linearisation = about,
+            key: Key = key,
+            values: np.ndarray = values,
+        ) -> Fit:
             begun = base.with_values(key, values).with_onset(key, onset)
-            return refit(problem, at, named | {key}, start=begun, iterations=4)
+            return refit(problem, about, named | {key}, start=begun, iterations=4)
 
-        fit = fitted(start)
-        if fit.cost > limits.stuck_share * floor and not same:
+        fit = fitted(about.base)
+        if fit.cost > limits.stuck_share * floor and about.base is not best.hypothesis:
             # Worse than without the effect: the nuisances are far from where they belong.
             fit = min(fit, fitted(best.hypothesis), key=lambda f: f.cost)
         rough.append((key, fit))
@@ -228,7 +242,10 @@ def _possible(
     none, own = share[0], share[1:]
     if (own < limits.rough_chance * none).all():
         return []
-    least = limits.rough_hopeless * share.max()
+    # A first fit may still lose a share of what it began with.
+    unfinished = limits.rough_unfinished * floor
+    own = posterior([c + unfinished for c in costs[1:]], limits.rough_numbers, counts[1:])
+    least = limits.rough_hopeless * own.max()
     return [entry for entry, p in zip(rough, own, strict=True) if p >= least]
 
 
@@ -256,6 +273,19 @@ def _refitted(problem: Problem, candidates: Sequence[Candidate]) -> list[Candida
     ]
 
 
+# A screened effect, with the tangents where it was screened.
+_Screened = tuple[Linearisation, Candidate]
+
+
+def _by_rank(one: Sequence[_Screened], other: Sequence[_Screened]) -> list[_Screened]:
+    """Each effect of two screenings once, from the one in which it ranks higher."""
+    ranked = sorted([*enumerate(one), *enumerate(other)], key=lambda entry: entry[0])
+    found: dict[Key, _Screened] = {}
+    for _, entry in ranked:
+        found.setdefault(entry[1].key, entry)
+    return list(found.values())
+
+
 def pair_search(
     problem: Problem, last: Round, chosen: np.ndarray, progress: Progress
 ) -> tuple[Problem, Contender | None]:
@@ -274,15 +304,25 @@ def pair_search(
         for c in last.candidates
         if c.detectable > 0.0
     ]
+    fit = best_pair(problem, at, candidates, progress)
+    if fit is None:
+        return problem, None
+    problem = problem.about(fit.hypothesis)
+    return problem, as_pair(problem, sharpen(problem, fit))
+
+
+def best_pair(
+    problem: Problem, at: Linearisation, candidates: Sequence[Candidate], progress: Progress
+) -> Fit | None:
+    """The best first fit of two effects at once; None of fewer than two candidates."""
     fits = []
     for start, keys in pairs(problem, at, candidates):
         progress(f"fitting {' and '.join(sorted(name for name, _ in keys))}")
         fits.append(refit(problem, at, keys, start=start))
-    if not fits:
-        return problem, None
-    fit = min(fits, key=lambda f: f.cost)
-    problem = problem.about(fit.hypothesis)
-    fit = sharpen(problem, fit)
-    cost = problem.window_cost(fit.hypothesis)
+    return min(fits, key=lambda f: f.cost, default=None)
+
+
+def as_pair(problem: Problem, fit: Fit) -> Contender:
+    """A fit of two effects as a contender, by the one that matters less."""
     less = min(fit.free, key=lambda k: problem.window_cost(fit.hypothesis.without(k)).mean())
-    return problem, Contender(key=less, fit=fit, cost=cost)
+    return Contender(key=less, fit=fit, cost=total_cost(problem, fit))

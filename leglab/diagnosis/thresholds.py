@@ -97,7 +97,7 @@ class Thresholds:
     # this share of what is barely noticeable, parameters with a tolerance by so many tolerances.
     # Wider, that would hide faults; healthy recordings, which have none, allow all that is barely
     # noticeable for all strengths, and so many tolerances.
-    rough_share: float = 0.3
+    rough_share: float = 0.7
     rough_tolerance: float = 2.0
     healthy_tolerance: float = 3.0
     # The same machine on another day stays within this share of them.
@@ -129,9 +129,11 @@ class Thresholds:
     # A rival whose excess over noise is this many times the leader's stays behind.
     hopeless_factor: float = 8.0
     # On a rough machine a round ends where no first fit is this many times as probable as no
-    # effect at all; else those are sharpened that are so many times as probable as the best.
+    # effect at all; else those are sharpened that are so many times as probable as the best, if
+    # all fits still lose this share of what they began with.
     rough_chance: float = 0.5
     rough_hopeless: float = 1e-3
+    rough_unfinished: float = 0.05
     # A rival below this cost may still catch up, in so many more fits.
     close_cost: float = 4.0
     patience: int = 3
@@ -194,7 +196,8 @@ class Thresholds:
     rough_size: float = 0.25
     # A rival this many times less probable is not told apart.
     rough_tie: float = 4.0
-    # Held-out recordings hardly show an effect if their gap is less than this share of the overall.
+    # Held-out recordings hardly show effects that move them by less than this share of what they
+    # move all recordings by.
     shown_share: float = 0.3
     # Strengths of healthy specimens scatter by this share of what is barely noticeable about their
     # model, by this one about what they were on another day; those of faults lie within so many
