@@ -174,7 +174,7 @@ _TONES = {
 }
 
 
-def _reference(kind: str, t: float, joint: int) -> float:
+def reference_share(kind: str, t: float, joint: int) -> float:
     """Share of the reach; joints move at slightly different tones, each on its own."""
     if kind == "stairs":
         levels = (0.0, 0.6, -0.3, 0.9, 0.2, -0.8, -0.1, 0.5)
@@ -196,7 +196,7 @@ def record_linkage(
     h = _PERIOD / _SUBSTEPS
     late = [round(d / h) for d in hidden.delay]
     driven = range(len(rig.drives))
-    q: Pair = tuple(_reference(kind, 0.0, j) * rig.reach[j] for j in (0, 1))
+    q: Pair = tuple(reference_share(kind, 0.0, j) * rig.reach[j] for j in (0, 1))
     v: Pair = (0.0, 0.0)
     positions, commands = [], []
     last, speed = q, [0.0, 0.0]
@@ -238,11 +238,11 @@ def record_linkage(
         )
         command = []
         for j in driven:
-            goal = rig.reach[j] * _reference(kind, k * _PERIOD, j)
+            goal = rig.reach[j] * reference_share(kind, k * _PERIOD, j)
             if rig.servo:
                 command.append(goal)
                 continue
-            ahead = rig.reach[j] * _reference(kind, (k + 1) * _PERIOD, j)
+            ahead = rig.reach[j] * reference_share(kind, (k + 1) * _PERIOD, j)
             speed[j] += 0.2 * ((shown[j] - last[j]) / _PERIOD - speed[j]) if k else 0.0
             kp, kd = rig.gains[j]
             force = kp * (goal - shown[j]) + kd * ((ahead - goal) / _PERIOD - speed[j])
