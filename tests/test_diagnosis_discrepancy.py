@@ -309,7 +309,7 @@ def test_effects_depart_from_the_specimen_and_not_from_the_model(machine, own):
     assert trials == pytest.approx([0.3 + off for off in offs])
     for nuisances in (
         within_tolerance(about),
-        rough_nuisances(about, 0.3, 1.0),
+        rough_nuisances(about, 0.3, 0.7, 1.0),
         all_strengths(about, 1.0, 3.0),
     ):
         priors = {n.key: n.nominal for n in nuisances}

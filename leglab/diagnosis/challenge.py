@@ -88,10 +88,15 @@ def _rivals(
     All that lost to it while others were missing count, too: a weak drive fits a heavy rotor until
     both have their friction.
     """
-    tried = next((r.contenders for r in rounds if any(c.key == key for c in r.contenders)), ())
-    own = min((float(c.cost.mean()) for c in tried if c.key == key), default=0.0)
-    limit = problem.thresholds.near_factor * own if key == named[-1] else np.inf
-    return [c for c in tried if c.key not in named and c.cost.mean() <= limit]
+    sets = [r.contenders for r in rounds if any(c.key == key for c in r.contenders)]
+    rivals: dict[Key, Contender] = {}
+    for tried in sets:
+        own = min(float(c.cost.mean()) for c in tried if c.key == key)
+        limit = problem.thresholds.near_factor * own if key == named[-1] else np.inf
+        for c in tried:
+            if c.key not in named and c.cost.mean() <= limit:
+                rivals.setdefault(c.key, c)
+    return list(rivals.values())
 
 
 def _swapped(

@@ -52,6 +52,23 @@ class Site:
         """Bounds, (parameters,)."""
         return np.array([p.upper for p in self.parameters])
 
+    def used(self, values: np.ndarray, noticeable: float) -> int:
+        """How many parameters values, shape (parameters,), need.
+
+        A strength at its nominal value is as if the effect had none: friction in one direction
+        alone needs no number for the other. At least one.
+
+        Args:
+            values: Of the parameters.
+            noticeable: Departure that counts, in smallest trials.
+        """
+        rows = zip(self.parameters, values, self.nominal, strict=True)
+        unused = sum(
+            p.role == "strength" and p.departure(float(v), float(n)) <= noticeable
+            for p, v, n in rows
+        )
+        return max(len(self.parameters) - unused, 1)
+
     def named(self, values: np.ndarray) -> dict[str, float]:
         """Values, shape (parameters,), by the names of the parameters."""
         return {p.name: float(v) for p, v in zip(self.parameters, values, strict=True)}

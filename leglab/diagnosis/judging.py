@@ -41,9 +41,10 @@ def nothing_more(problem: Problem, tried: Round) -> float:
 
     That one more is there is as probable as that none is, and each of all effects alike.
     """
-    sites = problem.library.sites
+    sites, limit = problem.library.sites, problem.thresholds.noticeable
     costs = [float(tried.base.mean()), *(float(c.cost.mean()) for c in tried.contenders)]
-    counts = [0, *(len(sites[c.key].parameters) for c in tried.contenders)]
+    own = (sites[c.key].used(c.fit.hypothesis[c.key], limit) for c in tried.contenders)
+    counts = [0, *own]
     share = posterior(costs, problem.thresholds.rough_numbers, counts)
     none = max(len(tried.candidates), 1) * share[0]
     return float(none / (none + share[1:].sum()))
@@ -197,8 +198,9 @@ def probabilities(problem: Problem, contenders: Sequence[Contender]) -> np.ndarr
 
 
 def parameters(problem: Problem, fit: Fit) -> int:
-    """Number of parameters of a fit's effects."""
-    return sum(len(problem.library.sites[key].parameters) for key in fit.free)
+    """Number of parameters that a fit's effects need."""
+    sites, limit = problem.library.sites, problem.thresholds.noticeable
+    return sum(sites[key].used(fit.hypothesis[key], limit) for key in fit.free)
 
 
 def intervals(

@@ -47,7 +47,9 @@ def within_tolerance(library: Library, share: float = 1.0) -> tuple[Nuisance, ..
     )
 
 
-def rough_nuisances(library: Library, share: float, tolerances: float) -> tuple[Nuisance, ...]:
+def rough_nuisances(
+    library: Library, share: float, imperfect: float, tolerances: float
+) -> tuple[Nuisance, ...]:
     """Parameters that differ on a rough machine of which nothing is known.
 
     Beside tolerances, what every real command path and sensor has a little of: delay, hysteresis,
@@ -58,6 +60,7 @@ def rough_nuisances(library: Library, share: float, tolerances: float) -> tuple[
     Args:
         library: Effects.
         share: Standard deviation as a share of what is barely noticeable.
+        imperfect: The same of what the model lacks altogether and can only be added.
         tolerances: That of parameters that have a tolerance, in tolerances.
     """
     found = list(within_tolerance(library, tolerances))
@@ -65,7 +68,11 @@ def rough_nuisances(library: Library, share: float, tolerances: float) -> tuple[
         if not site.effect.nameable:
             found += _strengths(key, site, 1.0, 0.0)
         elif site.effect.group in _PATHS and site.effect.gradual:
-            found += [n for n in _strengths(key, site, share, 0.0) if n.tolerance > 0.0]
+            perfect = any(
+                p.role == "strength" and p.lower == nominal
+                for p, nominal in zip(site.parameters, site.nominal, strict=True)
+            )
+            found += _strengths(key, site, imperfect if perfect else share, 0.0)
     unique = {(n.key, n.index): n for n in reversed(found)}  # a tolerance comes first
     return tuple(sorted(unique.values(), key=lambda n: (n.key, n.index)))
 

@@ -17,12 +17,13 @@ from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.judging import accepted, probabilities, simplest_first
 from leglab.diagnosis.nuisances import rough_nuisances, within_tolerance
 from leglab.diagnosis.residual import Problem
+from leglab.diagnosis.screening import pairs
 from leglab.diagnosis.search import (
     Contender,
     Progress,
     Round,
     as_pair,
-    best_pair,
+    fitted_pairs,
     search_round,
     sharpen,
     thinned,
@@ -105,7 +106,9 @@ def rough_search(
         nuisances = within_tolerance(problem.library, limits.drift_share)
         problem = problem.with_nuisances(nuisances)
     else:
-        nuisances = rough_nuisances(problem.library, limits.rough_share, limits.rough_tolerance)
+        nuisances = rough_nuisances(
+            problem.library, limits.rough_share, limits.rough_imperfect, limits.rough_tolerance
+        )
         problem = problem.with_nuisances(nuisances, worth=limits.rough_numbers)
     problem, current = settled_baseline(problem, chosen, floor)
     settled, baseline = problem, current
@@ -134,10 +137,11 @@ def rough_search(
             winner = next((c for c in tried.contenders if accepted(problem, tried, c)), None)
         found.append(tried)
         if not named:
-            pair = paired(problem, settled, screened, current, tried, progress)
-            if pair is not None:
-                found.append(replace(tried, contenders=(pair,)))
-                named, winner = sorted(pair.fit.free - {pair.key}), pair
+            together = paired(problem, settled, screened, current, tried, progress)
+            if together:
+                found.append(replace(tried, contenders=together))
+                winner = together[0]
+                named = sorted(winner.fit.free - {winner.key})
         if winner is None:
             break
         named.append(winner.key)
@@ -152,7 +156,7 @@ def paired(
     base: Fit,
     tried: Round,
     progress: Progress,
-) -> Contender | None:
+) -> tuple[Contender, ...]:
     """Two effects at once, where they are more probable than any single one.
 
     A single effect may be an impostor that stands in for both. That a second one of all effects
@@ -165,6 +169,10 @@ def paired(
         base: The fit without any effect.
         tried: The round.
         progress: Called with what is being done.
+
+    Returns:
+        The pair, by the one that matters less and by the other; then pairs with a rival of either,
+        by that rival. Empty where no pair is the more probable.
     """
     chosen = base.at.chosen
     at = problem.rewhitened(base.at, settled)
@@ -175,13 +183,22 @@ def paired(
         for c in tried.candidates
         if c.detectable > 0.0
     ]
-    fit = best_pair(problem, at, candidates, progress)
-    if fit is None:
-        return None
-    pair = as_pair(problem, sharpen(problem, fit))
+    ranked = pairs(problem, at, candidates)
+    fits = fitted_pairs(problem, at, ranked, progress)
+    if not fits:
+        return ()
+    pair = as_pair(problem, sharpen(problem, min(fits, key=lambda f: f.cost)))
     nothing = Contender(key=pair.key, fit=base, cost=total_cost(problem, base))
     share = probabilities(problem, (pair, nothing, *tried.contenders))
-    return pair if share[0] > len(tried.candidates) * (1.0 - share[0]) else None
+    if share[0] <= len(tried.candidates) * (1.0 - share[0]):
+        return ()
+    found = [pair, *(replace(pair, key=key) for key in pair.fit.free - {pair.key})]
+    for kept in sorted(pair.fit.free):
+        rivals = [entry for entry in ranked if entry[1] & pair.fit.free == {kept}]
+        for fit in fitted_pairs(problem, at, rivals, progress):
+            (key,) = fit.free - {kept}
+            found.append(Contender(key=key, fit=fit, cost=total_cost(problem, fit)))
+    return tuple(found)
 
 
 def cost_under(problem: Problem, fit: Fit, discrepancy: Discrepancy | None) -> float:

@@ -192,7 +192,7 @@ def pairs(
     """Two effects at once, to first order in the steps that screening found, best first.
 
     Returns:
-        Where a refit starts, and the two effects, of the most promising pairs.
+        Where a refit starts, and the two effects, of all pairs.
     """
     limits = problem.thresholds
     steps = np.stack([c.step for c in candidates], axis=2)
@@ -217,4 +217,4 @@ def pairs(
             start = start.with_values(candidate.key, np.clip(values, site.lower, site.upper))
         found.append((cost, start, keys))
     found.sort(key=lambda entry: entry[0])
-    return [(start, keys) for _, start, keys in found[: limits.pairs]]
+    return [(start, keys) for _, start, keys in found]

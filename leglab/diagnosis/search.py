@@ -237,7 +237,8 @@ def _possible(
     limits = problem.thresholds
     sites = problem.library.sites
     costs = [floor, *(fit.cost for _, fit in rough)]
-    counts = [0, *(len(sites[key].parameters) for key, _ in rough)]
+    used = (sites[key].used(f.hypothesis[key], limits.noticeable) for key, f in rough)
+    counts = [0, *used]
     share = posterior(costs, limits.rough_numbers, counts)
     none, own = share[0], share[1:]
     if (own < limits.rough_chance * none).all():
@@ -304,22 +305,26 @@ def pair_search(
         for c in last.candidates
         if c.detectable > 0.0
     ]
-    fit = best_pair(problem, at, candidates, progress)
-    if fit is None:
+    fits = fitted_pairs(problem, at, pairs(problem, at, candidates), progress)
+    if not fits:
         return problem, None
+    fit = min(fits, key=lambda f: f.cost)
     problem = problem.about(fit.hypothesis)
     return problem, as_pair(problem, sharpen(problem, fit))
 
 
-def best_pair(
-    problem: Problem, at: Linearisation, candidates: Sequence[Candidate], progress: Progress
-) -> Fit | None:
-    """The best first fit of two effects at once; None of fewer than two candidates."""
+def fitted_pairs(
+    problem: Problem,
+    at: Linearisation,
+    promising: Sequence[tuple[Hypothesis, frozenset[Key]]],
+    progress: Progress,
+) -> list[Fit]:
+    """First fits of two effects at once, of the most promising of all pairs."""
     fits = []
-    for start, keys in pairs(problem, at, candidates):
+    for start, keys in promising[: problem.thresholds.pairs]:
         progress(f"fitting {' and '.join(sorted(name for name, _ in keys))}")
         fits.append(refit(problem, at, keys, start=start))
-    return min(fits, key=lambda f: f.cost, default=None)
+    return fits
 
 
 def as_pair(problem: Problem, fit: Fit) -> Contender:

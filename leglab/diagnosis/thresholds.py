@@ -94,10 +94,12 @@ class Thresholds:
     # Median over windows of the mean square of errors whose mean is 1 and that go together.
     usual_cost: float = 0.7
     # A machine that differs from its model everywhere: its command paths and sensors are off by
-    # this share of what is barely noticeable, parameters with a tolerance by so many tolerances.
-    # Wider, that would hide faults; healthy recordings, which have none, allow all that is barely
+    # this share of what is barely noticeable, or by this one where the model is perfect (no delay,
+    # no hysteresis) and no machine is; parameters with a tolerance by so many tolerances. Wider,
+    # that would hide faults; healthy recordings, which have none, allow all that is barely
     # noticeable for all strengths, and so many tolerances.
-    rough_share: float = 0.7
+    rough_share: float = 0.3
+    rough_imperfect: float = 0.7
     rough_tolerance: float = 2.0
     healthy_tolerance: float = 3.0
     # The same machine on another day stays within this share of them.
