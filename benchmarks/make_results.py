@@ -73,7 +73,6 @@ JOBS = (
     _job("diagnosis_bench_without_pressures", 4, "diagnosis_bench", "--without-pressures"),
     _job("diagnosis_emps", 2),
     _job("diagnosis_rough", 20),
-    _job("diagnosis_rough_motors", 20, options="--cases 5"),
     _job("diagnosis_self_test", 60, options="--out runs/self_test"),
     _job(
         "diagnosis_rough_self_test",

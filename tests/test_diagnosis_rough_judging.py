@@ -244,7 +244,7 @@ def test_what_held_out_windows_hardly_show_is_told_by_what_moves_there():
     predictions = {"fast": np.array([9.0, 9.0, 1.0, 1.0]), "wrong": np.array([9.0, 9.0, 9.0, 9.0])}
 
     def measured(name):
-        raw = {"without": np.zeros((4, 1, 3)), "final": predictions[name][:, None, None]}
+        raw = {"without": 50.0, "final": 50.0 + predictions[name][:, None, None]}
         problem = SimpleNamespace(
             raw_errors=lambda hypothesis: raw[hypothesis] + np.zeros((4, 1, 3)),
             sensor_noise=np.full((1, 1), 2.0),
