@@ -1,7 +1,5 @@
 """Machines with more than one joint, and servos: what Lagrange's equations hid in them is named."""
 
-import mujoco
-import numpy as np
 import pytest
 
 from leglab.diagnosis.model import Machine
@@ -18,6 +16,7 @@ from tests.rigs import (
     Hidden,
     record_linkage,
 )
+from tests.rigs.agreement import open_loop_error
 
 RIGS = {r.model.stem: r for r in (MOTOR_ARM, SERVO_ARM, GANTRY, SERVO_JOINT)}
 KINDS = ("multisine", "fast", "slow", "stairs")
@@ -72,18 +71,7 @@ def test_the_independent_simulator_agrees_with_the_nominal_models(name):
     """Free of leglab altogether: the recorded commands drive the bare model along the recording."""
     rig = RIGS[name]
     quiet = record_linkage(rig, "fast", Hidden(), seed=0, seconds=1.0)
-    model = mujoco.MjModel.from_xml_path(str(rig.model))
-    model.opt.timestep = 2e-5
-    data = mujoco.MjData(model)
-    positions = np.stack([quiet[f"{joint}_position"] for joint in rig.joints], axis=1)
-    commands = np.stack([quiet[f"{drive}_command"] for drive in rig.drives], axis=1)
-    data.qpos[:] = positions[0]
-    off = []
-    for measured, command in zip(positions, commands, strict=True):
-        off.append(measured - data.qpos)
-        data.ctrl[:] = command
-        mujoco.mj_step(model, data, 50)
-    assert np.sqrt(np.mean(np.square(off))) < 5e-4  # rad and m, of 0.5 to 1.5
+    assert open_loop_error(rig.model, quiet, rig.joints, rig.drives) < 5e-4  # of 0.5 to 1.5
 
 
 @pytest.mark.parametrize("name", RIGS)

@@ -1,6 +1,5 @@
 """Machines without hydraulics: what an independent simulator hid in them is named."""
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -9,6 +8,7 @@ from leglab.diagnosis.model import Machine
 from leglab.diagnosis.output import write_improved
 from leglab.diagnosis.verdict import diagnose
 from tests.rigs import PENDULUM, SLIDE_AXIS, Truth, record
+from tests.rigs.agreement import open_loop_error
 
 KINDS = ("multisine", "fast", "slow", "stairs")
 
@@ -32,18 +32,8 @@ def values(result):
 def test_the_independent_simulator_agrees_with_the_nominal_models(rig):
     """Free of leglab altogether: the recorded command drives the bare model along the recording."""
     quiet = recordings(rig, Truth(), seconds=1.0)["fast"]
-    model = mujoco.MjModel.from_xml_path(str(rig.model))
-    model.opt.timestep = 2e-5
-    data = mujoco.MjData(model)
-    off = []
-    for measured, command in zip(
-        quiet[f"{rig.joint}_position"], quiet["drive_command"], strict=True
-    ):
-        off.append(measured - data.qpos[0])
-        data.ctrl[0] = command
-        mujoco.mj_step(model, data, 50)
     # MuJoCo's friction loss yields a little where the slide turns round.
-    assert np.sqrt(np.mean(np.square(off))) < 1e-3 * rig.reach
+    assert open_loop_error(rig.model, quiet, (rig.joint,), ("drive",)) < 1e-3 * rig.reach
 
 
 def test_direction_dependent_friction_of_a_motor_driven_axis_is_named(tmp_path):

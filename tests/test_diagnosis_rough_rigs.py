@@ -2,13 +2,13 @@
 
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
 
 from leglab.diagnosis.rough import rough_search
 from leglab.diagnosis.workflow import DiagnosisSettings, set_up
 from tests.rigs import PENDULUM, Truth, record
+from tests.rigs.agreement import open_loop_error
 from tests.rigs.rough import RIGS, as_made, faults_of, hide, machine, record_rough
 
 ARMATURE, VISCOUS = ("armature", "hinge"), ("viscous_friction", "hinge")
@@ -19,18 +19,7 @@ def test_the_independent_simulator_agrees_with_the_nominal_models(name):
     """Free of leglab altogether: the recorded commands drive the bare model along the recording."""
     rig = RIGS[name]
     quiet = record_rough(rig, [as_made(rig)], seed=0, seconds=1.0)[0]["fast"]
-    model = mujoco.MjModel.from_xml_path(str(rig.model))
-    model.opt.timestep = 2e-5
-    data = mujoco.MjData(model)
-    positions = np.stack([quiet[f"{joint}_position"] for joint in rig.joints], axis=1)
-    commands = np.stack([quiet[f"{drive}_command"] for drive in rig.drives], axis=1)
-    data.qpos[:] = positions[0]
-    off = []
-    for measured, command in zip(positions, commands, strict=True):
-        off.append(measured - data.qpos)
-        data.ctrl[:] = command
-        mujoco.mj_step(model, data, 50)
-    assert np.sqrt(np.mean(np.square(off))) < 1e-3  # rad, of 0.5 to 1.8
+    assert open_loop_error(rig.model, quiet, rig.joints, rig.drives) < 1e-3  # rad, of 0.5 to 1.8
 
 
 @pytest.mark.parametrize("name", RIGS)
@@ -64,17 +53,26 @@ def test_two_effects_are_tried_at_once_and_one_where_that_is_all(changed, expect
     rig = replace(PENDULUM, **changed)
     kinds = ("multisine", "fast")
     logs = {k: record(rig, k, Truth(), seed=i, seconds=3.0) for i, k in enumerate(kinds)}
-    settings = DiagnosisSettings(
-        effects=("armature", "viscous_friction", "quadratic_damping"), threads=1
-    )
+    tried = ("armature", "viscous_friction", "quadratic_damping")
+    settings = DiagnosisSettings(effects=tried, threads=1)
     problem = set_up(PENDULUM.model, logs, (), settings)
     rng = np.random.default_rng(0)
     *_, fit, named, rounds = rough_search(problem, 1, rng, lambda _: None)
     assert sorted(named) == expected
     assert fit.free == frozenset(expected)
     if len(expected) == 2:
+        assert rounds[-1].at_once
+        assert not rounds[0].at_once
         pair = rounds[-1].contenders
         assert {c.key for c in pair[:2]} == set(expected)
         # Rivals of each, beside the other, challenge them afterwards.
         rivals = {c.key[0]: c.fit.free for c in pair[2:]}
         assert rivals["quadratic_damping"] & frozenset(expected)
+
+
+def test_a_rough_search_that_may_use_no_effect_names_none():
+    logs = {"fast": record(PENDULUM, "fast", Truth(offset=0.5), seed=0, seconds=3.0)}
+    settings = DiagnosisSettings(effects=(), threads=1)
+    problem = set_up(PENDULUM.model, logs, (), settings)
+    *_, named, _ = rough_search(problem, 2, np.random.default_rng(0), lambda _: None)
+    assert named == []

@@ -200,7 +200,8 @@ def _ties(found: Search, key: Key, weigh: Callable[[Contender, Sequence[Contende
     if not fits:
         return (), 1.0
     own, tried = min(fits, key=lambda entry: entry[0].cost.mean())
-    others = [c for c in tried if c.key != key and c.key not in found.named]
+    # What was fitted together with it is none.
+    others = [c for c in tried if c.key not in {key, *found.named} and c.fit is not own.fit]
     # A rival that says the same with more parameters is none, unless those pay.
     rivals = [c for c in others if not library.contains(c.key, key) or earns(found.problem, c, own)]
     return weigh(own, rivals)

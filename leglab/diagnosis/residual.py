@@ -240,10 +240,12 @@ class Problem:
 
     def rewhitened(self, at: Linearisation, before: "Problem") -> Linearisation:
         """A linearisation that was taken under another discrepancy of the model."""
-        chosen = at.chosen
-        turn = self.noise.whitening[chosen] @ np.linalg.inv(before.noise.whitening[chosen])
-        residual = (turn @ at.residual[:, :, None])[:, :, 0]
-        return replace(at, residual=residual, tangents=turn @ at.tangents)
+        turn = self.turn_from(before, at.chosen)
+        return replace(at, residual=whitened(turn, at.residual), tangents=turn @ at.tangents)
+
+    def turn_from(self, before: "Problem", chosen: np.ndarray) -> np.ndarray:
+        """What whitens errors that were white under another discrepancy, (windows, size, size)."""
+        return self.noise.whitening[chosen] @ np.linalg.inv(before.noise.whitening[chosen])
 
     def discrepancy(self, hypothesis: Hypothesis) -> Discrepancy:
         """The discrepancy of the model under a hypothesis: what its errors show beyond noise.

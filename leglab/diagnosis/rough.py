@@ -16,7 +16,7 @@ from leglab.diagnosis.fitting import Fit, refit
 from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.judging import accepted, probabilities, simplest_first
 from leglab.diagnosis.nuisances import rough_nuisances, within_tolerance
-from leglab.diagnosis.residual import Problem
+from leglab.diagnosis.residual import Problem, whitened
 from leglab.diagnosis.screening import pairs
 from leglab.diagnosis.search import (
     Contender,
@@ -122,14 +122,11 @@ def rough_search(
         # Strengths that a missing effect has pulled along would mislead the screening: drift of a
         # calibrated machine can take a size past the trials of the effect that is missing. Where
         # much follows, it must be off for the others to be seen: screened both ways.
-        start = current.hypothesis.only(named)
+        start, beside = current.hypothesis.only(named), None
+        if not calibrated:
+            start, beside = current.hypothesis, start
         screened = problem
-        if calibrated:
-            problem, tried = search_round(problem, start, current, rng, progress)
-        else:
-            problem, tried = search_round(
-                problem, current.hypothesis, current, rng, progress, beside=start
-            )
+        problem, tried = search_round(problem, start, current, rng, progress, beside=beside)
         winner = None
         if tried.contenders:
             progress("how far the model with the effect is to be trusted")
@@ -177,11 +174,9 @@ def paired(
     chosen = base.at.chosen
     at = problem.rewhitened(base.at, settled)
     at = replace(at, residual=problem.residual(at.base, chosen))
-    turn = problem.noise.whitening[chosen] @ np.linalg.inv(screened.noise.whitening[chosen])
+    turn = problem.turn_from(screened, chosen)
     candidates = [
-        replace(c, step=(turn @ c.step[:, :, None])[:, :, 0])
-        for c in tried.candidates
-        if c.detectable > 0.0
+        replace(c, step=whitened(turn, c.step)) for c in tried.candidates if c.detectable > 0.0
     ]
     ranked = pairs(problem, at, candidates)
     fits = fitted_pairs(problem, at, ranked, progress)

@@ -194,6 +194,8 @@ def pairs(
     Returns:
         Where a refit starts, and the two effects, of all pairs.
     """
+    if len(candidates) < 2:
+        return []
     limits = problem.thresholds
     steps = np.stack([c.step for c in candidates], axis=2)
     sums = Sums.of(at.residual, np.concatenate([steps, at.tangents], axis=2), limits)

@@ -45,6 +45,11 @@ class Round:
     contenders: tuple[Contender, ...]
     threshold: float
 
+    @property
+    def at_once(self) -> bool:
+        """Whether two effects were fitted at once: both stand for the same fit."""
+        return len({id(c.fit) for c in self.contenders}) < len(self.contenders)
+
 
 def thinned(mask: np.ndarray, every: int) -> np.ndarray:
     """Every n-th of the windows in a mask, same shape."""

@@ -144,7 +144,7 @@ def assemble(found: Search, settings: DiagnosisSettings, *, seconds: float) -> D
             preference=preferences([c.cost for c in one.contenders], rng, limits.resamples),
         )
         for i, one in enumerate(found.rounds, 1)
-        if one.contenders
+        if one.contenders and not one.at_once  # two that were fitted together are no rivals
     )
     verdict, effects, smaller = (
         judge_rough(found, gap, lambda h: rms(measure.squares(h)[shown]))

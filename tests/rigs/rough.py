@@ -108,7 +108,7 @@ Values = dict[str, np.ndarray]
 _NAMES = (
     *("mass", "centre", "inertia", "armature", "damping", "exponent", "coulomb", "breakaway"),
     *("stribeck", "rise", "asymmetry", "loss", "gain", "lag", "delay", "dead", "teeth"),
-    *("teeth_period", "teeth_phase", "offset", "scale", "late", "force", "stiffness", "quadratic"),
+    *("teeth_period", "teeth_phase", "offset", "scale", "force", "stiffness", "quadratic"),
     *("forward", "backward", "ripple", "ripple_period", "ripple_phase", "payload", "payload_at"),
     *("tilt", "counts", "noise"),
 )
@@ -262,13 +262,6 @@ def hide(rig: RoughRig, values: Values, fault: str, joint: int, rng: np.random.G
     return size
 
 
-def element_of(rig: RoughRig, fault: str, joint: int) -> str:
-    """What in the model the diagnosis should name beside the effect."""
-    if fault in ("actuator_gain", "command_delay", "command_deadband"):
-        return rig.drives[joint]
-    return rig.joints[joint]
-
-
 def record_rough(
     rig: RoughRig, machines: Sequence[Values], *, seed: int, seconds: float = 8.0
 ) -> list[dict[str, Recording]]:
@@ -295,17 +288,14 @@ def record_rough(
     limits = np.array(rig.limits)[:, None]
     h = _PERIOD / _SUBSTEPS
     late = np.round(p["delay"] / h).astype(int)
-    blind = np.round(p["late"] / h).astype(int)
-    depth = int(max(late.max(), blind.max())) + 1
+    depth = int(late.max()) + 1
     rows = np.arange(n)[:, None], np.arange(count)[None, :]
     commands = np.zeros((depth, n, count))
-    shown = np.zeros((depth, n, count))
     q, v = goals[0].copy(), np.zeros((n, count))
     act = np.zeros((n, count))
     if rig.servo:
         commands[:] = q
         act[:] = q
-    shown[:] = q
     last, speed = q * p["scale"] + p["offset"], np.zeros((n, count))
     taken_q, taken_u = np.empty((samples, n, count)), np.empty((samples, n, count))
     step = 0
@@ -327,8 +317,7 @@ def record_rough(
         return _accelerations(rig, p, q, v, out)
 
     for k in range(samples):
-        seen = q if not p["late"].any() else shown[(step - blind) % depth, *rows]
-        measured = p["scale"] * seen + p["offset"]
+        measured = p["scale"] * q + p["offset"]
         fine = measured + 0.02 * p["noise"] * rng.standard_normal((n, count))
         if rig.servo:
             command = goals[k].copy()
@@ -362,7 +351,6 @@ def record_rough(
             q = q + h / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4)
             v = v + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
             step += 1
-            shown[step % depth] = q
     time = _PERIOD * np.arange(samples)
     found = []
     for i in range(len(machines)):
