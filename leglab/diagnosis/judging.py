@@ -6,7 +6,7 @@ import numpy as np
 from scipy.stats import chi2, norm
 from scipy.stats import t as student
 
-from leglab.diagnosis.evidence import posterior
+from leglab.diagnosis.evidence import beyond_specimens, posterior
 from leglab.diagnosis.fitting import Fit, Sums, free_tangents
 from leglab.diagnosis.hypothesis import Key
 from leglab.diagnosis.nuisances import Nuisance
@@ -26,7 +26,7 @@ def accepted(problem: Problem, tried: Round, contender: Contender) -> bool:
         # It must not get worse, and all windows must say more than the best of so many effects
         # would reach by chance in 1 of 100 cases (Bonferroni).
         chance = float(norm.isf(0.01 / max(len(tried.candidates), 1)))
-        holds |= _no_worse(held) and t_value(saved) >= max(chance, limits.significant)
+        holds |= no_worse(held) and t_value(saved) >= max(chance, limits.significant)
         holds &= nothing_more(problem, tried) <= 0.5
     return bool(
         problem.size * saved[contender.fit.at.chosen].sum() >= tried.threshold
@@ -50,7 +50,7 @@ def nothing_more(problem: Problem, tried: Round) -> float:
     return float(none / (none + share[1:].sum()))
 
 
-def _no_worse(held: np.ndarray) -> bool:
+def no_worse(held: np.ndarray) -> bool:
     """Whether held-out windows, (windows,), lose nothing beyond the standard error."""
     return t_value(held) > -1.0
 
@@ -75,7 +75,7 @@ def earns(problem: Problem, larger: Contender, simpler: Contender) -> bool:
     if problem.noise.discrepancy is not None:
         if probabilities(problem, (larger, simpler))[0] < 0.5:
             return False
-        holds |= _no_worse(held) and t_value(saved) >= significant
+        holds |= no_worse(held) and t_value(saved) >= significant
     return bool(problem.size * saved[larger.fit.at.chosen].sum() > chance and holds)
 
 
@@ -126,6 +126,32 @@ def may_be_fault(problem: Problem, key: Key, hypothesis: Mapping[Key, np.ndarray
         for value, nominal, p in zip(hypothesis[key], site.nominal, site.parameters, strict=True)
         if p.role == "strength"
     )
+
+
+def fault_probability(
+    problem: Problem,
+    key: Key,
+    hypothesis: Mapping[Key, np.ndarray],
+    *,
+    calibrated: bool,
+    beside: bool = False,
+) -> float:
+    """Probability that the strengths of an effect are a fault's and not a good machine's own.
+
+    Args:
+        problem: Recordings and machine.
+        key: The effect.
+        hypothesis: With its values.
+        calibrated: Whether they depart from those of a specimen, which varies from day to day.
+        beside: Whether a larger change was found: what takes back a part of the calibration is
+            then none.
+    """
+    limits = problem.thresholds
+    if not calibrated and not may_be_fault(problem, key, hypothesis):
+        return 0.0  # A better part than the model's is how this machine was made.
+    far = departure_from_known if beside else departure
+    spread = limits.day_spread if calibrated else specimens_spread(problem, key)
+    return beyond_specimens(far(problem, key, hypothesis), spread, limits.fault_range)
 
 
 def noticeable(problem: Problem, key: Key, hypothesis: Mapping[Key, np.ndarray]) -> bool:

@@ -7,17 +7,15 @@ import mujoco
 import numpy as np
 
 from leglab.diagnosis.effects.base import EffectParameter
-from leglab.diagnosis.evidence import beyond_specimens, within_library
+from leglab.diagnosis.evidence import within_library
 from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.judging import (
-    departure,
-    departure_from_known,
     earns,
+    fault_probability,
     intervals,
-    may_be_fault,
+    nothing_more,
     preferences,
     probabilities,
-    specimens_spread,
 )
 from leglab.diagnosis.model import Machine
 from leglab.diagnosis.nuisances import Nuisance, all_strengths
@@ -80,25 +78,28 @@ def judge_rough(found: Search, gap: Gap, level: Callable[[Hypothesis], float]) -
         return _by_posterior(found.problem, own, rivals)
 
     explained, final = gap.explained or 0.0, found.fit.hypothesis
-    # A good machine may differ as much from its model, or from what it was on another day.
-    known = found.specimen is not None
     beside = all_strengths(found.problem.library, limits.rough_share, 1.0)
     causes: list[NamedEffect] = []
     smaller: list[NamedEffect] = []
     for e in _effects(found, contribution, weigh, within_library(explained), beside):
-        # What takes back a part of the calibration does so beside a larger change only.
-        far = departure_from_known if causes else departure
         key = (e.name, e.element)
-        distance = far(found.problem, key, final)
-        spread = limits.day_spread if known else specimens_spread(found.problem, key)
-        own = beyond_specimens(distance, spread, limits.fault_range)
-        if not known and not may_be_fault(found.problem, key, final):
-            own = 0.0  # A better part than the model's is how this machine was made.
+        # What takes back a part of the calibration does so beside a larger change only.
+        own = fault_probability(
+            found.problem,
+            key,
+            final,
+            calibrated=found.specimen is not None,
+            beside=bool(causes),
+        )
         fault = e.contribution >= limits.smaller_share and own >= limits.fault
+        if key == found.suspect:
+            if not fault:
+                continue
+            own *= 1.0 - nothing_more(found.problem, found.rounds[-1])
         (causes if fault else smaller).append(replace(e, confidence=e.confidence * own))
     if not causes:
         verdict: Verdict = "nothing_missing" if _as_healthy(found) else "unexplained"
-    elif explained < limits.explanation_share:
+    elif explained < limits.explanation_share or found.suspect is not None:
         verdict = "unexplained"
     else:
         tied = any(e.indistinguishable_from for e in causes)

@@ -7,6 +7,7 @@ each fit a little; where healthy recordings said what this specimen is like, by 
 one day to the next.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,14 @@ import numpy as np
 from leglab.diagnosis.discrepancy import Discrepancy
 from leglab.diagnosis.fitting import Fit, refit
 from leglab.diagnosis.hypothesis import Hypothesis, Key
-from leglab.diagnosis.judging import accepted, probabilities, simplest_first
+from leglab.diagnosis.judging import (
+    accepted,
+    fault_probability,
+    may_be_fault,
+    no_worse,
+    probabilities,
+    simplest_first,
+)
 from leglab.diagnosis.nuisances import rough_nuisances, within_tolerance
 from leglab.diagnosis.residual import Problem, whitened
 from leglab.diagnosis.screening import pairs
@@ -194,6 +202,71 @@ def paired(
             (key,) = fit.free - {kept}
             found.append(Contender(key=key, fit=fit, cost=total_cost(problem, fit)))
     return tuple(found)
+
+
+def suspected(
+    problem: Problem,
+    fit: Fit,
+    named: Sequence[Key],
+    tried: Round,
+    progress: Progress,
+    *,
+    calibrated: bool,
+) -> tuple[Round, Contender | None]:
+    """The effect that comes nearest to a cause, where nothing that was found is one.
+
+    Too little speaks for it to be named. But of a machine that errs, a user wants to know where to
+    look first.
+
+    Args:
+        problem: As the search left it.
+        fit: Its last fit.
+        named: What that has.
+        tried: The last round, which found nothing more.
+        progress: Called with what is being done.
+        calibrated: Whether `problem` is about the values of this specimen.
+
+    Returns:
+        The round with those fitted that may be a fault, most probable first; and of them the first
+        that makes no held-out window worse. None where something found is a cause, or nothing is
+        near.
+    """
+
+    def may_be(key: Key, hypothesis: Hypothesis) -> bool:
+        share = fault_probability(problem, key, hypothesis, calibrated=calibrated)
+        return share >= problem.thresholds.fault
+
+    if any(may_be(key, fit.hypothesis) for key in named):
+        return tried, None
+    chosen, free = fit.at.chosen, frozenset(named)
+    start = fit.hypothesis
+    known = {*free, *(c.key for c in tried.contenders)}
+    near = [
+        c
+        for c in tried.candidates
+        if c.key not in known
+        and c.gain > 0.0
+        and may_be_fault(problem, c.key, start.with_values(c.key, c.values))
+    ]
+    at = problem.linearise(start, chosen, free)
+    contenders = list(tried.contenders)
+    for candidate in near[: problem.thresholds.refitted]:
+        progress(f"how near {candidate.key[0]} comes")
+        begun = start.with_values(candidate.key, candidate.values)
+        with_it = refit(problem, at, free | {candidate.key}, start=begun, iterations=4)
+        with_it = sharpen(problem, with_it)
+        cost = total_cost(problem, with_it)
+        contenders.append(Contender(key=candidate.key, fit=with_it, cost=cost))
+    share = probabilities(problem, contenders) if contenders else np.zeros(0)
+    places = np.argsort(-share, kind="stable").tolist()
+    ordered = simplest_first(problem, [contenders[i] for i in places])
+    base = total_cost(problem, fit)
+    tried = replace(tried, base=base, contenders=ordered)
+    held = problem.held if problem.held.sum() > 3 else np.ones_like(problem.held)
+    for one in ordered:
+        if may_be(one.key, one.fit.hypothesis) and no_worse((base - one.cost)[held]):
+            return tried, one
+    return tried, None
 
 
 def cost_under(problem: Problem, fit: Fit, discrepancy: Discrepancy | None) -> float:

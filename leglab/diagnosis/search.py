@@ -272,7 +272,9 @@ def finished(problem: Problem, rival: Contender) -> Contender:
 
 def _refitted(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]:
     """The best candidates, and special cases of them, which may do as well."""
-    best = list(candidates[: problem.thresholds.refitted])
+    limits = problem.thresholds
+    count = limits.refitted if problem.worth is None else limits.rough_refitted
+    best = list(candidates[:count])
     contains = problem.library.contains
     return best + [
         c for c in candidates[len(best) :] if any(contains(larger.key, c.key) for larger in best)

@@ -121,8 +121,10 @@ class Thresholds:
     # First-order steps go this many times as far as a trial; of two effects at once.
     furthest: float = 20.0
     pair_furthest: float = 3.0
-    # So many of the screened effects are refitted, so many of those sharpened.
+    # So many of the screened effects are refitted, on a rough machine whose priors weigh more so
+    # many (there the right one is not always among the first), so many of those sharpened.
     refitted: int = 4
+    rough_refitted: int = 6
     sharpened: int = 3
     # A round whose best screened effect saves less than this cost a window ends there.
     hopeful_gain: float = 0.04

@@ -17,7 +17,7 @@ from leglab.diagnosis.judging import accepted, simplest_first
 from leglab.diagnosis.model import Machine
 from leglab.diagnosis.onset import checked_onsets, suspected_onset
 from leglab.diagnosis.residual import Problem
-from leglab.diagnosis.rough import rough_search
+from leglab.diagnosis.rough import cost_under, rough_search, suspected
 from leglab.diagnosis.search import (
     Contender,
     Progress,
@@ -68,6 +68,8 @@ class Search:
         checks: Of several named effects, by effect: the final fit, and what became of it with a
             rival in the effect's place.
         specimen: What healthy recordings said; None without any.
+        suspect: Of `named`, the effect that comes nearest to a cause where none is one: too little
+            speaks for it. It was fitted with its rivals in the last round.
     """
 
     problem: Problem
@@ -77,6 +79,7 @@ class Search:
     rounds: tuple[Round, ...]
     checks: Mapping[Key, tuple[Contender, ...]] = field(default_factory=dict)
     specimen: Specimen | None = None
+    suspect: Key | None = None
 
     def __repr__(self) -> str:
         named = ", ".join(f"{name} at {element}" for name, element in self.named) or "nothing"
@@ -215,6 +218,12 @@ def _rough_search(
     if len(named) > 1:
         progress("checking each effect against the others")
         problem, fit, named, checks = challenged(problem, fit, named, rounds)
+    suspect = None
+    if floor is None or cost_under(problem, start, floor) > problem.thresholds.explained:
+        tried, best = suspected(problem, fit, named, rounds[-1], progress, calibrated=bool(floor))
+        if best is not None:
+            rounds[-1], fit, suspect = tried, best.fit, best.key
+            named = [*named, suspect]
     return Search(
         problem=problem,
         baseline=start,
@@ -222,6 +231,7 @@ def _rough_search(
         named=tuple(named),
         rounds=tuple(rounds),
         checks=checks,
+        suspect=suspect,
     )
 
 

@@ -31,9 +31,11 @@ _SMALL = {"s": ("ms", 1e3, 1.0), "m": ("mm", 1e3, 1.0), "rad": ("mrad", 1e3, 0.1
 
 
 def percent(share: float) -> str:
-    """A confidence; resampling never gives certainty, so nothing above 99 % is told apart."""
+    """A confidence; no method gives certainty, so nothing above 99 or below 1 % is told apart."""
     if not math.isfinite(share):
         return "unknown"
+    if share < 0.01:
+        return "under 1 %"
     return "over 99 %" if share > 0.99 else f"{100.0 * share:.0f} %"
 
 
@@ -71,7 +73,7 @@ def headline(result: Diagnosis) -> str:
                 "The machine differs from its model by no more than a good one may; recordings of "
                 "it while healthy would tell whether anything has changed."
             )
-        ending = f"; {found} explains less than half of it" if found else ""
+        ending = f"; nearest comes {found}" if found else ""
         if since:
             start = "Something has changed since the healthy recordings"
             return f"{start}, and no known effect explains it{ending}."
@@ -93,6 +95,8 @@ def facts(result: Diagnosis) -> tuple[tuple[str, str], ...]:
     changed = "Changed" if result.calibration else "Missing"
     if result.effects:
         missing = "; ".join(_fitted(effect, result.nominal_words) for effect in result.effects)
+        if result.verdict == "unexplained":
+            missing = f"nothing that is probable enough to be named; nearest comes {missing}"
         sure = "; ".join(_confidence(e, alone=len(result.effects) == 1) for e in result.effects)
     elif result.verdict == "nothing_missing":
         missing, sure = "nothing that these recordings could show", ""

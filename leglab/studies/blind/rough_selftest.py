@@ -193,6 +193,9 @@ def rough_cases(
 ) -> list[RoughTestCase]:
     """The cases of a self-test: single ones cycle through all faults that have a name.
 
+    Each cycle has an order of its own, drawn at random: the first cases of a test that is
+    interrupted, or resumed later, are a fair sample of all faults.
+
     Args:
         counts: Number of cases by kind.
         settings: Their seed fixes specimens and pairs.
@@ -206,7 +209,9 @@ def rough_cases(
             rng = np.random.default_rng([settings.seed, 40, _KINDS[kind], number])
             chosen: tuple[str, ...] = ()
             if kind == "single":
-                chosen = (faults[number % len(faults)],)
+                cycle, place = divmod(number, len(faults))
+                order = np.random.default_rng([settings.seed, 41, cycle]).permutation(len(faults))
+                chosen = (faults[order[place]],)
             elif kind == "torque":
                 chosen = (_UNKNOWN,)
             elif kind == "pair":
@@ -247,13 +252,14 @@ def rough_self_test(
             raise unknown_name("kind of case", kind, SHARES)
     counts = {k: max(1, round(share * count)) for k, share in SHARES.items() if k in kinds}
     todo = rough_cases(counts, settings, Library(Machine(MODEL)).names)
+    hidden = {(case.kind, case.number): case.faults for case in todo}
     return run_missing(
         folder / f"outcomes-{settings.name}.jsonl",
         todo,
         outcome_of,
         key=lambda one: (one.kind, one.number),
         parse=_OUTCOME.validate_python,
-        done=lambda outcome: not outcome.error,
+        done=lambda o: not o.error and o.faults == hidden[o.kind, o.number],
         settings=asdict(settings),
         processes=processes,
         scheduler=scheduler,
