@@ -33,6 +33,7 @@ from leglab.report.diagnosis.words import (
     facts,
     headline,
     improved_words,
+    improved_words,
     parameter_words,
     sections,
 )
@@ -557,6 +558,16 @@ def test_unexplained_says_what_was_tried_and_learned():
     assert "Learned without a name: a torque that repeats." in text
     assert "no effect without a name is in it" in improved_words(result)
     assert "No improved model" in section(replace(result, model=""), "What was tried")
+
+
+def test_what_comes_nearest_is_told_with_its_doubt_and_is_not_in_the_model():
+    one = replace(effect("spring_stiffness", "knee"), confidence=0.004)
+    result = replace(diagnosis("unexplained", effects=(one,)), model="improved.xml")
+    assert headline(result).endswith("explains it; nearest comes spring stiffness at knee.")
+    told = dict(facts(result))
+    assert told["Missing"].startswith("Nothing that is probable enough to be named; nearest comes")
+    assert told["How sure"] == "Under 1 % that the name is right."
+    assert "spring stiffness" not in improved_words(result)
 
 
 def test_many_effects_that_cannot_be_told_are_one_sentence_and_a_table(tmp_path):

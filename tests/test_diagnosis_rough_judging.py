@@ -122,13 +122,17 @@ def test_a_larger_effect_may_earn_its_place_where_held_out_motion_hardly_shows_i
 # What is named on a rough machine.
 
 
-def rough_verdict(problem, named, gap, specimen=None):
-    found = a_search(problem, named, specimen=specimen)
+def judged(found, gap):
+    problem = found.problem
 
     def level(hypothesis):
         return naming.rms(problem.noise_levels(hypothesis)[problem.held])
 
     return naming.judge_rough(found, gap, level)
+
+
+def rough_verdict(problem, named, gap, specimen=None):
+    return judged(a_search(problem, named, specimen=specimen), gap)
 
 
 def test_what_closes_a_twentieth_of_the_gap_is_a_smaller_difference(sketch):
@@ -155,6 +159,26 @@ def test_a_cause_that_explains_less_than_half_is_no_explanation(sketch, after, e
     sketch.costs |= {frozenset(): 10.0**2, frozenset([OFFSET]): after**2}
     said, causes, _ = rough_verdict(sketch, [OFFSET], a_gap(unnamed=10.0, after=after))
     assert (said, len(causes)) == (expected, 1)
+
+
+@pytest.mark.parametrize(("base", "sure"), [(1.05, 0.0094), (2.0, 0.993)])
+def test_what_comes_nearest_is_told_and_is_as_sure_as_that_there_is_anything(sketch, base, sure):
+    """Too little speaks for a suspect to be named, however much of the gap it closes."""
+    sketch.noise = SimpleNamespace(discrepancy=1)
+    sketch.costs |= {frozenset(): 10.0**2, frozenset([OFFSET]): 1.0}
+    tried = a_round([contender(sketch.library, OFFSET, 1.0)], base=base, tried=40)
+    found = replace(a_search(sketch, [OFFSET]), rounds=(tried,), suspect=OFFSET)
+    said, (suspect,), smaller = judged(found, a_gap(unnamed=10.0))
+    assert (said, suspect.name, smaller) == ("unexplained", "force_offset", ())
+    assert suspect.confidence == pytest.approx(sure, rel=0.01)
+    assert suspect.confidence == pytest.approx(1.0 - nothing_more(sketch, tried), rel=1e-3)
+    assert judged(replace(found, suspect=None), a_gap(unnamed=10.0))[0] == "named"
+
+
+def test_what_comes_nearest_and_closes_nothing_is_not_told(sketch):
+    sketch.costs |= {frozenset(): 10.0**2, frozenset([OFFSET]): 9.8**2}
+    found = replace(a_search(sketch, [OFFSET]), suspect=OFFSET)
+    assert judged(found, a_gap(unnamed=10.0, after=9.8)) == ("unexplained", (), ())
 
 
 @pytest.mark.parametrize(("cost", "expected"), [(1.2, "nothing_missing"), (9.0, "unexplained")])

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leglab.diagnosis.rough import rough_search
+from leglab.diagnosis.rough import rough_search, suspected
 from leglab.diagnosis.workflow import DiagnosisSettings, set_up
+from tests.diagnosis_sketch import LIBRARY, OFFSET
 from tests.rigs import PENDULUM, Truth, record
 from tests.rigs.agreement import open_loop_error
 from tests.rigs.rough import RIGS, as_made, faults_of, hide, machine, record_rough
@@ -68,6 +69,49 @@ def test_two_effects_are_tried_at_once_and_one_where_that_is_all(changed, expect
         # Rivals of each, beside the other, challenge them afterwards.
         rivals = {c.key[0]: c.fit.free for c in pair[2:]}
         assert rivals["quadratic_damping"] & frozenset(expected)
+
+
+def test_what_comes_nearest_is_fitted_where_nothing_was_named():
+    """Here as if the round had ended without a name, and where no single one could be a cause."""
+    rig = replace(PENDULUM, viscous=0.3)
+    logs = {k: record(rig, k, Truth(), seed=1, seconds=3.0) for k in ("multisine", "fast")}
+    tried = ("armature", "viscous_friction", "quadratic_damping", "command_delay")
+    settings = DiagnosisSettings(effects=tried, threads=1)
+    problem = set_up(PENDULUM.model, logs, (), settings)
+    rng = np.random.default_rng(0)
+    problem, base, fit, named, rounds = rough_search(problem, 1, rng, lambda _: None)
+    assert named == [VISCOUS]
+    nothing = replace(rounds[0], contenders=())
+
+    def nearest(fit, named, tried):
+        return suspected(problem, fit, named, tried, lambda _: None, calibrated=False)
+
+    told, first = nearest(base, [], nothing)
+    assert first is told.contenders[0]
+    assert first.key == VISCOUS
+    assert first.cost.mean() < 0.5 * told.base.mean()
+    np.testing.assert_allclose(first.fit.hypothesis[VISCOUS], fit.hypothesis[VISCOUS], rtol=0.1)
+    # What is found already is a cause: nothing else is suspected.
+    assert nearest(fit, named, nothing) == (nothing, None)
+    # Less of it than in the model, or nothing that gains: none.
+    worse = replace(nothing, candidates=tuple(replace(c, gain=-1.0) for c in nothing.candidates))
+    assert nearest(base, [], worse)[1] is None
+
+
+@pytest.mark.parametrize(("trials", "expected"), [(0.8, None), (4.0, OFFSET)])
+def test_what_a_good_machine_may_have_is_not_suspected(trials, expected):
+    """A force of which a smallest trial is barely noticeable."""
+    settings = DiagnosisSettings(effects=("force_offset",), threads=1)
+    force = trials * LIBRARY.sites[OFFSET].parameters[0].scale
+    logs = {"fast": record(PENDULUM, "fast", Truth(offset=force), seed=1, seconds=4.0)}
+    problem = set_up(PENDULUM.model, logs, (), settings)
+    rng = np.random.default_rng(0)
+    problem, base, _, _, rounds = rough_search(problem, 1, rng, lambda _: None)
+    nothing = replace(rounds[0], contenders=())
+    told, first = suspected(problem, base, [], nothing, lambda _: None, calibrated=False)
+    (fitted,) = told.contenders if first is None else (first,)
+    np.testing.assert_allclose(fitted.fit.hypothesis[OFFSET], force, rtol=0.1)
+    assert (first and first.key) == expected
 
 
 def test_a_rough_search_that_may_use_no_effect_names_none():
