@@ -33,7 +33,6 @@ from leglab.report.diagnosis.words import (
     facts,
     headline,
     improved_words,
-    improved_words,
     parameter_words,
     sections,
 )
