@@ -257,8 +257,8 @@ def test_a_rough_search_names_only_what_is_accepted(
     width = sketch.library.sites[VISCOUS].parameters[0].tolerance
 
     def following(nuisances, worth=None):
-        """Of an unknown machine errors are few numbers beside the priors, and these are wide."""
-        assert worth == (None if calibrated else DEFAULT.rough_numbers)
+        """Of an unknown machine errors are fewer numbers beside the priors, and these are wide."""
+        assert worth == (DEFAULT.calibrated_numbers if calibrated else DEFAULT.rough_numbers)
         (viscous,) = [n for n in nuisances if n.key == VISCOUS]
         share = DEFAULT.drift_share if calibrated else DEFAULT.rough_tolerance
         assert viscous.tolerance == pytest.approx(share * width)

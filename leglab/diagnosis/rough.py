@@ -112,7 +112,7 @@ def rough_search(
     if calibrated:
         # What healthy recordings leave open is little, and takes no fault away.
         nuisances = within_tolerance(problem.library, limits.drift_share)
-        problem = problem.with_nuisances(nuisances)
+        problem = problem.with_nuisances(nuisances, worth=limits.calibrated_numbers)
     else:
         nuisances = rough_nuisances(
             problem.library, limits.rough_share, limits.rough_imperfect, limits.rough_tolerance

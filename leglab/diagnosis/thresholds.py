@@ -102,8 +102,10 @@ class Thresholds:
     rough_imperfect: float = 0.7
     rough_tolerance: float = 2.0
     healthy_tolerance: float = 3.0
-    # The same machine on another day stays within this share of them.
+    # The same machine on another day stays within this share of them, beside errors that are worth
+    # so many numbers: with 30, as without healthy recordings, its laws could not follow the fault.
     drift_share: float = 0.5
+    calibrated_numbers: float = 300.0
     # So many windows of healthy recordings calibrate a specimen.
     calibration_windows: int = 80
     # Discrepancy of the model and fit are made anew, so often at most, until the error's level in
