@@ -84,7 +84,8 @@ class Search:
     def __repr__(self) -> str:
         named = ", ".join(f"{name} at {element}" for name, element in self.named) or "nothing"
         kind = "rough" if self.rough else "exact"
-        return f"Search({kind}, {len(self.rounds)} rounds, named: {named})"
+        doubt = f", nearest {self.suspect[0]}" if self.suspect else ""
+        return f"Search({kind}, {len(self.rounds)} rounds, found: {named}{doubt})"
 
     @property
     def rough(self) -> bool:
@@ -211,16 +212,18 @@ def _rough_search(
 ) -> Search:
     """The search on a machine that differs from its model everywhere a little."""
     rng = np.random.default_rng(settings.seed)
+    calibrated = specimen is not None
     problem, start, fit, named, rounds = rough_search(
-        problem, settings.rounds, rng, progress, floor=floor, calibrated=specimen is not None
+        problem, settings.rounds, rng, progress, floor=floor, calibrated=calibrated
     )
     checks: Checks = {}
     if len(named) > 1:
         progress("checking each effect against the others")
         problem, fit, named, checks = challenged(problem, fit, named, rounds)
     suspect = None
-    if floor is None or cost_under(problem, start, floor) > problem.thresholds.explained:
-        tried, best = suspected(problem, fit, named, rounds[-1], progress, calibrated=bool(floor))
+    ill = floor is None or cost_under(problem, start, floor) > problem.thresholds.explained
+    if rounds and ill:
+        tried, best = suspected(problem, fit, named, rounds[-1], progress, calibrated=calibrated)
         if best is not None:
             rounds[-1], fit, suspect = tried, best.fit, best.key
             named = [*named, suspect]
