@@ -1,6 +1,7 @@
 """What results show in Python and notebooks: one line, a table, a plot, a data frame."""
 
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import matplotlib as mpl
@@ -145,6 +146,8 @@ def test_a_diagnosis_tells_what_is_missing(results):
     problem = SimpleNamespace(noise=SimpleNamespace(discrepancy=None))
     found = Search(problem=problem, baseline=None, fit=None, named=(("a", "b"),), rounds=())
     assert repr(found) == "Search(exact, 0 rounds, named: a at b)"
+    doubtful = replace(found, suspect=("a", "b"))
+    assert repr(doubtful) == "Search(exact, 0 rounds, named: nothing, nearest a)"
 
 
 def test_without_pandas_one_line_says_so(monkeypatch, run):

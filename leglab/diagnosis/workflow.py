@@ -82,10 +82,11 @@ class Search:
     suspect: Key | None = None
 
     def __repr__(self) -> str:
-        named = ", ".join(f"{name} at {element}" for name, element in self.named) or "nothing"
+        told = (f"{key[0]} at {key[1]}" for key in self.named if key != self.suspect)
+        named = ", ".join(told) or "nothing"
         kind = "rough" if self.rough else "exact"
         doubt = f", nearest {self.suspect[0]}" if self.suspect else ""
-        return f"Search({kind}, {len(self.rounds)} rounds, found: {named}{doubt})"
+        return f"Search({kind}, {len(self.rounds)} rounds, named: {named}{doubt})"
 
     @property
     def rough(self) -> bool:
