@@ -564,7 +564,7 @@ def test_what_comes_nearest_is_told_with_its_doubt_and_is_not_in_the_model():
     result = replace(diagnosis("unexplained", effects=(one,)), model="improved.xml")
     assert headline(result).endswith("explains it; nearest comes spring stiffness at knee.")
     told = dict(facts(result))
-    assert told["Missing"].startswith("Nothing that is probable enough to be named; nearest comes")
+    assert told["Missing"].startswith("Nothing that can be named; nearest comes")
     assert told["How sure"] == "Under 1 % that the name is right."
     assert "spring stiffness" not in improved_words(result)
 

@@ -30,6 +30,7 @@ from leglab.diagnosis.search import (
     Contender,
     Progress,
     Round,
+    as_contender,
     as_pair,
     fitted_pairs,
     search_round,
@@ -191,7 +192,7 @@ def paired(
     if not fits:
         return ()
     pair = as_pair(problem, sharpen(problem, min(fits, key=lambda f: f.cost)))
-    nothing = Contender(key=pair.key, fit=base, cost=total_cost(problem, base))
+    nothing = as_contender(problem, pair.key, base)
     share = probabilities(problem, (pair, nothing, *tried.contenders))
     if share[0] <= len(tried.candidates) * (1.0 - share[0]):
         return ()
@@ -200,7 +201,7 @@ def paired(
         rivals = [entry for entry in ranked if entry[1] & pair.fit.free == {kept}]
         for fit in fitted_pairs(problem, at, rivals, progress):
             (key,) = fit.free - {kept}
-            found.append(Contender(key=key, fit=fit, cost=total_cost(problem, fit)))
+            found.append(as_contender(problem, key, fit))
     return tuple(found)
 
 
@@ -228,7 +229,7 @@ def suspected(
 
     Returns:
         The round with those fitted that may be a fault, most probable first; and of them the first
-        that makes no held-out window worse. None where something found is a cause, or nothing is
+        that loses nothing where held out. None where something found is a cause, or nothing is
         near.
     """
 
@@ -254,12 +255,8 @@ def suspected(
         progress(f"how near {candidate.key[0]} comes")
         begun = start.with_values(candidate.key, candidate.values)
         with_it = refit(problem, at, free | {candidate.key}, start=begun, iterations=4)
-        with_it = sharpen(problem, with_it)
-        cost = total_cost(problem, with_it)
-        contenders.append(Contender(key=candidate.key, fit=with_it, cost=cost))
-    share = probabilities(problem, contenders) if contenders else np.zeros(0)
-    places = np.argsort(-share, kind="stable").tolist()
-    ordered = simplest_first(problem, [contenders[i] for i in places])
+        contenders.append(as_contender(problem, candidate.key, sharpen(problem, with_it)))
+    ordered = simplest_first(problem, _most_probable_first(problem, contenders))
     base = total_cost(problem, fit)
     tried = replace(tried, base=base, contenders=ordered)
     held = problem.held if problem.held.sum() > 3 else np.ones_like(problem.held)
@@ -291,10 +288,16 @@ def annealed(
         trusted = problem.discrepancy(best.fit.hypothesis)
         problem = problem.trusting(at_least(trusted, floor))
         contenders = [_under(problem, before, c) for c in contenders]
-        places = np.argsort(-probabilities(problem, contenders), kind="stable")
-        contenders = [contenders[i] for i in places.tolist()]
+        contenders = _most_probable_first(problem, contenders)
     ordered = simplest_first(problem, contenders)
     return problem, replace(tried, base=total_cost(problem, base), contenders=ordered)
+
+
+def _most_probable_first(problem: Problem, contenders: Sequence[Contender]) -> list[Contender]:
+    if not contenders:
+        return []
+    places = np.argsort(-probabilities(problem, contenders), kind="stable")
+    return [contenders[i] for i in places.tolist()]
 
 
 def _under(problem: Problem, before: Problem, contender: Contender) -> Contender:
@@ -303,4 +306,4 @@ def _under(problem: Problem, before: Problem, contender: Contender) -> Contender
     at = problem.rewhitened(fit.at, before)
     fine = problem.thresholds.fine_differences
     fit = refit(problem, at, fit.free, start=fit.hypothesis, iterations=3, fine=fine)
-    return Contender(key=contender.key, fit=fit, cost=total_cost(problem, fit))
+    return as_contender(problem, contender.key, fit)

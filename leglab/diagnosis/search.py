@@ -219,7 +219,7 @@ def _sharpened(
         if behind and fit.cost >= limits.close_cost * noise:
             continue
         progress(f"sharpening {key[0]}")
-        one = _contender(problem, key, sharpen(problem, fit))
+        one = as_contender(problem, key, sharpen(problem, fit))
         # A rival that comes near is fitted to the end, or a tie would pass for a victory; and so
         # is the first one, if a rival has overtaken it.
         if contenders and one.fit.cost < near:
@@ -255,7 +255,8 @@ def _possible(
     return [entry for entry, p in zip(rough, own, strict=True) if p >= least]
 
 
-def _contender(problem: Problem, key: Key, fit: Fit) -> Contender:
+def as_contender(problem: Problem, key: Key, fit: Fit) -> Contender:
+    """A fit as a contender, by the effect that was added last."""
     return Contender(key=key, fit=fit, cost=total_cost(problem, fit))
 
 
@@ -267,7 +268,7 @@ def finished(problem: Problem, rival: Contender) -> Contender:
         before, fit = fit.cost, sharpen(problem, fit)
         if fit.cost >= 0.98 * before:
             break
-    return _contender(problem, rival.key, fit)
+    return as_contender(problem, rival.key, fit)
 
 
 def _refitted(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -337,4 +338,4 @@ def fitted_pairs(
 def as_pair(problem: Problem, fit: Fit) -> Contender:
     """A fit of two effects as a contender, by the one that matters less."""
     less = min(fit.free, key=lambda k: problem.window_cost(fit.hypothesis.without(k)).mean())
-    return Contender(key=less, fit=fit, cost=total_cost(problem, fit))
+    return as_contender(problem, less, fit)

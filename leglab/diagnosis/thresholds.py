@@ -102,8 +102,8 @@ class Thresholds:
     rough_imperfect: float = 0.7
     rough_tolerance: float = 2.0
     healthy_tolerance: float = 3.0
-    # The same machine on another day stays within this share of them, beside errors that are worth
-    # so many numbers: with 30, as without healthy recordings, its laws could not follow the fault.
+    # The same machine on another day stays within this share of them. Errors are worth so many
+    # numbers beside that; with 30, as on an unknown machine, less of a fault was explained.
     drift_share: float = 0.5
     calibrated_numbers: float = 300.0
     # So many windows of healthy recordings calibrate a specimen.
@@ -123,8 +123,8 @@ class Thresholds:
     # First-order steps go this many times as far as a trial; of two effects at once.
     furthest: float = 20.0
     pair_furthest: float = 3.0
-    # So many of the screened effects are refitted, on a rough machine whose priors weigh more so
-    # many (there the right one is not always among the first), so many of those sharpened.
+    # So many of the screened effects are refitted; on a rough machine more, for there the right one
+    # is not always among the first four. So many of those are sharpened.
     refitted: int = 4
     rough_refitted: int = 6
     sharpened: int = 3

@@ -96,7 +96,7 @@ def facts(result: Diagnosis) -> tuple[tuple[str, str], ...]:
     if result.effects:
         missing = "; ".join(_fitted(effect, result.nominal_words) for effect in result.effects)
         if result.verdict == "unexplained":
-            missing = f"nothing that is probable enough to be named; nearest comes {missing}"
+            missing = f"nothing that can be named; nearest comes {missing}"
         sure = "; ".join(_confidence(e, alone=len(result.effects) == 1) for e in result.effects)
     elif result.verdict == "nothing_missing":
         missing, sure = "nothing that these recordings could show", ""
