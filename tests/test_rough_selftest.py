@@ -1,7 +1,7 @@
 """The self-test on rough specimens: cases, what is kept, scores and figures."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from leglab.base.errors import LeglabError
 from leglab.studies.blind import rough_selftest
 from leglab.studies.blind.outcomes import run_missing
-from leglab.studies.blind.rough_bench import FAULTS, RoughCase, specimen
+from leglab.studies.blind.rough_bench import FAULTS, RoughCase, effect_of, specimen
 from leglab.studies.blind.rough_figures import confusion_figure, reliability_figure, save_figures
 from leglab.studies.blind.rough_selftest import (
     NOTHING,
@@ -70,7 +70,16 @@ def test_cases_cycle_through_the_faults_that_have_a_name():
     assert {faults[0] for faults in singles} == named
     assert [c.faults for c in cases if c.kind == "null"] == [(), ()]
     assert all(c.faults == ("position_torque",) for c in cases if c.kind == "torque")
-    assert all(len(set(c.faults)) == 2 for c in cases if c.kind == "pair")
+    # Two faults of a pair never go by one name, or a single name would count as both.
+    pairs = rough_cases({"pair": 40}, RoughTestSettings(seed=2), KNOWN)
+    assert all(len({effect_of(fault) for fault in c.faults}) == 2 for c in pairs)
+    # Each cycle has every fault once, in an order of its own.
+    names = len(named)
+    many = rough_cases({"single": 6 * names}, RoughTestSettings(seed=2), KNOWN)
+    cycles = [fault for case in many for fault in case.faults]
+    orders = {tuple(cycles[k : k + names]) for k in range(0, 6 * names, names)}
+    assert len(orders) > 1
+    assert all(set(order) == named for order in orders)
     other = rough_cases(counts, RoughTestSettings(seed=3), KNOWN)
     specimens = [case.specimen for case in (*cases, *other)]
     assert len(set(specimens)) == len(specimens)
@@ -304,6 +313,30 @@ def test_an_interrupted_test_goes_on_where_it_was(tmp_path):
     assert told[-1][1:] == (6, 6)
     assert again[0] == first[0]
     assert not any(o.error for o in again)
+
+
+def test_outcomes_of_other_faults_are_not_taken_for_those_of_a_case(tmp_path, monkeypatch):
+    """A file of an earlier order of faults: its cases have the same numbers."""
+    ran = []
+
+    def outcome_of(given):
+        case = RoughTestCase(**given["case"])
+        ran.append(case.number)
+        return asdict(outcome(case.kind, case.faults, [], number=case.number))
+
+    monkeypatch.setattr(rough_selftest, "outcome_of", outcome_of)
+
+    def run():
+        return rough_self_test(tmp_path, 3, processes=1, kinds=("single",))
+
+    first = run()
+    assert sorted(ran) == [0, 1, 2]
+    (path,) = tmp_path.iterdir()
+    other = replace(first[1], faults=("payload",) if "payload" not in first[1].faults else ())
+    rows = [first[0], other, first[2]]
+    path.write_text("".join(json.dumps(asdict(one)) + "\n" for one in rows))
+    assert run() == first
+    assert sorted(ran) == [0, 1, 1, 2]
 
 
 class _Result:

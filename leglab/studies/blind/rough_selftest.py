@@ -215,7 +215,8 @@ def rough_cases(
             elif kind == "torque":
                 chosen = (_UNKNOWN,)
             elif kind == "pair":
-                chosen = tuple(str(name) for name in rng.choice(faults, 2, replace=False))
+                while len(set(map(effect_of, chosen))) < 2:  # two faults may go by one name
+                    chosen = tuple(str(name) for name in rng.choice(faults, 2, replace=False))
             specimen = settings.seed * 1_000_000 + _KINDS[kind] * 100_000 + number
             found.append(RoughTestCase(kind=kind, number=number, specimen=specimen, faults=chosen))
     return found
