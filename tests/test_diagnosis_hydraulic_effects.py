@@ -5,7 +5,7 @@ import pytest
 
 from leglab.diagnosis.hypothesis import Hypothesis, Library
 from leglab.diagnosis.model import Machine, Measured
-from leglab.diagnosis.starts import Instances
+from leglab.diagnosis.starts import Instances, spool
 from leglab.diagnosis.workflow import DiagnosisSettings, set_up
 from leglab.machine.cylinder import Cylinder
 from leglab.machine.parameters import State
@@ -70,6 +70,19 @@ def test_each_direction_of_the_valve_has_its_gain(machine, gains):
         # Far from the lap the edges of the other direction leak a thousandth.
         before, after = (c.native.flows(spool, 16e6, 7e6, 7e6)[0] for c in (plain, other))
         assert after == pytest.approx(gain * before, rel=2e-3)
+
+
+@pytest.mark.parametrize("damping", [0.7, 2.0, 5.0])
+def test_a_slow_valve_is_told_by_its_lag(machine, damping):
+    """On a slow ramp the spool is 2 zeta / w late, whatever the damping."""
+    change = Library(machine).change({("valve_bandwidth", VALVE): np.array([40.0, damping])}, machine)
+    frequency, zeta = (change.parameter(VALVE, name) for name in ("bandwidth_hz", "damping_ratio"))
+    time = 1e-3 * np.arange(400)
+    moved = spool(time, 2.0 * np.pi * frequency, zeta, 1e-3)
+    assert zeta == pytest.approx(damping)
+    # Held commands are half a sample late on the mean.
+    late = 2.0 * 0.7 / (2.0 * np.pi * 40.0)
+    assert time[-1] - moved[-1, 0] == pytest.approx(late, abs=6e-4)
 
 
 def test_a_worn_edge_is_open_by_half_its_rounding_at_the_lap(machine):

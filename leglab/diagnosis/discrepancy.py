@@ -28,11 +28,14 @@ class Discrepancy:
         pattern: Covariance over the bins of a window, of trace `bins`, (channels, bins, bins):
             model errors have a memory of their own in every direction.
         variance: Mean over the bins, (recordings, channels), of every direction.
+        forces: The same of the forces that the measured motion leaves over, whose channels are
+            joints; None where no joint's forces can be known.
     """
 
     directions: np.ndarray
     pattern: np.ndarray
     variance: np.ndarray
+    forces: "Discrepancy | None" = None
 
     def covariance(self, recording: np.ndarray) -> np.ndarray:
         """Covariance of windows of recordings, shape (windows, size, size)."""
@@ -46,8 +49,21 @@ class Discrepancy:
         return whole.reshape(len(whole), channels * bins, channels * bins)[recording]
 
     def scaled(self, factor: float) -> "Discrepancy":
-        """The same with all variances multiplied."""
+        """The same with all variances multiplied, but for those of forces."""
         return replace(self, variance=factor * self.variance)
+
+    def of(self, recordings: Sequence[int]) -> "Discrepancy":
+        """That of other recordings, each with the variances of one of these."""
+        forces = None if self.forces is None else self.forces.of(recordings)
+        return replace(self, variance=self.variance[list(recordings)], forces=forces)
+
+    def at_least(self, floor: "Discrepancy | None") -> "Discrepancy":
+        """The same, in no recording and channel below a floor's."""
+        if floor is None:
+            return self
+        forces = None if self.forces is None else self.forces.at_least(floor.forces)
+        variance = np.maximum(self.variance, floor.variance)
+        return replace(self, variance=variance, forces=forces)
 
 
 def directions_of(machine: Machine, channels: Sequence[Channel]) -> np.ndarray:

@@ -5,7 +5,8 @@ import numpy as np
 from scipy.signal import savgol_filter
 
 from leglab.diagnosis.hypothesis import Hypothesis
-from leglab.diagnosis.model import CHAMBERS, CYLINDER, ForceLeft
+from leglab.diagnosis.lacking import balanced_joints
+from leglab.diagnosis.model import ForceLeft
 from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.starts import Instances
 
@@ -21,14 +22,7 @@ def forces_left(problem: Problem, hypothesis: Hypothesis) -> dict[str, ForceLeft
     replay, machine = problem.replay, problem.machine
     change = problem.library.change(hypothesis, replay.machine)
     variant, model = change.variant, change.variant.model
-    columns = {channel.column for channel in problem.channels}
-    blind = {
-        joint
-        for cylinder in machine.instances(CYLINDER)
-        for joint in machine.driven[cylinder]
-        if not {f"{machine.driven[cylinder][0]}_{c}" for c in CHAMBERS} <= columns
-    }
-    known = [joint for joint in machine.joints if joint not in blind]
+    known = balanced_joints(machine, problem.channels)
     dofs = [int(model.joint(joint).dofadr[0]) for joint in machine.joints]
     places = [int(model.joint(joint).qposadr[0]) for joint in machine.joints]
     tables = []

@@ -45,7 +45,7 @@ def nothing_more(problem: Problem, tried: Round) -> float:
     costs = [float(tried.base.mean()), *(float(c.cost.mean()) for c in tried.contenders)]
     own = (sites[c.key].used(c.fit.hypothesis[c.key], limit) for c in tried.contenders)
     counts = [0, *own]
-    share = posterior(costs, problem.thresholds.rough_numbers, counts)
+    share = posterior(costs, problem.worth or problem.numbers, counts)
     none = max(len(tried.candidates), 1) * share[0]
     return float(none / (none + share[1:].sum()))
 
@@ -220,7 +220,7 @@ def probabilities(problem: Problem, contenders: Sequence[Contender]) -> np.ndarr
     """Probability of each contender among some, on a rough machine, shape (contenders,)."""
     costs = [float(c.cost.mean()) for c in contenders]
     counts = [parameters(problem, c.fit) for c in contenders]
-    return posterior(costs, problem.thresholds.rough_numbers, counts)
+    return posterior(costs, problem.numbers, counts)
 
 
 def parameters(problem: Problem, fit: Fit) -> int:

@@ -9,6 +9,7 @@ import numpy as np
 from mujoco import rollout
 
 from leglab.base.errors import LeglabError
+from leglab.diagnosis.lacking import balanced_joints, lacking_forces
 from leglab.diagnosis.model import CYLINDER, Change, Machine, Measured, Variant
 from leglab.diagnosis.starts import Nudge, hidden_slots, measure, plugin_offset, start_states
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
@@ -165,6 +166,33 @@ class Replay:
             values=np.nan_to_num(binned, nan=1e12, posinf=1e12, neginf=-1e12),
             noise_gain=np.array([np.prod([gain for _, gain in found]) for found in undone]),
         )
+
+    def lacking(self, change: Change, chosen: np.ndarray | None, blocks: int) -> np.ndarray:
+        """Forces that the measured motion leaves over, averaged over blocks of a window.
+
+        Args:
+            change: What the hypothesis changes.
+            chosen: Mask of the windows, shape (windows,); None for all.
+            blocks: Into which a window is divided.
+
+        Returns:
+            Shape (chosen windows, joints whose forces can be known, blocks) [N m or N].
+        """
+        model = change.variant.model
+        joints = balanced_joints(self.machine, self.channels)
+        dofs = [int(model.joint(joint).dofadr[0]) for joint in joints]
+        half = self.samples // self.bins
+        stride = 2 * half
+        inside = np.arange(half, self.samples - half + 1, stride)
+        inside = inside[: inside.size // blocks * blocks]
+        rows = []
+        for cut, measured, _ in self._parts(change, chosen):
+            at = replace(measured, samples=(cut.firsts[:, None] + inside).ravel())
+            states = start_states(cut, change, at, self.channels, self.thresholds.rest_time)
+            left = lacking_forces(change, at, states, half)[0][:, dofs]
+            left = left.reshape(cut.firsts.size, blocks, -1, len(joints))
+            rows.append(left.mean(axis=2).transpose(0, 2, 1))
+        return np.nan_to_num(np.concatenate(rows), nan=1e12, posinf=1e12, neginf=-1e12)
 
     def respond(self, change: Change, window: int, commands: np.ndarray) -> np.ndarray:
         """Predictions from the start of one window under other commands.

@@ -10,6 +10,7 @@ from scipy.signal import savgol_coeffs
 
 from leglab.diagnosis.discrepancy import Discrepancy, directions_of, from_errors
 from leglab.diagnosis.hypothesis import Hypothesis, Key, Library
+from leglab.diagnosis.lacking import balanced_joints
 from leglab.diagnosis.model import CHAMBERS, CYLINDER, Change, Machine
 from leglab.diagnosis.nuisances import Nuisance, departures, within_tolerance
 from leglab.diagnosis.replay import Replay
@@ -19,6 +20,8 @@ from leglab.diagnosis.windows import Channel, UniformSeries, channel_noise, filt
 
 # Step of columns that rest on one count in every recording: pressures [Pa], positions [rad or m].
 _UNSEEN_STEP = (1e4, 1e-3)
+# Least variance of forces left over in a recording, as a share of the largest of all.
+_LEAST_FORCE = 0.01
 # Share of a variance that rounding may take.
 _ROUNDING = 1e-9
 
@@ -34,6 +37,8 @@ class NoiseModel:
         sensors: The same where the model is taken for exact: errors in noise levels of the sensors.
         covariance: Of the windows' errors in that case, same shape.
         discrepancy: Of the model, which `whitening` counts in; None for an exact one.
+        forces: Inverse Cholesky factors for the forces left over, (windows, size, size); None
+            where they do not count.
     """
 
     defect: np.ndarray
@@ -41,6 +46,7 @@ class NoiseModel:
     sensors: np.ndarray
     covariance: np.ndarray
     discrepancy: Discrepancy | None = None
+    forces: np.ndarray | None = None
     # The factors of the windows that were chosen last, by their mask: hundreds of replays in turn
     # take the same ones, and copying them costs as much as a replay of a leg.
     _chosen: dict[bytes, np.ndarray] = field(default_factory=dict, init=False)
@@ -58,10 +64,12 @@ class NoiseModel:
     def trusting(self, discrepancy: Discrepancy | None, recording: np.ndarray) -> "NoiseModel":
         """The same with another discrepancy of the model; `recording` that of each window."""
         if discrepancy is None:
-            return replace(self, whitening=self.sensors, discrepancy=None)
+            return replace(self, whitening=self.sensors, discrepancy=None, forces=None)
         covariance = self.covariance + discrepancy.covariance(recording)
-        whitening = inverse_roots(covariance)
-        return replace(self, whitening=whitening, discrepancy=discrepancy)
+        whitening, forces = inverse_roots(covariance), None
+        if discrepancy.forces is not None:
+            forces = inverse_roots(discrepancy.forces.covariance(recording))
+        return replace(self, whitening=whitening, discrepancy=discrepancy, forces=forces)
 
 
 def whitened(roots: np.ndarray, errors: np.ndarray) -> np.ndarray:
@@ -139,7 +147,7 @@ class Problem:
         nuisances: Parameters with a tolerance.
         fitted: Mask of windows that are fitted, shape (windows,).
         held: Mask of windows that are held out.
-        size: Numbers in a whitened window.
+        balanced: Joints whose forces along the measured motion can be known.
         sensor_noise: Standard deviation of each channel's samples, (recordings, channels).
         noise: Noise model, at first about the unmodified machine; see `about`.
         worth: How many independent numbers all errors together are worth beside the priors of the
@@ -161,7 +169,7 @@ class Problem:
         self.series, self.channels = series, channels
         self.replay = Replay(machine, series, channels, thresholds, threads=threads)
         self._fine = self._at(0.5)
-        self.size = len(channels) * self.replay.bins
+        self.balanced = balanced_joints(machine, channels)
         self.fitted = np.isin(self.replay.recording, list(fit))
         self.held = ~self.fitted
         self.nuisances = within_tolerance(library)
@@ -180,6 +188,22 @@ class Problem:
         quarter = finest.error(library.change(Hypothesis(), finest.machine), chosen=some).values
         self._beyond_half = extrapolation((half - errors)[some], quarter - half[some])
         self.noise = self._noise_model(change, errors, half - errors)
+
+    @property
+    def size(self) -> int:
+        """Numbers in a whitened window."""
+        blocks = 0 if self.noise.forces is None else self.thresholds.force_blocks
+        return len(self.channels) * self.replay.bins + len(self.balanced) * blocks
+
+    @property
+    def numbers(self) -> float:
+        """How many independent numbers the errors of a rough machine are worth."""
+        return self.thresholds.rough_numbers * self._kinds
+
+    @property
+    def _kinds(self) -> int:
+        """Kinds of evidence: replays, and forces along the measured motion."""
+        return 2 if self.balanced else 1
 
     @property
     def judged(self) -> np.ndarray:
@@ -222,12 +246,12 @@ class Problem:
 
         Args:
             nuisances: The parameters.
-            worth: How many independent numbers all errors together are worth beside the priors;
-                None: as many as they are.
+            worth: How many independent numbers the errors of each kind of evidence are worth
+                beside the priors; None: as many as they are.
         """
         other = copy(self)
         other.nuisances = tuple(nuisances)
-        other.worth = worth
+        other.worth = None if worth is None else worth * self._kinds
         return other
 
     def prior_weight(self, chosen: np.ndarray) -> float:
@@ -245,7 +269,15 @@ class Problem:
 
     def turn_from(self, before: "Problem", chosen: np.ndarray) -> np.ndarray:
         """What whitens errors that were white under another discrepancy, (windows, size, size)."""
-        return self.noise.whitening[chosen] @ np.linalg.inv(before.noise.whitening[chosen])
+        now, then = self.noise, before.noise
+        turn = now.whitening[chosen] @ np.linalg.inv(then.whitening[chosen])
+        if now.forces is None or then.forces is None:
+            return turn
+        forces = now.forces[chosen] @ np.linalg.inv(then.forces[chosen])
+        whole = np.zeros((len(turn), self.size, self.size))
+        size = turn.shape[1]
+        whole[:, :size, :size], whole[:, size:, size:] = turn, forces
+        return whole
 
     def discrepancy(self, hypothesis: Hypothesis) -> Discrepancy:
         """The discrepancy of the model under a hypothesis: what its errors show beyond noise.
@@ -266,7 +298,7 @@ class Problem:
         found = from_errors(errors[use], recording[use], excess[rows], directions)
         variance = np.zeros(level.shape)
         variance[rows] = found.variance
-        found = replace(found, variance=variance)
+        found = replace(found, variance=variance, forces=self._force_discrepancy(hypothesis))
         if not variance.any():
             return found
         errors = errors * certain[:, None, None]
@@ -276,6 +308,29 @@ class Problem:
             cost = np.median(np.mean(np.clip(white, -clip, clip) ** 2, axis=1))
             found = found.scaled(float(cost) / self.thresholds.usual_cost)
         return found
+
+    def _force_discrepancy(self, hypothesis: Hypothesis) -> Discrepancy | None:
+        """That of the forces left over: all they are, and as usual as in `discrepancy`."""
+        if not self.balanced:
+            return None
+        left, recording = self._lacking(hypothesis, None), self.replay.recording
+        every = np.unique(recording)
+        ones, joints = np.ones((every.size, len(self.balanced))), np.eye(len(self.balanced))
+        found = from_errors(left, recording, ones, joints)
+        # At rest a joint leaves nothing over, but no model is known as well as that.
+        least = _LEAST_FORCE * found.variance.max(axis=0)
+        variance = np.full((len(self.series), len(self.balanced)), 1.0) * least
+        variance[every] = np.maximum(found.variance, least)
+        found = replace(found, variance=np.maximum(variance, 1e-12))
+        for _ in range(3):
+            roots = inverse_roots(found.covariance(recording))
+            cost = np.median(np.mean(whitened(roots, left) ** 2, axis=1))
+            found = found.scaled(max(float(cost), 1e-12) / self.thresholds.usual_cost)
+        return found
+
+    def _lacking(self, hypothesis: Hypothesis, chosen: np.ndarray | None) -> np.ndarray:
+        change = self.library.change(hypothesis, self.replay.machine)
+        return self.replay.lacking(change, chosen, self.thresholds.force_blocks)
 
     def with_defect_of(self, hypothesis: Hypothesis) -> "Problem":
         """The same problem with the defect of the time step about a hypothesis, nothing else.
@@ -312,15 +367,16 @@ class Problem:
             lowest = np.minimum.accumulate(binned[:, chamber], axis=1)
             vapour = lowest < limits.vapour_pressure
             variance[np.broadcast_to(vapour[:, None], variance.shape)] *= 1e8
-        covariance = np.zeros((replay.windows, self.size, self.size))
-        diagonal = np.arange(self.size)
-        covariance[:, diagonal, diagonal] = variance.reshape(replay.windows, self.size)
+        size = len(self.channels) * replay.bins
+        covariance = np.zeros((replay.windows, size, size))
+        diagonal = np.arange(size)
+        covariance[:, diagonal, diagonal] = variance.reshape(replay.windows, size)
         defect = finer * self._beyond_half[:, None]
-        directions = [defect.reshape(replay.windows, self.size)]
+        directions = [defect.reshape(replay.windows, size)]
         for nudge, spread in self._nudges():
             moved = replay.error(change, nudge=nudge).values - reference
             shares = (spread / nudge.size)[:, None]
-            directions.append(moved.reshape(replay.windows, self.size) * shares)
+            directions.append(moved.reshape(replay.windows, size) * shares)
         together = np.stack(directions, axis=2)
         covariance += together @ together.transpose(0, 2, 1)
         whitening = inverse_roots(covariance)
@@ -367,6 +423,13 @@ class Problem:
         errors, certain = self._errors(self.replay, hypothesis, chosen)
         defect = self.noise.defect if chosen is None else self.noise.defect[chosen]
         white = self.noise.white((errors + defect) * certain[:, None, None], chosen)
+        if self.noise.forces is not None:
+            roots = self.noise.forces if chosen is None else self.noise.forces[chosen]
+            left = self._lacking(hypothesis, chosen) * certain[:, None, None]
+            # They count as much as the replays, however few numbers they are.
+            kinds = white, whitened(roots, left)
+            even = [np.sqrt(0.5 * self.size / kind.shape[1]) * kind for kind in kinds]
+            white = np.concatenate(even, axis=1)
         return np.clip(white, -self.thresholds.clip, self.thresholds.clip)
 
     def noise_levels(self, hypothesis: Hypothesis) -> np.ndarray:

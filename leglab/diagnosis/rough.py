@@ -40,13 +40,6 @@ from leglab.diagnosis.search import (
 )
 
 
-def at_least(discrepancy: Discrepancy, floor: Discrepancy | None) -> Discrepancy:
-    """The discrepancy, in no recording and channel below a floor's."""
-    if floor is None:
-        return discrepancy
-    return replace(discrepancy, variance=np.maximum(discrepancy.variance, floor.variance))
-
-
 def settled_baseline(
     problem: Problem,
     chosen: np.ndarray,
@@ -71,7 +64,7 @@ def settled_baseline(
     sharp = limits.fine_differences
     for share, fine, rounds in ((0.5, 1.0, limits.annealings), (sharp, sharp, sharpenings)):
         for _ in range(rounds):
-            problem = problem.trusting(at_least(problem.discrepancy(hypothesis), floor))
+            problem = problem.trusting(problem.discrepancy(hypothesis).at_least(floor))
             at = problem.linearise(hypothesis, chosen, share=share)
             fit = refit(problem, at, frozenset(), iterations=3, fine=fine)
             hypothesis = fit.hypothesis
@@ -126,7 +119,7 @@ def rough_search(
     while len(named) < rounds:
         if floor is not None and cost_under(problem, current, floor) <= limits.as_healthy:
             break
-        trusted = at_least(problem.discrepancy(current.hypothesis), floor)
+        trusted = problem.discrepancy(current.hypothesis).at_least(floor)
         problem = problem.trusting(trusted)
         # Strengths that a missing effect has pulled along would mislead the screening: drift of a
         # calibrated machine can take a size past the trials of the effect that is missing. Where
@@ -286,7 +279,7 @@ def annealed(
         leader, level = best.key, now
         before = problem
         trusted = problem.discrepancy(best.fit.hypothesis)
-        problem = problem.trusting(at_least(trusted, floor))
+        problem = problem.trusting(trusted.at_least(floor))
         contenders = [_under(problem, before, c) for c in contenders]
         contenders = _most_probable_first(problem, contenders)
     ordered = simplest_first(problem, contenders)

@@ -75,14 +75,16 @@ def sharpen(
 
 
 def total_cost(problem: Problem, fit: Fit) -> np.ndarray:
-    """Robust mean square of every window and its share of the priors' cost, shape (windows,).
+    """Robust mean square of every window, and what the priors say, shape (windows,).
 
-    Beside all errors of an exact model, counted one by one, priors are nothing.
+    n numbers of mean square c and departures of square sum d have the likelihood
+    c^(-n/2) exp(-d/2), as that of numbers of mean square c exp(d/n). Beside all errors of an exact
+    model, counted one by one, priors are nothing.
     """
     cost = problem.window_cost(fit.hypothesis)
     if problem.worth is None:
         return cost
-    return cost + problem.departed(fit.hypothesis, fit.free) / problem.worth
+    return cost * np.exp(problem.departed(fit.hypothesis, fit.free) / problem.worth)
 
 
 def chance_gain(
@@ -244,7 +246,7 @@ def _possible(
     costs = [floor, *(fit.cost for _, fit in rough)]
     used = (sites[key].used(f.hypothesis[key], limits.noticeable) for key, f in rough)
     counts = [0, *used]
-    share = posterior(costs, limits.rough_numbers, counts)
+    share = posterior(costs, problem.numbers, counts)
     none, own = share[0], share[1:]
     if (own < limits.rough_chance * none).all():
         return []

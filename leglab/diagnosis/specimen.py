@@ -1,7 +1,7 @@
 """The specimen at hand, from recordings of it while it was healthy."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -43,8 +43,7 @@ class Specimen:
         """The discrepancy to expect in other recordings: that of the most similar motion each."""
         if self.discrepancy is None:
             return None
-        variance = self.discrepancy.variance[self.nearest(series)]
-        return replace(self.discrepancy, variance=variance)
+        return self.discrepancy.of(self.nearest(series))
 
     def nearest(self, series: Sequence[UniformSeries]) -> list[int]:
         """The healthy recording of the most similar motion to each of others."""

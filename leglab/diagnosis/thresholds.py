@@ -86,6 +86,10 @@ class Thresholds:
     # Whitened errors are clipped here: beyond lies only a replay that blew up.
     clip: float = 1e5
 
+    # A rough machine is judged by the forces that its measured motion leaves over as well, averaged
+    # over so many parts of a window.
+    force_blocks: int = 5
+
     # Fits.
     # Rounds of iteratively reweighted least squares in a step.
     reweightings: int = 3
@@ -105,7 +109,7 @@ class Thresholds:
     # The same machine on another day stays within this share of them. Errors are worth so many
     # numbers beside that; with 30, as on an unknown machine, less of a fault was explained.
     drift_share: float = 0.5
-    calibrated_numbers: float = 300.0
+    calibrated_numbers: float = 100.0
     # So many windows of healthy recordings calibrate a specimen.
     calibration_windows: int = 80
     # Discrepancy of the model and fit are made anew, so often at most, until the error's level in

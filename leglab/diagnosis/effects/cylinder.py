@@ -359,16 +359,32 @@ define(
     CylinderRow("hysteresis", (0.008, 0.03, 0.08), upper=0.5, relative=False),
 )
 
-define(
-    "valve_bandwidth",
-    "valve and command",
-    "A slow spool: x_s'' = w^2 (u - x_s) - 2 zeta w x_s'.",
-    "servovalves of the E024 class: 250 Hz; clogged first stages fall to a tenth",
-    "commands that change within some hundredths of a second",
-    CylinderRow("bandwidth_hz", (0.05, 0.12, 0.35), lower=0.015, upper=2.0, faults="below"),
-    # A large one is a lag of first order, of time constant 2 zeta / w.
-    CylinderRow("damping_ratio", (), lower=0.5, upper=8.0, role="shape"),
-)
+@register_effect
+class ValveBandwidth(CylinderEffect):
+    """A slow spool, by its lag at low frequencies, whatever its damping."""
+
+    name = "valve_bandwidth"
+    group = "valve and command"
+    physics = (
+        "A slow spool: x_s'' = w^2 (u - x_s) - 2 zeta w x_s'. Its bandwidth is that of a valve "
+        "with the model's damping zeta_0 and the same lag 2 zeta / w: w zeta_0 / zeta."
+    )
+    source = "servovalves of the E024 class: 250 Hz; clogged first stages fall to a tenth"
+    excitation = "commands that change within some hundredths of a second"
+    rows = (
+        CylinderRow("bandwidth_hz", (0.05, 0.12, 0.35), lower=0.015, upper=2.0, faults="below"),
+        # A large one is a lag of first order.
+        CylinderRow("damping_ratio", (), lower=0.5, upper=8.0, role="shape"),
+    )
+
+    def apply(self, change: Change, element: str, values: Values) -> None:
+        """Sets the natural frequency, and the damping."""
+        damping = change.machine.parameter(element, "damping_ratio")
+        share = values["damping_ratio"] / damping if damping > 0.0 else 1.0
+        row = change.machine.base.elements[element][1].parameters["bandwidth_hz"]
+        natural = min(share * values["bandwidth_hz"], row.maximum)
+        super().apply(change, element, {**values, "bandwidth_hz": natural})
+
 
 # Shapes of laws in which good machines differ: calibrated, never named.
 

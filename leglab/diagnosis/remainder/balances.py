@@ -5,16 +5,16 @@ forces, and the pressure gained against the modelled flows. Nothing is different
 length of a window, so that noise of sensors hardly counts.
 """
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 
-import mujoco
 import numpy as np
 
 from leglab.diagnosis.hypothesis import Hypothesis
+from leglab.diagnosis.lacking import balanced_joints, lacking_forces
 from leglab.diagnosis.model import CHAMBERS, CYLINDER, Change, Measured
 from leglab.diagnosis.residual import Problem
-from leglab.diagnosis.starts import STATE, measure, plugin_offset, start_states
+from leglab.diagnosis.starts import measure, plugin_offset, start_states
 from leglab.diagnosis.windows import Cut
 from leglab.machine.cylinder import Cylinder
 from leglab.machine.parameters import RESIDUAL_VARIABLES, State
@@ -79,16 +79,10 @@ def balances(problem: Problem, hypothesis: Hypothesis) -> tuple[Balance, ...]:
     """
     machine = problem.machine
     change = problem.library.change(hypothesis, machine)
-    known = {c.column for c in problem.channels}
-    blind = {
-        joint
-        for cylinder in machine.instances(CYLINDER)
-        for joint in machine.driven[cylinder]
-        if not all(f"{machine.driven[cylinder][0]}_{c}" in known for c in CHAMBERS)
-    }
+    known = balanced_joints(machine, problem.channels)
     found: dict[tuple[str, bool], list[Balance]] = {}
     for number, cut in enumerate(problem.replay.cuts):
-        for one in _of_series(problem, change, cut, number, blind):
+        for one in _of_series(problem, change, cut, number, known):
             found.setdefault((one.element, one.oil), []).append(one)
     return tuple(_joined(parts) for parts in found.values())
 
@@ -108,7 +102,7 @@ def _joined(parts: list[Balance]) -> Balance:
 
 
 def _of_series(
-    problem: Problem, change: Change, cut: Cut, number: int, blind: set[str]
+    problem: Problem, change: Change, cut: Cut, number: int, known: Collection[str]
 ) -> Iterator[Balance]:
     machine, period = problem.machine, cut.series.period
     model = change.variant.model
@@ -126,14 +120,14 @@ def _of_series(
     measured, _ = measure(cut, problem.channels, change)
     flat = replace(measured, samples=rows.ravel())
     states = start_states(cut, change, flat, problem.channels, problem.thresholds.rest_time)
-    force, load, length, speed, pull = _forces(problem, change, flat, states, half)
+    force, load, length, speed, pull = lacking_forces(change, flat, states, half)
     shape = rows.shape
     common = {
         "recording": np.full(len(rows), number),
         "time": cut.series.time[rows].mean(axis=1),
     }
     for joint in machine.joints:
-        if joint in blind:
+        if joint not in known:
             continue
         dof = int(model.joint(joint).dofadr[0])
         v = measured.velocity[joint]
@@ -159,7 +153,7 @@ def _of_series(
         )
     for cylinder in machine.instances(CYLINDER):
         joint = machine.driven[cylinder][0]
-        if joint in blind:
+        if joint not in known:
             continue
         index = model.actuator(cylinder).id
         at = {"length": length[:, index], "speed": speed[:, index]}
@@ -181,48 +175,6 @@ def _of_series(
             moving=np.ones(len(rows)),
             **common,
         )
-
-
-def _forces(
-    problem: Problem, change: Change, measured: Measured, states: np.ndarray, half: int
-) -> tuple[np.ndarray, ...]:
-    """Forces that the measured motion needs beyond the modelled ones, (samples, nv).
-
-    Also actuator forces on the joints, (samples, nv); lengths, speeds and forces of the actuators,
-    each (samples, nu).
-    """
-    machine, model = problem.machine, change.variant.model
-    data = mujoco.MjData(model)
-    k, period = measured.samples, measured.period
-    acceleration = np.zeros((k.size, model.nv))
-    velocity = np.zeros((k.size, model.nv))
-    for joint in machine.joints:
-        v, dof = measured.velocity[joint], int(model.joint(joint).dofadr[0])
-        acceleration[:, dof] = (v[k + half] - v[k - half]) / (2 * half * period)
-        velocity[:, dof] = v[k]
-    # Held commands change at samples: about one, the mean of both sides acts.
-    native = machine.native_actuators()
-    command = np.stack(
-        [
-            0.5 * (u[k] + u[k - 1]) if a in native else u[k]
-            for a, u in ((a, measured.command[a]) for a in machine.actuators)
-        ],
-        axis=1,
-    )
-    lacking, load = np.empty((k.size, model.nv)), np.empty((k.size, model.nv))
-    length, speed, pull = (np.empty((k.size, model.nu)) for _ in range(3))
-    for i in range(k.size):
-        mujoco.mj_setState(model, data, states[i], STATE)
-        data.qvel[:] = velocity[i]
-        data.ctrl[:] = command[i]
-        mujoco.mj_forward(model, data)
-        load[i] = data.qfrc_actuator
-        length[i], speed[i] = data.actuator_length, data.actuator_velocity
-        pull[i] = data.actuator_force
-        data.qacc[:] = acceleration[i]
-        mujoco.mj_inverse(model, data)
-        lacking[i] = data.qfrc_inverse - load[i]
-    return lacking, load, length, speed, pull
 
 
 def _oil(

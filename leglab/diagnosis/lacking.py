@@ -1,0 +1,75 @@
+"""Forces along the measured motion that a model does not account for.
+
+No valve and no integration comes between: what the mechanism lacks shows beside the sensors' noise
+alone, where a replay of the same motion shows it behind all that the valve does.
+"""
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from leglab.diagnosis.model import CHAMBERS, CYLINDER, Change, Machine, Measured
+from leglab.diagnosis.starts import STATE
+from leglab.diagnosis.windows import Channel
+
+
+def balanced_joints(machine: Machine, channels: Sequence[Channel]) -> tuple[str, ...]:
+    """Joints whose drives' forces can be known: not those of cylinders without pressures."""
+    known = {channel.column for channel in channels}
+    blind = {
+        joint
+        for cylinder in machine.instances(CYLINDER)
+        for joint in machine.driven[cylinder]
+        if not {f"{machine.driven[cylinder][0]}_{c}" for c in CHAMBERS} <= known
+    }
+    return tuple(joint for joint in machine.joints if joint not in blind)
+
+
+def lacking_forces(
+    change: Change, measured: Measured, states: np.ndarray, half: int
+) -> tuple[np.ndarray, ...]:
+    """Forces that the measured motion needs beyond the modelled ones, (samples, nv).
+
+    Args:
+        change: Changes under the hypothesis.
+        measured: Smoothed series; its samples are looked at.
+        states: Full physics states at the samples, (samples, nstate).
+        half: Accelerations are the mean over so many samples to both sides.
+
+    Returns:
+        The forces; also actuator forces on the joints, (samples, nv); lengths, speeds and forces
+        of the actuators, each (samples, nu).
+    """
+    machine, model = change.machine, change.variant.model
+    data = mujoco.MjData(model)
+    k, period = measured.samples, measured.period
+    acceleration = np.zeros((k.size, model.nv))
+    velocity = np.zeros((k.size, model.nv))
+    for joint in machine.joints:
+        v, dof = measured.velocity[joint], int(model.joint(joint).dofadr[0])
+        acceleration[:, dof] = (v[k + half] - v[k - half]) / (2 * half * period)
+        velocity[:, dof] = v[k]
+    # Held commands change at samples: about one, the mean of both sides acts.
+    native = machine.native_actuators()
+    command = np.stack(
+        [
+            0.5 * (u[k] + u[k - 1]) if a in native else u[k]
+            for a, u in ((a, measured.command[a]) for a in machine.actuators)
+        ],
+        axis=1,
+    )
+    lacking, load = np.empty((k.size, model.nv)), np.empty((k.size, model.nv))
+    length, speed, pull = (np.empty((k.size, model.nu)) for _ in range(3))
+    for i in range(k.size):
+        mujoco.mj_setState(model, data, states[i], STATE)
+        data.qvel[:] = velocity[i]
+        data.ctrl[:] = command[i]
+        mujoco.mj_forward(model, data)
+        load[i] = data.qfrc_actuator
+        length[i], speed[i] = data.actuator_length, data.actuator_velocity
+        pull[i] = data.actuator_force
+        data.qacc[:] = acceleration[i]
+        mujoco.mj_inverse(model, data)
+        lacking[i] = data.qfrc_inverse - load[i]
+    return lacking, load, length, speed, pull
