@@ -50,6 +50,7 @@ def a_sketch(monkeypatch):
         costs=costs,
         window_cost=cost,
         worth=None,
+        numbers=DEFAULT.rough_numbers,
         noise_levels=cost,
     )
     problem.trusting = lambda discrepancy: problem

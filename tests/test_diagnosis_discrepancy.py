@@ -19,7 +19,7 @@ from leglab.diagnosis.judging import (
 from leglab.diagnosis.model import Machine
 from leglab.diagnosis.nuisances import all_strengths, rough_nuisances, within_tolerance
 from leglab.diagnosis.residual import NoiseModel
-from leglab.diagnosis.rough import at_least, settled_baseline
+from leglab.diagnosis.rough import settled_baseline
 from leglab.diagnosis.thresholds import DEFAULT
 from leglab.diagnosis.windows import Channel
 from leglab.machine.cylinder import Cylinder
@@ -150,9 +150,9 @@ def test_errors_of_noise_and_discrepancy_are_white():
 
 def test_a_discrepancy_is_floored_channel_by_channel():
     floor = replace(a_discrepancy(), variance=np.array([[2.0, 2.0], [2.0, 2.0]]))
-    found = at_least(a_discrepancy(), floor)
+    found = a_discrepancy().at_least(floor)
     np.testing.assert_array_equal(found.variance, [[2.0, 4.0], [9.0, 2.0]])
-    kept = at_least(a_discrepancy(), None)
+    kept = a_discrepancy().at_least(None)
     np.testing.assert_array_equal(kept.variance, a_discrepancy().variance)
 
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from leglab.diagnosis import starts
 from leglab.diagnosis.hypothesis import Hypothesis, Library
 from leglab.diagnosis.model import Machine, Measured
-from leglab.diagnosis.starts import Instances, spool
 from leglab.diagnosis.workflow import DiagnosisSettings, set_up
 from leglab.machine.cylinder import Cylinder
 from leglab.machine.parameters import State
@@ -75,10 +75,12 @@ def test_each_direction_of_the_valve_has_its_gain(machine, gains):
 @pytest.mark.parametrize("damping", [0.7, 2.0, 5.0])
 def test_a_slow_valve_is_told_by_its_lag(machine, damping):
     """On a slow ramp the spool is 2 zeta / w late, whatever the damping."""
-    change = Library(machine).change({("valve_bandwidth", VALVE): np.array([40.0, damping])}, machine)
+    change = Library(machine).change(
+        {("valve_bandwidth", VALVE): np.array([40.0, damping])}, machine
+    )
     frequency, zeta = (change.parameter(VALVE, name) for name in ("bandwidth_hz", "damping_ratio"))
     time = 1e-3 * np.arange(400)
-    moved = spool(time, 2.0 * np.pi * frequency, zeta, 1e-3)
+    moved = starts.spool(time, 2.0 * np.pi * frequency, zeta, 1e-3)
     assert zeta == pytest.approx(damping)
     # Held commands are half a sample late on the mean.
     late = 2.0 * 0.7 / (2.0 * np.pi * 40.0)
@@ -117,7 +119,7 @@ def test_bristles_of_sliding_seals_carry_their_curve(machine, speed):
         pressure={},
         samples=np.array([1500, 1900]),
     )
-    one = Instances(machine=machine, measured=measured, variant=machine.base, state=state)
+    one = starts.Instances(machine=machine, measured=measured, variant=machine.base, state=state)
     one.reconstruct()
     side = np.sign(speed)
     wanted = 100.0 + side * 30.0 + 300.0 * np.exp(-((0.01 / 0.014) ** 0.6))
@@ -188,7 +190,7 @@ def test_a_piston_is_found_on_the_flank_that_it_presses(healthy):
     for chamber in ("pressure_a", "pressure_b"):
         column = moments[0].pressure[f"knee_{chamber}"]
         state[:, change.variant.slot(VALVE, chamber)] = column[moments[0].samples]
-    one = Instances(
+    one = starts.Instances(
         machine=problem.machine, measured=moments[0], variant=change.variant, state=state
     )
     one.reconstruct()

@@ -65,9 +65,10 @@ def departed(fit):
 
 def test_a_nuisance_goes_as_far_as_errors_worth_few_numbers_carry_it(weak):
     each = fitted(weak.with_nuisances(weak.nuisances))
-    few = weak.with_nuisances(weak.nuisances, worth=30.0)
+    few = weak.with_nuisances(weak.nuisances, worth=5.0)
     fit = fitted(few)
-    weight = few.size * few.fitted.sum() / 30.0
+    # Replays and forces along the measured motion are worth as much each.
+    weight = few.size * few.fitted.sum() / 10.0
     assert few.prior_weight(few.fitted) == pytest.approx(weight)
     assert weak.prior_weight(weak.fitted) == 1.0
     assert departed(each) == pytest.approx(-4.0, abs=0.2)  # the end of its box
@@ -102,13 +103,17 @@ def test_the_cost_of_a_fit_has_its_departures(weak):
     few = weak.with_nuisances(weak.nuisances, worth=30.0)
     fit = fitted(few)
     plain = few.window_cost(fit.hypothesis)
-    np.testing.assert_allclose(total_cost(few, fit), plain + departed(fit) ** 2 / 30.0)
+    # The likelihood of n numbers of mean square c and the prior: c^(-n/2) exp(-d^2/2).
+    whole = total_cost(few, fit) ** (-0.5 * few.worth)
+    np.testing.assert_allclose(
+        whole / plain ** (-0.5 * few.worth), np.exp(-0.5 * departed(fit) ** 2)
+    )
     np.testing.assert_array_equal(total_cost(weak, fit), plain)
     assert few.calibrated(Hypothesis()).worth is None
 
 
 def test_a_model_that_is_to_be_used_is_recalibrated_as_far_as_replays_ask_for(weak):
-    few = weak.with_nuisances(weak.nuisances, worth=30.0)
+    few = weak.with_nuisances(weak.nuisances, worth=3.0)
     fit = fitted(few)
     found = Search(problem=few, baseline=fit, fit=fit, named=(), rounds=())
     problem, hypothesis = improve._recalibrated(found, ())

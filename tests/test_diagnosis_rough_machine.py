@@ -13,7 +13,6 @@ from leglab.diagnosis import improve
 from leglab.diagnosis.hypothesis import Hypothesis
 from leglab.diagnosis.judging import intervals
 from leglab.diagnosis.nuisances import all_strengths
-from leglab.diagnosis.rough import at_least
 from leglab.diagnosis.thresholds import DEFAULT
 from leglab.diagnosis.verdict import assemble, diagnose
 from leglab.diagnosis.workflow import DiagnosisSettings, search, set_up
@@ -145,7 +144,7 @@ def test_the_discrepancy_is_that_of_the_best_explanation(ill):
     found = ill[1]
     problem, floor = found.problem, found.specimen.discrepancy_of(found.problem.series)
     now = problem.noise.discrepancy.variance
-    left = at_least(problem.discrepancy(found.fit.hypothesis), floor).variance
+    left = problem.discrepancy(found.fit.hypothesis).at_least(floor).variance
     without = problem.discrepancy(found.fit.hypothesis.without(OFFSET)).variance
     assert (now < 4.0 * left).all()
     assert (now < 0.1 * without).all()

@@ -150,8 +150,6 @@ class Problem:
         balanced: Joints whose forces along the measured motion can be known.
         sensor_noise: Standard deviation of each channel's samples, (recordings, channels).
         noise: Noise model, at first about the unmodified machine; see `about`.
-        worth: How many independent numbers all errors together are worth beside the priors of the
-            nuisances; None: as many as they are.
     """
 
     def __init__(
@@ -173,7 +171,7 @@ class Problem:
         self.fitted = np.isin(self.replay.recording, list(fit))
         self.held = ~self.fitted
         self.nuisances = within_tolerance(library)
-        self.worth: float | None = None
+        self._worth: float | None = None
         level = [[channel_noise(s, c) for c in channels] for s in series]
         floor = np.array([_resolution(series, c.column) for c in channels])
         self.sensor_noise = np.maximum(np.array(level), floor)
@@ -201,9 +199,17 @@ class Problem:
         return self.thresholds.rough_numbers * self._kinds
 
     @property
+    def worth(self) -> float | None:
+        """How many independent numbers all errors are worth beside the priors of the nuisances.
+
+        None: as many as they are.
+        """
+        return None if self._worth is None else self._worth * self._kinds
+
+    @property
     def _kinds(self) -> int:
         """Kinds of evidence: replays, and forces along the measured motion."""
-        return 2 if self.balanced else 1
+        return 1 if self.noise.forces is None else 2
 
     @property
     def judged(self) -> np.ndarray:
@@ -236,7 +242,7 @@ class Problem:
         limits = self.thresholds
         other.library = self.library.of_specimen(self.library.whole(hypothesis))
         other.nuisances = within_tolerance(other.library, limits.drift_share)
-        other.worth = None
+        other._worth = None
         return other
 
     def with_nuisances(
@@ -251,7 +257,7 @@ class Problem:
         """
         other = copy(self)
         other.nuisances = tuple(nuisances)
-        other.worth = None if worth is None else worth * self._kinds
+        other._worth = worth
         return other
 
     def prior_weight(self, chosen: np.ndarray) -> float:

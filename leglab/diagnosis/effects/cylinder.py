@@ -359,6 +359,7 @@ define(
     CylinderRow("hysteresis", (0.008, 0.03, 0.08), upper=0.5, relative=False),
 )
 
+
 @register_effect
 class ValveBandwidth(CylinderEffect):
     """A slow spool, by its lag at low frequencies, whatever its damping."""

@@ -1,0 +1,103 @@
+"""Forces that the measured motion leaves over, and what they say beside replays."""
+
+import numpy as np
+import pytest
+
+from leglab.diagnosis.discrepancy import from_errors
+from leglab.diagnosis.hypothesis import Hypothesis
+from leglab.diagnosis.lacking import balanced_joints
+from leglab.diagnosis.model import Machine
+from leglab.diagnosis.residual import whitened
+from leglab.diagnosis.windows import Channel
+from leglab.diagnosis.workflow import DiagnosisSettings, set_up
+from tests.rigs import PENDULUM, Truth, record
+
+PUSH = 0.6  # N m, a tenth of what gravity does at most
+OFFSET = ("force_offset", "hinge")
+
+
+def problem_of(truth, **settings):
+    logs = {k: record(PENDULUM, k, truth, seed=3, seconds=3.0) for k in ("multisine", "fast")}
+    chosen = DiagnosisSettings(threads=1, **settings)
+    return set_up(PENDULUM.model, logs, ("fast",), chosen)
+
+
+@pytest.fixture(scope="module")
+def pushed():
+    """A pendulum with a constant torque that its model lacks."""
+    return problem_of(Truth(offset=PUSH))
+
+
+def lacking(problem, hypothesis, chosen=None):
+    change = problem.library.change(hypothesis, problem.replay.machine)
+    return problem.replay.lacking(change, chosen, problem.thresholds.force_blocks)
+
+
+def test_a_constant_torque_is_left_over_in_every_part_of_every_window(pushed):
+    left = lacking(pushed, Hypothesis())
+    assert left.shape == (pushed.replay.windows, 1, pushed.thresholds.force_blocks)
+    assert left.mean() == pytest.approx(PUSH, rel=0.02)
+    # Velocities, smoothed over 21 ms, are known to some mrad/s; the inertia is 0.12 kg m^2.
+    assert left.std() < 0.1 * PUSH
+    with_it = lacking(pushed, Hypothesis({OFFSET: np.array([PUSH])}))
+    np.testing.assert_allclose(with_it, left - PUSH, atol=1e-6)
+
+
+def test_only_the_chosen_windows_are_looked_at(pushed):
+    chosen = np.arange(pushed.replay.windows) % 3 == 0
+    some = lacking(pushed, Hypothesis(), chosen)
+    np.testing.assert_allclose(some, lacking(pushed, Hypothesis())[chosen])
+
+
+def test_forces_count_as_much_as_replays_once_the_model_is_not_exact(pushed):
+    bins = pushed.replay.bins
+    assert pushed.size == bins
+    assert pushed.numbers == pushed.thresholds.rough_numbers
+    trusting = pushed.trusting(pushed.discrepancy(Hypothesis()))
+    blocks = pushed.thresholds.force_blocks
+    assert trusting.size == bins + blocks
+    assert trusting.numbers == 2.0 * pushed.thresholds.rough_numbers
+    assert trusting.with_nuisances((), worth=30.0).worth == 60.0
+    chosen = trusting.fitted
+    white = trusting.residual(Hypothesis(), chosen)
+    left = whitened(trusting.noise.forces[chosen], lacking(pushed, Hypothesis(), chosen))
+    scale = np.sqrt(0.5 * trusting.size / blocks)
+    np.testing.assert_allclose(white[:, bins:], scale * left)
+    # Errors of their own usual size give both halves of the cost alike.
+    replays, forces = (
+        np.median((part**2).sum(axis=1)) for part in (white[:, :bins], white[:, bins:])
+    )
+    assert forces == pytest.approx(replays, rel=0.3)
+
+
+def test_a_step_is_whitened_anew_as_a_whole(pushed):
+    before = pushed.trusting(pushed.discrepancy(Hypothesis()))
+    now = pushed.trusting(pushed.discrepancy(Hypothesis({OFFSET: np.array([PUSH])})))
+    chosen = pushed.fitted
+    turned = whitened(now.turn_from(before, chosen), before.residual(Hypothesis(), chosen))
+    np.testing.assert_allclose(turned, now.residual(Hypothesis(), chosen), rtol=1e-6, atol=1e-6)
+
+
+def test_variances_of_forces_go_with_those_of_replays():
+    errors = np.random.default_rng(0).normal(size=(40, 1, 4))
+    recording = np.repeat([0, 1], 20)
+    errors[recording == 1] *= 3.0
+    one = from_errors(errors, recording, np.ones((2, 1)), np.eye(1))
+    both = from_errors(errors, recording, np.ones((2, 1)), np.eye(1))
+    whole = type(one)(
+        directions=one.directions, pattern=one.pattern, variance=one.variance, forces=both
+    )
+    other = whole.of([1, 1, 0])
+    np.testing.assert_array_equal(other.forces.variance, both.variance[[1, 1, 0]])
+    high = whole.at_least(whole.of([1, 0]))
+    assert (high.forces.variance == both.variance.max()).all()
+    assert (high.variance == one.variance.max()).all()
+    assert whole.at_least(None) is whole
+
+
+def test_a_cylinder_without_pressures_hides_its_joints_forces():
+    machine = Machine("knee_bench")
+    names = ("knee_position", "knee_pressure_a", "knee_pressure_b")
+    seen = [Channel(column=name, joint="knee") for name in names]
+    assert balanced_joints(machine, seen) == ("knee",)
+    assert balanced_joints(machine, seen[:2]) == ()
