@@ -49,6 +49,15 @@ def test_only_the_chosen_windows_are_looked_at(pushed):
     np.testing.assert_allclose(some, lacking(pushed, Hypothesis())[chosen])
 
 
+def test_forces_come_with_a_replay_as_they_come_alone(pushed):
+    change = pushed.library.change(Hypothesis(), pushed.replay.machine)
+    chosen = np.arange(pushed.replay.windows) % 2 == 0
+    blocks = pushed.thresholds.force_blocks
+    both = pushed.replay.error(change, chosen=chosen, blocks=blocks)
+    np.testing.assert_array_equal(both.left, lacking(pushed, Hypothesis(), chosen))
+    np.testing.assert_array_equal(both.values, pushed.replay.error(change, chosen=chosen).values)
+
+
 def test_forces_count_as_much_as_replays_once_the_model_is_not_exact(pushed):
     bins = pushed.replay.bins
     assert pushed.size == bins

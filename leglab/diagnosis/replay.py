@@ -31,10 +31,12 @@ class ReplayErrors:
     Attributes:
         values: Averaged over bins, in corrected units, shape (windows, channels, bins).
         noise_gain: Factor by which corrections multiply each channel's noise, (channels,).
+        left: As `Replay.lacking` has it, where it was asked for.
     """
 
     values: np.ndarray
     noise_gain: np.ndarray
+    left: np.ndarray | None = None
 
     @property
     def normalised(self) -> np.ndarray:
@@ -143,6 +145,7 @@ class Replay:
         *,
         chosen: np.ndarray | None = None,
         nudge: Nudge | None = None,
+        blocks: int = 0,
     ) -> ReplayErrors:
         """Measured less predicted in the chosen windows.
 
@@ -150,9 +153,16 @@ class Replay:
             change: What the hypothesis changes.
             chosen: Mask of the windows to replay, shape (windows,); None for all.
             nudge: Departure from the start states.
+            blocks: Into which a window is divided for the forces that it leaves over; 0 for none.
         """
         parts = list(self._parts(change, chosen))
-        starts = self._starts(change, parts, nudge)
+        left = None
+        if blocks and not self.blind and nudge is None:
+            starts, left = self._starts_and_left(change, parts, blocks)
+        else:
+            starts = self._starts(change, parts, nudge)
+            if blocks:
+                left = self.lacking(change, chosen, blocks)
         controls, targets = [], []
         for cut, measured, corrected in parts:
             index = cut.firsts[:, None] + np.arange(self.samples)
@@ -165,6 +175,7 @@ class Replay:
         return ReplayErrors(
             values=np.nan_to_num(binned, nan=1e12, posinf=1e12, neginf=-1e12),
             noise_gain=np.array([np.prod([gain for _, gain in found]) for found in undone]),
+            left=left,
         )
 
     def lacking(self, change: Change, chosen: np.ndarray | None, blocks: int) -> np.ndarray:
@@ -178,21 +189,50 @@ class Replay:
         Returns:
             Shape (chosen windows, joints whose forces can be known, blocks) [N m or N].
         """
-        model = change.variant.model
-        joints = balanced_joints(self.machine, self.channels)
-        dofs = [int(model.joint(joint).dofadr[0]) for joint in joints]
-        half = self.samples // self.bins
-        stride = 2 * half
-        inside = np.arange(half, self.samples - half + 1, stride)
-        inside = inside[: inside.size // blocks * blocks]
+        inside = self._inside(blocks)
+        rest = self.thresholds.rest_time
         rows = []
         for cut, measured, _ in self._parts(change, chosen):
             at = replace(measured, samples=(cut.firsts[:, None] + inside).ravel())
-            states = start_states(cut, change, at, self.channels, self.thresholds.rest_time)
-            left = lacking_forces(change, at, states, half)[0][:, dofs]
-            left = left.reshape(cut.firsts.size, blocks, -1, len(joints))
-            rows.append(left.mean(axis=2).transpose(0, 2, 1))
-        return np.nan_to_num(np.concatenate(rows), nan=1e12, posinf=1e12, neginf=-1e12)
+            states = start_states(cut, change, at, self.channels, rest)
+            rows.append(self._left(change, at, states, blocks))
+        return np.concatenate(rows)
+
+    def _inside(self, blocks: int) -> np.ndarray:
+        """Samples after a window's start at which forces are looked at, as many in each block."""
+        half = self.samples // self.bins
+        inside = np.arange(half, self.samples - half + 1, 2 * half)
+        return inside[: inside.size // blocks * blocks]
+
+    def _left(
+        self, change: Change, measured: Measured, states: np.ndarray, blocks: int
+    ) -> np.ndarray:
+        """Forces left over at the samples of windows, as `lacking` has them."""
+        joints = balanced_joints(self.machine, self.channels)
+        dofs = [int(change.variant.model.joint(joint).dofadr[0]) for joint in joints]
+        left = lacking_forces(change, measured, states, self.samples // self.bins)[0][:, dofs]
+        inside = self._inside(blocks).size
+        left = left.reshape(-1, blocks, inside // blocks, len(joints)).mean(axis=2)
+        left = left.transpose(0, 2, 1)
+        return np.nan_to_num(left, nan=1e12, posinf=1e12, neginf=-1e12)
+
+    def _starts_and_left(
+        self, change: Change, parts: list[Part], blocks: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Full physics states at window starts, and what `lacking` gives, in one go.
+
+        Most of the work is to follow spools, seals and supplies along the recordings.
+        """
+        starts, left = [], []
+        for cut, measured, _ in parts:
+            inside = (cut.firsts[:, None] + self._inside(blocks)).ravel()
+            both = replace(measured, samples=np.concatenate([cut.firsts, inside]))
+            rest = self.thresholds.rest_time
+            states = start_states(cut, change, both, self.channels, rest)
+            starts.append(states[: cut.firsts.size])
+            at = replace(measured, samples=inside)
+            left.append(self._left(change, at, states[cut.firsts.size :], blocks))
+        return np.concatenate(starts), np.concatenate(left)
 
     def respond(self, change: Change, window: int, commands: np.ndarray) -> np.ndarray:
         """Predictions from the start of one window under other commands.

@@ -426,14 +426,20 @@ class Problem:
 
     def residual(self, hypothesis: Hypothesis, chosen: np.ndarray | None = None) -> np.ndarray:
         """Whitened errors, shape (chosen windows, size); 0 in windows where an effect begins."""
-        errors, certain = self._errors(self.replay, hypothesis, chosen)
+        forces, blocks = self.noise.forces, self.thresholds.force_blocks
+        if forces is None or hypothesis.onsets:
+            errors, certain = self._errors(self.replay, hypothesis, chosen)
+            left = None if forces is None else self._lacking(hypothesis, chosen)
+        else:
+            change = self.library.change(hypothesis, self.replay.machine)
+            found = self.replay.error(change, chosen=chosen, blocks=blocks)
+            errors, left, certain = found.normalised, found.left, np.ones(len(found.values))
         defect = self.noise.defect if chosen is None else self.noise.defect[chosen]
         white = self.noise.white((errors + defect) * certain[:, None, None], chosen)
-        if self.noise.forces is not None:
-            roots = self.noise.forces if chosen is None else self.noise.forces[chosen]
-            left = self._lacking(hypothesis, chosen) * certain[:, None, None]
+        if forces is not None and left is not None:
+            roots = forces if chosen is None else forces[chosen]
             # They count as much as the replays, however few numbers they are.
-            kinds = white, whitened(roots, left)
+            kinds = white, whitened(roots, left * certain[:, None, None])
             even = [np.sqrt(0.5 * self.size / kind.shape[1]) * kind for kind in kinds]
             white = np.concatenate(even, axis=1)
         return np.clip(white, -self.thresholds.clip, self.thresholds.clip)
