@@ -106,8 +106,8 @@ class Thresholds:
     rough_imperfect: float = 0.7
     rough_tolerance: float = 2.0
     healthy_tolerance: float = 3.0
-    # The same machine on another day stays within this share of them. Errors are worth so many
-    # numbers beside that; with 30, as on an unknown machine, less of a fault was explained.
+    # The same machine on another day stays within this share of them. Its errors have a known size,
+    # and those of replays, and of forces, are worth so many numbers beside that.
     drift_share: float = 0.5
     calibrated_numbers: float = 100.0
     # So many windows of healthy recordings calibrate a specimen.
@@ -199,8 +199,8 @@ class Thresholds:
     departed_factor: float = 6.0
 
     # Verdict and confidence.
-    # Independent numbers that the errors of a rough machine are worth: calibrated by the self-test
-    # on rough specimens, docs/diagnosis.md.
+    # Independent numbers that the errors of a rough machine are worth, in replays, and again in
+    # forces: calibrated by the self-test on rough specimens, docs/diagnosis.md.
     rough_numbers: float = 30.0
     # Standard deviation of the size of a change that is found on one, as a share of it.
     rough_size: float = 0.25
