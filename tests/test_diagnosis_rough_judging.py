@@ -261,6 +261,10 @@ def test_one_more_effect_is_as_probable_as_none_whatever_its_name(sketch):
     rival = contender(sketch.library, COULOMB, base - gain)
     both = nothing_more(sketch, a_round([one, rival], base, tried=70))
     assert both == pytest.approx(70.0 * price / (70.0 * price + 280.0))
+    # Errors of a known size, of a specimen with healthy recordings, are more numbers.
+    sketch.worth = 2.0 * DEFAULT.rough_numbers
+    known = 70.0 * sketch.worth**0.5
+    assert nothing_more(sketch, tried) == pytest.approx(known / (known + 140.0**2))
 
 
 def test_what_held_out_windows_hardly_show_is_told_by_what_moves_there():
