@@ -14,8 +14,6 @@ def bristle(
     level: np.ndarray,
     sigma_0: float,
     timestep: float,
-    samples: np.ndarray,
-    history: int,
     out: np.ndarray,
 ) -> None: ...
 def play(samples: np.ndarray, width: float, out: np.ndarray) -> None: ...

@@ -10,6 +10,7 @@ import numpy as np
 
 import leglab.machine.plugin
 from leglab.base.errors import LeglabError, unknown_name
+from leglab.diagnosis.lately import Lately
 from leglab.diagnosis.paths import CommandPath, Correction, take_out
 from leglab.machine.library import model_path
 from leglab.machine.parameters import PluginTable
@@ -219,6 +220,7 @@ class Measured:
         samples: Where windows start, shape (windows,).
         pushed: Part of the velocity by commands of native actuators that act at once, by joint,
             each (n,): its slope jumps with them.
+        lately: What was followed along the recording lately.
     """
 
     period: float
@@ -230,6 +232,7 @@ class Measured:
     pressure: dict[str, np.ndarray]
     samples: np.ndarray
     pushed: dict[str, np.ndarray] = field(default_factory=dict)
+    lately: Lately = field(default_factory=Lately)
 
 
 @dataclass(frozen=True)

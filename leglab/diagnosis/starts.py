@@ -24,14 +24,10 @@ from leglab.diagnosis.paths import play
 from leglab.diagnosis.windows import Channel, Cut
 
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
-# A bristle forgets over some tenths of a millimetre; this much history is enough.
-_BRISTLE_HISTORY = 0.5  # s
 # A piston certainly presses its pin with a force beyond this share of its dry friction.
 _PRESSED = 0.15
 # At rest a flank is pressed with at least this force [N].
 _FLANK = 1.0
-# Samples between which the bristle along a recording is interpolated.
-_BRISTLE_STRIDE = 5
 # Longest step at which the pressure of a supply is followed, some hundredths of its time constant.
 _SUPPLY_STEP = 5e-4  # s
 
@@ -51,10 +47,8 @@ class Nudge:
     size: float
 
 
-def bristle(
-    velocity: np.ndarray, level: np.ndarray, sigma: float, period: float, samples: np.ndarray
-) -> np.ndarray:
-    """LuGre bristle at samples, shape (windows,), by its exact solution between samples.
+def bristle(velocity: np.ndarray, level: np.ndarray, sigma: float, period: float) -> np.ndarray:
+    """LuGre bristle that starts unloaded, shape (n,), by its exact solution between samples.
 
     z' = v - sigma |v| z / g with v and g held over a sample (Canudas de Wit et al. 1995).
 
@@ -63,11 +57,9 @@ def bristle(
         level: Steady friction g, shape (n,).
         sigma: Bristle stiffness.
         period: s.
-        samples: Where it is wanted.
     """
-    out = np.zeros(samples.size)
-    history = round(_BRISTLE_HISTORY / period)
-    native.bristle(velocity, level, max(sigma, 0.0), period, samples, history, out)
+    out = np.empty(velocity.size)
+    native.bristle(velocity, level, max(sigma, 0.0), period, out)
     return out
 
 
@@ -168,10 +160,8 @@ class Instances:
         bore, rod = self.value(element, "bore"), self.value(element, "rod")
         cap, ring = bore**2, bore**2 - rod**2
         force = 0.25 * np.pi * (cap * pressures[0] - ring * pressures[1])
-        every, period = np.arange(0, velocity.size, _BRISTLE_STRIDE), self.measured.period
-        sigma = self.value(element, "sigma_0")
-        stretch = bristle(velocity, np.maximum(level, 1e-9), sigma, period, every)
-        stuck = sigma * np.interp(np.arange(velocity.size), every, stretch)
+        period, sigma = self.measured.period, self.value(element, "sigma_0")
+        stuck = sigma * bristle(velocity, np.maximum(level, 1e-9), sigma, period)
         pressed = force - stuck - self.value(element, "viscous") * velocity
         sure = np.abs(pressed) > _PRESSED * level
         last = np.maximum.accumulate(np.where(sure, np.arange(sure.size), -1))
@@ -192,17 +182,20 @@ class Instances:
         if not cylinders or any(len(pair) < len(CHAMBERS) for pair in chambers):
             return
         period, samples = self.measured.period, self.measured.samples
-        pressure = np.empty(chambers[0][0].size)
-        native.supply_pressure(
+        given = (
             self._parameters(element),
             np.stack([self._parameters(c) for c in cylinders]),
             np.stack([self.spools[c] for c in cylinders]),
             np.stack([a for a, _ in chambers]),
             np.stack([b for _, b in chambers]),
-            period,
-            max(1, int(np.ceil(period / _SUPPLY_STEP - 1e-9))),
-            pressure,
         )
+
+        def followed() -> np.ndarray:
+            out, steps = np.empty(chambers[0][0].size), np.ceil(period / _SUPPLY_STEP - 1e-9)
+            native.supply_pressure(*given, period, max(1, int(steps)), out)
+            return out
+
+        pressure = self.measured.lately.get(element, given, followed)
         self.put(element, "pressure", pressure[samples])
         self.put(element, "started", np.ones(samples.size))
 
@@ -232,7 +225,7 @@ class Instances:
         sigma = self.value(element, "sigma_0")
         if sigma > 0.0:
             level = np.maximum(level, 1e-9)
-            self.put(element, "bristle", bristle(velocity, level, sigma, period, samples))
+            self.put(element, "bristle", bristle(velocity, level, sigma, period)[samples])
 
     def balance(self, rest_time: float) -> None:
         """Sets the deflection of bristles that slid less than twice theirs in a time [s].
@@ -401,6 +394,7 @@ def measure(
         pressure=pressure,
         samples=cut.firsts,
         pushed={joint: beyond.whole for joint, beyond in driven.items()},
+        lately=cut.lately,
     )
     return measured, corrected
 

@@ -10,6 +10,7 @@ from scipy.signal import savgol_coeffs, savgol_filter
 
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
+from leglab.diagnosis.lately import Lately
 from leglab.diagnosis.model import CHAMBERS, CYLINDER, Machine
 from leglab.diagnosis.pushes import Pushes
 from leglab.diagnosis.series import UniformSeries, common_period
@@ -150,6 +151,7 @@ class Cut:
         pushes: What commands of native actuators do at once; None where there are none.
         known: By column, samples that were filtered lately and what came of them, each (n,).
         driven: Commands lately and the motion by them, as of `pushed`.
+        lately: What was followed along the series lately.
     """
 
     series: UniformSeries
@@ -158,6 +160,7 @@ class Cut:
     pushes: Pushes | None = None
     driven: list[tuple[dict[str, np.ndarray], dict[str, Driven]]] = field(default_factory=list)
     known: dict[str, list[tuple[np.ndarray, np.ndarray, np.ndarray]]] = field(default_factory=dict)
+    lately: Lately = field(default_factory=Lately)
 
     def filtered(self, channel: Channel, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Smoothed samples of a channel, as a hypothesis corrects them, and their derivative.

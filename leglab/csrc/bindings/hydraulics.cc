@@ -46,20 +46,15 @@ void require(std::size_t got, std::size_t wanted, const char* what) {
   }
 }
 
-// LuGre bristle before each of some samples of a sliding motion: unloaded `history` samples earlier,
-// velocity and steady friction held over each sample since.
-void bristle(ConstVector velocity, ConstVector level, double sigma_0, double dt, Index samples,
-             std::int64_t history, Vector out) {
+// LuGre bristle before each sample of a sliding motion that starts unloaded: velocity and steady
+// friction held over each sample.
+void bristle(ConstVector velocity, ConstVector level, double sigma_0, double dt, Vector out) {
   require(level.shape(0), velocity.shape(0), "level");
-  require(out.shape(0), samples.shape(0), "out");
-  for (std::size_t i = 0; i < samples.shape(0); ++i) {
-    const std::int64_t end = samples.data()[i];
-    if (end < 0 || end > std::int64_t(velocity.shape(0))) throw nb::index_error("no such sample");
-    double z = 0;
-    for (std::int64_t k = std::max<std::int64_t>(end - history, 0); k < end; ++k) {
-      z = advance_bristle(z, velocity.data()[k], level.data()[k], sigma_0, dt);
-    }
-    out.data()[i] = z;
+  require(out.shape(0), velocity.shape(0), "out");
+  double z = 0;
+  for (std::size_t k = 0; k < velocity.shape(0); ++k) {
+    out.data()[k] = z;
+    z = advance_bristle(z, velocity.data()[k], level.data()[k], sigma_0, dt);
   }
 }
 

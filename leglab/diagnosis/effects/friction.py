@@ -145,7 +145,7 @@ def start_from_motion(change: Change, instance: str, joint: str) -> None:
         velocity = measured.velocity[joint]
         level = get("coulomb") + 0.5 * get("coulomb_difference") * np.sign(velocity)
         level = np.maximum(level + series(measured, variant), 1e-9)
-        return bristle(velocity, level, get("sigma_0"), measured.period, measured.samples)
+        return bristle(velocity, level, get("sigma_0"), measured.period)[measured.samples]
 
     change.start(
         instance, "load", lambda measured, variant, _: series(measured, variant)[measured.samples]
@@ -168,14 +168,20 @@ def carried_load(
     pressures = _chambers(change.machine, measured, variant)
     chosen = np.unique(np.append(np.arange(0, count, _LOAD_EVERY), count - 1))
     load = np.empty(chosen.size)
-    for i, k in enumerate(chosen.tolist()):
-        for name in change.machine.joints:
-            data.qpos[model.joint(name).qposadr[0]] = measured.position[name][k]
-            data.qvel[model.joint(name).dofadr[0]] = measured.velocity[name][k]
-        for number, name in enumerate(change.machine.actuators):
-            data.ctrl[number] = measured.command[name][k]
-        for slot, pressure in pressures:
-            data.plugin_state[slot] = pressure[k]
+    machine = change.machine
+    places = [int(model.joint(name).qposadr[0]) for name in machine.joints]
+    dofs = [int(model.joint(name).dofadr[0]) for name in machine.joints]
+    slots = [slot for slot, _ in pressures]
+    position = np.stack([measured.position[name][chosen] for name in machine.joints], 1)
+    velocity = np.stack([measured.velocity[name][chosen] for name in machine.joints], 1)
+    command, known = np.empty((chosen.size, model.nu)), np.empty((chosen.size, len(slots)))
+    for column, name in zip(command.T, machine.actuators, strict=True):
+        column[:] = measured.command[name][chosen]
+    for column, (_, pressure) in zip(known.T, pressures, strict=True):
+        column[:] = pressure[chosen]
+    for i in range(chosen.size):
+        data.qpos[places], data.qvel[dofs], data.ctrl[:] = position[i], velocity[i], command[i]
+        data.plugin_state[slots] = known[i]
         mujoco.mj_forward(model, data)
         load[i] = actuator * data.qfrc_actuator[index] + bias * data.qfrc_bias[index]
     return np.abs(np.interp(np.arange(count), chosen, load))

@@ -1,0 +1,35 @@
+"""What is followed along a recording is followed anew only where its inputs changed."""
+
+import numpy as np
+
+from leglab.diagnosis.lately import Lately
+
+
+def test_the_same_inputs_are_followed_once_and_other_ones_anew():
+    lately, calls = Lately(), []
+
+    def follow(*inputs):
+        def result():
+            calls.append(inputs)
+            return sum(inputs)
+
+        return lately.get("pump", inputs, result)
+
+    one, two = np.arange(3.0), np.ones(3)
+    first = follow(one, two)
+    assert follow(one.copy(), two.copy()) is first
+    assert len(calls) == 1
+    # Every input counts, the last one as well, and one name's results are not another's.
+    np.testing.assert_array_equal(follow(one, 2.0 * two), [2.0, 3.0, 4.0])
+    np.testing.assert_array_equal(follow(one + 1.0, two), [2.0, 3.0, 4.0])
+    other = lately.get("tank", (one, two), lambda: np.zeros(3))
+    np.testing.assert_array_equal(other, 0.0)
+    assert follow(one, two) is first
+    assert len(calls) == 3
+
+
+def test_only_the_last_few_results_stay():
+    lately = Lately()
+    for k in range(20):
+        lately.get("pump", (np.full(2, k),), lambda: np.zeros(2))
+    assert len(lately.found["pump"]) < 6
