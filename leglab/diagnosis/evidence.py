@@ -29,15 +29,20 @@ def posterior(
     return weights / weights.sum()
 
 
-def within_library(explained: float) -> float:
+def within_library(explained: float, odds: float = DEFAULT.library_odds) -> float:
     """Probability that the cause is among the effects that were tried, by the share they explain.
 
     The right cause explains nearly all that a fault opens, a wrong one that imitates it seldom more
-    than half: the odds are taken for the square of the explained to the unexplained share. The
-    self-test on rough specimens says how true the product is (docs/diagnosis.md).
+    than half: the likelihood ratio is taken for the square of the explained to the unexplained
+    share.
+
+    Args:
+        explained: Share of the gap, from 0 to 1.
+        odds: That the cause is in the library, before anything is explained: fitted to judged
+            cases of the self-test on rough specimens (docs/diagnosis.md).
     """
     share = min(max(explained, 0.0), 1.0)
-    return share**2 / (share**2 + (1.0 - share) ** 2)
+    return odds * share**2 / (odds * share**2 + (1.0 - share) ** 2)
 
 
 def beyond_specimens(

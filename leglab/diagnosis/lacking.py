@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from leglab.diagnosis.model import CHAMBERS, CYLINDER, Change, Machine, Measured
-from leglab.diagnosis.starts import STATE
+from leglab.diagnosis.starts import STATE, plays
 from leglab.diagnosis.windows import Channel
 
 
@@ -59,10 +59,12 @@ def lacking_forces(
         ],
         axis=1,
     )
+    closed = plays(change.machine, change.variant)
     lacking, load = np.empty((k.size, model.nv)), np.empty((k.size, model.nv))
     length, speed, pull = (np.empty((k.size, model.nu)) for _ in range(3))
     for i in range(k.size):
         mujoco.mj_setState(model, data, states[i], STATE)
+        data.plugin_state[closed] = 0.0
         data.qvel[:] = velocity[i]
         data.ctrl[:] = command[i]
         mujoco.mj_forward(model, data)

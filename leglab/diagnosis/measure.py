@@ -52,9 +52,11 @@ class Measure:
         return self.problem.noise_levels(hypothesis)
 
     def hardly_shows(self, windows: np.ndarray, without: Hypothesis, final: Hypothesis) -> bool:
-        """Whether effects move a mask of windows little beside all, (windows,).
+        """Whether effects show in few of a mask of windows beside all, (windows,).
 
-        What they move, not what they mend: that would excuse effects that are wrong there.
+        They show where they move the prediction by more than the model errs. What they move, not
+        what they mend: that would excuse effects that are wrong there. How many windows, not how
+        far: a play shows in a few, which say nothing of all the others.
 
         Args:
             windows: The mask.
@@ -63,9 +65,8 @@ class Measure:
         """
         problem = self.problem
         change = problem.raw_errors(without) - problem.raw_errors(final)
-        noise = problem.sensor_noise[problem.replay.recording]
-        moved = np.mean((change / noise[:, :, None]) ** 2, axis=(1, 2))
-        return rms(moved[windows]) < problem.thresholds.shown_share * rms(moved)
+        shows = np.mean(problem.noise.white(change) ** 2, axis=1) > 1.0
+        return bool(shows[windows].mean() < problem.thresholds.shown_share * shows.mean())
 
     def floor(self, windows: np.ndarray) -> float:
         """RMS error that is no part of the gap in a mask of windows."""

@@ -316,9 +316,10 @@ class Instances:
         slope = np.stack([(v[k + 1] - v[k - 1]) / (2.0 * measured.period) for v in velocities], 1)
         command = np.stack([measured.command[n][k] for n in self.machine.actuators], 1)
         asked = [int(model.joint(name).dofadr[0]) for name in joints]
-        out = np.empty((rows.size, len(joints)))
+        out, closed = np.empty((rows.size, len(joints))), plays(self.machine, self.variant)
         for i, row in enumerate(rows.tolist()):
             data.plugin_state[:] = self.state[row]
+            data.plugin_state[closed] = 0.0
             data.qpos[places], data.qvel[dofs] = position[i], velocity[i]
             data.ctrl[:] = command[i]
             mujoco.mj_forward(model, data)
@@ -474,6 +475,16 @@ def hidden_slots(change: Change) -> np.ndarray:
     cylinders = [(c, name) for c in change.machine.instances(CYLINDER) for name in names]
     supplies = [(s, name) for s in variant.drawn_by for name in ("pressure", "started")]
     return np.array([variant.slot(*place) for place in (*cylinders, *supplies)], dtype=int)
+
+
+def plays(machine: Machine, variant: Variant) -> list[int]:
+    """Places in the plugin state of the plays of all cylinders.
+
+    A piston crosses its play within milliseconds, and presses a flank else: where forces are
+    balanced it passes its own on as if there were none. What a flank does in its first step is
+    none of the machine's.
+    """
+    return [variant.slot(cylinder, "play") for cylinder in machine.instances(CYLINDER)]
 
 
 def plugin_offset(model: mujoco.MjModel) -> int:

@@ -202,12 +202,14 @@ class Thresholds:
     # Independent numbers that the errors of a rough machine are worth, in replays, and again in
     # forces: calibrated by the self-test on rough specimens, docs/diagnosis.md.
     rough_numbers: float = 30.0
+    # Odds that the cause of a gap is among the effects that are looked for.
+    library_odds: float = 3.0
     # Standard deviation of the size of a change that is found on one, as a share of it.
     rough_size: float = 0.25
     # A rival this many times less probable is not told apart.
     rough_tie: float = 4.0
-    # Held-out recordings hardly show effects that move them by less than this share of what they
-    # move all recordings by.
+    # Held-out recordings hardly show effects that show in less than this share of the windows in
+    # which they show in all recordings.
     shown_share: float = 0.3
     # Strengths of healthy specimens scatter by this share of what is barely noticeable about their
     # model, by this one about what they were on another day; those of faults lie within so many

@@ -334,7 +334,7 @@ class ValveGainAsymmetry(CylinderEffect):
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """Factors on the flow gain of both directions."""
         return tuple(
-            EffectParameter(name, "1", nominal=1.0, lower=0.2, upper=3.0, trials=(0.8,))
+            EffectParameter(name, "1", nominal=1.0, lower=0.2, upper=3.0, trials=(0.9, 1.1))
             for name in ("gain_positive", "gain_negative")
         )
 
