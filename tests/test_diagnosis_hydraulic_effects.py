@@ -200,3 +200,16 @@ def test_a_piston_is_found_on_the_flank_that_it_presses(healthy):
     costs = [problem.about(h).window_cost(h) for h in (truth, wrong)]
     assert np.median(costs[0]) < 1.3
     assert costs[0].mean() <= costs[1].mean()
+
+
+def test_a_play_passes_the_forces_of_its_piston_on(healthy):
+    """Along the measured motion, and where dry friction rests: a flank's first step is none."""
+    recordings = {"steps": healthy(lambda plant: None)["steps"]}
+    problem = set_up("knee_bench", recordings, (), DiagnosisSettings(threads=1))
+    key = "backlash", VALVE
+    tight, loose = (
+        problem.replay.lacking(problem.library.change(h, problem.replay.machine), None, 5)
+        for h in (Hypothesis(), Hypothesis({key: np.array([3e-4])}))
+    )
+    assert np.median(np.abs(tight)) < 0.5  # N m, of some 30
+    np.testing.assert_allclose(loose, tight, atol=1e-9)

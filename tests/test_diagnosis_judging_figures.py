@@ -86,9 +86,11 @@ def test_a_departure_is_a_fault_by_bayes_rule(departure):
     assert found == pytest.approx(fault / (fault + own))
 
 
-@pytest.mark.parametrize(("share", "odds"), [(0.5, 1.0), (0.75, 9.0), (0.9, 81.0)])
-def test_the_cause_is_in_the_library_by_the_square_of_explained_to_unexplained(share, odds):
-    assert within_library(share) == pytest.approx(odds / (1 + odds))
+@pytest.mark.parametrize(("share", "ratio"), [(0.5, 1.0), (0.75, 9.0), (0.9, 81.0)])
+def test_the_cause_is_in_the_library_by_the_square_of_explained_to_unexplained(share, ratio):
+    assert within_library(share, 2.0) == pytest.approx(2.0 * ratio / (1.0 + 2.0 * ratio))
+    odds = DEFAULT.library_odds * ratio
+    assert within_library(share) == pytest.approx(odds / (1.0 + odds))
 
 
 def test_explained_shares_beyond_all_and_none_are_all_and_none():
