@@ -48,9 +48,12 @@ class Discrepancy:
             whole += variance[:, None, None, None, None] * together
         return whole.reshape(len(whole), channels * bins, channels * bins)[recording]
 
-    def scaled(self, factor: float) -> "Discrepancy":
-        """The same with all variances multiplied, but for those of forces."""
-        return replace(self, variance=factor * self.variance)
+    def scaled(self, factor: float, *, forces: bool = False) -> "Discrepancy":
+        """The same with all variances multiplied, those of forces only where that is asked for."""
+        other = self.forces
+        if forces and other is not None:
+            other = other.scaled(factor)
+        return replace(self, variance=factor * self.variance, forces=other)
 
     def of(self, recordings: Sequence[int]) -> "Discrepancy":
         """That of other recordings, each with the variances of one of these."""

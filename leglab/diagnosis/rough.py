@@ -120,10 +120,11 @@ def rough_search(
         if floor is not None and cost_under(problem, current, floor) <= limits.as_healthy:
             break
         trusted = problem.discrepancy(current.hypothesis).at_least(floor)
-        # What a fault opens is no error of the model: where healthy recordings said how large that
-        # is, it would hide the fault.
-        known = floor is not None and not named
-        problem = problem.trusting(floor if known else trusted)
+        # What a fault opens is no error of the model, and would hide the fault if it were taken for
+        # one. With nothing found, most of what is open is the fault's.
+        first = not named
+        hoped = trusted.scaled(limits.rough_left, forces=True).at_least(floor)
+        problem = problem.trusting(hoped if first else trusted)
         # Strengths that a missing effect has pulled along would mislead the screening: drift of a
         # calibrated machine can take a size past the trials of the effect that is missing. Where
         # much follows, it must be off for the others to be seen: screened both ways.
@@ -137,7 +138,7 @@ def rough_search(
             progress("how far the model with the effect is to be trusted")
             problem, tried = annealed(problem, current, tried, floor)
             winner = next((c for c in tried.contenders if accepted(problem, tried, c)), None)
-        elif known:
+        elif first:
             problem = problem.trusting(trusted)
             tried = replace(tried, base=total_cost(problem, current))
         found.append(tried)

@@ -121,6 +121,10 @@ class Thresholds:
     # Finite differences of the last fits, as a share of those of the first.
     fine_differences: float = 0.1
 
+    # Of the variance of a rough machine's errors the right effect is taken to leave this share:
+    # under such a discrepancy the first effects are screened and fitted.
+    rough_left: float = 0.1
+
     # Screening and rounds of the search.
     # So many windows are screened and fitted at first; a verdict uses twice as many.
     screened_windows: int = 40
