@@ -88,13 +88,14 @@ def test_what_a_fault_opens_is_not_taken_for_an_error_of_the_model(monkeypatch):
 
     monkeypatch.setattr(rough, "search_round", spy)
     monkeypatch.setattr(rough, "paired", lambda *_: ())
-    share = problem.thresholds.rough_left
+    limits = problem.thresholds
     _, base = rough.settled_baseline(problem, problem.fitted)
-    healthy = problem.discrepancy(base.hypothesis).scaled(share, forces=True)
+    healthy = problem.discrepancy(base.hypothesis).scaled(limits.calibrated_left, forces=True)
     healthy = replace(healthy, variance=healthy.variance * [[0.5], [2.0]])
-    for floor in (None, healthy):
+    for floor, share in ((None, limits.rough_left), (healthy, limits.calibrated_left)):
         seen.clear()
-        rough_search(problem, 2, np.random.default_rng(0), lambda _: None, floor=floor)
+        known, rng = floor is not None, np.random.default_rng(0)
+        rough_search(problem, 2, rng, lambda _: None, floor=floor, calibrated=known)
         (used, own), *later = seen
         hoped = own.scaled(share, forces=True).at_least(floor)
         np.testing.assert_array_equal(used.variance, hoped.variance)

@@ -122,8 +122,8 @@ def rough_search(
         trusted = problem.discrepancy(current.hypothesis).at_least(floor)
         # What a fault opens is no error of the model, and would hide the fault if it were taken for
         # one. With nothing found, most of what is open is the fault's.
-        first = not named
-        hoped = trusted.scaled(limits.rough_left, forces=True).at_least(floor)
+        first, left = not named, limits.calibrated_left if calibrated else limits.rough_left
+        hoped = trusted.scaled(left, forces=True).at_least(floor)
         problem = problem.trusting(hoped if first else trusted)
         # Strengths that a missing effect has pulled along would mislead the screening: drift of a
         # calibrated machine can take a size past the trials of the effect that is missing. Where

@@ -122,8 +122,10 @@ class Thresholds:
     fine_differences: float = 0.1
 
     # Of the variance of a rough machine's errors the right effect is taken to leave this share:
-    # under such a discrepancy the first effects are screened and fitted.
-    rough_left: float = 0.1
+    # under such a discrepancy the first effects are screened and fitted. With healthy recordings,
+    # which say what it leaves at least, this one.
+    rough_left: float = 0.3
+    calibrated_left: float = 0.1
 
     # Screening and rounds of the search.
     # So many windows are screened and fitted at first; a verdict uses twice as many.
