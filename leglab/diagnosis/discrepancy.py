@@ -49,7 +49,7 @@ class Discrepancy:
         return whole.reshape(len(whole), channels * bins, channels * bins)[recording]
 
     def scaled(self, factor: float, *, forces: bool = False) -> "Discrepancy":
-        """The same with all variances multiplied, those of forces only where that is asked for."""
+        """The same with all variances multiplied, those of forces only if `forces`."""
         other = self.forces
         if forces and other is not None:
             other = other.scaled(factor)

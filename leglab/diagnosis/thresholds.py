@@ -122,8 +122,8 @@ class Thresholds:
     fine_differences: float = 0.1
 
     # Of the variance of a rough machine's errors the right effect is taken to leave this share:
-    # under such a discrepancy the first effects are screened and fitted. With healthy recordings,
-    # which say what it leaves at least, this one.
+    # under such a discrepancy the first effects are screened and fitted. The second share holds with
+    # healthy recordings, whose own errors bound it from below.
     rough_left: float = 0.3
     calibrated_left: float = 0.1
 
@@ -214,8 +214,8 @@ class Thresholds:
     rough_size: float = 0.25
     # A rival this many times less probable is not told apart.
     rough_tie: float = 4.0
-    # Held-out recordings hardly show effects that show in less than this share of the windows in
-    # which they show in all recordings.
+    # Held-out recordings hardly show effects if the share of their windows in which these show is
+    # below this share of that among all windows.
     shown_share: float = 0.3
     # Strengths of healthy specimens scatter by this share of what is barely noticeable about their
     # model, by this one about what they were on another day; those of faults lie within so many
