@@ -480,9 +480,9 @@ def hidden_slots(change: Change) -> np.ndarray:
 def plays(machine: Machine, variant: Variant) -> list[int]:
     """Places in the plugin state of the plays of all cylinders.
 
-    A piston crosses its play within milliseconds, and presses a flank else. So balances of forces close the
-    plays: the piston's force acts on the joint, not a flank's force in the first step of a
-    simulation, which is an artefact.
+    A piston crosses its play within milliseconds, and presses a flank else. So balances of
+    forces close the plays: the piston's force acts on the joint, not a flank's force in the
+    first step of a simulation, which is an artefact.
     """
     return [variant.slot(cylinder, "play") for cylinder in machine.instances(CYLINDER)]
 

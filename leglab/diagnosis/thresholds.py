@@ -122,8 +122,8 @@ class Thresholds:
     fine_differences: float = 0.1
 
     # Of the variance of a rough machine's errors the right effect is taken to leave this share:
-    # under such a discrepancy the first effects are screened and fitted. The second share holds with
-    # healthy recordings, whose own errors bound it from below.
+    # under such a discrepancy the first effects are screened and fitted. The second share holds
+    # with healthy recordings, whose own errors bound it from below.
     rough_left: float = 0.3
     calibrated_left: float = 0.1
 
