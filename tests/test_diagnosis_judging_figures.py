@@ -89,13 +89,11 @@ def test_a_departure_is_a_fault_by_bayes_rule(departure):
 @pytest.mark.parametrize(("share", "ratio"), [(0.5, 1.0), (0.75, 9.0), (0.9, 81.0)])
 def test_the_cause_is_in_the_library_by_the_square_of_explained_to_unexplained(share, ratio):
     assert within_library(share, 2.0) == pytest.approx(2.0 * ratio / (1.0 + 2.0 * ratio))
-    odds = DEFAULT.library_odds * ratio
-    assert within_library(share) == pytest.approx(odds / (1.0 + odds))
 
 
 def test_explained_shares_beyond_all_and_none_are_all_and_none():
-    assert within_library(1.2) == 1.0
-    assert within_library(-0.3) == 0.0
+    assert within_library(1.2, 3.0) == 1.0
+    assert within_library(-0.3, 3.0) == 0.0
 
 
 @pytest.mark.parametrize(

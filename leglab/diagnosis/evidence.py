@@ -29,7 +29,7 @@ def posterior(
     return weights / weights.sum()
 
 
-def within_library(explained: float, odds: float = DEFAULT.library_odds) -> float:
+def within_library(explained: float, odds: float) -> float:
     """Probability that the cause is among the effects that were tried, by the share they explain.
 
     The right cause explains nearly all that a fault opens, a wrong one that imitates it seldom more
@@ -37,9 +37,10 @@ def within_library(explained: float, odds: float = DEFAULT.library_odds) -> floa
     share.
 
     Args:
-        explained: Share of the gap, from 0 to 1.
-        odds: That the cause is in the library, before anything is explained: fitted to judged
-            cases of the self-test on rough specimens (docs/diagnosis.md).
+        explained: Share of the gap, from 0 to 1: where the model's own error is known, of what is
+            beyond that; else of the error's variance.
+        odds: That the cause is in the library, where one half is explained: fitted to judged cases
+            of the self-test on rough specimens (docs/diagnosis.md).
     """
     share = min(max(explained, 0.0), 1.0)
     return odds * share**2 / (odds * share**2 + (1.0 - share) ** 2)

@@ -22,7 +22,7 @@ from leglab.diagnosis.nuisances import Nuisance, all_strengths
 from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.result import Estimate, Gap, NamedEffect, Verdict
 from leglab.diagnosis.rough import cost_under
-from leglab.diagnosis.search import Contender
+from leglab.diagnosis.search import Contender, total_cost
 from leglab.diagnosis.windows import Channel
 from leglab.diagnosis.workflow import Search
 
@@ -67,6 +67,7 @@ def judge_rough(found: Search, gap: Gap, level: Callable[[Hypothesis], float]) -
 
     An effect is named as the probable cause, whatever the model's own error leaves; how much it
     explains is another number. `level` is the error of a hypothesis as `gap.shown` has it.
+    Effects that are probable and explain less than half are a part of what is missing.
     """
     limits = found.problem.thresholds
     unnamed, after, floor = gap.shown
@@ -78,33 +79,57 @@ def judge_rough(found: Search, gap: Gap, level: Callable[[Hypothesis], float]) -
         return _by_posterior(found.problem, own, rivals)
 
     explained, final = gap.explained or 0.0, found.fit.hypothesis
+    known = found.specimen is not None
     beside = all_strengths(found.problem.library, limits.rough_share, 1.0)
     causes: list[NamedEffect] = []
     smaller: list[NamedEffect] = []
-    for e in _effects(found, contribution, weigh, within_library(explained), beside):
+    for e in _effects(found, contribution, weigh, _in_library(found, explained), beside):
         key = (e.name, e.element)
         # What takes back a part of the calibration does so beside a larger change only.
-        own = fault_probability(
-            found.problem,
-            key,
-            final,
-            calibrated=found.specimen is not None,
-            beside=bool(causes),
-        )
-        fault = e.contribution >= limits.smaller_share and own >= limits.fault
+        own = fault_probability(found.problem, key, final, calibrated=known, beside=bool(causes))
+        share = e.contribution if known else _share_of_saved(found, key)
+        fault = share >= limits.smaller_share and own >= limits.fault
         if key == found.suspect:
             if not fault:
                 continue
             own *= 1.0 - nothing_more(found.problem, found.rounds[-1])
         (causes if fault else smaller).append(replace(e, confidence=e.confidence * own))
+    sure = max((e.confidence for e in causes), default=0.0)
     if not causes:
         verdict: Verdict = "nothing_missing" if _as_healthy(found) else "unexplained"
-    elif explained < limits.explanation_share or found.suspect is not None:
+    elif found.suspect is not None:
         verdict = "unexplained"
+    elif explained < limits.explanation_share:
+        verdict = "partial" if sure >= limits.partly else "unexplained"
     else:
         tied = any(e.indistinguishable_from for e in causes)
         verdict = "confusion_set" if tied else "named"
     return verdict, tuple(causes), tuple(smaller)
+
+
+def _in_library(found: Search, explained: float) -> float:
+    """Probability that the cause is among the effects that were tried.
+
+    Without healthy recordings nobody knows which part of the error is the model's own: it may be
+    most of it, and a right cause then closes little of the gap. By how much the error gets smaller,
+    weighed as the search did, still tells right causes from wrong ones.
+    """
+    limits = found.problem.thresholds
+    if found.specimen is not None:
+        return within_library(explained, limits.library_odds)
+    before, after = (total_cost(found.problem, fit).mean() for fit in (found.baseline, found.fit))
+    return within_library(1.0 - float(after / before), limits.uncalibrated_odds)
+
+
+def _share_of_saved(found: Search, key: Key) -> float:
+    """Share of an effect in what all that were found save, from the final fit without it."""
+    problem, final = found.problem, found.fit.hypothesis
+    left = float(problem.window_cost(final).mean())
+    own, all_of_them = (
+        float(problem.window_cost(without).mean()) - left
+        for without in (final.without(key), final.without(*found.named))
+    )
+    return own / max(all_of_them, 1e-9)
 
 
 def _as_healthy(found: Search) -> bool:

@@ -209,13 +209,15 @@ def _sharpened(
 ) -> list[Contender]:
     """The best of the first fits, fitted further; `noise` is the cost of noise alone."""
     limits = problem.thresholds
+    # A first fit that began far from the baseline is not at its end where nuisances are many.
+    count = limits.sharpened if problem.worth is None else limits.rough_sharpened
     # On a rough machine all come near, and are fitted again as its discrepancy is annealed.
     near = limits.close_cost * noise if problem.noise.discrepancy is None else 0.0
     contenders: list[Contender] = []
     lead = np.inf
     for place, (key, fit) in enumerate(rough):
         special = any(problem.library.contains(c.key, key) for c in contenders)
-        if place >= limits.sharpened and not special:
+        if place >= count and not special:
             continue
         behind = fit.cost - noise > limits.hopeless_factor * max(lead, 0.2 * noise)
         if behind and fit.cost >= limits.close_cost * noise:

@@ -134,10 +134,12 @@ class Thresholds:
     furthest: float = 20.0
     pair_furthest: float = 3.0
     # So many of the screened effects are refitted; on a rough machine more, for there the right one
-    # is not always among the first four. So many of those are sharpened.
+    # is not always among the first four. So many of those are sharpened, on a rough machine again
+    # more: many parameters follow, and a first fit is far from its end.
     refitted: int = 4
     rough_refitted: int = 6
     sharpened: int = 3
+    rough_sharpened: int = 8
     # A round whose best screened effect saves less than this cost a window ends there.
     hopeful_gain: float = 0.04
     # A rough fit that costs more than this share of the baseline is started again from there.
@@ -208,8 +210,10 @@ class Thresholds:
     # Independent numbers that the errors of a rough machine are worth, in replays, and again in
     # forces: calibrated by the self-test on rough specimens, docs/diagnosis.md.
     rough_numbers: float = 30.0
-    # Odds that the cause of a gap is among the effects that are looked for.
+    # Odds that the cause of a gap is among the effects that are looked for, where they explain half
+    # of what is beyond the model's own error; and half of an error whose own part is unknown.
     library_odds: float = 3.0
+    uncalibrated_odds: float = 12.0
     # Standard deviation of the size of a change that is found on one, as a share of it.
     rough_size: float = 0.25
     # A rival this many times less probable is not told apart.
@@ -225,8 +229,12 @@ class Thresholds:
     fault_range: float = 5.0
     # What is less probably a fault than this is a smaller difference.
     fault: float = 0.5
-    # An effect of a rough machine that closes less of the gap is a smaller difference.
+    # An effect of a rough machine that closes less of the gap, or does less of what all that were
+    # found do, is a smaller difference.
     smaller_share: float = 0.1
+    # What is named without healthy recordings, and closes less than half of the gap, is told as a
+    # part of what is missing from this confidence on.
+    partly: float = 0.5
     # Strengths of a calibrated specimen that are listed depart by this share of barely noticeable.
     calibration_share: float = 0.25
     # Resamples of the bootstrap of windows.
