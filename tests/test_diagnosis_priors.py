@@ -10,14 +10,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from leglab.diagnosis import improve
+from leglab.diagnosis import improve, search
 from leglab.diagnosis.effects.base import EffectParameter
 from leglab.diagnosis.evidence import posterior
 from leglab.diagnosis.fitting import Fit, FreeTangents, profiled, refit
-from leglab.diagnosis.hypothesis import Hypothesis, Library
+from leglab.diagnosis.hypothesis import Hypothesis, Library, Site
 from leglab.diagnosis.judging import accepted, specimens_spread
 from leglab.diagnosis.model import Change, Machine
 from leglab.diagnosis.nuisances import rough_nuisances, within_tolerance
+from leglab.diagnosis.screening import _further_on
 from leglab.diagnosis.search import _by_rank, _possible, total_cost
 from leglab.diagnosis.thresholds import DEFAULT
 from leglab.diagnosis.workflow import DiagnosisSettings, Search, set_up
@@ -240,6 +241,41 @@ def test_what_ranks_higher_in_one_of_two_screenings_is_fitted_from_there(sketch)
     )
     found = [(name, one.key) for name, one in _by_rank(first, second)]
     assert found == [("first", OFFSET), ("second", ASYMMETRIC), ("first", VISCOUS)]
+
+
+@pytest.mark.parametrize(("worth", "expected"), [(None, 3), (30.0, 5)])
+def test_more_first_fits_are_finished_where_many_parameters_follow(
+    sketch, monkeypatch, worth, expected
+):
+    """There a first fit is far from its end: the fifth may become the first."""
+    keys = sorted(k for k in LIBRARY.sites if k != ASYMMETRIC)[:5]  # of which none holds another
+    ends = {key: 300.0 - 50.0 * i for i, key in enumerate(keys)}
+
+    def sharpened(problem, fit):
+        return replace(fit, cost=ends[next(iter(fit.free))])
+
+    monkeypatch.setattr(search, "sharpen", sharpened)
+    monkeypatch.setattr(search, "finished", lambda problem, rival: rival)
+    monkeypatch.setattr(search, "as_contender", lambda p, k, f: SimpleNamespace(key=k, fit=f))
+    sketch.worth = worth
+    sketch.library = SimpleNamespace(contains=lambda larger, simpler: False)
+    begun = [(key, replace(a_fit(LIBRARY, key), cost=400.0 + i)) for i, key in enumerate(keys)]
+    found = search._sharpened(sketch, begun, 100.0, lambda _: None)
+    assert [c.key for c in found] == keys[:expected]
+
+
+@pytest.mark.parametrize(
+    ("worth", "now", "expected"), [(30.0, 1.3, [1.6]), (30.0, 9.0, [10.0]), (30.0, 1.0, [])]
+)
+def test_screening_goes_on_where_a_baseline_was_going(sketch, worth, now, expected):
+    """A prior holds a fault half-way, and trials about the model's own value may all be short."""
+    parameter = EffectParameter("gain", "1", nominal=1.0, lower=0.1, upper=10.0, trials=(1.1,))
+    site = Site(effect=None, element="hinge", parameters=(parameter,))
+    sketch.worth = worth
+    found = _further_on(sketch, site, np.array([now]))
+    assert [values.tolist() for values in found] == [pytest.approx([v]) for v in expected]
+    sketch.worth = None  # an exact machine's nuisances stay within their tolerances
+    assert _further_on(sketch, site, np.array([now])) == []
 
 
 def test_nothing_is_sharpened_where_no_first_fit_pays_for_its_parameters(sketch):

@@ -102,7 +102,8 @@ def _screened(
 
     now = at.base.get(site.key, site.nominal)
     scales = np.array([p.scale for p in site.parameters])
-    trials = [tried(values) for values in guesses or site.trials()]
+    values = [*(guesses or site.trials()), *_further_on(problem, site, now)]
+    trials = [tried(one) for one in values]
     sizes = [np.abs(trial.values - now) / scales for trial in trials]
     smallest = trials[int(np.argmin([size.max() for size in sizes]))]
     # The best trial of every strength.
@@ -161,6 +162,16 @@ def _guesses(problem: Problem, site: Site, left: Mapping[str, ForceLeft]) -> lis
     found = site.effect.guesses(problem.machine, site.element, left[site.element])
     rows = [np.array([values[p.name] for p in site.parameters]) for values in found]
     return [np.clip(row, site.lower, site.upper) for row in rows]
+
+
+def _further_on(problem: Problem, site: Site, now: np.ndarray) -> list[np.ndarray]:
+    """Twice as far as a rough machine's baseline has gone with an effect that follows every fit.
+
+    The trials lie about nominal, and a fault whose prior holds it half-way there may be beyond all.
+    """
+    if problem.worth is None or np.allclose(now, site.nominal):
+        return []
+    return [np.clip(2.0 * now - site.nominal, site.lower, site.upper)]
 
 
 def _backward(site: Site, difference: np.ndarray) -> float:
