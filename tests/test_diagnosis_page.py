@@ -532,7 +532,7 @@ def test_the_share_without_an_effect_is_a_factor():
 @pytest.mark.parametrize(
     ("rough", "verdict", "told", "untold"),
     [
-        (True, "named", "the size of the model's own error being unknown", "resampled"),
+        (True, "named", "lowered by how much of the error it leaves", "resampled"),
         (False, "named", "share of resampled data", "more than noise is left"),
         (False, "partial", "lowered because more than noise is left", "unknown"),
     ],
@@ -541,6 +541,11 @@ def test_confidence_is_told_as_it_was_computed(rough, verdict, told, untold):
     text = section(diagnosis(verdict, rough=rough), "How sure")
     assert told in text
     assert untold not in text
+
+
+def test_confidence_since_healthy_recordings_is_lowered_by_the_gap_that_is_left():
+    text = section(diagnosis("named", rough=True, calibration=CALIBRATION), "How sure")
+    assert "lowered by what it leaves of the gap" in text
 
 
 def test_unexplained_says_what_was_tried_and_learned():

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from leglab.diagnosis import improve, search
+from leglab.diagnosis import improve, search, workflow
 from leglab.diagnosis.effects.base import EffectParameter
 from leglab.diagnosis.evidence import posterior
 from leglab.diagnosis.fitting import Fit, FreeTangents, profiled, refit
@@ -262,6 +262,19 @@ def test_more_first_fits_are_finished_where_many_parameters_follow(
     begun = [(key, replace(a_fit(LIBRARY, key), cost=400.0 + i)) for i, key in enumerate(keys)]
     found = search._sharpened(sketch, begun, 100.0, lambda _: None)
     assert [c.key for c in found] == keys[:expected]
+
+
+@pytest.mark.parametrize(
+    ("costs", "expected"), [([10.0, 9.9, 9.8, 9.7, 9.0], 4), ([10.0, 9.9, 9.89, 5.0], 3)]
+)
+def test_the_last_fit_goes_on_while_its_cost_falls(sketch, monkeypatch, costs, expected):
+    """The first cost of all may be under another discrepancy: it says nothing."""
+    left = iter(costs)
+    monkeypatch.setattr(
+        workflow, "sharpen", lambda problem, fit, iterations: replace(fit, cost=next(left))
+    )
+    fit = workflow._converged(sketch, a_fit(LIBRARY, OFFSET))
+    assert fit.cost == costs[expected - 1]
 
 
 @pytest.mark.parametrize(

@@ -221,6 +221,9 @@ def _rough_search(
     if len(named) > 1:
         progress("checking each effect against the others")
         problem, fit, named, checks = challenged(problem, fit, named, rounds)
+    if named:
+        progress("last refinement")
+        fit = _converged(problem, fit)
     suspect = None
     ill = floor is None or cost_under(problem, start, floor) > problem.thresholds.explained
     if rounds and ill:
@@ -237,6 +240,17 @@ def _rough_search(
         checks=checks,
         suspect=suspect,
     )
+
+
+def _converged(problem: Problem, fit: Fit) -> Fit:
+    """A fit whose cost falls no further: the period of a force is slow to be found."""
+    limits, cost = problem.thresholds, np.inf
+    for _ in range(limits.sharpenings):
+        fit = sharpen(problem, fit, iterations=6)
+        if fit.cost > limits.converged * cost:
+            break
+        cost = fit.cost
+    return fit
 
 
 def _exact_search(

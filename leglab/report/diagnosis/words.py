@@ -430,10 +430,12 @@ def _sure(result: Diagnosis) -> tuple[str, ...]:
 
 def _confidence_meaning(result: Diagnosis) -> str:
     if result.rough:
+        # As `naming.judge_rough` weighs it.
+        known = result.calibration is not None
+        by = "by what it leaves of the gap" if known else "by how much of the error it leaves"
         return (
             "Confidence is the probability of the name among the rivals that were tried in its "
-            "place, the size of the model's own error being unknown; causes that were not tried "
-            "are not in it."
+            f"place, lowered {by} and where a good machine may have as much of it."
         )
     text = "Confidence is the share of resampled data that prefers the name to its nearest rival"
     if result.verdict in ("partial", "unexplained"):
