@@ -116,8 +116,8 @@ class Thresholds:
     # noise levels squared stays above this share of the last.
     annealings: int = 4
     annealed: float = 0.9
-    # On healthy recordings, and with all that was found, so often again with fine differences; these
-    # until the cost stays above this share of the last.
+    # On healthy recordings, and with all that was found, so often again with fine differences; the
+    # latter until the cost stays above this share of the last.
     sharpenings: int = 4
     converged: float = 0.998
     # Finite differences of the last fits, as a share of those of the first.
