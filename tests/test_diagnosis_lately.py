@@ -33,3 +33,19 @@ def test_only_the_last_few_results_stay():
     for k in range(20):
         lately.get("pump", (np.full(2, k),), lambda: np.zeros(2))
     assert len(lately.found["pump"]) < 6
+
+
+def test_another_model_follows_anew():
+    lately, model, other, calls = Lately(), object(), object(), []
+
+    def follow(by):
+        def result():
+            calls.append(by)
+            return np.zeros(2)
+
+        return lately.get("load", (np.ones(2),), result, by=by)
+
+    first = follow(model)
+    assert follow(model) is first
+    assert follow(other) is not first
+    assert calls == [model, other]

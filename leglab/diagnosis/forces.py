@@ -1,12 +1,12 @@
 """Forces that the measured motion leaves over: what a model's own forces do not account for."""
 
-import mujoco
 import numpy as np
 from scipy.signal import savgol_filter
 
 from leglab.diagnosis.hypothesis import Hypothesis
 from leglab.diagnosis.lacking import balanced_joints
 from leglab.diagnosis.model import ForceLeft
+from leglab.diagnosis.moments import commands_at, forces_at, states_at
 from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.starts import Instances
 
@@ -24,7 +24,6 @@ def forces_left(problem: Problem, hypothesis: Hypothesis) -> dict[str, ForceLeft
     variant, model = change.variant, change.variant.model
     known = balanced_joints(machine, problem.channels)
     dofs = [int(model.joint(joint).dofadr[0]) for joint in machine.joints]
-    places = [int(model.joint(joint).qposadr[0]) for joint in machine.joints]
     tables = []
     for measured in replay.moments(change, problem.fitted, _EVERY):
         length = 2 * round(0.5 * _ACCELERATION / measured.period) + 1
@@ -46,16 +45,11 @@ def forces_left(problem: Problem, hypothesis: Hypothesis) -> dict[str, ForceLeft
             state[:, variant.slot(element, name)] = function(measured, variant, state)
         motion = (measured.position, measured.velocity, slope)
         q, v, a = (np.stack([x[j][at] for j in machine.joints], axis=1) for x in motion)
-        command = np.stack([measured.command[a][at] for a in machine.actuators], axis=1)
-        data, left = mujoco.MjData(model), np.empty(q.shape)
-        for i in range(at.size):
-            data.plugin_state[:], data.ctrl[:] = state[i], command[i]
-            data.qpos[places], data.qvel[dofs] = q[i], v[i]
-            mujoco.mj_forward(model, data)
-            data.qacc[dofs] = a[i]
-            mujoco.mj_inverseSkip(model, data, mujoco.mjtStage.mjSTAGE_VEL, 1)
-            left[i] = (data.qfrc_inverse - data.qfrc_actuator)[dofs]
-        tables.append((q, v, a, left))
+        acceleration = np.full((at.size, model.nv), np.nan)
+        acceleration[:, dofs] = a
+        states = states_at(machine, model, measured, at, state)
+        found = forces_at(model, states, commands_at(machine, measured, at), acceleration)
+        tables.append((q, v, a, found.lacking[:, dofs]))
     joined = [np.concatenate(parts) for parts in zip(*tables, strict=True)]
     return {
         joint: ForceLeft(*(x[:, i] for x in joined))

@@ -6,11 +6,11 @@ alone, where a replay of the same motion shows it behind all that the valve does
 
 from collections.abc import Sequence
 
-import mujoco
 import numpy as np
 
 from leglab.diagnosis.model import CHAMBERS, CYLINDER, Change, Machine, Measured
-from leglab.diagnosis.starts import STATE, plays
+from leglab.diagnosis.moments import MomentForces, forces_at, plugin_offset
+from leglab.diagnosis.starts import plays
 from leglab.diagnosis.windows import Channel
 
 
@@ -28,24 +28,21 @@ def balanced_joints(machine: Machine, channels: Sequence[Channel]) -> tuple[str,
 
 def lacking_forces(
     change: Change, measured: Measured, states: np.ndarray, half: int
-) -> tuple[np.ndarray, ...]:
-    """Forces that the measured motion needs beyond the modelled ones, (samples, nv).
+) -> MomentForces:
+    """Forces that the measured motion needs beyond the modelled ones.
 
     Args:
         change: Changes under the hypothesis.
         measured: Smoothed series; its samples are looked at.
         states: Full physics states at the samples, (samples, nstate).
         half: Accelerations are the mean over so many samples to both sides.
-
-    Returns:
-        The forces; also actuator forces on the joints, (samples, nv); lengths, speeds and forces
-        of the actuators, each (samples, nu).
     """
     machine, model = change.machine, change.variant.model
-    data = mujoco.MjData(model)
     k, period = measured.samples, measured.period
     acceleration = np.zeros((k.size, model.nv))
-    velocity = np.zeros((k.size, model.nv))
+    states = states.copy()
+    velocity = states[:, 1 + model.nq : 1 + model.nq + model.nv]
+    velocity[:] = 0.0
     for joint in machine.joints:
         v, dof = measured.velocity[joint], int(model.joint(joint).dofadr[0])
         acceleration[:, dof] = (v[k + half] - v[k - half]) / (2 * half * period)
@@ -59,19 +56,6 @@ def lacking_forces(
         ],
         axis=1,
     )
-    closed = plays(change.machine, change.variant)
-    lacking, load = np.empty((k.size, model.nv)), np.empty((k.size, model.nv))
-    length, speed, pull = (np.empty((k.size, model.nu)) for _ in range(3))
-    for i in range(k.size):
-        mujoco.mj_setState(model, data, states[i], STATE)
-        data.plugin_state[closed] = 0.0
-        data.qvel[:] = velocity[i]
-        data.ctrl[:] = command[i]
-        mujoco.mj_forward(model, data)
-        load[i] = data.qfrc_actuator
-        length[i], speed[i] = data.actuator_length, data.actuator_velocity
-        pull[i] = data.actuator_force
-        data.qacc[:] = acceleration[i]
-        mujoco.mj_inverse(model, data)
-        lacking[i] = data.qfrc_inverse - load[i]
-    return lacking, load, length, speed, pull
+    start = plugin_offset(model)
+    states[:, [start + place for place in plays(machine, change.variant)]] = 0.0
+    return forces_at(model, states, command, acceleration)

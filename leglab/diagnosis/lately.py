@@ -9,31 +9,52 @@ _KEPT = 3  # of one name
 
 
 @dataclass(frozen=True, eq=False)
+class Followed:
+    """A result and all that it follows from.
+
+    Attributes:
+        inputs: Arrays.
+        by: What followed them.
+        result: What came of it.
+    """
+
+    inputs: tuple[np.ndarray, ...]
+    by: object
+    result: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class Lately:
     """The last few results of each name, by all that they follow from.
 
     Attributes:
-        found: Inputs and result, by name, the one used last at the end.
+        found: Results by name, the one used last at the end.
     """
 
-    found: dict[str, list[tuple[tuple[np.ndarray, ...], np.ndarray]]] = field(default_factory=dict)
+    found: dict[str, list[Followed]] = field(default_factory=dict)
 
     def get(
-        self, name: str, inputs: Sequence[np.ndarray], follow: Callable[[], np.ndarray]
+        self,
+        name: str,
+        inputs: Sequence[np.ndarray],
+        follow: Callable[[], np.ndarray],
+        *,
+        by: object = None,
     ) -> np.ndarray:
         """What `follow` gives; it is called only where the inputs are new.
 
         Args:
             name: Of what is followed.
-            inputs: All that the result depends on. Neither they nor the result may be written to
-                later.
+            inputs: All arrays that the result depends on. Neither they nor the result may be
+                written to later.
             follow: Computes the result.
+            by: The model that it depends on, the same object for the same model.
         """
         known = self.found.setdefault(name, [])
-        for place, (before, _) in enumerate(known):
-            if all(map(np.array_equal, before, inputs)):
+        for place, one in enumerate(known):
+            if one.by is by and all(map(np.array_equal, one.inputs, inputs)):
                 known.append(known.pop(place))
-                return known[-1][1]
-        known.append((tuple(inputs), follow()))
+                return one.result
+        known.append(Followed(tuple(inputs), by, follow()))
         del known[:-_KEPT]
-        return known[-1][1]
+        return known[-1].result

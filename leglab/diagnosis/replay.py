@@ -11,7 +11,8 @@ from mujoco import rollout
 from leglab.base.errors import LeglabError
 from leglab.diagnosis.lacking import balanced_joints, lacking_forces
 from leglab.diagnosis.model import CYLINDER, Change, Machine, Measured, Variant
-from leglab.diagnosis.starts import Nudge, hidden_slots, measure, plugin_offset, start_states
+from leglab.diagnosis.moments import plugin_offset
+from leglab.diagnosis.starts import Nudge, hidden_slots, measure, start_states
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 from leglab.diagnosis.windows import Channel, Cut, UniformSeries, cut_series
 from leglab.machine.plugin import headless
@@ -210,7 +211,8 @@ class Replay:
         """Forces left over at the samples of windows, as `lacking` has them."""
         joints = balanced_joints(self.machine, self.channels)
         dofs = [int(change.variant.model.joint(joint).dofadr[0]) for joint in joints]
-        left = lacking_forces(change, measured, states, self.samples // self.bins)[0][:, dofs]
+        found = lacking_forces(change, measured, states, self.samples // self.bins)
+        left = found.lacking[:, dofs]
         inside = self._inside(blocks).size
         left = left.reshape(-1, blocks, inside // blocks, len(joints)).mean(axis=2)
         left = left.transpose(0, 2, 1)

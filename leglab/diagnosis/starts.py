@@ -20,10 +20,10 @@ from leglab.diagnosis.model import (
     Measured,
     Variant,
 )
+from leglab.diagnosis.moments import STATE, commands_at, forces_at, plugin_offset, states_at
 from leglab.diagnosis.paths import play
 from leglab.diagnosis.windows import Channel, Cut
 
-STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 # A piston certainly presses its pin with a force beyond this share of its dry friction.
 _PRESSED = 0.15
 # At rest a flank is pressed with at least this force [N].
@@ -305,28 +305,16 @@ class Instances:
 
     def _unbalanced(self, rows: np.ndarray, joints: list[str]) -> np.ndarray:
         """Force on joints that the measured motion leaves over at some windows, (rows, joints)."""
-        model, measured = self.variant.model, self.measured
-        data = mujoco.MjData(model)
-        k = measured.samples[rows]
-        places = [int(model.joint(name).qposadr[0]) for name in self.machine.joints]
-        dofs = [int(model.joint(name).dofadr[0]) for name in self.machine.joints]
-        position = np.stack([measured.position[n][k] for n in self.machine.joints], 1)
-        velocities = [measured.velocity[n] for n in self.machine.joints]
-        velocity = np.stack([v[k] for v in velocities], 1)
-        slope = np.stack([(v[k + 1] - v[k - 1]) / (2.0 * measured.period) for v in velocities], 1)
-        command = np.stack([measured.command[n][k] for n in self.machine.actuators], 1)
-        asked = [int(model.joint(name).dofadr[0]) for name in joints]
-        out, closed = np.empty((rows.size, len(joints))), plays(self.machine, self.variant)
-        for i, row in enumerate(rows.tolist()):
-            data.plugin_state[:] = self.state[row]
-            data.plugin_state[closed] = 0.0
-            data.qpos[places], data.qvel[dofs] = position[i], velocity[i]
-            data.ctrl[:] = command[i]
-            mujoco.mj_forward(model, data)
-            data.qacc[dofs] = slope[i]
-            mujoco.mj_inverseSkip(model, data, mujoco.mjtStage.mjSTAGE_VEL, 1)
-            out[i] = (data.qfrc_actuator - data.qfrc_inverse)[asked]
-        return out
+        machine, model, measured = self.machine, self.variant.model, self.measured
+        k, closed = measured.samples[rows], plays(self.machine, self.variant)
+        slope = np.full((rows.size, model.nv), np.nan)
+        for name in machine.joints:
+            v = measured.velocity[name]
+            dof = int(model.joint(name).dofadr[0])
+            slope[:, dof] = (v[k + 1] - v[k - 1]) / (2.0 * measured.period)
+        states = states_at(machine, model, measured, k, self.state[rows], without=closed)
+        found = forces_at(model, states, commands_at(machine, measured, k), slope)
+        return -found.lacking[:, [int(model.joint(name).dofadr[0]) for name in joints]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -485,8 +473,3 @@ def plays(machine: Machine, variant: Variant) -> list[int]:
     first step of a simulation, which is an artefact.
     """
     return [variant.slot(cylinder, "play") for cylinder in machine.instances(CYLINDER)]
-
-
-def plugin_offset(model: mujoco.MjModel) -> int:
-    """Place of the plugins in the full physics state: parts follow in the order of their bits."""
-    return mujoco.mj_stateSize(model, int(STATE) & (int(mujoco.mjtState.mjSTATE_PLUGIN) - 1))

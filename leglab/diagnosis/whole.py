@@ -13,10 +13,10 @@ import numpy as np
 
 from leglab.diagnosis.effects.joints import unit
 from leglab.diagnosis.hypothesis import Hypothesis
+from leglab.diagnosis.moments import STATE
 from leglab.diagnosis.replay import Course
 from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.result import WholeRecording
-from leglab.diagnosis.starts import STATE
 from leglab.machine.plugin import headless
 
 # Share of an error that the loop takes off in the length of a replay window: all of it. That is a

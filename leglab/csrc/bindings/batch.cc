@@ -16,6 +16,7 @@
 #include <new>
 #include <vector>
 
+#include "bindings/quiet.h"
 #include "loop/sensing.h"
 #include "loop/threads.h"
 
@@ -42,26 +43,6 @@ struct Series {
   Constants noise, shift, pressure_noise;  // (periods, joints), the same, (periods, pressures)
   Array<const bool> lost;                  // (periods, joints)
   Constants position, velocity, acceleration;  // of the reference, (periods + ahead, joints)
-};
-
-// MuJoCo's clock, and its warnings, which go to a log file, taken away for a while: whoever steps
-// looks for what they warn of.
-class Quiet {
- public:
-  Quiet() : clock_(mjcb_time), warning_(mju_user_warning) {
-    mjcb_time = nullptr;
-    mju_user_warning = [](const char*) {};
-  }
-  ~Quiet() {
-    mjcb_time = clock_;
-    mju_user_warning = warning_;
-  }
-  Quiet(const Quiet&) = delete;
-  Quiet& operator=(const Quiet&) = delete;
-
- private:
-  mjfTime clock_;
-  void (*warning_)(const char*);
 };
 
 struct Machine {

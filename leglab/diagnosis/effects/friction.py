@@ -3,13 +3,13 @@
 import math
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import EffectParameter, Values, latest_only, register_effect
 from leglab.diagnosis.effects.joints import JointEffect, JointRow
 from leglab.diagnosis.model import CHAMBERS, CYLINDER, FRICTION, Change, Machine, Measured, Variant
+from leglab.diagnosis.moments import commands_at, forces_at, states_at
 from leglab.diagnosis.starts import bristle
 
 # LuGre bristle that is stiff for a joint and stable at 1 ms: 100 Hz, half damped.
@@ -162,28 +162,22 @@ def carried_load(
     bias = change.parameters.get((instance, "bias_load_coefficient"), 0.0)
     if actuator == 0.0 and bias == 0.0:
         return np.zeros(count)
-    model, data = variant.model, mujoco.MjData(variant.model)
-    data.plugin_state[:] = variant.plugin_state
-    index = int(model.joint(joint).dofadr[0])
-    pressures = _chambers(change.machine, measured, variant)
+    model, machine = variant.model, change.machine
     chosen = np.unique(np.append(np.arange(0, count, _LOAD_EVERY), count - 1))
-    load = np.empty(chosen.size)
-    machine = change.machine
-    places = [int(model.joint(name).qposadr[0]) for name in machine.joints]
-    dofs = [int(model.joint(name).dofadr[0]) for name in machine.joints]
-    slots = [slot for slot, _ in pressures]
-    position = np.stack([measured.position[name][chosen] for name in machine.joints], 1)
-    velocity = np.stack([measured.velocity[name][chosen] for name in machine.joints], 1)
-    command, known = np.empty((chosen.size, model.nu)), np.empty((chosen.size, len(slots)))
-    for column, name in zip(command.T, machine.actuators, strict=True):
-        column[:] = measured.command[name][chosen]
-    for column, (_, pressure) in zip(known.T, pressures, strict=True):
-        column[:] = pressure[chosen]
-    for i in range(chosen.size):
-        data.qpos[places], data.qvel[dofs], data.ctrl[:] = position[i], velocity[i], command[i]
-        data.plugin_state[slots] = known[i]
-        mujoco.mj_forward(model, data)
-        load[i] = actuator * data.qfrc_actuator[index] + bias * data.qfrc_bias[index]
+    plugin = np.tile(variant.plugin_state, (chosen.size, 1))
+    for slot, pressure in _chambers(machine, measured, variant):
+        plugin[:, slot] = pressure[chosen]
+    states = states_at(machine, model, measured, chosen, plugin)
+    commands = commands_at(machine, measured, chosen)
+
+    def both() -> np.ndarray:
+        found = forces_at(model, states, commands)
+        index = int(model.joint(joint).dofadr[0])
+        return np.stack([found.load[:, index], found.bias[:, index]], axis=1)
+
+    # Neither share changes the forces that it is a share of.
+    forces = measured.lately.get(f"load of {joint}", (states, commands), both, by=variant)
+    load = forces @ np.array([actuator, bias])
     return np.abs(np.interp(np.arange(count), chosen, load))
 
 

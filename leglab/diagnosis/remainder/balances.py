@@ -13,8 +13,9 @@ import numpy as np
 from leglab.diagnosis.hypothesis import Hypothesis
 from leglab.diagnosis.lacking import balanced_joints, lacking_forces
 from leglab.diagnosis.model import CHAMBERS, CYLINDER, Change, Measured
+from leglab.diagnosis.moments import plugin_offset
 from leglab.diagnosis.residual import Problem
-from leglab.diagnosis.starts import measure, plugin_offset, start_states
+from leglab.diagnosis.starts import measure, start_states
 from leglab.diagnosis.windows import Cut
 from leglab.machine.cylinder import Cylinder
 from leglab.machine.parameters import RESIDUAL_VARIABLES, State
@@ -120,7 +121,7 @@ def _of_series(
     measured, _ = measure(cut, problem.channels, change)
     flat = replace(measured, samples=rows.ravel())
     states = start_states(cut, change, flat, problem.channels, problem.thresholds.rest_time)
-    force, load, length, speed, pull = lacking_forces(change, flat, states, half)
+    found = lacking_forces(change, flat, states, half)
     shape = rows.shape
     common = {
         "recording": np.full(len(rows), number),
@@ -136,7 +137,7 @@ def _of_series(
         inputs = {
             "position": measured.position[joint][rows],
             "velocity": v[rows],
-            "load": load[:, dof].reshape(shape),
+            "load": found.load[:, dof].reshape(shape),
         }
         if drive:
             inputs["command"] = measured.command[drive][rows]
@@ -145,7 +146,7 @@ def _of_series(
             joint=joint,
             actuator=drive,
             oil=False,
-            lacking=force[:, dof].reshape(shape).mean(axis=1),
+            lacking=found.lacking[:, dof].reshape(shape).mean(axis=1),
             gain=np.ones(shape),
             inputs=inputs,
             moving=(np.abs(v[rows]) > slow).mean(axis=1),
@@ -156,12 +157,12 @@ def _of_series(
         if joint not in known:
             continue
         index = model.actuator(cylinder).id
-        at = {"length": length[:, index], "speed": speed[:, index]}
+        at = {"length": found.length[:, index], "speed": found.speed[:, index]}
         lacking, gain = _oil(problem, change, flat, states, cylinder, at, half)
         values = {
             "position": at["length"],
             "velocity": at["speed"],
-            "load": pull[:, index],
+            "load": found.pull[:, index],
             "command": np.clip(measured.command[cylinder][flat.samples], -1.0, 1.0),
         }
         yield Balance(

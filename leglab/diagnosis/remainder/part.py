@@ -9,6 +9,7 @@ import numpy as np
 from leglab.diagnosis.effects.joints import insert
 from leglab.diagnosis.hypothesis import Key, Library
 from leglab.diagnosis.model import Change, Machine, Measured, Start, Variant
+from leglab.diagnosis.moments import commands_at, forces_at, states_at
 from leglab.diagnosis.remainder.splines import Spline
 from leglab.machine.parameters import RESIDUAL, RESIDUAL_VARIABLES
 
@@ -102,20 +103,10 @@ def _load_at_start(machine: Machine, joint: str) -> Start:
     """Actuator force on a joint at window starts."""
 
     def load(measured: Measured, variant: Variant, plugin: np.ndarray) -> np.ndarray:
-        model = variant.model
-        data = mujoco.MjData(model)
-        dof = int(model.joint(joint).dofadr[0])
-        out = np.empty(len(plugin))
-        for i, k in enumerate(measured.samples.tolist()):
-            data.plugin_state[:] = plugin[i]
-            for name in machine.joints:
-                data.qpos[model.joint(name).qposadr[0]] = measured.position[name][k]
-                data.qvel[model.joint(name).dofadr[0]] = measured.velocity[name][k]
-            for number, name in enumerate(machine.actuators):
-                data.ctrl[number] = measured.command[name][k]
-            mujoco.mj_forward(model, data)
-            out[i] = data.qfrc_actuator[dof]
-        return out
+        model, k = variant.model, measured.samples
+        states = states_at(machine, model, measured, k, plugin)
+        found = forces_at(model, states, commands_at(machine, measured, k))
+        return found.load[:, int(model.joint(joint).dofadr[0])]
 
     return load
 

@@ -1,0 +1,28 @@
+// MuJoCo without its clock and its warnings.
+#pragma once
+
+#include <mujoco/mujoco.h>
+
+namespace leglab::bindings {
+
+// MuJoCo's clock, and its warnings, which go to a log file, taken away for a while: whoever steps
+// looks for what they warn of.
+class Quiet {
+ public:
+  Quiet() : clock_(mjcb_time), warning_(mju_user_warning) {
+    mjcb_time = nullptr;
+    mju_user_warning = [](const char*) {};
+  }
+  ~Quiet() {
+    mjcb_time = clock_;
+    mju_user_warning = warning_;
+  }
+  Quiet(const Quiet&) = delete;
+  Quiet& operator=(const Quiet&) = delete;
+
+ private:
+  mjfTime clock_;
+  void (*warning_)(const char*);
+};
+
+}  // namespace leglab::bindings
