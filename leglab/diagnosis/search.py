@@ -191,7 +191,7 @@ def search_round(
         rough.append((key, fit))
     rough.sort(key=lambda entry: entry[1].cost)
     if problem.noise.discrepancy is not None:
-        rough = _possible(problem, floor, rough)
+        rough = _possible(problem, floor, rough, first=not named)
     if rough:
         progress("start states and time step about the best fit")
         problem = problem.about(rough[0][1].hypothesis)
@@ -236,25 +236,27 @@ def _sharpened(
 
 
 def _possible(
-    problem: Problem, floor: float, rough: list[tuple[Key, Fit]]
+    problem: Problem, floor: float, rough: list[tuple[Key, Fit]], *, first: bool
 ) -> list[tuple[Key, Fit]]:
     """First fits on a rough machine, without those that another one leaves no chance.
 
     All are left out where none comes near to what its parameters cost, `floor` being the cost
-    without any.
+    without any. In the first round none of them is at its end, for all that follows begins far
+    from where it belongs.
     """
     limits = problem.thresholds
     sites = problem.library.sites
-    costs = [floor, *(fit.cost for _, fit in rough)]
+    costs = [fit.cost for _, fit in rough]
     used = (sites[key].used(f.hypothesis[key], limits.noticeable) for key, f in rough)
     counts = [0, *used]
-    share = posterior(costs, problem.numbers, counts)
+    # A first fit may still lose a share of what it began with.
+    unfinished = limits.rough_unfinished * floor
+    near = unfinished if first else 0.0
+    share = posterior([floor, *(c - near for c in costs)], problem.numbers, counts)
     none, own = share[0], share[1:]
     if (own < limits.rough_chance * none).all():
         return []
-    # A first fit may still lose a share of what it began with.
-    unfinished = limits.rough_unfinished * floor
-    own = posterior([c + unfinished for c in costs[1:]], limits.rough_numbers, counts[1:])
+    own = posterior([c + unfinished for c in costs], limits.rough_numbers, counts[1:])
     least = limits.rough_hopeless * own.max()
     return [entry for entry, p in zip(rough, own, strict=True) if p >= least]
 
