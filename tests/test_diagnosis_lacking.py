@@ -11,6 +11,7 @@ from leglab.diagnosis.residual import whitened
 from leglab.diagnosis.windows import Channel
 from leglab.diagnosis.workflow import DiagnosisSettings, set_up
 from tests.rigs import PENDULUM, Truth, record
+from tests.rigs.rough import ROTOR, as_made, record_rough
 
 PUSH = 0.6  # N m, a tenth of what gravity does at most
 OFFSET = ("force_offset", "hinge")
@@ -110,3 +111,34 @@ def test_a_cylinder_without_pressures_hides_its_joints_forces():
     seen = [Channel(column=name, joint="knee") for name in names]
     assert balanced_joints(machine, seen) == ("knee",)
     assert balanced_joints(machine, seen[:2]) == ()
+
+
+@pytest.fixture(scope="module")
+def rotor():
+    """A rotor as its model has it, with a constant torque."""
+    made = as_made(ROTOR)
+    made["force"] += 0.1
+    (logs,) = record_rough(ROTOR, [made], seed=3, seconds=3.0)
+    logs = {kind: logs[kind] for kind in ("multisine", "fast")}
+    return set_up(ROTOR.model, logs, ("fast",), DiagnosisSettings(threads=1))
+
+
+def test_hypotheses_that_err_alike_in_every_motion_leave_the_same_over(rotor):
+    """Half the drive and friction, twice the inertia, or an encoder that tells half the motion."""
+    values = {key[0]: site.nominal for key, site in rotor.library.sites.items()}
+    keys = {key[0]: key for key in rotor.library.sites}
+
+    def left(**changed):
+        told = {keys[name]: np.array([value]) for name, value in changed.items()}
+        return lacking(rotor, Hypothesis(told))
+
+    damping, coulomb = float(values["viscous_friction"][0]), float(values["coulomb_friction"][0])
+    weak = left(actuator_gain=0.5, viscous_friction=0.5 * damping, coulomb_friction=0.5 * coulomb)
+    inertia = ROTOR.armature[0] + ROTOR.links[0][2]
+    heavy = left(armature=ROTOR.armature[0] + inertia)
+    short = left(encoder_scale=0.5, viscous_friction=0.5 * damping)
+    size = np.abs(heavy).mean()
+    np.testing.assert_allclose(weak, heavy, atol=0.01 * size)
+    np.testing.assert_allclose(short, heavy, atol=0.01 * size)
+    # And none of them is what the model itself leaves over.
+    assert np.abs(heavy - left()).mean() > 0.3 * size

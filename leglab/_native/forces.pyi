@@ -22,7 +22,7 @@ def at_moments(
         commands: Controls, (moments, nu).
         accelerations: (moments, nv), NaN where a joint moves as the model has it.
         out: "lacking", "load" and "bias", (moments, nv); "length", "speed" and "pull", (moments,
-            nu), as far as they are wanted.
+            nu); "inertia", (moments, nv, nv), as far as they are wanted.
 
     Raises:
         ValueError: An array has another size.

@@ -6,10 +6,17 @@ alone, where a replay of the same motion shows it behind all that the valve does
 
 from collections.abc import Sequence
 
+import mujoco
 import numpy as np
 
 from leglab.diagnosis.model import CHAMBERS, CYLINDER, Change, Machine, Measured
-from leglab.diagnosis.moments import MomentForces, forces_at, plugin_offset
+from leglab.diagnosis.moments import (
+    MomentForces,
+    commands_at,
+    forces_at,
+    plugin_offset,
+    states_at,
+)
 from leglab.diagnosis.starts import plays
 from leglab.diagnosis.windows import Channel
 
@@ -59,3 +66,45 @@ def lacking_forces(
     start = plugin_offset(model)
     states[:, [start + place for place in plays(machine, change.variant)]] = 0.0
     return forces_at(model, states, command, acceleration)
+
+
+def comparable_forces(
+    change: Change,
+    measured: Measured,
+    found: MomentForces,
+    joints: Sequence[str],
+) -> np.ndarray:
+    """Forces left over as hypotheses can be compared by them, (samples, joints) [N m or N].
+
+    Recordings have no forces, and a hypothesis that halves all inertia, friction and drive also
+    halves what it leaves over, while it errs as much in every motion. So what is left over counts
+    by the acceleration that it makes, as the sensor tells it, and that by the force it takes on
+    the unmodified machine: M_0 M^-1 f for a force f and joint-space inertias M_0 and M. (The density
+    of a measured acceleration under normal forces of an unknown size has M as its Jacobian.)
+
+    Args:
+        change: Changes under the hypothesis.
+        measured: Smoothed series; its samples are looked at.
+        found: What the hypothesis leaves over there.
+        joints: Whose forces can be known.
+    """
+    machine, base, k = change.machine, change.machine.base, measured.samples
+
+    def block(inertia: np.ndarray, model: mujoco.MjModel) -> np.ndarray:
+        dofs = [int(model.joint(joint).dofadr[0]) for joint in joints]
+        return inertia[:, dofs][:, :, dofs]
+
+    states = states_at(machine, base.model, measured, k, base.plugin_state)
+    positions = states[:, 1 : 1 + base.model.nq]
+    nominal = measured.lately.get(
+        "inertia",
+        (k, positions),
+        lambda: forces_at(base.model, states, commands_at(machine, measured, k)).inertia,
+        by=base,
+    )
+    model = change.variant.model
+    left = found.lacking[:, [int(model.joint(joint).dofadr[0]) for joint in joints]]
+    gained = np.linalg.solve(block(found.inertia, model), left[:, :, None])
+    told = (block(nominal, base.model) @ gained)[:, :, 0]
+    undone = (change.corrections.get(f"{joint}_position", ()) for joint in joints)
+    return told / np.array([np.prod([gain for _, gain in one]) for one in undone])

@@ -23,6 +23,7 @@ class MomentForces:
         length: Of actuators, (moments, nu).
         speed: Of actuators, (moments, nu).
         pull: Of actuators, (moments, nu).
+        inertia: Joint-space inertia, (moments, nv, nv).
     """
 
     lacking: np.ndarray
@@ -31,6 +32,7 @@ class MomentForces:
     length: np.ndarray
     speed: np.ndarray
     pull: np.ndarray
+    inertia: np.ndarray
 
 
 def forces_at(
@@ -51,6 +53,7 @@ def forces_at(
     count = len(states)
     out = {name: np.empty((count, model.nv)) for name in ("lacking", "load", "bias")}
     out |= {name: np.empty((count, model.nu)) for name in ("length", "speed", "pull")}
+    out["inertia"] = np.empty((count, model.nv, model.nv))
     wanted = dict(out)
     if accelerations is None:
         accelerations = np.zeros((count, model.nv))

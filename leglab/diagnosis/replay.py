@@ -9,7 +9,7 @@ import numpy as np
 from mujoco import rollout
 
 from leglab.base.errors import LeglabError
-from leglab.diagnosis.lacking import balanced_joints, lacking_forces
+from leglab.diagnosis.lacking import balanced_joints, comparable_forces, lacking_forces
 from leglab.diagnosis.model import CYLINDER, Change, Machine, Measured, Variant
 from leglab.diagnosis.moments import plugin_offset
 from leglab.diagnosis.starts import Nudge, hidden_slots, measure, start_states
@@ -188,7 +188,8 @@ class Replay:
             blocks: Into which a window is divided.
 
         Returns:
-            Shape (chosen windows, joints whose forces can be known, blocks) [N m or N].
+            Shape (chosen windows, joints whose forces can be known, blocks) [N m or N], as
+            `comparable_forces` has them.
         """
         inside = self._inside(blocks)
         rest = self.thresholds.rest_time
@@ -210,9 +211,8 @@ class Replay:
     ) -> np.ndarray:
         """Forces left over at the samples of windows, as `lacking` has them."""
         joints = balanced_joints(self.machine, self.channels)
-        dofs = [int(change.variant.model.joint(joint).dofadr[0]) for joint in joints]
         found = lacking_forces(change, measured, states, self.samples // self.bins)
-        left = found.lacking[:, dofs]
+        left = comparable_forces(change, measured, found, joints)
         inside = self._inside(blocks).size
         left = left.reshape(-1, blocks, inside // blocks, len(joints)).mean(axis=2)
         left = left.transpose(0, 2, 1)

@@ -51,6 +51,7 @@ void at_moments(std::uintptr_t address, Constants states, Constants commands,
   const Rows lacking(out, "lacking", moments, model->nv), load(out, "load", moments, model->nv);
   const Rows bias(out, "bias", moments, model->nv), length(out, "length", moments, model->nu);
   const Rows speed(out, "speed", moments, model->nu), pull(out, "pull", moments, model->nu);
+  const Rows inertia(out, "inertia", moments, model->nv * model->nv);
 
   const Quiet quiet;
   const nb::gil_scoped_release release;
@@ -65,6 +66,7 @@ void at_moments(std::uintptr_t address, Constants states, Constants commands,
     mj_fwdPosition(model, data);
     mj_fwdVelocity(model, data);
     mj_fwdActuation(model, data);
+    if (inertia.first) mj_fullM(model, data, inertia.first + i * inertia.width);
     load.put(i, data->qfrc_actuator);
     bias.put(i, data->qfrc_bias);
     length.put(i, data->actuator_length);
