@@ -1,5 +1,6 @@
 """A named set is challenged: effects that others make needless go, impostors are swapped."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -117,6 +118,20 @@ def test_an_early_impostor_is_swapped_for_its_rival(sketch):
     assert kept == [COULOMB, VISCOUS]
     # What was named first stays on record as the rival.
     assert [c.key for c in checks[COULOMB]] == [COULOMB, OFFSET]
+
+
+def test_a_first_fit_that_was_dropped_is_a_rival_of_an_early_effect_alone(sketch):
+    """Alone it had no chance; beside what was found later it explains all."""
+    costs(sketch, {(OFFSET, VISCOUS): 3.0, (COULOMB, VISCOUS): 1.0, (OFFSET, COULOMB): 0.5})
+    dropped = ((COULOMB, a_fit(sketch.library, COULOMB)),)
+    first, later = a_round(sketch.library, OFFSET), a_round(sketch.library, VISCOUS)
+    kept, _ = challenged(sketch, [OFFSET, VISCOUS], [first, later])
+    assert kept == [OFFSET, VISCOUS]
+    kept, _ = challenged(sketch, [OFFSET, VISCOUS], [replace(first, dropped=dropped), later])
+    assert kept == [COULOMB, VISCOUS]
+    # In the last round it was fitted beside all the others, and lost.
+    kept, _ = challenged(sketch, [OFFSET, VISCOUS], [first, replace(later, dropped=dropped)])
+    assert kept == [OFFSET, VISCOUS]
 
 
 def test_two_effects_that_imitate_one_are_replaced_by_it(sketch):

@@ -82,21 +82,23 @@ def _needed(problem: Problem, fit: Fit, named: list[Key]) -> tuple[Fit, list[Key
 
 def _rivals(
     problem: Problem, key: Key, named: Sequence[Key], rounds: Sequence[Round]
-) -> list[Contender]:
-    """Contenders that cost little more than an effect when it was named.
+) -> dict[Key, np.ndarray]:
+    """Rivals that cost little more than an effect when it was named, and their values there.
 
-    All that lost to it while others were missing count, too: a weak drive fits a heavy rotor until
-    both have their friction.
+    All that lost to it while others were missing count, too, those that were not even finished: a
+    weak drive fits a heavy rotor until both have their friction.
     """
-    sets = [r.contenders for r in rounds if any(c.key == key for c in r.contenders)]
-    rivals: dict[Key, Contender] = {}
+    sets = [r for r in rounds if any(c.key == key for c in r.contenders)]
+    rivals: dict[Key, np.ndarray] = {}
     for tried in sets:
-        own = min(float(c.cost.mean()) for c in tried if c.key == key)
-        limit = problem.thresholds.near_factor * own if key == named[-1] else np.inf
-        for c in tried:
-            if c.key not in named and c.cost.mean() <= limit:
-                rivals.setdefault(c.key, c)
-    return list(rivals.values())
+        own = min(float(c.cost.mean()) for c in tried.contenders if c.key == key)
+        last = key == named[-1]
+        limit = problem.thresholds.near_factor * own if last else np.inf
+        found = [(c.key, c.fit) for c in tried.contenders if c.cost.mean() <= limit]
+        for rival, fit in [*found, *(() if last else tried.dropped)]:
+            if rival not in named:
+                rivals.setdefault(rival, fit.hypothesis[rival])
+    return rivals
 
 
 def _swapped(
@@ -107,14 +109,13 @@ def _swapped(
     checks: dict[Key, tuple[Contender, ...]] = {}
     for key in named:
         tried = [Contender(key=key, fit=fit, cost=best)]
-        for rival in _rivals(problem, key, named, rounds):
-            changed = [rival.key if k == key else k for k in named]
-            start = fit.hypothesis.without(key)
-            start = start.with_values(rival.key, rival.fit.hypothesis[rival.key])
+        for rival, values in _rivals(problem, key, named, rounds).items():
+            changed = [rival if k == key else k for k in named]
+            start = fit.hypothesis.without(key).with_values(rival, values)
             # The others may have to go far: what stood in for a rival has bent them.
             swapped = _refitted(problem, fit, frozenset(changed), start, iterations=_SWAPPING)
             cost = total_cost(problem, swapped)
-            swap = Contender(key=rival.key, fit=swapped, cost=cost)
+            swap = Contender(key=rival, fit=swapped, cost=cost)
             if cost.mean() < _promising(problem, best):
                 swap = finished(problem, swap)
             if _better(problem, swap, tried[0]):

@@ -79,8 +79,9 @@ def comparable_forces(
     Recordings have no forces, and a hypothesis that halves all inertia, friction and drive also
     halves what it leaves over, while it errs as much in every motion. So what is left over counts
     by the acceleration that it makes, as the sensor tells it, and that by the force it takes on
-    the unmodified machine: M_0 M^-1 f for a force f and joint-space inertias M_0 and M. (The density
-    of a measured acceleration under normal forces of an unknown size has M as its Jacobian.)
+    the unmodified machine: M_0 M^-1 f for a force f and joint-space inertias M_0 and M. (The
+    density of a measured acceleration under normal forces of an unknown size has M as its
+    Jacobian.)
 
     Args:
         change: Changes under the hypothesis.

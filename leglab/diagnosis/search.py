@@ -38,12 +38,15 @@ class Round:
         candidates: As screened, best first.
         contenders: As fitted, best first.
         threshold: Gain that the best of all effects reaches by chance in 1 of 100 cases.
+        dropped: First fits that were not finished, for another one left them no chance, though
+            they explain something: beside a further effect they may explain it all.
     """
 
     base: np.ndarray
     candidates: tuple[Candidate, ...]
     contenders: tuple[Contender, ...]
     threshold: float
+    dropped: tuple[tuple[Key, Fit], ...] = ()
 
     @property
     def at_once(self) -> bool:
@@ -190,8 +193,9 @@ def search_round(
             fit = min(fit, fitted(best.hypothesis), key=lambda f: f.cost)
         rough.append((key, fit))
     rough.sort(key=lambda entry: entry[1].cost)
+    dropped: list[tuple[Key, Fit]] = []
     if problem.noise.discrepancy is not None:
-        rough = _possible(problem, floor, rough, first=not named)
+        rough, dropped = _possible(problem, floor, rough, first=not named)
     if rough:
         progress("start states and time step about the best fit")
         problem = problem.about(rough[0][1].hypothesis)
@@ -201,6 +205,7 @@ def search_round(
         candidates=tuple(candidates),
         contenders=tuple(sorted(contenders, key=lambda c: c.fit.cost)),
         threshold=threshold,
+        dropped=tuple(dropped),
     )
 
 
@@ -237,12 +242,15 @@ def _sharpened(
 
 def _possible(
     problem: Problem, floor: float, rough: list[tuple[Key, Fit]], *, first: bool
-) -> list[tuple[Key, Fit]]:
+) -> tuple[list[tuple[Key, Fit]], list[tuple[Key, Fit]]]:
     """First fits on a rough machine, without those that another one leaves no chance.
 
     All are left out where none comes near to what its parameters cost, `floor` being the cost
     without any. In the first round none of them is at its end, for all that follows begins far
     from where it belongs.
+
+    Returns:
+        Those that stay; and of the others those that pay for their parameters.
     """
     limits = problem.thresholds
     sites = problem.library.sites
@@ -255,10 +263,15 @@ def _possible(
     share = posterior([floor, *(c - near for c in costs)], problem.numbers, counts)
     none, own = share[0], share[1:]
     if (own < limits.rough_chance * none).all():
-        return []
+        return [], []
+    pays = own >= limits.rough_chance * none
     own = posterior([c + unfinished for c in costs], limits.rough_numbers, counts[1:])
-    least = limits.rough_hopeless * own.max()
-    return [entry for entry, p in zip(rough, own, strict=True) if p >= least]
+    stays = own >= limits.rough_hopeless * own.max()
+
+    def those(mask: np.ndarray) -> list[tuple[Key, Fit]]:
+        return [entry for entry, keep in zip(rough, mask.tolist(), strict=True) if keep]
+
+    return those(stays), those(~stays & pays)
 
 
 def as_contender(problem: Problem, key: Key, fit: Fit) -> Contender:
