@@ -208,7 +208,8 @@ def test_first_fits_that_have_no_chance_beside_the_best_go(sketch):
     kept, dropped = _possible(sketch, 900.0, fits, first=True)
     # 1.4^-15 is 1 in 155; three parameters more and 1.5^-15 are 1 in 72,000.
     assert [key for key, _ in kept] == [OFFSET, VISCOUS]
-    # Beside another effect it may explain all: the challenge tries it, but not what pays for nothing.
+    # Beside another effect it may explain all: the challenge tries it,
+    # but not what pays for nothing.
     assert [key for key, _ in dropped] == [ASYMMETRIC]
     fits = first_fits({OFFSET: 100.0, ASYMMETRIC: 899.0})
     assert _possible(sketch, 900.0, fits, first=False)[1] == []
