@@ -7,9 +7,13 @@ import numpy as np
 import pytest
 
 from leglab.diagnosis import challenge
+from leglab.diagnosis.fitting import refit
+from leglab.diagnosis.hypothesis import Hypothesis
 from leglab.diagnosis.judging import t_value
+from leglab.diagnosis.nuisances import rough_nuisances
 from leglab.diagnosis.search import Contender, Round
 from leglab.diagnosis.thresholds import DEFAULT
+from leglab.diagnosis.workflow import DiagnosisSettings, set_up
 from tests.diagnosis_sketch import (
     ASYMMETRIC,
     COULOMB,
@@ -22,6 +26,7 @@ from tests.diagnosis_sketch import (
     a_fit,
     ripple,
 )
+from tests.rigs.rough import ROTOR, as_made, record_rough
 
 SPRING = "spring_stiffness", "hinge"
 
@@ -202,3 +207,37 @@ def test_a_rival_that_was_far_behind_beside_all_others_is_not_tried(sketch):
     far.contenders[1].cost[:] = 7.0
     kept, _ = challenged(sketch, [OFFSET, VISCOUS], [a_round(sketch.library, OFFSET), far])
     assert kept == [OFFSET, VISCOUS]
+
+
+def test_a_rival_in_an_impostors_place_is_fitted_to_where_it_belongs():
+    """A heavy rotor with a dragging bearing, at first an encoder that tells less, with some drag.
+
+    Fitted with what follows from the start, inertia stops short, and a weak drive makes up for it.
+    """
+    made = as_made(ROTOR)
+    inertia = ROTOR.armature[0] + ROTOR.links[0][2]
+    made["armature"] += 0.8 * inertia
+    made["damping"] *= 3.0
+    (logs,) = record_rough(ROTOR, [made], seed=3, seconds=3.0)
+    logs = {kind: logs[kind] for kind in ("multisine", "fast")}
+    problem = set_up(ROTOR.model, logs, ("fast",), DiagnosisSettings(threads=1))
+    library, limits = problem.library, problem.thresholds
+    keys = {key[0]: key for key in library.sites}
+    gain, drag, scale, armature = (
+        keys[name] for name in ("actuator_gain", "viscous_friction", "encoder_scale", "armature")
+    )
+    follows = rough_nuisances(
+        library, limits.rough_share, limits.rough_imperfect, limits.rough_tolerance
+    )
+    problem = problem.with_nuisances(follows, worth=limits.rough_numbers)
+    impostor = Hypothesis({scale: np.array([1.0 / 1.8]), drag: np.array([3.0 / 1.8 * 0.05])})
+    named = frozenset({scale, drag})
+    at = problem.linearise(impostor, problem.fitted, named)
+    impostor = refit(problem, at, named, start=impostor)
+    assert impostor.hypothesis[scale][0] == pytest.approx(1.0 / 1.8, rel=0.05)
+    start = impostor.hypothesis.without(scale).with_values(armature, np.array([0.02]))
+    swapped = challenge._with_rival(problem, impostor, frozenset({armature, drag}), start)
+    told = {n.key: (n.value(swapped.hypothesis) - n.nominal) / n.tolerance for n in follows}
+    assert swapped.hypothesis[armature][0] == pytest.approx(made["armature"][0], rel=0.03)
+    assert swapped.hypothesis[drag][0] == pytest.approx(0.15, rel=0.05)
+    assert abs(told[gain]) < 0.5
