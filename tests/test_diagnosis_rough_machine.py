@@ -164,11 +164,19 @@ def test_the_discrepancy_is_at_least_that_of_the_healthy_recordings(ill, well):
 
 
 def test_a_discrepancy_gives_errors_their_usual_cost(well):
+    """Each kind of evidence in the middle of its windows: the middle of a sum is another one."""
     problem, hypothesis = well[1].problem, well[1].fit.hypothesis
     found = problem.discrepancy(hypothesis)
-    white = problem.trusting(found).residual(hypothesis)
-    usual = np.median(np.mean(white**2, axis=1))
-    assert usual == pytest.approx(DEFAULT.usual_cost, rel=0.1)
+    trusting = problem.trusting(found)
+    replays = len(problem.channels) * problem.replay.bins
+    white = trusting.residual(hypothesis)
+    kinds = [white[:, :replays], white[:, replays:]]
+    # Kinds count alike in the sum, however many numbers they are.
+    sizes = [np.sqrt(0.5 * white.shape[1] / kind.shape[1]) for kind in kinds]
+    assert kinds[1].shape[1] == DEFAULT.force_blocks
+    for kind, size in zip(kinds, sizes, strict=True):
+        usual = np.median(np.mean((kind / size) ** 2, axis=1))
+        assert usual == pytest.approx(DEFAULT.usual_cost, rel=0.03)
 
 
 def test_the_nearest_healthy_recording_is_that_of_the_same_motion(ill):
