@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leglab.diagnosis import rough
+from leglab.diagnosis import directions, rough
 from leglab.diagnosis.rough import rough_search, suspected
 from leglab.diagnosis.search import search_round
 from leglab.diagnosis.workflow import DiagnosisSettings, set_up
@@ -126,6 +126,9 @@ def test_what_comes_nearest_is_fitted_where_nothing_was_named():
     assert first.key == VISCOUS
     assert first.cost.mean() < 0.5 * told.base.mean()
     np.testing.assert_allclose(first.fit.hypothesis[VISCOUS], fit.hypothesis[VISCOUS], rtol=0.1)
+    with pytest.MonkeyPatch.context() as patch:  # nor is what its directions speak against
+        patch.setattr(directions, "differs", lambda problem, one: one.key != VISCOUS)
+        assert VISCOUS not in {c.key for c in nearest(base, [], nothing)[0].contenders}
     # What is found already is a cause: nothing else is suspected.
     assert nearest(fit, named, nothing) == (nothing, None)
     # Less of it than in the model, or nothing that gains: none.

@@ -4,10 +4,10 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import block_diag, solve_triangular
 from scipy.optimize import lsq_linear
 
-from leglab.diagnosis.hypothesis import Hypothesis, Key
+from leglab.diagnosis.hypothesis import Hypothesis, Key, Site
 from leglab.diagnosis.nuisances import departures
 from leglab.diagnosis.residual import Linearisation, Problem, robust_cost, robust_weight
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
@@ -164,6 +164,24 @@ class FreeTangents:
     lower: np.ndarray
     upper: np.ndarray
 
+    def by(self, moves: np.ndarray) -> "FreeTangents":
+        """Of unknowns that move parameters together, by a matrix >= 0, (parameters, unknowns)."""
+        moved = moves > 0.0
+        share = np.divide(1.0, moves, out=np.zeros_like(moves), where=moved)
+        return FreeTangents(
+            columns=self.columns @ moves,
+            lower=np.where(moved, self.lower[:, None] * share, -np.inf).max(
+                axis=0, initial=-np.inf
+            ),
+            upper=np.where(moved, self.upper[:, None] * share, np.inf).min(axis=0, initial=np.inf),
+        )
+
+
+def _moves(site: Site, alike: bool) -> np.ndarray:
+    """Parameters of a site, in their scales, by the unknowns of a fit, (parameters, unknowns)."""
+    scale = np.array([p.scale for p in site.parameters])
+    return scale.min() / scale[:, None] * site.alike if alike else np.eye(scale.size)
+
 
 def free_tangents(
     problem: Problem, at: Linearisation, free: Collection[Key], fine: float = 1.0
@@ -214,6 +232,7 @@ def refit(
     iterations: int = 5,
     tolerance: float = 2e-3,
     fine: float = 1.0,
+    alike: Collection[Key] = (),
 ) -> Fit:
     """Levenberg-Marquardt over the parameters of free effects and the nuisances.
 
@@ -225,11 +244,14 @@ def refit(
         iterations: Largest number of accepted steps.
         tolerance: Stops when a step gains less than this share of the cost.
         fine: Factor on the finite differences.
+        alike: Free effects whose two directions go on from the start by the same amounts.
     """
     at = at.without(free)
     sites = [problem.library.sites[key] for key in sorted(free)]
     ends = np.cumsum([len(site.parameters) for site in sites])[:-1]
     scale = np.array([p.scale for site in sites for p in site.parameters])
+    moves = block_diag(np.zeros((0, 0)), *(_moves(site, site.key in alike) for site in sites))
+    count = moves.shape[1]
 
     def placed(theta: np.ndarray, eta: np.ndarray, base: Hypothesis) -> Hypothesis:
         for site, values in zip(sites, np.split(theta, ends) if sites else (), strict=True):
@@ -247,14 +269,14 @@ def refit(
     cost = problem.cost(residual, weight * float((eta**2).sum()))
     damping = 1e-3
     for _ in range(iterations):
-        own = free_tangents(problem, at, free, fine)
+        own = free_tangents(problem, at, free, fine).by(moves)
         jacobian = np.concatenate([own.columns, at.tangents], axis=2)
         unknowns = Unknowns.of(own.lower, own.upper, eta, problem.thresholds.nuisance_box, weight)
         sums = Sums.of(at.residual, jacobian, problem.thresholds)
         for _ in range(4):
             step = sums.step(unknowns, damping)
-            new_theta = theta + step[: theta.size] * scale
-            new_eta = eta + step[theta.size :]
+            new_theta = theta + moves @ step[:count] * scale
+            new_eta = eta + step[count:]
             trial = placed(new_theta, new_eta, at.base)
             residual = problem.residual(trial, at.chosen)
             new_cost = problem.cost(residual, weight * float((new_eta**2).sum()))

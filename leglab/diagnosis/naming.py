@@ -83,7 +83,8 @@ def judge_rough(found: Search, gap: Gap, level: Callable[[Hypothesis], float]) -
     beside = all_strengths(found.problem.library, limits.rough_share, 1.0)
     causes: list[NamedEffect] = []
     smaller: list[NamedEffect] = []
-    for e in _effects(found, contribution, weigh, _in_library(found, explained), beside):
+    quality = _in_library(found, gap.explained_everywhere or 0.0)
+    for e in _effects(found, contribution, weigh, quality, beside):
         key = (e.name, e.element)
         # What takes back a part of the calibration does so beside a larger change only.
         own = fault_probability(found.problem, key, final, calibrated=known, beside=bool(causes))
@@ -110,6 +111,7 @@ def judge_rough(found: Search, gap: Gap, level: Callable[[Hypothesis], float]) -
 def _in_library(found: Search, explained: float) -> float:
     """Probability that the cause is among the effects that were tried.
 
+    Of all recordings: few numbers were fitted, and one that was held out may hardly show the cause.
     Without healthy recordings nobody knows which part of the error is the model's own: it may be
     most of it, and a right cause then closes little of the gap. By how much the error gets smaller,
     weighed as the search did, still tells right causes from wrong ones.

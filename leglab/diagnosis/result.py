@@ -141,6 +141,7 @@ class Gap:
         compared: What `explained` is taken from, as of `Measure`: error without the named effects,
             with them, and what is no part of the gap; where held out, or over all recordings where
             those hardly show what is named. None for `unnamed`, `after` and the floor.
+        everywhere: The same over all recordings; None for `compared`.
         held_out: Names of the recordings.
     """
 
@@ -152,6 +153,7 @@ class Gap:
     healthy: float | None = None
     unnamed: float = math.nan
     compared: tuple[float, float, float] | None = None
+    everywhere: tuple[float, float, float] | None = None
     held_out: tuple[str, ...]
 
     @property
@@ -165,17 +167,24 @@ class Gap:
 
         What was off before the machine changed, or noise, is no part of the gap.
         """
-        unnamed, after, floor = self.shown
-        room = unnamed - floor
-        if not room > 0.05:
-            return None
-        return min(max((unnamed - after) / room, 0.0), 1.0)
+        return _closed(*self.shown)
+
+    @property
+    def explained_everywhere(self) -> float | None:
+        """The same over all recordings, those that were fitted, too."""
+        return _closed(*(self.everywhere or self.shown))
 
     @property
     def closed_fraction(self) -> float | None:
         """(before - after)/(before - noise_floor); None where there was no gap."""
         room = self.before - self.noise_floor
         return (self.before - self.after) / room if room > 0.05 else None
+
+
+def _closed(unnamed: float, after: float, floor: float) -> float | None:
+    """Share of the gap between two errors; None where there is none."""
+    room = unnamed - floor
+    return min(max((unnamed - after) / room, 0.0), 1.0) if room > 0.05 else None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -440,7 +449,7 @@ class Diagnosis:
             "where": [asdict(where) for where in self.where],
             "not_testable": sorted({n.name for n in self.not_testable}),
             "gap": {
-                **_fields(self.gap, "held_out", "unnamed", "compared"),
+                **_fields(self.gap, "held_out", "unnamed", "compared", "everywhere"),
                 "closed_fraction": self.gap.closed_fraction,
                 "held_out": self.gap.held_out,
             },

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from leglab.diagnosis.directions import differing
 from leglab.diagnosis.discrepancy import Discrepancy
 from leglab.diagnosis.fitting import Fit, refit
 from leglab.diagnosis.hypothesis import Hypothesis, Key
@@ -256,7 +257,8 @@ def suspected(
         begun = start.with_values(candidate.key, candidate.values)
         with_it = refit(problem, at, free | {candidate.key}, start=begun, iterations=4)
         contenders.append(as_contender(problem, candidate.key, sharpen(problem, with_it)))
-    ordered = simplest_first(problem, _most_probable_first(problem, contenders))
+    contenders = differing(problem, _most_probable_first(problem, contenders))
+    ordered = simplest_first(problem, contenders)
     base = total_cost(problem, fit)
     tried = replace(tried, base=base, contenders=ordered)
     held = problem.held if problem.held.sum() > 3 else np.ones_like(problem.held)
@@ -274,9 +276,28 @@ def cost_under(problem: Problem, fit: Fit, discrepancy: Discrepancy | None) -> f
 def annealed(
     problem: Problem, base: Fit, tried: Round, floor: Discrepancy | None
 ) -> tuple[Problem, Round]:
-    """The contenders of a round under the discrepancy that the best of them leaves."""
+    """The contenders of a round under the discrepancy that the best of them leaves.
+
+    Those whose directions should differ and do not are left out; if the best is one, the others are
+    judged by what the next one leaves.
+    """
+    contenders, leader = list(tried.contenders), None
+    while contenders and contenders[0] is not leader:
+        problem, contenders = _settled(problem, contenders, floor)
+        leader = contenders[0]
+        contenders = differing(problem, contenders)
+    ordered = simplest_first(problem, contenders)
+    return problem, replace(tried, base=total_cost(problem, base), contenders=ordered)
+
+
+def _settled(
+    problem: Problem, contenders: list[Contender], floor: Discrepancy | None
+) -> tuple[Problem, list[Contender]]:
+    """Contenders, most probable first, and discrepancy of the best, fitted in turn until they stay.
+
+    They come in the order in which they are to be taken at first.
+    """
     limits = problem.thresholds
-    contenders = list(tried.contenders)
     level, leader = np.inf, None
     for _ in range(limits.annealings):
         best = contenders[0]
@@ -289,8 +310,7 @@ def annealed(
         problem = problem.trusting(trusted.at_least(floor))
         contenders = [_under(problem, before, c) for c in contenders]
         contenders = _most_probable_first(problem, contenders)
-    ordered = simplest_first(problem, contenders)
-    return problem, replace(tried, base=total_cost(problem, base), contenders=ordered)
+    return problem, contenders
 
 
 def _most_probable_first(problem: Problem, contenders: Sequence[Contender]) -> list[Contender]:

@@ -215,7 +215,7 @@ class Thresholds:
     # Odds that the cause of a gap is among the effects that are looked for, where they explain half
     # of what is beyond the model's own error; and half of an error whose own part is unknown.
     library_odds: float = 3.0
-    uncalibrated_odds: float = 12.0
+    uncalibrated_odds: float = 50.0
     # Standard deviation of the size of a change that is found on one, as a share of it.
     rough_size: float = 0.25
     # A rival this many times less probable is not told apart.

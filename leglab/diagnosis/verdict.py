@@ -135,7 +135,7 @@ def assemble(found: Search, settings: DiagnosisSettings, *, seconds: float) -> D
         if measure.hardly_shows(held, models["unnamed"], final):
             # A slow motion that nobody fitted cannot tell what a fast one would show.
             compared, shown = overall, every
-        gap = replace(gap, compared=compared)
+        gap = replace(gap, compared=compared, everywhere=overall)
     rivals = tuple(
         Rivals(
             round=i,

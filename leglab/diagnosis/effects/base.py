@@ -105,6 +105,8 @@ class Effect(ABC):
             machines differ, is fitted on machines that differ from their model everywhere.
         contains: Names of simpler effects that are special cases of it. Where one of them at the
             same joint does as well, it is that one.
+        by_direction: Pairs of parameters, one a direction, that it says depart differently. On a
+            machine whose laws are not the model's it has its name only where they do.
     """
 
     name: ClassVar[str]
@@ -116,6 +118,7 @@ class Effect(ABC):
     gradual: ClassVar[bool] = True
     nameable: ClassVar[bool] = True
     contains: ClassVar[tuple[str, ...]] = ()
+    by_direction: ClassVar[tuple[tuple[str, str], ...]] = ()
 
     @abstractmethod
     def elements(self, machine: Machine) -> tuple[str, ...]:

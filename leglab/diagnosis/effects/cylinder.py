@@ -215,6 +215,10 @@ class AsymmetricSealFriction(CylinderEffect):
     excitation = "sliding in both directions at several speeds; reversals"
     # Of a bearing of the joint as well: a lever that hardly changes tells them apart no more.
     contains = ("viscous_friction", "coulomb_friction", "asymmetric_friction")
+    by_direction = (
+        ("viscous_extending", "viscous_retracting"),
+        ("coulomb_extending", "coulomb_retracting"),
+    )
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """Friction of each direction; where the model has none, trials take 2 % of the stall."""

@@ -204,6 +204,10 @@ class AsymmetricFriction(JointEffect):
     excitation = "motion in both directions at several speeds; reversals"
     # Of a cylinder's seals as well: a lever that hardly changes tells them apart no more.
     contains = ("viscous_friction", "coulomb_friction", "asymmetric_friction")
+    by_direction = (
+        ("viscous_forward", "viscous_backward"),
+        ("coulomb_forward", "coulomb_backward"),
+    )
 
     rows = tuple(
         JointRow(f"{kind}_{side}", unit, trials, upper=upper)
