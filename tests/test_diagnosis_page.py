@@ -587,6 +587,18 @@ def test_many_effects_that_cannot_be_told_are_one_sentence_and_a_table(tmp_path)
     assert len(table(page, "hardly show")) == 7
 
 
+def test_what_a_rough_machine_hides_is_lost_in_the_error_of_its_model(tmp_path):
+    """Its recordings move enough: not they are too poor, but the model."""
+    little = (NotTestable(name="coulomb_friction", element="knee", reason="needs slow motion"),)
+    result = diagnosis(not_testable=little, rough=True)
+    line = next(s for s in sections(result, "m") if s.title == "What cannot be told").lines[0]
+    assert line.startswith("Of coulomb friction at knee a just noticeable amount would be lost in")
+    assert len(table(write_page(result, tmp_path, model="m"), "own error")) == 2
+    told = summary_lines(result)
+    assert any("lost in the model's own error: coulomb_friction" in line for line in told)
+    assert not any("not testable" in line for line in told)
+
+
 def test_an_error_without_a_name_has_a_place_and_a_shape():
     told = dict(facts(diagnosis("unexplained", learned="a torque that repeats")))
     assert told["Missing"] == (
@@ -620,6 +632,10 @@ def test_tables_of_the_terminal_have_units():
     assert list(head.columns[1].cells) == [r"lap \[1]"]
     assert gaps.row_count == 2
     assert len(summary_tables(diagnosis("nothing_missing", remaining=()))) == 1
+    # What an effect departs from is the model, or the specimen in its healthy recordings.
+    for known, told in ((None, "model"), (CALIBRATION, "before")):
+        (first, *_) = summary_tables(diagnosis(calibration=known))
+        assert first.columns[-1].header == told
 
 
 def test_numbers_are_short():

@@ -88,7 +88,8 @@ def _absolute_files(spec: mujoco.MjSpec, folder: Path) -> None:
 def summary_tables(result: Diagnosis) -> list[Table]:
     """Verdict, effects and gaps for the terminal."""
     head = Table(title=f"verdict: {result.verdict}", title_justify="left")
-    for name in ("effect", "parameter", "value", "95 % interval", "model"):
+    nominal = "model" if result.calibration is None else result.nominal_words
+    for name in ("effect", "parameter", "value", "95 % interval", nominal):
         head.add_column(name, no_wrap=name != "effect")
     rows = [(e, "") for e in result.effects] + [(e, "smaller: ") for e in result.smaller]
     for effect, word in rows:
@@ -152,5 +153,6 @@ def summary_lines(result: Diagnosis) -> list[str]:
         lines.append(f"to tell {' from '.join(proposal.rivals)}: {proposal.description}")
     if result.not_testable:
         names = ", ".join(sorted({n.name for n in result.not_testable}))
-        lines.append(f"not testable with these recordings: {names}")
+        untold = "a little of it lost in the model's own error" if result.rough else ""
+        lines.append(f"{untold or 'not testable with these recordings'}: {names}")
     return [*lines, *(f"note: {note}" for note in result.notes)]

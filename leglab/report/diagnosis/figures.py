@@ -385,8 +385,12 @@ def rivals_picture(result: Diagnosis) -> CaptionedFigure | None:
     )
 
 
+_LEAST_GAIN = 1e-2  # chi-square
+
+
 def _best(ranks: Sequence[Rank]) -> list[Rank]:
-    useful = [r for r in ranks if math.isfinite(r.gain) and r.gain > 0.0]
+    # Gains of rounding would stretch the axis over ten decades.
+    useful = [r for r in ranks if math.isfinite(r.gain) and r.gain > _LEAST_GAIN]
     return sorted(useful, key=lambda r: -r.gain)[:_MOST_RANKS]
 
 

@@ -172,7 +172,10 @@ def _nuisance_table(result: Diagnosis) -> Table:
 def _untestable_table(result: Diagnosis) -> Table:
     rows = [[n.name, n.element, n.reason] for n in result.not_testable]
     head = ("effect", "element", "to see it")
-    return Table(caption="What these recordings hardly show", head=head, rows=rows, words=3)
+    caption = "What these recordings hardly show"
+    if result.rough:
+        caption = "Of what a just noticeable amount would be lost in the model's own error"
+    return Table(caption=caption, head=head, rows=rows, words=3)
 
 
 def _put(content: bytes, stream: io.BufferedIOBase) -> None:

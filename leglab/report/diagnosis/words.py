@@ -542,8 +542,13 @@ def _where(result: Diagnosis) -> tuple[str, ...]:
 
 def _untold(result: Diagnosis) -> tuple[str, ...]:
     lines = []
-    if len(result.not_testable) > _UNTOLD:
-        untold = tuple(f"{readable(n.name)} at {n.element}" for n in result.not_testable)
+    untold = tuple(f"{readable(n.name)} at {n.element}" for n in result.not_testable)
+    if result.rough and untold:
+        lines.append(
+            f"Of {listed(untold, 'or')} a just noticeable amount would be lost in the model's own "
+            "error; the table below has what shows each best."
+        )
+    elif len(untold) > _UNTOLD:
         lines.append(
             f"These recordings hardly show {listed(untold, 'or')}; the table below has what each "
             "needs."

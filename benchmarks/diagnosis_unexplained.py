@@ -1,0 +1,266 @@
+"""Machines whose cause has no name: is improved.xml a better model, in plain MuJoCo as well?
+
+`python benchmarks/diagnosis_unexplained.py [CASE...]`, in a checkout, with $LEGLAB_DATA for the two
+measured cases. Each is diagnosed by the command, with the effects that would name the cause left
+out. The written model then runs in `leglab run`, and in MuJoCo alone with the plugin's library: a
+held-out recording from end to end, its commands corrected by a slow position loop.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import results
+
+from leglab import data
+from leglab.base.recording import Recording
+from leglab.diagnosis.hypothesis import Hypothesis, Library
+from leglab.diagnosis.model import Machine
+from leglab.diagnosis.recordings import read_recordings, split_held_out
+from leglab.diagnosis.workflow import DiagnosisSettings, set_up
+from leglab.machine.plugin import library_path, to_xml
+from leglab.studies.shared_data import shared_data
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from benchmarks.diagnosis_remainder import EXCLUDED, bench
+from tests.rigs import PENDULUM, Truth, record
+from tests.rigs.measured import EMPS_HELD_OUT, EMPS_MODEL, emps
+
+HEAD = (
+    "machine",
+    "hidden",
+    "verdict",
+    "named, learned",
+    "noise levels, held out",
+    "plain MuJoCo, whole held-out recording: off",
+    "correction it needs",
+    "leglab run",
+)
+_NOTHING = "none is written"
+# Knows no leglab: a bare model along a recording whose commands drive it, with a slow loop.
+_PLAIN = """
+import sys
+import mujoco
+import numpy as np
+
+library, model, recording, stiffness, damping = sys.argv[1:]
+mujoco.mj_loadPluginLibrary(library)
+bare = mujoco.MjModel.from_xml_path(model)
+state = mujoco.MjData(bare)
+log = np.load(recording)
+state.qpos[:] = log["position"][0]
+state.qvel[:] = (log["position"][40] - log["position"][0]) / (log["time"][40] - log["time"][0])
+off, added, last = [], [], 0.0
+for k in range(log["time"].size - 1):
+    error = log["position"][k] - state.qpos[0]
+    period = log["time"][k + 1] - log["time"][k]
+    more = float(stiffness) * error + float(damping) * (error - last) / period
+    last = error
+    off.append(error)
+    added.append(more)
+    state.ctrl[0] = log["command"][k] + more
+    for _ in range(max(1, round(period / bare.opt.timestep))):
+        mujoco.mj_step(bare, state)
+rest = slice(len(off) // 10, None)  # chambers and velocities have settled
+print(np.sqrt(np.mean(np.square(off[rest]))), np.sqrt(np.mean(np.square(added[rest]))))
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """A machine to diagnose.
+
+    Attributes:
+        model: Name or file.
+        recordings: By name.
+        held: The recording that no fit sees.
+        hidden: What is hidden, in words.
+        left_out: Effects that are not looked for.
+        joint: That is followed.
+        drive: Of the joint.
+        loop: Command by error and by its rate.
+        unit: Of the joint, with the factor from SI.
+    """
+
+    model: str
+    recordings: Mapping[str, Recording]
+    held: str
+    hidden: str
+    left_out: tuple[str, ...]
+    joint: str
+    drive: str
+    loop: tuple[float, float]
+    unit: tuple[float, str]
+
+
+def case(name: str) -> Case:
+    """One of `CASES`."""
+    if name == "e0":
+        logs = read_recordings(sorted(shared_data("rough_bench/e0").glob("*.parquet")))
+        logs, (held, *_) = split_held_out("knee_bench", logs, [])
+        hidden = "its own laws and parameters, no fault; no healthy recordings"
+        return _knee(logs, held, hidden, ())
+    if name == "torque":
+        logs, drawn = bench(np.random.default_rng(7))
+        logs, (held, *_) = split_held_out("knee_bench", logs, [])
+        hidden = f"{drawn.amplitude:.1f} N m every {drawn.period:.2f} rad, not looked for"
+        return _knee(logs, held, hidden, EXCLUDED)
+    if name == "EMPS":
+        return Case(
+            model=str(EMPS_MODEL),
+            recordings=emps(),
+            held=EMPS_HELD_OUT,
+            hidden="a measured axis; friction by direction not looked for",
+            left_out=("asymmetric_friction",),
+            joint="slide",
+            drive="drive",
+            loop=(2100.0, 1300.0),  # 3.3 rad/s, well damped, of 95 kg
+            unit=(1e3, "mm"),
+        )
+    logs = {
+        kind: record(PENDULUM, kind, Truth(), seed=i, seconds=4.0)
+        for i, kind in enumerate(("multisine", "fast", "slow"))
+    }
+    return Case(
+        model=str(PENDULUM.model),
+        recordings=logs,
+        held="slow",
+        hidden="nothing: a pendulum as its model",
+        left_out=(),
+        joint="hinge",
+        drive="drive",
+        loop=(1.0, 0.1),
+        unit=(1e3, "mrad"),
+    )
+
+
+def _knee(logs: Mapping[str, Recording], held: str, hidden: str, left_out: tuple[str, ...]) -> Case:
+    return Case(
+        model="knee_bench",
+        recordings=logs,
+        held=held,
+        hidden=hidden,
+        left_out=left_out,
+        joint="knee",
+        drive="knee_valve",
+        loop=(-0.5, 0.0),  # a positive command bends the knee back
+        unit=(1e3, "mrad"),
+    )
+
+
+CASES = ("e0", "torque", "EMPS", "nothing")
+
+
+def plain(case: Case, model: Path, folder: Path) -> tuple[float, float]:
+    """Deviation [m or rad] and correction [1] of a bare model along the held-out recording."""
+    log, path = case.recordings[case.held], folder / "held.npz"
+    columns = {
+        "position": log[f"{case.joint}_position"],
+        "command": log[f"{case.drive}_command"],
+    }
+    np.savez(path, time=log.time, **columns)
+    arguments = [library_path(), model, path, *case.loop]
+    done = subprocess.run(
+        [sys.executable, "-c", _PLAIN, *map(str, arguments)],
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    off, added = map(float, done.stdout.split())
+    return off, added / float(np.std(columns["command"]))
+
+
+def noise_levels(case: Case, model: Path) -> float:
+    """Error of a model as it is written, in 0.3 s of the held-out recording."""
+    problem = set_up(model, case.recordings, (case.held,), DiagnosisSettings())
+    return float(np.sqrt(problem.noise_levels(Hypothesis())[problem.judged].mean()))
+
+
+def run(name: str) -> dict[str, Any]:
+    """Diagnoses a case by the command and runs what it wrote."""
+    one = case(name)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        files = []
+        for log, recording in one.recordings.items():
+            files.append(folder / f"{Path(log).stem}.parquet")
+            data.write(recording, files[-1])
+        names = set(Library(Machine(one.model)).names) - set(one.left_out)
+        command = ["diagnose", one.model, *map(str, files), "--out", str(folder / "out")]
+        command += ["--held-out", Path(one.held).stem]
+        for effect in sorted(names) if one.left_out else ():
+            command += ["--effect", effect]
+        _leglab(*command)
+        said = json.loads((folder / "out" / "diagnosis.json").read_text())
+        row = {
+            "case": name,
+            "hidden": one.hidden,
+            "verdict": said["verdict"],
+            "named": {e["name"]: e["confidence"] for e in said["effects"]},
+            "learned": said["learned"],
+            "model": said["model"],
+            "before": said["gap"]["before"],
+        }
+        better = folder / "out" / "improved.xml"
+        if not better.exists():
+            return row
+        row["after"] = noise_levels(one, better)
+        original = folder / "original.xml"
+        original.write_text(to_xml(Machine(one.model).spec()))
+        row["plain"] = [plain(one, m, folder) for m in (original, better)]
+        row["unit"] = list(one.unit)
+        if one.model == "knee_bench":
+            runs = folder / "run"
+            _leglab("run", "nominal", "--model", str(better), "--duration", "4", "--out", str(runs))
+            metrics = json.loads((runs / "metrics.json").read_text())
+            row["run"] = 1e3 * metrics["phases"][0]["rms_rad"]["knee"]
+        return row
+
+
+def _leglab(*arguments: str) -> None:
+    """Runs the command; its errors are the benchmark's."""
+    subprocess.run([sys.executable, "-m", "leglab", *arguments], check=True, capture_output=True)
+
+
+def tables(rows: list[dict[str, Any]]) -> str:
+    """A row a case."""
+    shown = []
+    for row in rows:
+        named = [f"{name} {sure:.2f}" for name, sure in row["named"].items()] or ["no name"]
+        said = [", ".join(named), *([row["learned"]] if row["learned"] else [])]
+        start = [row["case"], row["hidden"], row["verdict"], "; ".join(said)]
+        if "after" not in row:
+            shown.append([*start, f"{row['before']:.3g}; {_NOTHING}", "", "", ""])
+            continue
+        factor, unit = row["unit"]
+        (off, added), (off_after, added_after) = row["plain"]
+        ran = "" if "run" not in row else f"4 s, {row['run']:.1f} mrad off the reference"
+        shown.append(
+            [
+                *start,
+                f"{row['before']:.3g} > {row['after']:.3g}",
+                f"{factor * off:.3g} > {factor * off_after:.3g} {unit}",
+                f"{100.0 * added:.3g} > {100.0 * added_after:.3g} %",
+                ran,
+            ]
+        )
+    return results.table(HEAD, shown)
+
+
+def main() -> None:
+    """Runs the cases given, or all, or prints what is kept."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("cases", nargs="*", default=CASES)
+    results.main(parser, lambda options: [run(name) for name in options.cases], tables)
+
+
+if __name__ == "__main__":
+    main()
