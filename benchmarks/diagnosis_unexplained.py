@@ -30,7 +30,7 @@ from leglab.studies.shared_data import shared_data
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from benchmarks.diagnosis_remainder import EXCLUDED, bench
+from benchmarks.diagnosis_remainder import EXCLUDED, bench, pendulum
 from tests.rigs import PENDULUM, Truth, record
 from tests.rigs.measured import EMPS_HELD_OUT, EMPS_MODEL, emps
 
@@ -125,16 +125,24 @@ def case(name: str) -> Case:
             loop=(2100.0, 1300.0),  # 3.3 rad/s, well damped, of 95 kg
             unit=(1e3, "mm"),
         )
+    if name == "ripple":
+        logs, drawn = pendulum(np.random.default_rng(7))
+        hidden = f"{drawn.amplitude:.2f} N m every {drawn.period:.2f} rad, not looked for"
+        return _pendulum(logs, hidden, EXCLUDED)
     logs = {
         kind: record(PENDULUM, kind, Truth(), seed=i, seconds=4.0)
         for i, kind in enumerate(("multisine", "fast", "slow"))
     }
+    return _pendulum(logs, "nothing: a pendulum as its model", ())
+
+
+def _pendulum(logs: Mapping[str, Recording], hidden: str, left_out: tuple[str, ...]) -> Case:
     return Case(
         model=str(PENDULUM.model),
         recordings=logs,
         held="slow",
-        hidden="nothing: a pendulum as its model",
-        left_out=(),
+        hidden=hidden,
+        left_out=left_out,
         joint="hinge",
         drive="drive",
         loop=(1.0, 0.1),
@@ -156,7 +164,7 @@ def _knee(logs: Mapping[str, Recording], held: str, hidden: str, left_out: tuple
     )
 
 
-CASES = ("e0", "torque", "EMPS", "nothing")
+CASES = ("e0", "torque", "ripple", "EMPS", "nothing")
 
 
 def plain(case: Case, model: Path, folder: Path) -> tuple[float, float]:
