@@ -12,6 +12,8 @@ import pytest
 from leglab.diagnosis import improve
 from leglab.diagnosis.hypothesis import Hypothesis
 from leglab.diagnosis.judging import intervals
+from leglab.diagnosis.measure import Measure
+from leglab.diagnosis.naming import rms
 from leglab.diagnosis.nuisances import all_strengths
 from leglab.diagnosis.thresholds import DEFAULT
 from leglab.diagnosis.verdict import assemble, diagnose
@@ -119,6 +121,13 @@ def test_the_gap_is_that_of_the_held_out_recordings(ill):
     assert result.gap.healthy == pytest.approx(by_name["multisine"])
     assert result.gap.healthy > 5.0  # far from noise alone, and what it is no part of what is open
     assert result.gap.explained > 0.9
+    # What confidence is taken from is over all recordings.
+    measure = Measure.of(problem, found.specimen)
+    every = np.ones_like(held)
+    for told, windows in ((result.gap.compared, held), (result.gap.everywhere, every)):
+        errors = [measure.squares(h)[windows] for h in (final.without(*found.named), final)]
+        assert told == pytest.approx((*(rms(e) for e in errors), measure.floor(windows)))
+    assert result.gap.everywhere != pytest.approx(result.gap.compared, rel=2e-3)
 
 
 def test_no_fit_sees_the_held_out_recordings(ill, well):
