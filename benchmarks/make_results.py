@@ -73,6 +73,7 @@ JOBS = (
     _job("diagnosis_bench_without_pressures", 4, "diagnosis_bench", "--without-pressures"),
     _job("diagnosis_emps", 2),
     _job("diagnosis_rough", 20),
+    _job("diagnosis_unexplained", 6),
     _job("diagnosis_self_test", 60, options="--out runs/self_test"),
     _job(
         "diagnosis_rough_self_test",
