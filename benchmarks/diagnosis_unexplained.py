@@ -30,7 +30,8 @@ from leglab.studies.shared_data import shared_data
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from benchmarks.diagnosis_remainder import EXCLUDED, bench, pendulum
+from diagnosis_remainder import EXCLUDED, bench, pendulum
+
 from tests.rigs import PENDULUM, Truth, record
 from tests.rigs.measured import EMPS_HELD_OUT, EMPS_MODEL, emps
 
@@ -44,7 +45,6 @@ HEAD = (
     "correction it needs",
     "leglab run",
 )
-_NOTHING = "none is written"
 # Knows no leglab: a bare model along a recording whose commands drive it, with a slow loop.
 _PLAIN = """
 import sys
@@ -99,6 +99,13 @@ class Case:
     drive: str
     loop: tuple[float, float]
     unit: tuple[float, str]
+
+
+def known(name: str) -> str:
+    """The name of a case, for argparse."""
+    if name not in CASES:
+        raise argparse.ArgumentTypeError(f"unknown case {name!r}; allowed: {', '.join(CASES)}")
+    return name
 
 
 def case(name: str) -> Case:
@@ -234,8 +241,9 @@ def run(name: str) -> dict[str, Any]:
 
 
 def _leglab(*arguments: str) -> None:
-    """Runs the command; its errors are the benchmark's."""
-    subprocess.run([sys.executable, "-m", "leglab", *arguments], check=True, capture_output=True)
+    """Runs the command; what it says on stderr is shown, its failure ends the benchmark."""
+    command = [sys.executable, "-m", "leglab", *arguments]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
 
 
 def tables(rows: list[dict[str, Any]]) -> str:
@@ -246,7 +254,7 @@ def tables(rows: list[dict[str, Any]]) -> str:
         said = [", ".join(named), *([row["learned"]] if row["learned"] else [])]
         start = [row["case"], row["hidden"], row["verdict"], "; ".join(said)]
         if "after" not in row:
-            shown.append([*start, f"{row['before']:.3g}; {_NOTHING}", "", "", ""])
+            shown.append([*start, f"{row['before']:.3g}; no file is written", "", "", ""])
             continue
         factor, unit = row["unit"]
         (off, added), (off_after, added_after) = row["plain"]
@@ -266,7 +274,7 @@ def tables(rows: list[dict[str, Any]]) -> str:
 def main() -> None:
     """Runs the cases given, or all, or prints what is kept."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("cases", nargs="*", default=CASES)
+    parser.add_argument("cases", nargs="*", type=known, default=CASES)
     results.main(parser, lambda options: [run(name) for name in options.cases], tables)
 
 

@@ -1,7 +1,5 @@
 """Friction by direction has its name only where the directions differ."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -120,16 +118,14 @@ def test_the_others_are_judged_without_what_has_no_name(monkeypatch, leads):
     assert [c.key for c in none.contenders] == ([] if leads else [COULOMB])
 
 
-@pytest.mark.parametrize(
-    ("discrepancy", "differs", "kept"),
-    [(1, True, ASYMMETRIC), (1, False, COULOMB), (None, False, ASYMMETRIC)],
-)
-def test_no_name_is_swapped_for_one_whose_directions_depart_alike(
-    monkeypatch, discrepancy, differs, kept
-):
-    """On an exact machine the special cases say enough."""
+def test_on_an_exact_machine_special_cases_say_enough(monkeypatch):
+    """Nothing is fitted anew: the sketch could not."""
+    assert directions.differs(a_sketch(monkeypatch), contender(LIBRARY, ASYMMETRIC, 1.0))
+
+
+@pytest.mark.parametrize(("differs", "kept"), [(True, ASYMMETRIC), (False, COULOMB)])
+def test_no_name_is_swapped_for_one_whose_directions_depart_alike(monkeypatch, differs, kept):
     sketch = a_sketch(monkeypatch)
-    sketch.noise = SimpleNamespace(discrepancy=discrepancy)
     scatter = np.random.default_rng(0).normal(0.0, 0.02, WINDOWS)
     costs = {COULOMB: 3.0 + scatter, ASYMMETRIC: 2.9 - scatter}
     monkeypatch.setattr(challenge, "_with_rival", lambda p, f, free, s: a_fit(LIBRARY, *free))

@@ -588,11 +588,11 @@ def test_many_effects_that_cannot_be_told_are_one_sentence_and_a_table(tmp_path)
 
 
 def test_what_a_rough_machine_hides_is_lost_in_the_error_of_its_model(tmp_path):
-    """Its recordings move enough: not they are too poor, but the model."""
+    """The recordings move enough, but the model errs by more than a little of an effect does."""
     little = (NotTestable(name="coulomb_friction", element="knee", reason="needs slow motion"),)
     result = diagnosis(not_testable=little, rough=True)
     line = next(s for s in sections(result, "m") if s.title == "What cannot be told").lines[0]
-    assert line.startswith("Of coulomb friction at knee a just noticeable amount would be lost in")
+    assert line.startswith("A just noticeable amount of coulomb friction at knee would be lost in")
     assert len(table(write_page(result, tmp_path, model="m"), "own error")) == 2
     told = summary_lines(result)
     assert any("lost in the model's own error: coulomb_friction" in line for line in told)

@@ -125,7 +125,7 @@ def _swapped(
     problem: Problem, fit: Fit, named: list[Key], rounds: Sequence[Round]
 ) -> tuple[tuple[Fit, list[Key]] | None, dict[Key, tuple[Contender, ...]]]:
     """The first swap that explains more, or as much with less; and what was tried."""
-    best, rough = total_cost(problem, fit), problem.noise.discrepancy is not None
+    best = total_cost(problem, fit)
     checks: dict[Key, tuple[Contender, ...]] = {}
     for key in named:
         tried = [Contender(key=key, fit=fit, cost=best)]
@@ -137,7 +137,7 @@ def _swapped(
             swap = Contender(key=rival, fit=swapped, cost=cost)
             if cost.mean() < _promising(problem, best):
                 swap = finished(problem, swap)
-            if rough and not differs(problem, swap):
+            if not differs(problem, swap):
                 continue
             if _better(problem, swap, tried[0]):
                 return (swap.fit, changed), checks

@@ -13,7 +13,7 @@ _STEPS = 6
 
 
 def differing(problem: Problem, contenders: Sequence[Contender]) -> list[Contender]:
-    """Contenders on a rough machine without those whose directions may as well depart alike.
+    """Contenders without those whose directions may as well depart alike.
 
     Two numbers a direction follow many a law of friction, and so make up for one that is not the
     model's. Where both directions depart alike, the cause has another name.
@@ -24,11 +24,12 @@ def differing(problem: Problem, contenders: Sequence[Contender]) -> list[Contend
 def differs(problem: Problem, contender: Contender) -> bool:
     """Whether the directions of an effect more probably differ than not.
 
-    True of an effect that says nothing of directions.
+    True of an effect that says nothing of directions; and on an exact machine, where special cases
+    of an effect that do as well take its place anyway.
     """
     key, fit = contender.key, contender.fit
     site, limit = problem.library.sites[key], problem.thresholds.noticeable
-    if not site.effect.by_direction:
+    if not site.effect.by_direction or problem.noise.discrepancy is None:
         return True
     same = _alike(problem, fit, key)
     costs = [float(cost.mean()) for cost in (contender.cost, total_cost(problem, same))]

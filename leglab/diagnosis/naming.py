@@ -111,7 +111,8 @@ def judge_rough(found: Search, gap: Gap, level: Callable[[Hypothesis], float]) -
 def _in_library(found: Search, explained: float) -> float:
     """Probability that the cause is among the effects that were tried.
 
-    Of all recordings: few numbers were fitted, and one that was held out may hardly show the cause.
+    With healthy recordings it follows from the share of the gap over all recordings that is
+    explained: few numbers were fitted, and a recording that was held out may hardly show the cause.
     Without healthy recordings nobody knows which part of the error is the model's own: it may be
     most of it, and a right cause then closes little of the gap. By how much the error gets smaller,
     weighed as the search did, still tells right causes from wrong ones.

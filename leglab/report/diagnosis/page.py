@@ -174,7 +174,7 @@ def _untestable_table(result: Diagnosis) -> Table:
     head = ("effect", "element", "to see it")
     caption = "What these recordings hardly show"
     if result.rough:
-        caption = "Of what a just noticeable amount would be lost in the model's own error"
+        caption = "A just noticeable amount of these is lost in the model's own error"
     return Table(caption=caption, head=head, rows=rows, words=3)
 
 

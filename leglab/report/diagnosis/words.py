@@ -545,7 +545,7 @@ def _untold(result: Diagnosis) -> tuple[str, ...]:
     untold = tuple(f"{readable(n.name)} at {n.element}" for n in result.not_testable)
     if result.rough and untold:
         lines.append(
-            f"Of {listed(untold, 'or')} a just noticeable amount would be lost in the model's own "
+            f"A just noticeable amount of {listed(untold, 'or')} would be lost in the model's own "
             "error; the table below has what shows each best."
         )
     elif len(untold) > _UNTOLD:
