@@ -25,8 +25,10 @@ HEAD = ("machine", "hidden", "verdict", "named, confidence", "explained", "noise
 _HIDDEN = (1, 1, 2, 1, 0)
 
 
-def run(rig: RoughRig, number: int, seed: int) -> dict[str, Any]:
-    """One row."""
+def run(case: tuple[str, int, int]) -> dict[str, Any]:
+    """One row: of a machine by name, the case's number and the seed."""
+    name, number, seed = case
+    rig = RIGS[name]
     rng = np.random.default_rng([seed, sorted(RIGS).index(rig.model.stem), number])
     values, last = machine(rig, rng), len(rig.joints) - 1
     count = _HIDDEN[number % len(_HIDDEN)]
@@ -35,7 +37,6 @@ def run(rig: RoughRig, number: int, seed: int) -> dict[str, Any]:
     sizes = [hide(rig, values, *told, rng) for told in zip(faults, joints, strict=True)]
     (recordings,) = record_rough(rig, [values], seed=int(rng.integers(1 << 30)))
     result, _ = diagnose(rig.model, recordings, settings=DiagnosisSettings(threads=1))
-    print(f"{rig.model.stem} {number}: {result.verdict}", file=sys.stderr, flush=True)
     return {
         "machine": rig.model.stem,
         "hidden": [
@@ -138,13 +139,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--cases", type=int, default=10, help="of each machine")
     parser.add_argument("--seed", type=int, default=3)
+    parser.add_argument("--jobs", type=int, default=2, help="cases at a time")
+    parser.add_argument("--out", type=Path, help="keeps each case; an interrupted run goes on")
     results.main(
         parser,
-        lambda options: [
-            run(rig, number, options.seed)
-            for number in range(options.cases)
-            for rig in RIGS.values()
-        ],
+        lambda options: results.resumed(
+            run,
+            [(name, n, options.seed) for n in range(options.cases) for name in RIGS],
+            folder=options.out,
+            jobs=options.jobs,
+        ),
         tables,
     )
 
