@@ -152,6 +152,7 @@ def machine(rig: RoughRig, rng: np.random.Generator) -> Values:
         return rng.uniform(low, high, n)
 
     torque, coulomb = np.array(rig.torque), np.array(rig.coulomb)
+    stiff = np.array([g[0] for g in rig.gains]) if rig.servo else 1.0  # torque of a unit command
     mass, centre, inertia = np.array(rig.links).T
     return as_made(rig) | {
         "mass": mass * np.exp(normal(0.02)),
@@ -169,7 +170,7 @@ def machine(rig: RoughRig, rng: np.random.Generator) -> Values:
         "gain": 1.0 + normal(0.02),
         "lag": between(0.3e-3, 1.5e-3),
         "delay": between(0.2e-3, 1.4e-3),
-        "dead": torque * between(0.0, 0.004),
+        "dead": torque / stiff * between(0.0, 0.004),
         "teeth": torque * between(0.002, 0.012),
         "teeth_period": between(0.15, 0.8),
         "teeth_phase": between(0.0, 2.0 * math.pi),
