@@ -158,6 +158,47 @@ def test_two_effects_that_imitate_one_are_replaced_by_it(sketch):
     assert kept == [COULOMB, SPRING]
 
 
+def test_two_effects_are_not_replaced_by_one_of_more_numbers(sketch):
+    """Dry friction and a small offset are as much friction by direction, which has four."""
+    for key in (VISCOUS, COULOMB):
+        named = (OFFSET, key, SPRING)
+        sketch.costs |= {
+            frozenset(named): 1.0,
+            frozenset([OFFSET, ASYMMETRIC, SPRING]): 1.0,
+            frozenset([ASYMMETRIC, key, SPRING]): 9.0,
+            frozenset([ASYMMETRIC, SPRING]): 1.0,
+            frozenset([OFFSET, ASYMMETRIC]): 9.0,
+        }
+        for one in named:
+            sketch.costs[frozenset(named) - {one}] = 9.0
+        first = a_round(sketch.library, key, ASYMMETRIC)
+        rounds = [first, *(a_round(sketch.library, k) for k in (OFFSET, SPRING))]
+        assert challenged(sketch, [key, OFFSET, SPRING], rounds)[0] == [key, OFFSET, SPRING]
+
+
+def test_on_a_rough_machine_one_in_place_of_two_saves_a_number(sketch, monkeypatch):
+    """Such machines have a little of everything: of as many numbers none is the simpler set."""
+    costs(
+        sketch,
+        {
+            (OFFSET, VISCOUS, SPRING): 1.0,
+            (OFFSET, COULOMB, SPRING): 1.0,
+            (COULOMB, SPRING): 1.0,
+        },
+    )
+    sketch.noise.discrepancy = object()
+    sketch.numbers = DEFAULT.rough_numbers
+    rounds = [a_round(sketch.library, k) for k in (OFFSET, SPRING)]
+    rounds.insert(1, a_round(sketch.library, VISCOUS, COULOMB))
+    named = [OFFSET, VISCOUS, SPRING]
+    assert challenged(sketch, named, rounds)[0] == [COULOMB, SPRING]
+    counts = {frozenset(named): 3, frozenset([COULOMB, SPRING]): 3}
+    monkeypatch.setattr(challenge, "parameters", lambda problem, fit: counts.get(fit.free, 3))
+    assert challenged(sketch, named, rounds)[0] == named
+    sketch.noise.discrepancy = None
+    assert challenged(sketch, named, rounds)[0] == [COULOMB, SPRING]
+
+
 def test_what_is_needed_stays_and_a_worse_rival_is_on_record(sketch):
     costs(sketch, {(OFFSET, VISCOUS): 1.0, (COULOMB, VISCOUS): 3.0, (OFFSET, COULOMB): 3.0})
     rounds = [a_round(sketch.library, OFFSET, COULOMB), a_round(sketch.library, VISCOUS)]

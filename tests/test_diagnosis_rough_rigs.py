@@ -8,11 +8,12 @@ import pytest
 from leglab.diagnosis import directions, rough
 from leglab.diagnosis.rough import rough_search, suspected
 from leglab.diagnosis.search import search_round
+from leglab.diagnosis.verdict import diagnose
 from leglab.diagnosis.workflow import DiagnosisSettings, set_up
 from tests.diagnosis_sketch import LIBRARY, OFFSET
 from tests.rigs import PENDULUM, Truth, record
 from tests.rigs.agreement import open_loop_error
-from tests.rigs.rough import RIGS, as_made, faults_of, hide, machine, record_rough
+from tests.rigs.rough import RIGS, SERVO_LINK, as_made, faults_of, hide, machine, record_rough
 
 ARMATURE, VISCOUS = ("armature", "hinge"), ("viscous_friction", "hinge")
 
@@ -158,3 +159,17 @@ def test_a_rough_search_that_may_use_no_effect_names_none():
     problem = set_up(PENDULUM.model, logs, (), settings)
     *_, named, _ = rough_search(problem, 2, np.random.default_rng(0), lambda _: None)
     assert named == []
+
+
+def test_the_dead_band_of_a_servo_is_one_of_its_error():
+    """Found from recordings of the independent simulator, and no command of zero is special."""
+    made = as_made(SERVO_LINK)
+    made["dead"][0] = 0.02  # rad
+    made["noise"][0] = 3e-5
+    (logs,) = record_rough(SERVO_LINK, [made], seed=1, seconds=3.0)
+    result, _ = diagnose(SERVO_LINK.model, logs, settings=DiagnosisSettings(threads=1))
+    (effect,) = result.effects
+    assert result.verdict == "named"
+    assert (effect.name, effect.element) == ("command_deadband", "servo")
+    assert effect.confidence > 0.95
+    assert effect.parameters[0].value == pytest.approx(0.02, rel=0.02)

@@ -13,7 +13,7 @@ import numpy as np
 from leglab.diagnosis.directions import differs
 from leglab.diagnosis.fitting import Fit, refit
 from leglab.diagnosis.hypothesis import Hypothesis, Key
-from leglab.diagnosis.judging import earns, t_value
+from leglab.diagnosis.judging import earns, parameters, t_value
 from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.search import Contender, Round, finished, total_cost
 
@@ -142,7 +142,7 @@ def _swapped(
             if _better(problem, swap, tried[0]):
                 return (swap.fit, changed), checks
             if _needless(problem, best, swap.cost):
-                fewer = _freed(problem, swap, changed, best)
+                fewer = _freed(problem, fit, swap, changed, best)
                 if fewer is not None:
                     return fewer, checks
             tried.append(swap)
@@ -169,14 +169,21 @@ def _promising(problem: Problem, best: np.ndarray) -> float:
 
 
 def _freed(
-    problem: Problem, swap: Contender, named: list[Key], best: np.ndarray
+    problem: Problem, own: Fit, swap: Contender, named: list[Key], best: np.ndarray
 ) -> tuple[Fit, list[Key]] | None:
-    """The fit without the effect that a swap has made needless, if it did."""
+    """The fit without the effect that a swap has made needless, if it did.
+
+    One effect in place of two may not take more parameters than these. On a rough machine it must
+    take less: a small one of two is how such a machine is made, and nothing is simpler without it.
+    """
+    most = parameters(problem, own) - (problem.noise.discrepancy is not None)
     for key in named:
         if key == swap.key:
             continue
         start = swap.fit.hypothesis.without(key)
         fewer = _refitted(problem, swap.fit, frozenset(named) - {key}, start)
+        if parameters(problem, fewer) > most:
+            continue
         if _needless(problem, best, total_cost(problem, fewer)):
             return fewer, [k for k in named if k != key]
     return None

@@ -138,12 +138,22 @@ class Machine:
         """Value of a plugin parameter in the unmodified model."""
         return float(self.base.plugin_state[self.base.slot(element, name)])
 
+    def instance_on(self, plugin: str, attribute: str, target: str) -> str | None:
+        """Name of a plugin's first instance on a target.
+
+        Args:
+            plugin: Name of the plugin.
+            attribute: Of its instances, "joint" or "actuator".
+            target: Name of the joint or actuator.
+        """
+        for one in self._spec.plugins:
+            if one.plugin_name == plugin and one.config.get(attribute) == target:
+                return str(one.name)
+        return None
+
     def spring_of(self, joint: str) -> str | None:
         """Name of the spring-damper instance that acts on a joint."""
-        for plugin in self._spec.plugins:
-            if plugin.plugin_name == SPRING and plugin.config.get("joint") == joint:
-                return plugin.name
-        return None
+        return self.instance_on(SPRING, "joint", joint)
 
     def variant(self, edits: tuple[Edit, ...]) -> Variant:
         """The model after edits of its specification, compiled once per set of keys.

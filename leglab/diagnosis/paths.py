@@ -56,7 +56,8 @@ def take_out(spec: mujoco.MjSpec) -> Carried:
         if plugin.plugin_name == COMMAND_PATH:
             config = dict(plugin.config)
             commands.setdefault(config["actuator"], []).extend(_functions(config))
-            kept = ("actuator", "actuator_gain", "max_delay")
+            # What acts beside the command is no function of it, and stays.
+            kept = ("actuator", "actuator_gain", "servo_dead_band", "max_delay")
             plugin.config = {k: v for k, v in config.items() if k in kept}
     corrections: dict[str, list[tuple[Correction, float]]] = {}
     for joint in spec.joints:

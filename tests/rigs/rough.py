@@ -208,8 +208,11 @@ FAULTS: Mapping[str, tuple[float, float, bool]] = {
 
 
 def faults_of(rig: RoughRig) -> tuple[str, ...]:
-    """Those that a rig can show: without weight none of the encoder's zero."""
-    weightless = {"encoder_offset", "payload"} if rig.links[0][0] == 0.0 else set()
+    """Those that a rig can show.
+
+    Without weight its encoder's zero is anywhere, and an encoder's scale is the drive's.
+    """
+    weightless = {"encoder_offset", "encoder_scale", "payload"} if rig.links[0][0] == 0.0 else set()
     return tuple(name for name in FAULTS if name not in weightless)
 
 

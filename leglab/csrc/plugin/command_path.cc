@@ -87,7 +87,7 @@ void CommandPath::apply(const mjModel* m, mjData* d) const {
   const Parameters& p = slots(m, d).parameters;
   const int id = actuator_.id;
   const double command = actuator_.command(m, d);
-  const double change = pass(m, d, command).output - command;
+  const double output = pass(m, d, command).output, change = output - command;
   mjtNum& force = d->actuator_force[actuator_.output];
   if (change != 0.0) {
     if (m->actuator_dyntype[id] == mjDYN_NONE) {
@@ -98,6 +98,16 @@ void CommandPath::apply(const mjModel* m, mjData* d) const {
                              : std::max(mjMINVAL, m->actuator_dynprm[mjNDYN * id]);
       d->act_dot[m->actuator_actadr[id] + m->actuator_actnum[id] - 1] += change / tau;
     }
+  }
+  if (p.servo_dead_band_ != 0.0) {
+    if (!actuator_.position_servo(m)) {
+      refuse(m, instance_, "attribute 'servo_dead_band' = " + number(p.servo_dead_band_) +
+                               "; allowed: 0 for what is no position servo");
+    }
+    // A servo's force is its gain times the error of its position, and damping.
+    const double goal = m->actuator_dyntype[id] == mjDYN_NONE ? output : actuator_.activation(m, d);
+    const double error = goal - d->actuator_length[actuator_.output];
+    force -= actuator_.gain(m, d) * std::clamp(error, -p.servo_dead_band_, p.servo_dead_band_);
   }
   if (p.actuator_gain_ != 1.0) force *= p.actuator_gain_;
 }

@@ -23,6 +23,13 @@ double NativeActuator::gain(const mjModel* m, const mjData* d) const {
   return p[0] + p[1] * d->actuator_length[output] + p[2] * d->actuator_velocity[output];
 }
 
+bool NativeActuator::position_servo(const mjModel* m) const {
+  const double gain = m->actuator_gainprm[mjNGAIN * id];
+  const mjtNum* bias = m->actuator_biasprm + mjNBIAS * id;
+  return m->actuator_gaintype[id] == mjGAIN_FIXED && m->actuator_biastype[id] == mjBIAS_AFFINE &&
+         gain != 0.0 && bias[0] == 0.0 && bias[1] == -gain;
+}
+
 void require_native(const mjModel* m, int instance, int actuator) {
   const int gain = m->actuator_gaintype[actuator], bias = m->actuator_biastype[actuator];
   const int dynamics = m->actuator_dyntype[actuator];

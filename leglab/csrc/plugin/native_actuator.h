@@ -22,6 +22,14 @@ struct NativeActuator {
   // The command within its range, 0 where it is no number, as MuJoCo takes it.
   double command(const mjModel* m, const mjData* d) const;
 
+  // Whether force = gain (input - length) - damping x velocity.
+  bool position_servo(const mjModel* m) const;
+
+  // The state of an actuator with dynamics.
+  double activation(const mjModel* m, const mjData* d) const {
+    return d->act[m->actuator_actadr[id] + m->actuator_actnum[id] - 1];
+  }
+
   // dForce/dInput at the present length and velocity; fixed or affine gain.
   double gain(const mjModel* m, const mjData* d) const;
 };

@@ -88,6 +88,8 @@ LEGLAB_TABLE(Backlash, "leglab.backlash", LEGLAB_BACKLASH_PARAMETERS, LEGLAB_BAC
   X(hysteresis, "ctrl", 0.0, 0.0, 1e6, true, "full width of a play")                               \
   X(dead_band, "ctrl", 0.0, 0.0, 1e6, true, "half width: below it nothing, above it u - dead_band") \
   X(time_constant, "s", 0.0, 0.0, 10.0, true, "first-order lag: bandwidth 1/(2 pi time_constant)") \
+  X(servo_dead_band, "ctrl", 0.0, 0.0, 1e6, true,                                                  \
+    "half width: position errors of a servo within it give no force, those beyond it less of it")   \
   X(actuator_gain, "1", 1.0, -100.0, 100.0, true, "factor on the force of the actuator")
 
 // The commands of the last steps follow these in the plugin state, newest first.

@@ -14,6 +14,8 @@ from leglab.diagnosis.paths import COMMAND_PATH, dead_band, delayed, lagged, pla
 
 # A command path keeps at least this much history.
 _SHORTEST_HISTORY = 0.05  # s
+_SERVO_BAND = "servo_dead_band"
+_SERVO_SHARE = 0.2
 
 
 def write_command_path(spec: mujoco.MjSpec, actuator: str, values: Mapping[str, float]) -> None:
@@ -22,15 +24,49 @@ def write_command_path(spec: mujoco.MjSpec, actuator: str, values: Mapping[str, 
         if plugin.plugin_name == COMMAND_PATH and plugin.config.get("actuator") == actuator:
             plugin.config = {**plugin.config, **{k: repr(float(v)) for k, v in values.items()}}
             return
-    joints.insert(spec, COMMAND_PATH, f"{actuator}_path", {"actuator": actuator, **values})
+    joints.insert(spec, COMMAND_PATH, path_of(actuator), {"actuator": actuator, **values})
+
+
+def path_of(actuator: str) -> str:
+    """Name of the `leglab.command_path` that is inserted for an actuator."""
+    return f"{actuator}_path"
+
+
+def position_servos(machine: Machine) -> tuple[str, ...]:
+    """Native actuators whose force is a gain times the error of a position, and damping."""
+    model = machine.base.model
+    return tuple(
+        name
+        for i, name in enumerate(machine.actuators)
+        if model.actuator_plugin[i] < 0
+        and model.actuator_gaintype[i] == int(mujoco.mjtGain.mjGAIN_FIXED)
+        and model.actuator_biastype[i] == int(mujoco.mjtBias.mjBIAS_AFFINE)
+        and model.actuator_dyntype[i] != int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
+        and model.actuator_biasprm[i, 0] == 0.0
+        and model.actuator_biasprm[i, 1] == -model.actuator_gainprm[i, 0] != 0.0
+        and machine.driven[name]
+    )
+
+
+def command_size(machine: Machine, element: str) -> float:
+    """Command that matters at a native actuator, in the unit of its commands.
+
+    Half its range; 1 where it has none. Of a position servo a fifth of what its joint may travel:
+    its range says where it can go, not how well it gets there.
+    """
+    actuator = machine.base.model.actuator(element)
+    if element in position_servos(machine):
+        gear = abs(float(actuator.gear[0]))
+        return _SERVO_SHARE * gear * joints.travel(machine, machine.driven[element][0])
+    return 0.5 * float(np.ptp(actuator.ctrlrange)) if actuator.ctrllimited[0] else 1.0
 
 
 class CommandEffect(Effect):
     """Base of effects that one parameter of `leglab.command_path` describes.
 
     Attributes:
-        parameter: Of the plugin. If its unit is "ctrl", trials and bounds are shares of half the
-            actuator's range, values where it has none.
+        parameter: Of the plugin. If its unit is "ctrl", trials and bounds are shares of the
+            actuator's `command_size`.
         arrives: What the actuator gets, (n,): of commands (n,), a value of the parameter and the
             sampling period [s].
     """
@@ -46,9 +82,7 @@ class CommandEffect(Effect):
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """The one parameter, scaled to the actuator's commands."""
         one = self.parameter
-        actuator = machine.base.model.actuator(element)
-        scaled = one.unit == "ctrl" and actuator.ctrllimited[0]
-        size = 0.5 * float(np.ptp(actuator.ctrlrange)) if scaled else 1.0
+        size = command_size(machine, element) if one.unit == "ctrl" else 1.0
         trials = tuple(trial * size for trial in one.trials)
         return (replace(one, lower=one.lower * size, upper=one.upper * size, trials=trials),)
 
@@ -96,7 +130,7 @@ class CommandDelay(CommandEffect):
 
 @register_effect
 class CommandDeadband(CommandEffect):
-    """Small commands do nothing."""
+    """Small commands do nothing; of a position servo, small errors: see `ServoDeadband`."""
 
     name = "command_deadband"
     physics = (
@@ -106,6 +140,46 @@ class CommandDeadband(CommandEffect):
     excitation = "commands through zero"
     parameter = EffectParameter("dead_band", "ctrl", upper=0.5, trials=(0.01, 0.05, 0.2))
     arrives = staticmethod(lambda samples, value, _: dead_band(samples, value))
+
+    def elements(self, machine: Machine) -> tuple[str, ...]:
+        """Native actuators but position servos."""
+        return tuple(a for a in super().elements(machine) if a not in position_servos(machine))
+
+
+@register_effect
+class ServoDeadband(Effect):
+    """A position servo does nothing about small errors of its position."""
+
+    name = "command_deadband"
+    group = "valve and command"
+    physics = "kp (e - d sgn(e)) beyond |e| = d, nothing below, of the position error e = u - q."
+    source = "dead bands and compliance margins of position servos: 1 to 20 mrad"
+    excitation = "rest and slow motion under small loads"
+
+    def elements(self, machine: Machine) -> tuple[str, ...]:
+        """Position servos."""
+        return position_servos(machine)
+
+    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
+        """Half the width of the dead band."""
+        size = command_size(machine, element)
+        trials = (0.02 * size, 0.08 * size, 0.3 * size)
+        return (EffectParameter("dead_band", "ctrl", upper=2.0 * size, trials=trials),)
+
+    def apply(self, change: Change, element: str, values: Values) -> None:
+        """Sets the dead band of the servo's command path; inserts one if there is none."""
+        band = values["dead_band"]
+        if band == 0.0:
+            return
+        if name := change.machine.instance_on(COMMAND_PATH, "actuator", element):
+            change.add_parameter(name, _SERVO_BAND, band)
+            return
+
+        def insert(spec: mujoco.MjSpec) -> None:
+            write_command_path(spec, element, {})
+
+        change.edit(("insert", COMMAND_PATH, element), insert)
+        change.set_parameter(path_of(element), _SERVO_BAND, band)
 
 
 @register_effect
