@@ -18,7 +18,7 @@ from leglab.diagnosis.workflow import DiagnosisSettings
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from tests.rigs.rough import RIGS, RoughRig, faults_of, hide, machine, record_rough
+from tests.rigs.rough import RIGS, faults_of, hide, machine, record_rough
 
 HEAD = ("machine", "hidden", "verdict", "named, confidence", "explained", "noise levels", "s")
 # Of five cases in turn: how many faults.
