@@ -153,7 +153,29 @@ def rough_search(
             break
         named.append(winner.key)
         current = winner.fit
+        if _only_made_so(problem, tried, named, current, calibrated=calibrated):
+            break
     return problem, baseline, current, named, found
+
+
+def _only_made_so(
+    problem: Problem, tried: Round, named: Sequence[Key], fit: Fit, *, calibrated: bool
+) -> bool:
+    """Whether a cause is named, and a round found beside it only how this machine is made.
+
+    Such a machine has a little of everything. Each of it takes a round, and then must be challenged
+    with all the others.
+    """
+
+    def a_cause(key: Key, hypothesis: Hypothesis) -> bool:
+        share = fault_probability(problem, key, hypothesis, calibrated=calibrated)
+        return share >= problem.thresholds.fault
+
+    if not any(a_cause(key, fit.hypothesis) for key in named):
+        return False
+    return not any(
+        a_cause(c.key, c.fit.hypothesis) for c in tried.contenders if accepted(problem, tried, c)
+    )
 
 
 def paired(
