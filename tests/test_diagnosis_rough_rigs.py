@@ -10,12 +10,13 @@ from leglab.diagnosis.rough import rough_search, suspected
 from leglab.diagnosis.search import search_round
 from leglab.diagnosis.verdict import diagnose
 from leglab.diagnosis.workflow import DiagnosisSettings, set_up
-from tests.diagnosis_sketch import LIBRARY, OFFSET
+from tests.diagnosis_sketch import LIBRARY, OFFSET, a_fit, a_round, a_sketch, contender
 from tests.rigs import PENDULUM, Truth, record
 from tests.rigs.agreement import open_loop_error
 from tests.rigs.rough import RIGS, SERVO_LINK, as_made, faults_of, hide, machine, record_rough
 
 ARMATURE, VISCOUS = ("armature", "hinge"), ("viscous_friction", "hinge")
+SPRING = ("spring_stiffness", "hinge")
 
 
 @pytest.mark.parametrize("name", RIGS)
@@ -173,3 +174,44 @@ def test_the_dead_band_of_a_servo_is_one_of_its_error():
     assert (effect.name, effect.element) == ("command_deadband", "servo")
     assert effect.confidence > 0.95
     assert effect.parameters[0].value == pytest.approx(0.02, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("cause", "another", "taken", "ends"),
+    [
+        (4.0, 0.3, True, True),  # beside a cause only how the machine is made
+        (4.0, 4.0, True, False),  # a second cause is near
+        (4.0, 4.0, False, True),  # that is none by the round
+        (0.3, 0.3, True, False),  # the cause is still to be found
+    ],
+)
+def test_a_search_ends_where_a_round_adds_only_how_the_machine_is_made(
+    monkeypatch, cause, another, taken, ends
+):
+    problem = a_sketch(monkeypatch)
+    slight = contender(LIBRARY, VISCOUS, 1.0)
+    small = a_fit(LIBRARY, VISCOUS, trials=0.3)
+    slight = replace(slight, fit=small)
+    rival = replace(slight, key=SPRING, fit=a_fit(LIBRARY, SPRING, trials=another))
+    tried = a_round([slight, rival])
+    monkeypatch.setattr(rough, "accepted", lambda p, t, c: c is slight or taken)
+    both = a_fit(LIBRARY, OFFSET, trials=cause).hypothesis
+    both = both.with_values(VISCOUS, small.hypothesis[VISCOUS])
+    fit = small.with_hypothesis(both)
+    named = [OFFSET, VISCOUS]
+    assert rough._only_made_so(problem, tried, named, fit, calibrated=False) is ends
+
+
+@pytest.mark.parametrize("ends", [True, False])
+def test_rounds_end_there(monkeypatch, ends):
+    rig = replace(PENDULUM, motor=0.05, viscous=0.3)
+    kinds = ("multisine", "fast")
+    logs = {k: record(rig, k, Truth(), seed=i, seconds=3.0) for i, k in enumerate(kinds)}
+    tried = ("armature", "viscous_friction", "quadratic_damping")
+    problem = set_up(PENDULUM.model, logs, (), DiagnosisSettings(effects=tried, threads=1))
+    monkeypatch.setattr(rough, "paired", lambda *_: ())
+    monkeypatch.setattr(rough, "_only_made_so", lambda *_, calibrated: ends)
+    rng = np.random.default_rng(0)
+    *_, named, rounds = rough_search(problem, 3, rng, lambda _: None)
+    assert (len(rounds) == 1) is ends
+    assert (len(named) == 1) is ends
