@@ -669,3 +669,13 @@ def test_overwrite_replaces_a_diagnosis_and_nothing_else(tmp_path, capsys):
     assert "holds no" not in (told := capsys.readouterr().err)
     assert "none.csv" in told.replace("\n", "")
     assert (tmp_path / "letter.txt").read_text() == "mine"
+
+
+def test_of_several_effects_each_stands_on_a_line_of_its_own():
+    one = diagnosis()
+    other = replace(one.effects[0], name="valve_bias")
+    told = dict(facts(replace(one, effects=(*one.effects, other))))
+    first, second = told["Missing"].split("\n")
+    assert first.startswith("Valve deadband at knee_valve: lap 0.05")
+    assert first.endswith(";")
+    assert second.startswith("valve bias at knee_valve: lap 0.05")

@@ -91,10 +91,13 @@ def _ordinary(result: Diagnosis) -> tuple[NamedEffect, ...]:
 
 
 def facts(result: Diagnosis) -> tuple[tuple[str, str], ...]:
-    """What is missing, how sure, how much it explains and how much is left: question, answer."""
+    """What is missing, how sure, how much it explains and how much is left: question, answer.
+
+    Of several effects each stands on a line of its own.
+    """
     changed = "Changed" if result.calibration else "Missing"
     if result.effects:
-        missing = "; ".join(_fitted(effect, result.nominal_words) for effect in result.effects)
+        missing = ";\n".join(_fitted(effect, result.nominal_words) for effect in result.effects)
         if result.verdict == "unexplained":
             missing = f"nothing that can be named; nearest comes {missing}"
         sure = "; ".join(_confidence(e, alone=len(result.effects) == 1) for e in result.effects)
