@@ -1,17 +1,21 @@
 """Friction by direction has its name only where the directions differ."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from leglab.diagnosis import challenge, directions, rough
+from leglab.diagnosis import challenge, directions, naming, rough
 from leglab.diagnosis.fitting import refit
 from leglab.diagnosis.hypothesis import Hypothesis
 from leglab.diagnosis.search import as_contender
+from leglab.diagnosis.thresholds import DEFAULT
 from leglab.diagnosis.workflow import DiagnosisSettings, set_up
 from tests.diagnosis_sketch import (
     ASYMMETRIC,
     COULOMB,
     LIBRARY,
+    MACHINE,
     OFFSET,
     VISCOUS,
     WINDOWS,
@@ -20,7 +24,8 @@ from tests.diagnosis_sketch import (
     a_sketch,
     contender,
 )
-from tests.rigs.rough import ROTOR, as_made, record_rough
+from tests.rigs import SLIDE_AXIS, Truth, record
+from tests.rigs.rough import ROTOR, as_made, machine, record_rough
 
 KEY = ("asymmetric_friction", "shaft")
 
@@ -136,3 +141,73 @@ def test_no_name_is_swapped_for_one_whose_directions_depart_alike(monkeypatch, d
     rounds = [a_round([contender(LIBRARY, k, c) for k, c in costs.items()])]
     better, _ = challenge._swapped(sketch, a_fit(LIBRARY, COULOMB), [COULOMB], rounds)
     assert (better[1] if better else [COULOMB]) == [kept]
+
+
+def rough_problem(model, logs):
+    settings = DiagnosisSettings(effects=(ASYMMETRIC[0], OFFSET[0], "cogging"), threads=1)
+    problem = set_up(model, {k: logs[k] for k in ("multisine", "slow")}, (), settings)
+    key = next(key for key in problem.library.sites if key[0] == ASYMMETRIC[0])
+    at = problem.linearise(Hypothesis(), problem.fitted)
+    fit = refit(problem, at, frozenset({key}))
+    problem = problem.trusting(problem.discrepancy(fit.hypothesis))
+    at = problem.linearise(Hypothesis(), problem.fitted)
+    return problem, refit(problem, at, frozenset({key}), iterations=8), key
+
+
+def test_dry_friction_and_a_constant_force_move_as_friction_by_direction_does():
+    values = machine(ROTOR, np.random.default_rng(3))
+    values["coulomb"] += 0.1
+    values["force"] += 0.07
+    (logs,) = record_rough(ROTOR, [values], seed=0, seconds=4.0)
+    problem, fit, key = rough_problem(ROTOR.model, logs)
+    found = fit.hypothesis[key]
+    assert found[3] - found[2] == pytest.approx(0.14, abs=0.03)
+    names, ratio = directions.pushed_instead(problem, fit, key)
+    assert names == ("force_offset",)  # of these effects: other friction is not looked for
+    assert ratio > 0.25
+    beside = directions._alike(problem, fit, key, ("force_offset", "shaft"))
+    assert beside.hypothesis["force_offset", "shaft"][0] == pytest.approx(0.07, rel=0.15)
+
+
+def test_a_pair_of_directions_that_differs_is_a_further_number():
+    site = LIBRARY.sites[ASYMMETRIC]
+    scale = np.array([p.scale for p in site.parameters])
+    for trials, pairs in (((5, 5, 5, 5), 0), ((5, 5, 0, 5), 1), ((1, 5, 2, 5), 2)):
+        assert directions._differing_pairs(site, scale * trials, 0.15) == pairs
+
+
+def test_what_grows_with_the_speed_in_one_direction_is_no_constant_force():
+    kinds = ("multisine", "slow")
+    truth = Truth(forward=30.0)
+    logs = {k: record(SLIDE_AXIS, k, truth, seed=i, seconds=3.0) for i, k in enumerate(kinds)}
+    problem, fit, key = rough_problem(SLIDE_AXIS.model, logs)
+    assert directions.pushed_instead(problem, fit, key)[1] < 1e-3
+
+
+def test_nothing_is_pushed_instead_of_what_says_nothing_of_directions(one_way):
+    problem, found = one_way
+    assert directions.pushed_instead(problem, found.fit, KEY) == (
+        (),
+        0.0,
+    )  # no force in its library
+    sketch = SimpleNamespace(library=LIBRARY, machine=MACHINE, thresholds=DEFAULT)
+    fit = a_fit(LIBRARY, VISCOUS)
+    assert directions.pushed_instead(sketch, fit, VISCOUS) == ((), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "told", "own"),
+    [(0.0, (), 0.9), (0.2, (), 0.9 / (1 + 0.18 / 40)), (2.0, (COULOMB[0],), 0.9 / (1 + 1.8 / 40))],
+)
+def test_two_causes_are_told_and_are_as_much_less_probable_as_there_are_effects(
+    monkeypatch, ratio, told, own
+):
+    sketch = a_sketch(monkeypatch)
+    sketch.library = SimpleNamespace(searched=frozenset(range(40)))
+    search = SimpleNamespace(problem=sketch, fit=None)
+    monkeypatch.setattr(naming, "pushed_instead", lambda *_: ((COULOMB[0],), ratio))
+    tied, probability = naming._or_pushed(search, ASYMMETRIC, ((), 0.9))
+    assert tied == told
+    assert probability == pytest.approx(own)
+    # A name that is told already is told once.
+    assert naming._or_pushed(search, ASYMMETRIC, ((COULOMB[0],), 0.9))[0] == (COULOMB[0],)

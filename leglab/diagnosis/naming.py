@@ -6,6 +6,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
+from leglab.diagnosis.directions import pushed_instead
 from leglab.diagnosis.effects.base import EffectParameter
 from leglab.diagnosis.evidence import within_library
 from leglab.diagnosis.hypothesis import Hypothesis, Key
@@ -76,7 +77,8 @@ def judge_rough(found: Search, gap: Gap, level: Callable[[Hypothesis], float]) -
         return (level(without) - after) / max(unnamed - floor, 1e-9)
 
     def weigh(own: Contender, rivals: Sequence[Contender]) -> Ties:
-        return _by_posterior(found.problem, own, rivals)
+        ties = _by_posterior(found.problem, own, rivals)
+        return _or_pushed(found, own.key, ties)
 
     explained, final = gap.explained or 0.0, found.fit.hypothesis
     known = found.specimen is not None
@@ -257,6 +259,18 @@ def _by_posterior(problem: Problem, own: Contender, rivals: Sequence[Contender])
     tie = problem.thresholds.rough_tie
     tied = [c.key[0] for c, p in zip(rivals, share[1:], strict=True) if p * tie > share[0]]
     return tuple(tied), float(share[0])
+
+
+def _or_pushed(found: Search, key: Key, ties: Ties) -> Ties:
+    """Ties of friction by direction with what else moves alike, `pushed_instead`.
+
+    That is one cause more: told by its error alone, and as much less probable as there are effects.
+    """
+    problem, (tied, probability) = found.problem, ties
+    names, ratio = pushed_instead(problem, found.fit, key)
+    if ratio * problem.thresholds.rough_tie > 1.0:
+        tied = (*tied, *(name for name in names if name not in tied))
+    return tied, probability / (1.0 + probability * ratio / len(problem.library.searched))
 
 
 def twins(problem: Problem, key: Key) -> tuple[str, ...]:
