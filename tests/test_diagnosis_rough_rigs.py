@@ -182,7 +182,8 @@ def test_the_dead_band_of_a_servo_is_one_of_its_error():
         (4.0, 0.3, True, True),  # beside a cause only how the machine is made
         (4.0, 4.0, True, False),  # a second cause is near
         (4.0, 4.0, False, True),  # that is none by the round
-        (0.3, 0.3, True, False),  # the cause is still to be found
+        (0.3, 0.3, True, True),  # no cause at all
+        (0.3, 4.0, False, False),  # one that explains too little so far
     ],
 )
 def test_a_search_ends_where_a_round_adds_only_how_the_machine_is_made(

@@ -161,21 +161,19 @@ def rough_search(
 def _only_made_so(
     problem: Problem, tried: Round, named: Sequence[Key], fit: Fit, *, calibrated: bool
 ) -> bool:
-    """Whether a cause is named, and a round found beside it only how this machine is made.
+    """Whether a round found only how this machine is made, and no cause is near.
 
     Such a machine has a little of everything. Each of it takes a round, and then must be challenged
-    with all the others.
+    with all the others. While no cause is named, what explains too little for a name may be one.
     """
 
     def a_cause(key: Key, hypothesis: Hypothesis) -> bool:
         share = fault_probability(problem, key, hypothesis, calibrated=calibrated)
         return share >= problem.thresholds.fault
 
-    if not any(a_cause(key, fit.hypothesis) for key in named):
-        return False
-    return not any(
-        a_cause(c.key, c.fit.hypothesis) for c in tried.contenders if accepted(problem, tried, c)
-    )
+    known = any(a_cause(key, fit.hypothesis) for key in named)
+    near = [c for c in tried.contenders if a_cause(c.key, c.fit.hypothesis)]
+    return not any(accepted(problem, tried, c) for c in near) if known else not near
 
 
 def paired(
