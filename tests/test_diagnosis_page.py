@@ -679,3 +679,30 @@ def test_of_several_effects_each_stands_on_a_line_of_its_own():
     assert first.startswith("Valve deadband at knee_valve: lap 0.05")
     assert first.endswith(";")
     assert second.startswith("valve bias at knee_valve: lap 0.05")
+
+
+@pytest.mark.parametrize("since", [False, True])
+def test_a_sure_effect_is_told_apart_from_one_that_has_rivals(since):
+    one = diagnosis("confusion_set")
+    (tied,) = one.effects
+    sure = replace(tied, name="payload", element="shank", indistinguishable_from=())
+    calibration = CALIBRATION if since else None
+    told = headline(replace(one, effects=(sure, tied), calibration=calibration))
+    if since:
+        wanted = "Changed since the healthy recordings: payload at shank, and one of these: "
+    else:
+        wanted = "The simulation is missing payload at shank, and something that these recordings "
+    assert told.startswith(wanted)
+    assert told.endswith(": valve deadband or stiction at knee_valve.")
+
+
+def test_a_constant_force_is_told_with_the_friction_beside_which_it_explains():
+    one = diagnosis("confusion_set")
+    rivals = ("coulomb_friction", "force_offset", "viscous_friction")
+    effect = replace(one.effects[0], name="asymmetric_friction", indistinguishable_from=rivals)
+    one = replace(one, effects=(effect,))
+    both = "coulomb friction and viscous friction with a force offset"
+    assert f"asymmetric friction or {both} at knee_valve." in headline(one)
+    assert f"Asymmetric friction is not told apart from {both}." in section(one, "How sure")
+    other = replace(effect, name="payload")
+    assert "payload, coulomb friction, force offset or" in headline(replace(one, effects=(other,)))

@@ -55,13 +55,20 @@ def headline(result: Diagnosis) -> str:
             return f"Changed since the healthy recordings: {found}."
         return f"The simulation is missing: {found}."
     if result.verdict == "confusion_set":
-        sets = []
+        sets, sure = [], []
         for effect in result.effects:
-            names = (effect.name, *effect.indistinguishable_from)
-            sets.append(f"{listed(tuple(map(readable, names)), 'or')} at {effect.element}")
+            if not effect.indistinguishable_from:
+                sure.append(_at(effect))
+                continue
+            names = (readable(effect.name), *_alternatives(effect))
+            sets.append(f"{listed(names, 'or')} at {effect.element}")
         told = "; and ".join(sets)
         if since:
-            return f"Changed since the healthy recordings, one of these: {told}."
+            also = f": {listed(tuple(sure))}, and one of these" if sure else ", one of these"
+            return f"Changed since the healthy recordings{also}: {told}."
+        if sure:
+            start = f"The simulation is missing {listed(tuple(sure))}, and something"
+            return f"{start} that these recordings do not pin down: {told}."
         return f"Something is missing that these recordings do not pin down: {told}."
     if result.verdict == "partial":
         if since:
@@ -81,6 +88,16 @@ def headline(result: Diagnosis) -> str:
     if since:
         return "Nothing has changed since the healthy recordings that these could show."
     return "Nothing is missing that these recordings could show."
+
+
+def _alternatives(effect: NamedEffect) -> tuple[str, ...]:
+    """What is not told apart from an effect; a constant force does with friction beside it only."""
+    tied = effect.indistinguishable_from
+    friction = tuple(n for n in tied if n in ("coulomb_friction", "viscous_friction"))
+    if effect.name != "asymmetric_friction" or "force_offset" not in tied or not friction:
+        return tuple(map(readable, tied))
+    both = f"{listed(tuple(map(readable, friction)))} with a force offset"
+    return (*(readable(n) for n in tied if n not in (*friction, "force_offset")), both)
 
 
 def _ordinary(result: Diagnosis) -> tuple[NamedEffect, ...]:
@@ -424,7 +441,7 @@ def _sure(result: Diagnosis) -> tuple[str, ...]:
             )
         lines.append(f"{text}.")
         if effect.indistinguishable_from:
-            others = listed(tuple(readable(n) for n in effect.indistinguishable_from), "or")
+            others = listed(_alternatives(effect), "or")
             lines.append(f"{name} is not told apart from {others}.")
     if not lines:
         return ("No effect is named, so there is no confidence to state.",)
