@@ -16,7 +16,7 @@ from tests.rigs.agreement import open_loop_error
 from tests.rigs.rough import RIGS, SERVO_LINK, as_made, faults_of, hide, machine, record_rough
 
 ARMATURE, VISCOUS = ("armature", "hinge"), ("viscous_friction", "hinge")
-SPRING = ("spring_stiffness", "hinge")
+SPRING, COULOMB = ("spring_stiffness", "hinge"), ("coulomb_friction", "hinge")
 
 
 @pytest.mark.parametrize("name", RIGS)
@@ -196,10 +196,14 @@ def test_a_search_ends_where_a_round_adds_only_how_the_machine_is_made(
     rival = replace(slight, key=SPRING, fit=a_fit(LIBRARY, SPRING, trials=another))
     tried = a_round([slight, rival])
     monkeypatch.setattr(rough, "accepted", lambda p, t, c: c is slight or taken)
-    both = a_fit(LIBRARY, OFFSET, trials=cause).hypothesis
+    both = a_fit(LIBRARY, OFFSET, COULOMB, trials=cause).hypothesis
     both = both.with_values(VISCOUS, small.hypothesis[VISCOUS])
     fit = small.with_hypothesis(both)
     named = [OFFSET, VISCOUS]
+    assert rough._only_made_so(problem, tried, named, fit, calibrated=False) is ends
+    # After three effects none of which is a cause, it ends whatever is near.
+    named = [OFFSET, VISCOUS, COULOMB]
+    ends = ends or cause < 1.0
     assert rough._only_made_so(problem, tried, named, fit, calibrated=False) is ends
 
 

@@ -164,7 +164,8 @@ def _only_made_so(
     """Whether a round found only how this machine is made, and no cause is near.
 
     Such a machine has a little of everything. Each of it takes a round, and then must be challenged
-    with all the others. While no cause is named, what explains too little for a name may be one.
+    with all the others. While no cause is named, what explains too little for a name may be one;
+    but not what explains less than several of these.
     """
 
     def a_cause(key: Key, hypothesis: Hypothesis) -> bool:
@@ -172,6 +173,8 @@ def _only_made_so(
         return share >= problem.thresholds.fault
 
     known = any(a_cause(key, fit.hypothesis) for key in named)
+    if not known and len(named) >= problem.thresholds.fruitless:
+        return True
     near = [c for c in tried.contenders if a_cause(c.key, c.fit.hypothesis)]
     return not any(accepted(problem, tried, c) for c in near) if known else not near
 

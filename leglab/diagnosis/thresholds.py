@@ -123,6 +123,9 @@ class Thresholds:
     # Finite differences of the last fits, as a share of those of the first.
     fine_differences: float = 0.1
 
+    # A search of a rough machine ends where so many effects are found and none of them is a cause.
+    fruitless: int = 3
+
     # Of the variance of a rough machine's errors the right effect is taken to leave this share:
     # under such a discrepancy the first effects are screened and fitted. The second share holds
     # with healthy recordings, whose own errors bound it from below.
