@@ -9,7 +9,7 @@ from leglab.diagnosis.effects import all_effects
 from leglab.diagnosis.effects.base import Effect
 from leglab.diagnosis.effects.cylinder import CylinderEffect
 from leglab.diagnosis.model import Change, Machine
-from tests.native_models import pendulum, slide
+from tests.native_models import command_path, pendulum, slide
 
 SERVO = '<position name="drive" joint="hinge" kp="40" kv="2" ctrlrange="-2 2"/>'
 INTEGRATED = '<intvelocity name="drive" joint="axis" kp="60" actrange="-1 1" ctrlrange="-2 2"/>'
@@ -253,3 +253,20 @@ def test_no_effect_replaces_another_of_its_name_and_no_element_is_served_twice(m
     for machine in machines.values():
         keys = [(e.name, element) for e in all_effects() for element in e.elements(machine)]
         assert len(keys) == len(set(keys))
+
+
+def test_the_dead_band_of_a_servo_adds_to_that_of_its_path(tmp_path):
+    path = command_path(servo_dead_band=0.01, dead_band=0.3)
+    (tmp_path / "servo.xml").write_text(pendulum(path, actuator=SERVO))
+    machine = Machine(tmp_path / "servo.xml")
+    # What the command meets is taken out of replays, what acts beside it stays.
+    assert machine.parameter("path", "servo_dead_band") == 0.01
+    assert machine.parameter("path", "dead_band") == 0.0
+    (effect,) = (e for e in all_effects() if e.name == "command_deadband" and e.elements(machine))
+    change = Change(machine)
+    effect.apply(change, "drive", {"dead_band": 0.02})
+    assert change.parameters == {("path", "servo_dead_band"): pytest.approx(0.03)}
+    assert not change.edits
+    # Its sizes are those of a joint's travel, and not of its range.
+    (band,) = effect.parameters(machine, "drive")
+    assert band.trials == pytest.approx((0.004, 0.016, 0.06))
