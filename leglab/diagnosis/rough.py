@@ -167,16 +167,17 @@ def _only_made_so(
     with all the others. While no cause is named, what explains too little for a name may be one;
     but not what explains less than several of these.
     """
-
-    def a_cause(key: Key, hypothesis: Hypothesis) -> bool:
-        share = fault_probability(problem, key, hypothesis, calibrated=calibrated)
-        return share >= problem.thresholds.fault
-
-    known = any(a_cause(key, fit.hypothesis) for key in named)
+    known = any(_is_fault(problem, key, fit, calibrated=calibrated) for key in named)
     if not known and len(named) >= problem.thresholds.fruitless:
         return True
-    near = [c for c in tried.contenders if a_cause(c.key, c.fit.hypothesis)]
+    near = [c for c in tried.contenders if _is_fault(problem, c.key, c.fit, calibrated=calibrated)]
     return not any(accepted(problem, tried, c) for c in near) if known else not near
+
+
+def _is_fault(problem: Problem, key: Key, fit: Fit, *, calibrated: bool) -> bool:
+    """Whether an effect is more probably a fault, as it is fitted, than how the machine is made."""
+    share = fault_probability(problem, key, fit.hypothesis, calibrated=calibrated)
+    return share >= problem.thresholds.fault
 
 
 def paired(
@@ -256,12 +257,7 @@ def suspected(
         that loses nothing where held out. None where something found is a cause, or nothing is
         near.
     """
-
-    def may_be(key: Key, hypothesis: Hypothesis) -> bool:
-        share = fault_probability(problem, key, hypothesis, calibrated=calibrated)
-        return share >= problem.thresholds.fault
-
-    if any(may_be(key, fit.hypothesis) for key in named):
+    if any(_is_fault(problem, key, fit, calibrated=calibrated) for key in named):
         return tried, None
     chosen, free = fit.at.chosen, frozenset(named)
     start = fit.hypothesis
@@ -286,7 +282,8 @@ def suspected(
     tried = replace(tried, base=base, contenders=ordered)
     held = problem.held if problem.held.sum() > 3 else np.ones_like(problem.held)
     for one in ordered:
-        if may_be(one.key, one.fit.hypothesis) and no_worse((base - one.cost)[held]):
+        fault = _is_fault(problem, one.key, one.fit, calibrated=calibrated)
+        if fault and no_worse((base - one.cost)[held]):
             return tried, one
     return tried, None
 
