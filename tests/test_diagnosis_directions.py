@@ -186,10 +186,8 @@ def test_what_grows_with_the_speed_in_one_direction_is_no_constant_force():
 
 def test_nothing_is_pushed_instead_of_what_says_nothing_of_directions(one_way):
     problem, found = one_way
-    assert directions.pushed_instead(problem, found.fit, KEY) == (
-        (),
-        0.0,
-    )  # no force in its library
+    # No constant force is in its library.
+    assert directions.pushed_instead(problem, found.fit, KEY) == ((), 0.0)
     sketch = SimpleNamespace(library=LIBRARY, machine=MACHINE, thresholds=DEFAULT)
     fit = a_fit(LIBRARY, VISCOUS)
     assert directions.pushed_instead(sketch, fit, VISCOUS) == ((), 0.0)

@@ -15,6 +15,7 @@ from leglab.diagnosis.paths import COMMAND_PATH, dead_band, delayed, lagged, pla
 # A command path keeps at least this much history.
 _SHORTEST_HISTORY = 0.05  # s
 _SERVO_BAND = "servo_dead_band"
+# Of what a joint may travel: the smallest trials of a servo's hysteresis and dead band are 4 mrad.
 _SERVO_SHARE = 0.2
 
 
@@ -143,7 +144,8 @@ class CommandDeadband(CommandEffect):
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """Native actuators but position servos."""
-        return tuple(a for a in super().elements(machine) if a not in position_servos(machine))
+        servos = position_servos(machine)
+        return tuple(a for a in super().elements(machine) if a not in servos)
 
 
 @register_effect
