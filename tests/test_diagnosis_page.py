@@ -671,14 +671,18 @@ def test_overwrite_replaces_a_diagnosis_and_nothing_else(tmp_path, capsys):
     assert (tmp_path / "letter.txt").read_text() == "mine"
 
 
-def test_of_several_effects_each_stands_on_a_line_of_its_own():
+def test_of_several_effects_each_stands_on_a_line_of_its_own(tmp_path):
     one = diagnosis()
     other = replace(one.effects[0], name="valve_bias")
-    told = dict(facts(replace(one, effects=(*one.effects, other))))
+    several = replace(one, effects=(*one.effects, other))
+    told = dict(facts(several))
     first, second = told["Missing"].split("\n")
     assert first.startswith("Valve deadband at knee_valve: lap 0.05")
     assert first.endswith(";")
     assert second.startswith("valve bias at knee_valve: lap 0.05")
+    _, root = parsed(write_page(several, tmp_path, model="m"))
+    lines = ["".join(line.itertext()) for line in root.iter(f"{SPACE}span")]
+    assert {first, second} <= set(lines)
 
 
 @pytest.mark.parametrize("since", [False, True])

@@ -81,7 +81,7 @@ def _page(result: Diagnosis, figures: Sequence[dict[str, str]], model: str) -> s
         model=model,
         verdict=_KINDS[result.verdict],
         headline=headline(result),
-        facts=facts(result),
+        facts=[(term, text.splitlines()) for term, text in facts(result)],
         sections=sections(result, model),
         tables=(
             _effects_table(result),
