@@ -277,7 +277,7 @@ def test_a_rival_in_an_impostors_place_is_fitted_to_where_it_belongs():
     impostor = refit(problem, at, named, start=impostor)
     assert impostor.hypothesis[scale][0] == pytest.approx(1.0 / 1.8, rel=0.05)
     start = impostor.hypothesis.without(scale).with_values(armature, np.array([0.02]))
-    swapped = challenge._with_rival(problem, impostor, frozenset({armature, drag}), start)
+    swapped = challenge.with_rival(problem, impostor, frozenset({armature, drag}), start)
     told = {n.key: (n.value(swapped.hypothesis) - n.nominal) / n.tolerance for n in follows}
     assert swapped.hypothesis[armature][0] == pytest.approx(made["armature"][0], rel=0.03)
     assert swapped.hypothesis[drag][0] == pytest.approx(0.15, rel=0.05)

@@ -133,7 +133,7 @@ def test_no_name_is_swapped_for_one_whose_directions_depart_alike(monkeypatch, d
     sketch = a_sketch(monkeypatch)
     scatter = np.random.default_rng(0).normal(0.0, 0.02, WINDOWS)
     costs = {COULOMB: 3.0 + scatter, ASYMMETRIC: 2.9 - scatter}
-    monkeypatch.setattr(challenge, "_with_rival", lambda p, f, free, s: a_fit(LIBRARY, *free))
+    monkeypatch.setattr(challenge, "with_rival", lambda p, f, free, s: a_fit(LIBRARY, *free))
     monkeypatch.setattr(challenge, "total_cost", lambda p, f: costs[min(f.free)])
     monkeypatch.setattr(challenge, "finished", lambda problem, rival: rival)
     monkeypatch.setattr(challenge, "differs", lambda problem, one: differs)
@@ -194,18 +194,21 @@ def test_nothing_is_pushed_instead_of_what_says_nothing_of_directions(one_way):
 
 
 @pytest.mark.parametrize(
-    ("ratio", "told", "own"),
-    [(0.0, (), 0.9), (0.2, (), 0.9 / (1 + 0.18 / 40)), (2.0, (COULOMB[0],), 0.9 / (1 + 1.8 / 40))],
+    ("stand_ins", "prior"), [("pushed_instead", 1 / 40), ("resisted_instead", 1.0)]
 )
-def test_two_causes_are_told_and_are_as_much_less_probable_as_there_are_effects(
-    monkeypatch, ratio, told, own
+@pytest.mark.parametrize(("ratio", "told"), [(0.0, False), (0.2, False), (2.0, True)])
+def test_several_that_move_alike_are_told_and_take_confidence_away(
+    monkeypatch, stand_ins, prior, ratio, told
 ):
+    """Two causes are as much less probable as there are effects; a load that drags is one."""
     sketch = a_sketch(monkeypatch)
     sketch.library = SimpleNamespace(searched=frozenset(range(40)))
     search = SimpleNamespace(problem=sketch, fit=None)
-    monkeypatch.setattr(naming, "pushed_instead", lambda *_: ((COULOMB[0],), ratio))
-    tied, probability = naming._or_pushed(search, ASYMMETRIC, ((), 0.9))
-    assert tied == told
-    assert probability == pytest.approx(own)
+    for one in ("pushed_instead", "resisted_instead"):
+        own = ((COULOMB[0],), ratio) if one == stand_ins else ((), 0.0)
+        monkeypatch.setattr(naming, one, lambda *_, own=own: own)
+    tied, probability = naming._or_several(search, ASYMMETRIC, ((), 0.9))
+    assert tied == ((COULOMB[0],) if told else ())
+    assert probability == pytest.approx(0.9 / (1 + 0.9 * ratio * prior))
     # A name that is told already is told once.
-    assert naming._or_pushed(search, ASYMMETRIC, ((COULOMB[0],), 0.9))[0] == (COULOMB[0],)
+    assert naming._or_several(search, ASYMMETRIC, ((COULOMB[0],), 0.9))[0] == (COULOMB[0],)

@@ -67,7 +67,7 @@ def _refitted(
     return refit(problem, at, free, start=start, iterations=iterations, fine=0.3)
 
 
-def _with_rival(problem: Problem, fit: Fit, free: frozenset[Key], start: Hypothesis) -> Fit:
+def with_rival(problem: Problem, fit: Fit, free: frozenset[Key], start: Hypothesis) -> Fit:
     """A fit with a rival in an effect's place, that starts from the rival's values when alone.
 
     The effects may have to go far first: what stood in for the rival has bent them. What follows
@@ -132,7 +132,7 @@ def _swapped(
         for rival, values in _rivals(problem, key, named, rounds).items():
             changed = [rival if k == key else k for k in named]
             start = fit.hypothesis.without(key).with_values(rival, values)
-            swapped = _with_rival(problem, fit, frozenset(changed), start)
+            swapped = with_rival(problem, fit, frozenset(changed), start)
             cost = total_cost(problem, swapped)
             swap = Contender(key=rival, fit=swapped, cost=cost)
             if cost.mean() < _promising(problem, best):

@@ -9,6 +9,7 @@ import numpy as np
 from leglab.diagnosis.directions import pushed_instead
 from leglab.diagnosis.effects.base import EffectParameter
 from leglab.diagnosis.evidence import within_library
+from leglab.diagnosis.heavier import resisted_instead
 from leglab.diagnosis.hypothesis import Hypothesis, Key
 from leglab.diagnosis.judging import (
     earns,
@@ -78,7 +79,7 @@ def judge_rough(found: Search, gap: Gap, level: Callable[[Hypothesis], float]) -
 
     def weigh(own: Contender, rivals: Sequence[Contender]) -> Ties:
         ties = _by_posterior(found.problem, own, rivals)
-        return _or_pushed(found, own.key, ties)
+        return _or_several(found, own.key, ties)
 
     explained, final = gap.explained or 0.0, found.fit.hypothesis
     known = found.specimen is not None
@@ -261,16 +262,23 @@ def _by_posterior(problem: Problem, own: Contender, rivals: Sequence[Contender])
     return tuple(tied), float(share[0])
 
 
-def _or_pushed(found: Search, key: Key, ties: Ties) -> Ties:
-    """Ties of friction by direction with what else moves alike, `pushed_instead`.
+def _or_several(found: Search, key: Key, ties: Ties) -> Ties:
+    """Ties of an effect with several that move the machine as it does.
 
-    That is one cause more: told by its error alone, and as much less probable as there are effects.
+    They are told by their error alone. Friction with a constant force is two causes, and as much
+    less probable as there are effects; inertia with friction is one, for a load brings both.
     """
     problem, (tied, probability) = found.problem, ties
-    names, ratio = pushed_instead(problem, found.fit, key)
-    if ratio * problem.thresholds.rough_tie > 1.0:
-        tied = (*tied, *(name for name in names if name not in tied))
-    return tied, probability / (1.0 + probability * ratio / len(problem.library.searched))
+    several = (
+        (pushed_instead, 1.0 / len(problem.library.searched)),
+        (resisted_instead, 1.0),
+    )
+    for stand_ins, prior in several:
+        names, ratio = stand_ins(problem, found.fit, key)
+        if ratio * problem.thresholds.rough_tie > 1.0:
+            tied = (*tied, *(name for name in names if name not in tied))
+        probability /= 1.0 + probability * ratio * prior
+    return tied, probability
 
 
 def twins(problem: Problem, key: Key) -> tuple[str, ...]:

@@ -347,8 +347,9 @@ def fitted_pairs(
     progress: Progress,
 ) -> list[Fit]:
     """First fits of two effects at once, of the most promising of all pairs."""
-    fits = []
-    for start, keys in promising[: problem.thresholds.pairs]:
+    fits, limits = [], problem.thresholds
+    count = limits.pairs if problem.worth is None else limits.rough_pairs
+    for start, keys in promising[:count]:
         progress(f"fitting {' and '.join(sorted(name for name, _ in keys))}")
         fits.append(refit(problem, at, keys, start=start))
     return fits

@@ -160,8 +160,10 @@ class Thresholds:
     # A rival below this cost may still catch up, in so many more fits.
     close_cost: float = 4.0
     patience: int = 3
-    # So many of all pairs to first order are fitted.
-    pairs: int = 3
+    # So many of all pairs to first order are fitted: of an exact machine, whose effects are far
+    # larger than what first order holds for, and of a rough one.
+    pairs: int = 6
+    rough_pairs: int = 3
     # Two effects at once must cost less than this share of the best single one.
     pair_share: float = 0.6
     # Above this cost more is certainly missing, and finishing the present fit can wait.

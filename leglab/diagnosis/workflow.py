@@ -272,7 +272,7 @@ def _exact_search(
     named: list[Key] = []
     rounds: list[Round] = []
     onset = None
-    start = floor.hypothesis
+    start, beside = floor.hypothesis, None
     typical = floor.cost / (problem.size * chosen.sum())
     if begun is not None:
         named, rounds = list(begun.named), list(begun.rounds)
@@ -291,7 +291,7 @@ def _exact_search(
             onset, current = suspect
             start = current.hypothesis
     while len(named) < settings.rounds:
-        problem, tried = search_round(problem, start, current, rng, progress, onset)
+        problem, tried = search_round(problem, start, current, rng, progress, onset, beside=beside)
         tried = replace(tried, contenders=simplest_first(problem, tried.contenders))
         rounds.append(tried)
         winner = next((c for c in tried.contenders if accepted(problem, tried, c)), None)
@@ -319,9 +319,10 @@ def _exact_search(
         left = float(problem.window_cost(current.hypothesis).mean())
         if left < limits.clean and winner is not pair:
             break
-        start = current.hypothesis
+        start, beside = current.hypothesis, None
         if left > limits.explained:
-            start = start.only(current.free)
+            # Nuisances far from where they belong hide what is small: screened both ways.
+            start, beside = start.only(current.free), start
     checks: Checks = {}
     if len(named) > 1:
         progress("checking each effect against the others")
