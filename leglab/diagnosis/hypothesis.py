@@ -106,15 +106,18 @@ class Hypothesis(Mapping[Key, np.ndarray]):
         onsets: Time [s] in every recording at which an effect begins, shape (recordings,), by
             effect; -inf where it is there from the start, inf where it never is. Effects without
             an entry are there throughout.
+        before: Values that an effect with an onset has before; it is absent without an entry.
     """
 
     def __init__(
         self,
         values: Mapping[Key, np.ndarray] | None = None,
         onsets: Mapping[Key, np.ndarray] | None = None,
+        before: Mapping[Key, np.ndarray] | None = None,
     ) -> None:
         self._values = {key: np.array(v, dtype=float) for key, v in (values or {}).items()}
         self.onsets = {k: v for k, v in (onsets or {}).items() if k in self._values}
+        self.before = {k: v for k, v in (before or {}).items() if k in self.onsets}
 
     def __getitem__(self, key: Key) -> np.ndarray:
         return self._values[key]
@@ -127,17 +130,36 @@ class Hypothesis(Mapping[Key, np.ndarray]):
 
     def with_values(self, key: Key, values: np.ndarray) -> "Hypothesis":
         """The same with an effect set."""
-        return Hypothesis({**self._values, key: values}, self.onsets)
+        return Hypothesis({**self._values, key: values}, self.onsets, self.before)
 
     def with_onset(self, key: Key, onset: np.ndarray | None) -> "Hypothesis":
         """The same with an effect that begins at times, or throughout for None."""
         others = {k: v for k, v in self.onsets.items() if k != key}
-        return Hypothesis(self._values, others if onset is None else {**others, key: onset})
+        onsets = others if onset is None else {**others, key: onset}
+        return Hypothesis(self._values, onsets, self.before)
+
+    def changed(self, key: Key, values: np.ndarray, onset: np.ndarray | None) -> "Hypothesis":
+        """The same with an effect set from times on, before which it stays as it is here.
+
+        A good machine has a little of it. None: throughout.
+        """
+        before = {**self.before, key: self._values[key]} if key in self._values else self.before
+        onsets = {k: v for k, v in self.onsets.items() if k != key}
+        if onset is not None:
+            onsets[key] = onset
+        return Hypothesis({**self._values, key: values}, onsets, before)
 
     def only(self, keys: Iterable[Key]) -> "Hypothesis":
         """The same with nothing but some effects."""
         wanted = set(keys)
-        return Hypothesis({k: v for k, v in self._values.items() if k in wanted}, self.onsets)
+        values = {k: v for k, v in self._values.items() if k in wanted}
+        return Hypothesis(values, self.onsets, self.before)
+
+    def not_begun(self, *keys: Key) -> "Hypothesis":
+        """The same before the onset of effects."""
+        values = {k: v for k, v in self._values.items() if k not in keys}
+        values |= {k: self.before[k] for k in keys if k in self.before}
+        return Hypothesis(values, {k: v for k, v in self.onsets.items() if k not in keys})
 
     def without(self, *keys: Key) -> "Hypothesis":
         """The same with effects absent."""

@@ -93,7 +93,7 @@ def _bracketed(problem: Problem, fit: Fit, named: Sequence[Key]) -> Fit:
         if key not in fit.hypothesis.onsets:
             continue
         present = problem.window_cost(fit.hypothesis.with_onset(key, None))
-        absent = problem.window_cost(fit.hypothesis.without(key))
+        absent = problem.window_cost(fit.hypothesis.not_begun(key))
         evidence = problem.size * (absent - present)
         onsets = fit.hypothesis.onsets[key].copy()
         for i in np.flatnonzero(np.isfinite(onsets)):

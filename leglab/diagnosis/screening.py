@@ -95,7 +95,7 @@ def _screened(
     """Best size of one effect; `at` is without its nuisances."""
 
     def tried(values: np.ndarray) -> Trial:
-        moved = at.base.with_values(site.key, values).with_onset(site.key, onset)
+        moved = at.base.changed(site.key, values, onset)
         step = problem.residual(moved, at.chosen) - at.residual
         _, cost = profiled(problem, replace(at, residual=at.residual + step), named)
         return Trial(values=values, gain=floor - cost, step=step)

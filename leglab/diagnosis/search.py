@@ -184,7 +184,7 @@ def search_round(
             key: Key = key,
             values: np.ndarray = values,
         ) -> Fit:
-            begun = base.with_values(key, values).with_onset(key, onset)
+            begun = base.changed(key, values, onset)
             return refit(problem, about, named | {key}, start=begun, iterations=4)
 
         fit = fitted(about.base)
