@@ -74,7 +74,7 @@ JOBS = (
     _job("diagnosis_emps", 2),
     _job("diagnosis_rough", 20),
     _job("diagnosis_unexplained", 6),
-    _job("diagnosis_rough_motors", 20, options="--cases 5 --out runs/rough_motors"),
+    _job("diagnosis_rough_motors", 35, options="--cases 7 --out runs/rough_motors"),
     _job("diagnosis_self_test", 60, options="--out runs/self_test"),
     _job(
         "diagnosis_rough_self_test",
