@@ -710,3 +710,20 @@ def test_a_constant_force_is_told_with_the_friction_beside_which_it_explains():
     assert f"Asymmetric friction is not told apart from {both}." in section(one, "How sure")
     other = replace(effect, name="payload")
     assert "payload, coulomb friction, force offset or" in headline(replace(one, effects=(other,)))
+
+
+def test_inertia_is_told_with_the_friction_beside_which_it_imitates_a_weak_drive():
+    one = diagnosis("confusion_set")
+    rivals = ("encoder_scale", "armature", "viscous_friction", "coulomb_friction")
+    effect = replace(one.effects[0], name="actuator_gain", indistinguishable_from=rivals)
+    one = replace(one, effects=(effect,))
+    both = "armature with viscous friction and coulomb friction"
+    assert f"actuator gain, encoder scale or {both} at knee_valve." in headline(one)
+    assert f"Actuator gain is not told apart from encoder scale or {both}." in section(
+        one, "How sure"
+    )
+    # Without inertia friction is a rival of its own.
+    other = replace(effect, indistinguishable_from=rivals[2:])
+    assert "actuator gain, viscous friction or coulomb friction" in headline(
+        replace(one, effects=(other,))
+    )

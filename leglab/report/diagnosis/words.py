@@ -91,13 +91,16 @@ def headline(result: Diagnosis) -> str:
 
 
 def _alternatives(effect: NamedEffect) -> tuple[str, ...]:
-    """What is not told apart from an effect; a constant force does with friction beside it only."""
+    """What is not told apart from an effect; some does with friction beside it only."""
     tied = effect.indistinguishable_from
     friction = tuple(n for n in tied if n in ("coulomb_friction", "viscous_friction"))
-    if effect.name != "asymmetric_friction" or "force_offset" not in tied or not friction:
+    beside = {"asymmetric_friction": "force_offset", "actuator_gain": "armature"}.get(effect.name)
+    if beside not in tied or not friction:
         return tuple(map(readable, tied))
-    both = f"{listed(tuple(map(readable, friction)))} with a force offset"
-    return (*(readable(n) for n in tied if n not in (*friction, "force_offset")), both)
+    rubbing = listed(tuple(map(readable, friction)))
+    pushed = beside == "force_offset"
+    both = f"{rubbing} with a force offset" if pushed else f"armature with {rubbing}"
+    return (*(readable(n) for n in tied if n not in (*friction, beside)), both)
 
 
 def _ordinary(result: Diagnosis) -> tuple[NamedEffect, ...]:
