@@ -1,6 +1,5 @@
 """Whether a joint that resists more does as well as a drive that is weaker."""
 
-import mujoco
 import numpy as np
 
 from leglab.diagnosis.challenge import with_rival
@@ -8,7 +7,6 @@ from leglab.diagnosis.evidence import posterior
 from leglab.diagnosis.fitting import Fit
 from leglab.diagnosis.hypothesis import Key
 from leglab.diagnosis.judging import noticeable
-from leglab.diagnosis.model import Machine
 from leglab.diagnosis.residual import Problem
 from leglab.diagnosis.search import total_cost
 
@@ -40,11 +38,12 @@ def resisted_instead(problem: Problem, fit: Fit, key: Key) -> tuple[tuple[str, .
         return (), 0.0
     more = float(sites[key].nominal[0] / fit.hypothesis[key][0])
     start = fit.hypothesis.without(key)
+    model = problem.machine.base.model
+    inertia = model.dof_M0[model.joint(joint).dofadr]
     for one in instead:
         now = start.get(one, sites[one].nominal)
         # Armature is a part of the inertia, and makes up for all of it.
-        all_of_it = _inertia(problem.machine, joint) if one == instead[0] else now
-        values = now + all_of_it * (more - 1.0)
+        values = now + (more - 1.0) * (inertia if one == instead[0] else now)
         start = start.with_values(one, np.clip(values, sites[one].lower, sites[one].upper))
     other = with_rival(problem, fit, fit.free - {key} | set(instead), start)
     costs = [float(total_cost(problem, one).mean()) for one in (fit, other)]
@@ -55,14 +54,3 @@ def resisted_instead(problem: Problem, fit: Fit, key: Key) -> tuple[tuple[str, .
         if noticeable(problem, one, other.hypothesis) and one[0] in problem.library.names
     )
     return names, heavier / max(own, 1e-300)
-
-
-def _inertia(machine: Machine, joint: str) -> float:
-    """Inertia of a joint in the model's initial pose [kg m^2 or kg]."""
-    model = machine.base.model
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    mass = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, mass)
-    dof = int(model.jnt_dofadr[model.joint(joint).id])
-    return float(mass[dof, dof])

@@ -106,7 +106,7 @@ class Hypothesis(Mapping[Key, np.ndarray]):
         onsets: Time [s] in every recording at which an effect begins, shape (recordings,), by
             effect; -inf where it is there from the start, inf where it never is. Effects without
             an entry are there throughout.
-        before: Values that an effect with an onset has before; it is absent without an entry.
+        before: Values of effects until their onset, by effect; those without an entry are absent.
     """
 
     def __init__(
@@ -139,15 +139,13 @@ class Hypothesis(Mapping[Key, np.ndarray]):
         return Hypothesis(self._values, onsets, self.before)
 
     def changed(self, key: Key, values: np.ndarray, onset: np.ndarray | None) -> "Hypothesis":
-        """The same with an effect set from times on, before which it stays as it is here.
+        """The same with an effect that takes values at its onset; until then it stays as it is.
 
-        A good machine has a little of it. None: throughout.
+        Good machines have a little of some effects. With None it has the values throughout.
         """
-        before = {**self.before, key: self._values[key]} if key in self._values else self.before
-        onsets = {k: v for k, v in self.onsets.items() if k != key}
-        if onset is not None:
-            onsets[key] = onset
-        return Hypothesis({**self._values, key: values}, onsets, before)
+        begun = self.with_values(key, values).with_onset(key, onset)
+        before = {**self.before, key: self[key]} if key in self else self.before
+        return Hypothesis(begun, begun.onsets, before)
 
     def only(self, keys: Iterable[Key]) -> "Hypothesis":
         """The same with nothing but some effects."""
@@ -156,7 +154,7 @@ class Hypothesis(Mapping[Key, np.ndarray]):
         return Hypothesis(values, self.onsets, self.before)
 
     def not_begun(self, *keys: Key) -> "Hypothesis":
-        """The same before the onset of effects."""
+        """The same as it is until some effects begin."""
         values = {k: v for k, v in self._values.items() if k not in keys}
         values |= {k: self.before[k] for k in keys if k in self.before}
         return Hypothesis(values, {k: v for k, v in self.onsets.items() if k not in keys})
