@@ -12,20 +12,12 @@ import pytest
 from leglab.cli import main
 from leglab.diagnosis.output import summary_lines, summary_tables
 from leglab.diagnosis.result import (
-    Calibration,
-    Diagnosis,
     Estimate,
     Gap,
-    NamedEffect,
     NotTestable,
-    Proposal,
     Rank,
     RecordingGap,
-    Remaining,
-    ResidualTrace,
-    Rivals,
     Where,
-    WholeRecording,
 )
 from leglab.report.diagnosis.figures import pictures, short
 from leglab.report.diagnosis.page import write_page
@@ -33,127 +25,15 @@ from leglab.report.diagnosis.words import (
     facts,
     headline,
     improved_words,
-    parameter_words,
     sections,
 )
 from leglab.report.page.wording import number
+from tests.made_up_diagnosis import CALIBRATION, diagnosis, effect, section, trace, whole
 
 HOSTILE = "<script>alert('1')</script> & \"$\\frac\" \x00"
+
+
 SPACE = "{http://www.w3.org/1999/xhtml}"
-
-
-def effect(name="valve_deadband", element="knee_valve", rivals=(), onset=()):
-    return NamedEffect(
-        name=name,
-        element=element,
-        group="valve and command",
-        physics="No flow while |x| < lap.",
-        onset=onset,
-        confidence=0.91,
-        contribution=0.8,
-        parameters=(
-            Estimate(name="lap", unit="1", value=0.05, nominal=0.02, interval=(0.04, 0.06)),
-        ),
-        indistinguishable_from=rivals,
-    )
-
-
-def trace(recording, channel, unit, seed):
-    rng = np.random.default_rng(seed)
-    time = np.arange(60) * 0.05
-    return ResidualTrace(
-        recording=recording,
-        channel=channel,
-        unit=unit,
-        time=time,
-        position=np.sin(time),
-        velocity=np.cos(time),
-        pressure=1e6 * np.sin(3 * time),
-        before=rng.normal(size=60) + 2.0,
-        after=(0.1 if unit == "rad" else 0.3) * rng.normal(size=60),
-        measured=np.sin(time),
-        bins=6,
-    )
-
-
-def left(channel, unit, before):
-    return Remaining(
-        channel=channel,
-        unit=unit,
-        horizon=0.3,
-        before=before,
-        after=before / 10.0,
-        noise=before / 200.0,
-    )
-
-
-def whole(recording="walk", **changes):
-    time = 3.0 + np.arange(5000) * 1e-3
-    measured = np.sin(time)
-    found = WholeRecording(
-        recording=recording,
-        joint="knee",
-        unit="rad",
-        actuator="knee_valve",
-        time=time,
-        measured=measured,
-        before=measured + 0.05,
-        after=measured - 0.002,
-        correction_before=np.full(5000, 0.3),
-        correction_after=np.full(5000, -0.01),
-    )
-    return replace(found, **changes)
-
-
-def diagnosis(verdict="named", effects=None, recording="walk", **changes):
-    gone = verdict in ("unexplained", "nothing_missing")
-    rivals = ("stiction",) if verdict == "confusion_set" else ()
-    if effects is None:
-        effects = () if gone else (effect(rivals=rivals),)
-    tried = (("valve_deadband", "knee_valve"), ("stiction", "knee_valve"), ("payload", "shank"))
-    result = Diagnosis(
-        verdict=verdict,
-        effects=effects,
-        where=(Where(residual="hydraulic", element="knee_valve", level=27.0, region="anywhere"),),
-        not_testable=(NotTestable(name="backlash", element="knee", reason="needs reversals"),),
-        gap=Gap(before=14.2, baseline=12.0, after=1.1, unnamed=13.0, held_out=(recording,)),
-        recordings=(
-            RecordingGap(name=recording, held_out=True, before=14.2, baseline=12.0, after=1.1),
-            RecordingGap(name="slow", held_out=False, before=9.0, baseline=8.0, after=1.0),
-        ),
-        ceiling=0.4,
-        ranking=tuple(
-            Rank(name=n, element=e, round=1, gain=g, threshold=25.0)
-            for (n, e), g in zip(tried, (900.0, 300.0, -4.0), strict=True)
-        ),
-        rivals=(
-            Rivals(
-                round=1,
-                names=("valve_deadband", "stiction"),
-                cost=(1.1, 1.2),
-                preference=np.array([[0.5, 0.83], [0.17, 0.5]]),
-            ),
-        ),
-        traces=(
-            trace(recording, "knee_position", "rad", 0),
-            trace(recording, "knee_pressure_a", "Pa", 1),
-        ),
-        remaining=(left("knee_position", "rad", 0.024), left("knee_pressure_a", "Pa", 4e5)),
-        whole=whole(recording),
-        nuisances=(),
-        next_experiment=Proposal(
-            name="slow sine, 1 Hz",
-            description="command slow sine, 1 Hz",
-            rivals=("valve_deadband", "stiction"),
-            separation=5000.0,
-            separation_now=3.0,
-        )
-        if rivals
-        else None,
-        notes=("walk: 3 samples are missing",),
-        model="improved.xml",
-    )
-    return replace(result, **changes)
 
 
 def parsed(path):
@@ -352,10 +232,6 @@ def test_no_line_is_drawn_over_missing_windows():
     assert np.flatnonzero(np.isnan(drawn)).tolist() == [20]
 
 
-def section(result, title):
-    return " ".join(next(s for s in sections(result, "m") if s.title == title).lines)
-
-
 def table(path, caption):
     """Cells of a table of the page, by its caption."""
     _, root = parsed(path)
@@ -411,61 +287,11 @@ def test_a_channel_alone_shows_its_error_below():
     assert "simulated less" in below.get_ylabel()
 
 
-def test_noise_that_no_rig_resolves_has_no_digits():
-    still = replace(left("knee_position", "rad", 0.024), noise=2e-8)
-    assert "sensor noise under 0.001 mrad" in dict(facts(diagnosis(remaining=(still,))))["Left"]
-
-
 def test_recordings_of_the_fit_are_not_in_the_first_figure():
     seen = replace(trace("slow", "knee_position", "rad", 5), measured=np.full(60, 7.0))
     both = diagnosis(traces=(trace("walk", "knee_position", "rad", 0), seen))
     alone = diagnosis(traces=(trace("walk", "knee_position", "rad", 0),))
     assert pictures(both)[0].alt == pictures(alone)[0].alt
-
-
-def test_smaller_differences_are_no_names():
-    small = replace(
-        effect("command_delay"),
-        contribution=0.02,
-        parameters=(
-            Estimate(name="delay", unit="s", value=0.0011, nominal=0.0, interval=(0.001, 0.0012)),
-        ),
-    )
-    result = diagnosis(smaller=(small,))
-    assert section(result, "What is missing").endswith(
-        "There too, and not the cause: command delay at knee_valve 1.1 ms (closes 2 % of the gap)."
-    )
-    assert "delay" not in headline(result)
-    assert "delay" not in dict(facts(result))["Missing"]
-
-
-def test_what_a_good_machine_may_have_is_said_to_be_so():
-    """The words must not say that nothing explains what a difference does explain."""
-    ordinary = replace(effect("oil_viscosity"), contribution=0.96, parameters=())
-    result = diagnosis("unexplained", smaller=(ordinary,))
-    assert headline(result).startswith("The machine differs from its model by no more than a good")
-    told = section(result, "What is missing")
-    assert "(closes 96 % of the gap, and a good machine may differ as much)" in told
-    assert dict(facts(result))["Missing"].startswith("Oil viscosity at knee_valve explains most")
-    little = diagnosis("unexplained", smaller=(replace(ordinary, contribution=0.02),))
-    assert "no known effect explains it" in headline(little)
-    hardly = replace(result, gap=replace(result.gap, compared=(10.0, 9.0, 1.0)))
-    assert "no known effect explains it" in headline(hardly)
-    assert "good machine" not in section(hardly, "What is missing")
-
-
-CALIBRATION = Calibration(
-    recordings=(("calm", 30.0, 4.0),),
-    estimates=(
-        (
-            "supply_pressure",
-            "supply",
-            Estimate(
-                name="pressure", unit="Pa", value=2.05e7, nominal=2.1e7, interval=(2e7, 2.1e7)
-            ),
-        ),
-    ),
-)
 
 
 @pytest.mark.parametrize(
@@ -522,58 +348,6 @@ def test_a_value_that_says_little_is_called_uncertain(tmp_path):
     assert "ncertain" not in improved_words(diagnosis())
 
 
-def test_the_share_without_an_effect_is_a_factor():
-    result = diagnosis(effects=(replace(effect(), without=12.1),))
-    assert "without it the error is 11 times as large (12.1 instead of 1.1 noise levels)" in (
-        section(result, "How sure")
-    )
-
-
-@pytest.mark.parametrize(
-    ("rough", "verdict", "told", "untold"),
-    [
-        (True, "named", "lowered by how much of the error it leaves", "resampled"),
-        (False, "named", "share of resampled data", "more than noise is left"),
-        (False, "partial", "lowered because more than noise is left", "unknown"),
-    ],
-)
-def test_confidence_is_told_as_it_was_computed(rough, verdict, told, untold):
-    text = section(diagnosis(verdict, rough=rough), "How sure")
-    assert told in text
-    assert untold not in text
-
-
-def test_confidence_since_healthy_recordings_is_lowered_by_the_gap_that_is_left():
-    text = section(diagnosis("named", rough=True, calibration=CALIBRATION), "How sure")
-    assert "lowered by what it leaves of the gap" in text
-
-
-def test_unexplained_says_what_was_tried_and_learned():
-    moved = Estimate(
-        name="supply_pressure", unit="Pa", value=2.05e7, nominal=2.1e7, interval=(2e7, 2.2e7)
-    )
-    still = replace(moved, name="payload_mass", unit="kg", value=2.1e7)
-    result = diagnosis("unexplained", nuisances=(moved, still), learned="a torque that repeats")
-    text = section(result, "What was tried")
-    assert "3 possible effects, each alone; valve deadband and stiction came closest." in text
-    assert "errs by 14.2 noise levels, recalibrated within tolerance by 12" in text
-    assert "Recalibrated: supply pressure 205 bar, in the model 210 bar." in text
-    assert "carries no effect without a name" in text
-    assert "Learned without a name: a torque that repeats." in text
-    assert "no effect without a name is in it" in improved_words(result)
-    assert "No improved model" in section(replace(result, model=""), "What was tried")
-
-
-def test_what_comes_nearest_is_told_with_its_doubt_and_is_not_in_the_model():
-    one = replace(effect("spring_stiffness", "knee"), confidence=0.004)
-    result = replace(diagnosis("unexplained", effects=(one,)), model="improved.xml")
-    assert headline(result).endswith("explains it; nearest comes spring stiffness at knee.")
-    told = dict(facts(result))
-    assert told["Missing"].startswith("Nothing that can be named; nearest comes")
-    assert told["How sure"] == "Under 1 % that the name is right."
-    assert "spring stiffness" not in improved_words(result)
-
-
 def test_many_effects_that_cannot_be_told_are_one_sentence_and_a_table(tmp_path):
     many = tuple(
         NotTestable(name=f"effect_{i}", element="knee", reason="needs x") for i in range(6)
@@ -597,17 +371,6 @@ def test_what_a_rough_machine_hides_is_lost_in_the_error_of_its_model(tmp_path):
     told = summary_lines(result)
     assert any("lost in the model's own error: coulomb_friction" in line for line in told)
     assert not any("not testable" in line for line in told)
-
-
-def test_an_error_without_a_name_has_a_place_and_a_shape():
-    told = dict(facts(diagnosis("unexplained", learned="a torque that repeats")))
-    assert told["Missing"] == (
-        "Something that has no name among the 3 effects tried; most of it in the hydraulics of "
-        "knee_valve, anywhere."
-    )
-    assert told["Learned"] == "Without a name: a torque that repeats."
-    assert "Explains" not in told
-    assert "Learned" not in dict(facts(diagnosis("nothing_missing", learned="a torque")))
 
 
 def test_where_is_told_without_pressures():
@@ -648,13 +411,6 @@ def test_long_names_are_cut_in_the_middle():
     assert short("0123456789_abcdefghij", 10) == "01234…ghij"
 
 
-def test_ends_of_a_narrow_interval_differ():
-    narrow = Estimate(
-        name="lap", unit="kg", value=0.049998, nominal=0.02, interval=(0.049991, 0.050005)
-    )
-    assert parameter_words(narrow) == ("0.049998 kg", "0.049991 to 0.050005 kg", "0.02 kg")
-
-
 def test_overwrite_replaces_a_diagnosis_and_nothing_else(tmp_path, capsys):
     (tmp_path / "letter.txt").write_text("mine")
     arguments = ["diagnose", "knee_bench", str(tmp_path / "none.csv"), "--out", str(tmp_path)]
@@ -683,47 +439,3 @@ def test_of_several_effects_each_stands_on_a_line_of_its_own(tmp_path):
     _, root = parsed(write_page(several, tmp_path, model="m"))
     lines = ["".join(line.itertext()) for line in root.iter(f"{SPACE}span")]
     assert {first, second} <= set(lines)
-
-
-@pytest.mark.parametrize("since", [False, True])
-def test_a_sure_effect_is_told_apart_from_one_that_has_rivals(since):
-    one = diagnosis("confusion_set")
-    (tied,) = one.effects
-    sure = replace(tied, name="payload", element="shank", indistinguishable_from=())
-    calibration = CALIBRATION if since else None
-    told = headline(replace(one, effects=(sure, tied), calibration=calibration))
-    if since:
-        wanted = "Changed since the healthy recordings: payload at shank, and one of these: "
-    else:
-        wanted = "The simulation is missing payload at shank, and something that these recordings "
-    assert told.startswith(wanted)
-    assert told.endswith(": valve deadband or stiction at knee_valve.")
-
-
-def test_a_constant_force_is_told_with_the_friction_beside_which_it_explains():
-    one = diagnosis("confusion_set")
-    rivals = ("coulomb_friction", "force_offset", "viscous_friction")
-    effect = replace(one.effects[0], name="asymmetric_friction", indistinguishable_from=rivals)
-    one = replace(one, effects=(effect,))
-    both = "coulomb friction and viscous friction with a force offset"
-    assert f"asymmetric friction or {both} at knee_valve." in headline(one)
-    assert f"Asymmetric friction is not told apart from {both}." in section(one, "How sure")
-    other = replace(effect, name="payload")
-    assert "payload, coulomb friction, force offset or" in headline(replace(one, effects=(other,)))
-
-
-def test_inertia_is_told_with_the_friction_beside_which_it_imitates_a_weak_drive():
-    one = diagnosis("confusion_set")
-    rivals = ("encoder_scale", "armature", "viscous_friction", "coulomb_friction")
-    effect = replace(one.effects[0], name="actuator_gain", indistinguishable_from=rivals)
-    one = replace(one, effects=(effect,))
-    both = "armature with viscous friction and coulomb friction"
-    assert f"actuator gain, encoder scale or {both} at knee_valve." in headline(one)
-    assert f"Actuator gain is not told apart from encoder scale or {both}." in section(
-        one, "How sure"
-    )
-    # Without inertia friction is a rival of its own.
-    other = replace(effect, indistinguishable_from=rivals[2:])
-    assert "actuator gain, viscous friction or coulomb friction" in headline(
-        replace(one, effects=(other,))
-    )

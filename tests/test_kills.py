@@ -15,8 +15,8 @@ from leglab.base.output import new_folder
 from leglab.cli import main
 from leglab.diagnosis.output import write_diagnosis
 from leglab.report.diagnosis.page import write_page
+from tests.made_up_diagnosis import diagnosis
 from tests.report_folders import write_folder
-from tests.test_diagnosis_page import diagnosis
 
 # What Python tells of before it does it, of a path first.
 _STEPS = {"open", "os.rename", "os.mkdir", "os.rmdir", "os.remove", "os.chmod"}

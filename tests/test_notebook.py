@@ -22,9 +22,9 @@ from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.diagnosis.workflow import Search
 from leglab.runs.comparison import run_all
+from tests.made_up_diagnosis import diagnosis
 from tests.report_folders import Elements
 from tests.sweep_folders import write_sweep
-from tests.test_diagnosis_page import diagnosis
 
 KNEE = {"model": "knee_bench", "duration": 2.0}
 LONGEST = 200  # characters of a repr

@@ -17,9 +17,9 @@ from leglab.report.run.page import write_report
 from leglab.report.sweep.page import write_sweep_page
 from leglab.runs.folder import read_runs
 from tests import page_watch
+from tests.made_up_diagnosis import diagnosis
 from tests.report_folders import HOSTILE, write_folder
 from tests.sweep_folders import write_sweep
-from tests.test_diagnosis_page import diagnosis
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 DESKTOP, PHONE = {"width": 1100, "height": 900}, {"width": 360, "height": 740}
