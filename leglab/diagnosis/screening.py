@@ -106,12 +106,14 @@ def _screened(
     trials = [tried(one) for one in values]
     sizes = [np.abs(trial.values - now) / scales for trial in trials]
     smallest = trials[int(np.argmin([size.max() for size in sizes]))]
-    # The best trial of every strength.
-    leaders: dict[int, Trial] = {}
+    # The best trial of every strength, to each side: one that goes too far on the right side may do
+    # worse than a small one on the wrong side.
+    leaders: dict[tuple[int, float], Trial] = {}
     for size, trial in zip(sizes, trials, strict=True):
         strength = int(np.argmax(size))
-        if strength not in leaders or trial.gain > leaders[strength].gain:
-            leaders[strength] = trial
+        way = strength, float(np.sign(trial.values[strength] - now[strength]))
+        if way not in leaders or trial.gain > leaders[way].gain:
+            leaders[way] = trial
     # Strengths together, and sizes between and beyond the trials, to first order; the
     # prediction is believed after a replay only.
     together = _combined(problem, at, named, list(leaders.values()), site)
@@ -150,7 +152,7 @@ def _combined(
     values = np.where([p.role == "shape" for p in site.parameters], best, values)
     values = np.clip(values, site.lower, site.upper)
     near = any(
-        np.allclose(values, now + d, rtol=0.15, atol=0.05 * abs(d).max()) for d in differences
+        np.allclose(values - now, d, rtol=0.15, atol=0.05 * abs(d).max()) for d in differences
     )
     return None if near or np.allclose(values, now) else values
 

@@ -165,7 +165,8 @@ class OilViscosity(CylinderEffect):
                 nominal=nominal,
                 lower=min(-20.0, nominal),
                 upper=max(110.0, nominal),
-                trials=(nominal - 36.0, nominal - 22.0, nominal - 8.0, nominal + 25.0),
+                # From 40 C: 9, 3.3, 1.5, 0.65 and 0.38 times the viscosity of ISO VG 46.
+                trials=tuple(nominal + by for by in (-36.0, -22.0, -8.0, 10.0, 25.0)),
             ),
         )
 
