@@ -46,7 +46,7 @@ def test_the_right_side_is_tried_where_its_trial_goes_too_far(candidate):
 
 @pytest.mark.parametrize("temperature", [33.0, 46.0, 54.0])
 def test_a_fit_of_warm_oil_starts_near_its_temperature(candidate, temperature):
-    """Viscosity bends: with none between 40 and 65 degC, steps to 46 and 54 would end further off."""
+    """Viscosity bends: without a trial at 50 degC, steps to 46 and 54 would end further off."""
     found = candidate("oil_viscosity", "oil_temperature", temperature)
     assert found.gain > 0.0
     assert found.values[0] == pytest.approx(temperature, abs=1.0)
