@@ -103,7 +103,9 @@ def _bracketed(problem: Problem, fit: Fit, named: Sequence[Key]) -> Fit:
                 continue
             usual = limits.onset_factor * float(np.median(later))
             met = present < max(limits.healthy_cost, usual)
-            out = here & ((evidence < -limits.onset_evidence) | ~met) & (begin < seen)
+            # One that is missed either way, but far more without, had begun or was about to.
+            missed = ~met & (absent < limits.onset_factor * present)
+            out = here & ((evidence < -limits.onset_evidence) | missed) & (begin < seen)
             if not out.any():
                 continue
             last = begin[out].max()
