@@ -21,6 +21,21 @@ def test_more_pairs_are_fitted_where_the_model_is_taken_for_exact(monkeypatch, w
     assert fits == list(range(count))
 
 
+def test_the_best_pair_is_that_which_is_best_at_the_end_of_its_fit(monkeypatch):
+    """A pair whose first fit is second may be the right one: the first fits end early."""
+    first = [SimpleNamespace(cost=cost, hypothesis=cost) for cost in (30.0, 12.0, 11.0, 10.0)]
+    ends = {10.0: 9.5, 11.0: 4.0, 12.0: 11.5, 30.0: 1.0}
+    monkeypatch.setattr(search, "pairs", lambda *_: [])
+    monkeypatch.setattr(search, "fitted_pairs", lambda *_: list(first))
+    monkeypatch.setattr(search, "sharpen", lambda _, fit: SimpleNamespace(cost=ends[fit.cost]))
+    monkeypatch.setattr(search, "as_pair", lambda _, fit: fit)
+    problem = SimpleNamespace(
+        thresholds=DEFAULT, linearise=lambda *_: None, about=lambda hypothesis: problem
+    )
+    _, pair = search.pair_search(problem, SimpleNamespace(candidates=()), None, lambda _: None)
+    assert pair.cost == 4.0
+
+
 def test_a_second_effect_is_screened_from_the_fit_and_from_the_first_effect_alone(monkeypatch):
     """What follows every fit may have gone far to make up for the effect that is missing."""
     logs = {

@@ -335,9 +335,11 @@ def pair_search(
     fits = fitted_pairs(problem, at, pairs(problem, at, candidates), progress)
     if not fits:
         return problem, None
-    fit = min(fits, key=lambda f: f.cost)
-    problem = problem.about(fit.hypothesis)
-    return problem, as_pair(problem, sharpen(problem, fit))
+    fits.sort(key=lambda f: f.cost)
+    problem = problem.about(fits[0].hypothesis)
+    # None of the first fits is at its end.
+    nearer = [sharpen(problem, fit) for fit in fits[: problem.thresholds.sharpened]]
+    return problem, as_pair(problem, min(nearer, key=lambda f: f.cost))
 
 
 def fitted_pairs(
