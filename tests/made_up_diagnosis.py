@@ -20,9 +20,7 @@ from leglab.diagnosis.result import (
     Where,
     WholeRecording,
 )
-from leglab.report.diagnosis.words import (
-    sections,
-)
+from leglab.report.diagnosis.words import sections
 
 
 def effect(name="valve_deadband", element="knee_valve", rivals=(), onset=()):

@@ -39,7 +39,7 @@ def test_a_size_between_two_trials_is_tried(candidate, pressure):
 
 
 def test_the_right_side_is_tried_where_its_trial_goes_too_far(candidate):
-    """The trial of 17.6 MPa is further off than that of 15.04, on the wrong side."""
+    """15.04 MPa lies on the wrong side of the model's 16, and yet nearer than 17.6."""
     found = candidate("supply_pressure", "supply_pressure", 16.22e6)
     assert found.values[0] == pytest.approx(16.22e6, rel=2e-3)
 

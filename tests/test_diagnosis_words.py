@@ -4,9 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from leglab.diagnosis.result import (
-    Estimate,
-)
+from leglab.diagnosis.result import Estimate
 from leglab.report.diagnosis.words import (
     facts,
     headline,

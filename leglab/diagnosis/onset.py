@@ -103,7 +103,7 @@ def _bracketed(problem: Problem, fit: Fit, named: Sequence[Key]) -> Fit:
                 continue
             usual = limits.onset_factor * float(np.median(later))
             met = present < max(limits.healthy_cost, usual)
-            # One that is missed either way, but far more without, had begun or was about to.
+            # Where a replay without the effect misses far more than one with it, it had begun.
             missed = ~met & (absent < limits.onset_factor * present)
             out = here & ((evidence < -limits.onset_evidence) | missed) & (begin < seen)
             if not out.any():
