@@ -23,13 +23,14 @@ from leglab.diagnosis.result import (
 from leglab.report.diagnosis.words import sections
 
 
-def effect(name="valve_deadband", element="knee_valve", rivals=(), onset=()):
+def effect(name="valve_deadband", element="knee_valve", rivals=(), onset=(), onset_interval=()):
     return NamedEffect(
         name=name,
         element=element,
         group="valve and command",
         physics="No flow while |x| < lap.",
         onset=onset,
+        onset_interval=onset_interval,
         confidence=0.91,
         contribution=0.8,
         parameters=(

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from leglab.diagnosis.output import summary_lines
 from leglab.diagnosis.result import Estimate
 from leglab.report.diagnosis.words import (
     facts,
@@ -162,3 +163,19 @@ def test_inertia_is_told_with_the_friction_beside_which_it_imitates_a_weak_drive
     assert "actuator gain, viscous friction or coulomb friction" in headline(
         replace(one, effects=(other,))
     )
+
+
+def test_an_onset_is_told_as_a_time_or_as_from_when_to_when_it_may_have_been():
+    one = effect(
+        onset=(("walk", 4.35), ("run", 6.02)),
+        onset_interval=(("walk", 2.7, 6.0), ("run", 6.0, 6.04)),
+    )
+    assert one.begins() == ("between 2.70 and 6.00 s of walk", "at 6.02 s of run")
+    told = section(diagnosis(effects=(one,)), "What is missing")
+    assert "begins between 2.70 and 6.00 s of walk and at 6.02 s of run." in told
+    assert "valve_deadband begins between 2.70 and 6.00 s of walk" in summary_lines(
+        diagnosis(effects=(one,))
+    )
+    (written,) = diagnosis(effects=(one,)).to_json()["effects"]
+    assert written["onset"] == {"walk": 4.35, "run": 6.02}
+    assert written["onset_interval"] == {"walk": [2.7, 6.0], "run": [6.0, 6.04]}

@@ -177,6 +177,7 @@ def _effects(
         without = final.without(key)
         tied, probability = _ties(found, key, weigh)
         onsets = zip(problem.series, final.onsets.get(key, ()), strict=False)
+        between = zip(problem.series, found.onsets.get(key, ()), strict=False)
         effects.append(
             NamedEffect(
                 name=key[0],
@@ -187,6 +188,11 @@ def _effects(
                     (series.name, float(time - series.time[0]))
                     for series, time in onsets
                     if np.isfinite(time)
+                ),
+                onset_interval=tuple(
+                    (series.name, *(both - series.time[0]).tolist())
+                    for series, both in between
+                    if np.isfinite(both).all()
                 ),
                 confidence=probability * quality,
                 contribution=float(np.clip(contribution(without), 0.0, 1.0)),

@@ -1,6 +1,6 @@
 """Effects that begin during a recording: when, and whether the onset is needed."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -50,8 +50,15 @@ def suspected_onset(problem: Problem, chosen: np.ndarray) -> tuple[np.ndarray, F
     return onsets, Fit(free=frozenset(), cost=cost_now, at=at)
 
 
-def checked_onsets(problem: Problem, fit: Fit, named: Sequence[Key]) -> Fit:
-    """Drops onsets that are not needed, adds those that are, and centres them."""
+def checked_onsets(
+    problem: Problem, fit: Fit, named: Sequence[Key]
+) -> tuple[Fit, Mapping[Key, np.ndarray]]:
+    """Drops onsets that are not needed, adds those that are, and centres them.
+
+    Returns:
+        The fit, and by effect the earliest and the latest onset [s] that the recordings allow,
+        shape (recordings, 2), nan where it begins in none.
+    """
     replay, limits = problem.replay, problem.thresholds
     for key in named:
         now = problem.window_cost(fit.hypothesis)
@@ -80,7 +87,9 @@ def checked_onsets(problem: Problem, fit: Fit, named: Sequence[Key]) -> Fit:
     return _bracketed(problem, fit, named)
 
 
-def _bracketed(problem: Problem, fit: Fit, named: Sequence[Key]) -> Fit:
+def _bracketed(
+    problem: Problem, fit: Fit, named: Sequence[Key]
+) -> tuple[Fit, Mapping[Key, np.ndarray]]:
     """Moves onsets to the middle of the time in which the effect may have begun.
 
     An effect that shows only in fast motion, say, departs from the noise some time after it began.
@@ -89,6 +98,7 @@ def _bracketed(problem: Problem, fit: Fit, named: Sequence[Key]) -> Fit:
     """
     limits = problem.thresholds
     begin, length = problem.replay.start, limits.window
+    intervals = {}
     for key in named:
         if key not in fit.hypothesis.onsets:
             continue
@@ -96,6 +106,7 @@ def _bracketed(problem: Problem, fit: Fit, named: Sequence[Key]) -> Fit:
         absent = problem.window_cost(fit.hypothesis.not_begun(key))
         evidence = problem.size * (absent - present)
         onsets = fit.hypothesis.onsets[key].copy()
+        between = np.where(np.isfinite(onsets), onsets, np.nan)[:, np.newaxis].repeat(2, axis=1)
         for i in np.flatnonzero(np.isfinite(onsets)):
             seen, here = onsets[i], problem.replay.recording == i
             later = present[here & (begin > seen)]
@@ -111,9 +122,11 @@ def _bracketed(problem: Problem, fit: Fit, named: Sequence[Key]) -> Fit:
             last = begin[out].max()
             clear = here & (evidence > limits.onset_evidence) & met
             seen = min([seen, *begin[clear & (begin > last) & (begin + length < seen)]])
-            onsets[i] = 0.5 * (seen + min(seen, last + length))
+            between[i] = min(seen, last + length), seen
+            onsets[i] = between[i].mean()
         fit = fit.with_hypothesis(fit.hypothesis.with_onset(key, onsets))
-    return fit
+        intervals[key] = between
+    return fit, intervals
 
 
 def change_point(values: np.ndarray, thresholds: Thresholds = DEFAULT) -> int | None:

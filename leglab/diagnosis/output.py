@@ -140,7 +140,7 @@ def summary_lines(result: Diagnosis) -> list[str]:
             f"was, {max(after):.3g} by the calibrated specimen"
         )
     for effect in result.effects:
-        lines += [f"{effect.name} begins at {time:.2f} s of {name}" for name, time in effect.onset]
+        lines += [f"{effect.name} begins {when}" for when in effect.begins()]
         if effect.indistinguishable_from:
             rivals = ", ".join(effect.indistinguishable_from)
             lines.append(f"{effect.name} is not told apart from {rivals}")

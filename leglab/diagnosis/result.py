@@ -9,6 +9,8 @@ import numpy as np
 from leglab.base.notebook import data_frame, html_table, panels
 
 Verdict = Literal["named", "confusion_set", "partial", "unexplained", "nothing_missing"]
+# An onset that is known to less than this [s] is told as a time.
+_WIDE = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +38,8 @@ class NamedEffect:
         physics: One sentence.
         onset: Recording and time [s] at which it begins, for every recording in which it does;
             empty where it is there throughout.
+        onset_interval: Recording, earliest and latest time [s] at which it can have begun: it
+            shows in no motion between them.
         confidence: Probability that the name is right against every rival, in [0, 1].
         contribution: Share of the gap that it closes when it is added last.
         indistinguishable_from: Effects that explain these recordings as well.
@@ -52,6 +56,17 @@ class NamedEffect:
     parameters: tuple[Estimate, ...]
     indistinguishable_from: tuple[str, ...]
     without: float = math.nan
+    onset_interval: tuple[tuple[str, float, float], ...] = ()
+
+    def begins(self) -> tuple[str, ...]:
+        """When it begins in each recording: a time, or from when to when it may have been."""
+        wide = {name: (low, high) for name, low, high in self.onset_interval if high - low >= _WIDE}
+        return tuple(
+            f"between {wide[name][0]:.2f} and {wide[name][1]:.2f} s of {name}"
+            if name in wide
+            else f"at {time:.2f} s of {name}"
+            for name, time in self.onset
+        )
 
     def told(self) -> str:
         """The effect with its element and parameters in a few words."""
@@ -490,6 +505,7 @@ def _effect(effect: NamedEffect) -> dict[str, Any]:
     return {
         **_fields(effect, "group", "physics", "without"),
         "onset": dict(effect.onset) or None,
+        "onset_interval": {name: both for name, *both in effect.onset_interval} or None,
         "parameters": {p.name: _fields(p, "name") for p in effect.parameters},
     }
 

@@ -400,8 +400,7 @@ def _missing(result: Diagnosis) -> tuple[str, ...]:
         if told := _values(effect, result.nominal_words):
             lines.append(f"Fitted: {'; '.join(told)}.")
         if effect.onset:
-            times = listed(tuple(f"{time:.2f} s of {name}" for name, time in effect.onset))
-            lines.append(f"{capital(readable(effect.name))} begins at {times}.")
+            lines.append(f"{capital(readable(effect.name))} begins {listed(effect.begins())}.")
     if not lines:
         lines.append(
             "No effect stands out from what chance gives."
