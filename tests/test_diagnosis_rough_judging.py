@@ -526,3 +526,21 @@ def test_a_search_goes_on_as_exact_only_where_little_is_left(sketch, searches):
     found = workflow.search(sketch, workflow.DiagnosisSettings())
     assert found.named == searches["rough"]
     assert found.rough
+
+
+@pytest.mark.parametrize(("nearer", "exact"), [(1.8, True), (2.2, False)])
+def test_a_machine_is_rough_only_where_that_comes_far_nearer(sketch, searches, nearer, exact):
+    """Where it does not, a single cause lacks that no effect is: names of errors are no names."""
+    sketch.costs[frozenset(searches["exact"])] = 100.0
+    sketch.costs[frozenset(searches["rough"])] = 100.0 / nearer
+    found = workflow.search(sketch, workflow.DiagnosisSettings())
+    assert found.named == searches["exact" if exact else "rough"]
+    assert found.rough != exact
+
+
+def test_a_machine_is_no_rough_one_because_no_effect_is_found(sketch, searches):
+    searches["exact"] = ()
+    sketch.costs[frozenset()] = 90.0
+    sketch.costs[frozenset(searches["rough"])] = 50.0
+    found = workflow.search(sketch, workflow.DiagnosisSettings())
+    assert (found.named, found.rough) == ((), False)

@@ -170,6 +170,9 @@ class Thresholds:
     much_missing: float = 8.0
     # Above this cost, some fifty noise levels squared, no effects will explain it down to noise.
     hardly_explained: float = 12.0
+    # The search for a rough machine must leave this many times less of the mean square error where
+    # held out: else the machine differs from its model in one cause, which no effect is.
+    no_rougher: float = 2.0
     # The noise model is taken about the fit and the fit made anew, this often at most.
     settling: int = 3
     # An early effect may be swapped for a rival that cost at most this factor more.

@@ -70,6 +70,8 @@ class Search:
         specimen: What healthy recordings said; None without any.
         suspect: Of `named`, the effect that comes nearest to a cause where none is one: too little
             speaks for it. It was fitted with its rivals in the last round.
+        onsets: Of effects that begin during a recording, the earliest and the latest time [s] at
+            which the recordings allow it, shape (recordings, 2), nan where it begins in none.
     """
 
     problem: Problem
@@ -80,6 +82,7 @@ class Search:
     checks: Mapping[Key, tuple[Contender, ...]] = field(default_factory=dict)
     specimen: Specimen | None = None
     suspect: Key | None = None
+    onsets: Mapping[Key, np.ndarray] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         told = (f"{key[0]} at {key[1]}" for key in self.named if key != self.suspect)
@@ -183,19 +186,18 @@ def search(
     exact, limits = None, problem.thresholds
     if floor is None:
         exact = replace(_exact_search(problem, settings, progress), specimen=specimen)
-        left = float(exact.problem.window_cost(exact.fit.hypothesis).mean())
-        if left <= limits.explained:
+        if float(exact.problem.window_cost(exact.fit.hypothesis).mean()) <= limits.explained:
             return exact
-        if left > limits.close_cost or not exact.named:
-            exact = None
     rough = replace(_rough_search(problem, settings, progress, specimen, floor), specimen=specimen)
-    if floor is None and len(rough.named) > 1 and _level(rough) <= limits.hardly_explained:
+    if exact is None:
+        return rough
+    if len(rough.named) > 1 and _level(rough) <= limits.hardly_explained:
         # Several gross effects hid that the model is exact: with them it may leave noise alone.
         again = _exact_search(problem, settings, progress, rough)
         if float(again.problem.window_cost(again.fit.hypothesis).mean()) <= limits.explained:
             return replace(again, specimen=specimen)
-    # Little is left after some effects: they may be right, and the model's error none of its own.
-    return exact if exact is not None and _level(exact) <= _level(rough) else rough
+    # What differs everywhere comes far nearer once it may: else a single cause is not known.
+    return exact if _level(exact) <= limits.no_rougher * _level(rough) else rough
 
 
 def _level(found: Search) -> float:
@@ -324,6 +326,7 @@ def _exact_search(
             # Nuisances far from where they belong hide what is small: screened both ways.
             start, beside = start.only(current.free), start
     checks: Checks = {}
+    onsets: Mapping[Key, np.ndarray] = {}
     if len(named) > 1:
         progress("checking each effect against the others")
         problem, current, named, checks = challenged(problem, current, named, rounds)
@@ -331,7 +334,7 @@ def _exact_search(
         progress("last refinement")
         chosen = thinned(problem.fitted, max(1, every // 2))
         problem, current = _settled(problem, current, chosen)
-        current = checked_onsets(problem, current, named)
+        current, onsets = checked_onsets(problem, current, named)
     return Search(
         problem=problem,
         baseline=floor,
@@ -339,6 +342,7 @@ def _exact_search(
         named=tuple(named),
         rounds=tuple(rounds),
         checks=checks,
+        onsets=onsets,
     )
 
 
