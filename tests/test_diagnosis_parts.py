@@ -24,7 +24,7 @@ from leglab.diagnosis.starts import bristle, spool
 from leglab.diagnosis.verdict import at_limits
 from leglab.diagnosis.windows import Channel, Cut, derivative, noise_level, smoothed
 from leglab.studies.blind.faulty_bench import FAULTS, FaultyBench, detuned, references
-from leglab.studies.blind.selftest import Case, Outcome, cases, make, score_table
+from leglab.studies.blind.selftest import Case, Outcome, cases, make, score_table, scores
 
 
 def test_noise_level_of_a_noisy_sine():
@@ -233,24 +233,41 @@ def test_made_case_has_four_recordings_and_its_severity(monkeypatch):
     assert severity.value > 150.0
 
 
-def test_scores_count_sets_and_false_alarms():
-    def outcome(kind, hidden, named, alternatives=((),), verdict="named", confidence=(1.0,)):
-        return Outcome(
-            kind=kind,
-            number=0,
-            hidden=hidden,
-            severities=(),
-            verdict=verdict,
-            named=named,
-            alternatives=alternatives if named else (),
-            confidence=confidence if named else (),
-            covered=(),
-            onsets=(),
-            before=2.0,
-            after=1.0,
-            seconds=1.0,
-        )
+def outcome(kind, hidden, named, **fields):
+    given = {
+        "alternatives": ((),) if named else (),
+        "verdict": "named",
+        "confidence": (1.0,) if named else (),
+        "onsets": (),
+        "before": 2.0,
+        "after": 1.0,
+        "seconds": 1.0,
+    }
+    one = given | fields
+    return Outcome(
+        kind=kind, number=0, hidden=hidden, severities=(), named=named, covered=(), **one
+    )
 
+
+@pytest.mark.parametrize(
+    ("onsets", "intervals", "right", "told"),
+    [
+        ((6.0, 5.8), ((6.0, 6.0), (5.6, 5.9)), True, True),
+        ((6.0, 4.3), ((6.0, 6.0), (2.1, 6.5)), False, True),
+        ((6.0, 4.3), ((6.0, 6.0), (4.2, 4.4)), False, False),
+        ((), (), False, False),
+    ],
+)
+def test_an_onset_that_is_off_must_be_told_as_an_interval_that_holds_it(
+    onsets, intervals, right, told
+):
+    one = outcome("onset", ("a",), ("a",), onsets=onsets, onset_intervals=intervals)
+    assert (one.onset_right, one.onset_told) == (right, told)
+    shares = dict(row[:2] for row in scores([one]))
+    assert shares["... or in an interval that is told instead"].startswith(str(int(told)))
+
+
+def test_scores_count_sets_and_false_alarms():
     right = outcome("single", ("a",), ("a",))
     tied = outcome("single", ("a",), ("b",), alternatives=(("a",),))
     wrong = outcome("single", ("a",), ("b",))
