@@ -538,6 +538,15 @@ def test_a_machine_is_rough_only_where_that_comes_far_nearer(sketch, searches, n
     assert found.rough != exact
 
 
+@pytest.mark.parametrize(("nearer", "exact"), [(0.9, True), (1.1, False)])
+def test_the_little_that_is_left_is_judged_by_what_comes_nearer(sketch, searches, nearer, exact):
+    sketch.costs[frozenset(searches["exact"])] = 3.0
+    sketch.costs[frozenset(searches["rough"])] = 3.0 / nearer
+    sketch.costs[frozenset(searches["again"])] = 3.0
+    found = workflow.search(sketch, workflow.DiagnosisSettings())
+    assert found.named == searches["exact" if exact else "rough"]
+
+
 def test_a_machine_is_no_rough_one_because_no_effect_is_found(sketch, searches):
     searches["exact"] = ()
     sketch.costs[frozenset()] = 90.0

@@ -186,7 +186,8 @@ def search(
     exact, limits = None, problem.thresholds
     if floor is None:
         exact = replace(_exact_search(problem, settings, progress), specimen=specimen)
-        if float(exact.problem.window_cost(exact.fit.hypothesis).mean()) <= limits.explained:
+        left = float(exact.problem.window_cost(exact.fit.hypothesis).mean())
+        if left <= limits.explained:
             return exact
     rough = replace(_rough_search(problem, settings, progress, specimen, floor), specimen=specimen)
     if exact is None:
@@ -196,8 +197,11 @@ def search(
         again = _exact_search(problem, settings, progress, rough)
         if float(again.problem.window_cost(again.fit.hypothesis).mean()) <= limits.explained:
             return replace(again, specimen=specimen)
-    # What differs everywhere comes far nearer once it may: else a single cause is not known.
-    return exact if _level(exact) <= limits.no_rougher * _level(rough) else rough
+    # What differs everywhere comes far nearer once it may: else a single cause is not known. The
+    # little that is left of effects which explain nearly all is judged by what comes nearer.
+    close = exact.named and left <= limits.close_cost
+    nearer = 1.0 if close else limits.no_rougher
+    return exact if _level(exact) <= nearer * _level(rough) else rough
 
 
 def _level(found: Search) -> float:
