@@ -547,9 +547,11 @@ def test_the_little_that_is_left_is_judged_by_what_comes_nearer(sketch, searches
     assert found.named == searches["exact" if exact else "rough"]
 
 
-def test_a_machine_is_no_rough_one_because_no_effect_is_found(sketch, searches):
+@pytest.mark.parametrize(("exact", "rough"), [(90.0, 50.0), (3.0, 2.0)])
+def test_a_machine_is_no_rough_one_because_no_effect_is_found(sketch, searches, exact, rough):
     searches["exact"] = ()
-    sketch.costs[frozenset()] = 90.0
-    sketch.costs[frozenset(searches["rough"])] = 50.0
+    sketch.costs[frozenset()] = exact
+    sketch.costs[frozenset(searches["rough"])] = rough
+    sketch.costs[frozenset(searches["again"])] = 3.0
     found = workflow.search(sketch, workflow.DiagnosisSettings())
     assert (found.named, found.rough) == ((), False)
