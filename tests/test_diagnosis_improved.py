@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from leglab import RunSettings, data, run_scenario
+from leglab.diagnosis import improve
 from leglab.diagnosis.hypothesis import Hypothesis
 from leglab.diagnosis.model import Machine
 from leglab.diagnosis.output import write_improved
@@ -17,6 +18,7 @@ from leglab.diagnosis.verdict import diagnose
 from leglab.diagnosis.workflow import DiagnosisSettings, set_up
 from leglab.machine.sensors import EncoderFaults, PressureFaults
 from tests.patched_models import reloaded_error
+from tests.rigs import PENDULUM, Truth, record
 
 FOLDER = Path(__file__).parent / "data" / "diagnosis"
 NAMES = ("multisine", "slow", "walk")
@@ -170,3 +172,20 @@ def test_a_late_encoder_shows_what_was_between_samples():
     np.testing.assert_allclose(faults.seen(positions[:1], 0, 2e-3), [0.5, 9.0])
     healthy = EncoderFaults(offset=np.zeros(2), scale=np.ones(2), delay=np.zeros(2))
     assert not healthy
+
+
+def test_a_single_cause_without_a_name_is_doubted_and_learned():
+    """A machine that is as its model but for one torque is no machine that differs everywhere."""
+    logs = {
+        kind: record(PENDULUM, kind, Truth(ripple=(0.4, 1.1, 0.5)), seed=i, seconds=4.0)
+        for i, kind in enumerate(("multisine", "fast", "slow"))
+    }
+    known = ("viscous_friction", "coulomb_friction", "force_offset")
+    settings = DiagnosisSettings(effects=known, threads=1)
+    result, search = diagnose(PENDULUM.model, logs, held_out=("slow",), settings=settings)
+    assert (result.verdict, result.effects) == ("unexplained", ())
+    assert not search.rough
+    model = improve.improved_model(search, result)
+    assert model.learned.startswith("a torque that repeats every 1.1 rad of the hinge, 0.4 N m")
+    levels = model.remainder.problem.noise_levels(model.hypothesis)[search.problem.judged]
+    assert np.sqrt(levels.mean()) < 0.1 * result.gap.before

@@ -123,8 +123,10 @@ def improved_model(
     named = tuple(key for key in found.named if key in told and result.verdict != "unexplained")
     problem, final = _recalibrated(found, named)
     remainder = None
-    much_left = result.verdict != "nothing_missing" and found.rough
-    if much_left and (result.gap.explained or 0.0) < limits.well_explained:
+    left = float(found.problem.window_cost(found.fit.hypothesis).mean())
+    more_than_noise = found.rough or left > limits.explained
+    much_left = (result.gap.explained or 0.0) < limits.well_explained
+    if result.verdict != "nothing_missing" and more_than_noise and much_left:
         remainder = learn_remainder(problem, final, named=named, progress=progress)
     before = problem.noise_levels(problem.library.neutral())
     after = problem.noise_levels(final)
