@@ -57,7 +57,9 @@ def library():
 # The eight faults of the judging of exact models.
 
 
-@pytest.mark.parametrize(("left", "expected"), [(1.6, "named"), (3.0, "partial")])
+@pytest.mark.parametrize(
+    ("left", "expected"), [(1.6, "named"), (3.0, "partial"), (6.0, "unexplained")]
+)
 def test_an_effect_that_leaves_more_than_noise_is_no_explanation(sketch, left, expected):
     sketch.costs |= {frozenset(): 30.0, frozenset([OFFSET]): left}
     said, (effect,), _ = exact_verdict(sketch, [OFFSET], [contender(sketch.library, OFFSET, left)])

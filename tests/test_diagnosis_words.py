@@ -84,6 +84,9 @@ def test_unexplained_says_what_was_tried_and_learned():
     still = replace(moved, name="payload_mass", unit="kg", value=2.1e7)
     result = diagnosis("unexplained", nuisances=(moved, still), learned="a torque that repeats")
     text = section(result, "What was tried")
+    once = "probably a single cause that is not among these effects"
+    assert once in text
+    assert once not in section(replace(result, rough=True), "What was tried")
     assert "3 possible effects, each alone; valve deadband and stiction came closest." in text
     assert "errs by 14.2 noise levels, recalibrated within tolerance by 12" in text
     assert "Recalibrated: supply pressure 205 bar, in the model 210 bar." in text

@@ -58,7 +58,8 @@ def judge_exact(found: Search, rng: np.random.Generator) -> Judged:
     if not effects:
         return ("nothing_missing" if start <= limits.explained else "unexplained"), (), ()
     if end > limits.explained:
-        partial = share >= limits.explanation_share
+        sure = max(e.confidence for e in effects)
+        partial = share >= limits.explanation_share and sure >= limits.partly
         return ("partial" if partial else "unexplained"), effects, ()
     tied = any(e.indistinguishable_from for e in effects)
     return ("confusion_set" if tied else "named"), effects, ()

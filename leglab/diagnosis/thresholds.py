@@ -242,8 +242,8 @@ class Thresholds:
     # An effect of a rough machine that closes less of the gap, or does less of what all that were
     # found do, is a smaller difference.
     smaller_share: float = 0.1
-    # What is named without healthy recordings, and closes less than half of the gap, is told as a
-    # part of what is missing from this confidence on.
+    # What is named without healthy recordings and leaves more than noise, of a rough machine more
+    # than half of the gap, is told as a part of what is missing from this confidence on.
     partly: float = 0.5
     # Strengths of a calibrated specimen that are listed depart by this share of barely noticeable.
     calibration_share: float = 0.25

@@ -495,6 +495,11 @@ def _tried(result: Diagnosis) -> tuple[str, ...]:
         lines.append(f"{capital(_at(effect))}: confidence {percent(effect.confidence)}.")
     if result.effects:
         lines.append(_confidence_meaning(result))
+    if not result.rough:
+        lines.append(
+            "A model that may be a little off everywhere does hardly better: what is missing is "
+            "probably a single cause that is not among these effects."
+        )
     if result.model:
         lines.append("The improved model carries no effect without a name.")
     else:
