@@ -34,7 +34,7 @@ def a_sketch(monkeypatch):
     def cost(hypothesis):
         return np.broadcast_to(costs[frozenset(hypothesis)], WINDOWS).astype(float)
 
-    no_width = {OFFSET: np.zeros(1), VISCOUS: np.zeros(1), ASYMMETRIC: np.zeros(4)}
+    no_width = {OFFSET: np.zeros(1), VISCOUS: np.zeros(1), ASYMMETRIC: np.zeros(6)}
     monkeypatch.setattr(naming, "intervals", lambda problem, fit, beside: no_width)
     problem = SimpleNamespace(
         machine=MACHINE,

@@ -23,7 +23,14 @@ from leglab.diagnosis.result import (
 from leglab.report.diagnosis.words import sections
 
 
-def effect(name="valve_deadband", element="knee_valve", rivals=(), onset=(), onset_interval=()):
+def effect(
+    name="valve_deadband",
+    element="knee_valve",
+    rivals=(),
+    onset=(),
+    onset_interval=(),
+    differences=(),
+):
     return NamedEffect(
         name=name,
         element=element,
@@ -31,6 +38,7 @@ def effect(name="valve_deadband", element="knee_valve", rivals=(), onset=(), ons
         physics="No flow while |x| < lap.",
         onset=onset,
         onset_interval=onset_interval,
+        differences=differences,
         confidence=0.91,
         contribution=0.8,
         parameters=(

@@ -278,8 +278,9 @@ def test_what_may_be_off_beside_an_effect_widens_its_interval_by_as_much():
     matrix = np.array([[g2, g2 * s], [g2 * s, g2 * s**2]])
     matrices = np.broadcast_to(matrix / windows, (windows, 2, 2))
     quiet = np.zeros((windows, 2))
-    half = _sandwich(matrices, quiet, np.diag([0.0, 1.0]))[0]
+    first = np.eye(1)
+    half = _sandwich(matrices, quiet, np.diag([0.0, 1.0]), first)[0]
     quantile = student.ppf(0.975, windows - 1)
     assert half == pytest.approx(quantile * np.sqrt(1.0 / g2 + s**2), rel=1e-6)
-    alone = _sandwich(matrices[:, :1, :1], quiet[:, :1], np.zeros((1, 1)))[0]
+    alone = _sandwich(matrices[:, :1, :1], quiet[:, :1], np.zeros((1, 1)), first)[0]
     assert alone == pytest.approx(quantile / np.sqrt(g2), rel=1e-6)

@@ -124,25 +124,28 @@ def test_half_widths_are_those_of_the_sandwich_or_of_the_fit_itself(weighed):
     middle = np.zeros((5, 5))
     for gradient in gradients - sum(gradients) / 14:
         middle += np.outer(gradient, gradient)
-    variance = np.maximum(np.diag(inverse @ middle @ inverse), np.diag(inverse))
+    # Each unknown, and the first less the third.
+    told = np.concatenate([np.eye(5), [[1.0, 0.0, -1.0, 0.0, 0.0]]])
+    bread, own = (np.diag(told @ c @ told.T) for c in (inverse @ middle @ inverse, inverse))
     # Windows less the parameters that are fitted freely.
-    wanted = stats.t.ppf(0.975, 14 - 3) * np.sqrt(variance)
-    np.testing.assert_allclose(judging._sandwich(matrices, gradients, prior), wanted, rtol=1e-6)
+    wanted = stats.t.ppf(0.975, 14 - 3) * np.sqrt(np.maximum(bread, own))
+    found = judging._sandwich(matrices, gradients, prior, told)
+    np.testing.assert_allclose(found, wanted, rtol=1e-6)
+    # What is told of the first unknowns alone is told alike.
+    first = judging._sandwich(matrices, gradients, prior, told[[0, 2, 5], :3])
+    np.testing.assert_allclose(first, wanted[[0, 2, 5]], rtol=1e-6)
     # Errors that repeat in windows count as they scatter; such as do not, as the noise.
-    scattered = judging._sandwich(matrices, 9.0 * gradients, prior)
-    np.testing.assert_allclose(
-        scattered,
-        stats.t.ppf(0.975, 11)
-        * np.sqrt(np.maximum(81.0 * np.diag(inverse @ middle @ inverse), np.diag(inverse))),
-        rtol=1e-6,
-    )
+    scattered = judging._sandwich(matrices, 9.0 * gradients, prior, told)
+    wanted = stats.t.ppf(0.975, 11) * np.sqrt(np.maximum(81.0 * bread, own))
+    np.testing.assert_allclose(scattered, wanted, rtol=1e-6)
 
 
 @pytest.mark.parametrize("recordings", [1, 2, 3])
 def test_the_jackknife_leaves_out_each_recording_once(weighed, recordings):
     matrices, gradients, prior = weighed
     of = np.arange(14) % recordings
-    found = judging._jackknife(matrices, gradients, prior, of)
+    told = np.concatenate([np.eye(5), [[1.0, 0.0, -1.0, 0.0, 0.0]]])
+    found = judging._jackknife(matrices, gradients, prior, told, of)
     if recordings == 1:
         np.testing.assert_array_equal(found, 0.0)
         return
@@ -151,7 +154,7 @@ def test_the_jackknife_leaves_out_each_recording_once(weighed, recordings):
     for left_out in range(recordings):
         keep = [w for w in range(14) if of[w] != left_out]
         centred = sum(mean - gradients[w] for w in keep)
-        shifts.append(np.linalg.solve(sum(matrices[w] for w in keep) + prior, centred))
+        shifts.append(told @ np.linalg.solve(sum(matrices[w] for w in keep) + prior, centred))
     spread = np.array(shifts) - np.mean(shifts, axis=0)
     variance = (recordings - 1) / recordings * (spread**2).sum(axis=0)
     wanted = stats.t.ppf(0.975, recordings - 1) * np.sqrt(variance)
@@ -218,10 +221,10 @@ def test_contributions_and_confidence_of_an_exact_model(sketch):
         ("viscous_friction", pytest.approx((11.0 - 1.5) / (11.0 - 1.0))),
     ]
     assert [e.confidence for e in effects] == [1.0, 1.0]
-    sketch.costs[both] = 4.0
+    sketch.costs[both] = 3.5
     said, effects, _ = exact_verdict(sketch, [OFFSET, VISCOUS])
     assert said == "partial"
-    wanted = DEFAULT.explained / 4.0 * (30.0 - 4.0) / (30.0 - 1.0)
+    wanted = DEFAULT.explained / 3.5 * (30.0 - 3.5) / (30.0 - 1.0)
     assert [e.confidence for e in effects] == [pytest.approx(wanted)] * 2
     # Costs below that of noise are no gap that could be closed.
     sketch.costs |= {both: 1.0, frozenset([OFFSET]): 1.0, frozenset([VISCOUS]): 0.9}
@@ -276,11 +279,32 @@ def test_half_widths_allow_for_laws_that_are_not_the_models(sketch, key):
     """By a share of the change of each strength; what is a shape keeps its own."""
     site = sketch.library.sites[key]
     change = np.array([-2.0, 0.7, 3.0, 1.0])[: len(site.parameters)]
-    own = np.full(len(change), 0.3)
+    differences = [change[0] - change[1], change[2] - change[3]] if key == ASYMMETRIC else []
+    own = np.full(len(change) + len(differences), 0.3)
     half = naming._allowing_for_structure(sketch, key, site.nominal + change, own)
-    for width, by, parameter in zip(half, change, site.parameters, strict=True):
-        further = 1.96 * DEFAULT.rough_size * abs(by) if parameter.role == "strength" else 0.0
-        assert width == pytest.approx(np.hypot(0.3, further))
+    rows = zip(change, site.parameters, strict=True)
+    strengths = [by if p.role == "strength" else 0.0 for by, p in rows]
+    for width, by in zip(half, [*strengths, *differences], strict=True):
+        assert width == pytest.approx(np.hypot(0.3, 1.96 * DEFAULT.rough_size * abs(by)))
+
+
+def test_by_how_much_directions_differ_has_an_interval_of_its_own():
+    """In units: unknowns are in scales, and what both directions share takes no part."""
+    site = LIBRARY.sites[ASYMMETRIC]
+    scales = [p.scale for p in site.parameters]
+    told = judging._told(site)
+    np.testing.assert_allclose(told[:4], np.diag(scales))
+    np.testing.assert_allclose(told[4], [scales[0], -scales[1], 0.0, 0.0])
+    np.testing.assert_allclose(told[5], [0.0, 0.0, scales[2], -scales[3]])
+    values = np.array([0.5, 0.2, 0.3, 0.4])
+    first, second = naming._differences(site, values, np.array([0.1, 0.04]))
+    assert (first.name, second.name) == (
+        "viscous_forward_less_viscous_backward",
+        "coulomb_forward_less_coulomb_backward",
+    )
+    assert (first.value, first.nominal, first.unit) == (pytest.approx(0.3), 0.0, "N m s/rad")
+    assert first.interval == pytest.approx((0.2, 0.4))
+    assert (second.value, second.interval) == (pytest.approx(-0.1), pytest.approx((-0.14, -0.06)))
 
 
 def test_no_effect_closes_more_than_all(sketch):

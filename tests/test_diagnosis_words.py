@@ -182,3 +182,19 @@ def test_an_onset_is_told_as_a_time_or_as_from_when_to_when_it_may_have_been():
     (written,) = diagnosis(effects=(one,)).to_json()["effects"]
     assert written["onset"] == {"walk": 4.35, "run": 6.02}
     assert written["onset_interval"] == {"walk": [2.7, 6.0], "run": [6.0, 6.04]}
+
+
+def test_by_how_much_directions_differ_is_told_beside_what_is_unsure_of_each():
+    one = Estimate(
+        name="viscous_forward_less_viscous_backward",
+        unit="N s/m",
+        value=-73.0,
+        nominal=0.0,
+        interval=(-90.0, -56.0),
+    )
+    asymmetric = effect("asymmetric_friction", "slide", differences=(one,))
+    told = dict(facts(diagnosis(effects=(asymmetric,))))["Missing"]
+    assert "viscous forward less viscous backward -73 N s/m (95 %: -90 to -56 N s/m)" in told
+    (written,) = diagnosis(effects=(asymmetric,)).to_json()["effects"]
+    assert written["differences"][one.name]["interval"] == [-90.0, -56.0]
+    assert list(written["parameters"]) == ["lap"]

@@ -79,6 +79,18 @@ class Site:
         moves = [i for i in range(len(place)) if i not in leads]
         return np.array([[float(leads.get(i, i) == m) for m in moves] for i in range(len(place))])
 
+    @property
+    def differences(self) -> np.ndarray:
+        """Differences between directions, first less second, as sums of parameters.
+
+        Shape (differences, parameters): 1 and -1 where the effect says that directions differ.
+        """
+        place = {p.name: i for i, p in enumerate(self.parameters)}
+        rows = np.zeros((len(self.effect.by_direction), len(place)))
+        for row, (first, second) in zip(rows, self.effect.by_direction, strict=True):
+            row[place[first]], row[place[second]] = 1.0, -1.0
+        return rows
+
     def named(self, values: np.ndarray) -> dict[str, float]:
         """Values, shape (parameters,), by the names of the parameters."""
         return {p.name: float(v) for p, v in zip(self.parameters, values, strict=True)}

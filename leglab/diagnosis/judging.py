@@ -3,12 +3,13 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.stats import chi2, norm
 from scipy.stats import t as student
 
 from leglab.diagnosis.evidence import beyond_specimens, posterior
 from leglab.diagnosis.fitting import Fit, Sums, free_tangents
-from leglab.diagnosis.hypothesis import Key
+from leglab.diagnosis.hypothesis import Key, Site
 from leglab.diagnosis.nuisances import Nuisance
 from leglab.diagnosis.residual import Linearisation, Problem, robust_weight
 from leglab.diagnosis.search import Contender, Round
@@ -232,8 +233,10 @@ def parameters(problem: Problem, fit: Fit) -> int:
 def intervals(
     problem: Problem, fit: Fit, beside: Sequence[Nuisance] | None = None
 ) -> dict[Key, np.ndarray]:
-    """Half the width of the 95 % intervals of each free effect's parameters, in their units.
+    """Half the width of the 95 % intervals of what each free effect says, in its units.
 
+    Of its parameters and then of the differences between its directions, (parameters +
+    differences,): what two parameters share may be unsure, and by how much they differ sure.
     The larger of two: the sandwich with windows as clusters (Liang and Zeger 1986), and a
     jackknife over recordings, which sees what all windows of a recording share. Both to first
     order about the fit.
@@ -250,16 +253,21 @@ def intervals(
         other = problem.with_nuisances(beside)
         at = other.linearise(fit.hypothesis, fit.at.chosen, fit.free, share=fine)
         wide = _sums(problem, fit, at, fine)
-    count = sum(len(problem.library.sites[key].parameters) for key in fit.free)
+    keys = sorted(fit.free)
+    rows = [_told(problem.library.sites[key]) for key in keys]
+    told = block_diag(*rows)
     half = np.maximum(
-        _sandwich(*wide)[:count],
-        _jackknife(*narrow, problem.replay.recording[fit.at.chosen])[:count],
+        _sandwich(*wide, told),
+        _jackknife(*narrow, told, problem.replay.recording[fit.at.chosen]),
     )
-    found = {}
-    for key in sorted(fit.free):
-        scales = np.array([p.scale for p in problem.library.sites[key].parameters])
-        found[key], half = half[: scales.size] * scales, half[scales.size :]
-    return found
+    ends = np.cumsum([len(each) for each in rows])[:-1]
+    return dict(zip(keys, np.split(half, ends), strict=True))
+
+
+def _told(site: Site) -> np.ndarray:
+    """Parameters and differences of directions, in their units, of unknowns in their scales."""
+    scales = np.array([p.scale for p in site.parameters])
+    return np.concatenate([np.eye(scales.size), site.differences]) * scales
 
 
 # Of windows: matrices J'J and gradients J'r with robust weights; and the priors.
@@ -277,32 +285,40 @@ def _sums(problem: Problem, fit: Fit, at: Linearisation, fine: float) -> _Weighe
     return weight[:, :, None] * sums.matrices, weight * sums.gradients, prior
 
 
-def _sandwich(matrices: np.ndarray, gradients: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """Half widths of all unknowns, in their scales."""
+def _sandwich(
+    matrices: np.ndarray, gradients: np.ndarray, prior: np.ndarray, told: np.ndarray
+) -> np.ndarray:
+    """Half widths of sums of the first unknowns, `told` of shape (sums, first unknowns)."""
     total = matrices.sum(axis=0) + prior
     total[np.diag_indices_from(total)] *= 1.0 + 1e-9
     inverse = np.linalg.pinv(total, hermitian=True)
     centred = gradients - gradients.mean(axis=0)
     bread = inverse @ (centred.T @ centred) @ inverse
     count = int((np.diag(prior) == 0.0).sum())
-    noise = np.maximum(np.diag(bread), np.diag(inverse))
+    first = told.shape[1]
+    spreads = [told @ c[:first, :first] @ told.T for c in (bread, inverse)]
+    noise = np.maximum(*map(np.diag, spreads))
     return student.ppf(0.975, max(gradients.shape[0] - count, 1)) * np.sqrt(noise)
 
 
 def _jackknife(
-    matrices: np.ndarray, gradients: np.ndarray, prior: np.ndarray, recording: np.ndarray
+    matrices: np.ndarray,
+    gradients: np.ndarray,
+    prior: np.ndarray,
+    told: np.ndarray,
+    recording: np.ndarray,
 ) -> np.ndarray:
     """The same from the shifts without each recording, (windows,); 0 of a single one."""
     mean = gradients.mean(axis=0)
     present = np.unique(recording)
     if present.size < 2:
-        return np.zeros(mean.size)
+        return np.zeros(len(told))
     shifts = []
     for number in present:
         keep = recording != number
         part = np.linalg.pinv(matrices[keep].sum(axis=0) + prior, hermitian=True)
         shifts.append(part @ (keep.sum() * mean - gradients[keep].sum(axis=0)))
-    spread = np.stack(shifts)
+    spread = np.stack(shifts)[:, : told.shape[1]] @ told.T
     share = (present.size - 1) / present.size
     jack = np.sqrt(share * ((spread - spread.mean(axis=0)) ** 2).sum(axis=0))
     return student.ppf(0.975, present.size - 1) * jack

@@ -10,7 +10,7 @@ from leglab.diagnosis.directions import pushed_instead
 from leglab.diagnosis.effects.base import EffectParameter
 from leglab.diagnosis.evidence import within_library
 from leglab.diagnosis.heavier import resisted_instead
-from leglab.diagnosis.hypothesis import Hypothesis, Key
+from leglab.diagnosis.hypothesis import Hypothesis, Key, Site
 from leglab.diagnosis.judging import (
     earns,
     fault_probability,
@@ -200,9 +200,14 @@ def _effects(
                 parameters=tuple(
                     estimate(p, n, float(v), max(p.lower, float(v - h)), min(p.upper, float(v + h)))
                     for p, n, v, h in zip(
-                        site.parameters, site.nominal, final[key], half[key], strict=True
+                        site.parameters,
+                        site.nominal,
+                        final[key],
+                        half[key][: len(site.parameters)],
+                        strict=True,
                     )
                 ),
+                differences=_differences(site, final[key], half[key][len(site.parameters) :]),
                 indistinguishable_from=tied,
                 without=rms(problem.noise_levels(without)[problem.judged]),
             )
@@ -210,18 +215,41 @@ def _effects(
     return tuple(sorted(effects, key=lambda e: -e.contribution))
 
 
+def _differences(site: Site, values: np.ndarray, half: np.ndarray) -> tuple[Estimate, ...]:
+    """By how much directions differ that an effect says differ."""
+    units = {p.name: p.unit for p in site.parameters}
+    rows = zip(
+        site.effect.by_direction,
+        site.differences @ values,
+        site.differences @ site.nominal,
+        half,
+        strict=True,
+    )
+    return tuple(
+        Estimate(
+            name=f"{first}_less_{second}",
+            unit=units[first],
+            value=float(value),
+            nominal=float(nominal),
+            interval=(float(value - h), float(value + h)),
+        )
+        for (first, second), value, nominal, h in rows
+    )
+
+
 def _allowing_for_structure(
     problem: Problem, key: Key, values: np.ndarray, half: np.ndarray
 ) -> np.ndarray:
-    """Half widths (parameters,) where the machine's laws are not the model's.
+    """Half widths, as `intervals` has them, where the machine's laws are not the model's.
 
     A parameter of another law than the machine's is one thing in a slow motion and another in a
     fast one: by how much scales with the change, which no spread of errors shows.
     """
     site = problem.library.sites[key]
-    change = np.abs(values - site.nominal)
     strength = np.array([p.role == "strength" for p in site.parameters])
-    return np.hypot(half, 1.96 * problem.thresholds.rough_size * change * strength)
+    moved = (values - site.nominal) * strength
+    change = np.abs(np.concatenate([moved, site.differences @ moved]))
+    return np.hypot(half, 1.96 * problem.thresholds.rough_size * change)
 
 
 def _ties(found: Search, key: Key, weigh: Callable[[Contender, Sequence[Contender]], Ties]) -> Ties:

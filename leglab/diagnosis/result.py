@@ -40,6 +40,8 @@ class NamedEffect:
             empty where it is there throughout.
         onset_interval: Recording, earliest and latest time [s] at which it can have begun: it
             shows in no motion between them.
+        differences: By how much the directions differ where the effect says that they do; surer
+            than each alone.
         confidence: Probability that the name is right against every rival, in [0, 1].
         contribution: Share of the gap that it closes when it is added last.
         indistinguishable_from: Effects that explain these recordings as well.
@@ -57,6 +59,12 @@ class NamedEffect:
     indistinguishable_from: tuple[str, ...]
     without: float = math.nan
     onset_interval: tuple[tuple[str, float, float], ...] = ()
+    differences: tuple[Estimate, ...] = ()
+
+    @property
+    def estimates(self) -> tuple[Estimate, ...]:
+        """What is told of it: its parameters, then by how much directions differ."""
+        return (*self.parameters, *self.differences)
 
     def begins(self) -> tuple[str, ...]:
         """When it begins in each recording: a time, or from when to when it may have been."""
@@ -507,6 +515,7 @@ def _effect(effect: NamedEffect) -> dict[str, Any]:
         "onset": dict(effect.onset) or None,
         "onset_interval": {name: both for name, *both in effect.onset_interval} or None,
         "parameters": {p.name: _fields(p, "name") for p in effect.parameters},
+        "differences": {p.name: _fields(p, "name") for p in effect.differences} or None,
     }
 
 

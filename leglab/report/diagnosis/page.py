@@ -103,7 +103,7 @@ def _effects_table(result: Diagnosis) -> Table:
     kinds = [(e, "") for e in result.effects] + [(e, " (smaller)") for e in result.smaller]
     for effect, kind in kinds:
         told = [percent(effect.confidence), percent(effect.contribution)]
-        for i, parameter in enumerate(effect.parameters):
+        for i, parameter in enumerate(effect.estimates):
             first = [f"{effect.name}{kind}", effect.element] if i == 0 else ["", ""]
             last = told if i == 0 else ["", ""]
             name = f"{parameter.name} (uncertain)" if uncertain(parameter) else parameter.name

@@ -282,7 +282,7 @@ def _at(effect: NamedEffect) -> str:
 def _values(effect: NamedEffect, nominal: str) -> list[str]:
     """Its fitted parameters; `nominal` says where their other values were."""
     told = []
-    for p in effect.parameters:
+    for p in effect.estimates:
         value, interval, other = parameter_words(p)
         doubt = ", uncertain" if uncertain(p) else ""
         told.append(f"{readable(p.name)} {value} (95 %: {interval}{doubt}), {nominal} {other}")
