@@ -299,8 +299,8 @@ def test_by_how_much_directions_differ_has_an_interval_of_its_own():
     values = np.array([0.5, 0.2, 0.3, 0.4])
     first, second = naming._differences(site, values, np.array([0.1, 0.04]))
     assert (first.name, second.name) == (
-        "viscous_forward_less_viscous_backward",
-        "coulomb_forward_less_coulomb_backward",
+        "viscous_forward_less_backward",
+        "coulomb_forward_less_backward",
     )
     assert (first.value, first.nominal, first.unit) == (pytest.approx(0.3), 0.0, "N m s/rad")
     assert first.interval == pytest.approx((0.2, 0.4))

@@ -186,7 +186,7 @@ def test_an_onset_is_told_as_a_time_or_as_from_when_to_when_it_may_have_been():
 
 def test_by_how_much_directions_differ_is_told_beside_what_is_unsure_of_each():
     one = Estimate(
-        name="viscous_forward_less_viscous_backward",
+        name="viscous_forward_less_backward",
         unit="N s/m",
         value=-73.0,
         nominal=0.0,
@@ -194,7 +194,7 @@ def test_by_how_much_directions_differ_is_told_beside_what_is_unsure_of_each():
     )
     asymmetric = effect("asymmetric_friction", "slide", differences=(one,))
     told = dict(facts(diagnosis(effects=(asymmetric,))))["Missing"]
-    assert "viscous forward less viscous backward -73 N s/m (95 %: -90 to -56 N s/m)" in told
+    assert "viscous forward less backward -73 N s/m (95 %: -90 to -56 N s/m)" in told
     (written,) = diagnosis(effects=(asymmetric,)).to_json()["effects"]
     assert written["differences"][one.name]["interval"] == [-90.0, -56.0]
     assert list(written["parameters"]) == ["lap"]

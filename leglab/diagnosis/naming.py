@@ -227,7 +227,7 @@ def _differences(site: Site, values: np.ndarray, half: np.ndarray) -> tuple[Esti
     )
     return tuple(
         Estimate(
-            name=f"{first}_less_{second}",
+            name=f"{first}_less_{second.rpartition('_')[2]}",
             unit=units[first],
             value=float(value),
             nominal=float(nominal),

@@ -93,7 +93,7 @@ def summary_tables(result: Diagnosis) -> list[Table]:
         head.add_column(name, no_wrap=name != "effect")
     rows = [(e, "") for e in result.effects] + [(e, "smaller: ") for e in result.smaller]
     for effect, word in rows:
-        for i, p in enumerate(effect.estimates):
+        for i, p in enumerate(effect.parameters):
             head.add_row(
                 "" if i else f"{word}[bold]{effect.name}[/bold] at {effect.element}",
                 f"{p.name} \\[{p.unit}]",

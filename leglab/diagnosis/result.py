@@ -63,8 +63,8 @@ class NamedEffect:
 
     @property
     def estimates(self) -> tuple[Estimate, ...]:
-        """What is told of it: its parameters, then by how much directions differ."""
-        return (*self.parameters, *self.differences)
+        """What is told of it: by how much directions differ, then its parameters."""
+        return (*self.differences, *self.parameters)
 
     def begins(self) -> tuple[str, ...]:
         """When it begins in each recording: a time, or from when to when it may have been."""
