@@ -547,6 +547,16 @@ def test_the_little_that_is_left_is_judged_by_what_comes_nearer(sketch, searches
     assert found.named == searches["exact" if exact else "rough"]
 
 
+@pytest.mark.parametrize(("nearer", "exact"), [(0.9, True), (1.1, False)])
+def test_more_effects_than_a_rough_machine_needs_must_come_nearer(sketch, searches, nearer, exact):
+    """Friction by direction, seed 609: with hysteresis and delay as well no roughness is needed."""
+    searches["exact"], searches["rough"] = searches["again"], (OFFSET,)
+    sketch.costs[frozenset(searches["exact"])] = 40.0
+    sketch.costs[frozenset(searches["rough"])] = 40.0 / nearer
+    found = workflow.search(sketch, workflow.DiagnosisSettings())
+    assert found.named == searches["exact" if exact else "rough"]
+
+
 @pytest.mark.parametrize(("exact", "rough"), [(90.0, 50.0), (3.0, 2.0)])
 def test_a_machine_is_no_rough_one_because_no_effect_is_found(sketch, searches, exact, rough):
     searches["exact"] = ()

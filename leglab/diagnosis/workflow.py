@@ -198,9 +198,10 @@ def search(
         if float(again.problem.window_cost(again.fit.hypothesis).mean()) <= limits.explained:
             return replace(again, specimen=specimen)
     # What differs everywhere comes far nearer once it may: else a single cause is not known. The
-    # little that is left of effects which explain nearly all is judged by what comes nearer.
+    # little that is left of effects which explain nearly all is judged by what comes nearer; and so
+    # are more effects than a rough machine needs, which may imitate that it is rough.
     close = exact.named and left <= limits.close_cost
-    nearer = 1.0 if close else limits.no_rougher
+    nearer = 1.0 if close or len(exact.named) > len(rough.named) else limits.no_rougher
     return exact if _level(exact) <= nearer * _level(rough) else rough
 
 
