@@ -189,3 +189,5 @@ def test_a_single_cause_without_a_name_is_doubted_and_learned():
     assert model.learned.startswith("a torque that repeats every 1.1 rad of the hinge, 0.4 N m")
     levels = model.remainder.problem.noise_levels(model.hypothesis)[search.problem.judged]
     assert np.sqrt(levels.mean()) < 0.1 * result.gap.before
+    (left,) = result.with_model("improved.xml", model.learned, model.errors).remaining
+    assert left.learned < 0.1 * left.after

@@ -107,7 +107,11 @@ def test_what_comes_nearest_is_told_with_its_doubt_and_is_not_in_the_model():
 
 
 def test_an_error_without_a_name_has_a_place_and_a_shape():
-    told = dict(facts(diagnosis("unexplained", learned="a torque that repeats")))
+    result = diagnosis("unexplained", learned="a torque that repeats")
+    result = result.with_model("improved.xml", result.learned, [0.0031, 2e5])
+    told = dict(facts(result))
+    assert "with what was learned 3.1 mrad" in told["Left"]
+    assert result.to_json()["remaining"][1]["learned"] == 2e5
     assert told["Missing"] == (
         "Something that has no name among the 3 effects tried; most of it in the hydraulics of "
         "knee_valve, anywhere."

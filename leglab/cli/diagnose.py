@@ -129,7 +129,8 @@ def diagnose(
             )
             better = improved_model(found, result, lambda line: show(description=line))
         if better is not None:
-            result = result.with_model(better.write(partial).name, better.learned)
+            written = better.write(partial).name
+            result = result.with_model(written, better.learned, better.errors)
         results.write_diagnosis(result, partial)
         write_page(result, partial, model=Path(model).stem)
     if as_json:

@@ -104,6 +104,18 @@ class ImprovedModel:
         """What was learned beside the effects, in words; empty for nothing."""
         return self.remainder.words if self.remainder else ""
 
+    @property
+    def errors(self) -> tuple[float, ...]:
+        """RMS error at the end of held-out windows by channel [rad, m or Pa].
+
+        With what was learned; empty where nothing was.
+        """
+        if self.remainder is None:
+            return ()
+        problem = self.remainder.problem
+        ends = problem.raw_errors(self.hypothesis)[problem.judged][:, :, -1]
+        return tuple(np.sqrt(np.mean(ends**2, axis=0)).tolist())
+
     def write(self, folder: Path) -> Path:
         """Writes DIR/improved.xml."""
         parts = self.remainder.parts if self.remainder else ()

@@ -115,16 +115,14 @@ def summary_tables(result: Diagnosis) -> list[Table]:
     horizon = f"{result.remaining[0].horizon:g} s " if result.remaining else ""
     title = f"error {horizon}after a measured start, held-out recordings"
     left = Table(title=title, title_justify="left")
-    for name in ("measured", "before", "after", "sensor noise"):
+    told = any(one.learned is not None for one in result.remaining)
+    learned = ["learned"] if told else []
+    for name in ("measured", "before", "after", *learned, "sensor noise"):
         left.add_column(name, justify="left" if name == "measured" else "right")
     for one in result.remaining:
         factor, unit = shown_unit(one.unit)
-        left.add_row(
-            one.channel,
-            f"{factor * one.before:.3g} {unit}",
-            f"{factor * one.after:.3g} {unit}",
-            f"{factor * one.noise:.3g} {unit}",
-        )
+        shown = [one.before, one.after, *([] if one.learned is None else [one.learned]), one.noise]
+        left.add_row(one.channel, *(f"{factor * v:.3g} {unit}" for v in shown))
     return [table for table in (head, left, gaps) if table.row_count]
 
 

@@ -1,6 +1,7 @@
 """The verdict of a diagnosis, with all that a report or a page shows; immutable."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
@@ -93,6 +94,7 @@ class Remaining:
         before: Root mean square error of the model as it was.
         after: The same with what was named.
         noise: Standard deviation of the sensor's samples.
+        learned: As after, of the improved model, where something was learned for it; else None.
     """
 
     channel: str
@@ -101,6 +103,7 @@ class Remaining:
     before: float
     after: float
     noise: float
+    learned: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -458,9 +461,19 @@ class Diagnosis:
         ]
         return data_frame(rows, columns=[*names, "lower", "upper", "in_the_model"])
 
-    def with_model(self, name: str, learned: str = "") -> "Diagnosis":
-        """The same with the name of the improved model's file, and what was learned for it."""
-        return replace(self, model=name, learned=learned)
+    def with_model(self, name: str, learned: str = "", errors: Sequence[float] = ()) -> "Diagnosis":
+        """The same with the name of the improved model's file, and what was learned for it.
+
+        Args:
+            name: Of the file.
+            learned: In words; empty for nothing.
+            errors: What it leaves, in the order of `remaining`, where something was learned.
+        """
+        remaining = self.remaining
+        if errors:
+            rows = zip(remaining, errors, strict=True)
+            remaining = tuple(replace(one, learned=error) for one, error in rows)
+        return replace(self, model=name, learned=learned, remaining=remaining)
 
     def to_json(self) -> dict[str, Any]:
         """The content of diagnosis.json; keys are fixed, readers rely on them."""

@@ -121,11 +121,14 @@ def _remaining_table(result: Diagnosis) -> Table:
     rows = []
     for one in result.remaining:
         factor, unit = shown_unit(one.unit)
-        values = [f"{number(factor * v)} {unit}" for v in (one.before, one.after)]
+        errors = [one.before, one.after, *([] if one.learned is None else [one.learned])]
+        values = [f"{number(factor * v)} {unit}" for v in errors]
         rows.append([one.channel, *values, noise_words(one)])
     horizon = f"{result.remaining[0].horizon:g} s" if result.remaining else ""
     caption = f"What is left {horizon} after a measured start, RMS over the held-out recordings"
-    head = ("measured", "before", "after", "sensor noise")
+    told = any(one.learned is not None for one in result.remaining)
+    learned = ("with what was learned",) if told else ()
+    head = ("measured", "before", "after", *learned, "sensor noise")
     return Table(caption=caption, head=head, rows=rows)
 
 

@@ -326,9 +326,11 @@ def _left(result: Diagnosis) -> str:
 def _error_words(one: Remaining) -> str:
     factor, unit = shown_unit(one.unit)
     before, after = (number(factor * v) for v in (one.before, one.after))
-    noise = noise_words(one)
-    name = readable(one.channel)
-    return f"{name} {after} {unit} off (before {before} {unit}, sensor noise {noise})"
+    told = [f"before {before} {unit}"]
+    if one.learned is not None:
+        told.append(f"with what was learned {number(factor * one.learned)} {unit}")
+    told.append(f"sensor noise {noise_words(one)}")
+    return f"{readable(one.channel)} {after} {unit} off ({', '.join(told)})"
 
 
 def noise_words(one: Remaining) -> str:
