@@ -248,11 +248,16 @@ def test_what_ranks_higher_in_one_of_two_screenings_is_fitted_from_there(sketch)
     assert found == [("first", OFFSET), ("second", ASYMMETRIC), ("first", VISCOUS)]
 
 
-@pytest.mark.parametrize(("worth", "expected"), [(None, 3), (30.0, 5)])
-def test_more_first_fits_are_finished_where_many_parameters_follow(
-    sketch, monkeypatch, worth, expected
+@pytest.mark.parametrize(
+    ("worth", "cost", "expected"), [(None, 400.0, 3), (None, 280.0, 5), (30.0, 400.0, 5)]
+)
+def test_more_first_fits_are_finished_where_many_parameters_follow_or_noise_is_near(
+    sketch, monkeypatch, worth, cost, expected
 ):
-    """There a first fit is far from its end: the fifth may become the first."""
+    """There a first fit is far from its end: the fifth may become the first.
+
+    On an exact machine warm oil came sixth, at 2.8 noise variances, behind friction at 2.3.
+    """
     keys = sorted(k for k in LIBRARY.sites if k != ASYMMETRIC)[:5]  # of which none holds another
     ends = {key: 300.0 - 50.0 * i for i, key in enumerate(keys)}
 
@@ -264,7 +269,7 @@ def test_more_first_fits_are_finished_where_many_parameters_follow(
     monkeypatch.setattr(search, "as_contender", lambda p, k, f: SimpleNamespace(key=k, fit=f))
     sketch.worth = worth
     sketch.library = SimpleNamespace(contains=lambda larger, simpler: False)
-    begun = [(key, replace(a_fit(LIBRARY, key), cost=400.0 + i)) for i, key in enumerate(keys)]
+    begun = [(key, replace(a_fit(LIBRARY, key), cost=cost + i)) for i, key in enumerate(keys)]
     found = search._sharpened(sketch, begun, 100.0, lambda _: None)
     assert [c.key for c in found] == keys[:expected]
 

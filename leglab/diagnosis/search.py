@@ -222,7 +222,8 @@ def _sharpened(
     lead = np.inf
     for place, (key, fit) in enumerate(rough):
         special = any(problem.library.contains(c.key, key) for c in contenders)
-        if place >= count and not special:
+        # Below this all may still reach the noise, whatever a few first steps made of them.
+        if place >= count and not special and fit.cost >= near:
             continue
         behind = fit.cost - noise > limits.hopeless_factor * max(lead, 0.2 * noise)
         if behind and fit.cost >= limits.close_cost * noise:
