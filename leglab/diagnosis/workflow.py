@@ -197,9 +197,10 @@ def search(
         again = _exact_search(problem, settings, progress, rough)
         if float(again.problem.window_cost(again.fit.hypothesis).mean()) <= limits.explained:
             return replace(again, specimen=specimen)
-    # What differs everywhere comes far nearer once it may: else a single cause is not known. The
-    # little that is left of effects which explain nearly all is judged by what comes nearer; and so
-    # are more effects than a rough machine needs, which may imitate that it is rough.
+    # Where a machine differs everywhere, the search that allows for it errs far less: where it does
+    # not, one cause is missing that no effect is. The little that is left of effects which explain
+    # nearly all is judged by what comes nearer; and so are more effects than a rough machine needs,
+    # which may imitate that it is rough.
     close = exact.named and left <= limits.close_cost
     nearer = 1.0 if close or len(exact.named) > len(rough.named) else limits.no_rougher
     return exact if _level(exact) <= nearer * _level(rough) else rough
