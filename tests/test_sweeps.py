@@ -244,8 +244,35 @@ def test_a_sweep_goes_on_where_it_was_and_knows_its_folder(tmp_path, monkeypatch
     with pytest.raises(LeglabError, match="holds no sweep but other files"):
         run_sweep(plan, tmp_path / "mine", overwrite=True)
     assert (tmp_path / "mine" / "thesis.txt").read_text() == "years"
-    assert run_sweep(other, folder, workers=1, overwrite=True).made == 3
+
+
+def test_a_sweep_that_is_replaced_stays_until_the_new_one_is_whole(tmp_path, monkeypatch):
+    folder = tmp_path / "s"
+    plan, other = plan_of(), plan_of(block=[{"grid": {"seed": {"count": 3}}}])
+    run_sweep(plan, folder, workers=1)
+    before, page = rows(folder), folder / "report.html"
+    page.write_text("a page of this folder")
+
+    def stop(done, total, label):
+        if done == 1:
+            raise KeyboardInterrupt
+
+    # A file cannot be moved; the process is interrupted; the rest is made by the same command.
+    moved = Path.rename
+    with monkeypatch.context() as broken:
+        broken.setattr(
+            Path, "rename", lambda p, q: moved(p, q) if p.name != "runs" else p.joinpath("no").rename(q)
+        )
+        with pytest.raises(LeglabError, match="cannot be written"):
+            run_sweep(other, folder, workers=1, overwrite=True)
+    assert rows(folder) == before
+    with pytest.raises(KeyboardInterrupt):
+        run_sweep(other, folder, workers=1, overwrite=True, progress=stop)
+    assert (len(rows(folder)), rows(folder / ".earlier")) == (1, before)
+    assert run_sweep(other, folder, workers=1).made == 2
     assert len(rows(folder)) == 3
+    assert page.read_text() == "a page of this folder"
+    assert not list(folder.glob(".*"))
 
 
 def _be_killed(content, folder, journal_rows):

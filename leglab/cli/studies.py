@@ -96,7 +96,7 @@ def benchmark(
         bool, typer.Option("--by-fault", help="Print a line for each fault as well.")
     ] = False,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Empty the folder of another sweep and begin anew.")
+        bool, typer.Option("--overwrite", help="Replace the sweep that the folder holds.")
     ] = False,
     as_json: Json = False,
     load: Load = None,

@@ -22,7 +22,7 @@ def sweep(
         bool, typer.Option("--retry-failed", help="Make runs that failed again.")
     ] = False,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Empty the folder of another sweep and begin anew.")
+        bool, typer.Option("--overwrite", help="Replace the sweep that the folder holds.")
     ] = False,
     record: Annotated[
         list[int] | None,

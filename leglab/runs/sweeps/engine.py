@@ -140,7 +140,8 @@ def run_sweep(
         scheduler: Address of a Dask scheduler, for instance "tcp://10.0.0.1:8786", whose workers
             make the runs.
         retry_failed: Whether runs that failed are made again.
-        overwrite: Whether the folder of another sweep, or of other code, is emptied first.
+        overwrite: Whether the sweep that the folder holds is replaced; it stays in the hidden
+            folder `.earlier` there until the new one is whole.
         progress: Called with the number of rows there are, of all runs, and what came last.
 
     Raises:
@@ -173,6 +174,8 @@ def run_sweep(
             _recall(plan, folder)
             made = _make(plan, folder, kept, work, progress)
             kept.compact()
+            if kept.done == len(plan):
+                store.forget_earlier(folder)
         finally:
             kept.close()
     return SweepResult(
@@ -239,8 +242,9 @@ def read_sweep(folder: str | Path) -> SweepResult:
 
 def _begin(folder: Path, record: store.SweepRecord, *, overwrite: bool) -> None:
     """Writes what the sweep is, or sees that it is the same."""
+    store.bring_back(folder)
     if overwrite and store.is_sweep(folder):
-        store.empty(folder)
+        store.put_aside(folder)
     if store.is_sweep(folder):
         there = store.read_record(folder)
         problem = ""
@@ -260,7 +264,8 @@ def _begin(folder: Path, record: store.SweepRecord, *, overwrite: bool) -> None:
     except OSError as error:
         raise cannot_write(folder, error) from error
     leftover = {"runs", "recordings", store.DATASET, store.PROPOSALS}
-    if any(not (name in leftover or name.startswith("journal-")) for name in others):
+    strange = any(not (name in leftover or name.startswith("journal-")) for name in others)
+    if strange and not store.replaces(folder):
         raise LeglabError(f"{str(folder)!r} holds no sweep but other files: give another")
     store.empty(folder)
     store.write_json(record, folder / store.SWEEP)

@@ -5,6 +5,7 @@
     FOLDER/journal-7.jsonl  rows since then, a line each behind its checksum
     FOLDER/proposals.jsonl  points of tuned blocks, a line each behind its checksum
     FOLDER/runs/scenario=NAME/controller=NAME/part-000007-0.parquet
+    FOLDER/.earlier         the sweep that this one replaces, until this one is whole
 
 A row is kept as soon as its line is written, so that an end at any moment loses runs that were
 being made, and no row. After some thousand rows, and at the end, the journal becomes Parquet files.
@@ -36,6 +37,8 @@ from leglab.runs.sweeps.rows import FAILED, PARTITION
 
 SWEEP, DATASET, PROPOSALS = "sweep.json", "dataset.json", "proposals.jsonl"
 _RUNS = "runs"
+# The sweep that is being replaced, and the same while its files are moved there.
+_EARLIER, _MOVING = ".earlier", ".earlier.partial"
 # Rows that the journal holds before they become Parquet.
 _JOURNAL_ROWS = 10_000
 # Files of a partition with fewer rows than these are put together at the end.
@@ -469,10 +472,61 @@ def write_json(content: BaseModel, path: Path) -> None:
 
 def empty(folder: Path) -> None:
     """Removes a sweep's files from its folder, the one by which it is known first."""
-    (folder / SWEEP).unlink(missing_ok=True)
-    (folder / DATASET).unlink(missing_ok=True)
-    (folder / PROPOSALS).unlink(missing_ok=True)
-    for path in folder.glob("journal-*.jsonl"):
+    for path in _own(folder):
+        _discard(path)
+
+
+def put_aside(folder: Path) -> None:
+    """Moves a sweep's files to where they stay until `forget_earlier`.
+
+    A sweep that replaces another, and is replaced itself before it is whole, is removed: the one
+    that was whole stays.
+
+    Raises:
+        LeglabError: A file cannot be moved.
+    """
+    if replaces(folder):
+        empty(folder)
+        return
+    moving = folder / _MOVING
+    try:
+        moving.mkdir()
+        for path in _own(folder):
+            path.rename(moving / path.name)
+        moving.rename(folder / _EARLIER)
+    except OSError as error:
+        bring_back(folder)
+        raise cannot_write(folder, error) from error
+
+
+def bring_back(folder: Path) -> None:
+    """Undoes a `put_aside` that did not come to its end."""
+    moving = folder / _MOVING
+    for path in moving.glob("*"):
+        path.rename(folder / path.name)
+    if moving.exists():
+        moving.rmdir()
+
+
+def replaces(folder: Path) -> bool:
+    """Whether a folder holds a sweep that was put aside for another."""
+    return (folder / _EARLIER).exists()
+
+
+def forget_earlier(folder: Path) -> None:
+    """Removes what `put_aside` has kept."""
+    _discard(folder / _EARLIER)
+
+
+def _own(folder: Path) -> list[Path]:
+    """Files and folders of a sweep that are there, the one by which it is known first."""
+    names = (SWEEP, DATASET, PROPOSALS, _RUNS, "recordings")
+    found = [folder / name for name in names if (folder / name).exists()]
+    return [*found, *folder.glob("journal-*.jsonl")]
+
+
+def _discard(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
         path.unlink(missing_ok=True)
-    for name in (_RUNS, "recordings"):
-        shutil.rmtree(folder / name, ignore_errors=True)
