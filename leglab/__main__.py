@@ -1,10 +1,16 @@
 """The command line: the `leglab` command, and `python -m leglab`."""
 
 import sys
+import warnings
 
 
 def main() -> None:
-    """Runs the command line; Ctrl-C while it is loaded is one line as well."""
+    """Runs the command line; Ctrl-C while it is loaded is one line as well.
+
+    What libraries warn of is shown to those alone who ask by `python -W default` or PYTHONWARNINGS.
+    """
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")
     try:
         try:
             from leglab.cli import main as run

@@ -1,14 +1,17 @@
 """Effects on mechanics, friction, sensing and actuators: every one on every kind of machine."""
 
+import warnings
+
 import mujoco
 import numpy as np
 import pytest
 
 import leglab.machine.plugin
 from leglab.diagnosis.effects import all_effects
+from leglab.diagnosis.effects.backlash import drive_torque
 from leglab.diagnosis.effects.base import Effect
 from leglab.diagnosis.effects.cylinder import CylinderEffect
-from leglab.diagnosis.model import Change, Machine
+from leglab.diagnosis.model import Change, Machine, Measured
 from tests.native_models import command_path, pendulum, slide
 
 SERVO = '<position name="drive" joint="hinge" kp="40" kv="2" ctrlrange="-2 2"/>'
@@ -245,6 +248,32 @@ def test_command_faults_compose_on_one_actuator_and_with_a_play(machines):
     assert len(paths) == 1
     assert {"dead_band", "hysteresis"} <= set(paths[0].config)
     mujoco.MjModel.from_xml_string(compiled_xml(spec))
+
+
+@pytest.mark.parametrize("compliance", [1e-4, 1e-16])
+def test_a_stiff_gear_is_twisted_by_its_torque_times_its_compliance(machines, compliance):
+    """J o'' + c o' + k o = tau - J q'' of a slow torque: o = (tau - J q'')/k, however stiff."""
+    machine, h = machines["pendulum"], 2e-3
+    (effect,) = (e for e in all_effects() if e.name == "joint_flexibility" and e.elements(machine))
+    change, t = Change(machine), h * np.arange(1000)
+    values = nominal(effect, machine, "hinge") | {"compliance": compliance, "motor_inertia": 0.02}
+    effect.apply(change, "hinge", values)
+    command, none = np.sin(2.0 * t), np.zeros_like(t)
+    measured = Measured(
+        period=h,
+        position={"hinge": none},
+        velocity={"hinge": none},
+        piston_velocity={},
+        lever={},
+        command={"drive": command},
+        pressure={},
+        samples=np.arange(1000),
+    )
+    with warnings.catch_warnings(action="error"):
+        twist = change.starts["hinge_flexibility", "offset"](measured, change.variant, none)
+    torque = drive_torque(measured, change.variant.model, "hinge")
+    assert np.abs(torque).max() > 0.5
+    np.testing.assert_allclose(twist, compliance * torque, atol=0.01 * compliance)
 
 
 def test_no_effect_replaces_another_of_its_name_and_no_element_is_served_twice(machines):

@@ -70,11 +70,13 @@ class JointFlexibility(Backlash):
             h, velocity = measured.period, measured.velocity[element]
             acceleration = np.gradient(velocity, h)
             torque = drive_torque(measured, variant.model, element)
-            # J o'' + c o' + k o = tau - J q'' of the twist o, along the measured joint.
+            # J o'' + c o' + k o = tau - J q'' of the twist o, along the measured joint. Filtered is
+            # the torque k o, whose gain is 1: that of o is as small as the compliance.
             excess = torque - motor * acceleration
-            over, under = bilinear([1.0], [motor, damping, 1.0 / compliance], 1.0 / h)
+            under = [motor * compliance, damping * compliance, 1.0]
+            over, under = bilinear([1.0], under, 1.0 / h)
             start = lfilter_zi(over, under) * excess[0]
-            offset = lfilter(over, under, excess, zi=start)[0]
+            offset = compliance * lfilter(over, under, excess, zi=start)[0]
             lag = 0.5 * variant.model.opt.timestep
             speed = velocity - lag * acceleration + np.gradient(offset, h)
             return offset, speed
