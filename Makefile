@@ -2,19 +2,25 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+PACKAGE := $(VENV)/package
 STAMP := $(VENV)/installed
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal --durations=15
 # Python compiles at the first import: most files of the packages are never imported.
 INSTALL := $(BIN)/python -m pip install --quiet --no-compile
 SOURCES := pyproject.toml CMakeLists.txt $(shell find leglab/csrc -type f)
 
-.PHONY: demo test soak sanitize lint docs results clean
+.PHONY: demo test test-all soak sanitize lint docs results clean
 
-demo: $(STAMP)
+demo: $(PACKAGE)
 	$(BIN)/leglab report --scenario seal_wear --controllers pd,static_feedforward,bsnn_arx --out out/demo
 	@echo "open out/demo/report.html"
 
+# What turns red on a wrong formula, sign, contract or file: minutes.
 test: $(STAMP)
+	$(PYTEST) -m "not slow and not soak"
+
+# All tests but soak: before an issue is resolved.
+test-all: $(STAMP)
 	$(PYTEST)
 
 # Long cases of what the tests check with fewer samples.
@@ -43,14 +49,18 @@ results: $(STAMP)
 	$(INSTALL) --group benchmarks
 	$(BIN)/python benchmarks/make_results.py
 
-$(STAMP): $(SOURCES)
+$(STAMP): $(PACKAGE)
+	$(INSTALL) --group dev
+	touch $@
+
+$(PACKAGE): $(SOURCES)
 	@$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11)' || { echo "leglab needs Python 3.11 or newer: make PYTHON=/path/to/python3.11"; exit 2; }
 	@$(PYTHON) -c 'import ensurepip, venv' || { echo "Python's venv is missing: sudo apt-get install -y python3-venv"; exit 2; }
 	@$(PYTHON) -c 'import os, sysconfig; assert os.path.exists(sysconfig.get_path("include") + "/Python.h")' || { echo "Python's headers are missing: sudo apt-get install -y python3-dev"; exit 2; }
 	@command -v c++ > /dev/null || { echo "a C++ compiler is missing: sudo apt-get install -y g++"; exit 2; }
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(INSTALL) --upgrade 'pip>=25.1'
-	$(INSTALL) --editable . --group dev
+	$(INSTALL) --editable .
 	touch $@
 
 clean:

@@ -29,7 +29,7 @@ from leglab.cli.terminal import (
 def tune(
     models: Annotated[
         list[str] | None,
-        typer.Option("--model", help="Repeatable; default: knee_bench, leg, leg_rail."),
+        typer.Option("--model", help="Repeatable; default: the shipped ones."),
     ] = None,
     write: Annotated[bool, typer.Option(help="Write the gains file of the package.")] = False,
     as_json: Json = False,

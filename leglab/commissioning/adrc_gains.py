@@ -13,9 +13,9 @@ import numpy as np
 
 from leglab.commissioning.calibration import directions, valve_maps
 from leglab.commissioning.pd_gains import (
+    CYLINDER_MODELS,
     GAIN_MARGIN_DB,
     PHASE_MARGIN_DEG,
-    TUNED_MODELS,
     native_plant,
     sampled_plants,
     stability_margins,
@@ -190,4 +190,4 @@ def adrc_gains(
 
 
 if __name__ == "__main__":
-    GAINS_FILE.write_text(gains_text(TUNED_MODELS))
+    GAINS_FILE.write_text(gains_text(CYLINDER_MODELS))

@@ -14,7 +14,7 @@ import numpy as np
 
 from leglab.base.errors import LeglabError
 from leglab.commissioning.nominal import nominal_cylinders
-from leglab.commissioning.pd_gains import SPEEDS, TUNED_MODELS, joint_plant, stored_rows
+from leglab.commissioning.pd_gains import CYLINDER_MODELS, SPEEDS, joint_plant, stored_rows
 from leglab.control.backstepping.cylinder import CylinderModel
 from leglab.control.backstepping.data import (
     FORCE_CUTOFF,
@@ -414,4 +414,4 @@ def backstepping_gains(
 
 
 if __name__ == "__main__":
-    GAINS_FILE.write_text(gains_text(TUNED_MODELS))
+    GAINS_FILE.write_text(gains_text(CYLINDER_MODELS))

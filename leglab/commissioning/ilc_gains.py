@@ -12,7 +12,7 @@ import numpy as np
 
 from leglab.commissioning.adrc_gains import speeds_per_command
 from leglab.commissioning.pd_gains import (
-    TUNED_MODELS,
+    CYLINDER_MODELS,
     sampled_plants,
     stored_gains,
     stored_rows,
@@ -105,7 +105,9 @@ def tuned_filter(
 
 def _all_filters(model: str, simulation: Simulation, sensors: SensorConfiguration) -> list[dict]:
     speeds = speeds_per_command(simulation)
-    gains = stored_gains(model, simulation, sensors) or tuned_gains(model, sensors)
+    gains = stored_gains(model, simulation, sensors) or tuned_gains(
+        Simulation(load_model(model)), sensors
+    )
     rows = []
     for joint, speed in enumerate(speeds.tolist()):
         simulation.reset()
@@ -149,4 +151,4 @@ def ilc_gains(model: str, simulation: Simulation, sensors: SensorConfiguration) 
 
 
 if __name__ == "__main__":
-    GAINS_FILE.write_text(gains_text(TUNED_MODELS))
+    GAINS_FILE.write_text(gains_text(CYLINDER_MODELS))

@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
 # Tuned once by `leglab tune`, and not touched afterwards.
 GAINS_FILE = Path(__file__).with_name("pd_gains.toml")
-TUNED_MODELS = ("knee_bench", "leg", "leg_rail")
+CYLINDER_MODELS = ("knee_bench", "leg", "leg_rail")
+TUNED_MODELS = (*CYLINDER_MODELS, "leg_motor")
 
 GAIN_MARGIN_DB = 6.0
 PHASE_MARGIN_DEG = 45.0
@@ -373,11 +374,11 @@ def stability_margins(
 
 
 def _round_down(value: float) -> float:
-    """Three significant digits, never more than the value."""
+    """Three significant digits, never more than the value; as written and read again."""
     if value <= 0:
         return 0.0
     scale = 10.0 ** (math.floor(math.log10(value)) - 2)
-    return math.floor(value / scale) * scale
+    return float(f"{math.floor(value / scale) * scale:.3g}")
 
 
 def gains_text(models: Sequence[str], progress: Callable[[str], None]) -> str:
@@ -441,9 +442,8 @@ def stored_rows(
     return [joints[name] for name in simulation.joints]
 
 
-def tuned_gains(model: str, sensors: SensorConfiguration) -> list[tuple[float, float]]:
-    """Gains tuned now, for a model or a timing without stored ones."""
-    simulation = Simulation(load_model(model))
+def tuned_gains(simulation: Simulation, sensors: SensorConfiguration) -> list[tuple[float, float]]:
+    """Gains tuned now, for a model or a timing without stored ones; the machine is moved."""
     result = []
     for joint in range(len(simulation.joints)):
         simulation.reset()

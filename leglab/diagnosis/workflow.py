@@ -1,5 +1,6 @@
 """The search for missing effects, from recordings to the final fit."""
 
+import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -34,6 +35,11 @@ from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 from leglab.diagnosis.windows import channels
 
 
+def _threads() -> int:
+    told = os.environ.get("OMP_NUM_THREADS", "")
+    return int(told) if told.isdigit() and int(told) else len(os.sched_getaffinity(0))
+
+
 @dataclass(frozen=True, kw_only=True)
 class DiagnosisSettings:
     """Settings of a diagnosis.
@@ -41,7 +47,8 @@ class DiagnosisSettings:
     Attributes:
         effects: Names of the effects to consider; None for all.
         excluded: Names of effects to leave out.
-        threads: Of the rollouts.
+        threads: Of the rollouts; by default OMP_NUM_THREADS, or one a core where that is not set.
+            Results do not depend on it.
         seed: Of the bootstraps.
         rounds: How many effects may be named.
         thresholds: Of all steps.
@@ -49,7 +56,7 @@ class DiagnosisSettings:
 
     effects: tuple[str, ...] | None = None
     excluded: tuple[str, ...] = ()
-    threads: int = 2
+    threads: int = field(default_factory=_threads)
     seed: int = 0
     rounds: int = 8
     thresholds: Thresholds = DEFAULT

@@ -25,7 +25,7 @@ from leglab.references import Samples
 from leglab.runs.fault_bank import fault_bank
 from leglab.runs.history import Ending, History, Rows, Whole
 from leglab.runs.inversion import exact_commands, valve_slopes
-from leglab.runs.preparation import Preparation, RunSettings, scenario_of
+from leglab.runs.preparation import Preparation, RunSettings, prepared, scenario_of
 from leglab.runs.sampled_machine import SampledMachine
 
 # Periods between two looks at the clock, the blow-up check and the progress report.
@@ -88,7 +88,7 @@ class Loop:
 
     Args:
         settings: Of the run.
-        preparation: Of the same model, sensors and tolerance, where there is one.
+        preparation: Of the same model, sensors and tolerance; None for the one that is kept.
         scenario: In place of the one that the settings name.
         simulation: A machine from `preparation.machine`; None for one of its own.
         controller: In place of the one that the settings name.
@@ -130,7 +130,7 @@ class Loop:
     ) -> None:
         self.settings = settings
         wanted = scenario or scenario_of(settings)
-        self.preparation = preparation = preparation or Preparation(settings)
+        self.preparation = preparation = preparation or prepared(settings)
         self.scenario = scenario = preparation.fitted(wanted)
         self.reference = preparation.reference(settings, scenario)
         self._setup = preparation.setup(

@@ -260,13 +260,16 @@ _preparations: OrderedDict[str, Preparation] = OrderedDict()
 def prepared(settings: RunSettings) -> Preparation:
     """The preparation of a run, kept in this process for the next runs that share it.
 
-    A model's file that was changed is read again; what it includes is not looked at.
+    A model is read again where its file, or an XML file beside it that it may include, was changed.
 
     Raises:
         LeglabError: As `Preparation`.
     """
     file = Path(settings.model)
-    changed = file.stat().st_mtime_ns if file.is_file() else 0
+    changed: list[Any] = []
+    if file.is_file():
+        beside = {file, *file.parent.glob("*.xml")}
+        changed = [str(file.resolve()), sorted(f"{f} {f.stat().st_mtime_ns}" for f in beside)]
     shared = ("model", "timestep", "tolerance", "sensors", "parameters")
     key = json.dumps([changed, *(getattr(settings, name) for name in shared)], sort_keys=True)
     if key not in _preparations:

@@ -1,7 +1,10 @@
 // Python module leglab._native.identification: banks of identifiers and what they drive, thin.
-#include "bindings/feedforward.h"
+#include "bindings/identification_bank.h"
 
 namespace leglab::bindings {
+
+void bind_feedforward(nb::module_& module);  // feedforward.cc
+
 namespace {
 
 template <class B>

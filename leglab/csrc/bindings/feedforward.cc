@@ -1,10 +1,10 @@
-// Adaptive feed-forward and valve maps for Python, beside the bank of identifiers that it lets learn.
-#pragma once
-
+// Adaptive feed-forward and valve maps in leglab._native.identification, beside the banks that it
+// lets learn: a source of its own, which compiles without theirs.
 #include "bindings/identification_bank.h"
 #include "feedforward/adaptive.h"
 
 namespace leglab::bindings {
+namespace {
 
 namespace ff = feedforward;
 
@@ -63,7 +63,7 @@ class ValveMaps {
 };
 
 // Data sheets of all joints; none where the settings have no "lever".
-inline std::vector<ff::PressureValve> read_valves(const nb::dict& parts) {
+std::vector<ff::PressureValve> read_valves(const nb::dict& parts) {
   std::vector<ff::PressureValve> out;
   if (!parts.contains("lever")) return out;
   const Numbers lever = get<Numbers>(parts, "lever"), piston = get<Numbers>(parts, "piston");
@@ -89,7 +89,7 @@ inline std::vector<ff::PressureValve> read_valves(const nb::dict& parts) {
   return out;
 }
 
-inline ff::AdaptiveSettings read_adaptive(const nb::dict& settings) {
+ff::AdaptiveSettings read_adaptive(const nb::dict& settings) {
   ff::AdaptiveSettings out;
   LEGLAB_READ_4(control_period, interval, stop_time, limit)
   LEGLAB_READ_4(rate_limit, least_speed, saturation, greatest_acceleration)
@@ -102,7 +102,7 @@ inline ff::AdaptiveSettings read_adaptive(const nb::dict& settings) {
   return out;
 }
 
-inline ff::MotionScale read_motion_scale(const nb::dict& settings) {
+ff::MotionScale read_motion_scale(const nb::dict& settings) {
   ff::MotionScale out;
   LEGLAB_READ_3(centre, half_range, full_speed)
   LEGLAB_READ_2(acceleration, jerk)
@@ -191,7 +191,9 @@ class Feedforward {
   bool pressures_;
 };
 
-inline void bind_feedforward(nb::module_& module) {
+}  // namespace
+
+void bind_feedforward(nb::module_& module) {
   nb::class_<Feedforward>(module, "Feedforward")
       .def(nb::init<nb::dict>(), nb::arg("parts"))
       .def("reset", &Feedforward::reset, nb::arg("bank"), nb::arg("loads").none() = nb::none(),
