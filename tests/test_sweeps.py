@@ -259,10 +259,14 @@ def test_a_sweep_that_is_replaced_stays_until_the_new_one_is_whole(tmp_path, mon
 
     # A file cannot be moved; the process is interrupted; the rest is made by the same command.
     moved = Path.rename
+
+    def fails(path, target):
+        if path.name == "runs":
+            raise OSError(28, "No space left on device")
+        return moved(path, target)
+
     with monkeypatch.context() as broken:
-        broken.setattr(
-            Path, "rename", lambda p, q: moved(p, q) if p.name != "runs" else p.joinpath("no").rename(q)
-        )
+        broken.setattr(Path, "rename", fails)
         with pytest.raises(LeglabError, match="cannot be written"):
             run_sweep(other, folder, workers=1, overwrite=True)
     assert rows(folder) == before
