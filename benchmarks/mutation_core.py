@@ -33,23 +33,29 @@ class Part:
     Attributes:
         module: Of `leglab._native`, made of it.
         headers: Their folder.
+        sources: Of `bindings`, that see the headers.
         tests: That run on the module.
+        others: Sources of the module that do not; they are compiled once.
     """
 
     module: str
     headers: str
+    sources: tuple[str, ...]
     tests: tuple[str, ...]
+    others: tuple[str, ...] = ()
 
 
 PARTS = {
     "hydraulics": Part(
         module="hydraulics",
         headers="hydraulics",
+        sources=("hydraulics",),
         tests=("tests/test_hydraulics_core.py", "tests/test_hydraulics_scheme.py"),
     ),
     "identification": Part(
         module="identification",
         headers="identification",
+        sources=("identification", "feedforward"),
         tests=(
             "tests/test_identification_oracle.py",
             "tests/test_identification_basis.py",
@@ -59,11 +65,14 @@ PARTS = {
     "feedforward": Part(
         module="identification",
         headers="feedforward",
+        sources=("feedforward",),
+        others=("identification",),
         tests=("tests/test_feedforward_core.py",),
     ),
     "monitor": Part(
         module="monitor",
         headers="monitor",
+        sources=("monitor",),
         tests=("tests/test_monitor_core.py",),
     ),
 }
@@ -103,8 +112,8 @@ def mutants(text: str) -> list[tuple[str, str]]:
 
 
 def _more(number: str) -> str:
-    """A number that is clearly another one: a tenth more, or the next whole one."""
-    return repr(1.1 * float(number)) if "." in number or "e" in number else str(int(number) + 1)
+    """A number that is clearly another one: a tenth more, or the next whole one; one for nil."""
+    return str(int(number) + 1) if number.isdigit() else repr(1.1 * float(number) or 1.0)
 
 
 class _Compiled(importlib.abc.MetaPathFinder):
@@ -134,19 +143,26 @@ class _Compiler:
         places = (inside / "include", inside / "ext" / "robin_map" / "include", self.sources)
         self._command = [sysconfig.get_config_var("CXX").split()[0], *_FLAGS]
         self._command += [f"-I{place}" for place in (*places, sysconfig.get_path("include"))]
-        self._common, self._count = folder / "nanobind.o", 0
-        flags = [word for word in self._command if word != "-shared"]
-        source = inside / "src" / "nb_combined.cpp"
-        subprocess.run([*flags, "-c", source, "-o", self._common], check=True)
+        self._count = 0
+        self._common = self._object(inside / "src" / "nb_combined.cpp")
 
-    def module(self, name: str) -> Path | None:
+    def _object(self, source: Path) -> Path:
+        """Returns what a source without mutants compiles to, once."""
+        file = self._folder / f"{source.stem}.o"
+        if not file.exists():
+            flags = [word for word in self._command if word != "-shared"]
+            subprocess.run([*flags, "-c", source, "-o", file], check=True)
+        return file
+
+    def module(self, part: Part) -> Path | None:
         """Returns the compiled module; None if it does not compile."""
         self._count += 1  # A name of its own: Python loads a file of the same name once.
-        file = self._folder / f"{name}{self._count}{sysconfig.get_config_var('EXT_SUFFIX')}"
-        source = self.sources / "bindings" / f"{name}.cc"
-        done = subprocess.run(
-            [*self._command, source, self._common, "-o", file], stderr=subprocess.DEVNULL
-        )
+        file = self._folder / f"{part.module}{self._count}{sysconfig.get_config_var('EXT_SUFFIX')}"
+        bindings = self.sources / "bindings"
+        inputs = [bindings / f"{name}.cc" for name in part.sources]
+        inputs += [self._object(bindings / f"{name}.cc") for name in part.others]
+        command = [*self._command, *inputs, self._common, "-o", file]
+        done = subprocess.run(command, stderr=subprocess.DEVNULL)
         return None if done.returncode else file
 
 
@@ -158,28 +174,30 @@ def measure(options: argparse.Namespace) -> dict[str, dict]:
     with tempfile.TemporaryDirectory() as name:
         compiler = _Compiler(Path(name))
         for key in options.parts or PARTS:
-            found[key] = _part(PARTS[key], compiler, options.most)
+            found[key] = _part(PARTS[key], compiler, options)
             row = found[key]
             noticed = row["tried"] - len(row["survived"])
             print(f"{key}: {noticed} of {row['tried']} noticed", flush=True)
     return found
 
 
-def _part(part: Part, compiler: _Compiler, most: int) -> dict:
+def _part(part: Part, compiler: _Compiler, options: argparse.Namespace) -> dict:
     headers = sorted((SOURCES / part.headers).glob("*.h"))
     every = [(header.name, *mutant) for header in headers for mutant in mutants(header.read_text())]
     random.Random(0).shuffle(every)
-    whole = compiler.module(part.module)
+    if options.again:
+        every = [row for row in every if f"{row[0]} {row[1]}" in options.again.read_text()]
+    whole = compiler.module(part)
     if whole is None or not mutation.survives(_Compiled(part.module, whole), part.tests):
         sys.exit(f"the tests of {part.headers} fail without a fault")
     tried, left = 0, []
     for header, told, text in every:
-        if tried == most:
+        if tried == options.most:
             break
         place = compiler.sources / part.headers / header
         before = place.read_text()
         place.write_text(text)
-        file = compiler.module(part.module)
+        file = compiler.module(part)
         place.write_text(before)
         if file is None:
             continue
@@ -196,6 +214,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("parts", nargs="*", help="allowed: " + ", ".join(PARTS))
     parser.add_argument("--most", type=int, default=10_000, help="mutants of a part, by chance")
+    parser.add_argument("--again", type=Path, metavar="LOG", help="only mutants that it names")
     results.main(parser, measure, mutation.tables)
 
 
