@@ -65,6 +65,7 @@ def test_sums_are_those_of_numpy_and_the_same_bits_however_divided(parameters):
     rng = np.random.default_rng(1)
     base = rng.standard_normal((JOINTS, parameters))
     samples = samples_of(rng, rng.standard_normal(base.shape), 23)
+    samples[..., 0] = samples[..., -1]  # a constant, as some maps have
     right, whole = oracle.Moments(samples), sums_of(samples)
     for cuts in ((0, 23), (0, 1, 2, 7, 23), (0, 4, 11, 20, 23)):
         parts = Moments(JOINTS, parameters)
@@ -130,7 +131,7 @@ class Stream:
             samples[..., -2] = error
             if any(at + 3.0 < time for at in self.shifts if learned is not true):
                 learned = true
-            yield time, samples, learned.copy()
+            yield time, samples, learned + 1e-6 * time  # no block's map is that of another
 
 
 def closes(time):
