@@ -1,9 +1,11 @@
-"""Fixtures that several files share."""
+"""Fixtures that several files share, and what holds for all tests: one cache, who runs what."""
 
 import os
+import re
 import shutil
 import signal
 import subprocess
+from collections import Counter
 
 import pytest
 
@@ -11,6 +13,37 @@ import pytest
 # the tests start would inherit it.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
+def pytest_configure(config):
+    """Keeps what leglab keeps, banks of faults for one, beside the tests' cache."""
+    if not hasattr(config, "workerinput"):
+        os.environ["LEGLAB_CACHE"] = str(config.cache.mkdir("leglab"))
+
+
+def pytest_collection_modifyitems(config, items):
+    """Puts long tests first, and those that share a fixture of their file on one worker."""
+    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+    for item in items if config.pluginmanager.hasplugin("xdist") else ():
+        shared = item._fixtureinfo.name2fixturedefs
+        if any(found[-1].scope == "module" for found in shared.values()):
+            item.add_marker(pytest.mark.xdist_group(item.path.stem))
+
+
+# Packages of Debian and of Python in the reasons of skips.
+_WANTED = re.compile(r"(?:apt-get install -y|pip install) ([\w-]+)|could not import '([\w.]+)'")
+
+
+def pytest_terminal_summary(terminalreporter):
+    """Says in one line what was not tested, and for want of what."""
+    reasons = [report.longrepr[2] for report in terminalreporter.stats.get("skipped", ())]
+    wants = Counter()
+    for reason in reasons:
+        found = _WANTED.search(reason)
+        wants[found[found.lastindex] if found else reason.removeprefix("Skipped: ")] += 1
+    if wants:
+        told = ", ".join(f"{count} for want of {what}" for what, count in wants.most_common())
+        terminalreporter.write_line(f"not tested: {told}")
 
 
 @pytest.fixture

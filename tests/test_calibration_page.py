@@ -11,6 +11,7 @@ from leglab.control import Foreknowledge, Measurement, NominalMachine, controlle
 from leglab.control.contract import CONTROLLERS
 from tests.tables import ROOT
 
+pytestmark = pytest.mark.slow("our own figures")
 YARDSTICKS = {"exact_inverse", "frozen", "oracle"}
 CHANGES = {field.name for field in fields(Foreknowledge)}
 

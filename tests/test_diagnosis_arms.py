@@ -66,6 +66,12 @@ def named(result):
     return {(e.name, e.element): e for e in result.effects}
 
 
+def _rigs(cases):
+    """Cases of each rig; those of the servo joint are the quick ones."""
+    slow = pytest.mark.slow("whole diagnoses of an arm with all effects")
+    return [pytest.param(*c, marks=() if c[0] == "servo_joint" else slow) for c in cases]
+
+
 @pytest.mark.parametrize("name", RIGS)
 def test_the_independent_simulator_agrees_with_the_nominal_models(name):
     """Free of leglab altogether: the recorded commands drive the bare model along the recording."""
@@ -74,7 +80,7 @@ def test_the_independent_simulator_agrees_with_the_nominal_models(name):
     assert open_loop_error(rig.model, quiet, rig.joints, rig.drives) < 5e-4  # of 0.5 to 1.5
 
 
-@pytest.mark.parametrize("name", RIGS)
+@pytest.mark.parametrize("name", _rigs([(name,) for name in RIGS]))
 def test_a_perfect_model_lacks_nothing(name):
     result, _ = verdict(RIGS[name], {})
     assert result.verdict == "nothing_missing"
@@ -85,7 +91,7 @@ def test_a_perfect_model_lacks_nothing(name):
 
 @pytest.mark.parametrize(
     ("name", "hidden", "expected"),
-    [(name, hidden, expected) for name, cases in ONE.items() for hidden, expected in cases],
+    _rigs([(name, hidden, expected) for name, cases in ONE.items() for hidden, expected in cases]),
 )
 def test_one_fault_is_named_on_its_joint(name, hidden, expected, tmp_path):
     effect, element, parameter, value = expected
@@ -99,7 +105,7 @@ def test_one_fault_is_named_on_its_joint(name, hidden, expected, tmp_path):
     assert reloaded_error(found, write_improved(found, tmp_path)) < 0.1
 
 
-@pytest.mark.parametrize("name", TWO)
+@pytest.mark.parametrize("name", _rigs([(name,) for name in TWO]))
 def test_two_faults_on_different_joints_are_both_named(name):
     hidden, expected = TWO[name]
     result, _ = verdict(RIGS[name], hidden)

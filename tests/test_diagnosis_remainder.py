@@ -384,6 +384,7 @@ def test_play_is_no_static_force_and_is_said_to_have_a_memory():
     assert result.closed_fraction < 0.8
 
 
+@pytest.mark.slow("whole diagnosis of a bench")
 def test_a_sure_effect_is_kept_and_the_rest_learned(monkeypatch):
     truth = Truth(offset=1.0, ripple=(0.0, 1.0, 0.0))
     recordings = pendulum(truth, 5.0)
@@ -413,6 +414,7 @@ def knee():
     )
 
 
+@pytest.mark.slow("whole diagnosis of a bench")
 def test_a_ripple_of_the_knee_bench_is_described_and_its_gap_closed(knee):
     result, _ = knee
     assert result.words == "Added: a torque that repeats every 0.31 rad of the knee, 4.2 N m."
@@ -422,6 +424,7 @@ def test_a_ripple_of_the_knee_bench_is_described_and_its_gap_closed(knee):
     assert set(result.units.values()) == {"rad", "Pa"}
 
 
+@pytest.mark.slow("whole diagnosis of a bench")
 def test_the_improved_knee_bench_runs_in_leglab_run(knee, tmp_path):
     _, better = knee
     path = better.write(tmp_path)
@@ -458,6 +461,7 @@ def or_skip(read, *arguments):
         pytest.skip(str(error))
 
 
+@pytest.mark.slow("whole diagnosis of a rough bench")
 def test_a_specimen_that_is_off_everywhere_is_learned_from_its_healthy_recordings():
     recordings, later = or_skip(rough_bench, "e0")
     result, better = improve("knee_bench", recordings, held_out=later, effects=False)
@@ -469,6 +473,7 @@ def test_a_specimen_that_is_off_everywhere_is_learned_from_its_healthy_recording
             assert after < 0.5 * before
 
 
+@pytest.mark.slow("whole diagnosis of a measured axis")
 def test_the_measured_axis_is_improved_on_the_pulses_that_no_fit_has_seen():
     recordings = or_skip(emps)
     result, better = improve(EMPS_MODEL, recordings, held_out=(EMPS_HELD_OUT,), effects=False)
@@ -479,6 +484,7 @@ def test_the_measured_axis_is_improved_on_the_pulses_that_no_fit_has_seen():
     assert result.closed_fraction > 0.6
 
 
+@pytest.mark.slow("whole diagnosis of a measured axis")
 def test_friction_of_the_measured_axis_that_differs_by_direction_is_named():
     """The tempting wrong answers are an offset of the force, and a remainder that has no name."""
     recordings = or_skip(emps)

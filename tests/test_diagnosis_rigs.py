@@ -36,6 +36,7 @@ def test_the_independent_simulator_agrees_with_the_nominal_models(rig):
     assert open_loop_error(rig.model, quiet, (rig.joint,), ("drive",)) < 1e-3 * rig.reach
 
 
+@pytest.mark.slow("whole diagnosis of a rig with all effects")
 def test_direction_dependent_friction_of_a_motor_driven_axis_is_named(tmp_path):
     result, found = verdict(SLIDE_AXIS, Truth(forward=8.0, viscous_factor=1.05), "multisine")
     assert result.verdict == "named"
@@ -57,6 +58,7 @@ def test_a_force_offset_of_the_same_axis_is_no_friction():
     assert values(result)["force"] == pytest.approx(2.0, rel=0.05)
 
 
+@pytest.mark.slow("whole diagnosis of a rig with all effects")
 def test_load_dependent_friction_of_a_pendulum_is_named():
     result, _ = verdict(PENDULUM, Truth(gear_loss=0.15), "multisine")
     assert [effect.name for effect in result.effects] == ["load_dependent_friction"]
@@ -65,6 +67,7 @@ def test_load_dependent_friction_of_a_pendulum_is_named():
     assert result.gap.closed_fraction > 0.9
 
 
+@pytest.mark.slow("whole diagnosis of a rig with all effects")
 def test_backlash_of_a_pendulum_is_named():
     result, _ = verdict(PENDULUM, Truth(play=0.03), "multisine")
     assert [effect.name for effect in result.effects] == ["backlash"]
@@ -72,6 +75,7 @@ def test_backlash_of_a_pendulum_is_named():
     assert result.gap.closed_fraction > 0.9
 
 
+@pytest.mark.slow("whole diagnosis of a rig with all effects")
 def test_a_soft_gear_of_a_pendulum_is_named():
     result, _ = verdict(PENDULUM, Truth(soft=(60.0, 0.3)), "multisine")
     assert result.effects[0].name == "joint_flexibility"
@@ -81,6 +85,7 @@ def test_a_soft_gear_of_a_pendulum_is_named():
     assert result.gap.closed_fraction > 0.9
 
 
+@pytest.mark.slow("whole diagnosis of a rig with all effects")
 @pytest.mark.parametrize(
     ("rig", "size", "period", "second"),
     [(SLIDE_AXIS, 2.0, 0.031, 0.0), (PENDULUM, 0.2, 0.9, 0.35)],
@@ -103,6 +108,7 @@ def test_a_good_machine_within_its_tolerance_lacks_nothing(rig):
     assert result.effects == ()
 
 
+@pytest.mark.slow("whole diagnosis of a rig with all effects")
 def test_backlash_is_named_where_the_held_out_recording_shows_it_twice():
     """A slow swing changes the sign of the torque in two windows; none of the others gets worse."""
     result, _ = verdict(PENDULUM, Truth(play=0.03), "slow")

@@ -364,6 +364,7 @@ _WINDOW = """
 """
 
 
+@pytest.mark.slow("a real window")
 def test_a_real_window_follows_an_episode(screen):
     environment = {**os.environ, "DISPLAY": screen, "MUJOCO_GL": "glfw"}
     done = subprocess.run(

@@ -271,6 +271,7 @@ def test_seal_leakage_is_that_of_the_machine(runs):
     assert leakage[times > CHANGE + 1e-2] == pytest.approx(10.0)
 
 
+@pytest.mark.slow("films")
 def test_frames_do_not_depend_on_the_process_that_draws_them(runs, stills):
     job = {"folders": [str(runs["pd"])], "camera": "three_quarter"}
     job |= {"start": 0.0, "last": LENGTH, "frames": 2, "rate": 1.0}
@@ -331,7 +332,8 @@ def test_a_missing_library_is_said_with_the_line_that_installs_it(runs, tmp_path
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.skipif(not ctypes.util.find_library("OSMesa"), reason="libosmesa6 is not installed")
+@pytest.mark.slow("films")
+@pytest.mark.skipif(not ctypes.util.find_library("OSMesa"), reason="apt-get install -y libosmesa6")
 def test_osmesa_steps_in_for_egl(runs, tmp_path, monkeypatch, capsys):
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     monkeypatch.setenv("PYOPENGL_PLATFORM", "osmesa")  # which EGL does not accept
@@ -408,6 +410,7 @@ def test_a_place_that_cannot_be_written_to_is_said(tmp_path):
         Encoder(tmp_path / "file" / "film.mp4", (320, 240), 30)
 
 
+@pytest.mark.slow("films")
 def test_workers_do_not_run_code_of_the_working_folder(runs, tmp_path, monkeypatch):
     for name in ("leglab", "mujoco", "numpy"):
         (tmp_path / name).mkdir()

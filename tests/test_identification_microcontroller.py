@@ -11,18 +11,20 @@ import pytest
 SCRIPT = Path(__file__).parent / "microcontroller" / "check.sh"
 
 
-@pytest.mark.skipif(
+needs_compiler = pytest.mark.skipif(
     shutil.which("arm-none-eabi-g++") is None,
-    reason="needs arm-none-eabi-g++ (packages gcc-arm-none-eabi, libstdc++-arm-none-eabi-newlib)",
+    reason="apt-get install -y gcc-arm-none-eabi libstdc++-arm-none-eabi-newlib",
 )
+
+
+@needs_compiler
 def test_core_compiles_for_a_microcontroller():
     done = subprocess.run([SCRIPT], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.skipif(
-    shutil.which("arm-none-eabi-g++") is None, reason="needs the compiler as above, with newlib"
-)
+@pytest.mark.slow("a compilation and an emulator")
+@needs_compiler
 def test_the_whole_leg_builds_and_learns_on_a_cortex_m7():
     """Runs in an emulator where there is one; a period of six joints has 800,000 cycles."""
     pytest.importorskip("unicorn")

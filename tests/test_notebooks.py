@@ -14,6 +14,7 @@ from tests.notebooks import NOTEBOOKS, executed, texts
 LARGEST = 250_000  # bytes of a notebook: GitHub shows it at once
 
 
+@pytest.mark.slow("notebooks from end to end")
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_shows_what_is_kept_in_it(path, tmp_path):
     kept = texts(nbformat.read(path, as_version=4))

@@ -231,6 +231,7 @@ def test_a_link_to_a_file_stays_a_link(tmp_path):
     assert (tmp_path / "real").read_text() == "new"
 
 
+@pytest.mark.slow("a killed process")
 def test_what_a_killed_report_left_goes_with_the_next(tmp_path):
     folder = write_folder(tmp_path / "a")
     code = (

@@ -307,6 +307,7 @@ def test_on_a_phone_no_toolbar_covers_a_heading_and_the_film_can_be_read(browser
         assert place.evaluate("part => part.scrollWidth > part.clientWidth")
 
 
+@pytest.mark.slow("hundreds of clicks in a browser")
 @pytest.mark.parametrize("name", ["report", "diagnosis", "index"])
 def test_nothing_that_can_be_pressed_sends_anything(browser, pages, name):
     path = getattr(pages, name)

@@ -28,8 +28,21 @@ INSTALLATION = (
 NUMBERS = ("fifteen", "sixteen", "seventeen", "eighteen", "nineteen", "twenty", "twenty-one")
 
 
+# Of the others one page each way, with runs and effects of a reader's own.
+QUICK = ("README.md", "docs/how_to/effect.md", "docs/how_to/scenario.md")
+
+
+def _from_end_to_end(page, *options):
+    marks = () if page in QUICK else pytest.mark.slow("a page from end to end")
+    return pytest.param(page, options, marks=marks, id=page)
+
+
 @pytest.mark.parametrize(
-    ("page", "options"), [*((p, ()) for p in PAGES), *((p, ("--only", "python")) for p in OTHERS)]
+    ("page", "options"),
+    [
+        *(_from_end_to_end(page) for page in PAGES),
+        *(_from_end_to_end(page, "--only", "python") for page in OTHERS),
+    ],
 )
 def test_the_page_does_what_it_says(page, options, tmp_path):
     folder = tmp_path / "page"
@@ -50,6 +63,7 @@ def test_the_page_does_what_it_says(page, options, tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+@pytest.mark.slow("a page from end to end")
 def test_the_formats_page_does_what_it_says(tmp_path):
     pytest.importorskip("nonlinear_benchmarks")
     settings = RunSettings(scenario="nominal", model="knee_bench", duration=0.5)

@@ -128,29 +128,30 @@ def test_entry_points_are_listed_completed_and_described(site):
 
 
 def test_a_package_runs_compares_and_reports(site, tmp_path):
-    common = ("--duration", 2, "--overwrite", "--json")
+    common = ("--duration", 1, "--overwrite", "--json")
     run = ("run", "nominal", "--model", "boom", "--reference", "nod", "--controller", "overlap")
     out = ("--out", tmp_path / "run", "--no-figures")
     metrics = json.loads(call(*run, *common, *out, path=site)[0])
     assert metrics["completed"]
     assert metrics["phases"][0]["rms_rad"].keys() == {"lift", "all"}
     compared = ("compare", "load_and_leak", "--controllers", "pd,overlap")
-    out = ("--seeds", 1, "--jobs", 2, "--out", tmp_path / "compare", "--no-figures")
+    out = ("--seeds", 1, "--jobs", 1, "--out", tmp_path / "compare", "--no-figures")
     found = json.loads(call(*compared, *common, *out, path=site)[0])
     cells = found["results"]["load_and_leak"]
     assert [cells[name]["failures"] for name in ("pd", "overlap")] == [[], []]
     assert cells["overlap"]["after_rad"]["mean"] < cells["pd"]["after_rad"]["mean"]
     reported = ("report", "--scenario", "load_and_leak", "--controllers", "pd,overlap")
-    out = ("--jobs", 2, "--no-video", "--out", tmp_path / "report")
+    out = ("--jobs", 1, "--no-video", "--out", tmp_path / "report")
     call(*reported, *common, *out, path=site)
     page = (tmp_path / "report/report.html").read_text()
     assert "PD with the valve&#39;s overlap compensated" in page
     sweep = tmp_path / "sweep.toml"
     sweep.write_text(
-        '[settings]\nscenario = "load_and_leak"\nduration = 2.0\n'
+        '[settings]\nscenario = "load_and_leak"\nduration = 1.0\n'
         '[[block]]\ngrid.controller = ["pd", "overlap"]\n'
     )
-    swept = json.loads(call("sweep", sweep, "--out", tmp_path / "sweep", "--json", path=site)[0])
+    words = ("sweep", sweep, "--out", tmp_path / "sweep", "--workers", 1, "--json")
+    swept = json.loads(call(*words, path=site)[0])
     assert (swept["done"], swept["failed"]) == (2, 0)
 
 
@@ -210,10 +211,14 @@ def overlap(tmp_path):
 
 
 COMPARED = ("compare", "nominal", "--controllers", "pd,overlap", "--model", "knee_bench")
-SHORT = ("--duration", 2, "--seeds", 1, "--jobs", 2, "--no-figures", "--json")
+SHORT = ("--duration", 1, "--seeds", 1, "--jobs", 1, "--no-figures", "--json")
+_elsewhere = pytest.mark.slow("processes that start processes")
 
 
-@pytest.mark.parametrize("how", ["file", "module", "script"])
+@pytest.mark.parametrize(
+    "how",
+    ["file", pytest.param("module", marks=_elsewhere), pytest.param("script", marks=_elsewhere)],
+)
 def test_a_controller_of_ones_own_is_known_to_worker_processes(overlap, tmp_path, how):
     out = ("--out", tmp_path / "out")
     if how == "file":
@@ -234,7 +239,8 @@ def test_a_controller_of_ones_own_is_known_to_worker_processes(overlap, tmp_path
 
 
 def test_a_run_is_repeated_when_the_loaded_code_has_changed(overlap, tmp_path):
-    command = (*COMPARED, *SHORT, "--out", tmp_path / "out", "--load", overlap)
+    command = ("compare", "nominal", "--controllers", "overlap", "--model", "knee_bench")
+    command += (*SHORT, "--out", tmp_path / "out", "--load", overlap)
     stored = tmp_path / "out/runs/nominal-overlap-knee_bench-0.json"
 
     def error():

@@ -102,6 +102,7 @@ def test_score_of_a_known_residual():
     np.testing.assert_allclose(got.r2, [1.0, 1.0 - 0.25 / 1.25])
 
 
+@pytest.mark.slow("hundreds of networks")
 def test_validation_means_lie_within_15_percent_of_the_paper(comparison):
     for model in paper.MODELS:
         got, printed = comparison.scores["validation"][model], paper.TABLE_1["validation"][model]
@@ -110,11 +111,13 @@ def test_validation_means_lie_within_15_percent_of_the_paper(comparison):
     assert worst_deviation(comparison.scores) < 0.15
 
 
+@pytest.mark.slow("hundreds of networks")
 def test_order_of_the_online_models_is_the_papers(comparison):
     rms = {m: np.mean(s.rms) for m, s in comparison.scores["validation"].items()}
     assert rms["BSNN-ARX"] < rms["ARX"] < rms["BSNN"]
 
 
+@pytest.mark.slow("hundreds of networks")
 def test_table_shows_every_model_and_the_printed_values(comparison):
     table = table_1(comparison.scores)
     assert all(f"| {model} |" in table for model in paper.MODELS)
@@ -176,6 +179,7 @@ def test_deployed_free_run_is_near_the_floor():
     assert free_run["ARX (na 3, nb 3)"] > 2.0 * floor
 
 
+@pytest.mark.slow("hundreds of networks")
 def test_deployed_forgetting_recovers_within_2_s():
     modes = deployed.forgetting_modes()
     chosen = {name: modes[name] for name in ("plain", deployed.DEPLOYED_MODE)}
@@ -192,6 +196,7 @@ def test_instances_must_be_a_positive_integer(instances, tmp_path):
         replicate(instances, tmp_path)
 
 
+@pytest.mark.slow("hundreds of networks")
 def test_page_has_all_figures(tmp_path, monkeypatch):
     monkeypatch.setattr(run, "REALISATIONS", 2)
     monkeypatch.setattr(run, "CHANGE_SEEDS", 2)

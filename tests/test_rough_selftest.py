@@ -2,12 +2,14 @@
 
 import json
 from dataclasses import asdict, replace
+from functools import partial
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from leglab.base.errors import LeglabError
+from leglab.diagnosis.workflow import DiagnosisSettings
 from leglab.studies.blind import rough_selftest
 from leglab.studies.blind.outcomes import run_missing
 from leglab.studies.blind.rough_bench import FAULTS, RoughCase, effect_of, specimen
@@ -388,10 +390,14 @@ def test_what_cannot_be_asked_is_refused(tmp_path):
 
 
 def test_a_case_goes_through_the_diagnosis(monkeypatch):
-    """Two short recordings of a rough specimen with a strong fault, the real diagnosis."""
+    """Two short recordings of a rough specimen with a strong fault, a real diagnosis."""
     whole = rough_selftest.rough_case
     monkeypatch.setattr(
         rough_selftest, "rough_case", lambda *a, **k: whole(*a, **{**k, "duration": 2.0})
+    )
+    five = ("internal_leakage", "valve_bias", "payload", "coulomb_friction", "command_delay")
+    monkeypatch.setattr(
+        rough_selftest, "DiagnosisSettings", partial(DiagnosisSettings, effects=five)
     )
     case = RoughTestCase(kind="single", number=0, specimen=5, faults=("internal_leakage",))
     found = run_case(case, RoughTestSettings(healthy=False))

@@ -4,6 +4,7 @@ import json
 import multiprocessing
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -285,25 +286,29 @@ def _be_killed(content, folder, journal_rows):
     run_sweep(SweepPlan(content), folder, workers=2)
 
 
-def test_thirty_kills_lose_nothing_and_double_nothing(tmp_path):
-    """Two sweeps, killed at random moments: while they start, run, write and put files together."""
+@pytest.mark.parametrize(
+    ("sweeps", "each", "seeds"),
+    [(1, 6, 100), pytest.param(2, 15, 300, marks=pytest.mark.slow("thirty kills"))],
+)
+def test_kills_lose_nothing_and_double_nothing(tmp_path, sweeps, each, seeds):
+    """Sweeps, killed at random moments: while they start, run, write and put files together."""
     chance, kills = random.Random(5), 0
     content = {
         "settings": {**BENCH, "duration": 0.3},
-        "block": [{"grid": {"controller": ["pd", "pid"], "seed": {"count": 300}}}],
+        "block": [{"grid": {"controller": ["pd", "pid"], "seed": {"count": seeds}}}],
     }
     whole = tmp_path / "whole"
     run_sweep(SweepPlan(content), whole, workers=2)
     wanted = rows(whole)
-    assert [row["run"] for row in wanted] == list(range(600))
+    assert [row["run"] for row in wanted] == list(range(2 * seeds))
     # Forked: what is imported here need not be imported thirty times.
     context = multiprocessing.get_context("fork")
-    for number in range(2):
+    for number in range(sweeps):
         folder, before = tmp_path / f"s{number}", 0
-        for _ in range(15):
+        for _ in range(each):
             process = context.Process(target=_be_killed, args=(content, folder, 9))
             process.start()
-            time.sleep(chance.uniform(0.02, 1.7))
+            time.sleep(chance.uniform(0.02, seeds / 180))
             process.kill()
             process.join()
             kills += process.exitcode == -signal.SIGKILL
@@ -313,14 +318,14 @@ def test_thirty_kills_lose_nothing_and_double_nothing(tmp_path):
                 assert len({row["run"] for row in there}) == len(there)
                 before = len(there)
         last = run_sweep(SweepPlan(content), folder, workers=2)
-        assert last.made == 600 - before
+        assert last.made == 2 * seeds - before
         assert rows(folder) == wanted
         parts = sorted(path.name for path in (folder / "runs").rglob("*") if path.is_file())
         assert len(parts) == 2
         assert {p.name for p in folder.iterdir()} <= {
             "sweep.json", "dataset.json", "runs", *(p.name for p in folder.glob("journal-*"))
         }  # fmt: skip
-    assert kills == 30
+    assert kills == sweeps * each
 
 
 def answers(plan, folder, numbers):
@@ -421,10 +426,19 @@ def test_no_flipped_bit_is_read_as_other_rows(tmp_path):
             rows(tmp_path)
 
 
-@pytest.mark.parametrize("damage", ["cut off", "changed", "missing"])
-def test_a_damaged_file_is_named_and_its_runs_are_made_again(tmp_path, damage, capsys):
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A sweep of six runs, and its plan."""
     plan = plan_of(block=[{"grid": {"controller": ["pd", "pid"], "seed": {"count": 3}}}])
-    run_sweep(plan, tmp_path, workers=2)
+    folder = tmp_path_factory.mktemp("sweep") / "whole"
+    run_sweep(plan, folder, workers=1)
+    return plan, folder
+
+
+@pytest.mark.parametrize("damage", ["cut off", "changed", "missing"])
+def test_a_damaged_file_is_named_and_its_runs_are_made_again(whole, tmp_path, damage, capsys):
+    plan, made = whole
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
     wanted = rows(tmp_path)
     (part,) = (tmp_path / "runs").glob("*/controller=pid/*")
     content = bytearray(part.read_bytes())
@@ -438,7 +452,7 @@ def test_a_damaged_file_is_named_and_its_runs_are_made_again(tmp_path, damage, c
     assert told.count("\n") == 1
     with pytest.raises(LeglabError, match=r"part-000001.parquet.*makes its runs again"):
         rows(tmp_path)
-    again = run_sweep(plan, tmp_path, workers=2)
+    again = run_sweep(plan, tmp_path, workers=1)
     assert again.made == 3
     assert "controller=pid/part-000001.parquet is damaged" in again.damaged[0]
     assert rows(tmp_path) == wanted
@@ -500,9 +514,9 @@ def test_failed_runs_are_made_again_if_asked_for(tmp_path, wrong):
         settings={**BENCH, "controller": wrong, "controller_config": {"mark": str(mark)}},
         block=[{"grid": {"controller_config.how": ["raise", "not"], "seed": [0, 1]}}],
     )
-    assert run_sweep(plan, tmp_path / "s", workers=2).failed == 2
-    assert run_sweep(plan, tmp_path / "s", workers=2).made == 0
-    again = run_sweep(plan, tmp_path / "s", workers=2, retry_failed=True)
+    assert run_sweep(plan, tmp_path / "s", workers=1).failed == 2
+    assert run_sweep(plan, tmp_path / "s", workers=1).made == 0
+    again = run_sweep(plan, tmp_path / "s", workers=1, retry_failed=True)
     assert (again.made, again.done, again.failed) == (2, 4, 2)
     assert [row["run"] for row in rows(tmp_path / "s")] == [0, 1, 2, 3]
 
@@ -556,9 +570,8 @@ def test_a_second_sweep_on_a_folder_is_refused_while_the_first_runs(tmp_path, ca
     assert rows(out)
 
 
-def test_questions_are_answered_and_nothing_else_is_done(tmp_path, capsys):
-    plan = plan_of(block=[{"grid": {"controller": ["pd", "pid"], "seed": {"count": 3}}}])
-    run_sweep(plan, tmp_path, workers=2)
+def test_questions_are_answered_and_nothing_else_is_done(whole, tmp_path, capsys):
+    shutil.copytree(whole[1], tmp_path, dirs_exist_ok=True)
     secret = tmp_path / "secret.csv"
     secret.write_text("a\n1\n")
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}

@@ -72,6 +72,7 @@ def two(tmp_path):
         yield found
 
 
+@pytest.mark.slow("a cluster")
 def test_a_cluster_gives_the_same_rows_and_one_of_its_workers_may_be_killed(two, tmp_path):
     address, (_, *workers) = two
     grid = {"controller": ["pd", "pid"], "seed": {"count": 40}}
@@ -95,6 +96,7 @@ def test_a_cluster_gives_the_same_rows_and_one_of_its_workers_may_be_killed(two,
     assert rows(tmp_path / "there") == rows(tmp_path / "here")
 
 
+@pytest.mark.slow("a cluster")
 def test_a_comparison_and_a_self_test_run_on_a_cluster(two, tmp_path, capsys):
     address, _ = two
     words = ("compare", "seal_wear", "--controllers", "pd,pid", "--seeds", "2", "--duration", "3")
@@ -123,6 +125,7 @@ def told_case(given):
     return {**given["case"], "specimen": given["case"]["specimen"] + given["settings"]["add"]}
 
 
+@pytest.mark.slow("a cluster")
 def test_runs_that_go_wrong_leave_the_workers_alone(two, tmp_path, wrong):  # noqa: F811
     address, (_, *workers) = two
     plan = SweepPlan(
@@ -137,6 +140,7 @@ def test_runs_that_go_wrong_leave_the_workers_alone(two, tmp_path, wrong):  # no
     assert [worker.poll() for worker in workers] == [None, None]
 
 
+@pytest.mark.slow("a cluster")
 def test_a_scheduler_that_ends_is_told_and_the_sweep_goes_on_later(tmp_path, capfd):
     plan = SweepPlan({"settings": BENCH, "block": [{"grid": {"seed": {"count": 60}}}]})
     with cluster(tmp_path, workers=1) as (address, (scheduler, _)):

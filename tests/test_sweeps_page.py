@@ -111,7 +111,7 @@ def test_hostile_names_stay_text(tmp_path):
 def test_a_real_sweep_is_reported_and_one_of_its_runs_recorded(tmp_path, capsys):
     plan = SweepPlan({"settings": BENCH, "block": [{"grid": {"seed": {"count": 3}}}]})
     folder = tmp_path / "s"
-    run_sweep(plan, folder, workers=2)
+    run_sweep(plan, folder, workers=1)
     status, printed, _ = command_line("report", folder, "--no-video", capsys=capsys)
     assert (status, printed) == (0, f"written to {folder / 'report.html'}\n")
     assert "exists; remove it" in command_line("report", folder, capsys=capsys)[2]
@@ -133,12 +133,13 @@ def test_a_folder_without_a_sweep_is_refused(tmp_path):
         write_sweep_page(tmp_path)
 
 
+@pytest.mark.slow("films")
 def test_the_worst_runs_are_filmed_from_before_the_change_on(tmp_path, capsys):
     grid = {"controller": ["pd", "static_feedforward"], "seed": {"count": 2}}
     plan = SweepPlan({"settings": {**BENCH, "duration": 6.0}, "block": [{"grid": grid}]})
     folder, out = tmp_path / "s", tmp_path / "o"
     run_sweep(plan, folder, workers=2)
-    words = ("report", folder, "--out", out, "--films", "2", "--duration", "0.5", "--json")
+    words = ("report", folder, "--out", out, "--films", "2", "--duration", "0.2", "--json")
     status, printed, _ = command_line(*words, capsys=capsys)
     assert status == 0
     films = [Path(film) for film in json.loads(printed)["films"]]
@@ -155,12 +156,12 @@ def test_the_worst_runs_are_filmed_from_before_the_change_on(tmp_path, capsys):
     assert told == [f"Run {row[0]}" for row in rows[1:3]]
     assert "<script" not in text
     # The change comes after half of the run, three seconds: the film begins two before.
-    still = film_runs(folder, worst[:1], tmp_path, duration=0.5, camera="three_quarter")
+    still = film_runs(folder, worst[:1], tmp_path, duration=0.2, camera="three_quarter")
     at_one = render_film(
         [folder / "recordings" / "00000" / str(worst[0])],
         tmp_path / "at_one.mp4",
         start=1.0,
-        duration=0.5,
+        duration=0.2,
     )
     assert still[worst[0]].read_bytes() == at_one.read_bytes()
     refused = command_line("report", folder, "--films", "13", "--overwrite", capsys=capsys)[2]

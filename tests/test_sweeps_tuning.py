@@ -127,6 +127,7 @@ def test_the_file_of_the_page_can_be_read():
     assert len(plan) == 41 * 6
 
 
+@pytest.mark.slow("a whole tuning")
 def test_tuning_on_the_bench_beats_the_controller_as_it_is_and_a_kill_changes_nothing(tmp_path):
     # From a first gain that is far too small, learning is slow: there is something to find.
     plan = plan_of(settings={**BENCH, "controller_config": {"initial_gain": 1e-3}})

@@ -8,7 +8,13 @@ from tests.tables import Made, difference, made, pages, printed, write
 MADE = [part for part in made() if "leglab.studies.verification" not in part.command]
 
 
-@pytest.mark.parametrize("part", MADE, ids=str)
+def _part(part):
+    # What scripts measure or have kept are figures of our own.
+    marks = pytest.mark.slow("our own figures") if part.command.startswith("python ") else ()
+    return pytest.param(part, marks=marks, id=str(part))
+
+
+@pytest.mark.parametrize("part", [_part(part) for part in MADE])
 def test_it_is_what_its_command_prints(part):
     changed = difference(part, printed(part.command))
     assert not changed, f"{changed}\nif this change is wanted: python -m tests.tables --write"

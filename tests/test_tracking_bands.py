@@ -44,6 +44,7 @@ def test_a_change_of_numbers_is_shown_before_and_now():
     assert "<script" not in page
 
 
+@pytest.mark.slow("our own figures")
 @pytest.mark.parametrize("case", CASES)
 def test_tracking_error_is_in_its_band(case):
     assert not outside(case, measure(**CASES[case])), (
@@ -53,6 +54,7 @@ def test_tracking_error_is_in_its_band(case):
 
 
 # Half the gain, and half of what each other mechanism of learning is set to.
+@pytest.mark.slow("our own figures")
 @pytest.mark.parametrize(
     "changed",
     [

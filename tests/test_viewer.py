@@ -329,6 +329,7 @@ _WINDOW = """
 """
 
 
+@pytest.mark.slow("a real window")
 def test_a_real_window_hears_slider_and_keys(screen):
     environment = {**os.environ, "DISPLAY": screen, "MUJOCO_GL": "glfw"}
     process = subprocess.Popen(

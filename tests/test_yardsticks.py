@@ -75,6 +75,7 @@ def test_the_oracle_is_a_bound_for_the_map_that_is_learned(scenario):
     assert bounds <= learned
 
 
+@pytest.mark.slow("many runs")
 def test_the_exact_inverse_leaves_what_sensors_and_valves_do():
     errors = {
         name: end_error(run(name, duration=20.0).history) for name in ("exact_inverse", "oracle")

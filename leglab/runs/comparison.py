@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from leglab import __version__
 from leglab.base.errors import LeglabError
@@ -358,6 +357,8 @@ def estimate(values: Iterable[float | None]) -> dict[str, Any]:
     mean = float(np.mean(numbers)) if numbers else None
     half_width = None
     if len(numbers) > 1:
+        from scipy import stats  # a second that a single run does without
+
         quantile = float(stats.t.ppf((1 + _CONFIDENCE) / 2, len(numbers) - 1))
         half_width = quantile * float(np.std(numbers, ddof=1)) / math.sqrt(len(numbers))
     return {"mean": mean, "half_width": half_width, "values": numbers}

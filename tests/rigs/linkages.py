@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from leglab.base.recording import Recording
+from tests.rigs.kept import kept
 
 _SUBSTEPS = 5  # of a sample
 _PERIOD = 1e-3  # s
@@ -188,6 +189,7 @@ def reference_share(kind: str, t: float, joint: int) -> float:
     )
 
 
+@kept
 def record_linkage(
     rig: Linkage, kind: str, hidden: Hidden, *, seed: int, seconds: float = 6.0
 ) -> Recording:

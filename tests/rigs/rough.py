@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from leglab.base.recording import Recording
+from tests.rigs.kept import kept
 from tests.rigs.linkages import reference_share
 
 _SUBSTEPS = 5  # of a sample
@@ -266,6 +267,7 @@ def hide(rig: RoughRig, values: Values, fault: str, joint: int, rng: np.random.G
     return size
 
 
+@kept
 def record_rough(
     rig: RoughRig, machines: Sequence[Values], *, seed: int, seconds: float = 8.0
 ) -> list[dict[str, Recording]]:

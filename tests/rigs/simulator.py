@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from leglab.base.recording import Recording
+from tests.rigs.kept import kept
 
 _H = 2e-5  # s
 _PERIOD = 1e-3  # s
@@ -130,6 +131,7 @@ def _reference(kind: str, t: float, reach: float) -> float:
     raise ValueError(kind)
 
 
+@kept
 def record(
     rig: Rig,
     kind: str,

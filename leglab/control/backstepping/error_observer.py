@@ -13,13 +13,14 @@ delay, so the estimate is moved on by both.
 """
 
 import numpy as np
-from scipy.linalg import expm, solve_discrete_are
 
 _STATES = 5  # e, e', p, phi, eta
 
 
 def _sampled(a: np.ndarray, b: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
     """State transition and input response over a time, of batches (n, s, s) and (n, s)."""
+    from scipy.linalg import expm  # half a second that other controllers do without
+
     n, states = b.shape
     block = np.zeros((n, states + 1, states + 1))
     block[:, :states, :states] = a
@@ -87,6 +88,8 @@ class ErrorObserver:
         frequency: float,
     ) -> np.ndarray:
         """Steady gain (5, 2) of a filter that corrects with the newest measurement."""
+        from scipy.linalg import solve_discrete_are
+
         c = np.zeros((2, _STATES))
         c[0, 0] = c[1, 2] = 1.0
         # Lengths in units of the noise and times in 1/w: the equation is ill-conditioned in SI.

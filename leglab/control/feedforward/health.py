@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from pydantic import Field
-from scipy.special import stdtrit
 
 from leglab.base.errors import LeglabError
 from leglab.base.settings import Configuration
@@ -146,6 +145,8 @@ class Line:
     @property
     def quantile(self) -> float:
         """Of Student's distribution, for the ends of an interval."""
+        from scipy.special import stdtrit
+
         return float(stdtrit(self.freedom, 1 - _OUTSIDE / 2))
 
     def reaches(self, level: float, scale: float) -> tuple[float | None, float, float | None]:
@@ -296,6 +297,8 @@ class HealthMonitor:
         *,
         sample_period: float,
     ) -> None:
+        import scipy.special  # noqa: F401  not in the middle of a motion
+
         self._faults, self._joints, self._config = bank.faults, joints, config
         self._bank = with_conditions(bank)
         self._conditions = conditions_of(self._bank)

@@ -8,7 +8,6 @@ this very machine, and its parameters moved by what is to be undone.
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.optimize import nnls
 
 from leglab.control.feedforward.fault_bank import UNKNOWN, FaultBank, FaultCurve
 
@@ -82,7 +81,9 @@ class Standings:
     """
 
     def __init__(self, bank: FaultBank) -> None:
-        self._bank = bank
+        from scipy.optimize import nnls  # half a second that other controllers do without
+
+        self._bank, self._nnls = bank, nnls
         self.clear()
 
     def clear(self) -> None:
@@ -121,7 +122,7 @@ class Standings:
             return np.einsum("njp,jp->nj", regressor, parameters).ravel()
 
         learned = [predicted(change.learned) for change in self._changes]
-        shares, _ = nnls(np.stack(learned, axis=1), predicted(now - self._origin))
+        shares, _ = self._nnls(np.stack(learned, axis=1), predicted(now - self._origin))
         kept = zip(self._changes, shares, strict=True)
         self._changes = [change for change, share in kept if share > 1.0 - _UNDONE]
 
