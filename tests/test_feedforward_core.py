@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from leglab._native.identification import ValveMaps
 from leglab.commissioning.setup import controller_setup
 from leglab.control import Measurement, ReferencePoint
 from leglab.control.backstepping.data import NominalCylinders
@@ -67,6 +68,7 @@ def test_core_agrees_with_numpy(splines, supervised, forward, monkeypatch):
     settings = SETTINGS.model_copy(update={"supervised": supervised, "route": route})
     made, parts = parts_of(module, table, inverse_map, settings, 2.0 * signs, monkeypatch)
     made.reset()
+    made.keep(700)
     other = oracle.Feedforward(parts, table, inverse_map.learner())
 
     rng = np.random.default_rng(4)
@@ -97,10 +99,23 @@ def test_core_agrees_with_numpy(splines, supervised, forward, monkeypatch):
         fallbacks.append(np.array([made.report["fallback"], other.fallback]))
         if k % 500 < 480:  # mostly somebody else, more cautious, sends the commands
             command = want + 0.3 * signs * np.nan_to_num(reference.position - position)
-            if 1200 < k < 1230:
-                command[0] = 1.5  # saturated
+            if 1200 < k < 1260:  # saturated, later just so
+                command[0] = 1.5 if k < 1220 else settings.limit
             made.sent(command)
         other.sent = np.clip(command, -1, 1)
+        if k == 1300:
+            kept = made.kept()
+            assert 500 < len(kept) == len(other.kept) < 700
+    # Samples for whoever looks at them: regressor, output, error and 1; 700 at most after the rest.
+    assert made.kept_count() == 700
+    kept = np.concatenate([kept, made.kept()])
+    output, predicted, usable = np.array(other.kept[: len(kept)]).swapaxes(0, 1)
+    np.testing.assert_array_equal(kept[..., -1], usable)
+    want = usable * output, usable * (output - predicted)
+    np.testing.assert_allclose(np.moveaxis(kept[..., -3:-1], -1, 0), want, rtol=0, atol=2e-9)
+    parameters = np.array(other.parameters[: len(kept)])
+    told = np.einsum("njp,njp->nj", kept[..., :-3], parameters)
+    np.testing.assert_allclose(told, usable * predicted, rtol=0, atol=2e-9)
     # Arrays of (step, joint); a difference names its first index.
     for name, have, want in zip(
         ("feedforward", "feedback", "command"),
@@ -119,7 +134,8 @@ def test_core_agrees_with_numpy(splines, supervised, forward, monkeypatch):
         assert 0 < fell_back < 4000, "the case does not exercise the supervisor"
 
 
-def test_core_with_pressures_agrees_with_numpy(monkeypatch):
+def pressure_pair(monkeypatch):
+    """Two joints of the leg with pressures: range and signs, the core, a new oracle each call."""
     import leglab.control.feedforward.adaptive as module
 
     simulation = Simulation(load_model("leg", visual=False))
@@ -136,6 +152,7 @@ def test_core_with_pressures_agrees_with_numpy(monkeypatch):
             )
             for name in vars(sheets[0])
         }
+        | {"tank_pressure": np.array([3e5, 6e5])}
     )
     structure = {"velocity_splines": 10, "position_splines": 4}
     inverse_map = InverseMap(2, RLS, leaks=4.0, **structure)
@@ -143,12 +160,21 @@ def test_core_with_pressures_agrees_with_numpy(monkeypatch):
     more = {"loads": loads, "sheets": data_sheets(cylinders)}
     gain = 2.0 * signs
     made, parts = parts_of(module, table, inverse_map, SETTINGS, gain, monkeypatch, **more)
-    made.reset()
-    learners = inverse_map.learner(), loads.learner()
-    other = oracle.PressureFeedforward(parts, table, *learners, cylinders)
 
+    def other():
+        made.reset()
+        learners = inverse_map.learner(), loads.learner()
+        return oracle.PressureFeedforward(parts, table, *learners, cylinders)
+
+    return simulation.joint_range()[chosen].T, signs, made, other
+
+
+def test_core_with_pressures_agrees_with_numpy(monkeypatch):
+    reach, signs, made, new = pressure_pair(monkeypatch)
+    other = new()
+    learners = other.learner, other.loads
     rng = np.random.default_rng(4)
-    middle = np.array([0.5 * (low + high) for low, high in simulation.joint_range()[chosen]])
+    middle = reach.mean(axis=0)
     mine, theirs = [], []
     for k in range(600):
         t = k * PERIOD
@@ -184,12 +210,32 @@ def test_core_with_pressures_agrees_with_numpy(monkeypatch):
         assert np.abs(learner.parameters).max() > 1e-2
 
 
+def test_valve_is_solved_for_any_speed_and_pressures(monkeypatch):
+    reach, _, made, new = pressure_pair(monkeypatch)
+    rng = np.random.default_rng(5)
+    for _ in range(100):
+        other = new()
+        velocity = rng.choice([-1, 1], 2) * other.p["full_speed"] * 10 ** rng.uniform(-4, 0, 2)
+        position, pressures = rng.uniform(*reach), rng.uniform(0.0, 15e6, (2, 2))
+        supply, reference = rng.uniform(8e6, 20e6), (position, velocity, np.zeros(2))
+        made.step(
+            Measurement(0.0, position, velocity, *pressures, supply), ReferencePoint(*reference)
+        )
+        other.take(*pressures, supply)
+        want, _ = other.step(0.0, position, reference)
+        np.testing.assert_allclose(made.report["feedforward"], want, rtol=0, atol=1e-12)
+
+
 def test_table_directions_are_inverse_to_each_other():
     table = ValveTable.of([CalibratedMap(-1.0)], np.array([-1.0]))
+    core, out = ValveMaps(vars(table)), np.empty(1)
     for position in (-2.0, -0.93, 0.1, 0.79, 3.0):
         for share in (-1.7, -0.6, -0.004, 0.0, 0.02, 0.9, 1.4):
             command = oracle.table_command(table, 0, position, share)
             assert oracle.table_share(table, 0, position, command) == pytest.approx(share, abs=1e-9)
+            core.command(np.array([position]), share * table.full_speed, out)
+            told = oracle.table_command(table, 0, position, np.clip(share, -1, 1))
+            assert out[0] == pytest.approx(told, abs=1e-12)
 
 
 def test_table_is_monotone_without_its_saturated_ends():

@@ -100,6 +100,7 @@ class Feedforward:
         self.applied, self.withheld = np.zeros(self.joints), np.zeros(self.joints)
         self.squares = np.zeros((2, self.joints))
         self.fallback = np.zeros(self.joints, dtype=bool)
+        self.kept, self.parameters = [], []  # of every sample, before it is learned
         self.measured = ()  # pressures of both chambers [Pa], (joints,) each
 
     def inputs(self, motion, flow=None):
@@ -155,6 +156,8 @@ class Feedforward:
         self.learn_excess(inputs, excess, usable)
 
     def learn_excess(self, inputs, excess, usable):
+        self.kept.append(np.array([excess, self.learner.predict(inputs), usable]))
+        self.parameters.append(np.atleast_2d(self.learner.parameters).copy())
         counts = [self.learner.diagnostics(j)["learned"] for j in range(self.joints)]
         self.learner.update(inputs, np.where(usable, excess, np.nan))
         now = [self.learner.diagnostics(j)["learned"] for j in range(self.joints)]
