@@ -84,8 +84,8 @@ def test_core_agrees_with_numpy(splines, supervised, forward, monkeypatch):
         # The machine lags behind by what nobody told the learner; half way that changes.
         lag = 0.01 if k < 2500 else -0.06
         position = 0.6 * np.sin(phase - lag) + 1e-4 * rng.standard_normal(2)
-        if k == 700:
-            position[0] += 0.05  # an encoder slips for one reading
+        if k in (0, 700):
+            position[0] += 0.05  # an encoder slips for one reading, and at the start
         if k in (900, 901):
             position[1] = np.nan
         velocity = reference.velocity + 0.1 * rng.standard_normal(2)
