@@ -261,7 +261,11 @@ def test_the_command_writes_table_figures_and_json(tmp_path, capsys):
     assert command_line("compare", "nominal", "--jobs", "0", capsys=capsys)[0] == 2
 
 
-@pytest.mark.parametrize("group", [True, False], ids=["terminal", "one process"])
+@pytest.mark.parametrize(
+    "group",
+    [True, pytest.param(False, marks=pytest.mark.slow("a second interrupted command"))],
+    ids=["terminal", "one process"],
+)
 def test_an_interrupted_comparison_keeps_what_is_done(tmp_path, group):
     command = [sys.executable, "-m", "leglab", "compare", "seal_wear", "--out", str(tmp_path)]
     command += ["--model", "knee_bench", "--controllers", "pd", "--seeds", "200", "--jobs", "2"]

@@ -101,7 +101,10 @@ def test_a_force_that_repeats_with_the_position_is_named_with_its_period(rig, si
     assert result.gap.closed_fraction > 0.9
 
 
-@pytest.mark.parametrize("rig", [SLIDE_AXIS, PENDULUM])
+@pytest.mark.parametrize(
+    "rig",
+    [pytest.param(SLIDE_AXIS, marks=pytest.mark.slow("a second whole diagnosis")), PENDULUM],
+)
 def test_a_good_machine_within_its_tolerance_lacks_nothing(rig):
     result, _ = verdict(rig, Truth(viscous_factor=1.05), "multisine")
     assert result.verdict == "nothing_missing"

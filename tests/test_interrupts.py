@@ -40,7 +40,16 @@ PLACES = {
 }
 
 
-@pytest.mark.parametrize("where", PLACES)
+@pytest.mark.parametrize(
+    "where",
+    [
+        "while it runs",
+        *(
+            pytest.param(where, marks=pytest.mark.slow("more interrupted commands"))
+            for where in list(PLACES)[1:]
+        ),
+    ],
+)
 def test_an_interrupted_run_keeps_what_was_recorded(tmp_path, where):
     patch, told = PLACES[where]
     code = f"{STILL}\n{patch}\nfrom leglab.cli import main\nmain(sys.argv[1:])"

@@ -203,6 +203,7 @@ def test_a_file_that_is_not_finished_does_not_take_its_place(tmp_path):
         np.testing.assert_array_equal(found["x"], columns["x"])
 
 
+@pytest.mark.slow("a killed process")
 def test_a_killed_run_leaves_no_folder_and_the_next_one_clears_up(tmp_path):
     command = [sys.executable, "-m", "leglab", "run", "nominal", "--model", "knee_bench"]
     command += ["--no-figures", "--out", "a", "--duration"]

@@ -190,7 +190,15 @@ def test_registering(monkeypatch):
     assert (scenario.reference, scenario.summary, scenario.severity) == ("squat", "a load", 5.0)
 
 
-def test_a_scenario_runs_as_a_script(tmp_path):
+@pytest.mark.parametrize(
+    "names",
+    [
+        scenario_names()[:2],
+        pytest.param(scenario_names()[2:], marks=pytest.mark.slow("a process for each scenario")),
+    ],
+    ids=["two", "others"],
+)
+def test_a_scenario_runs_as_a_script(names):
     """The script asks for its own scenario, although it also is a module of the package."""
     program = (
         "import runpy, sys, types, warnings\n"
@@ -201,7 +209,7 @@ def test_a_scenario_runs_as_a_script(tmp_path):
         "sys.modules['leglab.cli'] = cli\n"
         "runpy.run_module(f'leglab.scenarios.{sys.argv[1]}', run_name='__main__', alter_sys=True)\n"
     )
-    for name in scenario_names():
+    for name in names:
         result = subprocess.run(
             [sys.executable, "-c", program, name], capture_output=True, text=True, check=False
         )

@@ -40,7 +40,9 @@ def end_error(history) -> float:
     return 1e3 * float(np.sqrt(np.mean(history.error[time > time[-1] - 4.8] ** 2)))
 
 
-@pytest.mark.parametrize("model", ["knee_bench", "leg"])
+@pytest.mark.parametrize(
+    "model", ["knee_bench", pytest.param("leg", marks=pytest.mark.slow("minutes of the leg"))]
+)
 def test_the_oracle_learns_from_what_its_controller_measured(model):
     """Recordings a latency older or younger give it a worse map: nothing is left to align."""
     settings = RunSettings(scenario="supply_drop", controller="oracle", model=model)
