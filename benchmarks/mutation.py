@@ -23,10 +23,8 @@ import results
 ROOT = Path(__file__).parents[1]
 _JUDGING = (
     "tests/test_diagnosis_judging_figures.py",
-    "tests/test_diagnosis_judging.py",
-    "tests/test_diagnosis_rough_judging.py",
-    "tests/test_diagnosis_challenge.py",
     "tests/test_diagnosis_discrepancy.py",
+    "tests/test_diagnosis_verdicts.py",
 )
 MODULES = {
     "leglab.runs.metrics": ("tests/test_metrics.py",),

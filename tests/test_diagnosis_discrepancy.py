@@ -1,59 +1,42 @@
-"""The judging is judged: each fault that was once put into it turns one of these tests red.
-
-Here: the discrepancy of a model, the search under it, and the specimen at hand.
-docs/diagnosis.md, "How the judging is tested", lists the faults beside the tests.
-"""
+"""The discrepancy of a model, and the library about the specimen at hand."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from leglab.diagnosis import rough
 from leglab.diagnosis.discrepancy import Discrepancy, directions_of, from_errors
-from leglab.diagnosis.hypothesis import Hypothesis, Library
-from leglab.diagnosis.judging import (
-    noticeable,
-)
+from leglab.diagnosis.hypothesis import Library
 from leglab.diagnosis.model import Machine
 from leglab.diagnosis.nuisances import all_strengths, rough_nuisances, within_tolerance
 from leglab.diagnosis.residual import NoiseModel
-from leglab.diagnosis.rough import settled_baseline
-from leglab.diagnosis.thresholds import DEFAULT
 from leglab.diagnosis.windows import Channel
 from leglab.machine.cylinder import Cylinder
-from tests.diagnosis_sketch import (
-    COULOMB,
-    HELD,
-    LIBRARY,
-    MACHINE,
-    OFFSET,
-    VISCOUS,
-    WINDOWS,
-    a_discrepancy,
-    a_fit,
-    a_round,
-    a_sketch,
-    contender,
-    memory,
-    ripple,
-)
+from tests.rigs import PENDULUM
 
-
-@pytest.fixture
-def sketch(monkeypatch):
-    return a_sketch(monkeypatch)
-
-
-@pytest.fixture(scope="module")
-def library():
-    return LIBRARY
+OFFSET, VISCOUS = ("force_offset", "hinge"), ("viscous_friction", "hinge")
+COULOMB = ("coulomb_friction", "hinge")
 
 
 @pytest.fixture(scope="module")
 def machine():
-    return MACHINE
+    return Machine(PENDULUM.model)
+
+
+@pytest.fixture(scope="module")
+def library(machine):
+    return Library(machine)
+
+
+def memory(bins, reach):
+    """Covariance that fades with the distance."""
+    return np.exp(-np.abs(np.subtract.outer(np.arange(bins), np.arange(bins))) / reach)
+
+
+def a_discrepancy(bins=12, reach=4.0):
+    pattern = np.stack([memory(bins, reach), np.eye(bins)])
+    variance = np.array([[1.0, 4.0], [9.0, 0.0]])
+    return Discrepancy(directions=np.eye(2), pattern=pattern, variance=variance)
 
 
 # The discrepancy of the model.
@@ -156,124 +139,6 @@ def test_a_discrepancy_is_floored_channel_by_channel():
     np.testing.assert_array_equal(kept.variance, a_discrepancy().variance)
 
 
-def test_a_baseline_and_its_discrepancy_are_fitted_in_turn(monkeypatch):
-    """Each fit leaves a quarter of the error, down to 1; the discrepancy follows it."""
-    level, trusted, shares = [64.0], [], []
-
-    def estimated(hypothesis):
-        return Discrepancy(
-            directions=np.eye(1), pattern=np.eye(2)[None], variance=np.array([[level[0]]])
-        )
-
-    problem = SimpleNamespace(
-        thresholds=DEFAULT,
-        discrepancy=estimated,
-        linearise=lambda hypothesis, chosen, share: shares.append(share),
-        noise_levels=lambda hypothesis: np.array([level[0]]),
-    )
-
-    def trusting(discrepancy):
-        trusted.append(float(discrepancy.variance[0, 0]))
-        return problem
-
-    def fitted(problem, at, free, iterations, fine):
-        level[0] = max(1.0, 0.25 * level[0])
-        return SimpleNamespace(hypothesis=Hypothesis())
-
-    problem.trusting = trusting
-    monkeypatch.setattr(rough, "refit", fitted)
-    settled_baseline(problem, np.ones(3, dtype=bool))
-    assert trusted == [64.0, 16.0, 4.0, 1.0]
-    level[0] = 64.0
-    trusted.clear()
-    settled_baseline(problem, np.ones(3, dtype=bool), estimated(None).scaled(0.1))
-    assert trusted == [64.0, 16.0, 6.4, 6.4]
-    level[0] = 4096.0  # further rounds, until it stays, with fine differences
-    shares.clear()
-    settled_baseline(problem, np.ones(3, dtype=bool), sharpenings=4)
-    assert shares == [0.5] * 4 + [DEFAULT.fine_differences] * 3
-
-
-def test_a_round_is_judged_under_the_discrepancy_of_its_best(sketch, monkeypatch):
-    """A rival that the last estimate hid takes the lead, and the discrepancy is made anew."""
-    levels, trusted = {OFFSET: 25.0, COULOMB: 4.0}, []
-
-    def level(hypothesis):
-        return levels[next(iter(hypothesis))]
-
-    def trusting(discrepancy):
-        trusted.append(float(discrepancy.variance[0, 0]))
-        return sketch
-
-    def under(problem, before, contender):
-        cost = np.full(WINDOWS, level(contender.fit.hypothesis) / trusted[-1])
-        return replace(contender, cost=cost)
-
-    def estimated(hypothesis):
-        return Discrepancy(
-            directions=np.eye(1), pattern=np.eye(2)[None], variance=np.array([[level(hypothesis)]])
-        )
-
-    sketch.noise_levels = lambda hypothesis: np.full(WINDOWS, level(hypothesis))
-    sketch.trusting, sketch.discrepancy = trusting, estimated
-    monkeypatch.setattr(rough, "_under", under)
-    monkeypatch.setattr(rough, "total_cost", lambda problem, fit: np.full(WINDOWS, 30.0))
-    tried = a_round([contender(sketch.library, k, 1.0) for k in (OFFSET, COULOMB)])
-    _, judged = rough.annealed(sketch, a_fit(sketch.library), tried, None)
-    assert trusted == [25.0, 4.0]
-    assert [c.key for c in judged.contenders] == [COULOMB, OFFSET]
-    assert judged.contenders[0].cost.mean() == 1.0
-    assert judged.base.mean() == 30.0
-    trusted.clear()
-    rough.annealed(sketch, a_fit(sketch.library), tried, estimated({COULOMB: 0}).scaled(4.0))
-    assert trusted == [25.0, 16.0]
-
-
-@pytest.mark.parametrize("calibrated", [True, False])
-@pytest.mark.parametrize(("threshold", "expected"), [(100.0, [OFFSET]), (1e6, [])])
-def test_a_rough_search_names_only_what_is_accepted(
-    sketch, monkeypatch, threshold, expected, calibrated
-):
-    """And screens where no strength has been pulled along by what is missing, of an unknown machine
-    also where all that follows has followed."""
-    base = ripple(10.0)
-    tried = a_round([contender(sketch.library, OFFSET, base - 5.0)], base, threshold)
-    fitted = []
-
-    def settled(problem, chosen, floor):
-        fitted.append(chosen)
-        return problem, a_fit(sketch.library, VISCOUS)
-
-    def searched(problem, start, best, *_, beside=None):
-        assert best.free == {VISCOUS}
-        assert start == ({} if calibrated else best.hypothesis)
-        assert beside == (None if calibrated else {})
-        return problem, tried
-
-    monkeypatch.setattr(rough, "settled_baseline", settled)
-    monkeypatch.setattr(rough, "search_round", searched)
-    monkeypatch.setattr(rough, "annealed", lambda problem, *_: (problem, tried))
-    monkeypatch.setattr(rough, "paired", lambda *_: None)
-    width = sketch.library.sites[VISCOUS].parameters[0].tolerance
-
-    def following(nuisances, worth=None):
-        """Of an unknown machine errors are fewer numbers beside the priors, and these are wide."""
-        assert worth == (DEFAULT.calibrated_numbers if calibrated else DEFAULT.rough_numbers)
-        (viscous,) = [n for n in nuisances if n.key == VISCOUS]
-        share = DEFAULT.drift_share if calibrated else DEFAULT.rough_tolerance
-        assert viscous.tolerance == pytest.approx(share * width)
-        return sketch
-
-    sketch.with_nuisances = following
-    sketch.discrepancy = lambda hypothesis: a_discrepancy()
-    rng = np.random.default_rng(0)
-    *_, named, rounds = rough.rough_search(sketch, 1, rng, lambda _: None, calibrated=calibrated)
-    assert named == expected
-    assert rounds == [tried]
-    assert fitted[0].any()
-    assert not (fitted[0] & HELD).any()
-
-
 # The specimen at hand.
 
 
@@ -301,9 +166,6 @@ def test_a_library_is_about_the_values_of_its_specimen(machine, library, own):
 
 def test_effects_depart_from_the_specimen_and_not_from_the_model(machine, own):
     about = Library(machine, specimen=own)
-    problem = SimpleNamespace(library=about, thresholds=DEFAULT)
-    assert not noticeable(problem, OFFSET, {OFFSET: np.array([0.3])})
-    assert noticeable(problem, OFFSET, {OFFSET: np.array([0.0])})
     trials = [float(t[0]) for t in about.sites[OFFSET].trials()]
     offs = [-0.4143, -0.08286, 0.08286, 0.4143]
     assert trials == pytest.approx([0.3 + off for off in offs])

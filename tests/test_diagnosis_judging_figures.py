@@ -1,4 +1,8 @@
-"""Figures of the judging against closed forms, brute force and scipy."""
+"""Figures of the judging against closed forms, brute force and scipy.
+
+No verdict is told here: tests/test_diagnosis_verdicts.py does that from recordings. Costs of
+windows are given where it matters by how much they differ.
+"""
 
 from dataclasses import replace
 
@@ -7,35 +11,42 @@ import pytest
 from scipy import stats
 
 from leglab.diagnosis import judging, naming
+from leglab.diagnosis.effects.base import EffectParameter
 from leglab.diagnosis.evidence import beyond_specimens, posterior, within_library
+from leglab.diagnosis.fitting import Fit, Sums, free_tangents
+from leglab.diagnosis.hypothesis import Hypothesis, Library
 from leglab.diagnosis.judging import (
     accepted,
     earns,
+    fault_probability,
+    nothing_more,
+    noticeable,
     preferences,
+    probabilities,
     rarely_but_surely,
+    simplest_first,
+    specimens_spread,
     t_value,
 )
 from leglab.diagnosis.model import Machine
+from leglab.diagnosis.residual import Linearisation
+from leglab.diagnosis.result import Gap
+from leglab.diagnosis.screening import Candidate
+from leglab.diagnosis.search import Contender, Round
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
-from leglab.diagnosis.windows import Channel
-from tests.diagnosis_sketch import (
-    ASYMMETRIC,
-    COULOMB,
-    LIBRARY,
-    MACHINE,
-    OFFSET,
-    VISCOUS,
-    WINDOWS,
-    a_gap,
-    a_round,
-    a_search,
-    a_sketch,
-    contender,
-    exact_verdict,
-    ripple,
-    rough_ties,
-)
-from tests.test_diagnosis_judging import linear
+from leglab.diagnosis.workflow import DiagnosisSettings, set_up
+from leglab.studies.blind.selftest import Outcome, scores
+from tests.rigs import PENDULUM, Truth, record
+
+OFFSET, VISCOUS = ("force_offset", "hinge"), ("viscous_friction", "hinge")
+ASYMMETRIC, COULOMB = ("asymmetric_friction", "hinge"), ("coulomb_friction", "hinge")
+MACHINE = Machine(PENDULUM.model)
+LIBRARY = Library(MACHINE)
+
+
+def a_gap(**levels):
+    given = {"before": 10.0, "baseline": 10.0, "after": 1.0, "held_out": ("c",), **levels}
+    return Gap(**given)
 
 
 @pytest.mark.parametrize("count", [2, 3, 40])
@@ -161,127 +172,445 @@ def test_the_jackknife_leaves_out_each_recording_once(weighed, recordings):
     np.testing.assert_allclose(found, wanted, rtol=1e-9)
 
 
-def test_windows_that_err_much_weigh_less_in_intervals():
-    """A window of mean square c weighs limit / c where that is beyond the limit, else 1."""
-    problem, fit, _ = linear(LIBRARY, np.random.default_rng(4))
-    fit.at.residual[0] *= 10.0
-    plain = judging._sums(problem, fit, fit.at, 1e-3)
-    problem.thresholds = replace(problem.thresholds, robust_limit=3.0)
-    robust = judging._sums(problem, fit, fit.at, 1e-3)
-    weight = 3.0 / np.maximum(np.mean(fit.at.residual**2, axis=1), 3.0)
-    assert weight[0] < 0.1
-    assert weight[1:].min() == 1.0
-    np.testing.assert_allclose(robust[0], weight[:, None, None] * plain[0])
-    np.testing.assert_allclose(robust[1], weight[:, None] * plain[1])
+def test_what_may_be_off_beside_an_effect_widens_its_interval_by_as_much():
+    """Closed form: a twin of prior standard deviation s adds s^2 to the variance 1/(g'g)."""
+    g2, s, windows = 400.0, 0.3, 50
+    matrix = np.array([[g2, g2 * s], [g2 * s, g2 * s**2]])
+    matrices = np.broadcast_to(matrix / windows, (windows, 2, 2))
+    quiet = np.zeros((windows, 2))
+    first = np.eye(1)
+    half = judging._sandwich(matrices, quiet, np.diag([0.0, 1.0]), first)[0]
+    quantile = stats.t.ppf(0.975, windows - 1)
+    assert half == pytest.approx(quantile * np.sqrt(1.0 / g2 + s**2), rel=1e-6)
+    alone = judging._sandwich(matrices[:, :1, :1], quiet[:, :1], np.zeros((1, 1)), first)[0]
+    assert alone == pytest.approx(quantile / np.sqrt(g2), rel=1e-6)
 
 
-# Acceptance and names, on costs that are given.
+def test_posterior_is_a_distribution_that_no_unit_changes():
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        costs = rng.uniform(0.3, 5.0, rng.integers(1, 6))
+        share = posterior(costs, 20.0)
+        assert share.sum() == pytest.approx(1.0)
+        assert (share >= 0.0).all()
+        assert (np.argsort(share) == np.argsort(-costs)).all()
+        np.testing.assert_allclose(posterior(7.0 * costs, 20.0), share, rtol=1e-9)
+    assert posterior([1.0, 2.0], 8.0)[0] == pytest.approx(1.0 / (1.0 + 2.0**-4.0))
+    np.testing.assert_allclose(posterior([0.0, 1.0], 30.0), [1.0, 0.0], atol=1e-9)
 
 
-@pytest.fixture
-def sketch(monkeypatch):
-    return a_sketch(monkeypatch)
+def test_posterior_of_the_best_grows_with_its_margin_and_with_the_numbers():
+    by_margin = [posterior([1.0, m], 30.0)[0] for m in (1.0, 1.1, 1.5, 3.0)]
+    by_numbers = [posterior([1.0, 1.1], n)[0] for n in (0.0, 10.0, 30.0, 100.0)]
+    assert by_margin[0] == by_numbers[0] == 0.5
+    assert (np.diff(by_margin) > 0.0).all()
+    assert (np.diff(by_numbers) > 0.0).all()
+
+
+def test_explained_is_that_over_all_where_held_out_hardly_shows_it():
+    """A slow held-out recording does not show a fault of fast motion."""
+    assert a_gap(unnamed=31.8, after=31.9, healthy=30.8).explained == 0.0
+    gap = a_gap(unnamed=31.8, after=31.9, healthy=30.8, compared=(180.0, 21.0, 20.0))
+    assert gap.explained == pytest.approx(159.0 / 160.0)
+
+
+def test_explained_is_the_share_of_what_the_healthy_machine_did_not_show():
+    assert a_gap(unnamed=10.0, after=4.0, healthy=4.0).explained == 1.0
+    assert a_gap(unnamed=10.0, after=7.0, healthy=4.0).explained == pytest.approx(0.5)
+    assert a_gap(unnamed=10.0, after=4.0).explained == pytest.approx(6.0 / 9.0)
+    assert a_gap(unnamed=10.0, after=3.0, healthy=4.0).explained == 1.0
+    assert a_gap(unnamed=10.0, after=11.0, healthy=4.0).explained == 0.0
+    assert a_gap(unnamed=4.0, after=4.0, healthy=4.0).explained is None
+    assert a_gap(after=4.0).explained is None
+
+
+def test_a_departure_is_a_fault_the_more_probably_the_larger_it_is():
+    shares = [beyond_specimens(d) for d in (0.0, 0.5, 1.0, 1.5, 2.0, 3.0)]
+    assert (np.diff(shares) > 0.0).all()
+    assert shares[2] < 0.5 < shares[3]
+    assert shares[4] > 0.9
+    # Bayes' rule with even odds: |d| normal about the model, or anywhere up to five trials.
+    own = 2.0 * stats.norm.pdf(1.0, scale=DEFAULT.specimen_spread)
+    assert shares[2] == pytest.approx(0.2 / (0.2 + own))
+
+
+def test_a_tenth_of_the_bandwidth_is_as_severe_as_the_trials_that_it_passes():
+    bandwidth = EffectParameter("f", "Hz", nominal=250.0, upper=500.0, trials=(12.5, 30.0, 87.5))
+    assert bandwidth.departure(250.0, 250.0) == 0.0
+    assert bandwidth.departure(168.75, 250.0) == pytest.approx(0.5)
+    assert bandwidth.departure(30.0, 250.0) == pytest.approx(2.0)
+    assert bandwidth.departure(12.5, 250.0) == pytest.approx(3.0)
+    # A long way in smallest trials counts as such, on a side without trials as well.
+    assert bandwidth.departure(500.0, 250.0) == pytest.approx(250.0 / 162.5)
+
+
+def test_parameters_cost_a_rough_explanation_its_probability():
+    few, many = posterior([1.0, 0.9], 30.0, [1, 4])
+    assert few > many
+    assert posterior([1.0, 0.5], 30.0, [1, 4])[1] > 0.95
+    np.testing.assert_allclose(posterior([1.0, 0.9], 30.0, [2, 2]), posterior([1.0, 0.9], 30.0))
+    # Schwarz 1978: half the logarithm of the numbers for every parameter.
+    assert many / few == pytest.approx(0.9**-15.0 * 30.0**-1.5)
+
+
+def test_a_strength_that_is_as_in_the_model_costs_nothing():
+    """Friction in one direction alone needs no number for the other; a shape always counts."""
+    site = LIBRARY.sites[ASYMMETRIC]
+    values = site.nominal
+    assert site.used(values, 0.15) == 1
+    values[:2] += 2.0 * site.parameters[0].scale
+    assert site.used(values, 0.15) == 2
+    values[2] += 0.1 * site.parameters[2].scale
+    assert site.used(values, 0.15) == 2
+    assert site.used(values, 0.05) == 3
+    payload = next(s for key, s in LIBRARY.sites.items() if key[0] == "payload")
+    assert [p.role for p in payload.parameters] == ["strength", "shape"]
+    assert payload.used(payload.nominal + 1.0, 0.15) == 2
+
+
+def test_one_number_a_pair_is_counted_where_directions_depart_alike():
+    site = LIBRARY.sites[ASYMMETRIC]
+    np.testing.assert_array_equal(site.alike, [[1, 0], [1, 0], [0, 1], [0, 1]])
+    scale = np.array([p.scale for p in site.parameters])
+    for trials, alone, alike in (((5, 5, 5, 5), 4, 2), ((0, 0, 5, 5), 2, 1), ((0, 0, 0, 0), 1, 1)):
+        values = site.nominal + scale * trials
+        assert site.used(values, 0.15) == alone
+        assert site.used(values, 0.15, alike=True) == alike
+    plain = LIBRARY.sites[VISCOUS]
+    np.testing.assert_array_equal(plain.alike, [[1]])
+
+
+# On windows of recordings, with costs that are given.
+
+
+@pytest.fixture(scope="module")
+def exact():
+    """A pendulum that is as its model, with one recording of two held out."""
+    kinds = ("fast", "multisine")
+    logs = {k: record(PENDULUM, k, Truth(), seed=i, seconds=6.0) for i, k in enumerate(kinds)}
+    return set_up(PENDULUM.model, logs, ("multisine",), DiagnosisSettings(threads=1))
+
+
+@pytest.fixture(scope="module")
+def rough(exact):
+    """The same machine with an error of the model counted in."""
+    none = exact.discrepancy(Hypothesis())
+    return exact.trusting(replace(none, variance=np.ones_like(none.variance)))
+
+
+def a_fit(problem, *keys, trials=4.0):
+    """A fit with effects of so many trials' size."""
+    values = {
+        key: problem.library.sites[key].nominal
+        + trials * np.array([p.scale for p in problem.library.sites[key].parameters])
+        for key in keys
+    }
+    none = np.zeros((problem.replay.windows, problem.size))
+    at = Linearisation(
+        base=Hypothesis(values), residual=none, tangents=none, nuisances=(), chosen=problem.fitted
+    )
+    return Fit(free=frozenset(keys), cost=0.0, at=at)
+
+
+def contender(problem, key, cost, trials=4.0):
+    windows = problem.replay.windows
+    return Contender(
+        key=key, fit=a_fit(problem, key, trials=trials), cost=np.broadcast_to(cost, windows)
+    )
+
+
+def a_round(contenders, base=10.0, threshold=0.0, tried=1):
+    """A round of contenders out of so many effects that were tried."""
+    none = np.zeros(0)
+    one = Candidate(key=OFFSET, values=none, gain=0.0, direction=none, step=none, detectable=9.0)
+    base = np.broadcast_to(base, contenders[0].cost.shape).astype(float)
+    return Round(
+        base=base, candidates=(one,) * tried, contenders=tuple(contenders), threshold=threshold
+    )
+
+
+def taken(problem, base, saved, key=OFFSET, **others):
+    """Whether an effect that saves so much in each window is accepted."""
+    one = contender(problem, key, base - saved)
+    return accepted(problem, a_round([one], base, **others), one)
+
+
+def ripple(problem, mean, size=0.3, seed=0):
+    """A number a window, with a scatter; (windows,)."""
+    scatter = np.random.default_rng(seed).normal(0.0, size, problem.replay.windows)
+    return mean + scatter - scatter.mean()
+
+
+def test_a_gain_must_hold_where_held_out(exact):
+    """The gain on the fitted windows is the same; held out, it comes and goes."""
+    saved = ripple(exact, 5.0)
+    assert taken(exact, 10.0, saved)
+    fails = np.where(exact.held, ripple(exact, 0.0, size=3.0), saved)
+    fails[exact.held] -= fails[exact.held].mean() - 0.1
+    assert not taken(exact, 10.0, fails)
+
+
+def test_a_rough_machine_may_hide_a_gain_where_held_out_but_not_lose_by_it(exact, rough):
+    """A slow held-out recording hardly shows the effect."""
+    shape = ripple(exact, 0.0, size=0.2)
+    shape[exact.held] -= shape[exact.held].mean()
+    for held_out, expected in ((0.01, True), (-0.2, False)):
+        saved = np.where(exact.held, held_out + shape, 5.0 + shape)
+        assert not taken(exact, 10.0, saved)
+        assert taken(rough, 10.0, saved) is expected
+
+
+@pytest.mark.parametrize("factor", [0.98, 1.02])
+@pytest.mark.parametrize("tried", [1, 70])
+def test_the_best_of_many_effects_must_say_more_than_a_single_one(rough, factor, tried):
+    """Bonferroni: of 70 effects chance reaches t = 3.6 in 1 of 100 cases."""
+    limit = max(stats.norm.isf(0.01 / tried), DEFAULT.significant)
+    shape = np.where(rough.held, 0.01, 8.0)
+    low, high = 0.0, 1e3
+    scatter = np.where(rough.held, 0.0, ripple(rough, 0.0, seed=1))
+    hidden = 0.2 * ripple(rough, 0.0)
+    hidden[~rough.held] = 0.0
+    hidden[rough.held] -= hidden[rough.held].mean()
+    for _ in range(80):  # the scatter that gives this t
+        size = 0.5 * (low + high)
+        low, high = (
+            (size, high)
+            if t_value(shape + hidden + size * scatter) > factor * limit
+            else (low, size)
+        )
+    saved = shape + hidden + size * scatter
+    assert t_value(saved) == pytest.approx(factor * limit, rel=1e-3)
+    assert taken(rough, 20.0, saved, tried=tried) == (factor > 1.0)
+
+
+@pytest.mark.parametrize(("share", "right"), [(0.9, True), (1.0, True), (1.1, False)])
+def test_a_gain_that_chance_gives_is_not_accepted(exact, share, right):
+    gain = exact.size * 2.0 * exact.fitted.sum()
+    shape = np.where(exact.held, ripple(exact, 2.0, size=0.1), 2.0)
+    assert taken(exact, 10.0, shape, threshold=share * gain) is right
 
 
 @pytest.mark.parametrize(("level", "least"), [(1.5, 1.0), (31.0, 30.0)])
-def test_a_gain_must_matter_beside_what_is_open(sketch, level, least):
+@pytest.mark.parametrize(("factor", "right"), [(1.02, True), (0.98, False)])
+def test_a_gain_must_matter_beside_what_is_open(exact, level, least, factor, right):
     """An effect must save a share of what is open beyond noise, and of a noise variance."""
-    needed = DEFAULT.worthwhile * least
-    for factor, right in ((1.02, True), (0.98, False)):
-        base = np.full(WINDOWS, level)
-        found = contender(sketch.library, OFFSET, base - ripple(factor * needed, size=1e-3))
-        assert accepted(sketch, a_round([found], base), found) is right
+    saved = ripple(exact, factor * DEFAULT.worthwhile * least, size=1e-3)
+    assert taken(exact, level, saved) is right
+
+
+@pytest.mark.parametrize(("trials", "right"), [(0.14, False), (0.16, True)])
+def test_a_strength_that_nobody_would_notice_is_not_accepted(exact, trials, right):
+    one = contender(exact, OFFSET, ripple(exact, 5.0), trials)
+    assert accepted(exact, a_round([one]), one) is right
+    # Of an effect with a shape, the strength counts alone.
+    payload = next(key for key in LIBRARY.sites if key[0] == "payload")
+    values = LIBRARY.sites[payload].nominal
+    assert not noticeable(exact, payload, {payload: values + np.array([0.0, 0.3])})
+    assert noticeable(exact, payload, {payload: values + np.array([0.05, 0.0])})
+    # Of several strengths, that which departs the most.
+    assert noticeable(exact, ASYMMETRIC, departed(ASYMMETRIC, 0.0, 0.2, 0.0, 0.0))
 
 
 @pytest.mark.parametrize(("few", "right"), [(3, True), (4, False)])
-def test_three_windows_held_out_are_too_few_to_speak(sketch, few, right):
-    sketch.held = np.arange(WINDOWS) >= WINDOWS - few
-    base = np.full(WINDOWS, 10.0)
-    saved = np.where(sketch.held, -0.5, 5.0) + ripple(0.0, size=0.01)
-    found = contender(sketch.library, OFFSET, base - saved)
-    assert accepted(sketch, a_round([found], base), found) is right
-    offset = contender(sketch.library, ASYMMETRIC, base - saved)
-    simple = contender(sketch.library, VISCOUS, base)
-    assert earns(sketch, offset, simple) is right
+def test_three_windows_held_out_are_too_few_to_speak(exact, few, right):
+    from copy import copy
+
+    problem = copy(exact)
+    problem.held = np.arange(exact.replay.windows) >= exact.replay.windows - few
+    saved = np.where(problem.held, -0.5, 5.0) + ripple(exact, 0.0, size=0.01)
+    assert taken(problem, 10.0, saved) is right
+    larger = contender(problem, ASYMMETRIC, 10.0 - saved)
+    assert earns(problem, larger, contender(problem, VISCOUS, 10.0)) is right
 
 
-def test_contributions_and_confidence_of_an_exact_model(sketch):
-    both = frozenset([OFFSET, VISCOUS])
-    sketch.costs |= {
-        frozenset(): 30.0,
-        frozenset([OFFSET]): 11.0,
-        frozenset([VISCOUS]): 21.0,
-        both: 1.5,
-    }
-    said, effects, _ = exact_verdict(sketch, [OFFSET, VISCOUS])
-    assert said == "named"
-    # What the machine without it leaves beyond noise, the larger contribution first.
-    assert [(e.name, e.contribution) for e in effects] == [
-        ("force_offset", pytest.approx((21.0 - 1.5) / (21.0 - 1.0))),
-        ("viscous_friction", pytest.approx((11.0 - 1.5) / (11.0 - 1.0))),
-    ]
-    assert [e.confidence for e in effects] == [1.0, 1.0]
-    sketch.costs[both] = 3.5
-    said, effects, _ = exact_verdict(sketch, [OFFSET, VISCOUS])
-    assert said == "partial"
-    wanted = DEFAULT.explained / 3.5 * (30.0 - 3.5) / (30.0 - 1.0)
-    assert [e.confidence for e in effects] == [pytest.approx(wanted)] * 2
-    # Costs below that of noise are no gap that could be closed.
-    sketch.costs |= {both: 1.0, frozenset([OFFSET]): 1.0, frozenset([VISCOUS]): 0.9}
-    _, effects, _ = exact_verdict(sketch, [OFFSET, VISCOUS])
-    assert [e.contribution for e in effects] == [0.0, 0.0]
+@pytest.mark.parametrize("numbers", ["counted", "known"])
+def test_one_more_effect_is_as_probable_as_none_whatever_its_name(rough, numbers):
+    """Of seventy effects each is a seventieth of that; rivals speak together for one more."""
+    problem, count = rough, rough.numbers
+    if numbers == "known":  # of a specimen with healthy recordings
+        problem = rough.with_nuisances((), worth=50.0)
+        count = problem.worth
+    price = count**0.5  # of a parameter
+    for parts, many in ((1, 1), (2, 2)):
+        times = 140.0
+        gain = 10.0 * (1.0 - times ** (-2.0 / count))
+        tried = [contender(problem, key, 10.0 - gain) for key in (OFFSET, COULOMB)[:parts]]
+        none = nothing_more(problem, a_round(tried, tried=70))
+        assert none == pytest.approx(70.0 * price / (70.0 * price + many * times))
+    alone = nothing_more(problem, a_round(tried[:1]))
+    assert alone == pytest.approx(price / (price + times))
+    wide = contender(problem, ASYMMETRIC, 10.0 - gain)  # four numbers cost four
+    none = nothing_more(problem, a_round([wide], tried=70))
+    assert none == pytest.approx(70.0 * price**4 / (70.0 * price**4 + times))
 
 
-def test_one_effect_that_is_not_told_apart_makes_a_confusion_set(sketch):
-    sketch.costs |= {
-        frozenset(): 30.0,
-        frozenset([OFFSET]): 9.0,
-        frozenset([VISCOUS]): 9.0,
-        frozenset([OFFSET, VISCOUS]): 1.0,
-    }
-    own = ripple(1.0)
-    tried = [contender(sketch.library, k, own) for k in (OFFSET, COULOMB)]
-    sure = [contender(sketch.library, VISCOUS, own)]
-    found = a_search(sketch, [OFFSET, VISCOUS])
-    found = replace(found, checks={OFFSET: tuple(tried), VISCOUS: tuple(sure)})
-    said, effects, _ = naming.judge_exact(found, np.random.default_rng(0))
-    assert said == "confusion_set"
-    ties = {e.name: e.indistinguishable_from for e in effects}
-    assert ties == {"force_offset": ("coulomb_friction",), "viscous_friction": ()}
-    gap = a_gap(unnamed=10.0)
-    level = {frozenset(): 10.0, frozenset([OFFSET]): 6.0, frozenset([VISCOUS]): 6.0}
-    rough = naming.judge_rough(found, gap, lambda hypothesis: level[frozenset(hypothesis)])
-    assert rough[0] == "confusion_set"
+def test_an_effect_of_a_rough_machine_must_pay_for_its_parameters(exact, rough):
+    """Every window gains, far beyond chance, and few numbers do not say so."""
+    for gain, right in ((0.15, False), (0.3, True)):
+        saved = ripple(exact, gain, size=1e-3)
+        assert taken(exact, 1.0, saved, tried=70)
+        assert taken(rough, 1.0, saved, tried=70) is right
+    saved = ripple(exact, 0.2, size=1e-3)
+    assert taken(rough, 1.0, saved)
+    assert not taken(rough, 1.0, saved, key=ASYMMETRIC)  # four numbers
+    # Two that each speak for one more are enough together.
+    cost = 1.0 - ripple(exact, 0.18, size=1e-3)
+    one, other = (contender(rough, key, cost) for key in (OFFSET, COULOMB))
+    assert not accepted(rough, a_round([one], 1.0, tried=70), one)
+    assert accepted(rough, a_round([one, other], 1.0, tried=70), one)
 
 
-def test_the_round_in_which_an_effect_did_best_says_what_it_is_told_apart_from(sketch):
-    """An early round lacked the other effects: both cost much there, and alike."""
-    early = [contender(sketch.library, k, ripple(20.0)) for k in (OFFSET, COULOMB)]
-    late = [contender(sketch.library, k, c) for k, c in ((OFFSET, 1.0), (COULOMB, 9.0))]
-    found = a_search(sketch, [OFFSET])
-    found = replace(found, rounds=(a_round(early), a_round(late)))
-    assert rough_ties(found, OFFSET)[0] == ()
-    assert rough_ties(found, OFFSET)[1] > 0.95
+def chance(further, level=0.99):
+    return float(stats.chi2.ppf(level, further))
 
 
-def test_late_commands_and_late_sensors_are_one_where_no_third_signal_is(sketch):
-    key = ("sensor_delay", "hinge")
-    assert naming.twins(sketch, key) == ("command_delay",)
-    found = a_search(sketch, [key])
-    assert rough_ties(found, key) == (("command_delay",), 0.5)
-    pressure = Channel(column="hinge_pressure_a", joint="hinge", chamber="a")
-    sketch.channels = (*sketch.channels, pressure)
-    assert naming.twins(sketch, key) == ()
+@pytest.mark.parametrize(("factor", "right"), [(0.98, False), (1.02, True)])
+@pytest.mark.parametrize("left", [0.5, 1.0, 4.0])
+def test_a_larger_effect_must_save_more_than_its_further_parameters_do_by_chance(
+    exact, factor, right, left
+):
+    """Wilks: a chi-square of as many degrees of freedom, times the dispersion that is left."""
+    needed = max(left, 1.0) * chance(3) / (exact.size * exact.fitted.sum())
+    saved = ripple(exact, 0.0, size=1e-3 * needed)
+    saved += factor * needed - saved[exact.fitted].mean()
+    larger, special = (
+        contender(exact, key, cost) for key, cost in ((ASYMMETRIC, left), (VISCOUS, left + saved))
+    )
+    assert earns(exact, larger, special) is right
+    order = simplest_first(exact, (larger, special))
+    assert [c.key for c in order] == [ASYMMETRIC, VISCOUS][:: 1 if right else -1]
+
+
+def test_what_a_larger_effect_saves_must_hold_where_held_out(exact):
+    larger = contender(exact, ASYMMETRIC, 1.0)
+    for held_out, right in ((0.0, False), (0.5, True)):
+        saved = np.where(exact.held, held_out, 0.5) + ripple(exact, 0.0, size=0.05)
+        saved[exact.held] += held_out - saved[exact.held].mean()
+        assert earns(exact, larger, contender(exact, VISCOUS, 1.0 + saved)) is right
+
+
+def test_a_larger_effect_must_be_the_more_probable_on_a_rough_machine(exact, rough):
+    """Errors of a model are few numbers: what chi-square calls sure may be one of them."""
+    base = ripple(exact, 1.0, size=0.05)
+    simple = contender(exact, VISCOUS, base)
+    for gain, right in ((0.05, False), (0.5, True)):
+        larger = contender(exact, ASYMMETRIC, base - ripple(exact, gain, size=0.01))
+        assert earns(exact, larger, simple)
+        assert earns(rough, larger, simple) is right
+        share = posterior([(base.mean() - gain), base.mean()], rough.numbers, [4, 1])
+        np.testing.assert_allclose(probabilities(rough, (larger, simple)), share, rtol=1e-6)
+        assert bool(share[0] > 0.5) is right
+
+
+@pytest.mark.parametrize(("lost", "expected"), [(0.0, True), (0.2, False)])
+def test_a_larger_effect_may_earn_its_place_where_held_out_motion_hardly_shows_it(
+    exact, rough, lost, expected
+):
+    scatter = ripple(exact, 0.0, size=0.02, seed=1)
+    scatter[exact.held] -= scatter[exact.held].mean()
+    saved = np.where(exact.held, -lost, 2.0) + scatter
+    simple = contender(exact, VISCOUS, 4.0)
+    larger = contender(exact, ASYMMETRIC, 4.0 - saved)
+    assert not earns(exact, larger, simple)
+    assert earns(rough, larger, simple) == expected
+
+
+def test_windows_that_err_much_weigh_less_in_intervals(exact):
+    """A window of mean square c weighs limit / c where that is beyond the limit, else 1."""
+    at = exact.linearise(Hypothesis({OFFSET: np.array([0.01])}), exact.fitted, {OFFSET})
+    fit = Fit(free=frozenset({OFFSET}), cost=0.0, at=at)
+    squares = np.mean(at.residual**2, axis=1)
+    assert squares.min() < 3.0 < squares.max()
+    matrices, gradients, prior = judging._sums(exact, fit, at, 1e-2)
+    weight = np.minimum(1.0, 3.0 / squares)
+    own = free_tangents(exact, at, fit.free, 1e-2)
+    plain = Sums.of(at.residual, np.concatenate([own.columns, at.tangents], axis=2))
+    np.testing.assert_allclose(matrices, weight[:, None, None] * plain.matrices)
+    np.testing.assert_allclose(gradients, weight[:, None] * plain.gradients)
+    np.testing.assert_array_equal(prior, np.diag([0.0] + [1.0] * at.tangents.shape[2]))
+
+
+# What is a fault.
+
+
+def departed(key, *trials):
+    site = LIBRARY.sites[key]
+    return {key: site.nominal + np.array(trials) * [p.scale for p in site.parameters]}
+
+
+@pytest.mark.parametrize(
+    ("calibrated", "spread"), [(True, "day_spread"), (False, "specimen_spread")]
+)
+@pytest.mark.parametrize("trials", [0.1, 0.9, 3.0])
+def test_a_strength_is_a_fault_by_how_good_machines_scatter(exact, calibrated, spread, trials):
+    """About their models, and from one day to the next."""
+    wanted = beyond_specimens(trials, getattr(DEFAULT, spread), DEFAULT.fault_range)
+    for way in (1.0, -1.0):
+        values = departed(OFFSET, way * trials)
+        found = fault_probability(exact, OFFSET, values, calibrated=calibrated)
+        assert found == pytest.approx(wanted)
+
+
+def test_what_takes_back_a_part_of_the_calibration_is_no_fault_beside_a_larger_one(exact):
+    """The calibration had moved the offset by three trials from the model's."""
+    from copy import copy
+
+    scale = LIBRARY.sites[OFFSET].parameters[0].scale
+    problem = copy(exact)
+    problem.library = LIBRARY.of_specimen({OFFSET: np.array([3.0 * scale])})
+    for now, beside, alone in ((1.0, 0.0, 2.0), (2.9, 0.0, 0.1), (5.0, 2.0, 2.0), (-2.0, 2.0, 5.0)):
+        values = {OFFSET: np.array([now * scale])}
+        for far, known in ((beside, True), (alone, False)):
+            found = fault_probability(problem, OFFSET, values, calibrated=True, beside=known)
+            wanted = beyond_specimens(far, DEFAULT.day_spread, DEFAULT.fault_range)
+            assert found == pytest.approx(wanted)
+
+
+@pytest.fixture(scope="module")
+def bench():
+    """What is asked of a problem about the faults of a hydraulic bench: its library."""
+    log = record(PENDULUM, "fast", Truth(), seed=0, seconds=1.0)
+    problem = set_up(PENDULUM.model, {"fast": log}, (), DiagnosisSettings(threads=1))
+    problem.library = Library(Machine("knee_bench"))
+    return problem
+
+
+def test_a_better_part_than_the_models_is_no_fault(bench):
+    """Seals do not get tighter as they wear; since healthy recordings it is a change."""
+    key = ("internal_leakage", "knee_valve")
+    nominal = bench.library.sites[key].nominal
+    for factor, worn in ((0.1, False), (10.0, True)):
+        values = {key: factor * nominal}
+        assert (fault_probability(bench, key, values, calibrated=False) > 0.0) is worn
+        assert fault_probability(bench, key, values, calibrated=True) > 0.0
+
+
+def test_strengths_with_a_tolerance_scatter_by_it_others_by_what_is_noticeable(bench):
+    for name in ("valve_gain", "valve_deadband", "internal_leakage", "payload"):
+        key = next(k for k in bench.library.sites if k[0] == name)
+        wanted = max(
+            min(DEFAULT.specimen_spread, DEFAULT.rough_tolerance * p.tolerance / p.scale)
+            if p.tolerance
+            else DEFAULT.specimen_spread
+            for p in bench.library.sites[key].parameters
+            if p.role == "strength"
+        )
+        assert specimens_spread(bench, key) == pytest.approx(wanted)
+    assert specimens_spread(bench, ("valve_gain", "knee_valve")) < 0.5
+    assert specimens_spread(bench, ("valve_deadband", "knee_valve")) == DEFAULT.specimen_spread
+
+
+# Names.
 
 
 @pytest.mark.parametrize("key", [("backlash", "hinge"), VISCOUS, ASYMMETRIC])
-def test_half_widths_allow_for_laws_that_are_not_the_models(sketch, key):
+def test_half_widths_allow_for_laws_that_are_not_the_models(exact, key):
     """By a share of the change of each strength; what is a shape keeps its own."""
-    site = sketch.library.sites[key]
+    site = LIBRARY.sites[key]
     change = np.array([-2.0, 0.7, 3.0, 1.0])[: len(site.parameters)]
     differences = [change[0] - change[1], change[2] - change[3]] if key == ASYMMETRIC else []
     own = np.full(len(change) + len(differences), 0.3)
-    half = naming._allowing_for_structure(sketch, key, site.nominal + change, own)
+    half = naming._allowing_for_structure(exact, key, site.nominal + change, own)
     rows = zip(change, site.parameters, strict=True)
     strengths = [by if p.role == "strength" else 0.0 for by, p in rows]
     for width, by in zip(half, [*strengths, *differences], strict=True):
@@ -307,12 +636,6 @@ def test_by_how_much_directions_differ_has_an_interval_of_its_own():
     assert (second.value, second.interval) == (pytest.approx(-0.1), pytest.approx((-0.14, -0.06)))
 
 
-def test_no_effect_closes_more_than_all(sketch):
-    sketch.costs |= {frozenset(): 30.0, frozenset([OFFSET]): 0.5}
-    _, (effect,), _ = exact_verdict(sketch, [OFFSET])
-    assert effect.contribution == 1.0
-
-
 FOLDED = """
 <mujoco><worldbody><body name="upper"><joint name="shoulder" axis="0 1 0"/>
 <geom type="sphere" size=".05" pos="1 0 0" mass="3"/>
@@ -331,3 +654,45 @@ def test_joints_that_feel_each_other_at_some_pose_only_are_coupled(tmp_path):
     machine = Machine(str(path))
     assert naming.coupled_joints(machine) == ("shoulder", "elbow")
     assert naming.coupled_joints(MACHINE) == ()
+
+
+# The self-test's own figures.
+
+
+def outcome(kind, hidden, named, confidence, said="named"):
+    return Outcome(
+        kind=kind,
+        number=0,
+        hidden=hidden,
+        severities=(),
+        verdict=said,
+        named=named,
+        alternatives=((),) * len(named),
+        confidence=confidence,
+        covered=(),
+        onsets=(),
+        before=2.0,
+        after=1.0,
+        seconds=1.0,
+    )
+
+
+@pytest.mark.parametrize(
+    ("confidence", "said", "honest"),
+    [(0.95, "named", False), (0.6, "partial", False), (0.3, "partial", True)],
+)
+def test_a_wrong_name_given_with_confidence_is_no_doubt(confidence, said, honest):
+    one = outcome("removed", ("a",), ("b",), (confidence,), said)
+    assert one.honest == honest
+    rows = {row[0]: row[1] for row in scores([one])}
+    assert rows["effect unknown to the library: doubt"] == ("1 (100%)" if honest else "0 (0%)")
+    sure = "1 (100%)" if confidence > 0.9 else "0 (0%)"
+    assert rows["... and a wrong name given for sure"] == sure
+
+
+def test_a_wrong_name_of_a_single_fault_counts_as_wrong():
+    rows = {r[0]: r[1] for r in scores([outcome("single", ("a",), ("b",), (0.2,), "partial")])}
+    assert rows["single effect named first"] == "0 (0%)"
+    assert rows["single effect named or in a set of 3"] == "0 (0%)"
+    rows = {r[0]: r[1] for r in scores([outcome("null", (), ("b",), (0.2,), "partial")])}
+    assert rows["false alarms where nothing is hidden"] == "1 (100%)"
