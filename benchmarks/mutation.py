@@ -121,7 +121,7 @@ def _tested(mutant: importlib.abc.MetaPathFinder, tests: tuple[str, ...]) -> Non
     os.dup2(sink, 2)
     os.chdir(ROOT)
     sys.meta_path.insert(0, mutant)
-    arguments = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:randomly", *tests]
+    arguments = ["-x", "-q", "-o", "cache_dir=.pytest_cache/mutants", "-p", "no:randomly", *tests]
     os._exit(int(pytest.main(arguments)))
 
 
