@@ -5,6 +5,7 @@ import re
 import shutil
 import signal
 import subprocess
+import tempfile
 from collections import Counter
 
 import pytest
@@ -18,7 +19,9 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)
 def pytest_configure(config):
     """Keeps what leglab keeps, banks of faults for one, beside the tests' cache."""
     if not hasattr(config, "workerinput"):
-        os.environ["LEGLAB_CACHE"] = str(config.cache.mkdir("leglab"))
+        cached = config.pluginmanager.hasplugin("cacheprovider")
+        place = config.cache.mkdir("leglab") if cached else tempfile.mkdtemp(prefix="leglab-")
+        os.environ["LEGLAB_CACHE"] = str(place)
 
 
 def pytest_collection_modifyitems(config, items):
