@@ -143,7 +143,7 @@ def test_output_that_is_full_or_closed_or_ascii_is_no_traceback():
 
 
 @pytest.mark.parametrize(
-    ("kind", "limit"), [(resource.RLIMIT_NOFILE, 8), (resource.RLIMIT_AS, 400_000_000)]
+    ("kind", "limit"), [(resource.RLIMIT_NOFILE, 8), (resource.RLIMIT_AS, 200_000_000)]
 )
 def test_little_of_what_the_system_gives_is_no_traceback(kind, limit):
     done = process(
