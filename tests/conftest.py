@@ -24,10 +24,10 @@ def pytest_configure(config):
         os.environ["LEGLAB_CACHE"] = str(place)
 
 
-def pytest_collection_modifyitems(config, items):
+def pytest_collection_modifyitems(items):
     """Puts long tests first, and those that share a fixture of their file on one worker."""
     items.sort(key=lambda item: item.get_closest_marker("slow") is None)
-    for item in items if config.pluginmanager.hasplugin("xdist") else ():
+    for item in items:
         shared = item._fixtureinfo.name2fixturedefs
         if any(found[-1].scope == "module" for found in shared.values()):
             item.add_marker(pytest.mark.xdist_group(item.path.stem))

@@ -82,6 +82,7 @@ def test_scores_are_those_that_one_sums_up_by_hand():
     assert found["pd", "all"].recovered is None
 
 
+@pytest.mark.slow("a sweep of many faults")
 def test_the_command_runs_once_and_goes_on(tmp_path, capsys):
     arguments = ["benchmark", "adaptation", "--model", "knee_bench", "--specimens", "1"]
     arguments += ["--faults", "seal_wear, supply_droop", "--out", tmp_path / "a"]

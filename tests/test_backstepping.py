@@ -214,12 +214,22 @@ def test_adaptation_pays_after_seal_wear(worn):
     assert rms(worn, 9, 12) < 0.6 * rms(run(controller_config={"adapt": False}), 9, 12)
 
 
-def test_same_seed_same_bits(worn):
-    np.testing.assert_array_equal(run().history.command, worn.history.command)
+def test_same_seed_same_bits():
+    first, second = (run(duration=2.0).history.command for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+
+
+_more = pytest.mark.slow("more faults")
 
 
 @pytest.mark.parametrize(
-    "scenario", ["sensor_dropout", "encoder_shift", "valve_wear", "slow_valve"]
+    "scenario",
+    [
+        "sensor_dropout",
+        "valve_wear",
+        pytest.param("encoder_shift", marks=_more),
+        pytest.param("slow_valve", marks=_more),
+    ],
 )
 def test_no_blow_up_and_parameters_within_bounds(scenario):
     result = run(scenario=scenario, duration=8.0)

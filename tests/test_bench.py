@@ -113,6 +113,7 @@ def test_tables_of_markdown_are_read():
     )
 
 
+@pytest.mark.slow("a benchmark")
 def test_a_part_is_measured_kept_and_shown(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(history, "FILE", (tmp_path / "h.jsonl"))
     out = tmp_path / "out"

@@ -156,7 +156,7 @@ def test_a_run_that_blows_up_says_when_and_which_joint(tmp_path, capsys, monkeyp
 
 
 def test_a_scenario_runs_as_a_script(tmp_path):
-    arguments = ["--model", "knee_bench", "--duration", "2", "--no-figures", "--out", "run"]
+    arguments = ["--model", "knee_bench", "--duration", "0.3", "--no-figures", "--out", "run"]
     subprocess.run(
         [sys.executable, "-m", "leglab.scenarios.seal_wear", *arguments],
         cwd=tmp_path,

@@ -114,6 +114,7 @@ def test_nothing_is_missing_on_the_nominal_bench():
     assert result.gap.after < 1.2
 
 
+@pytest.mark.slow("a second whole diagnosis")
 def test_an_effect_that_the_library_lacks_is_not_called_for_sure():
     result, _ = diagnose(
         "knee_bench",

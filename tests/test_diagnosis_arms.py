@@ -105,7 +105,8 @@ def test_one_fault_is_named_on_its_joint(name, hidden, expected, tmp_path):
     assert reloaded_error(found, write_improved(found, tmp_path)) < 0.1
 
 
-@pytest.mark.parametrize("name", _rigs([(name,) for name in TWO]))
+@pytest.mark.slow("whole diagnoses of an arm with all effects")
+@pytest.mark.parametrize("name", TWO)
 def test_two_faults_on_different_joints_are_both_named(name):
     hidden, expected = TWO[name]
     result, _ = verdict(RIGS[name], hidden)
@@ -145,6 +146,7 @@ def test_joints_feel_each_other_by_the_mass_matrix():
     assert coupled_joints(Machine(PENDULUM.model)) == ()
 
 
+@pytest.mark.slow("whole diagnoses of an arm with all effects")
 def test_a_payload_that_a_servo_joint_feels_as_a_weak_drive_is_not_called_for_sure():
     """Weight and damping of a stiff servo scale alike; inertia hardly counts at these speeds."""
     result, _ = verdict(SERVO_JOINT, {"payload": (0.4, 0.35)})

@@ -174,6 +174,7 @@ def test_a_late_encoder_shows_what_was_between_samples():
     assert not healthy
 
 
+@pytest.mark.slow("whole diagnosis of a bench")
 def test_a_single_cause_without_a_name_is_doubted_and_learned():
     """A machine that is as its model but for one torque is no machine that differs everywhere."""
     logs = {

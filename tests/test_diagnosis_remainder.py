@@ -321,6 +321,7 @@ def test_the_written_model_has_the_force_and_none_beyond_the_data(rippled, tmp_p
     assert force(low - 1.0) == pytest.approx(force(low), abs=1e-9)
 
 
+@pytest.mark.slow("a second whole diagnosis")
 def test_what_was_learned_is_not_learned_again(rippled, tmp_path):
     _, better = rippled
     path = better.write(tmp_path)
@@ -440,6 +441,7 @@ def test_the_improved_knee_bench_runs_in_leglab_run(knee, tmp_path):
     assert machine.instances("leglab.residual") == ("knee_remainder",)
 
 
+@pytest.mark.slow("whole diagnosis of a bench")
 def test_coefficients_have_names_in_a_machine(knee, tmp_path):
     _, better = knee
     machine = Machine(better.write(tmp_path))

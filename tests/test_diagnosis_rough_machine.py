@@ -20,6 +20,9 @@ from leglab.diagnosis.verdict import assemble, diagnose
 from leglab.diagnosis.workflow import DiagnosisSettings, search, set_up
 from tests.rigs import PENDULUM, Truth, record
 
+# Of this regime `test_diagnosis_verdicts.py` has smaller ones.
+pytestmark = pytest.mark.slow("whole diagnoses of a rough rig")
+
 OFFSET = ("force_offset", "hinge")
 
 # Heavier, with a soft gear that loses power, a toothed pull and a thicker grease.

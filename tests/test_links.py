@@ -94,6 +94,7 @@ def test_the_site_says_its_version_and_commit():
     assert loaded("conf").html_title == f"leglab {metadata.version('leglab')}{told}"
 
 
+@pytest.mark.slow("our own figures")
 def test_pages_of_the_gallery_are_what_their_script_writes(tmp_path):
     docs = SCRIPT.parent
     command = [sys.executable, str(docs / "make_scenarios.py"), "--pages", str(tmp_path)]

@@ -235,6 +235,7 @@ for duration in (60.0, 260.0):
 """
 
 
+@pytest.mark.slow("long runs")
 def test_memory_hardly_grows_with_the_duration(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", MEMORY], cwd=tmp_path, check=True, capture_output=True, text=True

@@ -119,6 +119,7 @@ def test_a_run_that_is_told_no_folder_has_one_for_what_decides_it():
     assert "runs/seal_wear-pd-leg-0-severity2" in names
 
 
+@pytest.mark.slow("a killed process")
 def test_a_killed_run_leaves_nothing_that_hinders_the_next(tmp_path):
     process = start(*RUN, "--out", "a", cwd=tmp_path)
     wait_for(lambda: any(name.endswith(".partial") for name in hidden(tmp_path)), process)

@@ -361,7 +361,13 @@ def test_what_a_page_without_a_policy_tries_is_seen(browser, tmp_path):
     assert len(watch.windows) == 4
 
 
-@pytest.mark.parametrize("name", ["report", "diagnosis", "index"])
+_more = pytest.mark.slow("dozens of attempts of a browser")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param("report", marks=_more), "diagnosis", pytest.param("index", marks=_more)],
+)
 def test_nothing_that_a_page_tries_comes_out(browser, pages, name):
     # No script runs on the page of a diagnosis, so that none can lead away from it.
     ways = page_watch.FORMS if name == "diagnosis" else page_watch.LEAVING

@@ -28,8 +28,8 @@ INSTALLATION = (
 NUMBERS = ("fifteen", "sixteen", "seventeen", "eighteen", "nineteen", "twenty", "twenty-one")
 
 
-# Of the others one page each way, with runs and effects of a reader's own.
-QUICK = ("README.md", "docs/how_to/effect.md", "docs/how_to/scenario.md")
+# Of each kind one.
+QUICK = ("README.md", "docs/how_to/scenario.md")
 
 
 def _from_end_to_end(page, *options):

@@ -127,24 +127,15 @@ def test_entry_points_are_listed_completed_and_described(site):
     assert "overlap" not in json.loads(call("list", "--json")[0])["controllers"]
 
 
-def test_a_package_runs_compares_and_reports(site, tmp_path):
-    common = ("--duration", 1, "--overwrite", "--json")
+COMMON = ("--duration", 1, "--overwrite", "--json")
+
+
+def test_a_package_runs_and_is_swept(site, tmp_path):
     run = ("run", "nominal", "--model", "boom", "--reference", "nod", "--controller", "overlap")
     out = ("--out", tmp_path / "run", "--no-figures")
-    metrics = json.loads(call(*run, *common, *out, path=site)[0])
+    metrics = json.loads(call(*run, *COMMON, *out, path=site)[0])
     assert metrics["completed"]
     assert metrics["phases"][0]["rms_rad"].keys() == {"lift", "all"}
-    compared = ("compare", "load_and_leak", "--controllers", "pd,overlap")
-    out = ("--seeds", 1, "--jobs", 1, "--out", tmp_path / "compare", "--no-figures")
-    found = json.loads(call(*compared, *common, *out, path=site)[0])
-    cells = found["results"]["load_and_leak"]
-    assert [cells[name]["failures"] for name in ("pd", "overlap")] == [[], []]
-    assert cells["overlap"]["after_rad"]["mean"] < cells["pd"]["after_rad"]["mean"]
-    reported = ("report", "--scenario", "load_and_leak", "--controllers", "pd,overlap")
-    out = ("--jobs", 1, "--no-video", "--out", tmp_path / "report")
-    call(*reported, *common, *out, path=site)
-    page = (tmp_path / "report/report.html").read_text()
-    assert "PD with the valve&#39;s overlap compensated" in page
     sweep = tmp_path / "sweep.toml"
     sweep.write_text(
         '[settings]\nscenario = "load_and_leak"\nduration = 1.0\n'
@@ -155,6 +146,22 @@ def test_a_package_runs_compares_and_reports(site, tmp_path):
     assert (swept["done"], swept["failed"]) == (2, 0)
 
 
+@pytest.mark.slow("processes that start processes")
+def test_a_package_compares_and_reports(site, tmp_path):
+    compared = ("compare", "load_and_leak", "--controllers", "pd,overlap")
+    out = ("--seeds", 1, "--jobs", 1, "--out", tmp_path / "compare", "--no-figures")
+    found = json.loads(call(*compared, *COMMON, *out, path=site)[0])
+    cells = found["results"]["load_and_leak"]
+    assert [cells[name]["failures"] for name in ("pd", "overlap")] == [[], []]
+    assert cells["overlap"]["after_rad"]["mean"] < cells["pd"]["after_rad"]["mean"]
+    reported = ("report", "--scenario", "load_and_leak", "--controllers", "pd,overlap")
+    out = ("--jobs", 1, "--no-video", "--out", tmp_path / "report")
+    call(*reported, *COMMON, *out, path=site)
+    page = (tmp_path / "report/report.html").read_text()
+    assert "PD with the valve&#39;s overlap compensated" in page
+
+
+@pytest.mark.slow("processes that start processes")
 def test_a_package_takes_part_in_a_diagnosis(site, tmp_path):
     page = (ROOT / "docs/how_to/effect.md").read_text()
     (tmp_path / "pendulum.xml").write_text(page_files("effect")["pendulum.xml"])

@@ -389,6 +389,7 @@ def test_what_cannot_be_asked_is_refused(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow("a whole diagnosis of a rough bench")
 def test_a_case_goes_through_the_diagnosis(monkeypatch):
     """Two short recordings of a rough specimen with a strong fault, a real diagnosis."""
     whole = rough_selftest.rough_case
