@@ -35,7 +35,7 @@ from leglab.diagnosis.result import Gap
 from leglab.diagnosis.screening import Candidate
 from leglab.diagnosis.search import Contender, Round, total_cost
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
-from leglab.diagnosis.verdict import diagnose
+from leglab.diagnosis.verdict import assemble, diagnose
 from leglab.diagnosis.workflow import DiagnosisSettings, set_up
 from leglab.studies.blind.selftest import Outcome, scores
 from tests.rigs import PENDULUM, Truth, record
@@ -595,6 +595,17 @@ def test_confidence_of_a_change_of_a_machine_that_is_off_everywhere(force):
     gap = result.gap
     share = (gap.unnamed - gap.after) / (gap.unnamed - 1.0)
     assert effect.contribution == pytest.approx(share)
+    # Where too little speaks for it to be named, it may also be that nothing is there at all.
+    doubted = assemble(replace(found, suspect=OFFSET), settings, seconds=0.0)
+    assert doubted.verdict == "unexplained"
+    nothing = nothing_more(found.problem, found.rounds[-1])
+    assert [e.confidence for e in doubted.effects] == (
+        [pytest.approx(fault * library * (1.0 - nothing))] if fault > 0.5 else []
+    )
+    # No rival is on record where no round is.
+    alone = assemble(replace(found, rounds=()), settings, seconds=0.0)
+    (same,) = (*alone.effects, *alone.smaller)
+    assert same.confidence == pytest.approx(fault * library)
 
 
 FOLDED = """
