@@ -7,6 +7,7 @@ import signal
 import subprocess
 import tempfile
 from collections import Counter
+from functools import cache
 
 import pytest
 
@@ -25,12 +26,26 @@ def pytest_configure(config):
 
 
 def pytest_collection_modifyitems(items):
-    """Puts long tests first, and those that share a fixture of their file on one worker."""
+    """Puts long tests first: none begins when all others are done."""
     items.sort(key=lambda item: item.get_closest_marker("slow") is None)
-    for item in items:
-        shared = item._fixtureinfo.name2fixturedefs
-        if any(found[-1].scope == "module" for found in shared.values()):
-            item.add_marker(pytest.mark.xdist_group(item.path.stem))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Keeps the tests of a file that share what they make on one worker."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    @cache
+    def shared(file):
+        text = (config.rootpath / file).read_text()
+        return 'scope="module"' in text or "\n@cache\n" in text
+
+    class Scheduler(LoadScopeScheduling):
+        def _split_scope(self, nodeid):
+            file = nodeid.partition("::")[0]
+            return file if shared(file) else nodeid
+
+    return Scheduler(config, log)
 
 
 # Packages of Debian and of Python in the reasons of skips.

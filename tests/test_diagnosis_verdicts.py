@@ -16,7 +16,6 @@ from leglab.diagnosis.workflow import DiagnosisSettings
 from tests.rigs import PENDULUM, SLIDE_AXIS, Truth, record
 from tests.rigs.agreement import open_loop_error
 
-pytestmark = pytest.mark.xdist_group("verdicts")  # they share diagnoses
 HELD_OUT = "multisine"
 KINDS = (HELD_OUT, "fast", "slow")
 START = 5.0  # s, at which the clock of the recordings begins
