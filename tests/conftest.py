@@ -38,7 +38,7 @@ def pytest_xdist_make_scheduler(config, log):
     @cache
     def shared(file):
         text = (config.rootpath / file).read_text()
-        return 'scope="module"' in text or "\n@cache\n" in text
+        return re.search(r'scope="module"|^@(functools\.)?cache$', text, re.MULTILINE) is not None
 
     class Scheduler(LoadScopeScheduling):
         def _split_scope(self, nodeid):

@@ -68,15 +68,18 @@ def test_replays_take_the_longest_step_that_the_model_accepts():
     assert at_replay_step(bench, 4e-3).timestep == pytest.approx(1e-3)
 
 
+_more = pytest.mark.slow("more steps of the same leg")
+
+
 @pytest.mark.parametrize(
     ("model", "timestep"),
     [
         ("leg", None),
-        ("leg", 1e-4),
         ("leg_rail", None),
         ("leg_motor", None),
-        ("leg_motor", 5e-4),
-        ("leg_motor", 1e-4),
+        pytest.param("leg", 1e-4, marks=_more),
+        pytest.param("leg_motor", 5e-4, marks=_more),
+        pytest.param("leg_motor", 1e-4, marks=_more),
     ],
 )
 def test_the_unmodified_leg_explains_its_recordings(model, timestep):

@@ -363,7 +363,7 @@ def test_held_out_is_chosen_where_nobody_names_it(tmp_path):
         return Recording(time=1e-3 * np.arange(len(rows)), columns=columns)
 
     recordings = {"slow": record(2.0, 1), "middle": record(4.0, 2), "fast": record(7.0, 3)}
-    settings = DiagnosisSettings(effects=("force_offset", "armature", "command_delay"))
+    settings = DiagnosisSettings(effects=("force_offset",))
     result, _ = diagnose(path, recordings, settings=settings)
     assert [effect.name for effect in result.effects] == ["force_offset"]
     (held,) = result.gap.held_out

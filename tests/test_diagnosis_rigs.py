@@ -52,6 +52,7 @@ def test_direction_dependent_friction_of_a_motor_driven_axis_is_named(tmp_path):
     assert written == pytest.approx(difference, rel=1e-6)
 
 
+@pytest.mark.slow("whole diagnosis of a rig with all effects")
 def test_a_force_offset_of_the_same_axis_is_no_friction():
     result, _ = verdict(SLIDE_AXIS, Truth(offset=2.0), "multisine")
     assert [effect.name for effect in result.effects] == ["force_offset"]
@@ -101,10 +102,8 @@ def test_a_force_that_repeats_with_the_position_is_named_with_its_period(rig, si
     assert result.gap.closed_fraction > 0.9
 
 
-@pytest.mark.parametrize(
-    "rig",
-    [pytest.param(SLIDE_AXIS, marks=pytest.mark.slow("a second whole diagnosis")), PENDULUM],
-)
+@pytest.mark.slow("whole diagnosis of a rig with all effects")
+@pytest.mark.parametrize("rig", [SLIDE_AXIS, PENDULUM])
 def test_a_good_machine_within_its_tolerance_lacks_nothing(rig):
     result, _ = verdict(rig, Truth(viscous_factor=1.05), "multisine")
     assert result.verdict == "nothing_missing"

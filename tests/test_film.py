@@ -195,6 +195,7 @@ def test_a_film_plays_anywhere(runs, tmp_path):
     assert [entry.name for entry in path.parent.iterdir()] == ["film.mp4"]
 
 
+@pytest.mark.slow("films")
 def test_the_ghost_shows_where_the_reference_differs(stills):
     tint = 255 * np.array(GHOST[:3])
 

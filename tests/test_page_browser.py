@@ -349,6 +349,7 @@ def test_links_lead_to_files_beside_the_page(browser, pages, name):
     assert watch.outward() == []
 
 
+@pytest.mark.slow("dozens of attempts of a browser")
 def test_what_a_page_without_a_policy_tries_is_seen(browser, tmp_path):
     bare = tmp_path / "bare.html"
     bare.write_text("<!DOCTYPE html><title>bare</title><p>bare</p>")
@@ -361,13 +362,8 @@ def test_what_a_page_without_a_policy_tries_is_seen(browser, tmp_path):
     assert len(watch.windows) == 4
 
 
-_more = pytest.mark.slow("dozens of attempts of a browser")
-
-
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param("report", marks=_more), "diagnosis", pytest.param("index", marks=_more)],
-)
+@pytest.mark.slow("dozens of attempts of a browser")
+@pytest.mark.parametrize("name", ["report", "diagnosis", "index"])
 def test_nothing_that_a_page_tries_comes_out(browser, pages, name):
     # No script runs on the page of a diagnosis, so that none can lead away from it.
     ways = page_watch.FORMS if name == "diagnosis" else page_watch.LEAVING

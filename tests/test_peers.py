@@ -144,6 +144,7 @@ def test_lost_readings_leave_the_estimate_alone():
     assert law.disturbance[0] == before[0]
 
 
+@pytest.mark.slow("our own figures")
 @pytest.mark.parametrize("model", ["knee_bench", "leg"])
 def test_stored_bandwidths_keep_the_margins_of_pd(model):
     sensors = SensorConfiguration()
@@ -264,6 +265,7 @@ def test_frozen_it_repeats_what_it_has():
     assert np.abs(given[3000:3400]).max() > 1e-3
 
 
+@pytest.mark.slow("our own figures")
 @pytest.mark.parametrize("model", ["knee_bench", "leg"])
 def test_stored_filters_contract_on_every_linearised_plant(model):
     sensors = SensorConfiguration()

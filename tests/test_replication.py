@@ -130,6 +130,7 @@ def test_paper_s_advantage_reverses_with_the_initial_gain(signals):
     assert rms["ARX"] < rms["BSNN-ARX"]
 
 
+@pytest.mark.slow("hundreds of networks")
 def test_printed_learning_constant_reverses_the_order():
     rows = experiments.orders(*simulate(range(10), paper.N_SAMPLES), 5, 0)
     assert len(rows) == 2 * len(experiments.INITIAL_GAINS)
@@ -172,6 +173,7 @@ def test_multiplications_are_those_of_section_3_2():
     assert multiplications(6, 0) == 198
 
 
+@pytest.mark.slow("hundreds of networks")
 def test_deployed_free_run_is_near_the_floor():
     floor, rows = deployed.free_runs(range(10))
     free_run = {row[0]: row[3] for row in rows}

@@ -111,6 +111,7 @@ def test_an_exact_specimen_keeps_the_laws_of_the_model():
     assert 0.0 < abs(bench["k1"] / NOMINAL["k1"] - 1.0) < 0.06
 
 
+@pytest.mark.slow("thirty faults of a rig")
 @pytest.mark.parametrize("name", sorted(FAULTS))
 def test_every_fault_shows_and_keeps_the_knee_in_range(name):
     motions = references(np.random.default_rng(6), duration=1.0)

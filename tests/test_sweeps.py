@@ -288,7 +288,7 @@ def _be_killed(content, folder, journal_rows):
 
 @pytest.mark.parametrize(
     ("sweeps", "each", "seeds"),
-    [(1, 6, 100), pytest.param(2, 15, 300, marks=pytest.mark.slow("thirty kills"))],
+    [(1, 6, 50), pytest.param(2, 15, 300, marks=pytest.mark.slow("thirty kills"))],
 )
 def test_kills_lose_nothing_and_double_nothing(tmp_path, sweeps, each, seeds):
     """Sweeps, killed at random moments: while they start, run, write and put files together."""
