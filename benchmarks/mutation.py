@@ -153,11 +153,11 @@ def measure(options: argparse.Namespace) -> dict[str, dict]:
     """Numbers of mutants made and noticed, and what survived, by module."""
     found = {}
     for name in options.modules or MODULES:
-        tests = MODULES[name]
+        tests = (*MODULES[name], *(("-m", "not slow") if options.quick else ()))
         path = str(ROOT / (name.replace(".", "/") + ".py"))
         every = mutants(Path(path).read_text())
         some = random.Random(0).sample(every, min(options.most, len(every)))
-        _load_packages(tests)
+        _load_packages(MODULES[name])
         if not survives(_Mutant(name, path, Path(path).read_text()), tests):
             sys.exit(f"the tests of {name} fail without a fault")
         left = []
@@ -193,6 +193,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("modules", nargs="*", help="allowed: " + ", ".join(MODULES))
     parser.add_argument("--most", type=int, default=10_000, help="mutants of a module, by chance")
+    parser.add_argument("--quick", action="store_true", help="by the tests of `make test` alone")
     results.main(parser, measure, tables)
 
 
