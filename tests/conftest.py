@@ -52,16 +52,18 @@ def pytest_xdist_make_scheduler(config, log):
 _WANTED = re.compile(r"(?:apt-get install -y|pip install) ([\w-]+)|could not import '([\w.]+)'")
 
 
-def pytest_terminal_summary(terminalreporter):
-    """Says in one line what was not tested, and for want of what."""
-    reasons = [report.longrepr[2] for report in terminalreporter.stats.get("skipped", ())]
+def pytest_unconfigure(config):
+    """Says in the last line what was not tested, and for want of what."""
+    reporter = config.pluginmanager.get_plugin("terminalreporter")
+    skipped = reporter.stats.get("skipped", ()) if reporter else ()
+    reasons = [report.longrepr[2] for report in skipped]
     wants = Counter()
     for reason in reasons:
         found = _WANTED.search(reason)
         wants[found[found.lastindex] if found else reason.removeprefix("Skipped: ")] += 1
     if wants:
         told = ", ".join(f"{count} for want of {what}" for what, count in wants.most_common())
-        terminalreporter.write_line(f"not tested: {told}")
+        reporter.write_line(f"not tested: {told}")
 
 
 @pytest.fixture
