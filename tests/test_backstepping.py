@@ -210,6 +210,7 @@ def test_leakage_is_found_after_seal_wear(worn):
     assert mean(worn, "lap", 9, 12)[0] == pytest.approx(0.02, abs=0.005)
 
 
+@pytest.mark.slow("more runs")
 def test_adaptation_pays_after_seal_wear(worn):
     assert rms(worn, 9, 12) < 0.6 * rms(run(controller_config={"adapt": False}), 9, 12)
 

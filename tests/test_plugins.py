@@ -130,12 +130,7 @@ def test_entry_points_are_listed_completed_and_described(site):
 COMMON = ("--duration", 1, "--overwrite", "--json")
 
 
-def test_a_package_runs_and_is_swept(site, tmp_path):
-    run = ("run", "nominal", "--model", "boom", "--reference", "nod", "--controller", "overlap")
-    out = ("--out", tmp_path / "run", "--no-figures")
-    metrics = json.loads(call(*run, *COMMON, *out, path=site)[0])
-    assert metrics["completed"]
-    assert metrics["phases"][0]["rms_rad"].keys() == {"lift", "all"}
+def test_a_package_is_swept(site, tmp_path):
     sweep = tmp_path / "sweep.toml"
     sweep.write_text(
         '[settings]\nscenario = "load_and_leak"\nduration = 1.0\n'
@@ -147,7 +142,12 @@ def test_a_package_runs_and_is_swept(site, tmp_path):
 
 
 @pytest.mark.slow("processes that start processes")
-def test_a_package_compares_and_reports(site, tmp_path):
+def test_a_package_runs_compares_and_reports(site, tmp_path):
+    run = ("run", "nominal", "--model", "boom", "--reference", "nod", "--controller", "overlap")
+    out = ("--out", tmp_path / "run", "--no-figures")
+    metrics = json.loads(call(*run, *COMMON, *out, path=site)[0])
+    assert metrics["completed"]
+    assert metrics["phases"][0]["rms_rad"].keys() == {"lift", "all"}
     compared = ("compare", "load_and_leak", "--controllers", "pd,overlap")
     out = ("--seeds", 1, "--jobs", 1, "--out", tmp_path / "compare", "--no-figures")
     found = json.loads(call(*compared, *COMMON, *out, path=site)[0])
