@@ -129,6 +129,16 @@ def process(*arguments, **options) -> subprocess.CompletedProcess:
     )
 
 
+@pytest.mark.parametrize("asked", ["", "default"])
+def test_what_a_library_warns_of_is_shown_to_those_who_ask(tmp_path, asked):
+    (tmp_path / "a.py").write_text("import warnings\nwarnings.warn('ill-conditioned')\n")
+    env = {**os.environ, "PYTHONWARNINGS": asked}
+    done = process("list", "--load", "a.py", env=env, cwd=tmp_path, stdout=subprocess.PIPE)
+    assert done.returncode == 0
+    assert ("ill-conditioned" in done.stderr) == bool(asked)
+    assert asked or not done.stderr
+
+
 def test_output_that_is_full_or_closed_or_ascii_is_no_traceback():
     with open("/dev/full", "w") as full:
         done = process("list", stdout=full)

@@ -280,6 +280,11 @@ def test_a_sweep_that_is_replaced_stays_until_the_new_one_is_whole(tmp_path, mon
     assert not list(folder.glob(".*"))
 
 
+def there(folder: Path) -> list[dict]:
+    """Rows of a sweep that may not have begun."""
+    return rows(folder) if (folder / store.DATASET).exists() else []
+
+
 def _be_killed(content, folder, journal_rows):
     os.setsid()
     store._JOURNAL_ROWS = journal_rows
@@ -288,7 +293,7 @@ def _be_killed(content, folder, journal_rows):
 
 @pytest.mark.parametrize(
     ("sweeps", "each", "seeds"),
-    [(1, 6, 50), pytest.param(2, 15, 300, marks=pytest.mark.slow("thirty kills"))],
+    [(1, 6, 150), pytest.param(2, 15, 300, marks=pytest.mark.slow("thirty kills"))],
 )
 def test_kills_lose_nothing_and_double_nothing(tmp_path, sweeps, each, seeds):
     """Sweeps, killed at random moments: while they start, run, write and put files together."""
@@ -305,18 +310,21 @@ def test_kills_lose_nothing_and_double_nothing(tmp_path, sweeps, each, seeds):
     context = multiprocessing.get_context("fork")
     for number in range(sweeps):
         folder, before = tmp_path / f"s{number}", 0
-        for _ in range(each):
+        for kill in range(each):
             process = context.Process(target=_be_killed, args=(content, folder, 9))
             process.start()
-            time.sleep(chance.uniform(0.02, seeds / 180))
+            time.sleep(chance.uniform(0.02, 1.7))
+            # Every other one while rows come, however long the start takes.
+            while kill % 2 and process.is_alive() and len(there(folder)) <= before:
+                time.sleep(0.01)
             process.kill()
             process.join()
             kills += process.exitcode == -signal.SIGKILL
-            if store.is_sweep(folder) and (folder / store.DATASET).exists():
-                there = rows(folder)
-                assert len(there) >= before  # Rows that were there stay.
-                assert len({row["run"] for row in there}) == len(there)
-                before = len(there)
+            found = there(folder)
+            assert len(found) >= before  # Rows that were there stay.
+            assert len({row["run"] for row in found}) == len(found)
+            assert kill % 2 == 0 or len(found) > before
+            before = len(found)
         last = run_sweep(SweepPlan(content), folder, workers=2)
         assert last.made == 2 * seeds - before
         assert rows(folder) == wanted

@@ -29,7 +29,7 @@ from leglab.controllers.bsnn_arx import AdaptiveController
 from leglab.data import write_atomically
 from leglab.jobs.fingerprint import fingerprint
 from leglab.machine.plugin import headless
-from leglab.runs.preparation import Preparation, RunSettings, reference_config
+from leglab.runs.preparation import Preparation, RunSettings, prepared, reference_config
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,7 +112,7 @@ def fault_bank(settings: RunSettings, scenario: Scenario, make_loop: MakeLoop) -
         reference_config=reference_config(replace(settings, vary=False), scenario),
         vary=False,
     )
-    preparation = Preparation(common)
+    preparation = prepared(common)
     told = repr(replace(common, model="")).encode()
     key = hashlib.sha256(model_digest(preparation.nominal) + told).hexdigest()[:32]
     if key not in _banks:

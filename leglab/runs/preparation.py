@@ -268,7 +268,7 @@ def prepared(settings: RunSettings) -> Preparation:
     file = Path(settings.model)
     changed: list[Any] = []
     if file.is_file():
-        beside = {file, *file.parent.glob("*.xml")}
+        beside = {file, *(f for f in file.parent.glob("*.xml") if f.is_file())}
         changed = [str(file.resolve()), sorted(f"{f} {f.stat().st_mtime_ns}" for f in beside)]
     shared = ("model", "timestep", "tolerance", "sensors", "parameters")
     key = json.dumps([changed, *(getattr(settings, name) for name in shared)], sort_keys=True)
