@@ -77,7 +77,7 @@ def new_file(path: Path) -> Iterator[Path]:
         raise cannot_write(path, error) from error
     with _folder(real.parent, path), _claimed(_lock_of(real), path) as alone:
         if alone:
-            _remove(real.parent.glob(f".{_literal(real.name)}.*.partial{_literal(real.suffix)}"))
+            remove(real.parent.glob(f".{_literal(real.name)}.*.partial{_literal(real.suffix)}"))
         try:
             handle, name = tempfile.mkstemp(
                 dir=real.parent, prefix=f".{real.name}.", suffix=f".partial{real.suffix}"
@@ -93,7 +93,7 @@ def new_file(path: Path) -> Iterator[Path]:
             except OSError as error:
                 raise cannot_write(path, error) from error
         finally:
-            _remove([Path(name)])
+            remove([Path(name)])
 
 
 def check_folder(folder: Path, *, mark: str, overwrite: bool = False) -> None:
@@ -157,7 +157,7 @@ def new_folder(folder: Path, *, mark: str, overwrite: bool = False) -> Iterator[
         earlier = real.with_name(f".{real.name}.earlier")
         try:
             if alone:
-                _remove(real.parent.glob(f".{_literal(real.name)}.*.partial"))
+                remove(real.parent.glob(f".{_literal(real.name)}.*.partial"))
                 _recover(real, earlier)
             check_folder(folder, mark=mark, overwrite=overwrite)
             name = tempfile.mkdtemp(dir=real.parent, prefix=f".{real.name}.", suffix=".partial")
@@ -172,7 +172,7 @@ def new_folder(folder: Path, *, mark: str, overwrite: bool = False) -> Iterator[
             except OSError as error:
                 raise cannot_write(folder, error) from error
         finally:
-            _remove([Path(name)])
+            remove([Path(name)])
 
 
 @contextmanager
@@ -191,15 +191,15 @@ def claimed_folder(folder: Path) -> Iterator[Path]:
     with _folder(folder, folder), _claimed(folder / _LOCK, folder) as alone:
         try:
             if alone:
-                _remove(folder.glob(f"{_WORKPLACE}*"))
-                _remove(path for path in folder.glob(".*.partial") if path.is_file())
+                remove(folder.glob(f"{_WORKPLACE}*"))
+                remove(path for path in folder.glob(".*.partial") if path.is_file())
             workplace = Path(tempfile.mkdtemp(dir=folder, prefix=_WORKPLACE))
         except OSError as error:
             raise cannot_write(folder, error) from error
         try:
             yield workplace
         finally:
-            _remove([workplace])
+            remove([workplace])
 
 
 def cannot_write(path: Path, error: OSError) -> LeglabError:
@@ -307,7 +307,7 @@ def _exchange(new: Path, folder: Path, earlier: Path) -> None:
         if earlier.exists():
             earlier.rename(folder)
         raise
-    _remove([earlier])
+    remove([earlier])
 
 
 def _recover(folder: Path, earlier: Path) -> None:
@@ -315,12 +315,13 @@ def _recover(folder: Path, earlier: Path) -> None:
     if not earlier.exists():
         return
     if folder.exists():
-        _remove([earlier])
+        remove([earlier])
     else:
         earlier.rename(folder)
 
 
-def _remove(paths: Iterator[Path] | list[Path]) -> None:
+def remove(paths: Iterable[Path]) -> None:
+    """Removes files and folders as far as the system lets; links go, not what they lead to."""
     for path in list(paths):
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path, ignore_errors=True)

@@ -15,7 +15,6 @@ over from an end in between, and go. So no row is lost or there twice.
 
 import json
 import os
-import shutil
 import zlib
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
@@ -31,7 +30,7 @@ from pydantic import BaseModel, Field, ValidationError
 
 from leglab.base.errors import LeglabError
 from leglab.base.input import parse_json, read_bytes, read_json
-from leglab.base.output import cannot_write, write_atomically
+from leglab.base.output import cannot_write, remove, write_atomically
 from leglab.data.files import first_line
 from leglab.runs.sweeps.rows import FAILED, PARTITION
 
@@ -472,8 +471,7 @@ def write_json(content: BaseModel, path: Path) -> None:
 
 def empty(folder: Path) -> None:
     """Removes a sweep's files from its folder, the one by which it is known first."""
-    for path in _own(folder):
-        _discard(path)
+    remove(_own(folder))
 
 
 def put_aside(folder: Path) -> None:
@@ -515,7 +513,7 @@ def replaces(folder: Path) -> bool:
 
 def forget_earlier(folder: Path) -> None:
     """Removes what `put_aside` has kept."""
-    _discard(folder / _EARLIER)
+    remove([folder / _EARLIER])
 
 
 def _own(folder: Path) -> list[Path]:
@@ -523,10 +521,3 @@ def _own(folder: Path) -> list[Path]:
     names = (SWEEP, DATASET, PROPOSALS, _RUNS, "recordings")
     found = [folder / name for name in names if (folder / name).exists()]
     return [*found, *folder.glob("journal-*.jsonl")]
-
-
-def _discard(path: Path) -> None:
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path, ignore_errors=True)
-    else:
-        path.unlink(missing_ok=True)
