@@ -12,9 +12,9 @@ from typing import Any
 
 import results
 
-from leglab.diagnosis.recordings import read_recordings, split_held_out
+from leglab.diagnosis.intake.recordings import read_recordings, split_held_out
 from leglab.diagnosis.result import Diagnosis
-from leglab.diagnosis.verdict import diagnose
+from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.studies.shared_data import shared_data
 
 CASES = ("nominal", *(f"d{i}" for i in range(1, 8)))

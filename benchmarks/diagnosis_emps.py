@@ -20,12 +20,12 @@ import results
 from scipy.signal import butter, decimate, filtfilt
 
 from leglab.base.recording import Recording
-from leglab.diagnosis.hypothesis import Hypothesis
+from leglab.diagnosis.effects.hypothesis import Hypothesis
+from leglab.diagnosis.former.workflow import DiagnosisSettings, set_up
 from leglab.diagnosis.improve import improved_model
-from leglab.diagnosis.residual import Problem
-from leglab.diagnosis.verdict import diagnose
-from leglab.diagnosis.whole import LOOP, follow
-from leglab.diagnosis.workflow import DiagnosisSettings, set_up
+from leglab.diagnosis.replay.residual import Problem
+from leglab.diagnosis.verdict.verdict import diagnose
+from leglab.diagnosis.verdict.whole import LOOP, follow
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 

@@ -19,10 +19,10 @@ from scipy.stats import binomtest
 from leglab import RunSettings, run_scenario
 from leglab.base.recording import Recording
 from leglab.base.scenario import Options, ParameterChange, register_scenario
-from leglab.diagnosis.model import Machine
-from leglab.diagnosis.recordings import held_out_choice
-from leglab.diagnosis.verdict import diagnose
-from leglab.diagnosis.workflow import DiagnosisSettings
+from leglab.diagnosis.former.workflow import DiagnosisSettings
+from leglab.diagnosis.intake.recordings import held_out_choice
+from leglab.diagnosis.plant.model import Machine
+from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.studies.blind.outcomes import run_missing
 
 HEAD = ("question", "reached", "95 % interval", "cases", "asked")

@@ -9,9 +9,9 @@ from dataclasses import fields
 
 import numpy as np
 
-from leglab.diagnosis.model import Machine
-from leglab.diagnosis.recordings import held_out_choice
-from leglab.diagnosis.verdict import diagnose
+from leglab.diagnosis.intake.recordings import held_out_choice
+from leglab.diagnosis.plant.model import Machine
+from leglab.diagnosis.verdict.verdict import diagnose
 from tests.rigs import PENDULUM, SLIDE_AXIS, Truth, record
 
 KINDS = ("multisine", "slow", "fast", "stairs")

@@ -14,9 +14,9 @@ import results
 from diagnosis_bench import named
 
 from leglab.base.recording import Recording
-from leglab.diagnosis.recordings import read_recordings, split_held_out
+from leglab.diagnosis.intake.recordings import read_recordings, split_held_out
 from leglab.diagnosis.result import shown_unit
-from leglab.diagnosis.verdict import diagnose
+from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.studies.shared_data import shared_data
 
 sys.path.insert(0, str(Path(__file__).parents[1]))

@@ -14,8 +14,8 @@ import mujoco
 import numpy as np
 import results
 
-from leglab.diagnosis.verdict import diagnose
-from leglab.diagnosis.workflow import DiagnosisSettings
+from leglab.diagnosis.former.workflow import DiagnosisSettings
+from leglab.diagnosis.verdict.verdict import diagnose
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 

@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 from joblib import Parallel, delayed
 
 from leglab.data import read
-from leglab.diagnosis.verdict import diagnose
+from leglab.diagnosis.verdict.verdict import diagnose
 from tests.rigs import PENDULUM, SLIDE_AXIS, Truth, record
 
 RECORDINGS = Path(__file__).parent.parent / "tests" / "data" / "diagnosis"

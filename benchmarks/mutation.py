@@ -29,9 +29,9 @@ _JUDGING = (
 MODULES = {
     "leglab.runs.metrics": ("tests/test_metrics.py",),
     "leglab.runs.clock": ("tests/test_clock.py",),
-    "leglab.diagnosis.judging": _JUDGING,
-    "leglab.diagnosis.naming": _JUDGING,
-    "leglab.diagnosis.verdict": _JUDGING,
+    "leglab.diagnosis.former.judging": _JUDGING,
+    "leglab.diagnosis.former.naming": _JUDGING,
+    "leglab.diagnosis.verdict.verdict": _JUDGING,
 }
 PATIENCE = 400.0  # s; all tests of the judging take 90 on an idle core
 _COMPARISONS = {

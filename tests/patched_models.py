@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from leglab.diagnosis.hypothesis import Hypothesis
-from leglab.diagnosis.model import Machine
+from leglab.diagnosis.effects.hypothesis import Hypothesis
+from leglab.diagnosis.plant.model import Machine
 
 
 def reloaded_error(found, path):

@@ -12,17 +12,17 @@ from leglab import data
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.cli import main
-from leglab.diagnosis.admission import admit
-from leglab.diagnosis.experiment import catalogue, propose
-from leglab.diagnosis.hypothesis import Hypothesis, Library
-from leglab.diagnosis.model import Change, Machine
-from leglab.diagnosis.naming import exact_twins
-from leglab.diagnosis.output import write_diagnosis, write_improved
-from leglab.diagnosis.recordings import held_out_choice, read_recordings, split_held_out
+from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
+from leglab.diagnosis.former.naming import exact_twins
+from leglab.diagnosis.former.workflow import DiagnosisSettings, set_up
+from leglab.diagnosis.intake.admission import admit
+from leglab.diagnosis.intake.recordings import held_out_choice, read_recordings, split_held_out
+from leglab.diagnosis.plant.model import Change, Machine
+from leglab.diagnosis.replay.windows import Channel
 from leglab.diagnosis.thresholds import Thresholds
-from leglab.diagnosis.verdict import diagnose
-from leglab.diagnosis.windows import Channel
-from leglab.diagnosis.workflow import DiagnosisSettings, set_up
+from leglab.diagnosis.verdict.experiment import catalogue, propose
+from leglab.diagnosis.verdict.output import write_diagnosis, write_improved
+from leglab.diagnosis.verdict.verdict import diagnose
 from tests.patched_models import reloaded_error
 
 FOLDER = Path(__file__).parent / "data" / "diagnosis"

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leglab.diagnosis.discrepancy import Discrepancy, directions_of, from_errors
-from leglab.diagnosis.hypothesis import Library
-from leglab.diagnosis.model import Machine
-from leglab.diagnosis.nuisances import all_strengths, rough_nuisances, within_tolerance
-from leglab.diagnosis.residual import NoiseModel
-from leglab.diagnosis.windows import Channel
+from leglab.diagnosis.effects.hypothesis import Library
+from leglab.diagnosis.former.discrepancy import Discrepancy, directions_of, from_errors
+from leglab.diagnosis.former.nuisances import all_strengths, rough_nuisances, within_tolerance
+from leglab.diagnosis.plant.model import Machine
+from leglab.diagnosis.replay.residual import NoiseModel
+from leglab.diagnosis.replay.windows import Channel
 from leglab.machine.cylinder import Cylinder
 from tests.rigs import PENDULUM
 

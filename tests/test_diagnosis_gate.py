@@ -8,16 +8,16 @@ import pytest
 from leglab import data
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
-from leglab.diagnosis.admission import admit
-from leglab.diagnosis.hypothesis import Hypothesis
-from leglab.diagnosis.model import Machine
-from leglab.diagnosis.recordings import read_recordings, split_held_out
-from leglab.diagnosis.remarks import Remark, merged
-from leglab.diagnosis.residual import _resolution
-from leglab.diagnosis.rotation import unwrapped
-from leglab.diagnosis.series import Clock, UniformSeries, common_period, quantum
-from leglab.diagnosis.verdict import diagnose
-from leglab.diagnosis.workflow import DiagnosisSettings, set_up
+from leglab.diagnosis.effects.hypothesis import Hypothesis
+from leglab.diagnosis.former.workflow import DiagnosisSettings, set_up
+from leglab.diagnosis.intake.admission import admit
+from leglab.diagnosis.intake.recordings import read_recordings, split_held_out
+from leglab.diagnosis.intake.remarks import Remark, merged
+from leglab.diagnosis.intake.rotation import unwrapped
+from leglab.diagnosis.intake.series import Clock, UniformSeries, common_period, quantum
+from leglab.diagnosis.plant.model import Machine
+from leglab.diagnosis.replay.residual import _resolution
+from leglab.diagnosis.verdict.verdict import diagnose
 from tests.rigs import PENDULUM, SLIDE_AXIS, Truth, record
 from tests.unpleasant import (
     CASES,

@@ -6,7 +6,7 @@ import pytest
 
 from leglab.diagnosis.effects.backlash import motor_states
 from leglab.diagnosis.effects.friction import carried_load
-from leglab.diagnosis.model import Change, Machine, Measured
+from leglab.diagnosis.plant.model import Change, Machine, Measured
 from tests.native_models import backlash, friction, pendulum
 from tests.plugin_models import Slots, compiled
 

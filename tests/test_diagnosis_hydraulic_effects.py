@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from leglab.diagnosis import starts
-from leglab.diagnosis.hypothesis import Hypothesis, Library
-from leglab.diagnosis.model import Machine, Measured
-from leglab.diagnosis.workflow import DiagnosisSettings, set_up
+from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
+from leglab.diagnosis.former.workflow import DiagnosisSettings, set_up
+from leglab.diagnosis.plant.model import Machine, Measured
+from leglab.diagnosis.replay import starts
 from leglab.machine.cylinder import Cylinder
 from leglab.machine.parameters import State
 from leglab.studies.blind.faulty_bench import NOMINAL, FaultyBench, references

@@ -10,12 +10,12 @@ import pytest
 
 from leglab import RunSettings, data, run_scenario
 from leglab.diagnosis import improve
-from leglab.diagnosis.hypothesis import Hypothesis
-from leglab.diagnosis.model import Machine
-from leglab.diagnosis.output import write_improved
-from leglab.diagnosis.paths import take_out
-from leglab.diagnosis.verdict import diagnose
-from leglab.diagnosis.workflow import DiagnosisSettings, set_up
+from leglab.diagnosis.effects.hypothesis import Hypothesis
+from leglab.diagnosis.former.workflow import DiagnosisSettings, set_up
+from leglab.diagnosis.plant.model import Machine
+from leglab.diagnosis.plant.paths import take_out
+from leglab.diagnosis.verdict.output import write_improved
+from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.machine.sensors import EncoderFaults, PressureFaults
 from tests.patched_models import reloaded_error
 from tests.rigs import PENDULUM, Truth, record

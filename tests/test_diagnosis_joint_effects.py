@@ -11,7 +11,7 @@ from leglab.diagnosis.effects import all_effects
 from leglab.diagnosis.effects.backlash import drive_torque
 from leglab.diagnosis.effects.base import Effect
 from leglab.diagnosis.effects.cylinder import CylinderEffect
-from leglab.diagnosis.model import Change, Machine, Measured
+from leglab.diagnosis.plant.model import Change, Machine, Measured
 from tests.native_models import command_path, pendulum, slide
 
 SERVO = '<position name="drive" joint="hinge" kp="40" kv="2" ctrlrange="-2 2"/>'

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from leglab.diagnosis import judging, naming
 from leglab.diagnosis.effects.base import EffectParameter
-from leglab.diagnosis.evidence import beyond_specimens, posterior, within_library
-from leglab.diagnosis.fitting import Fit, Sums, free_tangents
-from leglab.diagnosis.hypothesis import Hypothesis, Library
-from leglab.diagnosis.judging import (
+from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
+from leglab.diagnosis.former import judging, naming
+from leglab.diagnosis.former.evidence import beyond_specimens, posterior, within_library
+from leglab.diagnosis.former.fitting import Fit, Sums, free_tangents
+from leglab.diagnosis.former.judging import (
     accepted,
     earns,
     fault_probability,
@@ -29,14 +29,14 @@ from leglab.diagnosis.judging import (
     specimens_spread,
     t_value,
 )
-from leglab.diagnosis.model import Machine
-from leglab.diagnosis.residual import Linearisation
+from leglab.diagnosis.former.screening import Candidate
+from leglab.diagnosis.former.search import Contender, Round, total_cost
+from leglab.diagnosis.former.workflow import DiagnosisSettings, set_up
+from leglab.diagnosis.plant.model import Machine
+from leglab.diagnosis.replay.residual import Linearisation
 from leglab.diagnosis.result import Gap
-from leglab.diagnosis.screening import Candidate
-from leglab.diagnosis.search import Contender, Round, total_cost
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
-from leglab.diagnosis.verdict import assemble, diagnose
-from leglab.diagnosis.workflow import DiagnosisSettings, set_up
+from leglab.diagnosis.verdict.verdict import assemble, diagnose
 from leglab.studies.blind.selftest import Outcome, scores
 from tests.rigs import PENDULUM, Truth, record
 

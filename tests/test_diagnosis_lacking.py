@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from leglab.diagnosis.discrepancy import from_errors
-from leglab.diagnosis.hypothesis import Hypothesis
-from leglab.diagnosis.lacking import balanced_joints
-from leglab.diagnosis.model import Machine
-from leglab.diagnosis.residual import whitened
-from leglab.diagnosis.windows import Channel
-from leglab.diagnosis.workflow import DiagnosisSettings, set_up
+from leglab.diagnosis.balance.lacking import balanced_joints
+from leglab.diagnosis.effects.hypothesis import Hypothesis
+from leglab.diagnosis.former.discrepancy import from_errors
+from leglab.diagnosis.former.workflow import DiagnosisSettings, set_up
+from leglab.diagnosis.plant.model import Machine
+from leglab.diagnosis.replay.residual import whitened
+from leglab.diagnosis.replay.windows import Channel
 from tests.rigs import PENDULUM, Truth, record
 from tests.rigs.rough import ROTOR, as_made, record_rough
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from leglab.base.errors import LeglabError
-from leglab.diagnosis.hypothesis import Hypothesis
-from leglab.diagnosis.model import Machine, moved
-from leglab.diagnosis.recordings import read_recordings, split_held_out
-from leglab.diagnosis.verdict import notes, touching_share
-from leglab.diagnosis.windows import channels
-from leglab.diagnosis.workflow import DiagnosisSettings, at_replay_step, set_up
+from leglab.diagnosis.effects.hypothesis import Hypothesis
+from leglab.diagnosis.former.workflow import DiagnosisSettings, at_replay_step, set_up
+from leglab.diagnosis.intake.recordings import read_recordings, split_held_out
+from leglab.diagnosis.plant.model import Machine, moved
+from leglab.diagnosis.replay.windows import channels
+from leglab.diagnosis.verdict.verdict import notes, touching_share
 from leglab.runs.preparation import RunSettings
 from leglab.runs.run import run_scenario
 

@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from leglab.diagnosis.model import Machine
-from leglab.diagnosis.moments import STATE, forces_at
+from leglab.diagnosis.plant.model import Machine
+from leglab.diagnosis.plant.moments import STATE, forces_at
 
 
 def random_states(model, rng, count):

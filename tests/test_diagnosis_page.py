@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from leglab.cli import main
-from leglab.diagnosis.output import summary_lines, summary_tables
 from leglab.diagnosis.result import (
     Estimate,
     Gap,
@@ -19,6 +18,7 @@ from leglab.diagnosis.result import (
     RecordingGap,
     Where,
 )
+from leglab.diagnosis.verdict.output import summary_lines, summary_tables
 from leglab.report.diagnosis.figures import pictures, short
 from leglab.report.diagnosis.page import write_page
 from leglab.report.diagnosis.words import (

@@ -8,21 +8,21 @@ import pytest
 
 from leglab import DiagnosisSettings, Recording, diagnose
 from leglab.base.errors import LeglabError
-from leglab.diagnosis import windows
 from leglab.diagnosis.effects.base import Effect, EffectParameter, register_effect
 from leglab.diagnosis.effects.cogging import waves
-from leglab.diagnosis.fitting import Sums, Unknowns
-from leglab.diagnosis.hypothesis import Library
-from leglab.diagnosis.judging import preferences, t_value
-from leglab.diagnosis.model import ForceLeft, Machine
-from leglab.diagnosis.onset import change_point
-from leglab.diagnosis.paths import delayed, lagged, play
-from leglab.diagnosis.residual import extrapolation, robust_cost
-from leglab.diagnosis.screening import Candidate
-from leglab.diagnosis.search import chance_gain
-from leglab.diagnosis.starts import bristle, spool
-from leglab.diagnosis.verdict import at_limits
-from leglab.diagnosis.windows import Channel, Cut, derivative, noise_level, smoothed
+from leglab.diagnosis.effects.hypothesis import Library
+from leglab.diagnosis.former.fitting import Sums, Unknowns
+from leglab.diagnosis.former.judging import preferences, t_value
+from leglab.diagnosis.former.onset import change_point
+from leglab.diagnosis.former.screening import Candidate
+from leglab.diagnosis.former.search import chance_gain
+from leglab.diagnosis.plant.model import ForceLeft, Machine
+from leglab.diagnosis.plant.paths import delayed, lagged, play
+from leglab.diagnosis.replay import windows
+from leglab.diagnosis.replay.residual import extrapolation, robust_cost
+from leglab.diagnosis.replay.starts import bristle, spool
+from leglab.diagnosis.replay.windows import Channel, Cut, derivative, noise_level, smoothed
+from leglab.diagnosis.verdict.verdict import at_limits
 from leglab.studies.blind.faulty_bench import FAULTS, FaultyBench, detuned, references
 from leglab.studies.blind.selftest import Case, Outcome, cases, make, score_table, scores
 

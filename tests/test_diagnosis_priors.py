@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from leglab.diagnosis import improve
-from leglab.diagnosis.fitting import Fit, FreeTangents, profiled, refit
-from leglab.diagnosis.hypothesis import Hypothesis, Library
-from leglab.diagnosis.model import Change, Machine
-from leglab.diagnosis.nuisances import rough_nuisances, within_tolerance
-from leglab.diagnosis.search import total_cost
-from leglab.diagnosis.workflow import DiagnosisSettings, Search, set_up
+from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
+from leglab.diagnosis.former.fitting import Fit, FreeTangents, profiled, refit
+from leglab.diagnosis.former.nuisances import rough_nuisances, within_tolerance
+from leglab.diagnosis.former.search import total_cost
+from leglab.diagnosis.former.workflow import DiagnosisSettings, Search, set_up
+from leglab.diagnosis.plant.model import Change, Machine
 from tests.rigs import PENDULUM, Truth, record
 
 GAIN = ("actuator_gain", "drive")

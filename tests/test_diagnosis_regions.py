@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from leglab.diagnosis.hypothesis import Hypothesis
-from leglab.diagnosis.isolation import isolate
-from leglab.diagnosis.regions import EVERYWHERE, worst_region
-from leglab.diagnosis.verdict import traces
-from leglab.diagnosis.workflow import DiagnosisSettings, set_up
+from leglab.diagnosis.balance.isolation import isolate
+from leglab.diagnosis.effects.hypothesis import Hypothesis
+from leglab.diagnosis.former.workflow import DiagnosisSettings, set_up
+from leglab.diagnosis.verdict.regions import EVERYWHERE, worst_region
+from leglab.diagnosis.verdict.verdict import traces
 from tests.rigs import MOTOR_ARM, Hidden, record_linkage
 
 RNG = np.random.default_rng(3)

@@ -13,9 +13,10 @@ from leglab import data
 from leglab.base.errors import LeglabError
 from leglab.cli.app import app
 from leglab.diagnosis import improve as improving
-from leglab.diagnosis.hypothesis import Hypothesis
+from leglab.diagnosis.effects.hypothesis import Hypothesis
+from leglab.diagnosis.former.workflow import DiagnosisSettings, set_up
 from leglab.diagnosis.improve import improve
-from leglab.diagnosis.model import Change, Machine
+from leglab.diagnosis.plant.model import Change, Machine
 from leglab.diagnosis.remainder import Period, learn_remainder
 from leglab.diagnosis.remainder.balances import Balance, balances
 from leglab.diagnosis.remainder.forms import choose_form
@@ -23,8 +24,7 @@ from leglab.diagnosis.remainder.learning import closed, pays
 from leglab.diagnosis.remainder.part import Part
 from leglab.diagnosis.remainder.splines import Spline, basis, clamped, project, roughness
 from leglab.diagnosis.remainder.words import describe
-from leglab.diagnosis.verdict import diagnose
-from leglab.diagnosis.workflow import DiagnosisSettings, set_up
+from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.machine import plugin
 from leglab.studies.blind.faulty_bench import FaultyBench, references
 from tests.rigs import PENDULUM, SERVO_JOINT, Hidden, Truth, record, record_linkage

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from leglab.diagnosis.judging import rarely_but_surely, t_value
-from leglab.diagnosis.model import Machine
-from leglab.diagnosis.output import write_improved
-from leglab.diagnosis.verdict import diagnose
+from leglab.diagnosis.former.judging import rarely_but_surely, t_value
+from leglab.diagnosis.plant.model import Machine
+from leglab.diagnosis.verdict.output import write_improved
+from leglab.diagnosis.verdict.verdict import diagnose
 from tests.rigs import PENDULUM, SLIDE_AXIS, Truth, record
 from tests.rigs.agreement import open_loop_error
 

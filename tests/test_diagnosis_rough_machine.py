@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from leglab.diagnosis import improve
-from leglab.diagnosis.hypothesis import Hypothesis
-from leglab.diagnosis.judging import intervals
-from leglab.diagnosis.measure import Measure
-from leglab.diagnosis.naming import rms
-from leglab.diagnosis.nuisances import all_strengths
+from leglab.diagnosis.effects.hypothesis import Hypothesis
+from leglab.diagnosis.former.judging import intervals
+from leglab.diagnosis.former.naming import rms
+from leglab.diagnosis.former.nuisances import all_strengths
+from leglab.diagnosis.former.workflow import DiagnosisSettings, search, set_up
 from leglab.diagnosis.thresholds import DEFAULT
-from leglab.diagnosis.verdict import assemble, diagnose
-from leglab.diagnosis.workflow import DiagnosisSettings, search, set_up
+from leglab.diagnosis.verdict.measure import Measure
+from leglab.diagnosis.verdict.verdict import assemble, diagnose
 from tests.rigs import PENDULUM, Truth, record
 
 # Of this regime `test_diagnosis_verdicts.py` has smaller ones.

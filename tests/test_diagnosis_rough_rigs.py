@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from leglab.diagnosis.verdict import diagnose
-from leglab.diagnosis.workflow import DiagnosisSettings
+from leglab.diagnosis.former.workflow import DiagnosisSettings
+from leglab.diagnosis.verdict.verdict import diagnose
 from tests.rigs.agreement import open_loop_error
 from tests.rigs.rough import RIGS, SERVO_LINK, as_made, faults_of, hide, machine, record_rough
 

@@ -10,9 +10,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from leglab.diagnosis.output import write_improved
-from leglab.diagnosis.verdict import diagnose
-from leglab.diagnosis.workflow import DiagnosisSettings
+from leglab.diagnosis.former.workflow import DiagnosisSettings
+from leglab.diagnosis.verdict.output import write_improved
+from leglab.diagnosis.verdict.verdict import diagnose
 from tests.rigs import PENDULUM, SLIDE_AXIS, Truth, record
 from tests.rigs.agreement import open_loop_error
 

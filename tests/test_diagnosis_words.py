@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from leglab.diagnosis.output import summary_lines
 from leglab.diagnosis.result import Estimate
+from leglab.diagnosis.verdict.output import summary_lines
 from leglab.report.diagnosis.words import (
     facts,
     headline,

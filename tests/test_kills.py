@@ -13,7 +13,7 @@ import sys
 
 from leglab.base.output import new_folder
 from leglab.cli import main
-from leglab.diagnosis.output import write_diagnosis
+from leglab.diagnosis.verdict.output import write_diagnosis
 from leglab.report.diagnosis.page import write_page
 from tests.made_up_diagnosis import diagnosis
 from tests.report_folders import write_folder

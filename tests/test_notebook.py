@@ -20,7 +20,7 @@ from leglab import (
 )
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
-from leglab.diagnosis.workflow import Search
+from leglab.diagnosis.former.workflow import Search
 from leglab.runs.comparison import run_all
 from tests.made_up_diagnosis import diagnosis
 from tests.report_folders import Elements

@@ -259,9 +259,11 @@ def test_a_diagnosis_that_breaks_off_leaves_no_folder(tmp_path, capsys, monkeypa
         raise LeglabError("x: cannot be written: No space left on device")
 
     monkeypatch.setattr("leglab.report.diagnosis.page.write_page", full)
-    monkeypatch.setattr("leglab.diagnosis.verdict.diagnose", lambda *_, **__: (_Result(), None))
+    monkeypatch.setattr(
+        "leglab.diagnosis.verdict.verdict.diagnose", lambda *_, **__: (_Result(), None)
+    )
     monkeypatch.setattr("leglab.diagnosis.improve.improved_model", lambda *_: None)
-    monkeypatch.setattr("leglab.diagnosis.output.write_diagnosis", _Result.write)
+    monkeypatch.setattr("leglab.diagnosis.verdict.output.write_diagnosis", _Result.write)
     shutil.copy(BENCH, tmp_path / "one.parquet")
     shutil.copy(BENCH, tmp_path / "two.parquet")
     recordings = (tmp_path / "one.parquet", tmp_path / "two.parquet")

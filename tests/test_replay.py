@@ -7,7 +7,7 @@ import pytest
 
 from leglab.base.errors import LeglabError
 from leglab.data import read
-from leglab.diagnosis.starts import bristle, spool
+from leglab.diagnosis.replay.starts import bristle, spool
 from leglab.studies.shared_data import shared_data
 from leglab.studies.verification.replay import LIMITS, replay
 

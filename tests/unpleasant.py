@@ -14,8 +14,8 @@ import numpy as np
 
 from leglab import data
 from leglab.base.recording import Recording
-from leglab.diagnosis.recordings import read_recordings
-from leglab.diagnosis.verdict import diagnose
+from leglab.diagnosis.intake.recordings import read_recordings
+from leglab.diagnosis.verdict.verdict import diagnose
 from tests.rigs import PENDULUM, SLIDE_AXIS, Truth, record
 from tests.rigs.simulator import Rig
 

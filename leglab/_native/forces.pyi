@@ -14,7 +14,7 @@ def at_moments(
     accelerations: Array,
     out: Mapping[str, Array],
 ) -> None:
-    """Writes the forces at moments into the arrays of `out`, see `diagnosis.moments`.
+    """Writes the forces at moments into the arrays of `out`, see `diagnosis.plant.moments`.
 
     Args:
         model: Address of the model.

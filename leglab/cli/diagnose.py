@@ -98,11 +98,11 @@ def diagnose(
         )
     if model is None or not recordings:
         raise LeglabError("diagnose needs a model and at least one recording, or --self-test")
-    from leglab.diagnosis import output as results
+    from leglab.diagnosis.former.workflow import DiagnosisSettings
     from leglab.diagnosis.improve import improved_model
-    from leglab.diagnosis.recordings import read_recordings, split_held_out
-    from leglab.diagnosis.verdict import diagnose as run_diagnosis
-    from leglab.diagnosis.workflow import DiagnosisSettings
+    from leglab.diagnosis.intake.recordings import read_recordings, split_held_out
+    from leglab.diagnosis.verdict import output as results
+    from leglab.diagnosis.verdict.verdict import diagnose as run_diagnosis
     from leglab.report.diagnosis.page import write_page
     from leglab.report.diagnosis.words import facts, headline, smaller_words
 

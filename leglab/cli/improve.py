@@ -38,7 +38,7 @@ def improve(
     """
     load_plugins(load)
     from leglab.diagnosis.improve import improve as run_improvement
-    from leglab.diagnosis.recordings import read_recordings, split_held_out
+    from leglab.diagnosis.intake.recordings import read_recordings, split_held_out
 
     check_folder(out, overwrite=overwrite, mark="improvement.json")
     check_apart(out, [Path(model), *recordings])

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from leglab.base.recording import Recording
+from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.effects.joints import unit
-from leglab.diagnosis.fitting import Fit, refit
-from leglab.diagnosis.hypothesis import Hypothesis, Key
-from leglab.diagnosis.output import write_model
-from leglab.diagnosis.recordings import split_held_out
+from leglab.diagnosis.former.fitting import Fit, refit
+from leglab.diagnosis.former.search import baseline, thinned
+from leglab.diagnosis.former.workflow import DiagnosisSettings, Search, set_up
+from leglab.diagnosis.intake.recordings import split_held_out
 from leglab.diagnosis.remainder.learning import (
     CLEAN,
     Remainder,
@@ -22,11 +23,10 @@ from leglab.diagnosis.remainder.learning import (
     memory_words,
     pays,
 )
-from leglab.diagnosis.residual import Problem, robust_cost
+from leglab.diagnosis.replay.residual import Problem, robust_cost
 from leglab.diagnosis.result import Diagnosis
-from leglab.diagnosis.search import baseline, thinned
-from leglab.diagnosis.verdict import diagnose
-from leglab.diagnosis.workflow import DiagnosisSettings, Search, set_up
+from leglab.diagnosis.verdict.output import write_model
+from leglab.diagnosis.verdict.verdict import diagnose
 
 # An effect is written into the model from this confidence on.
 _SURE = 0.8

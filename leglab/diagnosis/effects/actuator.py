@@ -5,7 +5,7 @@ import mujoco
 from leglab.diagnosis.effects.base import Effect, EffectParameter, Values, register_effect
 from leglab.diagnosis.effects.joints import JointEffect, JointRow
 from leglab.diagnosis.effects.spring import insert_spring
-from leglab.diagnosis.model import Change, Machine
+from leglab.diagnosis.plant.model import Change, Machine
 
 _GAIN = EffectParameter(
     "gain", "1", nominal=1.0, lower=0.05, upper=5.0, trials=(0.6, 0.9, 1.1, 1.5), tolerance=0.02

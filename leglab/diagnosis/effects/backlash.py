@@ -14,7 +14,7 @@ from leglab.diagnosis.effects.base import (
     latest_only,
     register_effect,
 )
-from leglab.diagnosis.model import Change, Machine, Measured, Variant
+from leglab.diagnosis.plant.model import Change, Machine, Measured, Variant
 
 BACKLASH = "leglab.backlash"
 _JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))

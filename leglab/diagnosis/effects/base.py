@@ -10,7 +10,7 @@ import numpy as np
 
 from leglab.base import plugins
 from leglab.base.errors import LeglabError
-from leglab.diagnosis.model import Change, ForceLeft, Machine, Measured, Variant
+from leglab.diagnosis.plant.model import Change, ForceLeft, Machine, Measured, Variant
 
 Side = Literal["above", "below", "either"]
 Group = Literal["oil and seals", "valve and command", "friction", "mechanics", "sensing"]

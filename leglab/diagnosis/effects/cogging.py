@@ -9,7 +9,7 @@ from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import EffectParameter, Values, register_effect
 from leglab.diagnosis.effects.joints import JointEffect
 from leglab.diagnosis.effects.spring import insert_spring
-from leglab.diagnosis.model import Change, ForceLeft, Machine
+from leglab.diagnosis.plant.model import Change, ForceLeft, Machine
 
 # A force that goes round less often than this in the range of a recording is a spring.
 _FEWEST_CYCLES = 0.8

@@ -9,8 +9,8 @@ import numpy as np
 
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import Effect, EffectParameter, Values, register_effect
-from leglab.diagnosis.model import Change, Machine
-from leglab.diagnosis.paths import COMMAND_PATH, dead_band, delayed, lagged, play
+from leglab.diagnosis.plant.model import Change, Machine
+from leglab.diagnosis.plant.paths import COMMAND_PATH, dead_band, delayed, lagged, play
 
 # A command path keeps at least this much history.
 _SHORTEST_HISTORY = 0.05  # s

@@ -11,7 +11,7 @@ from leglab.diagnosis.effects.base import (
     Values,
     register_effect,
 )
-from leglab.diagnosis.model import CYLINDER, Change, Machine
+from leglab.diagnosis.plant.model import CYLINDER, Change, Machine
 
 HYQ = "HyQ leg parameters (Ledezma 2016)"
 VALVE = "tolerances of small servovalves (type 30 data sheets)"

@@ -6,8 +6,8 @@ import numpy as np
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import Values, register_effect
 from leglab.diagnosis.effects.joints import JointEffect, JointRow
-from leglab.diagnosis.model import Change, Machine
-from leglab.diagnosis.paths import number_of, set_number, undo_delay, undo_offset, undo_scale
+from leglab.diagnosis.plant.model import Change, Machine
+from leglab.diagnosis.plant.paths import number_of, set_number, undo_delay, undo_offset, undo_scale
 from leglab.machine.sensors import ENCODER_OFFSET, ENCODER_SCALE, delayed_sensor
 
 

@@ -13,7 +13,7 @@ from leglab.diagnosis.effects.base import (
     latest_only,
     register_effect,
 )
-from leglab.diagnosis.model import Change, Machine, Measured, Start, Variant
+from leglab.diagnosis.plant.model import Change, Machine, Measured, Start, Variant
 
 # The element is a play with flanks; so little of it is none.
 _NO_PLAY = 1e-9

@@ -8,9 +8,17 @@ import numpy as np
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import EffectParameter, Values, latest_only, register_effect
 from leglab.diagnosis.effects.joints import JointEffect, JointRow
-from leglab.diagnosis.model import CHAMBERS, CYLINDER, FRICTION, Change, Machine, Measured, Variant
-from leglab.diagnosis.moments import commands_at, forces_at, states_at
-from leglab.diagnosis.starts import bristle
+from leglab.diagnosis.plant.model import (
+    CHAMBERS,
+    CYLINDER,
+    FRICTION,
+    Change,
+    Machine,
+    Measured,
+    Variant,
+)
+from leglab.diagnosis.plant.moments import commands_at, forces_at, states_at
+from leglab.diagnosis.replay.starts import bristle
 
 # LuGre bristle that is stiff for a joint and stable at 1 ms: 100 Hz, half damped.
 _BRISTLE = 2.0 * math.pi * 100.0  # rad/s

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from leglab.diagnosis.effects.base import Effect, EffectParameter, Values
-from leglab.diagnosis.model import CYLINDER, Change, Machine
+from leglab.diagnosis.plant.model import CYLINDER, Change, Machine
 from leglab.machine.simulation import actuator_moments
 
 # Standard deviation of a native field between good machines, a share of its value.

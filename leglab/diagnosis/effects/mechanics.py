@@ -8,7 +8,7 @@ import numpy as np
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import Effect, EffectParameter, Values, register_effect
 from leglab.diagnosis.effects.joints import JointEffect, JointRow
-from leglab.diagnosis.model import Change, Machine
+from leglab.diagnosis.plant.model import Change, Machine
 
 _AXES = {"roll": (1.0, 0.0, 0.0), "pitch": (0.0, 1.0, 0.0), "yaw": (0.0, 0.0, 1.0)}
 _PROBE = 0.02  # rad

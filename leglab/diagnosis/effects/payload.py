@@ -3,7 +3,7 @@
 import mujoco
 
 from leglab.diagnosis.effects.base import Effect, EffectParameter, Values, register_effect
-from leglab.diagnosis.model import Change, Machine
+from leglab.diagnosis.plant.model import Change, Machine
 
 
 @register_effect

@@ -3,8 +3,8 @@
 import mujoco
 
 from leglab.diagnosis.effects.base import Effect, EffectParameter, Values, register_effect
-from leglab.diagnosis.model import CHAMBERS, CYLINDER, Change, Machine
-from leglab.diagnosis.paths import number_of, set_number, undo_offset, undo_scale
+from leglab.diagnosis.plant.model import CHAMBERS, CYLINDER, Change, Machine
+from leglab.diagnosis.plant.paths import number_of, set_number, undo_offset, undo_scale
 from leglab.machine.sensors import PRESSURE_OFFSET, PRESSURE_SCALE
 
 # Good sensors differ by so much [Pa]. Their gains get no tolerance: two more tangents in every

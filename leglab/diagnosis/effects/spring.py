@@ -7,7 +7,7 @@ import mujoco
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import EffectParameter, Values, register_effect
 from leglab.diagnosis.effects.joints import JointEffect, JointRow
-from leglab.diagnosis.model import SPRING, Change, Machine
+from leglab.diagnosis.plant.model import SPRING, Change, Machine
 
 # Good springs differ by 2 to 3 % (DIN 2095 grade 2: 5 % of the load at a given length).
 _TOLERANCE = 0.025

@@ -4,7 +4,7 @@ import mujoco
 
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import Effect, EffectParameter, Values, register_effect
-from leglab.diagnosis.model import CYLINDER, SUPPLY, Change, Machine
+from leglab.diagnosis.plant.model import CYLINDER, SUPPLY, Change, Machine
 
 
 @register_effect

@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leglab.diagnosis.hypothesis import Hypothesis
-from leglab.diagnosis.lacking import balanced_joints, lacking_forces
-from leglab.diagnosis.model import CHAMBERS, CYLINDER, Change, Measured
-from leglab.diagnosis.moments import plugin_offset
-from leglab.diagnosis.residual import Problem
-from leglab.diagnosis.starts import measure, start_states
-from leglab.diagnosis.windows import Cut
+from leglab.diagnosis.balance.lacking import balanced_joints, lacking_forces
+from leglab.diagnosis.effects.hypothesis import Hypothesis
+from leglab.diagnosis.plant.model import CHAMBERS, CYLINDER, Change, Measured
+from leglab.diagnosis.plant.moments import plugin_offset
+from leglab.diagnosis.replay.residual import Problem
+from leglab.diagnosis.replay.starts import measure, start_states
+from leglab.diagnosis.replay.windows import Cut
 from leglab.machine.cylinder import Cylinder
 from leglab.machine.parameters import RESIDUAL_VARIABLES, State
 

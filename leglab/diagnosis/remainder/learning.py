@@ -7,16 +7,16 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.effects.joints import unit
-from leglab.diagnosis.hypothesis import Hypothesis, Key
-from leglab.diagnosis.model import CYLINDER
+from leglab.diagnosis.former.search import thinned
+from leglab.diagnosis.plant.model import CYLINDER
 from leglab.diagnosis.remainder.balances import balances
 from leglab.diagnosis.remainder.forms import Form, choose_form, usable
 from leglab.diagnosis.remainder.part import Part
 from leglab.diagnosis.remainder.refining import Refined, Unknowns, bounded, refine, with_parts
 from leglab.diagnosis.remainder.words import Described, describe
-from leglab.diagnosis.residual import Problem, robust_cost
-from leglab.diagnosis.search import thinned
+from leglab.diagnosis.replay.residual import Problem, robust_cost
 
 # Windows to which replays are fitted.
 _WINDOWS = 60

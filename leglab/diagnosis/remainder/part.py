@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from leglab.diagnosis.effects.hypothesis import Key, Library
 from leglab.diagnosis.effects.joints import insert
-from leglab.diagnosis.hypothesis import Key, Library
-from leglab.diagnosis.model import Change, Machine, Measured, Start, Variant
-from leglab.diagnosis.moments import commands_at, forces_at, states_at
+from leglab.diagnosis.plant.model import Change, Machine, Measured, Start, Variant
+from leglab.diagnosis.plant.moments import commands_at, forces_at, states_at
 from leglab.diagnosis.remainder.splines import Spline
 from leglab.machine.parameters import RESIDUAL, RESIDUAL_VARIABLES
 

@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leglab.diagnosis.hypothesis import Hypothesis, Key
-from leglab.diagnosis.nuisances import departures
+from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
+from leglab.diagnosis.former.nuisances import departures
 from leglab.diagnosis.remainder.forms import Form, diagonal_blocks
 from leglab.diagnosis.remainder.part import LearnedLibrary, Part, Period
 from leglab.diagnosis.remainder.splines import Spline
-from leglab.diagnosis.residual import Problem, robust_cost, robust_weight
+from leglab.diagnosis.replay.residual import Problem, robust_cost, robust_weight
 
 # Directions of the unknowns that replays refine, those the balances know least; of all parts.
 _DIRECTIONS = 24

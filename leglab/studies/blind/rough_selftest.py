@@ -18,11 +18,11 @@ from rich.table import Table
 from scipy.stats import binomtest
 
 from leglab.base.errors import unknown_name
-from leglab.diagnosis.hypothesis import Library
-from leglab.diagnosis.model import Machine
-from leglab.diagnosis.recordings import held_out_choice
-from leglab.diagnosis.verdict import diagnose
-from leglab.diagnosis.workflow import DiagnosisSettings
+from leglab.diagnosis.effects.hypothesis import Library
+from leglab.diagnosis.former.workflow import DiagnosisSettings
+from leglab.diagnosis.intake.recordings import held_out_choice
+from leglab.diagnosis.plant.model import Machine
+from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.studies.blind.outcomes import run_missing
 from leglab.studies.blind.rough_bench import FAULTS, SIZES, effect_of, rough_case, specimen
 

@@ -13,11 +13,11 @@ from rich.table import Table
 
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
-from leglab.diagnosis.hypothesis import Library
-from leglab.diagnosis.model import Machine
-from leglab.diagnosis.recordings import held_out_choice
-from leglab.diagnosis.verdict import diagnose
-from leglab.diagnosis.workflow import DiagnosisSettings
+from leglab.diagnosis.effects.hypothesis import Library
+from leglab.diagnosis.former.workflow import DiagnosisSettings
+from leglab.diagnosis.intake.recordings import held_out_choice
+from leglab.diagnosis.plant.model import Machine
+from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.studies.blind.faulty_bench import (
     FAULTS,
     SUDDEN,

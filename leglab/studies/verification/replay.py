@@ -8,10 +8,10 @@ import numpy as np
 
 from leglab.base.recording import Recording
 from leglab.data import read
-from leglab.diagnosis.model import Change, Machine
-from leglab.diagnosis.replay import Replay
+from leglab.diagnosis.plant.model import Change, Machine
+from leglab.diagnosis.replay.replay import Replay
+from leglab.diagnosis.replay.windows import UniformSeries, channels
 from leglab.diagnosis.thresholds import Thresholds
-from leglab.diagnosis.windows import UniformSeries, channels
 
 # RMS at a window's end that is asked for: knee [rad], pressures [Pa].
 LIMITS = {

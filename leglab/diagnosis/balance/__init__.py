@@ -1,0 +1,1 @@
+"""Forces along the measured motion: what the model lacks, and where it lacks most."""

@@ -1,0 +1,111 @@
+"""Forces along the measured motion that a model does not account for.
+
+No valve and no integration comes between: what the mechanism lacks shows beside the sensors' noise
+alone, where a replay of the same motion shows it behind all that the valve does.
+"""
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from leglab.diagnosis.plant.model import CHAMBERS, CYLINDER, Change, Machine, Measured
+from leglab.diagnosis.plant.moments import (
+    MomentForces,
+    commands_at,
+    forces_at,
+    plugin_offset,
+    states_at,
+)
+from leglab.diagnosis.replay.starts import plays
+from leglab.diagnosis.replay.windows import Channel
+
+
+def balanced_joints(machine: Machine, channels: Sequence[Channel]) -> tuple[str, ...]:
+    """Joints whose drives' forces can be known: not those of cylinders without pressures."""
+    known = {channel.column for channel in channels}
+    blind = {
+        joint
+        for cylinder in machine.instances(CYLINDER)
+        for joint in machine.driven[cylinder]
+        if not {f"{machine.driven[cylinder][0]}_{c}" for c in CHAMBERS} <= known
+    }
+    return tuple(joint for joint in machine.joints if joint not in blind)
+
+
+def lacking_forces(
+    change: Change, measured: Measured, states: np.ndarray, half: int
+) -> MomentForces:
+    """Forces that the measured motion needs beyond the modelled ones.
+
+    Args:
+        change: Changes under the hypothesis.
+        measured: Smoothed series; its samples are looked at.
+        states: Full physics states at the samples, (samples, nstate).
+        half: Accelerations are the mean over so many samples to both sides.
+    """
+    machine, model = change.machine, change.variant.model
+    k, period = measured.samples, measured.period
+    acceleration = np.zeros((k.size, model.nv))
+    states = states.copy()
+    velocity = states[:, 1 + model.nq : 1 + model.nq + model.nv]
+    velocity[:] = 0.0
+    for joint in machine.joints:
+        v, dof = measured.velocity[joint], int(model.joint(joint).dofadr[0])
+        acceleration[:, dof] = (v[k + half] - v[k - half]) / (2 * half * period)
+        velocity[:, dof] = v[k]
+    # Held commands change at samples: about one, the mean of both sides acts.
+    native = machine.native_actuators()
+    command = np.stack(
+        [
+            0.5 * (u[k] + u[k - 1]) if a in native else u[k]
+            for a, u in ((a, measured.command[a]) for a in machine.actuators)
+        ],
+        axis=1,
+    )
+    start = plugin_offset(model)
+    states[:, [start + place for place in plays(machine, change.variant)]] = 0.0
+    return forces_at(model, states, command, acceleration)
+
+
+def comparable_forces(
+    change: Change,
+    measured: Measured,
+    found: MomentForces,
+    joints: Sequence[str],
+) -> np.ndarray:
+    """Forces left over as hypotheses can be compared by them, (samples, joints) [N m or N].
+
+    Recordings have no forces, and a hypothesis that halves all inertia, friction and drive also
+    halves what it leaves over, while it errs as much in every motion. So what is left over counts
+    by the acceleration that it makes, as the sensor tells it, and that by the force it takes on
+    the unmodified machine: M_0 M^-1 f for a force f and joint-space inertias M_0 and M. (The
+    density of a measured acceleration under normal forces of an unknown size has M as its
+    Jacobian.)
+
+    Args:
+        change: Changes under the hypothesis.
+        measured: Smoothed series; its samples are looked at.
+        found: What the hypothesis leaves over there.
+        joints: Whose forces can be known.
+    """
+    machine, base, k = change.machine, change.machine.base, measured.samples
+
+    def block(inertia: np.ndarray, model: mujoco.MjModel) -> np.ndarray:
+        dofs = [int(model.joint(joint).dofadr[0]) for joint in joints]
+        return inertia[:, dofs][:, :, dofs]
+
+    states = states_at(machine, base.model, measured, k, base.plugin_state)
+    positions = states[:, 1 : 1 + base.model.nq]
+    nominal = measured.lately.get(
+        "inertia",
+        (k, positions),
+        lambda: forces_at(base.model, states, commands_at(machine, measured, k)).inertia,
+        by=base,
+    )
+    model = change.variant.model
+    left = found.lacking[:, [int(model.joint(joint).dofadr[0]) for joint in joints]]
+    gained = np.linalg.solve(block(found.inertia, model), left[:, :, None])
+    told = (block(nominal, base.model) @ gained)[:, :, 0]
+    undone = (change.corrections.get(f"{joint}_position", ()) for joint in joints)
+    return told / np.array([np.prod([gain for _, gain in one]) for one in undone])

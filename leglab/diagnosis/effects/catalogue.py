@@ -1,0 +1,41 @@
+"""All effects as Markdown.
+
+`python -m leglab.diagnosis.effects.catalogue > docs/effect_table.md`.
+"""
+
+from itertools import groupby
+
+from leglab.diagnosis.effects import Effect, all_effects
+
+
+def markdown_table() -> str:
+    """Names by group with physics, source and the excitation that shows them."""
+    lines = [
+        "# Effects that the diagnosis can name",
+        "",
+        "Made by `python -m leglab.diagnosis.effects.catalogue > docs/effect_table.md`.",
+    ]
+    known = all_effects()
+    rows = sorted(
+        (e for e in known if e.nameable),
+        key=lambda effect: (effect.group, effect.name, effect.physics),
+    )
+    for group, effects in groupby(rows, key=lambda effect: effect.group):
+        lines += ["", f"## {group}", ""]
+        lines += ["| name | physics | shown by | source |", "|---|---|---|---|"]
+        lines += [_row(effect) for effect in effects]
+    lines += ["", "## Calibrated, never named", ""]
+    lines += ["Laws whose shape differs between good machines; healthy recordings tell it.", ""]
+    lines += ["| name | physics | shown by | source |", "|---|---|---|---|"]
+    lines += [_row(effect) for effect in known if not effect.nameable]
+    return "\n".join(lines) + "\n"
+
+
+def _row(effect: Effect) -> str:
+    cells = (effect.physics, effect.excitation, effect.source)
+    text = " | ".join(" ".join(cell.split()).replace("|", "\\|") for cell in cells)
+    return f"| `{effect.name}` | {text} |"
+
+
+if __name__ == "__main__":
+    print(markdown_table(), end="")

@@ -1,0 +1,262 @@
+"""Hypotheses: which effects are there, with which values."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from copy import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from leglab.diagnosis.effects.base import Effect, EffectParameter, all_effects
+from leglab.diagnosis.plant.model import Change, Machine
+
+# Effect and element.
+Key = tuple[str, str]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Site:
+    """An effect on one element of a machine, with its parameters there.
+
+    Attributes:
+        own: Values in the specimen at hand, where its calibration has found others than the
+            model's, shape (parameters,); None for the model's.
+    """
+
+    effect: Effect
+    element: str
+    parameters: tuple[EffectParameter, ...]
+    own: np.ndarray | None = None
+
+    @property
+    def key(self) -> Key:
+        """Name of the effect and element."""
+        return self.effect.name, self.element
+
+    @property
+    def nominal(self) -> np.ndarray:
+        """Values that change nothing, (parameters,)."""
+        return self.model if self.own is None else self.own.copy()
+
+    @property
+    def model(self) -> np.ndarray:
+        """Values of the model as it is, (parameters,)."""
+        return np.array([p.nominal for p in self.parameters])
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Bounds, (parameters,)."""
+        return np.array([p.lower for p in self.parameters])
+
+    @property
+    def upper(self) -> np.ndarray:
+        """Bounds, (parameters,)."""
+        return np.array([p.upper for p in self.parameters])
+
+    def used(self, values: np.ndarray, noticeable: float, *, alike: bool = False) -> int:
+        """How many parameters values, shape (parameters,), need.
+
+        A strength at its nominal value is as if the effect had none: friction in one direction
+        alone needs no number for the other. At least one.
+
+        Args:
+            values: Of the parameters.
+            noticeable: Departure that counts, in smallest trials.
+            alike: Whether one number says how far both directions depart.
+        """
+        rows = zip(self.parameters, values, self.nominal, strict=True)
+        needed = np.array(
+            [p.role == "shape" or p.departure(float(v), float(n)) > noticeable for p, v, n in rows]
+        )
+        if alike:
+            needed = self.alike[needed].any(axis=0)
+        return max(int(needed.sum()), 1)
+
+    @property
+    def alike(self) -> np.ndarray:
+        """Parameters by what moves them where both directions depart alike, (parameters, moves)."""
+        place = {p.name: i for i, p in enumerate(self.parameters)}
+        leads = {place[b]: place[a] for a, b in self.effect.by_direction}
+        moves = [i for i in range(len(place)) if i not in leads]
+        return np.array([[float(leads.get(i, i) == m) for m in moves] for i in range(len(place))])
+
+    @property
+    def differences(self) -> np.ndarray:
+        """Differences between directions, first less second, as sums of parameters.
+
+        Shape (differences, parameters): 1 and -1 where the effect says that directions differ.
+        """
+        place = {p.name: i for i, p in enumerate(self.parameters)}
+        rows = np.zeros((len(self.effect.by_direction), len(place)))
+        for row, (first, second) in zip(rows, self.effect.by_direction, strict=True):
+            row[place[first]], row[place[second]] = 1.0, -1.0
+        return rows
+
+    def named(self, values: np.ndarray) -> dict[str, float]:
+        """Values, shape (parameters,), by the names of the parameters."""
+        return {p.name: float(v) for p, v in zip(self.parameters, values, strict=True)}
+
+    def trials(self) -> list[np.ndarray]:
+        """Values to screen, each (parameters,): one strength off its nominal value."""
+        found = []
+        for i, parameter in enumerate(self.parameters):
+            for trial in parameter.trials if parameter.role == "strength" else ():
+                values = self.nominal
+                now = values[i]
+                # As far from the specimen's value as from the model's.
+                values[i] = np.clip(
+                    now + trial - parameter.nominal, parameter.lower, parameter.upper
+                )
+                if values[i] != now:
+                    found.append(values)
+        return found
+
+
+class Hypothesis(Mapping[Key, np.ndarray]):
+    """Values of effects by effect and element; every other effect is absent. Immutable.
+
+    Attributes:
+        onsets: Time [s] in every recording at which an effect begins, shape (recordings,), by
+            effect; -inf where it is there from the start, inf where it never is. Effects without
+            an entry are there throughout.
+        before: Values of effects until their onset, by effect; those without an entry are absent.
+    """
+
+    def __init__(
+        self,
+        values: Mapping[Key, np.ndarray] | None = None,
+        onsets: Mapping[Key, np.ndarray] | None = None,
+        before: Mapping[Key, np.ndarray] | None = None,
+    ) -> None:
+        self._values = {key: np.array(v, dtype=float) for key, v in (values or {}).items()}
+        self.onsets = {k: v for k, v in (onsets or {}).items() if k in self._values}
+        self.before = {k: v for k, v in (before or {}).items() if k in self.onsets}
+
+    def __getitem__(self, key: Key) -> np.ndarray:
+        return self._values[key]
+
+    def __iter__(self) -> Iterator[Key]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def with_values(self, key: Key, values: np.ndarray) -> "Hypothesis":
+        """The same with an effect set."""
+        return Hypothesis({**self._values, key: values}, self.onsets, self.before)
+
+    def with_onset(self, key: Key, onset: np.ndarray | None) -> "Hypothesis":
+        """The same with an effect that begins at times, or throughout for None."""
+        others = {k: v for k, v in self.onsets.items() if k != key}
+        onsets = others if onset is None else {**others, key: onset}
+        return Hypothesis(self._values, onsets, self.before)
+
+    def changed(self, key: Key, values: np.ndarray, onset: np.ndarray | None) -> "Hypothesis":
+        """The same with an effect that takes values at its onset; until then it stays as it is.
+
+        Good machines have a little of some effects. With None it has the values throughout.
+        """
+        begun = self.with_values(key, values).with_onset(key, onset)
+        before = {**self.before, key: self[key]} if key in self else self.before
+        return Hypothesis(begun, begun.onsets, before)
+
+    def only(self, keys: Iterable[Key]) -> "Hypothesis":
+        """The same with nothing but some effects."""
+        wanted = set(keys)
+        values = {k: v for k, v in self._values.items() if k in wanted}
+        return Hypothesis(values, self.onsets, self.before)
+
+    def not_begun(self, *keys: Key) -> "Hypothesis":
+        """The same as it is until some effects begin."""
+        values = {k: v for k, v in self._values.items() if k not in keys}
+        values |= {k: self.before[k] for k in keys if k in self.before}
+        return Hypothesis(values, {k: v for k, v in self.onsets.items() if k not in keys})
+
+    def without(self, *keys: Key) -> "Hypothesis":
+        """The same with effects absent."""
+        return self.only(set(self._values) - set(keys))
+
+
+class Library:
+    """The effects that can sit on a machine.
+
+    Args:
+        machine: The unmodified machine.
+        names: Effects to use; None for all.
+        excluded: Effects to leave out.
+        specimen: Values of the specimen at hand; what it does not say is as in the model.
+
+    Attributes:
+        sites: By effect and element: the effects to use, and those that tell of the specimen.
+            Those that no diagnosis names are always there.
+        searched: Those to use.
+        specimen: As given.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        *,
+        names: Iterable[str] | None = None,
+        excluded: Iterable[str] = (),
+        specimen: Mapping[Key, np.ndarray] | None = None,
+    ) -> None:
+        wanted = None if names is None else set(names)
+        barred = set(excluded)
+        self._driven = machine.driven
+        self.specimen = dict(specimen or {})
+        self.sites: dict[Key, Site] = {}
+        searched: set[Key] = set()
+        for effect in all_effects():
+            used = effect.name not in barred and (wanted is None or effect.name in wanted)
+            used = used and effect.nameable
+            for element in effect.elements(machine):
+                key = effect.name, element
+                if used or key in self.specimen or not effect.nameable:
+                    own = effect.parameters(machine, element)
+                    self.sites[key] = Site(
+                        effect=effect, element=element, parameters=own, own=self.specimen.get(key)
+                    )
+                if used:
+                    searched.add(key)
+        self.searched = frozenset(searched)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the effects."""
+        return tuple(sorted({name for name, _ in self.searched}))
+
+    def contains(self, larger: Key, simpler: Key) -> bool:
+        """Whether an effect has another, at the same joint, as a special case."""
+        (_, one), (name, other) = larger, simpler
+        joints = (self._driven.get(element, (element,)) for element in (one, other))
+        return name in self.sites[larger].effect.contains and len({j[0] for j in joints}) == 1
+
+    def of_specimen(self, specimen: Mapping[Key, np.ndarray]) -> "Library":
+        """The same effects about the values of a specimen."""
+        other = copy(self)
+        other.specimen = dict(specimen)
+        other.sites = {k: replace(s, own=other.specimen.get(k)) for k, s in self.sites.items()}
+        return other
+
+    def with_sites(self, sites: Mapping[Key, Site]) -> "Library":
+        """The same effects with other parameters."""
+        other = copy(self)
+        other.sites = dict(sites)
+        return other
+
+    def neutral(self) -> Hypothesis:
+        """The hypothesis that the machine is as its model, whatever the specimen."""
+        return Hypothesis({key: self.sites[key].model for key in self.specimen})
+
+    def whole(self, hypothesis: Mapping[Key, np.ndarray]) -> dict[Key, np.ndarray]:
+        """Values of a hypothesis, and of the specimen where it says nothing."""
+        return {**self.specimen, **hypothesis}
+
+    def change(self, hypothesis: Mapping[Key, np.ndarray], machine: Machine) -> Change:
+        """The change that a hypothesis makes; effects apply by their order, then by name."""
+        change = Change(machine)
+        whole = self.whole(hypothesis)
+        for key in sorted(whole, key=lambda k: (self.sites[k].effect.order, k)):
+            site = self.sites[key]
+            site.effect.apply(change, site.element, site.named(whole[key]))
+        return change

@@ -1,0 +1,1 @@
+"""The search by rounds and its judging, which one likelihood replaces."""

@@ -1,0 +1,1 @@
+"""Recordings come in: what is admitted, one grid for all, encoders unwrapped, remarks."""

@@ -1,0 +1,497 @@
+"""The gate of a diagnosis: which recordings and columns can be used, and what is said of them."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from leglab.base.errors import LeglabError
+from leglab.base.recording import Recording
+from leglab.diagnosis.intake.remarks import Remark, merged
+from leglab.diagnosis.intake.rotation import unwrapped
+from leglab.diagnosis.intake.series import Clock, UniformSeries, common_period
+from leglab.diagnosis.plant.model import CHAMBERS, CYLINDER, Machine
+from leglab.diagnosis.thresholds import DEFAULT, Thresholds
+
+_DEGREES = 180.0 / np.pi
+# An encoder's full turn in degrees, and how near a jump must be to it.
+_FULL_CIRCLE, _NEAR = 360.0, 0.03
+# Clocks whose periods agree to this share need no note.
+_SAME_CLOCK = 1e-4
+# Twice around and back: further only wheels turn [rad].
+_FAR = 4.0 * np.pi
+# Speed changes over ten places of this grid [s] are compared with the model's forces.
+_COARSE, _STRIDE, _PLACES = 0.01, 10, 1000
+# Forces explain the motion below this share of its speed changes left over, and not above that.
+_EXPLAINED, _UNEXPLAINED = 0.4, 0.8
+_UNIT = "is it in bar?"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Admitted:
+    """Recordings that a diagnosis can use.
+
+    Attributes:
+        recordings: By name, with the columns that the diagnosis needs and positions unwrapped.
+        held_out: Names of those on which it is judged.
+        notes: What was left out, repaired or doubted, each said once.
+    """
+
+    recordings: Mapping[str, Recording]
+    held_out: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Entry:
+    """One recording at the gate.
+
+    Attributes:
+        recording: Columns that the model may use, positions unwrapped.
+        fault: Why it cannot be used at all; None where it can.
+        pressures: Pressure columns that can be used.
+        lost: Why the others cannot, by column.
+        remarks: On what was done to it.
+    """
+
+    recording: Recording
+    fault: str | None
+    pressures: frozenset[str]
+    lost: Mapping[str, str]
+    remarks: tuple[Remark, ...]
+
+
+def admit(
+    machine: Machine,
+    recordings: Mapping[str, Recording],
+    held_out: Iterable[str] = (),
+    thresholds: Thresholds = DEFAULT,
+) -> Admitted:
+    """Chooses the recordings and columns that can be used; admitting twice changes nothing.
+
+    Columns that the model does not need are ignored, whatever they hold. A recording whose position
+    or command cannot be used is left out if others remain. Pressures that some recordings lack are
+    used from the others alone where those hold at least half of the recorded time, one of them to
+    fit and one of them to judge; else the diagnosis goes without these pressures.
+
+    Args:
+        machine: The model.
+        recordings: By name.
+        held_out: Names of those on which the verdict is judged.
+        thresholds: Of all steps.
+
+    Raises:
+        LeglabError: No recording can be used, or none of those that are to be held out, or to be
+            fitted; names recording, column, what was found and what is allowed.
+    """
+    held = tuple(name for name in held_out if name in recordings)
+    entries = {name: _entry(machine, name, r, thresholds) for name, r in recordings.items()}
+    usable = {name: e for name, e in entries.items() if e.fault is None}
+    if not usable:
+        name, entry = next(iter(entries.items()))
+        others = len(entries) - 1
+        more = f" (and {others} more recordings cannot be used)" if others else ""
+        raise LeglabError(f"{name}: {entry.fault}{more}")
+    dropped = {name: str(e.fault) for name, e in entries.items() if e.fault is not None}
+    _check_units(usable)
+    usable, slow = _fast_enough(usable, thresholds)
+    dropped |= slow
+    _check_roles(usable, dropped, held)
+    columns = _pressures(machine, usable, held)
+    without = {n: e for n, e in usable.items() if not columns <= e.pressures}
+    usable = {n: e for n, e in usable.items() if n not in without}
+    for name, entry in without.items():
+        lost = next(c for c in sorted(columns) if c not in entry.pressures)
+        why = entry.lost.get(lost, f"no column {lost!r}")
+        dropped[name] = f"{why}, and the other recordings have all pressures"
+    remarks = [Remark(text=f"left out, {why}", recording=name) for name, why in dropped.items()]
+    for name, entry in usable.items():
+        remarks += [*_unused(name, entry, columns), *entry.remarks]
+    admitted = {
+        name: e.recording.select([*machine.columns, *sorted(columns)]) for name, e in usable.items()
+    }
+    for name, recording in admitted.items():
+        remarks += _doubts(machine, name, recording, thresholds)
+    lines = merged(remarks, recordings) + clock_notes(admitted, thresholds)
+    return Admitted(
+        recordings=admitted,
+        held_out=tuple(name for name in held if name in admitted),
+        notes=lines,
+    )
+
+
+def _check_units(usable: Mapping[str, _Entry]) -> None:
+    """Refuses pressures that no recording has in our unit: a factor would save them all."""
+    for name, entry in usable.items():
+        for column, why in entry.lost.items():
+            if _UNIT in why and not any(column in e.pressures for e in usable.values()):
+                raise LeglabError(f"{name}: {why}")
+
+
+def _check_roles(usable: Mapping[str, _Entry], dropped: Mapping[str, str], held: tuple) -> None:
+    """Refuses what leaves nothing to judge by, or nothing to fit."""
+    if held and not set(held) & set(usable):
+        raise LeglabError(
+            f"{held[0]}: {dropped[held[0]]}; it was to be held out; allowed: another recording "
+            "held out"
+        )
+    if set(usable) <= set(held):
+        if not dropped:
+            raise LeglabError("every recording is held out; allowed: at least one to fit")
+        name, why = next(iter(dropped.items()))
+        raise LeglabError(f"{name}: {why}; no recording is left to fit")
+
+
+def _unused(name: str, entry: _Entry, columns: frozenset[str]) -> Iterator[Remark]:
+    """Remarks on pressures that are there and not used."""
+    for column, why in entry.lost.items():
+        text = f"pressures are not used, {why}"
+        yield Remark(text=text, recording=name, place=repr(column))
+    for column in sorted(entry.pressures - columns):
+        text = "pressures are not used, other recordings lack them"
+        yield Remark(text=text, recording=name, place=repr(column))
+
+
+def _fast_enough(
+    usable: dict[str, _Entry], limits: Thresholds
+) -> tuple[dict[str, _Entry], dict[str, str]]:
+    """Recordings that do not slow down the others beyond use, and why the rest do."""
+    periods = {n: Clock.of(e.recording.time, n).period for n, e in usable.items()}
+    fastest = min(periods.values())
+    slow = {
+        name: f"sampled every {period:.4g} s only, the others every {fastest:.4g} s"
+        for name, period in periods.items()
+        if period > max(limits.slowest_period, limits.slowest_factor * fastest)
+    }
+    return {n: e for n, e in usable.items() if n not in slow}, slow
+
+
+def _pressures(
+    machine: Machine, usable: Mapping[str, _Entry], held: tuple[str, ...]
+) -> frozenset[str]:
+    """Pressure columns to use: the more, the better, yet not at the price of most recordings."""
+    total = sum(e.recording.duration for e in usable.values())
+    found = frozenset.intersection(*(e.pressures for e in usable.values()))
+    for columns in {e.pressures for e in usable.values()}:
+        complete = {n: e for n, e in usable.items() if columns <= e.pressures}
+        enough = sum(e.recording.duration for e in complete.values()) >= 0.5 * total
+        to_fit = set(complete) - set(held)
+        judges = set(held) & set(complete) if held else len(complete) > 1 or len(usable) == 1
+        if enough and to_fit and judges and len(columns) > len(found):
+            found = columns
+    return found
+
+
+def pressure_columns(machine: Machine) -> dict[str, str]:
+    """Columns of chamber pressures that a recording may have, with their cylinders."""
+    return {
+        f"{machine.driven[cylinder][0]}_{chamber}": cylinder
+        for cylinder in machine.instances(CYLINDER)
+        for chamber in CHAMBERS
+    }
+
+
+def _entry(machine: Machine, name: str, recording: Recording, limits: Thresholds) -> _Entry:
+    """Looks at one recording."""
+    known = pressure_columns(machine)
+    kept = [c for c in (*machine.columns, *known) if c in recording]
+    own = recording.select(kept)
+    fault = _missing(machine, recording)
+    remarks: list[Remark] = []
+    if fault is None:
+        turned, remarks, fault = _turned(machine, name, own)
+        own = own.with_columns(turned)
+    for joint in machine.joints if fault is None else ():
+        fault = fault or _position_fault(machine, name, own, joint, limits.beyond_range)
+    lost = {
+        column: why
+        for column, cylinder in known.items()
+        if (why := _pressure_fault(machine, recording, column, cylinder, limits.no_pressure))
+    }
+    return _Entry(
+        recording=own,
+        fault=fault,
+        pressures=frozenset(c for c in known if c in own and c not in lost),
+        lost={c: w for c, w in lost.items() if c in recording or c in unreadable(recording)},
+        remarks=tuple(remarks),
+    )
+
+
+def unreadable(recording: Recording) -> Mapping[str, str]:
+    """Why columns of the file are not in the recording, by column."""
+    found = recording.metadata.get("unreadable", {})
+    return found if isinstance(found, dict) else {}
+
+
+def _missing(machine: Machine, recording: Recording) -> str | None:
+    """Why positions and commands are not there, None if all are."""
+    absent = [column for column in machine.columns if column not in recording]
+    known = unreadable(recording)
+    for column in absent:
+        if column in known:
+            return known[column]
+    if absent:
+        return (
+            f"no column {', '.join(map(repr, absent))}: the model needs "
+            f"{', '.join(machine.columns)}; the recording has {', '.join(recording.columns)}. "
+            "Measured under other names? Give a column map"
+        )
+    for column in machine.columns:
+        count = int(np.isfinite(recording[column]).sum())
+        if count < 2:
+            return f"column {column!r} holds no numbers; allowed: numbers, NaN where one is missing"
+    if len(recording) < 3:
+        return f"{len(recording)} samples are too few to replay"
+    return None
+
+
+def _turned(
+    machine: Machine, name: str, recording: Recording
+) -> tuple[dict[str, np.ndarray], list[Remark], str | None]:
+    """Positions without the jumps of their encoders, remarks on them, and a fault."""
+    model = machine.base.model
+    found, remarks = {}, []
+    for joint in machine.joints:
+        column, entry = f"{joint}_position", model.joint(joint)
+        hinge = int(entry.type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE)
+        result = unwrapped(recording.time, recording[column], hinge=hinge)
+        if result is None:
+            continue
+        if hinge and abs(result.turn - _FULL_CIRCLE) < _NEAR * _FULL_CIRCLE:
+            why = f"column {column!r} jumps by {result.turn:.4g}, a turn has 6.283 rad"
+            return {}, [], f"{why}; is it in degrees? allowed: rad"
+        samples = result.samples
+        allowed = _range(machine, joint)
+        if allowed is not None:
+            # The turn in which the joint can be.
+            middle = 0.5 * (allowed[0] + allowed[1])
+            samples = samples + result.turn * np.rint(
+                (middle - np.nanmedian(samples)) / result.turn
+            )
+        found[column] = samples
+        remarks.append(
+            Remark(
+                text=f"the encoder begins anew after {result.turn:.4g} "
+                f"{'rad' if hinge else 'm'}; unwrapped",
+                recording=name,
+                place=f"{column!r} {result.jumps} times",
+            )
+        )
+    return found, remarks, None
+
+
+def _position_fault(
+    machine: Machine, name: str, recording: Recording, joint: str, beyond: float
+) -> str | None:
+    """Why positions cannot be in the joint's unit, None if they can."""
+    column, entry = f"{joint}_position", machine.base.model.joint(joint)
+    values = recording[column]
+    low, high = np.nanmin(values), np.nanmax(values)
+    hinge = int(entry.type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE)
+    said = f"column {column!r} covers [{low:.4g}, {high:.4g}]"
+    allowed = _range(machine, joint)
+    if allowed is None:
+        # A wheel may turn as far as it likes: only its speeds tell.
+        if hinge and max(-low, high) > _FAR and in_degrees(machine, recording, joint):
+            return (
+                f"{said}, and the model's forces explain its speeds 57 times as slow; is it in "
+                "degrees? allowed: rad"
+            )
+        return None
+    lower, upper = allowed
+    room = beyond * (upper - lower)
+    if low >= lower - room and high <= upper + room:
+        return None
+    inside = hinge and low / _DEGREES > lower - room and high / _DEGREES < upper + room
+    hint = "; is it in degrees?" if inside else ""
+    return (
+        f"{said}, joint {joint!r} allows [{lower:.4g}, {upper:.4g}] {'rad' if hinge else 'm'}{hint}"
+    )
+
+
+def _range(machine: Machine, joint: str) -> tuple[float, float] | None:
+    """Where a joint can be, None where it has no limit. A piston has a stroke, whatever is said."""
+    entry = machine.base.model.joint(joint)
+    on_cylinder = any(joint in machine.driven[c] for c in machine.instances(CYLINDER))
+    lower, upper = (float(x) for x in entry.range)
+    if lower < upper and (machine.base.model.jnt_limited[entry.id] or on_cylinder):
+        return lower, upper
+    turns = int(entry.type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE)
+    return (-_FAR, _FAR) if on_cylinder and turns else None
+
+
+def in_degrees(machine: Machine, recording: Recording, joint: str) -> bool:
+    """Whether the speeds of an unlimited hinge are clearly those of degrees.
+
+    Changes of speed over 0.1 s are compared with the integral of the accelerations that the model
+    has at the measured positions, speeds and commands. It is clear where, with all unlimited hinges
+    taken for degrees, they leave less than 0.4 of the changes over, and taken for radians more than
+    0.8.
+    """
+    model = machine.base.model
+    period = max(_COARSE, Clock.of(recording.time).period)
+    series = UniformSeries.from_recording(recording, "", machine.columns, period=period)
+    count = min(series.time.size, _PLACES)
+    if count < 3 * _STRIDE:
+        return False
+    data = mujoco.MjData(model)
+    left = []
+    for factor in (1.0, 1.0 / _DEGREES):
+        positions, speeds = {}, {}
+        for name in machine.joints:
+            entry = model.joint(name)
+            turns = int(entry.type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE)
+            share = factor if turns and _range(machine, name) is None else 1.0
+            positions[name] = share * series.columns[f"{name}_position"][:count]
+            speeds[name] = np.gradient(positions[name], period)
+        acceleration = np.empty(count)
+        for k in range(count):
+            for name in machine.joints:
+                entry = model.joint(name)
+                data.qpos[entry.qposadr[0]] = positions[name][k]
+                data.qvel[entry.dofadr[0]] = speeds[name][k]
+            for i, name in enumerate(machine.actuators):
+                data.ctrl[i] = series.columns[f"{name}_command"][k]
+            mujoco.mj_forward(model, data)
+            acceleration[k] = data.qacc[model.joint(joint).dofadr[0]]
+        gained = period * np.cumsum(acceleration)
+        measured = speeds[joint][_STRIDE:] - speeds[joint][:-_STRIDE]
+        rest = measured - (gained[_STRIDE:] - gained[:-_STRIDE])
+        known = series.valid[:count][_STRIDE:] & series.valid[: count - _STRIDE]
+        size = float(np.sqrt(np.mean(measured[known] ** 2))) if known.any() else 0.0
+        left.append(float(np.sqrt(np.mean(rest[known] ** 2))) / size if size > 0.0 else np.inf)
+    return left[0] > _UNEXPLAINED and left[1] < _EXPLAINED
+
+
+def _pressure_fault(
+    machine: Machine, recording: Recording, column: str, cylinder: str, least: float
+) -> str | None:
+    """Why a pressure cannot be used, None if it can."""
+    if column not in recording:
+        return unreadable(recording).get(column, f"no column {column!r}")
+    values = recording[column]
+    finite = values[np.isfinite(values)]
+    if finite.size < 0.5 * values.size:
+        return f"column {column!r} holds {finite.size} numbers in {values.size} rows"
+    highest = float(np.abs(finite).max())
+    if highest < least:
+        supply = machine.parameter(cylinder, "supply_pressure")
+        return (
+            f"column {column!r} stays below {highest:.4g}, the supply of {cylinder!r} is "
+            f"{supply:.4g} Pa; {_UNIT} allowed: Pa"
+        )
+    position = f"{machine.driven[cylinder][0]}_position"
+    moves = position in recording and np.nanmax(recording[position]) > np.nanmin(
+        recording[position]
+    )
+    if moves and np.ptp(finite) == 0.0:
+        return f"column {column!r} is {finite[0]:.6g} in every row; is the sensor connected?"
+    return None
+
+
+def _doubts(
+    machine: Machine, name: str, recording: Recording, limits: Thresholds
+) -> Iterator[Remark]:
+    """Remarks on columns that are used."""
+    for column, values in recording.columns.items():
+        finite = np.isfinite(values)
+        bad = int((~finite).sum())
+        if bad:
+            yield Remark(text="samples without a number", recording=name, place=f"{column!r} {bad}")
+        measured = not column.endswith("_command")
+        if measured and finite.sum() > 1 and np.ptp(values[finite]) == 0.0:
+            yield Remark(
+                text="the same in every row, at rest or a sensor that is not connected",
+                recording=name,
+                place=f"{column!r} {values[finite][0]:.6g}",
+            )
+    model = machine.base.model
+    for actuator in machine.actuators:
+        entry = model.actuator(actuator)
+        if not entry.ctrllimited[0]:
+            continue
+        low, high = (float(x) for x in entry.ctrlrange)
+        values = recording[f"{actuator}_command"]
+        outside = int(((values < low) | (values > high)).sum())
+        if outside:
+            yield Remark(
+                text="a command leaves its range, the model clips it",
+                recording=name,
+                place=f"'{actuator}_command' beyond [{low:g}, {high:g}] in {outside} samples",
+            )
+    for column, values in recording.columns.items():
+        if column.endswith("_command"):
+            continue
+        low, high = np.nanmin(values), np.nanmax(values)
+        # What rests elsewhere as long is no saturated sensor.
+        resting = _longest_run(
+            (np.diff(values) == 0.0) & (values[1:] != low) & (values[1:] != high)
+        )
+        for limit, word in ((low, "smallest"), (high, "largest")):
+            run = _longest_run(values == limit)
+            if max(limits.saturated_samples, 2 * resting) <= run < 0.9 * values.size:
+                yield Remark(
+                    text="an extreme value holds, is the sensor saturated?",
+                    recording=name,
+                    place=f"{column!r} {word} {limit:.6g} for {run} samples",
+                )
+
+
+def _longest_run(mask: np.ndarray) -> int:
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
+    return int((edges[1::2] - edges[::2]).max()) if edges.size else 0
+
+
+def clock_notes(recordings: Mapping[str, Recording], limits: Thresholds) -> tuple[str, ...]:
+    """What is done to the clocks of recordings that are not all on one uniform grid."""
+    period = common_period(recordings, limits)
+    clocks = {name: Clock.of(r.time, name) for name, r in recordings.items()}
+    lines, remarks = [], []
+    fast = [
+        n for n, c in clocks.items() if c.clear and c.period < (1.0 - limits.same_period) * period
+    ]
+    if fast:
+        rates = ", ".join(f"{n} from {1.0 / clocks[n].period:.4g} Hz" for n in fast)
+        lines.append(
+            f"averaged to {1.0 / period:.4g} Hz, the rate of the slowest recording: {rates}; their "
+            f"motion above {0.5 / period:.4g} Hz is lost"
+        )
+    drifting = {
+        name: clock.period / period - 1.0
+        for name, clock in clocks.items()
+        if name not in fast and _drifts(clock, period)
+    }
+    if drifting:
+        shares = ", ".join(f"{name} {100.0 * share:+.2g} %" for name, share in drifting.items())
+        lines.append(
+            f"clocks differ from a period of {period:.6g} s, resampled by their stamps: {shares}"
+        )
+    for name, clock in clocks.items():
+        if clock.rounding:
+            text = f"stamps are rounded to {clock.rounding:.3g} s; taken for a uniform clock's"
+            remarks.append(Remark(text=text, recording=name))
+        if clock.jitter > limits.even_clock:
+            remarks.append(
+                Remark(
+                    text="stamps are uneven, resampled by them",
+                    recording=name,
+                    place=f"{100.0 * clock.jitter:.2g} % of a period",
+                )
+            )
+        if clock.lost:
+            share = 100.0 * clock.lost / (clock.lost + len(recordings[name]))
+            longest = float(np.diff(recordings[name].time).max())
+            remarks.append(
+                Remark(
+                    text="rows are missing",
+                    recording=name,
+                    place=f"{clock.lost} ({share:.2g} %), the longest pause {longest:.3g} s",
+                )
+            )
+    return (*lines, *merged(remarks, recordings))
+
+
+def _drifts(clock: Clock, period: float) -> bool:
+    """Whether a clock's own period differs by what is worth a note."""
+    return clock.clear and abs(clock.period - period) > _SAME_CLOCK * period

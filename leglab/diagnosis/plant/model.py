@@ -1,0 +1,349 @@
+"""The machine under diagnosis: its model, compiled variants, and where parameters live."""
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+import leglab.machine.plugin
+from leglab.base.errors import LeglabError, unknown_name
+from leglab.diagnosis.plant.lately import Lately
+from leglab.diagnosis.plant.paths import CommandPath, Correction, take_out
+from leglab.machine.library import model_path
+from leglab.machine.parameters import PluginTable
+from leglab.machine.sensors import CHAMBERS as CHAMBERS
+from leglab.machine.simulation import actuator_moments
+
+CYLINDER = "leglab.cylinder"
+FRICTION = "leglab.joint_friction"
+SPRING = "leglab.spring_damper"
+SUPPLY = "leglab.supply"
+
+Edit = tuple[Hashable, Callable[[mujoco.MjSpec], None]]
+_SIMPLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+_CACHED_VARIANTS = 64
+# Share of an actuator's largest moment below which another is rounding, see `moved`.
+_ROUNDING = 1e-9
+# Of a parameter that must be more than its minimum, this share of what the model has beyond it.
+_LEAST_SHARE = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variant:
+    """A compiled model and what is needed to start it.
+
+    Attributes:
+        model: Compiled at the replay's time step.
+        elements: Place in `plugin_state` and table of every plugin instance, by name.
+        joint_of: Joint that a passive instance acts on, by instance.
+        drawn_by: Cylinders that draw from each supply, by its instance.
+        plugin_state: After a reset, shape (npluginstate,): parameters and initial states.
+    """
+
+    model: mujoco.MjModel
+    elements: dict[str, tuple[int, PluginTable]]
+    joint_of: dict[str, str]
+    drawn_by: dict[str, tuple[str, ...]]
+    plugin_state: np.ndarray
+
+    def slot(self, element: str, name: str) -> int:
+        """Index in `plugin_state` of a parameter or state.
+
+        Raises:
+            LeglabError: If the element or the parameter does not exist.
+        """
+        if element not in self.elements:
+            raise unknown_name("element", element, self.elements)
+        start, table = self.elements[element]
+        return start + table.entry(name).offset
+
+
+class Machine:
+    """An MJCF model whose hinge and slide joints are measured.
+
+    Args:
+        path: MJCF file, or the name of a model that ships with leglab.
+        timestep: Of the replays [s]; None for the file's own.
+
+    Attributes:
+        timestep: Of the replays [s].
+        base: The model as it is.
+        joints: Names of the hinge and slide joints.
+        actuators: Names of the actuators.
+        driven: Joints that each actuator moves, by actuator: those of its moment near qpos0.
+        carried: Faults of command and sensor paths in the file; variants are free of them.
+
+    Raises:
+        LeglabError: If the model cannot be loaded or has another kind of joint.
+    """
+
+    def __init__(self, path: str | Path, *, timestep: float | None = None) -> None:
+        leglab.machine.plugin.load_plugin()
+        self.path = model_path(path)
+        try:
+            self._spec = mujoco.MjSpec.from_file(str(self.path))
+        except ValueError as error:
+            raise leglab.machine.plugin.load_error(error, self.path.name) from error
+        self.file_timestep = float(self._spec.option.timestep)
+        self.timestep = timestep or self.file_timestep
+        self.carried = take_out(self._spec)
+        self._variants: OrderedDict[Hashable, Variant] = OrderedDict()
+        self.base = self.variant(())
+        model = self.base.model
+        for i in range(model.njnt):
+            if model.jnt_type[i] not in _SIMPLE:
+                raise LeglabError(
+                    f"{self.path.name}: joint {model.joint(i).name!r} is neither hinge nor slide; "
+                    "only those can be replayed"
+                )
+        self.joints = tuple(model.joint(i).name for i in range(model.njnt))
+        self.actuators = tuple(model.actuator(i).name for i in range(model.nu))
+        data = mujoco.MjData(model)
+        # A singular qpos0 (a straight linkage) must not hide a moment.
+        data.qpos[:] = model.qpos0 + 0.1
+        mujoco.mj_forward(model, data)
+        self.driven = {
+            name: tuple(self.joints[int(model.dof_jntid[k])] for k in moved(row))
+            for name, row in zip(self.actuators, actuator_moments(model, data), strict=True)
+        }
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns that a recording of it must have."""
+        positions = tuple(f"{joint}_position" for joint in self.joints)
+        return positions + tuple(f"{actuator}_command" for actuator in self.actuators)
+
+    def at_timestep(self, timestep: float) -> "Machine":
+        """The same machine with another time step [s]."""
+        return Machine(self.path, timestep=timestep)
+
+    def spec(self) -> mujoco.MjSpec:
+        """A fresh copy of the model's specification, as in the file."""
+        # MjSpec.copy() of MuJoCo 3.17.0 loses passive plugin instances.
+        return mujoco.MjSpec.from_file(str(self.path))
+
+    def instances(self, plugin: str) -> tuple[str, ...]:
+        """Instances of a plugin in the unmodified model; a cylinder goes by its actuator."""
+        return tuple(name for name, (_, t) in self.base.elements.items() if t.plugin == plugin)
+
+    def native_actuators(self) -> tuple[str, ...]:
+        """Names of the actuators that no plugin computes."""
+        model = self.base.model
+        return tuple(name for i, name in enumerate(self.actuators) if model.actuator_plugin[i] < 0)
+
+    def parameter(self, element: str, name: str) -> float:
+        """Value of a plugin parameter in the unmodified model."""
+        return float(self.base.plugin_state[self.base.slot(element, name)])
+
+    def instance_on(self, plugin: str, attribute: str, target: str) -> str | None:
+        """Name of a plugin's first instance on a target.
+
+        Args:
+            plugin: Name of the plugin.
+            attribute: Of its instances, "joint" or "actuator".
+            target: Name of the joint or actuator.
+        """
+        for one in self._spec.plugins:
+            if one.plugin_name == plugin and one.config.get(attribute) == target:
+                return str(one.name)
+        return None
+
+    def spring_of(self, joint: str) -> str | None:
+        """Name of the spring-damper instance that acts on a joint."""
+        return self.instance_on(SPRING, "joint", joint)
+
+    def variant(self, edits: tuple[Edit, ...]) -> Variant:
+        """The model after edits of its specification, compiled once per set of keys.
+
+        Raises:
+            LeglabError: If MuJoCo refuses the edited model.
+        """
+        key = tuple(key for key, _ in edits)
+        if key in self._variants:
+            self._variants.move_to_end(key)
+            return self._variants[key]
+        spec = self.spec()
+        take_out(spec)
+        spec.option.timestep = self.timestep
+        spec.compiler.discardvisual = True
+        spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+        try:
+            for _, edit in edits:
+                edit(spec)
+            model = spec.compile()
+            if not (model.geom_contype.any() or model.geom_conaffinity.any() or model.npair):
+                # Nothing can touch: a fifth of the time of a replay is saved by not looking.
+                model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+            plugin_state = mujoco.MjData(model).plugin_state.copy()
+        except (ValueError, mujoco.FatalError) as error:
+            raise leglab.machine.plugin.load_error(error, self.path.name, spec) from error
+        elements = leglab.machine.plugin.elements(model)
+        fed = {a.name: a.plugin.config.get("supply") for a in spec.actuators if a.name in elements}
+        variant = Variant(
+            model=model,
+            elements=elements,
+            joint_of={
+                plugin.name: plugin.config["joint"]
+                for plugin in spec.plugins
+                if plugin.name and "joint" in plugin.config
+            },
+            drawn_by={
+                name: tuple(cylinder for cylinder, source in fed.items() if source == name)
+                for name, (_, table) in elements.items()
+                if table.plugin == SUPPLY
+            },
+            plugin_state=plugin_state,
+        )
+        self._variants[key] = variant
+        if len(self._variants) > _CACHED_VARIANTS:
+            self._variants.popitem(last=False)
+        return variant
+
+
+def moved(moments: np.ndarray) -> np.ndarray:
+    """Degrees of freedom that an actuator moves, from its moments on all, shape (nv,).
+
+    A tendon's moments are differences of lengths of the machine's size, so that joints which it
+    does not cross keep rounding errors: 1e-16 of the largest moment, or 1e-13 where a lever is a
+    thousandth of the machine. A joint that is moved has a share that somebody built.
+    """
+    size = np.abs(moments)
+    return np.flatnonzero(size > _ROUNDING * size.max())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """Measured series of one recording, smoothed, for the reconstruction of hidden states.
+
+    Attributes:
+        period: Sampling period [s].
+        position: Joint positions by joint, each (n,).
+        velocity: Joint velocities by joint, each (n,).
+        piston_velocity: d(actuator length)/dt of the cylinders by actuator [m/s], each (n,).
+        lever: d(actuator length)/d(joint position) of the cylinders by actuator, each (n,).
+        command: What reaches each actuator (command path applied), each (n,).
+        pressure: Pressures by "<joint>_pressure_a" and so on, each (n,), where measured.
+        samples: Where windows start, shape (windows,).
+        pushed: Part of the velocity by commands of native actuators that act at once, by joint,
+            each (n,): its slope jumps with them.
+        lately: What was followed along the recording lately.
+    """
+
+    period: float
+    position: dict[str, np.ndarray]
+    velocity: dict[str, np.ndarray]
+    piston_velocity: dict[str, np.ndarray]
+    lever: dict[str, np.ndarray]
+    command: dict[str, np.ndarray]
+    pressure: dict[str, np.ndarray]
+    samples: np.ndarray
+    pushed: dict[str, np.ndarray] = field(default_factory=dict)
+    lately: Lately = field(default_factory=Lately)
+
+
+@dataclass(frozen=True)
+class ForceLeft:
+    """Force on a joint that the measured motion leaves over, at some moments; all (moments,).
+
+    Attributes:
+        position: Of the joint.
+        velocity: Of the joint.
+        acceleration: Of the joint.
+        force: M a + bias less all forces of the model [N m or N].
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    force: np.ndarray
+
+
+# Value of a plugin state at the start of every window, shape (windows,).
+Start = Callable[[Measured, Variant, np.ndarray], np.ndarray]
+
+
+class Change:
+    """Changes of effects to an unmodified machine: a builder that they write to, in order."""
+
+    def __init__(self, machine: Machine) -> None:
+        self.machine = machine
+        self.edits: list[Edit] = []
+        self.parameters: dict[tuple[str, str], float] = {}
+        # What the model file says of these paths comes first.
+        self.commands = {a: list(paths) for a, paths in machine.carried.commands.items()}
+        self.corrections = {c: list(undone) for c, undone in machine.carried.corrections.items()}
+        self.starts: dict[tuple[str, str], Start] = {}
+
+    @property
+    def variant(self) -> Variant:
+        """The model after the edits."""
+        return self.machine.variant(tuple(self.edits))
+
+    def parameter(self, element: str, name: str) -> float:
+        """Present value of a plugin parameter: as set before, else as in the unmodified model."""
+        if (element, name) in self.parameters:
+            return self.parameters[element, name]
+        return self.machine.parameter(element, name)
+
+    def set_parameter(self, element: str, name: str, value: float) -> None:
+        """Sets a plugin parameter through `plugin_state`: the fast path, nothing is compiled.
+
+        The element may be one that an `edit` inserts.
+        """
+        self.parameters[element, name] = float(value)
+
+    def add_parameter(self, element: str, name: str, difference: float) -> None:
+        """Adds to a plugin parameter, so that effects on the same one compose.
+
+        Two effects that lower the same one together end at the least that the plugin takes; where
+        that is more than zero, but any more, at a share of what the model has.
+        """
+        value = self.parameter(element, name) + difference
+        if element in self.machine.base.elements:  # else it was inserted by the effect itself
+            row = self.machine.base.elements[element][1].parameters[name]
+            low = row.minimum
+            if not row.minimum_allowed:
+                low += _LEAST_SHARE * (self.machine.parameter(element, name) - low)
+            value = min(max(value, low), row.maximum)
+        self.set_parameter(element, name, value)
+
+    def edit(self, key: Hashable, function: Callable[[mujoco.MjSpec], None]) -> None:
+        """Edits the specification: inserts an element, or changes a native attribute.
+
+        Models are compiled once per set of keys, so the key holds every value that `function`
+        writes. An element that is inserted with its parameters at neutral values, which are then
+        set by `set_parameter`, is compiled once for all.
+        """
+        if key not in [known for known, _ in self.edits]:
+            self.edits.append((key, function))
+
+    def command(self, actuator: str, function: CommandPath) -> None:
+        """Puts a fault between the measured command and an actuator."""
+        if actuator not in self.machine.actuators:
+            raise LeglabError(f"actuator {actuator!r} does not exist")
+        self.commands.setdefault(actuator, []).append(function)
+
+    def correct(self, column: str, function: Correction, *, noise_gain: float = 1.0) -> None:
+        """Undoes a sensor fault in a measured column, before states are reconstructed from it.
+
+        Predictions are compared in corrected units.
+
+        Args:
+            column: Of the recording, for instance "knee_position".
+            function: Measured to corrected samples.
+            noise_gain: Factor by which it multiplies sensor noise (1/scale of a gain fault), so
+                that a fit cannot gain by shrinking the noise.
+        """
+        self.corrections.setdefault(column, []).append((function, noise_gain))
+
+    def start(self, element: str, state: str, function: Start) -> None:
+        """Says how a hidden plugin state follows from the measured series at window starts.
+
+        Needed only where the general rules of `leglab.diagnosis.replay.starts` do not know the
+        plugin.
+        """
+        self.starts[element, state] = function

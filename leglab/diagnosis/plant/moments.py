@@ -1,0 +1,111 @@
+"""Forces of a compiled model at moments of a motion: what inverse dynamics ask of MuJoCo."""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+import leglab._native.forces
+from leglab.diagnosis.plant.model import Machine, Measured
+
+STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MomentForces:
+    """Forces at moments; what was not asked for is empty.
+
+    Attributes:
+        lacking: Forces that the accelerations need beyond the modelled ones, (moments, nv).
+        load: Of actuators on joints, (moments, nv).
+        bias: Gravity, Coriolis and centrifugal forces, (moments, nv).
+        length: Of actuators, (moments, nu).
+        speed: Of actuators, (moments, nu).
+        pull: Of actuators, (moments, nu).
+        inertia: Joint-space inertia, (moments, nv, nv).
+    """
+
+    lacking: np.ndarray
+    load: np.ndarray
+    bias: np.ndarray
+    length: np.ndarray
+    speed: np.ndarray
+    pull: np.ndarray
+    inertia: np.ndarray
+
+
+def forces_at(
+    model: mujoco.MjModel,
+    states: np.ndarray,
+    commands: np.ndarray,
+    accelerations: np.ndarray | None = None,
+) -> MomentForces:
+    """Forces of a model at some moments, each for itself.
+
+    Args:
+        model: Compiled model.
+        states: Full physics states, (moments, nstate).
+        commands: Controls, (moments, nu).
+        accelerations: Of the motion, (moments, nv), NaN where a joint moves as the model has it;
+            None where no lacking forces are asked for.
+    """
+    count = len(states)
+    out = {name: np.empty((count, model.nv)) for name in ("lacking", "load", "bias")}
+    out |= {name: np.empty((count, model.nu)) for name in ("length", "speed", "pull")}
+    out["inertia"] = np.empty((count, model.nv, model.nv))
+    wanted = dict(out)
+    if accelerations is None:
+        accelerations = np.zeros((count, model.nv))
+        out["lacking"] = np.empty((0, model.nv))
+        del wanted["lacking"]
+    leglab._native.forces.at_moments(
+        model._address,
+        np.ascontiguousarray(states),
+        np.ascontiguousarray(commands),
+        np.ascontiguousarray(accelerations),
+        wanted,
+    )
+    return MomentForces(**out)
+
+
+def states_at(
+    machine: Machine,
+    model: mujoco.MjModel,
+    measured: Measured,
+    samples: np.ndarray,
+    plugin: np.ndarray,
+    *,
+    without: Collection[int] = (),
+) -> np.ndarray:
+    """Full physics states of a measured motion, (samples, nstate).
+
+    Args:
+        machine: The unmodified machine.
+        model: Compiled model.
+        measured: Smoothed series.
+        samples: To look at, (samples,).
+        plugin: Parameters and states of the plugins, (samples, npluginstate) or (npluginstate,).
+        without: Places in the plugin state that are set to zero.
+    """
+    states = np.zeros((samples.size, mujoco.mj_stateSize(model, STATE)))
+    states[:, 1 : 1 + model.nq] = model.qpos0
+    for name in machine.joints:
+        joint = model.joint(name)
+        states[:, 1 + int(joint.qposadr[0])] = measured.position[name][samples]
+        states[:, 1 + model.nq + int(joint.dofadr[0])] = measured.velocity[name][samples]
+    start = plugin_offset(model)
+    states[:, start : start + model.npluginstate] = plugin
+    states[:, [start + place for place in without]] = 0.0
+    return states
+
+
+def commands_at(machine: Machine, measured: Measured, samples: np.ndarray) -> np.ndarray:
+    """Measured commands, (samples, actuators)."""
+    columns = [measured.command[name][samples] for name in machine.actuators]
+    return np.stack(columns, axis=1) if columns else np.zeros((samples.size, 0))
+
+
+def plugin_offset(model: mujoco.MjModel) -> int:
+    """Place of the plugins in the full physics state: parts follow in the order of their bits."""
+    return mujoco.mj_stateSize(model, int(STATE) & (int(mujoco.mjtState.mjSTATE_PLUGIN) - 1))

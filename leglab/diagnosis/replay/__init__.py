@@ -1,0 +1,1 @@
+"""Windows of the recordings are replayed by the model from smoothed start states."""

@@ -1,0 +1,409 @@
+"""Replay of measured commands over short windows that start from measured states."""
+
+from collections.abc import Iterator, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from mujoco import rollout
+
+from leglab.base.errors import LeglabError
+from leglab.diagnosis.balance.lacking import balanced_joints, comparable_forces, lacking_forces
+from leglab.diagnosis.plant.model import CYLINDER, Change, Machine, Measured, Variant
+from leglab.diagnosis.plant.moments import plugin_offset
+from leglab.diagnosis.replay.starts import Nudge, hidden_slots, measure, start_states
+from leglab.diagnosis.replay.windows import Channel, Cut, UniformSeries, cut_series
+from leglab.diagnosis.thresholds import DEFAULT, Thresholds
+from leglab.machine.plugin import headless
+
+_CACHED_VARIANTS = 8
+# Share of the spread of a command by which it is moved, to see what it moves.
+_COURSE_STEP = 0.05
+
+# Windows of one recording, its measured series, and its corrected columns.
+Part = tuple[Cut, Measured, dict[str, np.ndarray]]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ReplayErrors:
+    """Measured less predicted.
+
+    Attributes:
+        values: Averaged over bins, in corrected units, shape (windows, channels, bins).
+        noise_gain: Factor by which corrections multiply each channel's noise, (channels,).
+        left: As `Replay.lacking` has it, where it was asked for.
+    """
+
+    values: np.ndarray
+    noise_gain: np.ndarray
+    left: np.ndarray | None = None
+
+    @property
+    def normalised(self) -> np.ndarray:
+        """The errors with the sensors' own noise, shape (windows, channels, bins)."""
+        return self.values / self.noise_gain[:, None]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Course:
+    """A recording from one of its windows on.
+
+    Attributes:
+        period: Sampling period [s].
+        time: Of the samples [s], (samples,).
+        positions: Of the joints, corrected and smoothed, by joint, each (samples,).
+        state: Full physics state at the start, (nstate,).
+        controls: At every step of the replay, (steps, actuators).
+        moves: How far a command that is larger by 1 moves each joint within half a window and a
+            whole one, the median of windows, (2, actuators, joints).
+    """
+
+    period: float
+    time: np.ndarray
+    positions: dict[str, np.ndarray]
+    state: np.ndarray
+    controls: np.ndarray
+    moves: np.ndarray
+
+
+class Replay:
+    """Windows of several recordings, replayed together by `mujoco.rollout` threads.
+
+    Args:
+        machine: Its time step must divide the sampling period.
+        series: Recordings of one sampling period.
+        channels: What is predicted.
+        thresholds: Of windows and their start states.
+        threads: Of the rollouts.
+
+    Raises:
+        LeglabError: No window fits into the recordings.
+
+    Attributes:
+        cuts: The recordings with the samples at which windows start.
+        recording: Index of each window's recording, shape (windows,).
+        start: Time at which each window starts [s], shape (windows,).
+        bins: Number of bins in a window.
+        samples: Number of samples in a window.
+        blind: Whether chamber pressures are not measured; they are then replayed as well.
+        rollouts: Replays of all windows so far.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        series: list[UniformSeries],
+        channels: tuple[Channel, ...],
+        thresholds: Thresholds = DEFAULT,
+        *,
+        threads: int = 2,
+    ) -> None:
+        self.machine, self.channels, self.thresholds = machine, channels, thresholds
+        self._period = period = series[0].period
+        self.substeps = max(1, round(period / machine.timestep))
+        per_bin = max(1, round(thresholds.bin / period))
+        self.bins = max(1, round(thresholds.window / period) // per_bin)
+        self.samples = self.bins * per_bin
+        chambers = sum(1 for c in channels if c.chamber)
+        self.blind = chambers < 2 * len(machine.instances(CYLINDER))
+        self._lead = round(thresholds.warm_up / period) if self.blind else 0
+        self.cuts = [
+            cut_series(machine, s, channels, self.samples, self._lead, thresholds) for s in series
+        ]
+        self.recording = np.concatenate(
+            [np.full(c.firsts.size, i) for i, c in enumerate(self.cuts)]
+        )
+        self.start = np.concatenate([c.series.time[c.firsts] for c in self.cuts])
+        if not self.start.size:
+            longest = max(float(s.time[-1] - s.time[0]) for s in series)
+            raise LeglabError(
+                f"no window of {thresholds.window:g} s fits: the longest recording lasts "
+                f"{longest:.3g} s; allowed: recordings without gaps, some seconds long"
+            )
+        self._threads = max(1, threads)
+        self._pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
+        self._datas: dict[int, tuple[Variant, list[mujoco.MjData]]] = {}
+        self._buffers: dict[tuple[int, ...], np.ndarray] = {}
+        self.rollouts = 0.0
+
+    @property
+    def windows(self) -> int:
+        """Number of windows."""
+        return int(self.start.size)
+
+    def on(self, machine: Machine) -> "Replay":
+        """The same windows replayed by another model."""
+        other = copy(self)
+        other.machine, other.rollouts = machine, 0.0
+        other._datas, other._buffers = {}, {}
+        other.substeps = max(1, round(self._period / machine.timestep))
+        return other
+
+    def error(
+        self,
+        change: Change,
+        *,
+        chosen: np.ndarray | None = None,
+        nudge: Nudge | None = None,
+        blocks: int = 0,
+    ) -> ReplayErrors:
+        """Measured less predicted in the chosen windows.
+
+        Args:
+            change: What the hypothesis changes.
+            chosen: Mask of the windows to replay, shape (windows,); None for all.
+            nudge: Departure from the start states.
+            blocks: Into which a window is divided for the forces that it leaves over; 0 for none.
+        """
+        parts = list(self._parts(change, chosen))
+        left = None
+        if blocks and not self.blind and nudge is None:
+            starts, left = self._starts_and_left(change, parts, blocks)
+        else:
+            starts = self._starts(change, parts, nudge)
+            if blocks:
+                left = self.lacking(change, chosen, blocks)
+        controls, targets = [], []
+        for cut, measured, corrected in parts:
+            index = cut.firsts[:, None] + np.arange(self.samples)
+            controls.append(self._controls(cut, measured, index))
+            targets.append(np.stack([corrected[c.column][index + 1] for c in self.channels], 1))
+        states = self._roll(change.variant, starts, np.concatenate(controls))
+        errors = np.concatenate(targets) - self._predicted(change.variant, states)
+        binned = errors.reshape((*errors.shape[:2], self.bins, -1)).mean(axis=3)
+        undone = [change.corrections.get(c.column, ()) for c in self.channels]
+        return ReplayErrors(
+            values=np.nan_to_num(binned, nan=1e12, posinf=1e12, neginf=-1e12),
+            noise_gain=np.array([np.prod([gain for _, gain in found]) for found in undone]),
+            left=left,
+        )
+
+    def lacking(self, change: Change, chosen: np.ndarray | None, blocks: int) -> np.ndarray:
+        """Forces that the measured motion leaves over, averaged over blocks of a window.
+
+        Args:
+            change: What the hypothesis changes.
+            chosen: Mask of the windows, shape (windows,); None for all.
+            blocks: Into which a window is divided.
+
+        Returns:
+            Shape (chosen windows, joints whose forces can be known, blocks) [N m or N], as
+            `comparable_forces` has them.
+        """
+        inside = self._inside(blocks)
+        rest = self.thresholds.rest_time
+        rows = []
+        for cut, measured, _ in self._parts(change, chosen):
+            at = replace(measured, samples=(cut.firsts[:, None] + inside).ravel())
+            states = start_states(cut, change, at, self.channels, rest)
+            rows.append(self._left(change, at, states, blocks))
+        return np.concatenate(rows)
+
+    def _inside(self, blocks: int) -> np.ndarray:
+        """Samples after a window's start at which forces are looked at, as many in each block."""
+        half = self.samples // self.bins
+        inside = np.arange(half, self.samples - half + 1, 2 * half)
+        return inside[: inside.size // blocks * blocks]
+
+    def _left(
+        self, change: Change, measured: Measured, states: np.ndarray, blocks: int
+    ) -> np.ndarray:
+        """Forces left over at the samples of windows, as `lacking` has them."""
+        joints = balanced_joints(self.machine, self.channels)
+        found = lacking_forces(change, measured, states, self.samples // self.bins)
+        left = comparable_forces(change, measured, found, joints)
+        inside = self._inside(blocks).size
+        left = left.reshape(-1, blocks, inside // blocks, len(joints)).mean(axis=2)
+        left = left.transpose(0, 2, 1)
+        return np.nan_to_num(left, nan=1e12, posinf=1e12, neginf=-1e12)
+
+    def _starts_and_left(
+        self, change: Change, parts: list[Part], blocks: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Full physics states at window starts, and what `lacking` gives, in one go.
+
+        Most of the work is to follow spools, seals and supplies along the recordings.
+        """
+        starts, left = [], []
+        for cut, measured, _ in parts:
+            inside = (cut.firsts[:, None] + self._inside(blocks)).ravel()
+            both = replace(measured, samples=np.concatenate([cut.firsts, inside]))
+            rest = self.thresholds.rest_time
+            states = start_states(cut, change, both, self.channels, rest)
+            starts.append(states[: cut.firsts.size])
+            at = replace(measured, samples=inside)
+            left.append(self._left(change, at, states[cut.firsts.size :], blocks))
+        return np.concatenate(starts), np.concatenate(left)
+
+    def respond(self, change: Change, window: int, commands: np.ndarray) -> np.ndarray:
+        """Predictions from the start of one window under other commands.
+
+        Args:
+            change: What the hypothesis changes.
+            window: Whose start state is taken.
+            commands: Measured commands, shape (series, samples, actuators).
+
+        Returns:
+            Shape (series, channels, samples).
+        """
+        parts = list(self._parts(change, np.arange(self.windows) == window))
+        start = self._starts(change, parts)
+        faulty = commands.copy()
+        for i, actuator in enumerate(self.machine.actuators):
+            for path in change.commands.get(actuator, ()):
+                faulty[:, :, i] = [path(row, self._period) for row in faulty[:, :, i]]
+        controls = np.repeat(faulty, self.substeps, axis=1)
+        states = self._roll(change.variant, np.repeat(start, len(commands), axis=0), controls)
+        return self._predicted(change.variant, states)
+
+    def course(self, change: Change, recording: int, after: float) -> Course | None:
+        """A recording from its first window that starts after a time [s], to its end or a gap.
+
+        Returns:
+            None where there is no such window.
+        """
+        cut = self.cuts[recording]
+        cut = replace(cut, firsts=cut.firsts[cut.series.time[cut.firsts] >= after])
+        if not cut.firsts.size:
+            return None
+        measured, corrected = measure(cut, self.channels, change)
+        starts = self._starts(change, [(cut, measured, corrected)])
+        index = cut.firsts[:, None] + np.arange(self.samples)
+        controls = self._controls(cut, measured, index)
+        moves = np.zeros((2, len(self.machine.actuators), len(self.machine.joints)))
+        places = [1 + int(change.variant.model.joint(j).qposadr[0]) for j in self.machine.joints]
+        late = np.array([controls.shape[1] // 2, controls.shape[1]]) - 1
+        seen = np.ix_(np.arange(starts.shape[0]), late, np.array(places))
+        there = self._roll(change.variant, starts, controls)[seen]
+        for i, actuator in enumerate(self.machine.actuators):
+            step = _COURSE_STEP * float(np.std(cut.series.columns[f"{actuator}_command"]))
+            if step > 0.0:
+                moved = controls.copy()
+                moved[:, :, i] += step
+                gone = self._roll(change.variant, starts, moved)[seen] - there
+                moves[:, i] = np.nan_to_num(np.median(gone, axis=0)) / step
+        first = int(cut.firsts[0])
+        gaps = np.flatnonzero(~cut.series.valid[first:])
+        count = int(gaps[0]) if gaps.size else cut.series.time.size - first
+        inside = first + np.arange(count)
+        return Course(
+            period=self._period,
+            time=cut.series.time[inside],
+            positions={joint: q[inside] for joint, q in measured.position.items()},
+            state=starts[0],
+            controls=self._controls(cut, measured, inside[None])[0],
+            moves=moves,
+        )
+
+    def measured(self) -> np.ndarray:
+        """Samples of all windows as measured, shape (windows, channels, samples + 1)."""
+        rows = []
+        for cut in self.cuts:
+            index = cut.firsts[:, None] + np.arange(self.samples + 1)
+            rows.append(np.stack([cut.series.columns[c.column][index] for c in self.channels], 1))
+        return np.concatenate(rows)
+
+    def moments(self, change: Change, chosen: np.ndarray, every: float) -> list[Measured]:
+        """Measured series of the recordings, whose samples lie a time [s] apart in some windows."""
+        stride = max(1, round(every / self._period))
+        inside = np.arange(0, self.samples, stride)
+        return [
+            replace(measured, samples=(cut.firsts[:, None] + inside).ravel())
+            for cut, measured, _ in self._parts(change, chosen)
+        ]
+
+    def at_starts(self, values: list[np.ndarray]) -> np.ndarray:
+        """Values at window starts, shape (windows,), from one array of shape (n,) a recording."""
+        return np.concatenate([v[c.firsts] for v, c in zip(values, self.cuts, strict=True)])
+
+    def _parts(self, change: Change, chosen: np.ndarray | None) -> Iterator[Part]:
+        """The chosen windows of every recording that has some, as measured under a change."""
+        for number, cut in enumerate(self.cuts):
+            if chosen is not None:
+                cut = replace(cut, firsts=cut.firsts[chosen[self.recording == number]])
+            if cut.firsts.size:
+                yield cut, *measure(cut, self.channels, change)
+
+    def _starts(self, change: Change, parts: list[Part], nudge: Nudge | None = None) -> np.ndarray:
+        """Full physics states at window starts, (windows, nstate)."""
+        rest = self.thresholds.rest_time
+
+        def states(
+            earlier: int, nudge: Nudge | None, pressures: Sequence[np.ndarray | None]
+        ) -> np.ndarray:
+            then = [(cut, replace(m, samples=m.samples - earlier)) for cut, m, _ in parts]
+            rows = [
+                start_states(cut, change, m, self.channels, rest, pressures=known, nudge=nudge)
+                for (cut, m), known in zip(then, pressures, strict=True)
+            ]
+            return np.concatenate(rows)
+
+        unknown = [None] * len(parts)
+        if not self.blind:
+            return states(0, nudge, unknown)
+        # Pressures at window starts come from a replay before them.
+        controls = [
+            self._controls(cut, m, cut.firsts[:, None] - self._lead + np.arange(self._lead))
+            for cut, m, _ in parts
+        ]
+        before = states(self._lead, None, unknown)
+        warm = self._roll(change.variant, before, np.concatenate(controls))
+        slots = plugin_offset(change.variant.model) + hidden_slots(change)
+        counts = np.cumsum([cut.firsts.size for cut, _, _ in parts])[:-1]
+        return states(0, nudge, np.split(warm[:, -1][:, slots], counts))
+
+    def _controls(self, cut: Cut, measured: Measured, index: np.ndarray) -> np.ndarray:
+        """Controls at the steps of windows, (windows, steps, actuators); `index` their samples."""
+        actuators, steps = self.machine.actuators, self.substeps
+        controls = np.stack([measured.command[a][index] for a in actuators], 2)
+        controls = np.repeat(controls, steps, axis=1)
+        # Velocities lag half a step, so a kick spans half a step to both sides of its time and
+        # has the mean of what is commanded then. A valve follows its command itself.
+        lead = cut.series.command_lead / self._period
+        begins = (np.arange(controls.shape[1]) - 0.5) / steps + lead
+        sample = np.floor(begins).astype(np.int64)
+        later = np.maximum(begins + 1.0 / steps - (sample + 1), 0.0) * steps
+        for name in self.machine.native_actuators():
+            command = measured.command[name]
+            now = index[:, :1] + sample
+            after = np.minimum(now + 1, command.size - 1)
+            kicks = (1.0 - later) * command[np.minimum(now, after)] + later * command[after]
+            controls[:, :, actuators.index(name)] = kicks
+        return controls
+
+    def _roll(self, variant: Variant, starts: np.ndarray, controls: np.ndarray) -> np.ndarray:
+        """Full physics states after every step, (windows, steps, nstate); overwritten next time."""
+        model = variant.model
+        # Data carry their own plugin instances, so every variant has its own.
+        key = id(variant)
+        if key not in self._datas or self._datas[key][0] is not variant:
+            self._datas[key] = variant, [mujoco.MjData(model) for _ in range(self._threads)]
+            while len(self._datas) > _CACHED_VARIANTS:
+                self._datas.pop(next(iter(self._datas)))
+        shape = (starts.shape[0], controls.shape[1], starts.shape[1])
+        if shape not in self._buffers:
+            if len(self._buffers) > 1:
+                self._buffers.clear()
+            self._buffers[shape] = np.empty(shape)
+        states = self._buffers[shape]
+        sensors = np.empty((shape[0], shape[1], model.nsensordata))  # else made every time
+        with headless(model):
+            self._pool.rollout(
+                model, self._datas[key][1], starts, controls, state=states, sensordata=sensors
+            )
+        self.rollouts += shape[0] / self.windows
+        return states
+
+    def _predicted(self, variant: Variant, states: np.ndarray) -> np.ndarray:
+        """Predictions at the samples of all windows, shape (windows, channels, samples)."""
+        model = variant.model
+        plugin = plugin_offset(model)
+        index = [
+            plugin + variant.slot(c.cylinder, c.chamber)
+            if c.chamber and c.cylinder
+            else 1 + int(model.joint(c.joint).qposadr[0])
+            for c in self.channels
+        ]
+        seen = states[:, self.substeps - 1 :: self.substeps]
+        return np.stack([seen[:, :, i] for i in index], axis=1)

@@ -1,0 +1,568 @@
+"""Recordings and machine as a least-squares problem: whitened errors, noise model and priors."""
+
+from collections.abc import Collection, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.linalg.lapack import dtrtri
+from scipy.signal import savgol_coeffs
+
+from leglab.diagnosis.balance.lacking import balanced_joints
+from leglab.diagnosis.effects.hypothesis import Hypothesis, Key, Library
+from leglab.diagnosis.former.discrepancy import Discrepancy, directions_of, from_errors
+from leglab.diagnosis.former.nuisances import Nuisance, departures, within_tolerance
+from leglab.diagnosis.plant.model import CHAMBERS, CYLINDER, Change, Machine
+from leglab.diagnosis.replay.replay import Replay
+from leglab.diagnosis.replay.starts import Nudge
+from leglab.diagnosis.replay.windows import Channel, UniformSeries, channel_noise, filter_difference
+from leglab.diagnosis.thresholds import DEFAULT, Thresholds
+
+# Step of columns that rest on one count in every recording: pressures [Pa], positions [rad or m].
+_UNSEEN_STEP = (1e4, 1e-3)
+# Least variance of forces left over in a recording, as a share of the largest of all.
+_LEAST_FORCE = 0.01
+# Share of a variance that rounding may take.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NoiseModel:
+    """Scatter of the replay errors of a right model, about one hypothesis.
+
+    Attributes:
+        defect: Error of the replays' time step, shape (windows, channels, bins).
+        whitening: Inverse Cholesky factors of the windows' covariances, which turn errors into
+            numbers of unit variance, shape (windows, size, size).
+        sensors: The same where the model is taken for exact: errors in noise levels of the sensors.
+        covariance: Of the windows' errors in that case, same shape.
+        discrepancy: Of the model, which `whitening` counts in; None for an exact one.
+        forces: Inverse Cholesky factors for the forces left over, (windows, size, size); None
+            where they do not count.
+    """
+
+    defect: np.ndarray
+    whitening: np.ndarray
+    sensors: np.ndarray
+    covariance: np.ndarray
+    discrepancy: Discrepancy | None = None
+    forces: np.ndarray | None = None
+    # The factors of the windows that were chosen last, by their mask: hundreds of replays in turn
+    # take the same ones, and copying them costs as much as a replay of a leg.
+    _chosen: dict[bytes, np.ndarray] = field(default_factory=dict, init=False)
+
+    def white(self, errors: np.ndarray, chosen: np.ndarray | None = None) -> np.ndarray:
+        """Errors of the chosen windows as numbers of unit variance, shape (windows, size)."""
+        if chosen is None or chosen.all():
+            return whitened(self.whitening, errors)
+        mask = chosen.tobytes()
+        if mask not in self._chosen:
+            self._chosen.clear()
+            self._chosen[mask] = self.whitening[chosen]
+        return whitened(self._chosen[mask], errors)
+
+    def trusting(self, discrepancy: Discrepancy | None, recording: np.ndarray) -> "NoiseModel":
+        """The same with another discrepancy of the model; `recording` that of each window."""
+        if discrepancy is None:
+            return replace(self, whitening=self.sensors, discrepancy=None, forces=None)
+        covariance = self.covariance + discrepancy.covariance(recording)
+        whitening, forces = inverse_roots(covariance), None
+        if discrepancy.forces is not None:
+            forces = inverse_roots(discrepancy.forces.covariance(recording))
+        return replace(self, whitening=whitening, discrepancy=discrepancy, forces=forces)
+
+
+def whitened(roots: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """Errors of windows as numbers of unit variance, shape (windows, size).
+
+    Applied hundreds of times: a product of all windows at once beats triangular solves.
+    """
+    return (roots @ errors.reshape(len(errors), -1, 1))[:, :, 0]
+
+
+def inverse_roots(covariance: np.ndarray) -> np.ndarray:
+    """Inverse Cholesky factors of covariances, shape (windows, size, size).
+
+    Errors far above noise have few shapes; their covariance is positive but for rounding.
+    """
+    diagonal = np.arange(covariance.shape[1])
+    widened = covariance.copy()
+    widened[:, diagonal, diagonal] *= 1.0 + _ROUNDING
+    factors = np.linalg.cholesky(widened)
+    for factor in factors:  # A third of the work of a general inverse.
+        factor[:] = dtrtri(factor, lower=1)[0]
+    return factors
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Linearisation:
+    """Whitened errors about a hypothesis, to first order in the nuisances.
+
+    Attributes:
+        base: The hypothesis.
+        residual: Its whitened errors, shape (chosen windows, size).
+        tangents: d(residual)/d(nuisance in tolerances), (chosen windows, size, nuisances).
+        nuisances: Those of the tangents' columns.
+        chosen: Mask of the windows, shape (windows,).
+    """
+
+    base: Hypothesis
+    residual: np.ndarray
+    tangents: np.ndarray
+    nuisances: tuple[Nuisance, ...]
+    chosen: np.ndarray
+
+    def without(self, keys: Collection[Key]) -> "Linearisation":
+        """The same without the nuisances of some effects."""
+        keep = [i for i, n in enumerate(self.nuisances) if n.key not in keys]
+        nuisances = tuple(self.nuisances[i] for i in keep)
+        return replace(self, nuisances=nuisances, tangents=self.tangents[:, :, keep])
+
+
+def robust_cost(mean_square: np.ndarray, limit: float = DEFAULT.robust_limit) -> np.ndarray:
+    """Cost of windows by their mean square: beyond a limit by its logarithm, shape as given."""
+    beyond = limit * (1.0 + np.log(np.maximum(mean_square, limit) / limit))
+    return np.where(mean_square <= limit, mean_square, beyond)
+
+
+def robust_weight(mean_square: np.ndarray, limit: float = DEFAULT.robust_limit) -> np.ndarray:
+    """Derivative of `robust_cost`: weights of windows in a least-squares step."""
+    return limit / np.maximum(mean_square, limit)
+
+
+class Problem:
+    """Recordings and machine as a least-squares problem; immutable.
+
+    Args:
+        machine: The unmodified machine at the replay's time step.
+        library: Its effects.
+        series: The recordings.
+        channels: What is predicted.
+        fit: Indices of the recordings that are fitted; the others are held out.
+        threads: Of the rollouts.
+        thresholds: Of all steps.
+
+    Attributes:
+        replay: The windows.
+        nuisances: Parameters with a tolerance.
+        fitted: Mask of windows that are fitted, shape (windows,).
+        held: Mask of windows that are held out.
+        balanced: Joints whose forces along the measured motion can be known.
+        sensor_noise: Standard deviation of each channel's samples, (recordings, channels).
+        noise: Noise model, at first about the unmodified machine; see `about`.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        library: Library,
+        series: list[UniformSeries],
+        channels: tuple[Channel, ...],
+        fit: Sequence[int],
+        *,
+        threads: int = 2,
+        thresholds: Thresholds = DEFAULT,
+    ) -> None:
+        self.machine, self.library, self.thresholds = machine, library, thresholds
+        self.series, self.channels = series, channels
+        self.replay = Replay(machine, series, channels, thresholds, threads=threads)
+        self._fine = self._at(0.5)
+        self.balanced = balanced_joints(machine, channels)
+        self.fitted = np.isin(self.replay.recording, list(fit))
+        self.held = ~self.fitted
+        self.nuisances = within_tolerance(library)
+        self._worth: float | None = None
+        level = [[channel_noise(s, c) for c in channels] for s in series]
+        floor = np.array([_resolution(series, c.column) for c in channels])
+        self.sensor_noise = np.maximum(np.array(level), floor)
+        change = library.change(Hypothesis(), machine)
+        errors, half = (
+            replay.error(library.change(Hypothesis(), replay.machine)).values
+            for replay in (self.replay, self._fine)
+        )
+        some = np.zeros(self.replay.windows, dtype=bool)
+        some[:: max(1, self.replay.windows // thresholds.order_windows)] = True
+        finest = self._at(0.25)
+        quarter = finest.error(library.change(Hypothesis(), finest.machine), chosen=some).values
+        self._beyond_half = extrapolation((half - errors)[some], quarter - half[some])
+        self.noise = self._noise_model(change, errors, half - errors)
+
+    @property
+    def size(self) -> int:
+        """Numbers in a whitened window."""
+        blocks = 0 if self.noise.forces is None else self.thresholds.force_blocks
+        return len(self.channels) * self.replay.bins + len(self.balanced) * blocks
+
+    @property
+    def numbers(self) -> float:
+        """How many independent numbers the errors of a rough machine are worth."""
+        return self.thresholds.rough_numbers * self._kinds
+
+    @property
+    def worth(self) -> float | None:
+        """How many independent numbers all errors are worth beside the priors of the nuisances.
+
+        None: as many as they are.
+        """
+        return None if self._worth is None else self._worth * self._kinds
+
+    @property
+    def _kinds(self) -> int:
+        """Kinds of evidence: replays, and forces along the measured motion."""
+        return 1 if self.noise.forces is None else 2
+
+    @property
+    def judged(self) -> np.ndarray:
+        """Mask of the windows on which gaps are told, (windows,): those held out, if any are."""
+        return self.held if self.held.any() else self.fitted
+
+    def _at(self, share: float) -> Replay:
+        """The replay with a share of its time step."""
+        return self.replay.on(self.machine.at_timestep(share * self.machine.timestep))
+
+    def about(self, hypothesis: Hypothesis) -> "Problem":
+        """The same problem with its noise model taken about a hypothesis."""
+        errors, _ = self._errors(self.replay, hypothesis, None)
+        fine, _ = self._errors(self._fine, hypothesis, None)
+        change = self.library.change(hypothesis, self.machine)
+        other = copy(self)
+        noise = self._noise_model(change, self.replay.error(change).values, fine - errors)
+        other.noise = noise.trusting(self.noise.discrepancy, self.replay.recording)
+        return other
+
+    def trusting(self, discrepancy: Discrepancy | None) -> "Problem":
+        """The same problem with another discrepancy of the model."""
+        other = copy(self)
+        other.noise = self.noise.trusting(discrepancy, self.replay.recording)
+        return other
+
+    def calibrated(self, hypothesis: Hypothesis) -> "Problem":
+        """The same problem about a specimen of these values, without a discrepancy of the model."""
+        other = self.trusting(None)
+        limits = self.thresholds
+        other.library = self.library.of_specimen(self.library.whole(hypothesis))
+        other.nuisances = within_tolerance(other.library, limits.drift_share)
+        other._worth = None
+        return other
+
+    def with_nuisances(
+        self, nuisances: Sequence[Nuisance], worth: float | None = None
+    ) -> "Problem":
+        """The same problem with other parameters that follow every fit.
+
+        Args:
+            nuisances: The parameters.
+            worth: How many independent numbers the errors of each kind of evidence are worth
+                beside the priors; None: as many as they are.
+        """
+        other = copy(self)
+        other.nuisances = tuple(nuisances)
+        other._worth = worth
+        return other
+
+    def prior_weight(self, chosen: np.ndarray) -> float:
+        """Weight of a squared departure, in tolerances, beside the chi-square of chosen windows.
+
+        Errors of a model go together in time and across channels, so that they are few numbers:
+        counted one by one they would carry any nuisance as far as a fault has moved it.
+        """
+        return 1.0 if self.worth is None else float(self.size * chosen.sum()) / self.worth
+
+    def rewhitened(self, at: Linearisation, before: "Problem") -> Linearisation:
+        """A linearisation that was taken under another discrepancy of the model."""
+        turn = self.turn_from(before, at.chosen)
+        return replace(at, residual=whitened(turn, at.residual), tangents=turn @ at.tangents)
+
+    def turn_from(self, before: "Problem", chosen: np.ndarray) -> np.ndarray:
+        """What whitens errors that were white under another discrepancy, (windows, size, size)."""
+        now, then = self.noise, before.noise
+        turn = now.whitening[chosen] @ np.linalg.inv(then.whitening[chosen])
+        if now.forces is None or then.forces is None:
+            return turn
+        forces = now.forces[chosen] @ np.linalg.inv(then.forces[chosen])
+        whole = np.zeros((len(turn), self.size, self.size))
+        size = turn.shape[1]
+        whole[:, :size, :size], whole[:, size:, size:] = turn, forces
+        return whole
+
+    def discrepancy(self, hypothesis: Hypothesis) -> Discrepancy:
+        """The discrepancy of the model under a hypothesis: what its errors show beyond noise.
+
+        Its size is that which gives the errors themselves the usual cost in the middle of windows.
+        """
+        errors, certain = self._errors(self.replay, hypothesis, None)
+        errors = errors + self.noise.defect
+        use = certain > 0.0
+        recording = self.replay.recording
+        squares = (whitened(self.noise.sensors, errors).reshape(errors.shape) ** 2).mean(axis=2)
+        level = np.ones((len(self.series), len(self.channels)))
+        for number in np.unique(recording[use]):
+            level[number] = np.median(squares[use & (recording == number)], axis=0)
+        excess = np.clip(1.0 - 1.0 / np.maximum(level, 1e-12), 0.0, 1.0)
+        rows = np.unique(recording[use])
+        directions = directions_of(self.machine, self.channels)
+        found = from_errors(errors[use], recording[use], excess[rows], directions)
+        variance = np.zeros(level.shape)
+        variance[rows] = found.variance
+        found = replace(found, variance=variance, forces=self._force_discrepancy(hypothesis))
+        if not variance.any():
+            return found
+        errors = errors * certain[:, None, None]
+        clip = self.thresholds.clip
+        for _ in range(3):
+            white = self.noise.trusting(found, recording).white(errors)
+            cost = np.median(np.mean(np.clip(white, -clip, clip) ** 2, axis=1))
+            found = found.scaled(float(cost) / self.thresholds.usual_cost)
+        return found
+
+    def _force_discrepancy(self, hypothesis: Hypothesis) -> Discrepancy | None:
+        """That of the forces left over: all they are, and as usual as in `discrepancy`."""
+        if not self.balanced:
+            return None
+        left, recording = self._lacking(hypothesis, None), self.replay.recording
+        every = np.unique(recording)
+        ones, joints = np.ones((every.size, len(self.balanced))), np.eye(len(self.balanced))
+        found = from_errors(left, recording, ones, joints)
+        # At rest a joint leaves nothing over, but no model is known as well as that.
+        least = _LEAST_FORCE * found.variance.max(axis=0)
+        variance = np.full((len(self.series), len(self.balanced)), 1.0) * least
+        variance[every] = np.maximum(found.variance, least)
+        found = replace(found, variance=np.maximum(variance, 1e-12))
+        for _ in range(3):
+            roots = inverse_roots(found.covariance(recording))
+            cost = np.median(np.mean(whitened(roots, left) ** 2, axis=1))
+            found = found.scaled(max(float(cost), 1e-12) / self.thresholds.usual_cost)
+        return found
+
+    def _lacking(self, hypothesis: Hypothesis, chosen: np.ndarray | None) -> np.ndarray:
+        change = self.library.change(hypothesis, self.replay.machine)
+        return self.replay.lacking(change, chosen, self.thresholds.force_blocks)
+
+    def with_defect_of(self, hypothesis: Hypothesis) -> "Problem":
+        """The same problem with the defect of the time step about a hypothesis, nothing else.
+
+        Costs stay comparable. A damping that MuJoCo integrates implicitly has another defect than
+        the same damping by a plugin.
+        """
+        errors, _ = self._errors(self.replay, hypothesis, None)
+        fine, _ = self._errors(self._fine, hypothesis, None)
+        other = copy(self)
+        other.noise = replace(self.noise, defect=(fine - errors) * self._beyond_half[:, None])
+        return other
+
+    def _noise_model(self, change: Change, reference: np.ndarray, finer: np.ndarray) -> NoiseModel:
+        """Noise model about a change.
+
+        The covariance of a window's errors is N + S P S' + D D': sensor noise of the bins,
+        start-state errors of covariance P carried on by the sensitivity S of the predictions, from
+        replays with nudged starts, and the defect of the time step. That is taken off as for a
+        machine, which has no step; a recording of the model itself has the error of the model's
+        step, so that the defect as a whole is no evidence, in no window. `reference` are the
+        errors under the change, shape (windows, channels, bins), and `finer` is what half the
+        time step changes in them.
+        """
+        replay, limits = self.replay, self.thresholds
+        per_bin = replay.samples // replay.bins
+        sigma = self.sensor_noise[replay.recording]  # (windows, channels)
+        measured = replay.measured()
+        binned = measured[:, :, 1:].reshape(*measured.shape[:2], replay.bins, per_bin).mean(axis=3)
+        change_over_bin = np.abs(np.gradient(binned, axis=2)) if replay.bins > 1 else 0.0 * binned
+        timing = np.array([limits.timing_share[bool(c.chamber)] for c in self.channels])[:, None]
+        variance = (sigma**2 / per_bin)[:, :, None] + (timing * change_over_bin) ** 2
+        for chamber in [k for k, c in enumerate(self.channels) if c.chamber]:
+            lowest = np.minimum.accumulate(binned[:, chamber], axis=1)
+            vapour = lowest < limits.vapour_pressure
+            variance[np.broadcast_to(vapour[:, None], variance.shape)] *= 1e8
+        size = len(self.channels) * replay.bins
+        covariance = np.zeros((replay.windows, size, size))
+        diagonal = np.arange(size)
+        covariance[:, diagonal, diagonal] = variance.reshape(replay.windows, size)
+        defect = finer * self._beyond_half[:, None]
+        directions = [defect.reshape(replay.windows, size)]
+        for nudge, spread in self._nudges():
+            moved = replay.error(change, nudge=nudge).values - reference
+            shares = (spread / nudge.size)[:, None]
+            directions.append(moved.reshape(replay.windows, size) * shares)
+        together = np.stack(directions, axis=2)
+        covariance += together @ together.transpose(0, 2, 1)
+        whitening = inverse_roots(covariance)
+        return NoiseModel(
+            defect=defect, whitening=whitening, sensors=whitening, covariance=covariance
+        )
+
+    def _nudges(self) -> list[tuple[Nudge, np.ndarray]]:
+        """Nudges and the spread of each start state, shape (windows,)."""
+        found: list[tuple[Nudge, np.ndarray]] = []
+        replay, machine, limits = self.replay, self.machine, self.thresholds
+
+        def spread(k: int, channel: Channel, derivative: float | None) -> np.ndarray:
+            rule = {} if derivative is None else {"deriv": 1, "delta": derivative}
+            kernel = float(np.sqrt((savgol_coeffs(*channel.filter, **rule) ** 2).sum()))
+            # What another filter makes of the same samples tells where smoothing is biased.
+            samples = (s.columns[channel.column] for s in self.series)
+            rough = [filter_difference(x, channel.filter, derivative) for x in samples]
+            sigma = self.sensor_noise[replay.recording, k]
+            return limits.start_spread * np.hypot(kernel * sigma, replay.at_starts(rough))
+
+        for k, channel in enumerate(self.channels):
+            if channel.chamber and channel.cylinder:
+                nudge = Nudge(element=channel.cylinder, quantity=channel.chamber, size=2e4)
+                found.append((nudge, spread(k, channel, None)))
+                continue
+            for quantity, derivative in (("position", None), ("velocity", self.series[0].period)):
+                free = spread(k, channel, derivative)
+                size = float(np.median(free))
+                found.append((Nudge(element=channel.joint, quantity=quantity, size=size), free))
+        for cylinder in machine.instances(CYLINDER):
+            for chamber in CHAMBERS if replay.blind else ():
+                nudge = Nudge(element=cylinder, quantity=chamber, size=1e5)
+                found.append((nudge, np.full(replay.windows, limits.unseen_pressure)))
+            stiffness = machine.parameter(cylinder, "sigma_0")
+            if stiffness > 0.0:
+                size = limits.bristle_share * machine.parameter(cylinder, "static") / stiffness
+                nudge = Nudge(element=cylinder, quantity="bristle", size=size)
+                found.append((nudge, np.full(replay.windows, size)))
+        return found
+
+    def residual(self, hypothesis: Hypothesis, chosen: np.ndarray | None = None) -> np.ndarray:
+        """Whitened errors, shape (chosen windows, size); 0 in windows where an effect begins."""
+        forces, blocks = self.noise.forces, self.thresholds.force_blocks
+        if forces is None or hypothesis.onsets:
+            errors, certain = self._errors(self.replay, hypothesis, chosen)
+            left = None if forces is None else self._lacking(hypothesis, chosen)
+        else:
+            change = self.library.change(hypothesis, self.replay.machine)
+            found = self.replay.error(change, chosen=chosen, blocks=blocks)
+            errors, left, certain = found.normalised, found.left, np.ones(len(found.values))
+        defect = self.noise.defect if chosen is None else self.noise.defect[chosen]
+        white = self.noise.white((errors + defect) * certain[:, None, None], chosen)
+        if forces is not None and left is not None:
+            roots = forces if chosen is None else forces[chosen]
+            # They count as much as the replays, however few numbers they are.
+            kinds = white, whitened(roots, left * certain[:, None, None])
+            even = [np.sqrt(0.5 * self.size / kind.shape[1]) * kind for kind in kinds]
+            white = np.concatenate(even, axis=1)
+        return np.clip(white, -self.thresholds.clip, self.thresholds.clip)
+
+    def noise_levels(self, hypothesis: Hypothesis) -> np.ndarray:
+        """Mean square of the errors in noise levels of the sensors, whatever the discrepancy."""
+        errors, certain = self._errors(self.replay, hypothesis, None)
+        errors = (errors + self.noise.defect) * certain[:, None, None]
+        white = whitened(self.noise.sensors, errors)
+        return np.mean(np.clip(white, -self.thresholds.clip, self.thresholds.clip) ** 2, axis=1)
+
+    def raw_errors(self, hypothesis: Hypothesis) -> np.ndarray:
+        """Measured less predicted in SI units, shape (windows, channels, bins)."""
+        return self._errors(self.replay, hypothesis, None)[0] + self.noise.defect
+
+    def _errors(
+        self, replay: Replay, hypothesis: Hypothesis, chosen: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Errors of the chosen windows; and 0 for windows in which an effect begins, else 1."""
+        if not hypothesis.onsets:
+            change = self.library.change(hypothesis, replay.machine)
+            errors = replay.error(change, chosen=chosen).normalised
+            return errors, np.ones(len(errors))
+        chosen = np.ones(replay.windows, dtype=bool) if chosen is None else chosen
+        keys = sorted(hypothesis.onsets)
+        begins = np.stack([hypothesis.onsets[k][replay.recording] for k in keys])
+        active = begins <= replay.start
+        begun = (begins > replay.start) & (begins < replay.start + self.thresholds.window)
+        certain = np.asarray(~begun.any(axis=0))
+        codes = (active * (1 << np.arange(len(keys)))[:, None]).sum(axis=0)
+        out = np.zeros((replay.windows, len(self.channels), replay.bins))
+        for code in np.unique(codes[chosen]):
+            group = chosen & (codes == code)
+            absent = [k for i, k in enumerate(keys) if not code >> i & 1]
+            change = self.library.change(hypothesis.not_begun(*absent), replay.machine)
+            out[group] = replay.error(change, chosen=group).normalised
+        return out[chosen], certain[chosen].astype(float)
+
+    def cost(self, residual: np.ndarray, prior: float = 0.0) -> float:
+        """Robust chi-square of whitened errors plus the prior's."""
+        robust = robust_cost(np.mean(residual**2, axis=1), self.thresholds.robust_limit)
+        return float(self.size * robust.sum()) + prior
+
+    def window_cost(self, hypothesis: Hypothesis) -> np.ndarray:
+        """Robust mean square of all windows, fitted and held out, shape (windows,)."""
+        squares = np.mean(self.residual(hypothesis) ** 2, axis=1)
+        return robust_cost(squares, self.thresholds.robust_limit)
+
+    def active_nuisances(self, free: Collection[Key]) -> tuple[Nuisance, ...]:
+        """Nuisances but those of effects that are fitted freely."""
+        return tuple(n for n in self.nuisances if n.key not in free)
+
+    def departed(self, hypothesis: Mapping[Key, np.ndarray], free: Collection[Key]) -> float:
+        """Sum of squared departures of the nuisances in tolerances."""
+        return float((departures(hypothesis, self.active_nuisances(free)) ** 2).sum())
+
+    def moved(
+        self, hypothesis: Hypothesis, nuisances: Sequence[Nuisance], eta: np.ndarray
+    ) -> Hypothesis:
+        """The hypothesis with nuisances at departures in tolerances, clipped to their bounds."""
+        for n, departure in zip(nuisances, eta, strict=True):
+            site = self.library.sites[n.key]
+            now = hypothesis.get(n.key, site.nominal).copy()
+            value = n.nominal + departure * n.tolerance
+            now[n.index] = np.clip(value, site.lower[n.index], site.upper[n.index])
+            hypothesis = hypothesis.with_values(n.key, now)
+        return hypothesis
+
+    def linearise(
+        self,
+        base: Hypothesis,
+        chosen: np.ndarray,
+        free: Collection[Key] = (),
+        *,
+        share: float = 0.5,
+    ) -> Linearisation:
+        """Tangents of all nuisances but those of free effects, by a share of their tolerances."""
+        nuisances = self.active_nuisances(free)
+        residual = self.residual(base, chosen)
+        tangents = np.zeros((*residual.shape, len(nuisances)))
+        for i, n in enumerate(nuisances):
+            site = self.library.sites[n.key]
+            step = share * n.tolerance
+            if n.value(base) + step > site.upper[n.index]:
+                step = -step
+            moved = base.get(n.key, site.nominal).copy()
+            value = moved[n.index] + step
+            moved[n.index] = np.clip(value, site.lower[n.index], site.upper[n.index])
+            other = self.residual(base.with_values(n.key, moved), chosen)
+            tangents[:, :, i] = (other - residual) * (n.tolerance / step)
+        return Linearisation(
+            base=base, residual=residual, tangents=tangents, nuisances=nuisances, chosen=chosen
+        )
+
+
+def extrapolation(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Factor from what half the time step changes to what no step at all would, (channels,).
+
+    The error of a step h is c_1 h + c_2 h^2: a scheme that is of second order for forces of the
+    position is of first order for those of the velocity (damping, Coriolis, servos). Two halvings
+    tell both parts (Romberg): the limit is (2 first + 8 second)/3 away, 4/3 of the first halving
+    for the second order and 2 for the first. The middle of all windows counts, since beside jumps
+    and stick-slip differences have no order.
+
+    Args:
+        first: What half the step changes in the errors, shape (windows, channels, bins).
+        second: What a quarter changes beyond that.
+    """
+    limit = (2.0 * first + 8.0 * second) / 3.0
+    square = (first**2).sum(axis=2)
+    factor = (limit * first).sum(axis=2) / np.where(square > 0.0, square, 1.0)
+    middle = np.median(np.where(square > 0.0, factor, 4.0 / 3.0), axis=0)
+    return np.clip(middle, 4.0 / 3.0, 2.0)
+
+
+def _resolution(series: Sequence[UniformSeries], column: str) -> float:
+    """Rounding error of a column: its least step in any recording over sqrt(12).
+
+    A recording that rests on one count has no step of its own, and one of the others counts. Of a
+    column that never moves at all nobody knows the step.
+    """
+    if all(np.ptp(s.columns[column]) == 0.0 for s in series):
+        return _UNSEEN_STEP[column.endswith("_position")] / np.sqrt(12.0)
+    steps = [s.steps[column] for s in series if s.steps.get(column, 0.0) > 0.0]
+    largest = max(float(np.abs(s.columns[column]).max()) for s in series)
+    return max(min(steps, default=0.0) / np.sqrt(12.0), 1e-9 * largest, 1e-12)

@@ -1,0 +1,475 @@
+"""Start states of windows: measured motion, and hidden states that follow from it.
+
+Valve spools, sliding bristles and the pressure of a supply follow from the measured series. At rest
+the measured motion is all noise, and the balance of forces says what dry friction carries; where
+several bristles rest on one joint (a cylinder's seals, a bearing) they share it by their limits.
+"""
+
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+
+from leglab._native import hydraulics as native
+from leglab.diagnosis.plant.model import (
+    CHAMBERS,
+    CYLINDER,
+    FRICTION,
+    Change,
+    Machine,
+    Measured,
+    Variant,
+)
+from leglab.diagnosis.plant.moments import STATE, commands_at, forces_at, plugin_offset, states_at
+from leglab.diagnosis.plant.paths import play
+from leglab.diagnosis.replay.windows import Channel, Cut
+
+# A piston certainly presses its pin with a force beyond this share of its dry friction.
+_PRESSED = 0.15
+# At rest a flank is pressed with at least this force [N].
+_FLANK = 1.0
+# Longest step at which the pressure of a supply is followed, some hundredths of its time constant.
+_SUPPLY_STEP = 5e-4  # s
+
+
+@dataclass(frozen=True, kw_only=True)
+class Nudge:
+    """Departure from the reconstructed start states, to see how predictions depend on them.
+
+    Attributes:
+        element: Joint or cylinder.
+        quantity: "position", "velocity", "pressure_a", "pressure_b" or "bristle".
+        size: rad, rad/s, Pa or m.
+    """
+
+    element: str
+    quantity: str
+    size: float
+
+
+def bristle(velocity: np.ndarray, level: np.ndarray, sigma: float, period: float) -> np.ndarray:
+    """LuGre bristle that starts unloaded, shape (n,), by its exact solution between samples.
+
+    z' = v - sigma |v| z / g with v and g held over a sample (Canudas de Wit et al. 1995).
+
+    Args:
+        velocity: Of sliding, shape (n,).
+        level: Steady friction g, shape (n,).
+        sigma: Bristle stiffness.
+        period: s.
+    """
+    out = np.empty(velocity.size)
+    native.bristle(velocity, level, max(sigma, 0.0), period, out)
+    return out
+
+
+def spool(command: np.ndarray, frequency: float, damping: float, period: float) -> np.ndarray:
+    """Spool position and velocity, shape (n, 2), that follow a held command from rest.
+
+    Args:
+        command: Shape (n,).
+        frequency: rad/s.
+        damping: Damping ratio.
+        period: s.
+    """
+    out = np.empty((command.size, 2))
+    native.spool(command, frequency, damping, period, out)
+    return out
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Instances:
+    """Plugin instances of a variant at window starts; what is reconstructed is written to `state`.
+
+    Attributes:
+        machine: The unmodified machine.
+        measured: Series of one recording.
+        variant: Compiled model.
+        state: Parameters and states at window starts, shape (windows, npluginstate).
+        spools: Spool positions by cylinder, each (n,), as far as they are reconstructed.
+    """
+
+    machine: Machine
+    measured: Measured
+    variant: Variant
+    state: np.ndarray
+    spools: dict[str, np.ndarray] = field(default_factory=dict)
+
+    def get(self, element: str, name: str) -> np.ndarray:
+        """A parameter or state at window starts, shape (windows,); a view."""
+        return self.state[:, self.variant.slot(element, name)]
+
+    def value(self, element: str, name: str) -> float:
+        """A parameter that is one for all windows."""
+        return float(self.get(element, name)[0])
+
+    def put(self, element: str, name: str, values: np.ndarray) -> None:
+        """Sets a state at window starts, shape (windows,)."""
+        self.state[:, self.variant.slot(element, name)] = values
+
+    def pressures(self, joint: str) -> list[np.ndarray]:
+        """Measured chamber pressures of a joint, each (n,)."""
+        columns = (f"{joint}_{chamber}" for chamber in CHAMBERS)
+        return [self.measured.pressure[c] for c in columns if c in self.measured.pressure]
+
+    def reconstruct(self) -> None:
+        """Sets the hidden states of cylinders, joint friction and supplies: they follow the motion.
+
+        A supply whose cylinders have no measured pressures is left as it is.
+        """
+        for element, (_, table) in self.variant.elements.items():
+            if table.plugin == CYLINDER:
+                self._cylinder(element)
+            elif table.plugin == FRICTION:
+                self._joint_friction(element)
+        for supply, cylinders in self.variant.drawn_by.items():
+            self._supply(supply, cylinders)
+
+    def _cylinder(self, element: str) -> None:
+        measured, samples = self.measured, self.measured.samples
+        command = np.clip(measured.command[element], -1.0, 1.0)
+        behind = play(command, self.value(element, "hysteresis"))
+        moved = spool(
+            np.clip(behind + self.value(element, "null_bias"), -1.0, 1.0),
+            2.0 * np.pi * self.value(element, "bandwidth_hz"),
+            self.value(element, "damping_ratio"),
+            measured.period,
+        )
+        self.spools[element] = moved[:, 0]
+        self.put(element, "play_output", behind[np.maximum(samples - 1, 0)])
+        self.put(element, "spool_position", np.clip(moved[samples, 0], -1.0, 1.0))
+        self.put(element, "spool_velocity", moved[samples, 1])
+        velocity = measured.piston_velocity[element]
+        pressures = sum(self.pressures(self.machine.driven[element][0]), np.zeros(1))
+        seal = self.value(element, "pressure_coefficient") * np.maximum(pressures, 0.0)
+        seal = seal + 0.5 * np.sign(velocity) * self.value(element, "coulomb_difference")
+        level = self._stribeck(element, velocity, seal)
+        self._slide(element, velocity, level)
+        if self.value(element, "play") > 0.0:
+            self._seat(element, velocity, level)
+
+    def _seat(self, element: str, velocity: np.ndarray, level: np.ndarray) -> None:
+        """Puts a piston on the flank of its play that it pressed last.
+
+        It crosses the play within milliseconds, and rests in it only while friction holds it.
+        """
+        samples, play = self.measured.samples, self.value(element, "play")
+        pressures = self.pressures(self.machine.driven[element][0])
+        if len(pressures) < len(CHAMBERS):
+            return
+        bore, rod = self.value(element, "bore"), self.value(element, "rod")
+        cap, ring = bore**2, bore**2 - rod**2
+        force = 0.25 * np.pi * (cap * pressures[0] - ring * pressures[1])
+        period, sigma = self.measured.period, self.value(element, "sigma_0")
+        stuck = sigma * bristle(velocity, np.maximum(level, 1e-9), sigma, period)
+        pressed = force - stuck - self.value(element, "viscous") * velocity
+        sure = np.abs(pressed) > _PRESSED * level
+        last = np.maximum.accumulate(np.where(sure, np.arange(sure.size), -1))
+        side = np.where(last >= 0, np.sign(pressed[last]), np.sign(force[0]))
+        given = pressed / self.value(element, "play_stiffness")
+        least = _FLANK / self.value(element, "play_stiffness")
+        reach = 0.5 * play + np.maximum(np.abs(given), least)
+        self.put(element, "play_offset", (side * reach)[samples])
+        lag = 0.5 * self.machine.timestep
+        slope = np.gradient(velocity, period)
+        self.put(element, "pin_load", -pressed[samples])
+        self.put(element, "piston_velocity", (velocity - lag * slope)[samples])
+        self.put(element, "seated_play", np.full(samples.size, play))
+
+    def _supply(self, element: str, cylinders: tuple[str, ...]) -> None:
+        """Sets a supply's pressure, which falls with what its cylinders draw."""
+        chambers = [self.pressures(self.machine.driven[c][0]) for c in cylinders]
+        if not cylinders or any(len(pair) < len(CHAMBERS) for pair in chambers):
+            return
+        period, samples = self.measured.period, self.measured.samples
+        given = (
+            self._parameters(element),
+            np.stack([self._parameters(c) for c in cylinders]),
+            np.stack([self.spools[c] for c in cylinders]),
+            np.stack([a for a, _ in chambers]),
+            np.stack([b for _, b in chambers]),
+        )
+
+        def followed() -> np.ndarray:
+            out, steps = np.empty(chambers[0][0].size), np.ceil(period / _SUPPLY_STEP - 1e-9)
+            native.supply_pressure(*given, period, max(1, int(steps)), out)
+            return out
+
+        pressure = self.measured.lately.get(element, given, followed)
+        self.put(element, "pressure", pressure[samples])
+        self.put(element, "started", np.ones(samples.size))
+
+    def _parameters(self, element: str) -> np.ndarray:
+        """All parameters of an element in the order of its table."""
+        start, table = self.variant.elements[element]
+        return self.state[0, start : start + len(table.parameters)].copy()
+
+    def _joint_friction(self, element: str) -> None:
+        velocity = self.measured.velocity[self.variant.joint_of[element]]
+        side = 1.0 + np.sign(velocity) * self.value(element, "direction_asymmetry")
+        level = self._stribeck(element, velocity) * self.value(element, "wear") * side
+        self._slide(element, velocity, level)
+
+    def _stribeck(
+        self, element: str, velocity: np.ndarray, seal: np.ndarray | float = 0.0
+    ) -> np.ndarray:
+        """Steady friction of sliding, shape (n,), with what seals add to it."""
+        coulomb = self.value(element, "coulomb")
+        ratio = np.abs(velocity) / self.value(element, "stribeck_velocity")
+        share = np.exp(-(ratio ** self.value(element, "stribeck_exponent")))
+        return coulomb + seal + (self.value(element, "static") - coulomb) * share
+
+    def _slide(self, element: str, velocity: np.ndarray, level: np.ndarray) -> None:
+        """Sets a sliding bristle's deflection under a steady friction of shape (n,)."""
+        period, samples = self.measured.period, self.measured.samples
+        sigma = self.value(element, "sigma_0")
+        if sigma > 0.0:
+            level = np.maximum(level, 1e-9)
+            self.put(element, "bristle", bristle(velocity, level, sigma, period)[samples])
+
+    def balance(self, rest_time: float) -> None:
+        """Sets the deflection of bristles that slid less than twice theirs in a time [s].
+
+        Joints of cylinders without measured pressures are left as they are.
+        """
+        measured = self.measured
+        back = np.maximum(measured.samples - round(rest_time / measured.period), 0)
+        still: dict[str, tuple[list[Bristle], np.ndarray]] = {}
+        for joint in self.machine.joints:
+            acting = self._bristles(joint)
+            driven = any(joint in self.machine.driven[c] for c in self.machine.instances(CYLINDER))
+            if not acting or (driven and len(self.pressures(joint)) < len(CHAMBERS)):
+                continue
+            position = measured.position[joint]
+            travel = np.abs(position[measured.samples] - position[back])
+            resting = np.stack([travel < 2.0 * one.travel for one in acting])
+            if resting.any():
+                still[joint] = acting, resting
+                for one, rests in zip(acting, resting, strict=True):
+                    self.state[rests, one.slot] = 0.0
+        if not still:
+            return
+        # A bristle loads its own joint only: all of them together are left out once.
+        rows = np.flatnonzero(np.any([resting.any(axis=0) for _, resting in still.values()], 0))
+        left = self._unbalanced(rows, [*still])
+        for held, (acting, resting) in zip(left.T, still.values(), strict=True):
+            limit = np.stack(
+                [np.where(held > 0, b.forward[rows], b.backward[rows]) for b in acting]
+            )
+            limit *= resting[:, rows]
+            share = held / np.maximum(limit.sum(axis=0), np.abs(held) + 1e-300)
+            for one, rests, part in zip(acting, resting[:, rows], limit * share, strict=True):
+                deflection = part / (one.lever[rows] * one.stiffness)
+                self.state[rows[rests], one.slot] = deflection[rests]
+
+    def _bristles(self, joint: str) -> "list[Bristle]":
+        """Bristles that act on a joint."""
+        found = []
+        for element, (_, table) in self.variant.elements.items():
+            seal = table.plugin == CYLINDER and joint in self.machine.driven[element]
+            if not seal and (table.plugin != FRICTION or self.variant.joint_of[element] != joint):
+                continue
+            stiffness = self.value(element, "sigma_0")
+            if stiffness <= 0.0:
+                continue
+            breakaway = np.maximum(self.get(element, "coulomb"), self.get(element, "static"))
+            if seal:
+                lever = self.measured.lever[element][self.measured.samples]
+                total = sum((p[self.measured.samples] for p in self.pressures(joint)), 0.0)
+                seals = self.get(element, "pressure_coefficient") * np.maximum(total, 0.0)
+                half = 0.5 * np.sign(lever) * self.get(element, "coulomb_difference")
+                forward, backward = (
+                    np.abs(lever) * np.maximum(breakaway + seals + side * half, 0.0)
+                    for side in (1.0, -1.0)
+                )
+            else:
+                lever = np.ones(len(self.state))
+                half = 0.5 * self.get(element, "coulomb_difference")
+                load = self.get(element, "load")
+                forward, backward = (
+                    self.get(element, "wear")
+                    * (1.0 + side * self.get(element, "direction_asymmetry"))
+                    * np.maximum(breakaway + side * half + load, 0.0)
+                    for side in (1.0, -1.0)
+                )
+            found.append(
+                Bristle(
+                    slot=self.variant.slot(element, "bristle"),
+                    stiffness=stiffness,
+                    lever=lever,
+                    forward=forward,
+                    backward=backward,
+                )
+            )
+        return found
+
+    def _unbalanced(self, rows: np.ndarray, joints: list[str]) -> np.ndarray:
+        """Force on joints that the measured motion leaves over at some windows, (rows, joints)."""
+        machine, model, measured = self.machine, self.variant.model, self.measured
+        k, closed = measured.samples[rows], plays(self.machine, self.variant)
+        slope = np.full((rows.size, model.nv), np.nan)
+        for name in machine.joints:
+            v = measured.velocity[name]
+            dof = int(model.joint(name).dofadr[0])
+            slope[:, dof] = (v[k + 1] - v[k - 1]) / (2.0 * measured.period)
+        states = states_at(machine, model, measured, k, self.state[rows], without=closed)
+        found = forces_at(model, states, commands_at(machine, measured, k), slope)
+        return -found.lacking[:, [int(model.joint(name).dofadr[0]) for name in joints]]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Bristle:
+    """A bristle on a joint, at every window start; arrays of shape (windows,).
+
+    Attributes:
+        slot: Place of its deflection in the plugin state.
+        stiffness: sigma_0, force a deflection.
+        lever: d(deflection)/d(joint position) while it sticks.
+        forward: Largest friction against motion towards positive joint positions, as a force on
+            the joint.
+        backward: The same for the other direction, positive.
+    """
+
+    slot: int
+    stiffness: float
+    lever: np.ndarray
+    forward: np.ndarray
+    backward: np.ndarray
+
+    @property
+    def travel(self) -> np.ndarray:
+        """Full deflection as a travel of the joint."""
+        most = np.maximum(self.forward, self.backward)
+        return most / (self.lever**2 * self.stiffness + 1e-300)
+
+
+def measure(
+    cut: Cut, channels: tuple[Channel, ...], change: Change
+) -> tuple[Measured, dict[str, np.ndarray]]:
+    """Smoothed series under the sensor and command faults of a change, and corrected columns."""
+    machine, series, period = change.machine, cut.series, cut.series.period
+    command = {}
+    for actuator in machine.actuators:
+        samples = series.columns[f"{actuator}_command"]
+        for path in change.commands.get(actuator, ()):
+            samples = path(samples, period)
+        command[actuator] = samples
+    # A body that a hypothesis puts between motor and joint takes the pushes.
+    rigid = cut.pushes is not None and cut.pushes.dofs == change.variant.model.nv
+    driven = cut.pushed(channels, command) if rigid else {}
+    corrected, position, velocity, pressure = {}, {}, {}, {}
+    for channel in channels:
+        column, samples = channel.column, series.columns[channel.column]
+        for function, _ in change.corrections.get(column, ()):
+            samples = function(samples, period)
+        corrected[column], known = samples, cut.filtered(channel, samples)
+        if channel.chamber:
+            pressure[column] = known[0]
+        else:
+            position[channel.joint], velocity[channel.joint] = known
+    for joint, beyond in driven.items():
+        position[joint] = position[joint] + beyond.position
+        velocity[joint] = velocity[joint] + beyond.velocity
+    measured = Measured(
+        period=period,
+        position=position,
+        velocity=velocity,
+        piston_velocity={
+            cylinder: lever * velocity[machine.driven[cylinder][0]]
+            for cylinder, lever in cut.levers.items()
+        },
+        lever=cut.levers,
+        command=command,
+        pressure=pressure,
+        samples=cut.firsts,
+        pushed={joint: beyond.whole for joint, beyond in driven.items()},
+        lately=cut.lately,
+    )
+    return measured, corrected
+
+
+def start_states(
+    cut: Cut,
+    change: Change,
+    measured: Measured,
+    channels: tuple[Channel, ...],
+    rest_time: float,
+    *,
+    pressures: np.ndarray | None = None,
+    nudge: Nudge | None = None,
+) -> np.ndarray:
+    """Full physics states at window starts, shape (windows, nstate).
+
+    Args:
+        cut: Windows.
+        change: Changes under the hypothesis.
+        measured: Smoothed series; its samples say where windows start.
+        channels: Measured outputs.
+        rest_time: A bristle that slid less than twice its deflection in this time [s] rests.
+        pressures: Values of `hidden_slots` where pressures are not measured, (windows, slots).
+        nudge: Departure from these states.
+    """
+    machine, variant = change.machine, change.variant
+    model, firsts = variant.model, measured.samples
+    plugin = np.tile(variant.plugin_state, (firsts.size, 1))
+    for (element, name), value in change.parameters.items():
+        plugin[:, variant.slot(element, name)] = value
+    qpos = np.tile(model.qpos0, (firsts.size, 1))
+    qvel = np.zeros((firsts.size, model.nv))
+    lag = 0.5 * machine.timestep
+    for joint in machine.joints:
+        q, v = measured.position[joint], measured.velocity[joint]
+        qpos[:, model.joint(joint).qposadr[0]] = q[firsts]
+        # MuJoCo's velocity lags half a step behind its position: the slope before counts.
+        pushed = measured.pushed.get(joint, np.zeros_like(v))
+        calm = v - pushed
+        slope = (calm[firsts + 1] - calm[firsts - 1]) / (2.0 * measured.period)
+        slope += (pushed[firsts] - pushed[firsts - 1]) / measured.period
+        qvel[:, model.joint(joint).dofadr[0]] = v[firsts] - lag * slope
+    for channel in channels:
+        if channel.chamber and channel.cylinder:
+            slot = variant.slot(channel.cylinder, channel.chamber)
+            plugin[:, slot] = measured.pressure[channel.column][firsts]
+    if pressures is not None:
+        plugin[:, hidden_slots(change)] = pressures
+    instances = Instances(machine=machine, measured=measured, variant=variant, state=plugin)
+    instances.reconstruct()
+    for (element, name), function in change.starts.items():
+        plugin[:, variant.slot(element, name)] = function(measured, variant, plugin)
+    instances.balance(rest_time)
+    if nudge is not None:
+        if nudge.quantity == "position":
+            qpos[:, model.joint(nudge.element).qposadr[0]] += nudge.size
+        elif nudge.quantity == "velocity":
+            qvel[:, model.joint(nudge.element).dofadr[0]] += nudge.size
+        else:
+            plugin[:, variant.slot(nudge.element, nudge.quantity)] += nudge.size
+    states = np.zeros((firsts.size, mujoco.mj_stateSize(model, STATE)))
+    start = plugin_offset(model)
+    states[:, 0] = cut.series.time[firsts]
+    states[:, 1 : 1 + model.nq] = qpos
+    states[:, 1 + model.nq : 1 + model.nq + model.nv] = qvel
+    states[:, start : start + model.npluginstate] = plugin
+    return states
+
+
+def hidden_slots(change: Change) -> np.ndarray:
+    """Places in the plugin state of what follows from pressures that are not measured.
+
+    Chamber pressures A and B and the play of each cylinder in turn, then those of the supplies.
+    """
+    variant = change.variant
+    names = (*CHAMBERS, "play_offset", "piston_velocity", "pin_load", "seated_play")
+    cylinders = [(c, name) for c in change.machine.instances(CYLINDER) for name in names]
+    supplies = [(s, name) for s in variant.drawn_by for name in ("pressure", "started")]
+    return np.array([variant.slot(*place) for place in (*cylinders, *supplies)], dtype=int)
+
+
+def plays(machine: Machine, variant: Variant) -> list[int]:
+    """Places in the plugin state of the plays of all cylinders.
+
+    A piston crosses its play within milliseconds, and presses a flank else. So balances of
+    forces close the plays: the piston's force acts on the joint, not a flank's force in the
+    first step of a simulation, which is an artefact.
+    """
+    return [variant.slot(cylinder, "play") for cylinder in machine.instances(CYLINDER)]

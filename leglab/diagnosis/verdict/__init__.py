@@ -1,0 +1,1 @@
+"""What the diagnosis says: verdict, confidence, next experiment, files."""

@@ -1,0 +1,69 @@
+"""The next experiment: the excitation that would tell two rivals apart best."""
+
+import numpy as np
+
+from leglab.diagnosis.effects.hypothesis import Hypothesis
+from leglab.diagnosis.replay.residual import Problem
+from leglab.diagnosis.result import Proposal
+from leglab.diagnosis.thresholds import DEFAULT
+
+
+def catalogue(
+    samples: int, period: float, tones: tuple[float, ...] = DEFAULT.experiment_tones
+) -> dict[str, np.ndarray]:
+    """Excitations of unit amplitude by name, each (samples,)."""
+    time = period * np.arange(samples)
+    multisine = sum(np.sin(2.0 * np.pi * f * time + i) for i, f in enumerate(tones))
+    return {
+        "slow sine, 1 Hz": np.sin(2.0 * np.pi * time),
+        "fast sine, 8 Hz": np.sin(2.0 * np.pi * 8.0 * time),
+        "multisine, 0.7 to 9 Hz": np.asarray(multisine) / len(tones),
+        "steps every 0.2 s": np.where(np.floor(time / 0.2).astype(int) % 2 == 0, 1.0, -1.0),
+        "ramps through zero": 2.0 * np.abs(2.0 * ((time / 0.5) % 1.0) - 1.0) - 1.0,
+    }
+
+
+def propose(problem: Problem, rivals: dict[str, Hypothesis]) -> Proposal | None:
+    """T-optimal choice (Atkinson and Fedorov 1975) between the first two rivals.
+
+    Both rivals, with the parameters that fit the present recordings, answer every excitation of
+    the catalogue from a calm moment of those recordings; the one in which they differ most, in
+    noise levels, is proposed; None where no excitation separates them.
+    """
+    (one, first), (other, second) = list(rivals.items())[:2]
+    replay, limits = problem.replay, problem.thresholds
+    period = problem.series[0].period
+    samples = round(limits.experiment_duration / period)
+    commands = np.stack(
+        [
+            np.concatenate([s.columns[f"{a}_command"] for s in problem.series])
+            for a in problem.machine.actuators
+        ],
+        axis=1,
+    )
+    middle = np.median(commands, axis=0)
+    reach = np.ptp(np.quantile(commands, [0.02, 0.98], axis=0), axis=0) / 2.0
+    waves = catalogue(samples, period, limits.experiment_tones)
+    tried = [(name, amplitude) for name in waves for amplitude in limits.experiment_amplitudes]
+    series = [middle + amplitude * reach * waves[name][:, None] for name, amplitude in tried]
+    speeds = replay.measured()[:, 0, :10]
+    calm = int(np.argmin(np.abs(speeds[:, -1] - speeds[:, 0])))
+    noise = np.median(problem.sensor_noise, axis=0)[None, :, None]
+    answers = [
+        replay.respond(problem.library.change(h, problem.machine), calm, np.stack(series))
+        for h in (first, second)
+    ]
+    distance = np.nan_to_num((answers[0] - answers[1]) / noise, nan=0.0)
+    separation = (np.clip(distance, -1e3, 1e3) ** 2).sum(axis=(1, 2))
+    best = int(np.argmax(separation))
+    if separation[best] <= 0.0:
+        return None
+    now = (problem.residual(first) - problem.residual(second)) ** 2
+    name, amplitude = tried[best]
+    return Proposal(
+        name=name,
+        description=f"command {name} with {amplitude:.0%} of the present range about its middle",
+        rivals=(one, other),
+        separation=float(separation[best]),
+        separation_now=float(now.sum()),
+    )

@@ -1,0 +1,157 @@
+"""Output of a diagnosis: diagnosis.json, improved.xml, and tables for the terminal."""
+
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import mujoco
+from rich.table import Table
+
+import leglab.machine.plugin
+from leglab.base.output import write_atomically
+from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
+from leglab.diagnosis.former.workflow import Search
+from leglab.diagnosis.remainder.part import Part
+from leglab.diagnosis.replay.residual import Problem
+from leglab.diagnosis.result import Diagnosis, shown_unit
+
+
+def write_diagnosis(result: Diagnosis, folder: Path) -> Path:
+    """Writes DIR/diagnosis.json and returns its path."""
+    path = folder / "diagnosis.json"
+    text = json.dumps(result.to_json(), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    write_atomically(path, lambda stream: stream.write(text.encode()))
+    return path
+
+
+def write_improved(found: Search, folder: Path) -> Path:
+    """Writes DIR/improved.xml: the model with what was found, checked by loading it.
+
+    Raises:
+        LeglabError: MuJoCo refuses the patched model.
+    """
+    return write_model(found.problem, found.fit.hypothesis, folder)
+
+
+def write_model(
+    problem: Problem, hypothesis: Hypothesis, folder: Path, parts: Sequence[Part] = ()
+) -> Path:
+    """Writes DIR/improved.xml: the model under a hypothesis, checked by loading it.
+
+    Args:
+        problem: Whose machine and library are meant; learned parts of its own do not count.
+        hypothesis: Effects and nuisances.
+        folder: Existing.
+        parts: Learned.
+
+    Raises:
+        LeglabError: MuJoCo refuses the patched model.
+    """
+    machine = problem.machine
+    spec = machine.spec()
+    _absolute_files(spec, machine.path.parent)
+    change = Library.change(problem.library, hypothesis, machine)
+    for _, edit in change.edits:
+        edit(spec)
+    plugins = {actuator.name: actuator.plugin for actuator in spec.actuators}
+    plugins |= {plugin.name: plugin for plugin in spec.plugins}
+    for (element, name), value in change.parameters.items():
+        plugins[element].config = {**plugins[element].config, name: repr(value)}
+    for key, values in sorted(problem.library.whole(hypothesis).items()):
+        site = problem.library.sites[key]
+        site.effect.write(spec, machine, site.element, site.named(values))
+    for part in parts:
+        part.write(spec)
+    path = folder / "improved.xml"
+    try:
+        spec.compile()
+        text = leglab.machine.plugin.to_xml(spec)
+        mujoco.MjModel.from_xml_string(text)
+    except (ValueError, mujoco.FatalError) as error:
+        raise leglab.machine.plugin.load_error(error, path.name, spec) from error
+    write_atomically(path, lambda stream: stream.write(text.encode()))
+    return path
+
+
+def _absolute_files(spec: mujoco.MjSpec, folder: Path) -> None:
+    """Makes mesh and texture folders absolute: the patched model lies elsewhere."""
+    if not spec.meshes and not spec.textures:
+        return
+    for attribute in ("meshdir", "texturedir"):
+        holder = spec.compiler if hasattr(spec.compiler, attribute) else spec
+        place = str(getattr(holder, attribute))
+        if not os.path.isabs(place):
+            setattr(holder, attribute, str((folder / place).resolve()))
+
+
+def summary_tables(result: Diagnosis) -> list[Table]:
+    """Verdict, effects and gaps for the terminal."""
+    head = Table(title=f"verdict: {result.verdict}", title_justify="left")
+    nominal = "model" if result.calibration is None else result.nominal_words
+    for name in ("effect", "parameter", "value", "95 % interval", nominal):
+        head.add_column(name, no_wrap=name != "effect")
+    rows = [(e, "") for e in result.effects] + [(e, "smaller: ") for e in result.smaller]
+    for effect, word in rows:
+        for i, p in enumerate(effect.parameters):
+            head.add_row(
+                "" if i else f"{word}[bold]{effect.name}[/bold] at {effect.element}",
+                f"{p.name} \\[{p.unit}]",
+                f"{p.value:.4g}",
+                f"{p.interval[0]:.4g} … {p.interval[1]:.4g}",
+                f"{p.nominal:.4g}",
+            )
+    gaps = Table(title="normalised replay error (noise alone gives 1)", title_justify="left")
+    for name in ("recording", "before", "recalibrated", "after", ""):
+        gaps.add_column(name)
+    for row in result.recordings:
+        gaps.add_row(
+            row.name,
+            f"{row.before:.2f}",
+            f"{row.baseline:.2f}",
+            f"{row.after:.2f}",
+            "held out" if row.held_out else "",
+        )
+    horizon = f"{result.remaining[0].horizon:g} s " if result.remaining else ""
+    title = f"error {horizon}after a measured start, held-out recordings"
+    left = Table(title=title, title_justify="left")
+    told = any(one.learned is not None for one in result.remaining)
+    learned = ["learned"] if told else []
+    for name in ("measured", "before", "after", *learned, "sensor noise"):
+        left.add_column(name, justify="left" if name == "measured" else "right")
+    for one in result.remaining:
+        factor, unit = shown_unit(one.unit)
+        shown = [one.before, one.after, *([] if one.learned is None else [one.learned]), one.noise]
+        left.add_row(one.channel, *(f"{factor * v:.3g} {unit}" for v in shown))
+    return [table for table in (head, left, gaps) if table.row_count]
+
+
+def summary_lines(result: Diagnosis) -> list[str]:
+    """Lines for the terminal beside the tables: onsets, rivals, balances, notes."""
+    lines = []
+    if result.learned:
+        lines.append(f"learned without a name: {result.learned}")
+    if result.calibration is not None:
+        before, after = ([row[i] for row in result.calibration.recordings] for i in (1, 2))
+        lines.append(
+            f"healthy recordings: at most {max(before):.3g} noise levels off by the model as it "
+            f"was, {max(after):.3g} by the calibrated specimen"
+        )
+    for effect in result.effects:
+        lines += [f"{effect.name} begins {when}" for when in effect.begins()]
+        if effect.indistinguishable_from:
+            rivals = ", ".join(effect.indistinguishable_from)
+            lines.append(f"{effect.name} is not told apart from {rivals}")
+    for where in result.where:
+        kind = where.residual if where.residual == "motion" else f"{where.residual} balance"
+        region = where.region if where.region.startswith("everywhere") else f"worst {where.region}"
+        lines.append(f"{kind} of {where.element}: {where.level:.3g} noise levels off, {region}")
+    if result.next_experiment is not None:
+        proposal = result.next_experiment
+        lines.append(f"to tell {' from '.join(proposal.rivals)}: {proposal.description}")
+    if result.not_testable:
+        names = ", ".join(sorted({n.name for n in result.not_testable}))
+        exact = "not testable with these recordings"
+        why = "a just noticeable amount is lost in the model's own error" if result.rough else exact
+        lines.append(f"{why}: {names}")
+    return [*lines, *(f"note: {note}" for note in result.notes)]

@@ -1,0 +1,171 @@
+"""A whole recording simulated in one go, in closed loop.
+
+Replays of 0.3 s say how wrong a model is; a whole recording says what that comes to. Driven by the
+measured commands alone, a machine without a spring drifts away for whatever small reason, and
+nothing is seen. So a position loop corrects each command; how far the simulation still strays, and
+how much correction it needs, is what the model lacks.
+"""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from leglab.diagnosis.effects.hypothesis import Hypothesis
+from leglab.diagnosis.effects.joints import unit
+from leglab.diagnosis.plant.moments import STATE
+from leglab.diagnosis.replay.replay import Course
+from leglab.diagnosis.replay.residual import Problem
+from leglab.diagnosis.result import WholeRecording
+from leglab.machine.plugin import headless
+
+# Share of an error that the loop takes off in the length of a replay window: all of it. That is a
+# rate of 3.3 rad/s, softer than the loops that legs and axes are run with.
+LOOP = 1.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Followed:
+    """A simulation of a whole recording; arrays over its samples.
+
+    Attributes:
+        time: Of the recording [s], (samples,).
+        measured: Positions by joint [rad or m], each (samples,), smoothed, as the
+            hypothesis corrects them.
+        simulated: The same as simulated; NaN from where the simulation blew up.
+        correction: What the loop added to the commands by actuator, each (samples,).
+    """
+
+    time: np.ndarray
+    measured: dict[str, np.ndarray]
+    simulated: dict[str, np.ndarray]
+    correction: dict[str, np.ndarray]
+
+    def deviation(self, joint: str) -> float:
+        """Root mean square of simulated less measured; infinite where the simulation blew up."""
+        error = self.simulated[joint] - self.measured[joint]
+        return float(np.sqrt(np.mean(error**2))) if np.isfinite(error).all() else float("inf")
+
+
+def whole_recording(problem: Problem, final: Hypothesis) -> WholeRecording | None:
+    """The judged recording that the model as it was misses most, before and after.
+
+    Of several joints the one that strays most is told, in noise levels of its sensor.
+
+    Args:
+        problem: Recordings and machine.
+        final: The model with the named effects.
+
+    Returns:
+        None where no window lies after the onsets of the named effects, or nothing is driven.
+    """
+    owner, levels = problem.replay.recording, problem.noise_levels(Hypothesis())
+    judged = np.unique(owner[problem.judged]).tolist()
+    recording = max(judged, key=lambda i: float(levels[owner == i].mean()))
+    onset = max((times[recording] for times in final.onsets.values()), default=-np.inf)
+    before, after = (
+        follow(problem, h, recording, after=float(onset)) for h in (Hypothesis(), final)
+    )
+    machine = problem.machine
+    driven = [(joints[0], actuator) for actuator, joints in machine.driven.items() if joints]
+    if before is None or after is None or not driven:
+        return None
+    noise = {
+        c.joint: float(problem.sensor_noise[recording, k])
+        for k, c in enumerate(problem.channels)
+        if not c.chamber
+    }
+    joint, actuator = max(driven, key=lambda pair: before.deviation(pair[0]) / noise[pair[0]])
+    spread = float(np.std(problem.series[recording].columns[f"{actuator}_command"])) or 1.0
+    measured = before.measured[joint]
+    return WholeRecording(
+        recording=problem.series[recording].name,
+        joint=joint,
+        unit=unit(machine, joint),
+        actuator=actuator,
+        time=before.time,
+        measured=measured,
+        before=before.simulated[joint],
+        # A faulty sensor shows another position than the true one.
+        after=measured + after.simulated[joint] - after.measured[joint],
+        correction_before=before.correction[actuator] / spread,
+        correction_after=after.correction[actuator] / spread,
+    )
+
+
+def follow(
+    problem: Problem,
+    hypothesis: Hypothesis,
+    recording: int,
+    *,
+    loop: float = LOOP,
+    after: float = -np.inf,
+) -> Followed | None:
+    """Simulates a recording from its first window on, to its end or its first gap.
+
+    Args:
+        problem: Recordings and machine.
+        hypothesis: What is simulated, throughout.
+        recording: Which one.
+        loop: Share of an error that the loop takes off in the length of a window; 0: none.
+        after: The first window starts at this time or later [s].
+
+    Returns:
+        None where there is no such window.
+    """
+    change = problem.library.change(hypothesis, problem.machine)
+    course = problem.replay.course(change, recording, after)
+    if course is None:
+        return None
+    gains = _gains(problem, course, loop)
+    machine, model = problem.machine, change.variant.model
+    data = mujoco.MjData(model)
+    mujoco.mj_setState(model, data, course.state, STATE)
+    places = [int(model.joint(joint).qposadr[0]) for joint in machine.joints]
+    measured = np.stack([course.positions[joint] for joint in machine.joints], 1)
+    count, width = measured.shape
+    simulated = np.full((count, width), np.nan)
+    correction = np.zeros((count, len(machine.actuators)))
+    simulated[0] = data.qpos[places]
+    error = measured[0] - simulated[0]
+    steps = problem.replay.substeps
+    with headless(model):
+        for k in range(count - 1):
+            last, error = error, measured[k] - simulated[k]
+            rate = (error - last) / course.period if k else 0.0 * error
+            correction[k] = gains[0] @ error + gains[1] @ rate
+            for control in course.controls[k * steps : (k + 1) * steps]:
+                data.ctrl[:] = control + correction[k]
+                mujoco.mj_step(model, data)
+            simulated[k + 1] = data.qpos[places]
+            if not np.isfinite(simulated[k + 1]).all():
+                simulated[k + 1 :] = np.nan
+                break
+    correction[-1] = correction[-2]
+    return Followed(
+        time=course.time,
+        measured=dict(zip(machine.joints, measured.T, strict=True)),
+        simulated=dict(zip(machine.joints, simulated.T, strict=True)),
+        correction=dict(zip(machine.actuators, correction.T, strict=True)),
+    )
+
+
+def _gains(problem: Problem, course: Course, loop: float) -> np.ndarray:
+    """Command by error, and by its rate, of each actuator's own joint, (2, actuators, joints).
+
+    With r the motion that a constant command adds within a window T, a loop of gain `loop`/r has
+    the rate `loop`/T where commands set a speed, and moves go with the first power p of time.
+    Where they set a force, p = 2, the square of the rate is 2 `loop`/T^2: a lead of 2 T (p - 1)
+    damps it well.
+    """
+    machine = problem.machine
+    gains = np.zeros((2, len(machine.actuators), len(machine.joints)))
+    for i, actuator in enumerate(machine.actuators):
+        for joint in machine.driven[actuator][:1]:
+            j = machine.joints.index(joint)
+            half, whole = course.moves[:, i, j].tolist()
+            if loop > 0.0 and half * whole > 0.0:
+                power = float(np.clip(np.log2(whole / half), 1.0, 2.0))
+                lead = 2.0 * problem.thresholds.window * (power - 1.0)
+                gains[:, i, j] = loop / whole * np.array([1.0, lead])
+    return gains
