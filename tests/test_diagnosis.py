@@ -14,7 +14,7 @@ from leglab.base.recording import Recording
 from leglab.cli import main
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
 from leglab.diagnosis.former.naming import exact_twins
-from leglab.diagnosis.former.workflow import DiagnosisSettings, set_up
+from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.intake.admission import admit
 from leglab.diagnosis.intake.recordings import held_out_choice, read_recordings, split_held_out
 from leglab.diagnosis.plant.model import Change, Machine

@@ -4,7 +4,7 @@ import pytest
 
 from leglab.diagnosis.former.naming import coupled_joints
 from leglab.diagnosis.plant.model import Machine
-from leglab.diagnosis.verdict.output import write_improved
+from leglab.diagnosis.improve import write_improved
 from leglab.diagnosis.verdict.verdict import diagnose
 from tests.patched_models import reloaded_error
 from tests.rigs import (

@@ -9,7 +9,7 @@ from leglab import data
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.diagnosis.effects.hypothesis import Hypothesis
-from leglab.diagnosis.former.workflow import DiagnosisSettings, set_up
+from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.intake.admission import admit
 from leglab.diagnosis.intake.recordings import read_recordings, split_held_out
 from leglab.diagnosis.intake.remarks import Remark, merged

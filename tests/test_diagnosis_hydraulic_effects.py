@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
-from leglab.diagnosis.former.workflow import DiagnosisSettings, set_up
+from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.plant.model import Machine, Measured
 from leglab.diagnosis.replay import starts
 from leglab.machine.cylinder import Cylinder

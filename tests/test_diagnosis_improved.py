@@ -11,10 +11,10 @@ import pytest
 from leglab import RunSettings, data, run_scenario
 from leglab.diagnosis import improve
 from leglab.diagnosis.effects.hypothesis import Hypothesis
-from leglab.diagnosis.former.workflow import DiagnosisSettings, set_up
+from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.plant.paths import take_out
-from leglab.diagnosis.verdict.output import write_improved
+from leglab.diagnosis.improve import write_improved
 from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.machine.sensors import EncoderFaults, PressureFaults
 from tests.patched_models import reloaded_error

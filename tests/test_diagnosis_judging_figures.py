@@ -31,7 +31,7 @@ from leglab.diagnosis.former.judging import (
 )
 from leglab.diagnosis.former.screening import Candidate
 from leglab.diagnosis.former.search import Contender, Round, total_cost
-from leglab.diagnosis.former.workflow import DiagnosisSettings, set_up
+from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.replay.residual import Linearisation
 from leglab.diagnosis.result import Gap

@@ -6,7 +6,7 @@ import pytest
 from leglab.diagnosis.balance.lacking import balanced_joints
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.former.discrepancy import from_errors
-from leglab.diagnosis.former.workflow import DiagnosisSettings, set_up
+from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.replay.residual import whitened
 from leglab.diagnosis.replay.windows import Channel

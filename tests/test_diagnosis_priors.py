@@ -14,7 +14,7 @@ from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
 from leglab.diagnosis.former.fitting import Fit, FreeTangents, profiled, refit
 from leglab.diagnosis.former.nuisances import rough_nuisances, within_tolerance
 from leglab.diagnosis.former.search import total_cost
-from leglab.diagnosis.former.workflow import DiagnosisSettings, Search, set_up
+from leglab.diagnosis.search.pipeline import DiagnosisSettings, Search, set_up
 from leglab.diagnosis.plant.model import Change, Machine
 from tests.rigs import PENDULUM, Truth, record
 

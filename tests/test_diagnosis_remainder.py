@@ -14,7 +14,7 @@ from leglab.base.errors import LeglabError
 from leglab.cli.app import app
 from leglab.diagnosis import improve as improving
 from leglab.diagnosis.effects.hypothesis import Hypothesis
-from leglab.diagnosis.former.workflow import DiagnosisSettings, set_up
+from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.improve import improve
 from leglab.diagnosis.plant.model import Change, Machine
 from leglab.diagnosis.remainder import Period, learn_remainder

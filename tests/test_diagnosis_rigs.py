@@ -5,7 +5,7 @@ import pytest
 
 from leglab.diagnosis.former.judging import rarely_but_surely, t_value
 from leglab.diagnosis.plant.model import Machine
-from leglab.diagnosis.verdict.output import write_improved
+from leglab.diagnosis.improve import write_improved
 from leglab.diagnosis.verdict.verdict import diagnose
 from tests.rigs import PENDULUM, SLIDE_AXIS, Truth, record
 from tests.rigs.agreement import open_loop_error

@@ -14,7 +14,7 @@ from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.former.judging import intervals
 from leglab.diagnosis.former.naming import rms
 from leglab.diagnosis.former.nuisances import all_strengths
-from leglab.diagnosis.former.workflow import DiagnosisSettings, search, set_up
+from leglab.diagnosis.search.pipeline import DiagnosisSettings, search, set_up
 from leglab.diagnosis.thresholds import DEFAULT
 from leglab.diagnosis.verdict.measure import Measure
 from leglab.diagnosis.verdict.verdict import assemble, diagnose

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from leglab.diagnosis.former.workflow import DiagnosisSettings
+from leglab.diagnosis.search.pipeline import DiagnosisSettings
 from leglab.diagnosis.verdict.verdict import diagnose
 from tests.rigs.agreement import open_loop_error
 from tests.rigs.rough import RIGS, SERVO_LINK, as_made, faults_of, hide, machine, record_rough

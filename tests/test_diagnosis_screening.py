@@ -6,7 +6,7 @@ import pytest
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.former.fitting import free_tangents
 from leglab.diagnosis.former.screening import screen
-from leglab.diagnosis.former.workflow import DiagnosisSettings, set_up
+from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.studies.blind.faulty_bench import FaultyBench, references
 
 VALVE = "knee_valve"

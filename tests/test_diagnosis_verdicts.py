@@ -10,8 +10,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from leglab.diagnosis.former.workflow import DiagnosisSettings
-from leglab.diagnosis.verdict.output import write_improved
+from leglab.diagnosis.search.pipeline import DiagnosisSettings
+from leglab.diagnosis.improve import write_improved
 from leglab.diagnosis.verdict.verdict import diagnose
 from tests.rigs import PENDULUM, SLIDE_AXIS, Truth, record
 from tests.rigs.agreement import open_loop_error

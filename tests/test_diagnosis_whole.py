@@ -7,7 +7,7 @@ import pytest
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.former.search import chance_gain
-from leglab.diagnosis.former.workflow import DiagnosisSettings, set_up
+from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.diagnosis.verdict.whole import LOOP, _gains, follow, whole_recording
 from tests.rigs import PENDULUM, SERVO_JOINT, SLIDE_AXIS, Hidden, Truth, record, record_linkage

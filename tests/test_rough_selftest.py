@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from leglab.base.errors import LeglabError
-from leglab.diagnosis.former.workflow import DiagnosisSettings
+from leglab.diagnosis.search.pipeline import DiagnosisSettings
 from leglab.studies.blind import rough_selftest
 from leglab.studies.blind.outcomes import run_missing
 from leglab.studies.blind.rough_bench import FAULTS, RoughCase, effect_of, specimen

@@ -98,7 +98,7 @@ def diagnose(
         )
     if model is None or not recordings:
         raise LeglabError("diagnose needs a model and at least one recording, or --self-test")
-    from leglab.diagnosis.former.workflow import DiagnosisSettings
+    from leglab.diagnosis.search.pipeline import DiagnosisSettings
     from leglab.diagnosis.improve import improved_model
     from leglab.diagnosis.intake.recordings import read_recordings, split_held_out
     from leglab.diagnosis.verdict import output as results
@@ -127,7 +127,7 @@ def diagnose(
                 settings=settings,
                 progress=lambda line: show(description=line),
             )
-            better = improved_model(found, result, lambda line: show(description=line))
+            better = improved_model(found, lambda line: show(description=line))
         if better is not None:
             written = better.write(partial).name
             result = result.with_model(written, better.learned, better.errors)

@@ -10,9 +10,6 @@ import numpy as np
 from leglab.base.recording import Recording
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.effects.joints import unit
-from leglab.diagnosis.former.fitting import Fit, refit
-from leglab.diagnosis.former.search import baseline, thinned
-from leglab.diagnosis.former.workflow import DiagnosisSettings, Search, set_up
 from leglab.diagnosis.intake.recordings import split_held_out
 from leglab.diagnosis.remainder.learning import (
     CLEAN,
@@ -24,9 +21,9 @@ from leglab.diagnosis.remainder.learning import (
     pays,
 )
 from leglab.diagnosis.replay.residual import Problem, robust_cost
-from leglab.diagnosis.result import Diagnosis
 from leglab.diagnosis.verdict.output import write_model
-from leglab.diagnosis.verdict.verdict import diagnose
+from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
+from leglab.diagnosis.verdict.verdict import Outcome, diagnose
 
 # An effect is written into the model from this confidence on.
 _SURE = 0.8
@@ -122,21 +119,30 @@ class ImprovedModel:
         return write_model(self.problem, self.hypothesis, folder, parts)
 
 
+def write_improved(found: Outcome, folder: Path) -> Path | None:
+    """Writes DIR/improved.xml, as the command does; None where nothing improves the model.
+
+    Raises:
+        LeglabError: MuJoCo refuses the patched model.
+    """
+    better = improved_model(found)
+    return None if better is None else better.write(folder)
+
+
 def improved_model(
-    found: Search, result: Diagnosis, progress: Callable[[str], None] = lambda _: None
+    found: Outcome, progress: Callable[[str], None] = lambda _: None
 ) -> ImprovedModel | None:
     """The model that a diagnosis leaves: recalibrated, with what has a name, and with a remainder.
 
     An effect without a name is no improvement, however well it fits. A remainder is learned where
     much is left. None where the held-out recordings are not met better than by the model as it was.
     """
-    limits = found.problem.thresholds
+    limits, result = found.problem.thresholds, found.result
     told = {(e.name, e.element) for e in (*result.effects, *result.smaller)}
     named = tuple(key for key in found.named if key in told and result.verdict != "unexplained")
     problem, final = _recalibrated(found, named)
     remainder = None
-    left = float(found.problem.window_cost(found.fit.hypothesis).mean())
-    more_than_noise = found.rough or left > limits.explained
+    more_than_noise = result.gap.after > limits.explained
     much_left = (result.gap.explained or 0.0) < limits.well_explained
     if result.verdict != "nothing_missing" and more_than_noise and much_left:
         remainder = learn_remainder(problem, final, named=named, progress=progress)
@@ -150,36 +156,28 @@ def improved_model(
     return ImprovedModel(problem=problem, hypothesis=final, remainder=remainder)
 
 
-def _recalibrated(found: Search, named: Sequence[Key]) -> tuple[Problem, Hypothesis]:
-    """The fit with some of the named effects; that without any where there are none of them.
+def _recalibrated(found: Outcome, named: Sequence[Key]) -> tuple[Problem, Hypothesis]:
+    """The fit with some of the named effects, and what else is off.
 
-    A rough machine becomes a specimen of its own, about which a remainder is learned as if it were
-    exact.
+    Where effects leave noise alone, only parameters that have a tolerance follow: the rest of the
+    machine is as its model. A machine that differs everywhere becomes a specimen of its own, about
+    which a remainder is learned as if it were exact.
     """
-    others = [key for key in found.named if key not in named]
-    fit = found.fit if named else found.baseline
-    hypothesis = fit.hypothesis.without(*others)
-    if not found.rough:
-        return found.problem, hypothesis
-    if found.problem.worth is not None:
-        hypothesis = _freely_calibrated(found.problem, fit, hypothesis, named)
-    return found.problem.calibrated(hypothesis.without(*named)), hypothesis.only(named)
-
-
-def _freely_calibrated(
-    problem: Problem, fit: Fit, hypothesis: Hypothesis, named: Sequence[Key]
-) -> Hypothesis:
-    """The hypothesis with its nuisances refitted under priors of weight 1, if it then errs less.
-
-    The search weighs priors more, so that no fault is recalibrated away; an improved model has no
-    need of that. Values of named effects stay as they were told. The held-out windows decide.
-    """
-    each = problem.with_nuisances(problem.nuisances)
-    fine = problem.thresholds.fine_differences
-    at = each.linearise(hypothesis, fit.at.chosen, named, share=fine)
-    free = refit(each, at, frozenset(), iterations=4, fine=fine).hypothesis
-    told, moved = (problem.noise_levels(h)[problem.judged].mean() for h in (hypothesis, free))
-    return free if moved < told else hypothesis
+    problem = found.problem
+    hypothesis = (found.final if named else found.baseline).without(
+        *(key for key in found.named if key not in named)
+    )
+    sites = problem.library.sites
+    lean = {
+        key: np.where([p.tolerance > 0.0 for p in sites[key].parameters], values, sites[key].nominal)
+        for key, values in hypothesis.items()
+        if key not in named and any(p.tolerance > 0.0 for p in sites[key].parameters)
+    }
+    simple = Hypothesis({**lean, **{key: hypothesis[key] for key in named}})
+    errors = [problem.noise_levels(h)[problem.judged].mean() for h in (hypothesis, simple)]
+    if errors[1] <= max(errors[0], problem.thresholds.explained**2):
+        return problem, simple
+    return problem.calibrated(hypothesis.without(*named)), hypothesis.only(named)
 
 
 def improve(
@@ -222,10 +220,7 @@ def improve(
         sure = tuple(key for key in found.named if key in certain)
         problem, hypothesis = _recalibrated(found, sure)
     else:
-        problem = set_up(model, recordings, held_out, settings)
-        every = max(1, round(problem.fitted.sum() / problem.thresholds.screened_windows))
-        progress("baseline")
-        hypothesis = baseline(problem, thinned(problem.fitted, every)).hypothesis
+        problem, hypothesis = set_up(model, recordings, held_out, settings), Hypothesis()
     remainder = learn_remainder(problem, hypothesis, named=sure, progress=progress)
     final = remainder.hypothesis if remainder else hypothesis
     judged = problem.about(final)

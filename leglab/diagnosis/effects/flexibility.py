@@ -26,6 +26,7 @@ class JointFlexibility(Backlash):
     """A spring and damper between motor and joint."""
 
     name = "joint_flexibility"
+    gradual = False
     physics = "J w' = tau - T, T = k (theta - q) + c (w - v); the joint feels T."
     source = "Spong 1987; harmonic drives and belts: 1e3 to 1e5 N m/rad"
     excitation = "torques that change quickly, fast reversals"

@@ -9,14 +9,13 @@ import numpy as np
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.effects.joints import unit
-from leglab.diagnosis.former.search import thinned
 from leglab.diagnosis.plant.model import CYLINDER
 from leglab.diagnosis.remainder.balances import balances
 from leglab.diagnosis.remainder.forms import Form, choose_form, usable
 from leglab.diagnosis.remainder.part import Part
 from leglab.diagnosis.remainder.refining import Refined, Unknowns, bounded, refine, with_parts
 from leglab.diagnosis.remainder.words import Described, describe
-from leglab.diagnosis.replay.residual import Problem, robust_cost
+from leglab.diagnosis.replay.residual import Problem, robust_cost, thinned
 
 # Windows to which replays are fitted.
 _WINDOWS = 60
@@ -118,7 +117,7 @@ def learn_remainder(
         return None
     nuisances = {n.key for n in problem.nuisances}
     keep = frozenset(set(hypothesis) - nuisances if named is None else set(named))
-    chosen = thinned(problem.fitted, max(1, round(problem.fitted.sum() / _WINDOWS)))
+    chosen = thinned(problem.fitted, _WINDOWS)
     best: tuple[float, Hypothesis, tuple[Form, ...]] | None = None
     # Nuisances that a missing force has pulled along hide it: begin without, or with them.
     starts = [hypothesis.only(keep)]

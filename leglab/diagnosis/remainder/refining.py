@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
-from leglab.diagnosis.former.nuisances import departures
+from leglab.diagnosis.replay.nuisances import departures
 from leglab.diagnosis.remainder.forms import Form, diagonal_blocks
 from leglab.diagnosis.remainder.part import LearnedLibrary, Part, Period
 from leglab.diagnosis.remainder.splines import Spline

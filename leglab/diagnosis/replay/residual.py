@@ -11,7 +11,7 @@ from scipy.signal import savgol_coeffs
 from leglab.diagnosis.balance.lacking import balanced_joints
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key, Library
 from leglab.diagnosis.former.discrepancy import Discrepancy, directions_of, from_errors
-from leglab.diagnosis.former.nuisances import Nuisance, departures, within_tolerance
+from leglab.diagnosis.replay.nuisances import Nuisance, departures, within_tolerance
 from leglab.diagnosis.plant.model import CHAMBERS, CYLINDER, Change, Machine
 from leglab.diagnosis.replay.replay import Replay
 from leglab.diagnosis.replay.starts import Nudge
@@ -533,6 +533,13 @@ class Problem:
         return Linearisation(
             base=base, residual=residual, tangents=tangents, nuisances=nuisances, chosen=chosen
         )
+
+
+def thinned(mask: np.ndarray, count: int) -> np.ndarray:
+    """About so many of the windows in a mask, evenly, same shape."""
+    out = np.zeros_like(mask)
+    out[np.flatnonzero(mask)[:: max(1, round(mask.sum() / count))]] = True
+    return out
 
 
 def extrapolation(first: np.ndarray, second: np.ndarray) -> np.ndarray:

@@ -11,7 +11,6 @@ from rich.table import Table
 import leglab.machine.plugin
 from leglab.base.output import write_atomically
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
-from leglab.diagnosis.former.workflow import Search
 from leglab.diagnosis.remainder.part import Part
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.result import Diagnosis, shown_unit
@@ -23,15 +22,6 @@ def write_diagnosis(result: Diagnosis, folder: Path) -> Path:
     text = json.dumps(result.to_json(), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     write_atomically(path, lambda stream: stream.write(text.encode()))
     return path
-
-
-def write_improved(found: Search, folder: Path) -> Path:
-    """Writes DIR/improved.xml: the model with what was found, checked by loading it.
-
-    Raises:
-        LeglabError: MuJoCo refuses the patched model.
-    """
-    return write_model(found.problem, found.fit.hypothesis, folder)
 
 
 def write_model(

@@ -1,9 +1,8 @@
 """From recordings to the verdict: names, confusion sets, confidence, gaps."""
 
 import math
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
 
@@ -12,20 +11,16 @@ import numpy as np
 
 from leglab.base.recording import Recording
 from leglab.diagnosis.balance.isolation import isolate, sample_places
+from leglab.diagnosis.effects.base import EffectParameter
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key, Library
 from leglab.diagnosis.effects.joints import unit
-from leglab.diagnosis.former.fitting import Fit
-from leglab.diagnosis.former.judging import preferences
-from leglab.diagnosis.former.naming import estimate, judge_exact, judge_rough, rms, twins
-from leglab.diagnosis.former.search import Contender
-from leglab.diagnosis.former.specimen import Specimen, calibrate
-from leglab.diagnosis.former.workflow import DiagnosisSettings, Search, search, set_up
 from leglab.diagnosis.intake.admission import admit
 from leglab.diagnosis.intake.recordings import split_held_out
 from leglab.diagnosis.intake.remarks import Remark, merged
+from leglab.diagnosis.intake.series import UniformSeries
+from leglab.diagnosis.likelihood.unknowns import EVERY
 from leglab.diagnosis.plant.model import CYLINDER, Machine
-from leglab.diagnosis.replay.residual import Problem
-from leglab.diagnosis.replay.windows import UniformSeries
+from leglab.diagnosis.replay.residual import Problem, whitened
 from leglab.diagnosis.result import (
     Calibration,
     Diagnosis,
@@ -40,8 +35,9 @@ from leglab.diagnosis.result import (
     ResidualTrace,
     Rivals,
 )
+from leglab.diagnosis.search.pipeline import DiagnosisSettings, Searched, searched
+from leglab.diagnosis.verdict.confidence import VISIBLE, Judge, Row, Verdict
 from leglab.diagnosis.verdict.experiment import propose
-from leglab.diagnosis.verdict.measure import Measure
 from leglab.diagnosis.verdict.whole import whole_recording
 
 _HARDLY_SHOWN = (
@@ -50,6 +46,40 @@ _HARDLY_SHOWN = (
 )
 # Poses of a recording that are looked at for contacts.
 _POSES = 50
+# Sets that are told as rivals.
+_RIVALS = 6
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Outcome:
+    """A judged search.
+
+    Attributes:
+        searched: Problem, fitted sets, specimen.
+        judged: Names and confidence.
+        row: The set whose values are told.
+        baseline: Nothing missing, all parameters within what machines differ by.
+        final: The told set, all parameters as fitted beside it.
+        named: Effects that are told, named or in a confusion set.
+        result: The verdict as it is told.
+    """
+
+    searched: Searched
+    judged: Verdict
+    row: Row
+    baseline: Hypothesis
+    final: Hypothesis
+    named: tuple[Key, ...]
+    result: Diagnosis = field(init=False)
+
+    @property
+    def problem(self) -> Problem:
+        """Recordings and machine."""
+        return self.searched.problem
+
+    def __repr__(self) -> str:
+        named = ", ".join(f"{name} at {element}" for name, element in self.named) or "nothing"
+        return f"Outcome({self.judged.verdict}: {named})"
 
 
 def diagnose(
@@ -60,7 +90,7 @@ def diagnose(
     healthy: Mapping[str, Recording] | None = None,
     settings: DiagnosisSettings | None = None,
     progress: Callable[[str], None] = lambda _: None,
-) -> tuple[Diagnosis, Search]:
+) -> tuple[Diagnosis, Outcome]:
     """Diagnoses a model on recordings.
 
     Args:
@@ -74,7 +104,7 @@ def diagnose(
         progress: Called with a line on what is being done.
 
     Returns:
-        The verdict, and the search that it rests on.
+        The verdict, and the judged search that it rests on.
 
     Raises:
         LeglabError: Model or recordings cannot be used.
@@ -85,80 +115,93 @@ def diagnose(
     if held_out is None:
         recordings, held_out = split_held_out(model, recordings, (), settings.thresholds)
     held_out = tuple(held_out)
-    specimen = None
+    found = searched(model, recordings, held_out, healthy, settings, progress)
+    machine, limits = found.problem.machine, settings.thresholds
+    remarks = admit(machine, recordings, held_out, limits).notes
     if healthy:
-        # A specimen differs in more than the effects that the user asks for.
-        whole = replace(settings, effects=None, excluded=())
-        specimen = calibrate(set_up(model, healthy, (), whole, beside=recordings), progress)
-    values = specimen.values if specimen else None
-    problem = set_up(model, recordings, held_out, settings, specimen=values, beside=healthy)
-    remarks = admit(problem.machine, recordings, held_out, settings.thresholds).notes
-    if healthy:
-        remarks += admit(problem.machine, healthy, (), settings.thresholds).notes
-    found = search(problem, settings, progress, specimen)
+        remarks += admit(machine, healthy, (), limits).notes
     progress("verdict")
-    result = assemble(found, settings, seconds=perf_counter() - began)
-    return replace(result, notes=(*remarks, *result.notes)), found
+    outcome = _judged(found)
+    result = assemble(outcome, seconds=perf_counter() - began)
+    result = replace(result, notes=(*remarks, *result.notes))
+    object.__setattr__(outcome, "result", result)
+    return result, outcome
 
 
-def assemble(found: Search, settings: DiagnosisSettings, *, seconds: float) -> Diagnosis:
-    """Builds the verdict of a finished search."""
-    problem, limits = found.problem, found.problem.thresholds
-    rng = np.random.default_rng(settings.seed + 1)
-    baseline, final = found.baseline.hypothesis, found.fit.hypothesis
-    models = {"before": Hypothesis(), "baseline": baseline, "after": final}
-    if found.named:
-        models["unnamed"] = final.without(*found.named)
+def _judged(found: Searched) -> Outcome:
+    """The search with its verdict, and the hypotheses that are told."""
+    judge = Judge(found.found)
+    judged = judge.judge()
+    told = set(judged.named or judged.confusion[:1])
+    row = next((r for r in judged.rows if told <= r.keys), judged.rows[0])
+    nothing = next((r for r in judged.rows if not r.keys), None)
+    if judged.verdict == "nothing_missing" and nothing is not None:
+        row = nothing
+
+    def hypothesis(of: Row) -> Hypothesis:
+        u = judge.unknowns
+        return u.moved(of.evidence.columns.base, of.evidence.departures(of.score))
+
+    final = hypothesis(row)
+    elements = found.problem.library.sites
+    named = tuple(
+        key
+        for name, element in (judged.named or judged.confusion[:1])
+        for key in sorted(elements)
+        if key[0] == name and element in (key[1], EVERY)
+    )
+    return Outcome(
+        searched=found,
+        judged=judged,
+        row=row,
+        baseline=hypothesis(nothing) if nothing is not None else Hypothesis(),
+        final=final,
+        named=named,
+    )
+
+
+def assemble(outcome: Outcome, *, seconds: float) -> Diagnosis:
+    """Builds the verdict of a judged search."""
+    found, problem = outcome.searched, outcome.problem
+    judged, final, limits = outcome.judged, outcome.final, outcome.problem.thresholds
+    models = {"before": Hypothesis(), "baseline": outcome.baseline, "after": final}
+    if outcome.named:
+        models["unnamed"] = final.without(*outcome.named)
     squares = {k: problem.noise_levels(h) for k, h in models.items()}
     windows = [problem.replay.recording == i for i in range(len(problem.series))]
     held = problem.judged
     names = [s.name for s in problem.series]
-    judged = [bool(problem.held[own].any()) for own in windows]
-    specimen = found.specimen
+    told = [bool(problem.held[own].any()) for own in windows]
     levels = {k: rms(squares[k][held]) for k in squares}
-    measure = Measure.of(problem, specimen)
+    floors = _floors(found)
     gap = Gap(
-        held_out=tuple(name for name, held_out in zip(names, judged, strict=True) if held_out),
+        held_out=tuple(name for name, held_out in zip(names, told, strict=True) if held_out),
         before=levels["before"],
         baseline=levels["baseline"],
         after=levels["after"],
         unnamed=levels.get("unnamed", math.nan),
-        healthy=_healthy_level(specimen, problem, held) if specimen else None,
+        healthy=rms(floors[held]) if found.specimen else None,
     )
     shown = held
-    if found.named:
-        errors = [measure.squares(h) for h in (models["unnamed"], final)]
+    if outcome.named:
         every = np.ones_like(held)
         compared, overall = (
-            (rms(errors[0][w]), rms(errors[1][w]), measure.floor(w)) for w in (held, every)
+            (rms(squares["unnamed"][w]), rms(squares["after"][w]), rms(floors[w]))
+            for w in (held, every)
         )
-        if measure.hardly_shows(held, models["unnamed"], final):
+        if _hardly_shows(problem, held, models["unnamed"], final):
             # A slow motion that nobody fitted cannot tell what a fast one would show.
             compared, shown = overall, every
         gap = replace(gap, compared=compared, everywhere=overall)
-    rivals = tuple(
-        Rivals(
-            round=i,
-            names=_labels(one.contenders),
-            cost=tuple(float(c.cost.mean()) for c in one.contenders),
-            preference=preferences([c.cost for c in one.contenders], rng, limits.resamples),
-        )
-        for i, one in enumerate(found.rounds, 1)
-        if one.contenders and not one.at_once  # two that were fitted together are no rivals
-    )
-    verdict, effects, smaller = (
-        judge_rough(found, gap, lambda h: rms(measure.squares(h)[shown]))
-        if found.rough
-        else judge_exact(found, rng)
-    )
+    verdict, effects, smaller = _effects(outcome, gap, shown)
     where, ceiling = isolate(problem)
     return Diagnosis(
         verdict=verdict,
         effects=effects,
         smaller=smaller,
-        rough=found.rough,
+        rough=levels["after"] > limits.explained and verdict != "nothing_missing",
         where=where,
-        not_testable=_not_testable(found),
+        not_testable=_not_testable(outcome),
         gap=gap,
         recordings=tuple(
             RecordingGap(
@@ -166,24 +209,20 @@ def assemble(found: Search, settings: DiagnosisSettings, *, seconds: float) -> D
                 held_out=held_out,
                 **{k: rms(squares[k][own]) for k in ("before", "baseline", "after")},
             )
-            for name, held_out, own in zip(names, judged, windows, strict=True)
+            for name, held_out, own in zip(names, told, windows, strict=True)
         ),
         remaining=_remaining(problem, final, held),
         whole=whole_recording(problem, final),
-        calibration=_calibration(specimen) if specimen else None,
+        calibration=_calibration(found) if found.specimen else None,
         ceiling=ceiling,
-        ranking=tuple(
-            Rank(name=c.key[0], element=c.key[1], round=i, gain=c.gain, threshold=one.threshold)
-            for i, one in enumerate(found.rounds, 1)
-            for c in one.candidates
-        ),
-        rivals=rivals,
+        ranking=_ranking(found),
+        rivals=_rivals(judged),
         traces=traces(problem, final),
-        nuisances=nuisance_estimates(problem, found.fit),
-        next_experiment=_next_experiment(found, effects),
+        nuisances=nuisance_estimates(problem, final, outcome.named),
+        next_experiment=_next_experiment(outcome),
         notes=(
             *notes(problem),
-            *at_limits(problem.library, {k: found.fit.hypothesis[k] for k in found.named}),
+            *at_limits(problem.library, {k: final[k] for k in outcome.named}),
             *([_HARDLY_SHOWN] if shown is not held else ()),
         ),
         rollouts=problem.replay.rollouts,
@@ -191,20 +230,110 @@ def assemble(found: Search, settings: DiagnosisSettings, *, seconds: float) -> D
     )
 
 
-def _labels(contenders: Sequence[Contender]) -> tuple[str, ...]:
-    """Names of contenders, with the element where two share a name."""
-    count = Counter(c.key[0] for c in contenders)
-    return tuple(
-        name if count[name] == 1 else f"{name} at {element}"
-        for name, element in (c.key for c in contenders)
-    )
+def _floors(found: Searched) -> np.ndarray:
+    """Mean square that noise, or the healthy specimen, gives in each window, (windows,)."""
+    problem = found.problem
+    if found.specimen is None or found.healthy is None:
+        return np.ones(problem.replay.windows)
+    levels = np.array([after for _, after in found.specimen.levels])
+    nearest = found.specimen.nearest(problem)
+    return levels[np.array(nearest)[problem.replay.recording]] ** 2
 
 
-def _healthy_level(specimen: Specimen, problem: Problem, held: np.ndarray) -> float:
-    """Error to expect of the healthy specimen in the held-out recordings, in noise levels."""
-    nearest = specimen.nearest(problem.series)
-    levels = np.array([specimen.after[i] for i in nearest])
-    return rms(levels[problem.replay.recording[held]] ** 2)
+def _hardly_shows(
+    problem: Problem, windows: np.ndarray, without: Hypothesis, final: Hypothesis
+) -> bool:
+    """Whether effects move the predictions in a mask of windows far less than in all."""
+    change = problem.raw_errors(without) - problem.raw_errors(final)
+    square = np.mean(whitened(problem.noise.sensors, change) ** 2, axis=1)
+    shows = square > max(1.0, problem.thresholds.shown_share * float(np.median(square)))
+    return bool(shows[windows].mean() < problem.thresholds.shown_share * shows.mean())
+
+
+def _effects(
+    outcome: Outcome, gap: Gap, shown: np.ndarray
+) -> tuple[str, tuple[NamedEffect, ...], tuple[NamedEffect, ...]]:
+    """Verdict, named effects and smaller differences, the largest contribution first."""
+    problem, judged, final = outcome.problem, outcome.judged, outcome.final
+    limits = problem.thresholds
+    unnamed, after, floor = gap.shown
+    explained = gap.explained or 0.0
+    half = _intervals(outcome)
+    causes, smaller = [], []
+    for key in outcome.named:
+        site = problem.library.sites[key]
+        one = judged.effects.get(key) or judged.effects[key[0], EVERY]
+        without = problem.noise_levels(final.without(key))
+        contribution = (rms(without[shown]) - after) / max(unnamed - floor, 1e-9)
+        tied = () if judged.named else tuple(k[0] for k in judged.confusion if k != key)
+        confidence = one.confidence if judged.named else min(one.possible, one.evidence)
+        if explained < limits.explanation_share:
+            # A name does not stand while most of the error is left.
+            confidence = min(confidence, explained)
+        effect = NamedEffect(
+            name=key[0],
+            element=key[1],
+            group=site.effect.group,
+            physics=site.effect.physics,
+            onset=(),
+            confidence=float(confidence),
+            contribution=float(np.clip(contribution, 0.0, 1.0)),
+            parameters=tuple(
+                estimate(p, n, float(v), max(p.lower, float(v - h)), min(p.upper, float(v + h)))
+                for p, n, v, h in zip(site.parameters, site.nominal, final[key], half[key], strict=True)
+            ),
+            indistinguishable_from=tied,
+            without=rms(without[problem.judged]),
+        )
+        small = judged.named and contribution < limits.smaller_share and len(outcome.named) > 1
+        (smaller if small else causes).append(effect)
+    verdict = judged.verdict
+    if verdict in ("named", "confusion_set") and explained < limits.explanation_share:
+        verdict = "unexplained"
+    causes.sort(key=lambda e: -e.contribution)
+    return verdict, tuple(causes), tuple(sorted(smaller, key=lambda e: -e.contribution))
+
+
+def _intervals(outcome: Outcome) -> dict[Key, np.ndarray]:
+    """Half the width of the 95 % intervals of the parameters of told effects."""
+    row, sites = outcome.row, outcome.problem.library.sites
+    evidence = row.evidence
+    u = evidence.unknowns
+    deviations = evidence.deviations(row.score)
+    half = {}
+    for key in outcome.named:
+        site = sites[key]
+        half[key] = np.array(
+            [
+                1.96 * deviations[u.places.index(((key, i),))] * p.scale
+                for i, p in enumerate(site.parameters)
+            ]
+        )
+    return half
+
+
+def _ranking(found: Searched) -> tuple[Rank, ...]:
+    """What each effect would explain alone, to first order, in nats."""
+    first, u = found.found.first, found.found.fitter.at.unknowns
+    best = found.found.evidence[0]
+    evidence = found.found.fitter.evidence(first, best.spread, best.weight, best.kappa)
+    gains: dict[Key, float] = {key: 0.0 for key in found.problem.library.searched}
+    for gain, (q, _) in evidence.additions(evidence.score(())):
+        for key in u.library_keys(q):
+            if key in gains and u.keys[q] == key:
+                gains[key] = max(gains[key], gain)
+    rows = sorted(gains.items(), key=lambda row: -row[1])
+    return tuple(Rank(name=k[0], element=k[1], round=1, gain=g, threshold=0.0) for k, g in rows)
+
+
+def _rivals(judged: Verdict) -> tuple[Rivals, ...]:
+    """The most probable sets, and how much each is preferred to another."""
+    rows = judged.rows[:_RIVALS]
+    names = tuple(" + ".join(sorted(k[0] for k in row.keys)) or "nothing" for row in rows)
+    logs = np.array([row.score.log for row in rows])
+    preference = 1.0 / (1.0 + np.exp(np.clip(logs[None, :] - logs[:, None], -500, 500)))
+    cost = tuple(row.level**2 for row in rows)
+    return (Rivals(round=1, names=names, cost=cost, preference=preference),)
 
 
 def _remaining(problem: Problem, final: Hypothesis, held: np.ndarray) -> tuple[Remaining, ...]:
@@ -224,66 +353,97 @@ def _remaining(problem: Problem, final: Hypothesis, held: np.ndarray) -> tuple[R
     )
 
 
-def _calibration(specimen: Specimen) -> Calibration:
+def _calibration(found: Searched) -> Calibration:
     """The calibration for the page: what departed most."""
-    problem, fit = specimen.problem, specimen.fit
-    limits = problem.thresholds
+    specimen, problem = found.specimen, found.healthy
+    assert specimen is not None and problem is not None
     rows = []
-    for n in problem.active_nuisances(fit.free):
-        value = n.value(fit.hypothesis)
-        away = abs(value - n.nominal) / n.tolerance
-        if away >= limits.calibration_share:
-            p = problem.library.sites[n.key].parameters[n.index]
-            rows.append((away, (*n.key, estimate(p, n.nominal, value, value, value))))
+    for key, site in problem.library.sites.items():
+        for p, nominal, value in zip(site.parameters, site.model, specimen.values[key], strict=True):
+            away = p.departure(float(value), float(nominal))
+            if p.role == "strength" and away >= problem.thresholds.calibration_share:
+                rows.append((away, (*key, estimate(p, nominal, float(value), value, value))))
     rows.sort(key=lambda row: -row[0])
     names = (series.name for series in problem.series)
     return Calibration(
-        recordings=tuple(zip(names, specimen.before, specimen.after, strict=True)),
+        recordings=tuple(
+            (name, before, after)
+            for name, (before, after) in zip(names, specimen.levels, strict=True)
+        ),
         estimates=tuple(row for _, row in rows),
     )
 
 
-def _next_experiment(found: Search, effects: Sequence[NamedEffect]) -> Proposal | None:
-    """Experiment that would tell the first effect that is tied from its rival."""
-    for effect in effects:
-        if twins(found.problem, (effect.name, effect.element)):
-            continue  # No excitation tells them apart, only a further sensor.
-        for tried in (*found.checks.values(), *(one.contenders for one in found.rounds)):
-            fits = {c.key[0]: c.fit.hypothesis for c in tried}
-            tied = [name for name in effect.indistinguishable_from if name in fits]
-            if effect.name in fits and tied:
-                rivals = {effect.name: fits[effect.name], tied[0]: fits[tied[0]]}
-                return propose(found.problem, rivals)
-    return None
+def _next_experiment(outcome: Outcome) -> Proposal | None:
+    """Experiment that would tell the first effect of a confusion set from its rival."""
+    judged = outcome.judged
+    if judged.named or len(judged.confusion) < 2:
+        return None
+    rivals: dict[str, Hypothesis] = {}
+    for key in judged.confusion:
+        row = next(r for r in judged.rows if key in r.keys)
+        if key[0] not in rivals:
+            columns, u = row.evidence.columns, row.evidence.unknowns
+            rivals[key[0]] = u.moved(columns.base, row.evidence.departures(row.score))
+    if len(rivals) < 2:
+        return None
+    return propose(outcome.problem, dict(list(rivals.items())[:2]))
 
 
-def _not_testable(found: Search) -> tuple[NotTestable, ...]:
-    """Effects that the recordings did not excite."""
-    problem = found.problem
+def _not_testable(outcome: Outcome) -> tuple[NotTestable, ...]:
+    """Effects whose smallest trial moves less than noise lets see."""
+    found = outcome.searched.found
+    first, u = found.first, found.fitter.at.unknowns
+    evidence = found.fitter.evidence(
+        first, found.evidence[0].spread, np.ones(len(first.errors)), 1.0, places=[0]
+    )
+    inner = evidence.whole.inner[0, 0]
+    sites = outcome.problem.library.sites
+    seen: dict[Key, float] = {}
+    for q in range(u.single):
+        if u.nameable[q]:
+            seen[u.keys[q]] = max(seen.get(u.keys[q], 0.0), float(inner[1 + q, 1 + q]))
+    for j, (q, _) in enumerate(first.jumps):
+        if q < u.single:
+            jump = 1 + len(u) + j
+            seen[u.keys[q]] = max(seen.get(u.keys[q], 0.0), float(inner[jump, jump]))
     return tuple(
         NotTestable(
-            name=c.key[0],
-            element=c.key[1],
-            reason=f"needs {problem.library.sites[c.key].effect.excitation}",
+            name=key[0], element=key[1], reason=f"needs {sites[key].effect.excitation}"
         )
-        for one in found.rounds[:1]
-        for c in one.candidates
-        if c.detectable < problem.thresholds.detectable and c.key not in found.named
+        for key, visible in sorted(seen.items())
+        if visible < VISIBLE and key not in outcome.named
     )
 
 
-def nuisance_estimates(problem: Problem, fit: Fit) -> tuple[Estimate, ...]:
-    """Refitted nuisance parameters, with the range of their tolerance."""
-    return tuple(
-        estimate(
-            problem.library.sites[n.key].parameters[n.index],
-            n.nominal,
-            float(n.value(fit.hypothesis)),
-            n.nominal - 1.96 * n.tolerance,
-            n.nominal + 1.96 * n.tolerance,
-        )
-        for n in problem.active_nuisances(fit.free)
+def nuisance_estimates(
+    problem: Problem, final: Hypothesis, named: Sequence[Key]
+) -> tuple[Estimate, ...]:
+    """Refitted parameters that have a tolerance, with the range of it."""
+    found = []
+    for key, site in problem.library.sites.items():
+        if key in named:
+            continue
+        values = final.get(key, site.nominal)
+        for p, nominal, value in zip(site.parameters, site.nominal, values, strict=True):
+            if p.tolerance > 0.0:
+                room = 1.96 * p.tolerance
+                found.append(
+                    estimate(p, nominal, float(value), float(nominal - room), float(nominal + room))
+                )
+    return tuple(found)
+
+
+def estimate(p: EffectParameter, nominal: float, value: float, low: float, high: float) -> Estimate:
+    """A fitted parameter with its interval, beside its value in the model or specimen."""
+    return Estimate(
+        name=p.name, unit=p.unit, value=value, nominal=float(nominal), interval=(low, high)
     )
+
+
+def rms(squares: np.ndarray) -> float:
+    """Root of the mean of squares; NaN of none."""
+    return float(np.sqrt(squares.mean())) if squares.size else float("nan")
 
 
 def notes(problem: Problem) -> tuple[str, ...]:

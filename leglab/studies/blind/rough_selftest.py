@@ -19,7 +19,7 @@ from scipy.stats import binomtest
 
 from leglab.base.errors import unknown_name
 from leglab.diagnosis.effects.hypothesis import Library
-from leglab.diagnosis.former.workflow import DiagnosisSettings
+from leglab.diagnosis.search.pipeline import DiagnosisSettings
 from leglab.diagnosis.intake.recordings import held_out_choice
 from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.verdict.verdict import diagnose

@@ -14,7 +14,7 @@ from rich.table import Table
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.diagnosis.effects.hypothesis import Library
-from leglab.diagnosis.former.workflow import DiagnosisSettings
+from leglab.diagnosis.search.pipeline import DiagnosisSettings
 from leglab.diagnosis.intake.recordings import held_out_choice
 from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.verdict.verdict import diagnose

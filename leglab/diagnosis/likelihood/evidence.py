@@ -1,0 +1,427 @@
+"""Marginal likelihood of sets of effects by the normal equations of one linearisation.
+
+Errors y - f(x) of a window have the covariance N + s^2 D: sensors, start states and time step, and
+the model's own error of a size s that nobody knows. Parameters outside of a set depart from the
+specimen as machines are made (a normal prior of an unknown spread: "spike"), those of the set as
+faults do ("slab"; George and McCulloch 1993). Gaussian integrals over all of them, sums over s and
+over the spread, leave the evidence of a set. Errors go together beyond D: all log likelihoods count
+by 1/design effect (composite likelihood; Pauli, Racugno and Ventura 2011).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.special import logsumexp
+
+from leglab.diagnosis.likelihood.columns import Columns, Errors
+from leglab.diagnosis.likelihood.priors import (
+    FAULT_ODDS,
+    FAULT_SIZE,
+    FURTHER,
+    Priors,
+    log_fault,
+    log_set,
+)
+from leglab.diagnosis.likelihood.spread import Spread
+
+# An unknown, and the place of its jump among the columns' jumps; None for its tangent.
+Member = tuple[int, int | None]
+
+# Of a jump, the least and largest multiple at which its secant holds.
+SECANT = (0.4, 2.0)
+# Windows whose mean square is beyond this many usual ones count less: one that starts in a bad
+# moment must not outvote a hundred others.
+ROBUST = 3.0
+# Recordings below this number are cut into parts, so many in all.
+RECORDINGS, PARTS = 4, 8
+
+
+def parts_of(recording: np.ndarray) -> np.ndarray:
+    """Part of each window: recordings, or where these are few, runs of their windows."""
+    every = np.unique(recording)
+    pieces = 1 if every.size >= RECORDINGS else int(np.ceil(PARTS / every.size))
+    out, count = np.zeros(recording.size, dtype=int), 0
+    for r in every:
+        own = np.flatnonzero(recording == r)
+        for run in np.array_split(own, min(pieces, max(1, own.size // 2))):
+            out[run] = count
+            count += 1
+    return out
+
+
+def robust_weights(at: Errors, errors: np.ndarray, spread: Spread, size: float, forces: float) -> np.ndarray:
+    """Weights of windows, (windows,), by how unusual their errors are (Huber 1964)."""
+    roots, _ = spread.whiteners(at, size, forces)
+    white = (roots @ errors[:, :, None])[:, :, 0]
+    square = np.mean(white**2, axis=1)
+    square = square / max(float(np.median(square)), 1.0)
+    return ROBUST / np.maximum(square, ROBUST)
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """Evidence of a set.
+
+    Attributes:
+        members: The set.
+        log: Log evidence.
+        size: Place of the most probable size of the model's own error.
+        spread: Place of the most probable spread of machines.
+        values: Departures of the members, (members,).
+        deviations: Their standard deviations.
+        shift: Change of all single unknowns beside the members, (single,).
+        coefficients: Of the members' columns.
+        grid: Log evidence by size and spread.
+    """
+
+    members: tuple[Member, ...]
+    log: float
+    size: int
+    spread: int
+    values: np.ndarray
+    deviations: np.ndarray
+    shift: np.ndarray
+    coefficients: np.ndarray
+    grid: np.ndarray
+
+    @property
+    def unknowns(self) -> tuple[int, ...]:
+        """Unknowns of the members."""
+        return tuple(u for u, _ in self.members)
+
+
+@dataclass(frozen=True, eq=False)
+class _Reduced:
+    """Inner products of all columns with the single unknowns integrated out.
+
+    inner: (sizes, spreads, columns, columns): errors, tangents, jumps.
+    base: Log evidence of no member, but for the errors' square, (sizes, spreads).
+    follow: (sizes, spreads, single, columns): how single unknowns follow a column.
+    """
+
+    inner: np.ndarray
+    base: np.ndarray
+    follow: np.ndarray
+
+
+class Evidence:
+    """Evidence of any set at one linearisation.
+
+    Args:
+        at: Windows.
+        columns: The linearisation.
+        spread: Of the model's own error.
+        weight: Of windows, (windows,).
+        kappa: Share of the log likelihood that counts, 1/design effect.
+        priors: Of all else.
+        places: Of the sizes in the priors that are looked at; None for all.
+    """
+
+    def __init__(
+        self,
+        at: Errors,
+        columns: Columns,
+        spread: Spread,
+        weight: np.ndarray,
+        kappa: float,
+        priors: Priors,
+        places: Sequence[int] | None = None,
+    ) -> None:
+        self.at, self.columns, self.priors, self.kappa = at, columns, priors, kappa
+        self.unknowns, self.spread, self.weight = at.unknowns, spread, weight
+        self.places = tuple(range(len(priors.sizes)) if places is None else places)
+        self.part = parts_of(at.recording)
+        every = int(self.part.max()) + 1
+        stacked = np.concatenate(
+            [columns.errors[:, :, None], columns.tangents, columns.changes], axis=2
+        )
+        width = stacked.shape[2]
+        self.gram = np.zeros((len(self.places), every, width, width))
+        self.log_covariance = np.zeros((len(self.places), every))
+        root_weight = np.sqrt(weight)[:, None, None]
+        for k, place in enumerate(self.places):
+            size = priors.sizes[place]
+            roots, log = spread.whiteners(at, size, self.force_size(place))
+            white = (roots @ stacked) * root_weight
+            for r in range(every):
+                own = self.part == r
+                flat = white[own].reshape(-1, width)
+                self.gram[k, r] = flat.T @ flat
+                self.log_covariance[k, r] = (weight[own] * log[own]).sum()
+
+    def force_size(self, place: int) -> float:
+        """Size of the model's own error in forces, by place of that in replays."""
+        return max(1.0, self.priors.sizes[place]) if self.priors.calibrated else 1.0
+
+    # Places of columns.
+    def _tangent(self, unknown: int) -> int:
+        return 1 + unknown
+
+    def _jump(self, place: int) -> int:
+        return 1 + len(self.unknowns) + place
+
+    def reduced(self, without: int | None = None) -> _Reduced:
+        """Inner products with the single unknowns integrated out, without a part or with all."""
+        n, kappa = self.unknowns.single, self.kappa
+        gram, log = self.gram.sum(axis=1), self.log_covariance.sum(axis=1)
+        if without is not None:
+            gram, log = gram - self.gram[:, without], log - self.log_covariance[:, without]
+        now = self.columns.x[:n]
+        width = gram.shape[1]
+        shape = len(self.places), len(self.priors.spreads)
+        inner, base = np.zeros((*shape, width, width)), np.zeros(shape)
+        follow = np.zeros((*shape, n, width))
+        for o, deviation in enumerate(self.priors.spreads):
+            precision, log_prior = self.priors.precision(self.unknowns, deviation)
+            pulled = precision @ now
+            for k in range(len(self.places)):
+                whole = kappa * gram[k]
+                whole[0, 0] += now @ pulled
+                cross = kappa * gram[k, 1 : 1 + n]
+                cross[:, 0] += pulled
+                matrix = kappa * gram[k, 1 : 1 + n, 1 : 1 + n] + precision
+                matrix[np.diag_indices(n)] *= 1.0 + 1e-9
+                root = np.linalg.cholesky(matrix)
+                half = np.linalg.solve(root, cross)
+                inner[k, o] = whole - half.T @ half
+                follow[k, o] = -np.linalg.solve(root.T, half)
+                base[k, o] = (
+                    0.5 * log_prior
+                    - np.log(np.diag(root)).sum()
+                    - 0.5 * kappa * log[k]
+                    + self.priors.log_sizes[self.places[k]]
+                )
+        return _Reduced(inner, base, follow)
+
+    @cached_property
+    def whole(self) -> _Reduced:
+        """With all parts."""
+        return self.reduced()
+
+    def _columns_of(self, members: Sequence[Member]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Places, trials a unit, lower and upper coefficients of the members' columns."""
+        u, columns = self.unknowns, self.columns
+        index, unit, lower, upper = [], [], [], []
+        for unknown, jump in members:
+            low = max(u.lower[unknown], 0.0 if not u.below[unknown] else -np.inf)
+            high = min(u.upper[unknown], 0.0 if not u.above[unknown] else np.inf)
+            if jump is None:
+                index.append(self._tangent(unknown))
+                unit.append(1.0)
+                lower.append(low)
+                upper.append(high)
+            else:
+                by = columns.jumps[jump][1]
+                ends = sorted((low / by, high / by))
+                index.append(self._jump(jump))
+                unit.append(by)
+                lower.append(max(SECANT[0], ends[0]))
+                upper.append(max(SECANT[0], min(SECANT[1], ends[1])))
+        return np.array(index, dtype=int), np.array(unit), np.array(lower), np.array(upper)
+
+    def score(self, members: Sequence[Member], reduced: _Reduced | None = None) -> Score:
+        """Evidence of a set."""
+        members = tuple(members)
+        own = reduced or self.whole
+        u = self.unknowns
+        index, unit, lower, upper = self._columns_of(members)
+        inner, first = own.inner, own.inner[:, :, :, 0]
+        square = first[:, :, 0]
+        m = len(members)
+        log_members = np.zeros(square.shape)
+        values = np.zeros((*square.shape, m))
+        deviations = np.zeros((*square.shape, m))
+        steps = np.zeros((*square.shape, m))
+        if m:
+            matrix = inner[:, :, index[:, None], index]
+            matrix = matrix + (1e-9 * np.einsum("koii->koi", matrix) + 1e-12)[..., None] * np.eye(m)
+            gradient = first[:, :, index]
+            steps = _bounded(matrix, gradient, lower, upper)
+            square = square + 2.0 * (gradient * steps).sum(axis=2)
+            square = square + np.einsum("koi,koij,koj->ko", steps, matrix, steps)
+            values = steps * unit
+            inverse = np.linalg.inv(matrix)
+            deviations = np.sqrt(np.einsum("koii->koi", inverse)) * np.abs(unit)
+            _, log_matrix = np.linalg.slogdet(matrix)
+            log_members = (
+                0.5 * m * np.log(2.0 * np.pi)
+                - 0.5 * log_matrix
+                + np.log(np.abs(unit)).sum()
+                + log_fault(u, np.array([q for q, _ in members]), values).sum(axis=2)
+            )
+        grid = own.base - 0.5 * square + log_members + log_set(u, tuple(q for q, _ in members))
+        k, o = np.unravel_index(int(np.argmax(grid)), grid.shape)
+        step = steps[k, o]
+        shift = own.follow[k, o][:, 0].copy()
+        shift += own.follow[k, o][:, index] @ step if m else 0.0
+        return Score(
+            members=members,
+            log=float(logsumexp(grid)),
+            size=self.places[k],
+            spread=int(o),
+            values=values[k, o],
+            deviations=deviations[k, o],
+            shift=shift,
+            coefficients=step,
+            grid=grid,
+        )
+
+    def additions(self, score: Score, *, also: Sequence[Member] | None = None) -> list[tuple[float, Member]]:
+        """Members to add by the log evidence they gain to first order, best first.
+
+        At the best size and spread of the score, and at each smaller size: the model's own error,
+        estimated while something is missing, has that one's shape and hides it.
+
+        Args:
+            score: What they are added to.
+            also: Which to look at; None for all jumps and tangents.
+        """
+        u = self.unknowns
+        on = set(score.unknowns)
+        there = {u.keys[q] for q in on}
+        if also is None:
+            also = [(q, j) for j, (q, _) in enumerate(self.columns.jumps) if u.nameable[q]]
+            also += [(q, None) for q in range(len(u)) if u.nameable[q]]
+        also = [m for m in also if m[0] not in on]
+        if not also:
+            return []
+        index, unit, lower, upper = self._columns_of(also)
+        inside, _, _, _ = self._columns_of(score.members)
+        own = self.whole
+        best: dict[Member, float] = {}
+        here = self.places.index(score.size)
+        for k in range(here + 1):
+            inner = own.inner[k, score.spread]
+            first = inner[:, 0]
+            first = first + (inner[:, inside] @ score.coefficients if inside.size else 0.0)
+            slope, curve = first[index], inner[index, index].copy()
+            if inside.size:
+                block = inner[np.ix_(inside, inside)]
+                block = block + 1e-9 * np.diag(np.diag(block) + 1e-12)
+                cross = inner[np.ix_(inside, index)]
+                turned = np.linalg.solve(block, cross)
+                curve -= (cross * turned).sum(axis=0)
+                if k != here:
+                    slope = slope - turned.T @ first[inside]
+            safe = np.maximum(curve, 1e-12)
+            step = np.clip(-slope / safe, lower, upper)
+            gain = -slope * step - 0.5 * safe * step**2
+            which = np.array([q for q, _ in also])
+            gain = gain + 0.5 * np.log(2.0 * np.pi / safe) + np.log(np.abs(unit))
+            gain = gain + log_fault(u, which, step * unit)
+            known = np.array([u.keys[q] in there for q in which.tolist()])
+            gain = gain + np.where(known, np.log(FURTHER), np.log(FAULT_ODDS / u.sites))
+            gain = np.where(curve <= 1e-9, -np.inf, gain)
+            for member, value in zip(also, gain.tolist(), strict=True):
+                best[member] = max(best.get(member, -np.inf), value)
+        return sorted(((g, m) for m, g in best.items() if np.isfinite(g)), key=lambda e: -e[0])
+
+    def left(self, score: Score) -> np.ndarray:
+        """Errors that the fit of a score leaves, to first order, (windows, rows)."""
+        columns, n = self.columns, self.unknowns.single
+        errors = columns.errors + columns.tangents[:, :, :n] @ score.shift
+        for (q, jump), step in zip(score.members, score.coefficients, strict=True):
+            moved = columns.tangents[:, :, q] if jump is None else columns.changes[:, :, jump]
+            errors = errors + step * moved
+        return errors
+
+    def deviations(self, score: Score) -> np.ndarray:
+        """Standard deviations of all single unknowns, those of the members free, (single,)."""
+        u, k, n = self.unknowns, self.places.index(score.size), self.unknowns.single
+        precision, _ = self.priors.precision(u, self.priors.spreads[score.spread])
+        free = [i for q in score.unknowns for i in u.singles(q)]
+        precision[free] = precision[:, free] = 0.0
+        precision[free, free] = 1.0 / u.upper[free].clip(1.0) ** 2
+        matrix = self.kappa * self.gram[k].sum(axis=0)[1 : 1 + n, 1 : 1 + n] + precision
+        return np.sqrt(np.diag(np.linalg.inv(matrix)).clip(0.0))
+
+    def step(self, score: Score) -> tuple[np.ndarray, np.ndarray]:
+        """Most probable values of members and spikes within their bounds.
+
+        At the size and spread of a score; members by their tangents.
+
+        Returns:
+            Departures of the members, (members,), and of the single unknowns beside them, (single,).
+        """
+        u, n = self.unknowns, self.unknowns.single
+        k = self.places.index(score.size)
+        index, _, low, high = self._columns_of([(q, None) for q in score.unknowns])
+        use = np.concatenate([1 + np.arange(n), index])
+        gram = self.kappa * self.gram[k].sum(axis=0)
+        precision, _ = self.priors.precision(u, self.priors.spreads[score.spread])
+        matrix, gradient = gram[np.ix_(use, use)], gram[use, 0].copy()
+        matrix[:n, :n] += precision
+        # The Cauchy prior of a fault's size, by its weight at the present one.
+        now = self.columns.x[:n]
+        size = np.array([now[list(u.singles(q))].mean() for q in score.unknowns])
+        matrix[range(n, n + index.size), range(n, n + index.size)] += 2.0 / (FAULT_SIZE**2 + size**2)
+        gradient[:n] += precision @ now
+        matrix[np.diag_indices_from(matrix)] *= 1.0 + 1e-9
+        lower = np.concatenate([u.lower[:n] - now, low])
+        upper = np.concatenate([u.upper[:n] - now, high])
+        parts = [i for q in score.unknowns for i in u.singles(q)]
+        lower[parts], upper[parts] = -np.inf, np.inf
+        found = _bounded(matrix, gradient, lower, upper)
+        return found[n:], now + found[:n]
+
+    def covariance(self, score: Score) -> np.ndarray:
+        """Posterior covariance of the single unknowns without any member, (single, single)."""
+        k, n = self.places.index(score.size), self.unknowns.single
+        precision, _ = self.priors.precision(self.unknowns, self.priors.spreads[score.spread])
+        return np.linalg.inv(self.kappa * self.gram[k].sum(axis=0)[1 : 1 + n, 1 : 1 + n] + precision)
+
+    def departures(self, score: Score) -> dict[int, float]:
+        """By how much all unknowns move from the linearisation, to the fit of a score."""
+        moved = {i: float(d) for i, d in enumerate(score.shift) if d != 0.0}
+        for (q, _), value in zip(score.members, score.values, strict=True):
+            moved[q] = moved.get(q, 0.0) + float(value)
+        return moved
+
+    def design_effect(self, score: Score) -> float:
+        """By how much less the errors say than as many independent numbers.
+
+        Scatter of the scores of parts over that of independent errors, in the directions that the
+        data decide (Ribatet, Cooley and Davison 2012): eigenvectors v of H = J'C^-1 J, of
+        R/(R-1) sum_r (v'(g_r - mean g))^2/(v'Hv), over their mean.
+        """
+        k, n = self.places.index(score.size), self.unknowns.single
+        index, _, _, _ = self._columns_of(score.members)
+        use = np.concatenate([1 + np.arange(n), index])
+        full = np.zeros(self.gram.shape[2])
+        full[0] = 1.0
+        full[1 : 1 + n] += score.shift
+        np.add.at(full, index, score.coefficients)
+        slopes = np.array([g[use] @ full for g in self.gram[k] if g.any()])
+        count = len(slopes)
+        if count < 2:
+            return 1.0
+        curvature = self.gram[k].sum(axis=0)[np.ix_(use, use)]
+        root = np.sqrt(np.diag(curvature) + 1e-12)
+        values, vectors = np.linalg.eigh(curvature / np.outer(root, root))
+        keep = values > 1e-3 * values.max()
+        turned = (vectors[:, keep] / np.sqrt(values[keep])) / root[:, None]
+        z = (slopes - slopes.mean(axis=0)) @ turned
+        return float((z**2).sum() * count / (count - 1) / keep.sum())
+
+
+def _bounded(
+    matrix: np.ndarray, gradient: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> np.ndarray:
+    """Minimum of x'Mx/2 + g'x within bounds, over a grid, (..., m); what leaves them is held."""
+    m = gradient.shape[-1]
+    x = -np.linalg.solve(matrix, gradient[..., None])[..., 0]
+    held = np.zeros(x.shape, dtype=bool)
+    for _ in range(m + 1):
+        out = ~held & ((x < lower - 1e-12) | (x > upper + 1e-12))
+        if not out.any():
+            break
+        held |= out
+        x = np.where(held, np.clip(x, lower, upper), 0.0)
+        right = -(gradient + np.einsum("...ij,...j->...i", matrix, x))
+        free = (~held).astype(float)
+        system = matrix * free[..., None, :] * free[..., :, None]
+        system = system + (1.0 - free)[..., None] * np.eye(m)
+        x = x + free * np.linalg.solve(system, (right * free)[..., None])[..., 0]
+    return np.clip(x, lower, upper)

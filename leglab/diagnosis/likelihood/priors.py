@@ -1,0 +1,79 @@
+"""Priors: how machines are made, how large faults are, how many there are."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from leglab.diagnosis.likelihood.unknowns import Unknowns
+
+# Half of all faults are smaller than so many smallest trials.
+FAULT_SIZE = 3.0
+# A departure below about half a smallest trial is no fault: nobody would notice it.
+NO_FAULT = 0.5
+# Odds of a fault somewhere in the library, beside those that are there.
+FAULT_ODDS = 0.3
+# Odds of a further parameter of an effect that is there.
+FURTHER = 0.3
+# Standard deviation of what is there or is not, in trials: not there.
+ABSENT = 1e-3
+# Standard deviation of a shape, as a share of its range.
+SHAPE = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Priors:
+    """Priors of everything but the errors.
+
+    Attributes:
+        spreads: Standard deviations of good machines about the specimen, in smallest trials, all
+            as probable; tolerances count where they are larger.
+        tolerances: Share of the tolerances that counts.
+        covariance: Of all single unknowns, by healthy recordings, (single, single); None without.
+        sizes: Of the model's own error in its unit size; 0 is an exact model.
+        log_sizes: Log probabilities of these, (sizes,).
+    """
+
+    spreads: tuple[float, ...] = (0.1, 0.25, 0.6)
+    tolerances: float = 1.0
+    covariance: np.ndarray | None = None
+    sizes: tuple[float, ...] = (0.0, 0.03, 0.1, 0.2, 0.35, 0.6, 1.0, 1.5)
+    log_sizes: np.ndarray = field(default_factory=lambda: np.zeros(8))
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether healthy recordings say how the specimen was and how far the model misses it."""
+        return self.covariance is not None
+
+    def precision(self, unknowns: Unknowns, spread: float) -> tuple[np.ndarray, float]:
+        """Prior precision of the single unknowns, (single, single), and its log determinant."""
+        n = unknowns.single
+        deviation = np.maximum(self.tolerances * unknowns.tolerance[:n], spread)
+        ranges = unknowns.upper[:n] - unknowns.lower[:n]
+        # A moving part is there or is not.
+        deviation = np.where(unknowns.gradual[:n], deviation, ABSENT)
+        deviation = np.where(unknowns.shape[:n], SHAPE * ranges, deviation)
+        if self.covariance is None:
+            return np.diag(deviation**-2.0), float(-2.0 * np.log(deviation).sum())
+        factor = cho_factor(self.covariance + np.diag(deviation**2))
+        return cho_solve(factor, np.eye(n)), float(-2.0 * np.log(np.diag(factor[0])).sum())
+
+
+def log_fault(unknowns: Unknowns, which: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Log density of faults' departures x in trials; both of one shape.
+
+    Cauchy, on the sides on which faults lie, and none near 0: a prior that allows no fault of no
+    size lets evidence grow for "nothing" as well (non-local prior; Johnson and Rossell 2010).
+    """
+    sides = unknowns.above[which].astype(int) + unknowns.below[which]
+    square = x**2
+    hole = np.log(np.maximum(square / (NO_FAULT**2 + square), 1e-9))
+    density = np.pi * FAULT_SIZE * (1.0 + square / FAULT_SIZE**2) * np.maximum(sides, 1) / 2.0
+    return np.asarray(hole - np.log(density))
+
+
+def log_set(unknowns: Unknowns, members: tuple[int, ...]) -> float:
+    """Log prior odds of a set of faulty parameters over none."""
+    keys = {unknowns.keys[u] for u in members}
+    first = len(keys) * np.log(FAULT_ODDS / unknowns.sites)
+    return float(first + (len(members) - len(keys)) * np.log(FURTHER))

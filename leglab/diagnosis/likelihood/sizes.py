@@ -1,0 +1,204 @@
+"""Sizes of parameters from what the recordings show, by the dimension of their units.
+
+A force on a joint is small or large beside the forces in the recordings, not beside those of some
+bench: a machine of a hundred times the inertia has faults of a hundred times the size.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from leglab.diagnosis.effects.base import EffectParameter
+from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
+from leglab.diagnosis.plant.model import Machine
+from leglab.diagnosis.plant.moments import commands_at, forces_at, states_at
+from leglab.diagnosis.replay.residual import Problem
+
+# Trials as shares of what is recorded: 1 % is the smallest that a user would notice.
+TRIALS = (0.01, 0.05, 0.25)
+# Delays and lags as shares of the longest correlation of a command; none below a share of the
+# sampling period, and no fit follows one beyond this time [s].
+FEW_PERIODS, LONGEST = 0.25, 0.5
+# Largest values are quantiles: one bad sample is no size.
+TOP = 0.99
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Largest values of a joint.
+
+    Attributes:
+        position: Half its range [rad or m].
+        velocity: Per second.
+        acceleration: Per second squared.
+        force: Of the drive, of gravity and the like, or of inertia [N m or N].
+    """
+
+    position: float
+    velocity: float
+    acceleration: float
+    force: float
+
+    def of_unit(self, unit: str) -> float:
+        """Size of a quantity in a unit; 0 where its dimension says nothing."""
+        q, v, a = (max(s, 1e-12) for s in (self.position, self.velocity, self.acceleration))
+        f = self.force
+        return {
+            "N m": f, "N": f,
+            "N m s/rad": f / v, "N s/m": f / v,
+            "N m s^2/rad^2": f / v**2, "N s^2/m^2": f / v**2,
+            "kg m^2": f / a, "kg": f / a,
+            "N m/rad": f / q, "N/m": f / q,
+            "N m/rad^3": f / q**3, "N/m^3": f / q**3,
+            "rad": q, "m": q, "rad/s": v, "m/s": v,
+            "rad/(N m)": q / f if f else 0.0, "m/(N)": q / f if f else 0.0,
+        }.get(unit, 0.0)
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What recordings show.
+
+    Attributes:
+        joints: By joint.
+        commands: Half the range of each command, by actuator.
+        period: Sampling period [s].
+        correlation: Longest time at which a command's autocorrelation falls to a half [s].
+    """
+
+    joints: Mapping[str, Motion]
+    commands: Mapping[str, float]
+    period: float
+    correlation: float
+
+    @classmethod
+    def largest(cls, several: Sequence["Shown"]) -> "Shown":
+        """The largest of what several sets of recordings show."""
+        first = several[0]
+        fields = ("position", "velocity", "acceleration", "force")
+        joints = {
+            j: Motion(*(max(getattr(s.joints[j], f) for s in several) for f in fields))
+            for j in first.joints
+        }
+        commands = {a: max(s.commands[a] for s in several) for a in first.commands}
+        period = max(s.period for s in several)
+        return cls(joints, commands, period, max(s.correlation for s in several))
+
+
+def shown(problem: Problem) -> Shown:
+    """What the fitted recordings of a problem show."""
+    replay, machine = problem.replay, problem.machine
+    change = problem.library.change(Hypothesis(), replay.machine)
+    model = change.variant.model
+    dofs = [int(model.joint(j).dofadr[0]) for j in machine.joints]
+    rows: dict[str, list[np.ndarray]] = {j: [] for j in machine.joints}
+    commands: dict[str, list[np.ndarray]] = {a: [] for a in machine.actuators}
+    longest = 0.0
+    for measured in replay.moments(change, problem.fitted, 0.015):
+        length = max(2 * round(0.5 * 0.031 / measured.period) + 1, 5)
+        samples = measured.samples
+        slope = np.zeros((samples.size, model.nv))
+        for j, d in zip(machine.joints, dofs, strict=True):
+            rate = savgol_filter(measured.velocity[j], length, 2, deriv=1, delta=measured.period)
+            slope[:, d] = rate[samples]
+        plugin = np.tile(change.variant.plugin_state, (samples.size, 1))
+        states = states_at(machine, model, measured, samples, plugin)
+        found = forces_at(model, states, commands_at(machine, measured, samples))
+        inertia = np.abs(np.einsum("nij,nj->ni", found.inertia, slope))
+        for j, d in zip(machine.joints, dofs, strict=True):
+            q, v = measured.position[j][samples], measured.velocity[j][samples]
+            force = np.maximum(np.abs(found.load[:, d]), np.abs(found.bias[:, d]))
+            force = np.maximum(force, inertia[:, d])
+            rows[j].append(np.stack([q, v, slope[:, d], force], axis=1))
+        for a in machine.actuators:
+            commands[a].append(measured.command[a])
+            longest = max(longest, correlation_time(measured.command[a], measured.period))
+    joints = {}
+    for j, parts in rows.items():
+        x = np.concatenate(parts)
+        ends = np.quantile(x[:, 0], [1.0 - TOP, TOP])
+        tops = (float(np.quantile(np.abs(x[:, k]), TOP)) for k in (1, 2, 3))
+        joints[j] = Motion(0.5 * float(np.ptp(ends)), *tops)
+    half = {
+        a: 0.5 * float(np.ptp(np.quantile(np.concatenate(c), [1.0 - TOP, TOP])))
+        for a, c in commands.items()
+    }
+    return Shown(joints, half, problem.series[0].period, longest)
+
+
+def correlation_time(x: np.ndarray, period: float) -> float:
+    """Lag at which the autocorrelation first falls below a half [s]."""
+    x = x - x.mean()
+    if not x.any():
+        return 0.0
+    length = 1 << (2 * x.size - 1).bit_length()
+    c = np.fft.irfft(np.abs(np.fft.rfft(x, length)) ** 2, length)[: x.size]
+    below = np.flatnonzero(c < 0.5 * c[0])
+    return float((below[0] if below.size else x.size) * period)
+
+
+def sized(library: Library, machine: Machine, seen: Shown) -> Library:
+    """The library with trials and bounds that fit what was recorded."""
+    sites = {}
+    for key, site in library.sites.items():
+        joint = site.element if site.element in seen.joints else None
+        command = seen.commands.get(site.element)
+        parameters = tuple(
+            _sized(p, _size(p, joint and seen.joints[joint], command, seen), seen)
+            for p in site.parameters
+        )
+        sites[key] = replace(site, parameters=parameters)
+    return library.with_sites(sites)
+
+
+def _size(
+    p: EffectParameter, joint: Motion | None, command: float | None, seen: Shown
+) -> float:
+    if p.unit == "s":
+        return seen.correlation
+    if p.unit == "ctrl":
+        return command or 0.0
+    return joint.of_unit(p.unit) if joint else 0.0
+
+
+def _sized(p: EffectParameter, size: float, seen: Shown) -> EffectParameter:
+    """A strength with trials on the sides that it had, and bounds as far as it is large."""
+    if p.role == "shape" or size <= 0.0 or not p.trials:
+        return p
+    least = max(TRIALS[0] * size, FEW_PERIODS * seen.period if p.unit == "s" else 0.0)
+    steps = [least * t / TRIALS[0] for t in TRIALS]
+    far = min(max(size, steps[-1]), LONGEST) if p.unit == "s" else size
+    sides = [s for s in (-1.0, 1.0) if any((t - p.nominal) * s > 0.0 for t in p.trials)]
+    lower = p.nominal - far if p.lower < p.nominal else p.lower
+    if p.lower >= 0.0:
+        lower = p.lower  # what physics forbids stays forbidden
+    upper = p.nominal + far if p.upper > p.nominal else p.upper
+    trials = [p.nominal + s * t for s in sides for t in steps]
+    if p.lower >= 0.0 and p.nominal > 0.0:
+        trials = [t for t in trials if t >= p.lower] + [0.5 * p.nominal]
+        if abs(0.5 * p.nominal) < least:
+            trials.pop()
+    trials = sorted(t for t in trials if lower <= t <= upper and t != p.nominal)
+    return replace(p, lower=lower, upper=upper, trials=tuple(trials)) if trials else p
+
+
+def widened(library: Library, key: tuple[str, str], index: int, factor: float = 3.0) -> Library | None:
+    """The library with bounds of a parameter moved outward; None where physics holds them.
+
+    Shares (gains, loads) and angles have a meaning of their own, zero is no friction.
+    """
+    site = library.sites[key]
+    p = site.parameters[index]
+    if p.role == "shape" or p.unit in ("1", "rad", "m", "degC"):
+        return None
+    lower = p.lower if p.lower >= 0.0 else p.nominal + factor * (p.lower - p.nominal)
+    upper = p.nominal + factor * (p.upper - p.nominal)
+    if p.unit == "s":
+        upper = min(upper, LONGEST)
+    if (lower, upper) == (p.lower, p.upper):
+        return None
+    parameters = list(site.parameters)
+    parameters[index] = replace(p, lower=lower, upper=upper)
+    return library.with_sites({**library.sites, key: replace(site, parameters=tuple(parameters))})

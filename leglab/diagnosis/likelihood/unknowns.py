@@ -1,0 +1,169 @@
+"""Unknowns of a diagnosis: every parameter of every effect, and the same effect on all like parts."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from leglab.diagnosis.effects.base import Effect
+from leglab.diagnosis.effects.hypothesis import Hypothesis, Key, Library
+
+# A parameter of the library: effect and element, and its place among the parameters there.
+Place = tuple[Key, int]
+# Element of an effect that all like parts share.
+EVERY = "every"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Unknowns:
+    """Departures from the specimen, in smallest trials; all arrays have shape (unknowns,).
+
+    The first unknowns are parameters of the library, each at one place. The others, `tied`, move
+    the same parameter on all like parts by the same number of trials: a bus that delays all
+    commands, one batch of worn valves. What a tied unknown moves, the single ones still move about.
+
+    Attributes:
+        library: The effects.
+        places: Parameters that each unknown moves.
+        keys: Effect and element of each; the element is `EVERY` for tied ones.
+        scale: Smallest trial in the parameter's unit; 1 for tied ones.
+        tolerance: Standard deviation between good machines, in trials; 0 where none is known.
+        lower: Least departure, in trials.
+        upper: Largest departure, in trials.
+        shape: Whether it means nothing while the effect's strengths are nominal.
+        nameable: Whether it can be a fault.
+        gradual: Whether a good machine may have a little of it.
+        above: Whether faults lie above nominal.
+        below: Whether faults lie below nominal.
+    """
+
+    library: Library
+    places: tuple[tuple[Place, ...], ...]
+    keys: tuple[Key, ...]
+    scale: np.ndarray
+    tolerance: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    shape: np.ndarray
+    nameable: np.ndarray
+    gradual: np.ndarray
+    above: np.ndarray
+    below: np.ndarray
+
+    @classmethod
+    def of(cls, library: Library) -> "Unknowns":
+        """All unknowns of a library."""
+        rows = []
+        for key, site in sorted(library.sites.items()):
+            can_be = site.effect.nameable and key in library.searched
+            for i, (p, own) in enumerate(zip(site.parameters, site.nominal, strict=True)):
+                down, up = (p.lower - own) / p.scale, (p.upper - own) / p.scale
+                rows.append(
+                    {
+                        "places": ((key, i),),
+                        "keys": key,
+                        "scale": p.scale,
+                        "tolerance": p.tolerance / p.scale,
+                        "lower": down,
+                        "upper": up,
+                        "shape": p.role == "shape",
+                        "nameable": can_be and p.role == "strength",
+                        "gradual": site.effect.gradual,
+                        "above": p.faults != "below" and up > 0.0,
+                        "below": p.faults != "above" and down < 0.0,
+                    }
+                )
+        rows += _tied(library, rows)
+        columns = {name: [row[name] for row in rows] for name in rows[0]}
+        fixed = {name: tuple(columns.pop(name)) for name in ("places", "keys")}
+        return cls(library=library, **fixed, **{n: np.array(v) for n, v in columns.items()})
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    @cached_property
+    def single(self) -> int:
+        """Number of unknowns at one place; they come first."""
+        return sum(key[1] != EVERY for key in self.keys)
+
+    @cached_property
+    def sites(self) -> int:
+        """Number of effects, on one element or on all like parts, that can be faults."""
+        return len({key for key, can_be in zip(self.keys, self.nameable, strict=True) if can_be})
+
+    @cached_property
+    def _index(self) -> dict[Place, int]:
+        return {places[0]: i for i, places in enumerate(self.places[: self.single])}
+
+    def singles(self, unknown: int) -> tuple[int, ...]:
+        """The single unknowns that an unknown moves."""
+        return tuple(self._index[place] for place in self.places[unknown])
+
+    def effect(self, unknown: int) -> Effect:
+        """Effect of an unknown, of the first part where it has several."""
+        return self.library.sites[self.places[unknown][0][0]].effect
+
+    def library_keys(self, unknown: int) -> frozenset[Key]:
+        """Effects and elements that an unknown moves."""
+        return frozenset(key for key, _ in self.places[unknown])
+
+    def name(self, unknown: int) -> str:
+        """Name of the parameter."""
+        key, i = self.places[unknown][0]
+        return self.library.sites[key].parameters[i].name
+
+    def departures(self, hypothesis: Mapping[Key, np.ndarray]) -> np.ndarray:
+        """Departures of a hypothesis, (unknowns,); those of tied unknowns are 0."""
+        x = np.zeros(len(self))
+        for u in range(self.single):
+            ((key, i),) = self.places[u]
+            if key in hypothesis:
+                own = self.library.sites[key].nominal[i]
+                x[u] = (hypothesis[key][i] - own) / self.scale[u]
+        return x
+
+    def moved(self, hypothesis: Hypothesis, by: Mapping[int, float]) -> Hypothesis:
+        """The hypothesis with unknowns moved by departures, within the bounds of the parameters."""
+        new: dict[Key, np.ndarray] = {}
+        for u, departure in by.items():
+            for key, i in self.places[u]:
+                site = self.library.sites[key]
+                values = new.setdefault(key, hypothesis.get(key, site.nominal).copy())
+                values[i] += departure * site.parameters[i].scale
+        for key, values in new.items():
+            site = self.library.sites[key]
+            hypothesis = hypothesis.with_values(key, np.clip(values, site.lower, site.upper))
+        return hypothesis
+
+
+def _tied(library: Library, rows: list[dict]) -> list[dict]:
+    """Rows of unknowns that all like parts share: one parameter on at least three elements.
+
+    On two parts "both" says hardly less than each of them.
+    """
+    groups: dict[tuple[str, str, str, int], list[dict]] = {}
+    for row in rows:
+        ((key, i),) = row["places"]
+        if row["nameable"]:
+            site = library.sites[key]
+            p = site.parameters[i]
+            groups.setdefault((type(site.effect).__qualname__, p.name, p.unit, i), []).append(row)
+    found = []
+    for parts in groups.values():
+        if len(parts) < 3:
+            continue
+        found.append(
+            {
+                **parts[0],
+                "places": tuple(place for row in parts for place in row["places"]),
+                "keys": (parts[0]["keys"][0], EVERY),
+                "scale": 1.0,
+                "tolerance": 0.0,
+                "lower": max(row["lower"] for row in parts),
+                "upper": min(row["upper"] for row in parts),
+                "above": all(row["above"] for row in parts),
+                "below": all(row["below"] for row in parts),
+            }
+        )
+    return found

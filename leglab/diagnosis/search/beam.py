@@ -1,0 +1,63 @@
+"""Sets of effects by the evidence of one linearisation: forward from every set of a beam."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from leglab.diagnosis.likelihood.evidence import Evidence, Member, Score
+
+WIDTH, DEPTH = 6, 5
+# Additions that are scored exactly; of the first member more, for its place is cheap.
+EXACT, FIRST = 8, 40
+
+
+def beam(evidence: Evidence, start: Iterable[tuple[Member, ...]] = ((),)) -> list[Score]:
+    """Sets by evidence, best first; of every set of unknowns the best jumps.
+
+    Args:
+        evidence: At one linearisation.
+        start: Sets to begin with.
+    """
+    seen: dict[frozenset[Member], Score] = {}
+
+    def score(members: Iterable[Member]) -> Score:
+        key = frozenset(members)
+        if key not in seen:
+            seen[key] = evidence.score(sorted(key, key=lambda m: (m[0], -1 if m[1] is None else m[1])))
+        return seen[key]
+
+    current = [score(members) for members in start]
+    for depth in range(DEPTH):
+        found: dict[frozenset[int], Score] = {}
+        for one in current:
+            for member in one.members:
+                score(m for m in one.members if m != member)
+            for _, member in evidence.additions(one)[: EXACT if depth else FIRST]:
+                new = score((*one.members, member))
+                names = frozenset(new.unknowns)
+                if names not in found or new.log > found[names].log:
+                    found[names] = new
+        if not found:
+            break
+        before = max(s.log for s in current)
+        # A single impostor may lead where only two effects together explain: more first ones stay.
+        current = sorted(found.values(), key=lambda s: -s.log)[: WIDTH if depth else 3 * WIDTH]
+        if depth and current[0].log < before:
+            break
+    best: dict[frozenset[int], Score] = {}
+    for one in seen.values():
+        names = frozenset(one.unknowns)
+        if names not in best or one.log > best[names].log:
+            best[names] = one
+    return sorted(best.values(), key=lambda s: -s.log)
+
+
+def without_idle(evidence: Evidence, score: Score, lost: float) -> Score:
+    """The set without members whose loss costs less than so many nats."""
+    while len(score.members) > 1:
+        less = [evidence.score([m for m in score.members if m != one]) for one in score.members]
+        best = less[int(np.argmax([s.log for s in less]))]
+        if best.log < score.log - lost:
+            break
+        score = best
+    return score

@@ -1,0 +1,105 @@
+"""The specimen at hand, from recordings of it while it was healthy."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from leglab.diagnosis.effects.hypothesis import Hypothesis
+from leglab.diagnosis.intake.series import UniformSeries
+from leglab.diagnosis.likelihood.columns import COARSE, Errors
+from leglab.diagnosis.likelihood.priors import Priors
+from leglab.diagnosis.likelihood.spread import Spread
+from leglab.diagnosis.likelihood.unknowns import Unknowns
+from leglab.diagnosis.replay.residual import Problem, thinned
+from leglab.diagnosis.search.settle import Fitter
+
+# Windows of healthy recordings that are replayed.
+WINDOWS = 48
+# Share of the log likelihood that counts before anything is known.
+KAPPA = 0.1
+# A machine of another day departs from its healthy self by such spreads, in smallest trials, and by
+# half of what good machines differ by.
+DAY, DAY_TOLERANCES = (0.05, 0.15, 0.4), 0.5
+# Its own error is as large as in the healthy recordings but for a factor with this log deviation,
+# and larger while something is missing.
+DAY_SIZES = (0.7, 1.0, 1.4, 2.0, 3.0, 5.0, 9.0, 16.0)
+DAY_FACTOR = 0.4
+
+
+@dataclass(frozen=True, eq=False)
+class Specimen:
+    """A machine as its healthy recordings show it.
+
+    Attributes:
+        values: Of all strengths.
+        priors: Of the same machine on another day.
+        spread: Pattern of the error that the calibrated model leaves, by healthy recording.
+        kappa: 1/design effect.
+        motions: How far and how fast each healthy recording goes, (recordings, 2 columns).
+        levels: Error of each healthy recording in noise levels, before and after calibration.
+    """
+
+    values: Hypothesis
+    priors: Priors
+    spread: Spread
+    kappa: float
+    motions: np.ndarray
+    levels: tuple[tuple[float, float], ...]
+
+    def spread_of(self, problem: Problem) -> Spread:
+        """The pattern to expect in other recordings: that of the most similar motion each."""
+        return self.spread.of_recordings(self.nearest(problem))
+
+    def nearest(self, problem: Problem) -> list[int]:
+        """The healthy recording of the most similar motion to each of others."""
+        columns = problem.machine.columns
+        away = [((self.motions - motion(s, columns)) ** 2).sum(axis=1) for s in problem.series]
+        return [int(np.argmin(a)) for a in away]
+
+
+def motion(series: UniformSeries, columns: Sequence[str]) -> np.ndarray:
+    """How far and how fast a recording goes: logarithms of spreads and rates, (2 columns,)."""
+    values = np.stack([series.columns[column] for column in columns])
+    spread = np.std(values, axis=1)
+    rate = np.sqrt(np.mean(np.diff(values, axis=1) ** 2, axis=1)) / series.period
+    return np.log(np.concatenate([spread, rate]) + 1e-9)
+
+
+def calibrate(problem: Problem, log: Callable[[str], None] = lambda _: None) -> Specimen:
+    """Fits all strengths to healthy recordings, under the priors of machines as they are built."""
+    unknowns = Unknowns.of(problem.library)
+    at = Errors(problem, unknowns, thinned(problem.fitted, WINDOWS))
+    fitter = Fitter(at, Priors())
+    first = at.columns(Hypothesis(), step=COARSE)
+    spread, weight = fitter.own_spread(first.errors), np.ones(len(first.errors))
+    kappa = KAPPA
+    for _ in range(2):
+        fit = fitter.fit(first, {}, (), spread, weight, kappa)
+        spread, weight, first = fit.spread, fit.weight, fit.columns
+        evidence = fitter.evidence(first, spread, weight, kappa)
+        kappa = 1.0 / max(evidence.design_effect(evidence.score(())), 1.0)
+        log(f"  healthy: level {fit.level:.4g} kappa {kappa:.3f}")
+    # From here on the error that is left has size 1.
+    unit = Priors(sizes=(1.0,), log_sizes=np.zeros(1))
+    evidence = fitter.evidence(first, Spread.of(at, first.errors), weight, kappa, unit)
+    score = evidence.score(())
+    sites = problem.library.sites
+    values = Hypothesis({k: first.base.get(k, s.nominal) for k, s in sites.items()})
+    priors = Priors(
+        spreads=DAY,
+        tolerances=DAY_TOLERANCES,
+        covariance=evidence.covariance(score),
+        sizes=DAY_SIZES,
+        log_sizes=-0.5 * (np.log(DAY_SIZES) / DAY_FACTOR) ** 2,
+    )
+    motions = np.stack([motion(s, problem.machine.columns) for s in problem.series])
+    levels = zip(_levels(problem, Hypothesis()), _levels(problem, values), strict=True)
+    return Specimen(values, priors, evidence.spread, kappa, motions, tuple(levels))
+
+
+def _levels(problem: Problem, hypothesis: Hypothesis) -> list[float]:
+    """Root mean square of every recording in noise levels."""
+    squares = problem.noise_levels(hypothesis)
+    windows = (problem.replay.recording == i for i in range(len(problem.series)))
+    return [float(np.sqrt(squares[own].mean())) for own in windows]

@@ -1,0 +1,182 @@
+"""From recordings to fitted sets of effects: the problem, the specimen, the onset, the search."""
+
+import os
+from collections.abc import Callable, Iterable, Mapping
+from copy import copy
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from leglab.base.errors import LeglabError
+from leglab.base.recording import Recording
+from leglab.diagnosis.effects.hypothesis import Hypothesis, Key, Library
+from leglab.diagnosis.intake.admission import admit
+from leglab.diagnosis.intake.series import UniformSeries, common_period
+from leglab.diagnosis.likelihood.sizes import Shown, shown, sized
+from leglab.diagnosis.plant.model import Machine
+from leglab.diagnosis.replay.residual import Problem
+from leglab.diagnosis.replay.windows import channels
+from leglab.diagnosis.search.healthy import Specimen, calibrate
+from leglab.diagnosis.search.search import Found, search
+from leglab.diagnosis.thresholds import DEFAULT, Thresholds
+
+Progress = Callable[[str], None]
+
+
+def _threads() -> int:
+    told = os.environ.get("OMP_NUM_THREADS", "")
+    return int(told) if told.isdigit() and int(told) else len(os.sched_getaffinity(0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiagnosisSettings:
+    """Settings of a diagnosis.
+
+    Attributes:
+        effects: Names of the effects to consider; None for all.
+        excluded: Names of effects to leave out.
+        threads: Of the rollouts; by default OMP_NUM_THREADS, or one a core where that is not set.
+            Results do not depend on it.
+        thresholds: Of all steps.
+    """
+
+    effects: tuple[str, ...] | None = None
+    excluded: tuple[str, ...] = ()
+    threads: int = field(default_factory=_threads)
+    seed: int = 0
+    thresholds: Thresholds = DEFAULT
+
+
+def set_up(
+    model: str | Path,
+    recordings: Mapping[str, Recording],
+    held_out: Iterable[str],
+    settings: DiagnosisSettings,
+    *,
+    specimen: Mapping[Key, np.ndarray] | None = None,
+    beside: Mapping[str, Recording] | None = None,
+) -> Problem:
+    """Builds the fit problem.
+
+    Args:
+        model: MJCF file, or the name of a model that ships with leglab.
+        recordings: By name.
+        held_out: Names of the recordings that are not fitted.
+        settings: Of the diagnosis.
+        specimen: Values of the specimen that was recorded; None for the model's.
+        beside: Further recordings that must be predicted alike: only columns that all share count.
+
+    Raises:
+        LeglabError: Model or recordings do not fit each other, or are too short.
+    """
+    machine, limits = Machine(model), settings.thresholds
+    admitted = admit(machine, recordings, held_out, limits)
+    recordings = admitted.recordings
+    together = {**recordings}
+    if beside:
+        others = admit(machine, beside, (), limits).recordings
+        together |= {f"beside {name}": recording for name, recording in others.items()}
+    found = channels(machine, together, limits)
+    period = common_period(together, limits)
+    machine = at_replay_step(machine, period)
+    needed = tuple(dict.fromkeys([*(c.column for c in found), *machine.columns]))
+    held = set(admitted.held_out)
+    return Problem(
+        machine,
+        Library(machine, names=settings.effects, excluded=settings.excluded, specimen=specimen),
+        [
+            UniformSeries.from_recording(r, name, needed, limits, period=period)
+            for name, r in recordings.items()
+        ],
+        found,
+        [i for i, name in enumerate(recordings) if name not in held],
+        threads=settings.threads,
+        thresholds=limits,
+    )
+
+
+def at_replay_step(machine: Machine, period: float) -> Machine:
+    """The machine at the step of its replays, whose error `Problem` takes off.
+
+    The longest that divides the sampling period [s], is at most twice the model's own and that the
+    model accepts: a plugin may refuse a long one. Below the model's own there is nothing to accept.
+
+    Raises:
+        LeglabError: The model refuses its own step as well.
+    """
+    own = machine.file_timestep
+    fewest = max(1, int(np.ceil(period / (2.0 * own) - 1e-9)))
+    most = max(fewest, int(np.ceil(period / own - 1e-9)))
+    for steps in range(fewest, most):
+        try:
+            return machine.at_timestep(period / steps)
+        except LeglabError:
+            continue
+    return machine.at_timestep(period / most)
+
+
+@dataclass(frozen=True, eq=False)
+class Searched:
+    """A finished search.
+
+    Attributes:
+        problem: Recordings and machine about the specimen, sizes as recorded.
+        found: All fitted sets.
+        specimen: What healthy recordings said; None without any.
+        healthy: Healthy recordings and machine; None without any.
+        onsets: Time at which what is missing begins [s], (recordings,); None where throughout.
+    """
+
+    problem: Problem
+    found: Found
+    specimen: Specimen | None = None
+    healthy: Problem | None = None
+    onsets: np.ndarray | None = None
+
+
+def searched(
+    model: str | Path,
+    recordings: Mapping[str, Recording],
+    held_out: Iterable[str],
+    healthy: Mapping[str, Recording] | None,
+    settings: DiagnosisSettings,
+    progress: Progress,
+) -> Searched:
+    """Searches recordings for what a model lacks.
+
+    Args:
+        model: MJCF file, or the name of a model that ships with leglab.
+        recordings: By name.
+        held_out: Names of those that no fit sees.
+        healthy: Recordings of the same specimen before it changed; None without any.
+        settings: How.
+        progress: Called with what is being done.
+    """
+    if not healthy:
+        problem = set_up(model, recordings, held_out, settings)
+        problem = _sized(problem, shown(problem))
+        return Searched(problem, search(problem, log=progress))
+    # A specimen differs in more than the effects that the user asks for.
+    whole = DiagnosisSettings(threads=settings.threads, thresholds=settings.thresholds)
+    before = set_up(model, healthy, (), whole, beside=recordings)
+    seen = Shown.largest(
+        [shown(before), shown(set_up(model, recordings, held_out, whole, beside=healthy))]
+    )
+    before = _sized(before, seen)
+    progress("calibration of the specimen")
+    specimen = calibrate(before, progress)
+    problem = set_up(
+        model, recordings, held_out, settings, specimen=specimen.values, beside=healthy
+    )
+    problem = _sized(problem, seen)
+    found = search(
+        problem, specimen.priors, specimen.spread_of(problem), specimen.kappa, log=progress
+    )
+    return Searched(problem, found, specimen, before)
+
+
+def _sized(problem: Problem, seen: Shown) -> Problem:
+    other = copy(problem)
+    other.library = sized(problem.library, problem.machine, seen)
+    return other
