@@ -215,7 +215,7 @@ def _remaining(problem: Problem, final: Hypothesis, held: np.ndarray) -> tuple[R
         Remaining(
             channel=channel.column,
             unit="Pa" if channel.chamber else unit(problem.machine, channel.joint),
-            horizon=problem.thresholds.window,
+            horizon=problem.replay.window,
             before=rms(before[:, k] ** 2),
             after=rms(after[:, k] ** 2),
             noise=float(noise[k]),
