@@ -258,18 +258,15 @@ def _next_experiment(found: Search, effects: Sequence[NamedEffect]) -> Proposal 
 
 
 def _not_testable(found: Search) -> tuple[NotTestable, ...]:
-    """Effects that the recordings did not excite."""
+    """Effects that the recordings did not excite, or that are over between two samples."""
     problem = found.problem
-    return tuple(
-        NotTestable(
-            name=c.key[0],
-            element=c.key[1],
-            reason=f"needs {problem.library.sites[c.key].effect.excitation}",
-        )
-        for one in found.rounds[:1]
-        for c in one.candidates
-        if c.detectable < problem.thresholds.detectable and c.key not in found.named
-    )
+    rate = f"needs more than {1.0 / problem.series[0].period:.3g} samples a second"
+    reasons = dict.fromkeys(sorted(problem.library.too_fast), rate)
+    for one in found.rounds[:1]:
+        for c in one.candidates:
+            if c.detectable < problem.thresholds.detectable and c.key not in found.named:
+                reasons[c.key] = f"needs {problem.library.sites[c.key].effect.excitation}"
+    return tuple(NotTestable(name=n, element=e, reason=r) for (n, e), r in reasons.items())
 
 
 def nuisance_estimates(problem: Problem, fit: Fit) -> tuple[Estimate, ...]:
