@@ -37,7 +37,7 @@ def trajectories(problem, windows):
     states, controls, sensors = [], [], []
     for cut in replay._cuts:
         measured, _ = measure(cut, replay.channels, change)
-        rest = replay.thresholds.rest_time
+        rest = replay.rest_time
         starts = start_states(cut, change, measured, replay.channels, rest)
         time_axis = cut.series.time
         for first, start in zip(cut.firsts, starts, strict=True):

@@ -156,7 +156,7 @@ def test_before_its_onset_an_effect_is_as_a_good_machine_has_it():
     onsets = np.array([1.5, np.inf])
     begun = good.changed(key, 3.0 * site.nominal, onsets)
     start, recording = problem.replay.start, problem.replay.recording
-    before = start + problem.thresholds.window < onsets[recording]
+    before = start + problem.replay.window < onsets[recording]
     after = start >= onsets[recording]
     for hypothesis in (begun, begun.with_values(offset, good[offset])):
         found = problem.residual(hypothesis)

@@ -101,9 +101,8 @@ def test_the_loop_leads_where_commands_set_forces_and_not_where_they_set_positio
     if lead == "none":
         assert rate == 0.0
     else:
-        assert (
-            0.3 * problem.thresholds.window < rate / proportional <= 2 * problem.thresholds.window
-        )
+        window = problem.replay.window
+        assert 0.3 * window < rate / proportional <= 2 * window
 
 
 def test_one_effect_alone_may_be_asked_for():

@@ -9,6 +9,14 @@ def parameter_tables() -> dict[
     ],
 ]: ...
 def unit_at_slide(unit: str) -> str: ...
+def sliding_friction(
+    plugin: str,
+    parameters: np.ndarray,
+    velocity: np.ndarray,
+    carried: np.ndarray,
+    time: np.ndarray,
+    out: np.ndarray,
+) -> None: ...
 def bristle(
     velocity: np.ndarray,
     level: np.ndarray,

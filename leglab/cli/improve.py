@@ -75,7 +75,7 @@ def _table(result: "Improvement") -> Table:
     """Replay errors of all recordings before and after."""
     from leglab.diagnosis.result import shown_unit
 
-    title = f"replay error, RMS before > after; of channels after {result.horizon:g} s"
+    title = f"replay error, RMS before > after; of channels after {result.horizon:.3g} s"
     table = Table(title=title, title_justify="left")
     table.add_column("recording")
     table.add_column("noise levels")

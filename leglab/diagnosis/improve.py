@@ -252,7 +252,7 @@ def improve(
         },
         remainder=remainder.to_json() if remainder else None,
         closed_fraction=closed(*rms),
-        horizon=problem.thresholds.window,
+        horizon=problem.replay.window,
         recordings=_errors(judged, after_problem, final, squares),
         units={
             c.column: "Pa" if c.chamber else unit(problem.machine, c.joint)

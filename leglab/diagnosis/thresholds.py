@@ -45,16 +45,22 @@ class Thresholds:
     pressure_filter: tuple[float, int, int] = (0.005, 5, 2)
 
     # Windows and their start states.
-    # Length of a window, and of the bins over which predictions and data are averaged [s].
+    # Length of a window, and of the bins over which predictions and data are averaged [s]; of a
+    # slow log what `window_length` makes of them.
     window: float = 0.3
     bin: float = 0.01
-    # Samples that smoothing filters reach to both sides of a window's start.
-    margin_samples: int = 12
+    # Samples that a window keeps from the ends of a recording beyond the reach of the longest
+    # filter: slopes of what was filtered are differences of neighbours.
+    margin_samples: int = 2
     # Of windows in which no command moves by more than this share of its range, and no channel by
     # more than so many noise levels, one in so many is kept: the others say the same.
     still_command: float = 0.02
     still_noise: float = 6.0
     still_every: int = 5
+    # Of these, and of windows in which no channel moves by more than this share of its root mean
+    # square over all windows (a servo that creeps), one is kept for so many others at most. They
+    # have a ten-thousandth of the motion's squares together, on any machine.
+    still_motion: float = 0.01
     # Windows start at the calmest sample within this share of their length from a regular grid.
     start_room: float = 0.35
     # A chamber below this gauge pressure [Pa] may hold vapour, whose amount no sensor tells: no

@@ -1,4 +1,4 @@
-// nanobind module of the hydraulics core: parameter tables, fluid laws, bristle, spool and supply
+// nanobind module of the hydraulics core: parameter tables, fluid laws, friction, spool and supply
 // along a known motion, the continuous model and the fixed-step scheme on a free mass.
 #include <cstring>
 #include <span>
@@ -46,6 +46,35 @@ void require(std::size_t got, std::size_t wanted, const char* what) {
   }
 }
 
+template <class Table>
+typename Table::Parameters parameters_of(const double* values, std::size_t count) {
+  require(count, Table::parameter_count, Table::plugin);
+  typename Table::Parameters p;
+  std::memcpy(&p, values, sizeof p);
+  return p;
+}
+
+// Steady friction of sliding g at every sample, by the law that a plugin simulates: of a cylinder's
+// seals, which carry the sum of its gauge pressures, or of a joint, which carries its load.
+void sliding_friction(const std::string& plugin, ConstVector parameters, ConstVector velocity,
+                      ConstVector carried, ConstVector time, Vector out) {
+  for (const ConstVector& series : {velocity, carried, time}) {
+    require(series.shape(0), out.shape(0), "a series");
+  }
+  const auto fill = [&](auto law) {
+    for (std::size_t k = 0; k < out.shape(0); ++k) {
+      out.data()[k] = law(velocity.data()[k], carried.data()[k], time.data()[k]);
+    }
+  };
+  if (plugin == CylinderTable::plugin) {
+    const auto p = parameters_of<CylinderTable>(parameters.data(), parameters.shape(0));
+    fill([&](double v, double pressures, double) { return bristle_level(p, v, pressures); });
+  } else {
+    const auto p = parameters_of<FrictionTable>(parameters.data(), parameters.shape(0));
+    fill([&](double v, double load, double now) { return FrictionLevel::at(p, v, load, now).sliding; });
+  }
+}
+
 // LuGre bristle before each sample of a sliding motion that starts unloaded: velocity and steady
 // friction held over each sample.
 void bristle(ConstVector velocity, ConstVector level, double sigma_0, double dt, Vector out) {
@@ -90,19 +119,17 @@ void play(ConstVector samples, double width, Vector out) {
 void supply_pressure(ConstVector supply, ConstMatrix parameters, ConstMatrix spools, ConstMatrix caps,
                      ConstMatrix rods, double dt, std::int64_t substeps, Vector out) {
   const std::size_t cylinders = parameters.shape(0), samples = out.shape(0);
-  require(supply.shape(0), SupplyTable::parameter_count, "supply");
-  require(parameters.shape(1), CylinderTable::parameter_count, "parameters");
+  const auto p = parameters_of<SupplyTable>(supply.data(), supply.shape(0));
   for (const ConstMatrix& series : {spools, caps, rods}) {
     require(series.shape(0), cylinders, "rows of series");
     require(series.shape(1), samples, "columns of series");
   }
   if (substeps < 1) throw nb::value_error("substeps must be at least 1");
-  SupplyParameters p;
-  std::memcpy(&p, supply.data(), sizeof p);
   std::vector<CylinderParameters> own(cylinders);
   std::vector<CylinderCoefficients> coefficients;
   for (std::size_t i = 0; i < cylinders; ++i) {
-    std::memcpy(&own[i], parameters.data() + i * CylinderTable::parameter_count, sizeof own[i]);
+    const std::size_t width = parameters.shape(1);
+    own[i] = parameters_of<CylinderTable>(parameters.data() + i * width, width);
     coefficients.push_back(CylinderCoefficients::from(own[i]));
   }
   SupplyState s{};
@@ -133,8 +160,7 @@ void supply_pressure(ConstVector supply, ConstMatrix parameters, ConstMatrix spo
 class CylinderModel {
  public:
   explicit CylinderModel(ConstVector parameters) {
-    require(parameters.shape(0), CylinderTable::parameter_count, "parameters");
-    std::memcpy(&p_, parameters.data(), sizeof p_);
+    p_ = parameters_of<CylinderTable>(parameters.data(), parameters.shape(0));
     const std::string wrong = contradiction(p_);
     if (!wrong.empty()) throw nb::value_error(wrong.c_str());
     c_ = CylinderCoefficients::from(p_);
@@ -203,7 +229,7 @@ class CylinderModel {
   }
   double steady_friction(double v, double pa, double pb) const {
     if (v == 0) return 0;
-    return std::copysign(bristle_level(p_, v, pa, pb), v) + oil_.viscous_at(v) * v;
+    return std::copysign(bristle_level(p_, v, pa + pb), v) + oil_.viscous_at(v) * v;
   }
 
  private:
@@ -225,6 +251,7 @@ NB_MODULE(hydraulics, m) {
     return tables;
   });
   m.def("unit_at_slide", &leglab::plugin::unit_at_slide);
+  m.def("sliding_friction", &sliding_friction);
   m.def("bristle", &bristle);
   m.def("play", &play);
   m.def("spool", &spool);

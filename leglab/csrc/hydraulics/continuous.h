@@ -42,7 +42,7 @@ inline void continuous_derivative(const CylinderParameters& p, const CylinderCoe
   const double stored_a = chamber(pa, volume.a, net_a, dy[kPressureA]);
   const double stored_b = chamber(pb, volume.b, net_b, dy[kPressureB]);
 
-  const double g = bristle_level(p, v, pa, pb);
+  const double g = bristle_level(p, v, pa + pb);
   const double bristle_rate = p.sigma_0_ > 0 ? v - p.sigma_0_ * std::abs(v) * y[kBristle] / g : 0.0;
   const double friction = p.sigma_0_ * y[kBristle] + p.sigma_1_ * bristle_rate + oil.viscous_at(v) * v;
   const double stop = stop_force(p, x, v);

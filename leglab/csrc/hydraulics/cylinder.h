@@ -144,11 +144,10 @@ inline double stop_force(const CylinderParameters& p, double x, double v) {
   return 0.0;
 }
 
-// Level of the Stribeck curve g at a velocity and the chamber pressures (gauge). Seals with one lip
-// hold the two directions of sliding differently.
-inline double bristle_level(const CylinderParameters& p, double v, double pressure_a,
-                            double pressure_b) {
-  double seal = p.pressure_coefficient_ * (pressure_a + pressure_b);
+// Level of the Stribeck curve g at a velocity and the sum of the gauge pressures of both chambers.
+// Seals with one lip hold the two directions of sliding differently.
+inline double bristle_level(const CylinderParameters& p, double v, double pressures) {
+  double seal = p.pressure_coefficient_ * pressures;
   if (p.coulomb_difference_ == 0.0 || v == 0.0) {
     return stribeck(v, p.coulomb_ + seal, p.static_ + seal, p.stribeck_velocity_, p.stribeck_exponent_);
   }
@@ -174,7 +173,7 @@ inline PistonForces piston_forces(const CylinderParameters& p, const CylinderCoe
   PistonForces f;
   f.pressure = k.gauge_a() * c.area_a - k.gauge_b() * c.area_b;
   f.stop = stop_force(p, x, v);
-  const double g = bristle_level(p, v, k.gauge_a(), k.gauge_b());
+  const double g = bristle_level(p, v, k.gauge_a() + k.gauge_b());
   const double bristle_force = p.sigma_0_ * s.bristle_;
   const double alignment = std::copysign(1.0, v) * bristle_force / g;
   const double slope = oil.viscous_at(v) + p.sigma_1_ * std::max(1.0 - alignment, 0.0);

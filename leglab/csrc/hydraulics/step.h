@@ -200,7 +200,7 @@ inline void advance_cylinder(CylinderParameters& p, const CylinderCoefficients& 
     volume = volume_end;
   }
 
-  const double g = bristle_level(p, piston.v, k.gauge_a(), k.gauge_b());
+  const double g = bristle_level(p, piston.v, k.gauge_a() + k.gauge_b());
   s.bristle_ = advance_bristle(s.bristle_, piston.v, g, p.sigma_0_, timestep);
   if (piston.mass > 0.0) {
     const double load = piston.mass * (piston.v - piston.v_start) / timestep - piston.force;

@@ -6,6 +6,7 @@
 #include <string>
 #include <utility>
 
+#include "hydraulics/friction.h"
 #include "hydraulics/parameters.h"
 #include "hydraulics/supply.h"
 
@@ -41,30 +42,6 @@ inline std::string unit_at_slide(std::string unit) {
   X(stop_stiffness, "N m/rad", 0.0, 0.0, 1e9, true, "of the soft stops")                           \
   X(stop_damping, "N m s/rad", 0.0, 0.0, 1e6, true, "of the soft stops")
 LEGLAB_TABLE(Spring, "leglab.spring_damper", LEGLAB_SPRING_PARAMETERS, LEGLAB_NONE, "joint", "strut")
-
-#define LEGLAB_FRICTION_PARAMETERS(X)                                                              \
-  X(sigma_0, "N m/rad", 1e3, 0.0, 1e9, true, "bristle stiffness")                                  \
-  X(sigma_1, "N m s/rad", 1.0, 0.0, 1e6, true, "bristle damping")                                  \
-  X(viscous, "N m s/rad", 0.0, -1e6, 1e6, true, "viscous friction; negative weakens native damping") \
-  X(coulomb, "N m", 0.0, 0.0, 1e6, true, "Coulomb friction")                                       \
-  X(static, "N m", 0.0, 0.0, 1e6, true, "breakaway friction, at least coulomb")                    \
-  X(stribeck_velocity, "rad/s", 0.1, 0.0, 1e3, false, "Stribeck velocity")                         \
-  X(stribeck_exponent, "1", 2.0, 0.1, 20.0, true, "n of exp(-|v/v_s|^n): how steeply friction falls") \
-  X(direction_asymmetry, "1", 0.0, -1.0, 1.0, true, "friction x (1 + a) for v > 0, (1 - a) for v < 0") \
-  X(viscous_difference, "N m s/rad", 0.0, -1e6, 1e6, true, "viscous friction for v > 0 less that for v < 0") \
-  X(coulomb_difference, "N m", 0.0, -1e6, 1e6, true, "Coulomb and breakaway friction for v > 0 less v < 0") \
-  X(actuator_load_coefficient, "1", 0.0, -10.0, 10.0, true, "friction per actuator force, see load") \
-  X(bias_load_coefficient, "1", 0.0, -10.0, 10.0, true, "friction per gravity and Coriolis force") \
-  X(wear_rate, "1/rad", 0.0, 0.0, 1e3, true, "relative growth per path travelled (Archard 1953)")  \
-  X(drift_amplitude, "1", 0.0, 0.0, 1.0, true, "relative slow sinusoidal change")                  \
-  X(drift_period, "s", 60.0, 0.0, 1e6, false, "period of the slow change")                         \
-  X(wear, "1", 1.0, 0.0, 1e3, true, "relative friction level; the machine itself changes it")
-
-#define LEGLAB_FRICTION_STATES(X)  \
-  X(bristle, "rad", "LuGre bristle deflection z")                                                  \
-  X(sliding_distance, "rad", "path since the reset")                                               \
-  X(load, "N m", "|actuator_load_coefficient qfrc_actuator + bias_load_coefficient qfrc_bias| of the last step")
-LEGLAB_TABLE(Friction, "leglab.joint_friction", LEGLAB_FRICTION_PARAMETERS, LEGLAB_FRICTION_STATES, "joint")
 
 #define LEGLAB_BACKLASH_PARAMETERS(X)                                                              \
   X(width, "rad", 0.0, 0.0, 10.0, true, "total play; 0 = rigid, no effect")                        \
@@ -127,7 +104,7 @@ struct PluginTable {
 
 inline constexpr PluginTable kTables[] = {
     PluginTable::of<hydraulics::CylinderTable>(), PluginTable::of<hydraulics::SupplyTable>(),
-    PluginTable::of<SpringTable>(),               PluginTable::of<FrictionTable>(),
+    PluginTable::of<SpringTable>(),               PluginTable::of<hydraulics::FrictionTable>(),
     PluginTable::of<BacklashTable>(),             PluginTable::of<CommandTable>(),
     PluginTable::of<ResidualTable>(),             PluginTable::of<SensorTable>(),
 };

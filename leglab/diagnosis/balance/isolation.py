@@ -149,7 +149,8 @@ def _balances(
         x = raw[f"{name}_position"]
         speed = derivative(x, wide, period)
         motion[name] = smoothed(x, wide), speed, np.gradient(speed, period)
-    rates = [derivative(smooth[f"{joint}_pressure_{c}"], (21, 2), period) for c in "ab"]
+    slope = filters[q_name][0], 2
+    rates = [derivative(smooth[f"{joint}_pressure_{c}"], slope, period) for c in "ab"]
     out = {k: np.empty(at.size) for k in ("mechanical", "hydraulic")}
     for i, k in enumerate(at.tolist()):
         for name, (q, v, a) in motion.items():

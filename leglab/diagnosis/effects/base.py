@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import ClassVar, Literal, TypeVar
 
 import mujoco
@@ -63,6 +63,21 @@ class EffectParameter:
         """Distance from nominal that matters: what finite differences and fits step by."""
         steps = [abs(trial - self.nominal) for trial in self.trials if trial != self.nominal]
         return min(steps) if steps else 0.1 * (self.upper - self.lower)
+
+    @property
+    def slowest(self) -> float:
+        """Longest delay or lag among the trials [s]; infinite for what is no time."""
+        if self.unit == "Hz":
+            return float(1.0 / (2.0 * np.pi * min(self.trials)))
+        return max(self.trials) if self.unit == "s" else np.inf
+
+    def stretched(self, shortest: float) -> "EffectParameter":
+        """The same; trials and upper bound of a time are longer where some are below a time [s]."""
+        if self.unit != "s" or not self.trials or self.scale >= shortest:
+            return self
+        factor = shortest / self.scale
+        trials = tuple(factor * trial for trial in self.trials)
+        return replace(self, upper=factor * self.upper, trials=trials)
 
     def may_be_fault(self, value: float, nominal: float) -> bool:
         """Whether a value lies on a side of `nominal` on which faults lie."""

@@ -3,22 +3,10 @@
 import math
 from dataclasses import replace
 
-import numpy as np
-
 from leglab.diagnosis.effects import joints
-from leglab.diagnosis.effects.base import EffectParameter, Values, latest_only, register_effect
+from leglab.diagnosis.effects.base import EffectParameter, Values, register_effect
 from leglab.diagnosis.effects.joints import JointEffect, JointRow
-from leglab.diagnosis.plant.model import (
-    CHAMBERS,
-    CYLINDER,
-    FRICTION,
-    Change,
-    Machine,
-    Measured,
-    Variant,
-)
-from leglab.diagnosis.plant.moments import commands_at, forces_at, states_at
-from leglab.diagnosis.replay.starts import bristle
+from leglab.diagnosis.plant.model import CYLINDER, FRICTION, Change, Machine
 
 # LuGre bristle that is stiff for a joint and stable at 1 ms: 100 Hz, half damped.
 _BRISTLE = 2.0 * math.pi * 100.0  # rad/s
@@ -97,10 +85,6 @@ class JointStiction(FrictionEffect):
                 change.set_parameter(name, shape, values[shape])
 
 
-# Load is followed at this spacing and interpolated.
-_LOAD_EVERY = 20  # samples
-
-
 @register_effect
 class LoadDependentFriction(JointEffect):
     """Friction that grows with the load that the joint carries."""
@@ -129,7 +113,6 @@ class LoadDependentFriction(JointEffect):
         name = insert_friction(change, element, self.name)
         for load, share in values.items():
             change.set_parameter(name, f"{load}_load_coefficient", share)
-        start_from_motion(change, name, element)
 
 
 def _loads(machine: Machine, joint: str) -> tuple[str, ...]:
@@ -137,68 +120,6 @@ def _loads(machine: Machine, joint: str) -> tuple[str, ...]:
     driven = any(joint in moved for moved in machine.driven.values())
     heavy = joints.gravity(machine, joint) > 0.01 * joints.inertia(machine, joint)
     return ("actuator",) * driven + ("bias",) * heavy
-
-
-def start_from_motion(change: Change, instance: str, joint: str) -> None:
-    """Reconstructs load and bristle at window starts from the measured motion."""
-
-    @latest_only  # both states of a recording need its load
-    def series(measured: Measured, variant: Variant) -> np.ndarray:
-        return carried_load(change, measured, variant, instance, joint)
-
-    def deflection(measured: Measured, variant: Variant, state: np.ndarray) -> np.ndarray:
-        def get(name: str) -> float:
-            return float(state[0, variant.slot(instance, name)])
-
-        velocity = measured.velocity[joint]
-        level = get("coulomb") + 0.5 * get("coulomb_difference") * np.sign(velocity)
-        level = np.maximum(level + series(measured, variant), 1e-9)
-        return bristle(velocity, level, get("sigma_0"), measured.period)[measured.samples]
-
-    change.start(
-        instance, "load", lambda measured, variant, _: series(measured, variant)[measured.samples]
-    )
-    change.start(instance, "bristle", deflection)
-
-
-def carried_load(
-    change: Change, measured: Measured, variant: Variant, instance: str, joint: str
-) -> np.ndarray:
-    """|k_a qfrc_actuator + k_b qfrc_bias| of `leglab.joint_friction` along a recording, (n,)."""
-    count = measured.velocity[joint].size
-    actuator = change.parameters.get((instance, "actuator_load_coefficient"), 0.0)
-    bias = change.parameters.get((instance, "bias_load_coefficient"), 0.0)
-    if actuator == 0.0 and bias == 0.0:
-        return np.zeros(count)
-    model, machine = variant.model, change.machine
-    chosen = np.unique(np.append(np.arange(0, count, _LOAD_EVERY), count - 1))
-    plugin = np.tile(variant.plugin_state, (chosen.size, 1))
-    for slot, pressure in _chambers(machine, measured, variant):
-        plugin[:, slot] = pressure[chosen]
-    states = states_at(machine, model, measured, chosen, plugin)
-    commands = commands_at(machine, measured, chosen)
-
-    def both() -> np.ndarray:
-        found = forces_at(model, states, commands)
-        index = int(model.joint(joint).dofadr[0])
-        return np.stack([found.load[:, index], found.bias[:, index]], axis=1)
-
-    # Neither share changes the forces that it is a share of.
-    forces = measured.lately.get(f"load of {joint}", (states, commands), both, by=variant)
-    load = forces @ np.array([actuator, bias])
-    return np.abs(np.interp(np.arange(count), chosen, load))
-
-
-def _chambers(
-    machine: Machine, measured: Measured, variant: Variant
-) -> list[tuple[int, np.ndarray]]:
-    """Slots of the chamber pressures in `plugin_state` with what was measured."""
-    return [
-        (variant.slot(cylinder, chamber), measured.pressure[column])
-        for cylinder in machine.instances(CYLINDER)
-        for chamber in CHAMBERS
-        if (column := f"{machine.driven[cylinder][0]}_{chamber}") in measured.pressure
-    ]
 
 
 @register_effect
@@ -244,4 +165,3 @@ class AsymmetricFriction(JointEffect):
             change.set_parameter(name, kind, 0.5 * (forward + backward))
             change.set_parameter(name, f"{kind}_difference", forward - backward)
         change.set_parameter(name, "static", change.parameter(name, "coulomb"))
-        start_from_motion(change, name, element)

@@ -184,11 +184,13 @@ class Library:
         names: Effects to use; None for all.
         excluded: Effects to leave out.
         specimen: Values of the specimen at hand; what it does not say is as in the model.
+        shortest: Time [s] that the recordings can tell; delays and lags are tried from there on.
 
     Attributes:
         sites: By effect and element: the effects to use, and those that tell of the specimen.
             Those that no diagnosis names are always there.
         searched: Those to use.
+        too_fast: Those that would be used, were they not over within a shorter time.
         specimen: As given.
     """
 
@@ -199,6 +201,7 @@ class Library:
         names: Iterable[str] | None = None,
         excluded: Iterable[str] = (),
         specimen: Mapping[Key, np.ndarray] | None = None,
+        shortest: float = 0.0,
     ) -> None:
         wanted = None if names is None else set(names)
         barred = set(excluded)
@@ -212,13 +215,20 @@ class Library:
             for element in effect.elements(machine):
                 key = effect.name, element
                 if used or key in self.specimen or not effect.nameable:
-                    own = effect.parameters(machine, element)
+                    given = effect.parameters(machine, element)
+                    own = tuple(p.stretched(shortest) for p in given)
                     self.sites[key] = Site(
                         effect=effect, element=element, parameters=own, own=self.specimen.get(key)
                     )
                 if used:
                     searched.add(key)
-        self.searched = frozenset(searched)
+        self.too_fast = frozenset(
+            key
+            for key in searched
+            if max((p.slowest for p in self.sites[key].parameters if p.trials), default=np.inf)
+            < shortest
+        )
+        self.searched = frozenset(searched) - self.too_fast
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ def suspected_onset(problem: Problem, chosen: np.ndarray) -> tuple[np.ndarray, F
     first = np.array([series.time[0] for series in problem.series])
     last = np.array([series.time[-1] for series in problem.series])
     limit = (first + limits.early_share * (last - first))[replay.recording]
-    end = replay.start + limits.window
+    end = replay.start + replay.window
     early = problem.fitted & (end < limit)
     if early.sum() < limits.onset_windows:
         return None
@@ -38,7 +38,7 @@ def suspected_onset(problem: Problem, chosen: np.ndarray) -> tuple[np.ndarray, F
     onsets = np.full(len(windows), np.inf)
     for i, (own, change) in enumerate(zip(windows, changes, strict=True)):
         if change is not None:
-            coarse = float(replay.start[own[change]] + 0.5 * limits.window)
+            coarse = float(replay.start[own[change]] + 0.5 * replay.window)
             onsets[i] = _refined(problem, errors, own, coarse)
     before = problem.fitted & (end < onsets[replay.recording])
     healthy = thinned(before, max(1, round(before.sum() / max(chosen.sum(), 1))))
@@ -77,7 +77,7 @@ def checked_onsets(
             best = int(np.argmax(saved))
             needed = problem.size * saved[best] > limits.onset_gain
             if needed and best + 1 >= limits.onset_windows:
-                onsets[i] = replay.start[windows[best]] + 1.25 * limits.window
+                onsets[i] = replay.start[windows[best]] + 1.25 * replay.window
         if np.isfinite(onsets).any():
             later = fit.with_hypothesis(fit.hypothesis.with_onset(key, onsets))
             later = sharpen(problem, later, iterations=3)
@@ -97,7 +97,7 @@ def _bracketed(
     windows that replays without it miss and those with it meet.
     """
     limits = problem.thresholds
-    begin, length = problem.replay.start, limits.window
+    begin, length = problem.replay.start, problem.replay.window
     intervals = {}
     for key in named:
         if key not in fit.hypothesis.onsets:
@@ -148,7 +148,7 @@ def change_point(values: np.ndarray, thresholds: Thresholds = DEFAULT) -> int | 
 def _refined(problem: Problem, errors: np.ndarray, windows: np.ndarray, onset: float) -> float:
     """First bin, around a coarse onset, in which errors leave those of healthy windows."""
     replay = problem.replay
-    start, length = replay.start[windows], problem.thresholds.window
+    start, length = replay.start[windows], replay.window
     healthy = windows[start + length < onset - length]
     near = windows[(start + length > onset - length) & (start < onset + length)]
     if not healthy.size:

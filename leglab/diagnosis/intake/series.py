@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from statistics import median_high
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
@@ -51,7 +52,7 @@ class UniformSeries:
         valid: Where every channel was measured, shape (n,).
         steps: Least step of quantised columns as they were logged; 0 where there is none.
         noise: Standard deviation of white noise on the grid that averages as the logged samples do,
-            by column; empty where the log is on the grid as it is.
+            by column, 0 where none shows; empty where the log is on the grid as it is.
         command_lead: By how much commands reach native actuators before their time [s].
     """
 
@@ -248,6 +249,16 @@ def common_period(recordings: Mapping[str, Recording], thresholds: Thresholds = 
     return median_high(same) if same else slowest
 
 
+def readings_change(samples: np.ndarray, length: int) -> np.ndarray:
+    """Mask of the samples around which a signal, (n,), has more than one value within so many.
+
+    Elsewhere it rests on one reading: noise is below the converter's step and does not show,
+    however long that lasts, on a machine of any size.
+    """
+    apart = maximum_filter1d(samples, length) - minimum_filter1d(samples, length)
+    return apart > _FLOAT_STEP * np.abs(samples).max()
+
+
 def quantum(samples: np.ndarray) -> float:
     """Least step of a quantised signal, (n,), 0 where it is not quantised or never moves.
 
@@ -372,7 +383,8 @@ class _Log:
         value -= fit.slope * early + fit.bend * spread
         value = np.where(number > 0, value, fit.value)
         rest = samples - fit.value[place] - fit.slope[place] * away - fit.bend[place] * away**2
-        scatter = _robust(rest) / np.sqrt(1.0 - fit.leverage)
+        shown = readings_change(samples, fit.neighbours.shape[1])
+        scatter = _robust(rest[shown]) / np.sqrt(1.0 - fit.leverage)
         least = max(scatter, self.step / np.sqrt(12.0), _TAME * float(np.std(samples)))
         smooth = fit.misfit <= limits.bridged_misfit * least
         _, width = self.around(period, count)
@@ -424,7 +436,8 @@ class _Log:
         """Standard deviation of the samples about parabolas, not below a count's rounding."""
         some = np.linspace(0, self.times.size - 1, min(self.times.size, 2000)).astype(int)
         fit = self._parabola(self.times[some], period)
-        rest = _robust(self.samples[some] - fit.value) / np.sqrt(1.0 - fit.leverage)
+        shown = readings_change(self.samples, fit.neighbours.shape[1])[some]
+        rest = _robust((self.samples[some] - fit.value)[shown]) / np.sqrt(1.0 - fit.leverage)
         return max(rest, self.step / np.sqrt(12.0), _TAME * float(np.std(self.samples)))
 
     def _parabola(self, centres: np.ndarray, period: float) -> "_Parabola":
@@ -484,4 +497,4 @@ class _Parabola:
 
 
 def _robust(rest: np.ndarray) -> float:
-    return float(1.4826 * np.median(np.abs(rest)))
+    return float(1.4826 * np.median(np.abs(rest))) if rest.size else 0.0

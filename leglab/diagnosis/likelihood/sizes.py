@@ -18,9 +18,9 @@ from leglab.diagnosis.replay.residual import Problem
 
 # Trials as shares of what is recorded: 1 % is the smallest that a user would notice.
 TRIALS = (0.01, 0.05, 0.25)
-# Delays and lags as shares of the longest correlation of a command; none below a share of the
-# sampling period, and no fit follows one beyond this time [s].
-FEW_PERIODS, LONGEST = 0.25, 0.5
+# Delays and lags as shares of the longest correlation of a command; none below the rounding of
+# time to the sampling period, 1/sqrt(12) of it, and no fit follows one beyond this time [s].
+LONGEST = 0.5
 # Largest values are quantiles: one bad sample is no size.
 TOP = 0.99
 
@@ -167,7 +167,7 @@ def _sized(p: EffectParameter, size: float, seen: Shown) -> EffectParameter:
     """A strength with trials on the sides that it had, and bounds as far as it is large."""
     if p.role == "shape" or size <= 0.0 or not p.trials:
         return p
-    least = max(TRIALS[0] * size, FEW_PERIODS * seen.period if p.unit == "s" else 0.0)
+    least = max(TRIALS[0] * size, seen.period / np.sqrt(12.0) if p.unit == "s" else 0.0)
     steps = [least * t / TRIALS[0] for t in TRIALS]
     far = min(max(size, steps[-1]), LONGEST) if p.unit == "s" else size
     sides = [s for s in (-1.0, 1.0) if any((t - p.nominal) * s > 0.0 for t in p.trials)]

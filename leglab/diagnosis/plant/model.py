@@ -228,6 +228,7 @@ class Measured:
         command: What reaches each actuator (command path applied), each (n,).
         pressure: Pressures by "<joint>_pressure_a" and so on, each (n,), where measured.
         samples: Where windows start, shape (windows,).
+        start: Time of the first sample [s].
         pushed: Part of the velocity by commands of native actuators that act at once, by joint,
             each (n,): its slope jumps with them.
         lately: What was followed along the recording lately.
@@ -241,6 +242,7 @@ class Measured:
     command: dict[str, np.ndarray]
     pressure: dict[str, np.ndarray]
     samples: np.ndarray
+    start: float = 0.0
     pushed: dict[str, np.ndarray] = field(default_factory=dict)
     lately: Lately = field(default_factory=Lately)
 

@@ -120,7 +120,7 @@ def _of_series(
         return
     measured, _ = measure(cut, problem.channels, change)
     flat = replace(measured, samples=rows.ravel())
-    states = start_states(cut, change, flat, problem.channels, problem.thresholds.rest_time)
+    states = start_states(cut, change, flat, problem.channels, problem.replay.rest_time)
     found = lacking_forces(change, flat, states, half)
     shape = rows.shape
     common = {

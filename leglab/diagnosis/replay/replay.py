@@ -13,7 +13,14 @@ from leglab.diagnosis.balance.lacking import balanced_joints, comparable_forces,
 from leglab.diagnosis.plant.model import CYLINDER, Change, Machine, Measured, Variant
 from leglab.diagnosis.plant.moments import plugin_offset
 from leglab.diagnosis.replay.starts import Nudge, hidden_slots, measure, start_states
-from leglab.diagnosis.replay.windows import Channel, Cut, UniformSeries, cut_series
+from leglab.diagnosis.replay.windows import (
+    Channel,
+    Cut,
+    UniformSeries,
+    cut_all,
+    sensor_noise,
+    window_length,
+)
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 from leglab.machine.plugin import headless
 
@@ -86,6 +93,9 @@ class Replay:
         start: Time at which each window starts [s], shape (windows,).
         bins: Number of bins in a window.
         samples: Number of samples in a window.
+        window: How long a window lasts [s].
+        rest_time: As in the thresholds, and a sampling period at least [s].
+        sensor_noise: Standard deviation of each channel's samples, (recordings, channels).
         blind: Whether chamber pressures are not measured; they are then replayed as well.
         rollouts: Replays of all windows so far.
     """
@@ -102,15 +112,16 @@ class Replay:
         self.machine, self.channels, self.thresholds = machine, channels, thresholds
         self._period = period = series[0].period
         self.substeps = max(1, round(period / machine.timestep))
-        per_bin = max(1, round(thresholds.bin / period))
-        self.bins = max(1, round(thresholds.window / period) // per_bin)
-        self.samples = self.bins * per_bin
+        self.samples, self.bins = window_length(period, thresholds)
+        self.window = self.samples * period
+        self.rest_time = max(thresholds.rest_time, period)
         chambers = sum(1 for c in channels if c.chamber)
         self.blind = chambers < 2 * len(machine.instances(CYLINDER))
         self._lead = round(thresholds.warm_up / period) if self.blind else 0
-        self.cuts = [
-            cut_series(machine, s, channels, self.samples, self._lead, thresholds) for s in series
-        ]
+        self.sensor_noise = sensor_noise(series, channels)
+        self.cuts = cut_all(
+            machine, series, channels, self.sensor_noise, self.samples, self._lead, thresholds
+        )
         self.recording = np.concatenate(
             [np.full(c.firsts.size, i) for i, c in enumerate(self.cuts)]
         )
@@ -118,7 +129,7 @@ class Replay:
         if not self.start.size:
             longest = max(float(s.time[-1] - s.time[0]) for s in series)
             raise LeglabError(
-                f"no window of {thresholds.window:g} s fits: the longest recording lasts "
+                f"no window of {self.window:.3g} s fits: the longest recording lasts "
                 f"{longest:.3g} s; allowed: recordings without gaps, some seconds long"
             )
         self._threads = max(1, threads)
@@ -192,11 +203,10 @@ class Replay:
             `comparable_forces` has them.
         """
         inside = self._inside(blocks)
-        rest = self.thresholds.rest_time
         rows = []
         for cut, measured, _ in self._parts(change, chosen):
             at = replace(measured, samples=(cut.firsts[:, None] + inside).ravel())
-            states = start_states(cut, change, at, self.channels, rest)
+            states = start_states(cut, change, at, self.channels, self.rest_time)
             rows.append(self._left(change, at, states, blocks))
         return np.concatenate(rows)
 
@@ -229,8 +239,7 @@ class Replay:
         for cut, measured, _ in parts:
             inside = (cut.firsts[:, None] + self._inside(blocks)).ravel()
             both = replace(measured, samples=np.concatenate([cut.firsts, inside]))
-            rest = self.thresholds.rest_time
-            states = start_states(cut, change, both, self.channels, rest)
+            states = start_states(cut, change, both, self.channels, self.rest_time)
             starts.append(states[: cut.firsts.size])
             at = replace(measured, samples=inside)
             left.append(self._left(change, at, states[cut.firsts.size :], blocks))
@@ -327,7 +336,7 @@ class Replay:
 
     def _starts(self, change: Change, parts: list[Part], nudge: Nudge | None = None) -> np.ndarray:
         """Full physics states at window starts, (windows, nstate)."""
-        rest = self.thresholds.rest_time
+        rest = self.rest_time
 
         def states(
             earlier: int, nudge: Nudge | None, pressures: Sequence[np.ndarray | None]

@@ -15,11 +15,9 @@ from leglab.diagnosis.replay.nuisances import Nuisance, departures, within_toler
 from leglab.diagnosis.plant.model import CHAMBERS, CYLINDER, Change, Machine
 from leglab.diagnosis.replay.replay import Replay
 from leglab.diagnosis.replay.starts import Nudge
-from leglab.diagnosis.replay.windows import Channel, UniformSeries, channel_noise, filter_difference
+from leglab.diagnosis.replay.windows import Channel, UniformSeries, filter_difference
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
-# Step of columns that rest on one count in every recording: pressures [Pa], positions [rad or m].
-_UNSEEN_STEP = (1e4, 1e-3)
 # Least variance of forces left over in a recording, as a share of the largest of all.
 _LEAST_FORCE = 0.01
 # Share of a variance that rounding may take.
@@ -172,9 +170,7 @@ class Problem:
         self.held = ~self.fitted
         self.nuisances = within_tolerance(library)
         self._worth: float | None = None
-        level = [[channel_noise(s, c) for c in channels] for s in series]
-        floor = np.array([_resolution(series, c.column) for c in channels])
-        self.sensor_noise = np.maximum(np.array(level), floor)
+        self.sensor_noise = self.replay.sensor_noise
         change = library.change(Hypothesis(), machine)
         errors, half = (
             replay.error(library.change(Hypothesis(), replay.machine)).values
@@ -467,7 +463,7 @@ class Problem:
         keys = sorted(hypothesis.onsets)
         begins = np.stack([hypothesis.onsets[k][replay.recording] for k in keys])
         active = begins <= replay.start
-        begun = (begins > replay.start) & (begins < replay.start + self.thresholds.window)
+        begun = (begins > replay.start) & (begins < replay.start + replay.window)
         certain = np.asarray(~begun.any(axis=0))
         codes = (active * (1 << np.arange(len(keys)))[:, None]).sum(axis=0)
         out = np.zeros((replay.windows, len(self.channels), replay.bins))
@@ -560,16 +556,3 @@ def extrapolation(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     factor = (limit * first).sum(axis=2) / np.where(square > 0.0, square, 1.0)
     middle = np.median(np.where(square > 0.0, factor, 4.0 / 3.0), axis=0)
     return np.clip(middle, 4.0 / 3.0, 2.0)
-
-
-def _resolution(series: Sequence[UniformSeries], column: str) -> float:
-    """Rounding error of a column: its least step in any recording over sqrt(12).
-
-    A recording that rests on one count has no step of its own, and one of the others counts. Of a
-    column that never moves at all nobody knows the step.
-    """
-    if all(np.ptp(s.columns[column]) == 0.0 for s in series):
-        return _UNSEEN_STEP[column.endswith("_position")] / np.sqrt(12.0)
-    steps = [s.steps[column] for s in series if s.steps.get(column, 0.0) > 0.0]
-    largest = max(float(np.abs(s.columns[column]).max()) for s in series)
-    return max(min(steps, default=0.0) / np.sqrt(12.0), 1e-9 * largest, 1e-12)

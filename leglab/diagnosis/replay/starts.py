@@ -1,8 +1,9 @@
 """Start states of windows: measured motion, and hidden states that follow from it.
 
-Valve spools, sliding bristles and the pressure of a supply follow from the measured series. At rest
-the measured motion is all noise, and the balance of forces says what dry friction carries; where
-several bristles rest on one joint (a cylinder's seals, a bearing) they share it by their limits.
+Valve spools, sliding bristles under the load that joints carry, and the pressure of a supply follow
+from the measured series. At rest the measured motion is all noise, and the balance of forces says
+what dry friction carries; where several bristles rest on one joint (a cylinder's seals, a bearing)
+they share it by their limits.
 """
 
 from dataclasses import dataclass, field
@@ -30,6 +31,10 @@ _PRESSED = 0.15
 _FLANK = 1.0
 # Longest step at which the pressure of a supply is followed, some hundredths of its time constant.
 _SUPPLY_STEP = 5e-4  # s
+# The load on a joint is followed at this spacing and interpolated.
+_LOAD_EVERY = 20  # samples
+# Velocity at which a bristle breaks away: the Stribeck curve is at its peak [m/s or rad/s].
+_BREAKAWAY = np.finfo(float).tiny
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,14 +91,16 @@ class Instances:
         measured: Series of one recording.
         variant: Compiled model.
         state: Parameters and states at window starts, shape (windows, npluginstate).
-        spools: Spool positions by cylinder, each (n,), as far as they are reconstructed.
+        followed: Along the recording by element and name, each (n,), as far as they are
+            reconstructed: "spool_position", "bristle", and what presses on it, "carried": the load
+            of a joint, or the sum of a cylinder's gauge pressures.
     """
 
     machine: Machine
     measured: Measured
     variant: Variant
     state: np.ndarray
-    spools: dict[str, np.ndarray] = field(default_factory=dict)
+    followed: dict[tuple[str, str], np.ndarray] = field(default_factory=dict)
 
     def get(self, element: str, name: str) -> np.ndarray:
         """A parameter or state at window starts, shape (windows,); a view."""
@@ -107,21 +114,21 @@ class Instances:
         """Sets a state at window starts, shape (windows,)."""
         self.state[:, self.variant.slot(element, name)] = values
 
-    def pressures(self, joint: str) -> list[np.ndarray]:
-        """Measured chamber pressures of a joint, each (n,)."""
-        columns = (f"{joint}_{chamber}" for chamber in CHAMBERS)
-        return [self.measured.pressure[c] for c in columns if c in self.measured.pressure]
+    def pressures(self, joint: str) -> dict[str, np.ndarray]:
+        """Measured pressures of a joint by chamber, each (n,)."""
+        known = self.measured.pressure
+        return {c: known[f"{joint}_{c}"] for c in CHAMBERS if f"{joint}_{c}" in known}
 
     def reconstruct(self) -> None:
         """Sets the hidden states of cylinders, joint friction and supplies: they follow the motion.
 
         A supply whose cylinders have no measured pressures is left as it is.
         """
-        for element, (_, table) in self.variant.elements.items():
-            if table.plugin == CYLINDER:
-                self._cylinder(element)
-            elif table.plugin == FRICTION:
-                self._joint_friction(element)
+        # Cylinders first: they load the joints.
+        for plugin, follow in ((CYLINDER, self._cylinder), (FRICTION, self._joint_friction)):
+            for element, (_, table) in self.variant.elements.items():
+                if table.plugin == plugin:
+                    follow(element)
         for supply, cylinders in self.variant.drawn_by.items():
             self._supply(supply, cylinders)
 
@@ -135,16 +142,13 @@ class Instances:
             self.value(element, "damping_ratio"),
             measured.period,
         )
-        self.spools[element] = moved[:, 0]
+        self.followed[element, "spool_position"] = moved[:, 0]
         self.put(element, "play_output", behind[np.maximum(samples - 1, 0)])
         self.put(element, "spool_position", np.clip(moved[samples, 0], -1.0, 1.0))
         self.put(element, "spool_velocity", moved[samples, 1])
         velocity = measured.piston_velocity[element]
-        pressures = sum(self.pressures(self.machine.driven[element][0]), np.zeros(1))
-        seal = self.value(element, "pressure_coefficient") * np.maximum(pressures, 0.0)
-        seal = seal + 0.5 * np.sign(velocity) * self.value(element, "coulomb_difference")
-        level = self._stribeck(element, velocity, seal)
-        self._slide(element, velocity, level)
+        pressures = self.pressures(self.machine.driven[element][0]).values()
+        level = self._slide(element, velocity, sum(pressures, np.zeros(velocity.size)))
         if self.value(element, "play") > 0.0:
             self._seat(element, velocity, level)
 
@@ -154,14 +158,13 @@ class Instances:
         It crosses the play within milliseconds, and rests in it only while friction holds it.
         """
         samples, play = self.measured.samples, self.value(element, "play")
-        pressures = self.pressures(self.machine.driven[element][0])
+        pressures = [*self.pressures(self.machine.driven[element][0]).values()]
         if len(pressures) < len(CHAMBERS):
             return
         bore, rod = self.value(element, "bore"), self.value(element, "rod")
         cap, ring = bore**2, bore**2 - rod**2
         force = 0.25 * np.pi * (cap * pressures[0] - ring * pressures[1])
-        period, sigma = self.measured.period, self.value(element, "sigma_0")
-        stuck = sigma * bristle(velocity, np.maximum(level, 1e-9), sigma, period)
+        stuck = self.value(element, "sigma_0") * self.followed[element, "bristle"]
         pressed = force - stuck - self.value(element, "viscous") * velocity
         sure = np.abs(pressed) > _PRESSED * level
         last = np.maximum.accumulate(np.where(sure, np.arange(sure.size), -1))
@@ -171,21 +174,21 @@ class Instances:
         reach = 0.5 * play + np.maximum(np.abs(given), least)
         self.put(element, "play_offset", (side * reach)[samples])
         lag = 0.5 * self.machine.timestep
-        slope = np.gradient(velocity, period)
+        slope = np.gradient(velocity, self.measured.period)
         self.put(element, "pin_load", -pressed[samples])
         self.put(element, "piston_velocity", (velocity - lag * slope)[samples])
         self.put(element, "seated_play", np.full(samples.size, play))
 
     def _supply(self, element: str, cylinders: tuple[str, ...]) -> None:
         """Sets a supply's pressure, which falls with what its cylinders draw."""
-        chambers = [self.pressures(self.machine.driven[c][0]) for c in cylinders]
+        chambers = [[*self.pressures(self.machine.driven[c][0]).values()] for c in cylinders]
         if not cylinders or any(len(pair) < len(CHAMBERS) for pair in chambers):
             return
         period, samples = self.measured.period, self.measured.samples
         given = (
             self._parameters(element),
             np.stack([self._parameters(c) for c in cylinders]),
-            np.stack([self.spools[c] for c in cylinders]),
+            np.stack([self.followed[c, "spool_position"] for c in cylinders]),
             np.stack([a for a, _ in chambers]),
             np.stack([b for _, b in chambers]),
         )
@@ -205,27 +208,63 @@ class Instances:
         return self.state[0, start : start + len(table.parameters)].copy()
 
     def _joint_friction(self, element: str) -> None:
-        velocity = self.measured.velocity[self.variant.joint_of[element]]
-        side = 1.0 + np.sign(velocity) * self.value(element, "direction_asymmetry")
-        level = self._stribeck(element, velocity) * self.value(element, "wear") * side
-        self._slide(element, velocity, level)
+        joint = self.variant.joint_of[element]
+        load = self._load(element, joint)
+        self.put(element, "load", load[self.measured.samples])
+        self._slide(element, self.measured.velocity[joint], load)
 
-    def _stribeck(
-        self, element: str, velocity: np.ndarray, seal: np.ndarray | float = 0.0
+    def _load(self, element: str, joint: str) -> np.ndarray:
+        """|k_a qfrc_actuator + k_b qfrc_bias| of a joint's friction along the recording, (n,)."""
+        measured, machine, model = self.measured, self.machine, self.variant.model
+        count = measured.velocity[joint].size
+        loads = ("actuator", "bias")
+        shares = np.array([self.value(element, f"{load}_load_coefficient") for load in loads])
+        if not shares.any():
+            return np.zeros(count)
+        chosen = np.unique(np.append(np.arange(0, count, _LOAD_EVERY), count - 1))
+        # Only what loads the joint: forces are not computed anew for another friction.
+        plugin = np.tile(self.variant.plugin_state, (chosen.size, 1))
+        for cylinder in machine.instances(CYLINDER):
+            start, table = self.variant.elements[cylinder]
+            plugin[:, start : start + len(table.parameters)] = self._parameters(cylinder)
+            series = self.pressures(machine.driven[cylinder][0])
+            for name, known in {**series, "bristle": self.followed[cylinder, "bristle"]}.items():
+                plugin[:, self.variant.slot(cylinder, name)] = known[chosen]
+        closed = plays(machine, self.variant)
+        states = states_at(machine, model, measured, chosen, plugin, without=closed)
+        commands = commands_at(machine, measured, chosen)
+
+        def both() -> np.ndarray:
+            found, dof = forces_at(model, states, commands), int(model.joint(joint).dofadr[0])
+            return np.stack([found.load[:, dof], found.bias[:, dof]], axis=1)
+
+        forces = measured.lately.get(f"load of {joint}", (states, commands), both, by=self.variant)
+        return np.abs(np.interp(np.arange(count), chosen, forces @ shares))
+
+    def _sliding_friction(
+        self, element: str, velocity: np.ndarray, at: np.ndarray | slice = slice(None)
     ) -> np.ndarray:
-        """Steady friction of sliding, shape (n,), with what seals add to it."""
-        coulomb = self.value(element, "coulomb")
-        ratio = np.abs(velocity) / self.value(element, "stribeck_velocity")
-        share = np.exp(-(ratio ** self.value(element, "stribeck_exponent")))
-        return coulomb + seal + (self.value(element, "static") - coulomb) * share
+        """Steady friction g of sliding [N or N m] by the law of the plugin, shape (samples,).
 
-    def _slide(self, element: str, velocity: np.ndarray, level: np.ndarray) -> None:
-        """Sets a sliding bristle's deflection under a steady friction of shape (n,)."""
-        period, samples = self.measured.period, self.measured.samples
-        sigma = self.value(element, "sigma_0")
-        if sigma > 0.0:
-            level = np.maximum(level, 1e-9)
-            self.put(element, "bristle", bristle(velocity, level, sigma, period)[samples])
+        Args:
+            element: Cylinder or joint friction.
+            velocity: Of sliding, shape (samples,).
+            at: Samples of the recording.
+        """
+        carried, out = self.followed[element, "carried"], np.empty(velocity.size)
+        time = self.measured.start + self.measured.period * np.arange(carried.size)
+        plugin, parameters = self.variant.elements[element][1].plugin, self._parameters(element)
+        native.sliding_friction(plugin, parameters, velocity, carried[at], time[at], out)
+        return out
+
+    def _slide(self, element: str, velocity: np.ndarray, carried: np.ndarray) -> np.ndarray:
+        """Sets a bristle that slides all along, and returns the steady friction; all (n,)."""
+        self.followed[element, "carried"] = carried
+        level, sigma = self._sliding_friction(element, velocity), self.value(element, "sigma_0")
+        deflection = bristle(velocity, level, sigma, self.measured.period)
+        self.followed[element, "bristle"] = deflection
+        self.put(element, "bristle", deflection[self.measured.samples])
+        return level
 
     def balance(self, rest_time: float) -> None:
         """Sets the deflection of bristles that slid less than twice theirs in a time [s].
@@ -272,26 +311,12 @@ class Instances:
             stiffness = self.value(element, "sigma_0")
             if stiffness <= 0.0:
                 continue
-            breakaway = np.maximum(self.get(element, "coulomb"), self.get(element, "static"))
-            if seal:
-                lever = self.measured.lever[element][self.measured.samples]
-                total = sum((p[self.measured.samples] for p in self.pressures(joint)), 0.0)
-                seals = self.get(element, "pressure_coefficient") * np.maximum(total, 0.0)
-                half = 0.5 * np.sign(lever) * self.get(element, "coulomb_difference")
-                forward, backward = (
-                    np.abs(lever) * np.maximum(breakaway + seals + side * half, 0.0)
-                    for side in (1.0, -1.0)
-                )
-            else:
-                lever = np.ones(len(self.state))
-                half = 0.5 * self.get(element, "coulomb_difference")
-                load = self.get(element, "load")
-                forward, backward = (
-                    self.get(element, "wear")
-                    * (1.0 + side * self.get(element, "direction_asymmetry"))
-                    * np.maximum(breakaway + side * half + load, 0.0)
-                    for side in (1.0, -1.0)
-                )
+            samples = self.measured.samples
+            lever = self.measured.lever[element][samples] if seal else np.ones(samples.size)
+            forward, backward = (
+                np.abs(lever) * self._sliding_friction(element, side * np.sign(lever), samples)
+                for side in (_BREAKAWAY, -_BREAKAWAY)
+            )
             found.append(
                 Bristle(
                     slot=self.variant.slot(element, "bristle"),
@@ -382,6 +407,7 @@ def measure(
         command=command,
         pressure=pressure,
         samples=cut.firsts,
+        start=float(series.time[0]),
         pushed={joint: beyond.whole for joint, beyond in driven.items()},
         lately=cut.lately,
     )

@@ -10,13 +10,15 @@ from scipy.signal import savgol_coeffs, savgol_filter
 
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
-from leglab.diagnosis.intake.series import UniformSeries, common_period
+from leglab.diagnosis.intake.series import UniformSeries, common_period, readings_change
 from leglab.diagnosis.plant.lately import Lately
 from leglab.diagnosis.plant.model import CHAMBERS, CYLINDER, Machine
 from leglab.diagnosis.replay.pushes import Pushes
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 from leglab.machine.simulation import actuator_moments
 
+# Step of columns that rest on one count in every recording: pressures [Pa], positions [rad or m].
+_UNSEEN_STEP = (1e4, 1e-3)
 # Filtered versions of a channel that are kept: the present one and those of a trial.
 _KNOWN = 3
 
@@ -81,25 +83,53 @@ def noise_level(samples: np.ndarray, window: tuple[int, int]) -> float:
 
     The filter keeps its centre coefficient c of each sample, so that white noise of variance s^2
     leaves s^2 (1 - c). The median makes jumps of the signal count little (Rousseeuw and
-    Croux 1993).
+    Croux 1993). Where a signal rests on one reading it shows no noise, and does not count.
 
     Args:
         samples: Shape (n,).
         window: Length and order of the Savitzky-Golay filter.
+
+    Returns:
+        0 where the signal never changes, or is shorter than the filter.
     """
     if samples.size < window[0]:
         return 0.0
-    rest = samples - savgol_filter(samples, *window)
+    rest = np.abs(samples - savgol_filter(samples, *window))
+    rest = rest[readings_change(samples, window[0])]
     centre = savgol_coeffs(*window)[window[0] // 2]
-    return float(1.4826 * np.median(np.abs(rest)) / np.sqrt(1.0 - centre))
+    return float(1.4826 * np.median(rest) / np.sqrt(1.0 - centre)) if rest.size else 0.0
 
 
-def channel_noise(series: UniformSeries, channel: Channel) -> float:
-    """Standard deviation of white noise that averages over samples as a channel's noise does."""
-    column = channel.column
-    if column in series.noise:
-        return series.noise[column]
-    return noise_level(series.columns[column], channel.filter)
+def sensor_noise(series: Sequence[UniformSeries], channels: Sequence[Channel]) -> np.ndarray:
+    """Standard deviation of each channel's samples, (recordings, channels).
+
+    It averages over samples as the channel's noise does. A recording in which a channel rests on
+    one reading has the noise of the others, and none has less than the rounding of the readings.
+    """
+    level = np.zeros((len(series), len(channels)))
+    for k, channel in enumerate(channels):
+        column = channel.column
+        for i, one in enumerate(series):
+            own = one.noise.get(column)
+            level[i, k] = noise_level(one.columns[column], channel.filter) if own is None else own
+        shown = level[:, k] > 0.0
+        if shown.any():
+            level[~shown, k] = np.median(level[shown, k])
+        level[:, k] = np.maximum(level[:, k], resolution(series, column))
+    return level
+
+
+def resolution(series: Sequence[UniformSeries], column: str) -> float:
+    """Rounding error of a column: its least step in any recording over sqrt(12).
+
+    A recording that rests on one count has no step of its own, and one of the others counts. Of a
+    column that never moves at all nobody knows the step.
+    """
+    if all(np.ptp(s.columns[column]) == 0.0 for s in series):
+        return _UNSEEN_STEP[column.endswith("_position")] / np.sqrt(12.0)
+    steps = [s.steps[column] for s in series if s.steps.get(column, 0.0) > 0.0]
+    largest = max(float(np.abs(s.columns[column]).max()) for s in series)
+    return max(min(steps, default=0.0) / np.sqrt(12.0), 1e-9 * largest, 1e-12)
 
 
 def smoothed(samples: np.ndarray, window: tuple[int, int]) -> np.ndarray:
@@ -204,18 +234,80 @@ class Cut:
         return found
 
 
-def cut_series(
+def window_length(period: float, thresholds: Thresholds = DEFAULT) -> tuple[int, int]:
+    """Samples in a window, and bins into which it is divided, at a sampling period [s].
+
+    `thresholds.window` and `bin` as far as the samples allow. Forces are told in
+    `thresholds.force_blocks` parts of a window, and each is a change of velocity from one bin to
+    the next but one. So a window has two bins for each part and a bin at least one sample: ten
+    samples, seven of them beyond the reach of the shortest filter about the window's start. Of a
+    log below 33 Hz a window lasts longer than 0.3 s.
+    """
+    fewest = 2 * thresholds.force_blocks
+    samples = max(round(thresholds.window / period), fewest)
+    per_bin = min(max(1, round(thresholds.bin / period)), samples // fewest)
+    return samples // per_bin * per_bin, samples // per_bin
+
+
+def cut_all(
+    machine: Machine,
+    series: Sequence[UniformSeries],
+    channels: tuple[Channel, ...],
+    noise: np.ndarray,
+    samples: int,
+    lead: int,
+    thresholds: Thresholds,
+) -> list[Cut]:
+    """Cuts recordings into windows of `samples`, none before `lead` samples have passed.
+
+    Of windows in which nothing moves one in a few is kept, for the others say the same. Whatever
+    holds a machine at rest explains them, too much friction as well as the right one: of those, and
+    of windows in which next to nothing moves, no more are kept than one for so many others. Each
+    recording keeps at least one of its own.
+
+    Args:
+        machine: That was recorded.
+        series: The recordings.
+        channels: What is predicted.
+        noise: As `sensor_noise` has it, (recordings, channels).
+        samples: In a window.
+        lead: Before a window that are replayed as well.
+        thresholds: Of windows.
+    """
+    cuts = [
+        _cut(machine, one, channels, own, samples, lead, thresholds)
+        for one, own in zip(series, noise, strict=True)
+    ]
+    masks = resting(machine, cuts, channels, noise, samples, thresholds)
+    few = thresholds.still_every
+    kept = [_one_in(few, still) for still, _ in masks]
+    calm = [calm & keep for keep, (_, calm) in zip(kept, masks, strict=True)]
+    moving = sum(int((~calm).sum()) for _, calm in masks)
+    every = -(-few * sum(int(c.sum()) for c in calm) // moving) if moving else 1
+    for cut, keep, rests in zip(cuts, kept, calm, strict=True):
+        cut.firsts = cut.firsts[keep & _one_in(max(1, every), rests)]
+    return cuts
+
+
+def _one_in(every: int, mask: np.ndarray) -> np.ndarray:
+    """Mask of all that is not in another one, and of one in so many of what is."""
+    return ~mask | ((np.cumsum(mask) - 1) % every == 0)
+
+
+def _cut(
     machine: Machine,
     series: UniformSeries,
     channels: tuple[Channel, ...],
+    noise: np.ndarray,
     samples: int,
     lead: int,
     thresholds: Thresholds,
 ) -> Cut:
-    """Cuts a series into windows of `samples`, none before `lead` samples have passed."""
-    margin = thresholds.margin_samples
+    """Cuts one recording, `noise` its (channels,), as `cut_all` does."""
+    reach = max(channel.filter[0] for channel in channels)
+    margin = reach // 2 + thresholds.margin_samples
     last = series.time.size - samples - margin - 1
-    unrest = _unrest(machine, series, channels, margin)
+    unrest = _unrest(machine, series, channels, noise, reach, margin)
     room = round(thresholds.start_room * samples)
     grid = np.arange(max(margin, lead), last + 1, samples)
     calm = [g + int(np.argmin(unrest[g : min(g + room, last) + 1])) for g in grid.tolist()]
@@ -227,50 +319,79 @@ def cut_series(
             level = smoothed(series.columns[channel.column], channel.filter)
             keep &= level[firsts] > thresholds.vapour_pressure
     firsts = firsts[keep]
-    still = resting(machine, series, channels, firsts, samples, thresholds)
-    firsts = firsts[~still | ((np.cumsum(still) - 1) % thresholds.still_every == 0)]
-    levers = {c: _lever(machine, series, c) for c in machine.instances(CYLINDER)}
-    return Cut(series=series, firsts=firsts, levers=levers, pushes=Pushes.of(machine, series))
+    stride = max(1, round(thresholds.bin / series.period))
+    return Cut(
+        series=series,
+        firsts=firsts,
+        levers={c: _lever(machine, series, c, stride) for c in machine.instances(CYLINDER)},
+        pushes=Pushes.of(machine, series),
+    )
 
 
 def resting(
     machine: Machine,
-    series: UniformSeries,
+    cuts: Sequence[Cut],
     channels: tuple[Channel, ...],
-    firsts: np.ndarray,
+    noise: np.ndarray,
     samples: int,
-    thresholds: Thresholds = DEFAULT,
-) -> np.ndarray:
-    """Mask of windows in which neither a command nor a channel moves beyond its noise.
+    thresholds: Thresholds,
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Masks of the windows in which nothing moves, and in which next to nothing does.
 
-    A joint that sticks under a command that grows does not rest: that says what holds it.
+    No command moves, and every channel moves by a few noise levels; or by next to nothing of what
+    it moves in all windows together. A joint that sticks under a command that grows does not rest:
+    that says what holds it.
+
+    Args:
+        machine: As all others as `cut_all` has it.
+        cuts: All windows.
+        channels: What is predicted.
+        noise: Of each channel.
+        samples: In a window.
+        thresholds: Say what rests.
+
+    Returns:
+        By recording; the second holds the first.
     """
-    index = firsts[:, None] + np.arange(samples + 1)
-    still = np.ones(firsts.size, dtype=bool)
-    for actuator in machine.actuators:
-        command = series.columns[f"{actuator}_command"]
-        still &= np.ptp(command[index], axis=1) <= thresholds.still_command * np.ptp(command)
-    for channel in channels:
-        step = series.steps.get(channel.column, 0.0)
-        room = max(thresholds.still_noise * channel_noise(series, channel), 1.01 * step)
-        level = smoothed(series.columns[channel.column], channel.filter)
-        still &= np.ptp(level[index], axis=1) <= room
-    return still
+
+    def moved(cut: Cut, values: np.ndarray) -> np.ndarray:
+        return np.ptp(values[cut.firsts[:, None] + np.arange(samples + 1)], axis=1)
+
+    rows = []
+    for cut in cuts:
+        columns = cut.series.columns
+        own = (moved(cut, smoothed(columns[c.column], c.filter)) for c in channels)
+        rows.append(np.stack(list(own), axis=1))
+    usual = np.sqrt((np.concatenate(rows) ** 2).sum(axis=0) / max(1, sum(map(len, rows))))
+    found = []
+    for cut, travel, own in zip(cuts, rows, noise, strict=True):
+        held = np.ones(len(travel), dtype=bool)
+        for actuator in machine.actuators:
+            command = cut.series.columns[f"{actuator}_command"]
+            held &= moved(cut, command) <= thresholds.still_command * np.ptp(command)
+        least = thresholds.still_noise * own
+        next_to = np.maximum(least, thresholds.still_motion * usual)
+        found.append(tuple(held & (travel <= room).all(axis=1) for room in (least, next_to)))
+    return found
 
 
 def _unrest(
-    machine: Machine, series: UniformSeries, channels: tuple[Channel, ...], margin: int
+    machine: Machine,
+    series: UniformSeries,
+    channels: tuple[Channel, ...],
+    noise: np.ndarray,
+    reach: int,
+    margin: int,
 ) -> np.ndarray:
     """Unrest around each sample, (n,): windows start where it is least.
 
-    Disagreement of two smoothing filters, in noise levels, and jumps of the commands.
+    Disagreement of two smoothing filters of length `reach`, in noise levels, and jumps of the
+    commands; the most within `margin` samples.
     """
     total = np.zeros(series.time.size)
-    for channel in channels:
+    for channel, own in zip(channels, noise, strict=True):
         samples = series.columns[channel.column]
-        level = channel_noise(series, channel) or 1.0
-        length = max(2 * margin - 3, channel.filter[0])
-        total += (filter_difference(samples, (length, 4)) / level) ** 2
+        total += (filter_difference(samples, (reach, 4)) / own) ** 2
     for actuator in machine.actuators:
         command = series.columns[f"{actuator}_command"]
         jump = np.abs(np.gradient(command)) / (command.std() or 1.0)
@@ -278,13 +399,13 @@ def _unrest(
     return maximum_filter1d(total, 2 * margin + 1)
 
 
-def _lever(machine: Machine, series: UniformSeries, cylinder: str) -> np.ndarray:
-    """d(actuator length)/d(joint position) over a series, shape (n,), every tenth exact."""
+def _lever(machine: Machine, series: UniformSeries, cylinder: str, stride: int) -> np.ndarray:
+    """d(actuator length)/d(joint position) over a series, shape (n,), one in a stride exact."""
     model = machine.base.model
     data = mujoco.MjData(model)
     actuator = model.actuator(cylinder).id
     dof = int(model.joint(machine.driven[cylinder][0]).dofadr[0])
-    chosen = np.arange(0, series.time.size, 10)
+    chosen = np.arange(0, series.time.size, stride)
     lever = np.empty(chosen.size)
     addresses = [int(model.joint(name).qposadr[0]) for name in machine.joints]
     positions = np.stack([series.columns[f"{name}_position"] for name in machine.joints], 1)

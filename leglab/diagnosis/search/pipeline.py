@@ -84,7 +84,15 @@ def set_up(
     held = set(admitted.held_out)
     return Problem(
         machine,
-        Library(machine, names=settings.effects, excluded=settings.excluded, specimen=specimen),
+        Library(
+            machine,
+            names=settings.effects,
+            excluded=settings.excluded,
+            specimen=specimen,
+            # When in its period a sample was taken, or a command arrived, no log tells: times are
+            # rounded to it.
+            shortest=float(period / np.sqrt(12.0)),
+        ),
         [
             UniformSeries.from_recording(r, name, needed, limits, period=period)
             for name, r in recordings.items()

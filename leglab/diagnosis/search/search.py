@@ -114,12 +114,12 @@ def search(
         picked.setdefault(keys(s), s)
     fits: list[Fit] = []
 
-    def run(columns: Columns, start: dict[int, float], members, spread, weight, exact=False) -> Fit:
+    def run(columns: Columns, start: dict[int, float], members, spread, weight, beside=False) -> Fit:
         lowest = min((f.level for f in fits), default=np.inf)
         fit = fitter.fit(
-            columns, start, members, spread, weight, kappa, give_up=HOPELESS * lowest, exact=exact
+            columns, start, members, spread, weight, kappa, give_up=HOPELESS * lowest, beside=beside
         )
-        log(f"    fitted {tell(unknowns, fit)} cpu {process_time() - began:.0f}{' again' if exact else ''}")
+        log(f"    fitted {tell(unknowns, fit)} cpu {process_time() - began:.0f}{' again' if beside else ''}")
         fits.append(fit)
         return fit
 
@@ -143,12 +143,18 @@ def search(
         if abs(np.log(before / kappa)) > 0.1:
             ranks = rank(fitter, fits, kappa)
         log(f"  best {label(unknowns, ranks[0][2])} level {ranks[0][0].level:.4g} kappa {kappa:.3f}")
-        # The leading sets once more, from the end at which the model is exact.
+        # The leading sets once more, from where the one that leaves least has the machine.
+        point = lowest[0]
         for fit, _, score in ranks[:LEADING]:
-            names = fit.keys(fitter)
-            if names not in again and score.log > ranks[0][2].log - NEAR and fit.level > EXPLAINED:
+            names = fit.keys(fitter), point.keys(fitter)
+            if fit is not point and names not in again and fit.level > point.level:
                 again.add(names)
-                run(fit.columns, {}, fit.members, fit.spread, fit.weight, exact=True)
+                start = {i: -float(point.columns.x[i]) for q in point.members for i in unknowns.singles(q)}
+                for q, value in zip(fit.members, fit.score.values, strict=True):
+                    for i in unknowns.singles(q):
+                        own = start.get(i, -float(point.columns.x[i]))
+                        start[i] = own + float(value)
+                run(point.columns, start, fit.members, point.spread, point.weight, beside=True)
                 break
         else:
             if vain >= FRUITLESS:

@@ -24,8 +24,6 @@ TURNS = 16
 ENOUGH = 1.0
 # In the first turns machines are built almost as their model.
 STIFF_TURNS, STIFF = 3, 0.05
-# Turns of a second start, at which the model is taken for exact.
-EXACT_TURNS = 3
 SHARES = (1.0, 0.5, 0.2, 0.05)
 # Multiples of a size that are looked at.
 LADDER = (0.3, 0.5, 0.75, 1.3, 1.8, 2.8)
@@ -74,9 +72,6 @@ class Fitter:
     def __init__(self, at: Errors, priors: Priors, fixed: Spread | None = None) -> None:
         self.at, self.priors, self.fixed = at, priors, fixed
         self.stiff = replace(priors, spreads=(0.02,), tolerances=STIFF, covariance=None)
-        self.exact = replace(
-            priors, spreads=priors.spreads[-1:], sizes=priors.sizes[:1], log_sizes=np.zeros(1)
-        )
         sensors = at.problem.noise.sensors[at.chosen]
         self._sensors = sensors
 
@@ -127,7 +122,7 @@ class Fitter:
         *,
         turns: int = TURNS,
         give_up: float = np.inf,
-        exact: bool = False,
+        beside: bool = False,
     ) -> Fit:
         """Fits a set.
 
@@ -140,8 +135,8 @@ class Fitter:
             kappa: 1/design effect.
             turns: At most.
             give_up: Level of the errors beyond which the fit is not finished.
-            exact: Whether it begins at the fit of another, and first as if the model were exact:
-                what the rest of the machine explains is then not taken for the model's own error.
+            beside: Whether the rest of the machine starts where another set has left it, and moves
+                with the members from the first turn on.
         """
         at, u = self.at, self.at.unknowns
         members = tuple(members)
@@ -152,7 +147,7 @@ class Fitter:
         if start:
             moved = u.moved(hypothesis, start)
             now = at.at(moved)
-            if members or self.level(now) < self.level(errors):
+            if members or self.level(now) < self.level(errors) or beside:
                 hypothesis, errors, x = moved, now, u.departures(moved)
                 z = np.array([start.get(q, 0.0) for q in members])
                 spikes = self._spikes(x, members, z)
@@ -161,10 +156,9 @@ class Fitter:
         given_up = False
         anew = slow = False
         for turn in range(turns):
-            first = turn < STIFF_TURNS and bool(members) and not exact
-            sure = turn < EXACT_TURNS and exact
-            priors = self.stiff if first else self.exact if sure else self.priors
-            if not first and not anew and (sure or turn == STIFF_TURNS or slow or not members):
+            first = turn < STIFF_TURNS and bool(members) and not beside
+            priors = self.stiff if first else self.priors
+            if not first and not anew and (turn == (0 if beside else STIFF_TURNS) or slow or not members):
                 tangents, anew = self._all(hypothesis, errors, members, tangents), True
             else:
                 tangents = self._fresh(hypothesis, errors, x, members, tangents, first)
@@ -191,7 +185,7 @@ class Fitter:
                 if after < before:
                     break
             else:
-                if anew and not first and not sure:
+                if anew and not first:
                     break
                 slow = True
                 continue
@@ -202,13 +196,13 @@ class Fitter:
             LOG(f"      turn {turn} share {share} gain {gain:.1f} size {score.size} spread {score.spread} level {self.level(errors):.3f} z {np.round(z, 2)} anew {anew}")
             spread = self.own_spread(errors)
             weight = self.weights(errors, spread, score.size)
-            if not first and not sure:
+            if not first:
                 # As explanations get better, errors are worth more numbers.
                 kappa = 1.0 / max(evidence.design_effect(score), 1.0)
             if turn + 1 >= STIFF_TURNS and self.level(errors) > give_up:
                 given_up = True
                 break
-            if not first and not sure and anew and gain < ENOUGH:
+            if not first and anew and gain < ENOUGH:
                 break
             slow, anew = share < 1.0 or gain < 5.0 * ENOUGH, False
         if not given_up:

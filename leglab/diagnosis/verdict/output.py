@@ -102,7 +102,7 @@ def summary_tables(result: Diagnosis) -> list[Table]:
             f"{row.after:.2f}",
             "held out" if row.held_out else "",
         )
-    horizon = f"{result.remaining[0].horizon:g} s " if result.remaining else ""
+    horizon = f"{result.remaining[0].horizon:.3g} s " if result.remaining else ""
     title = f"error {horizon}after a measured start, held-out recordings"
     left = Table(title=title, title_justify="left")
     told = any(one.learned is not None for one in result.remaining)

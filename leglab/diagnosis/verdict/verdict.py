@@ -344,7 +344,7 @@ def _remaining(problem: Problem, final: Hypothesis, held: np.ndarray) -> tuple[R
         Remaining(
             channel=channel.column,
             unit="Pa" if channel.chamber else unit(problem.machine, channel.joint),
-            horizon=problem.thresholds.window,
+            horizon=problem.replay.window,
             before=rms(before[:, k] ** 2),
             after=rms(after[:, k] ** 2),
             noise=float(noise[k]),
@@ -391,7 +391,7 @@ def _next_experiment(outcome: Outcome) -> Proposal | None:
 
 
 def _not_testable(outcome: Outcome) -> tuple[NotTestable, ...]:
-    """Effects whose smallest trial moves less than noise lets see."""
+    """Effects that the recordings do not show, or that are over between two samples."""
     found = outcome.searched.found
     first, u = found.first, found.fitter.at.unknowns
     evidence = found.fitter.evidence(
@@ -407,13 +407,15 @@ def _not_testable(outcome: Outcome) -> tuple[NotTestable, ...]:
         if q < u.single:
             jump = 1 + len(u) + j
             seen[u.keys[q]] = max(seen.get(u.keys[q], 0.0), float(inner[jump, jump]))
-    return tuple(
-        NotTestable(
-            name=key[0], element=key[1], reason=f"needs {sites[key].effect.excitation}"
-        )
+    problem = outcome.problem
+    rate = f"needs more than {1.0 / problem.series[0].period:.3g} samples a second"
+    reasons = dict.fromkeys(sorted(problem.library.too_fast), rate)
+    reasons |= {
+        key: f"needs {sites[key].effect.excitation}"
         for key, visible in sorted(seen.items())
-        if visible < VISIBLE and key not in outcome.named
-    )
+        if visible < VISIBLE and key not in outcome.named and key[1] != EVERY
+    }
+    return tuple(NotTestable(name=n, element=e, reason=r) for (n, e), r in reasons.items())
 
 
 def nuisance_estimates(

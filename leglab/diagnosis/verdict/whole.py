@@ -1,7 +1,7 @@
 """A whole recording simulated in one go, in closed loop.
 
-Replays of 0.3 s say how wrong a model is; a whole recording says what that comes to. Driven by the
-measured commands alone, a machine without a spring drifts away for whatever small reason, and
+Replays of windows say how wrong a model is; a whole recording says what that comes to. Driven by
+the measured commands alone, a machine without a spring drifts away for whatever small reason, and
 nothing is seen. So a position loop corrects each command; how far the simulation still strays, and
 how much correction it needs, is what the model lacks.
 """
@@ -19,8 +19,8 @@ from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.result import WholeRecording
 from leglab.machine.plugin import headless
 
-# Share of an error that the loop takes off in the length of a replay window: all of it. That is a
-# rate of 3.3 rad/s, softer than the loops that legs and axes are run with.
+# Share of an error that the loop takes off in the length of a replay window: all of it. In 0.3 s
+# that is a rate of 3.3 rad/s, softer than the loops that legs and axes are run with.
 LOOP = 1.0
 
 
@@ -166,6 +166,6 @@ def _gains(problem: Problem, course: Course, loop: float) -> np.ndarray:
             half, whole = course.moves[:, i, j].tolist()
             if loop > 0.0 and half * whole > 0.0:
                 power = float(np.clip(np.log2(whole / half), 1.0, 2.0))
-                lead = 2.0 * problem.thresholds.window * (power - 1.0)
+                lead = 2.0 * problem.replay.window * (power - 1.0)
                 gains[:, i, j] = loop / whole * np.array([1.0, lead])
     return gains

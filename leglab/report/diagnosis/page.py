@@ -124,7 +124,7 @@ def _remaining_table(result: Diagnosis) -> Table:
         errors = [one.before, one.after, *([] if one.learned is None else [one.learned])]
         values = [f"{number(factor * v)} {unit}" for v in errors]
         rows.append([one.channel, *values, noise_words(one)])
-    horizon = f"{result.remaining[0].horizon:g} s" if result.remaining else ""
+    horizon = f"{result.remaining[0].horizon:.3g} s" if result.remaining else ""
     caption = f"What is left {horizon} after a measured start, RMS over the held-out recordings"
     told = any(one.learned is not None for one in result.remaining)
     learned = ("with what was learned",) if told else ()

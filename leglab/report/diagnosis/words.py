@@ -320,7 +320,7 @@ def _left(result: Diagnosis) -> str:
     if not rows:
         return ""
     told = "; ".join(_error_words(one) for one in rows)
-    return f"after {rows[0].horizon:g} s of simulation: {told}"
+    return f"after {rows[0].horizon:.3g} s of simulation: {told}"
 
 
 def _error_words(one: Remaining) -> str:
@@ -534,7 +534,7 @@ def _costs(result: Diagnosis) -> tuple[str, ...]:
     told = main_channels(result)  # They stand at the top of the page.
     rows = [_error_words(one) for one in result.remaining if one.channel not in told][:_CHANNELS]
     if rows:
-        horizon = f"{result.remaining[0].horizon:g} s after a measured start"
+        horizon = f"{result.remaining[0].horizon:.3g} s after a measured start"
         lines.append(f"Elsewhere, {horizon}, RMS: {'; '.join(rows)}.")
     return tuple(lines)
 
