@@ -67,6 +67,7 @@ class Score:
     Attributes:
         members: The set.
         log: Log evidence.
+        fit: The same but for what the members cost: their priors and how well they are known.
         size: Place of the most probable size of the model's own error.
         spread: Place of the most probable spread of machines.
         values: Departures of the members, (members,).
@@ -78,6 +79,7 @@ class Score:
 
     members: tuple[Member, ...]
     log: float
+    fit: float
     size: int
     spread: int
     values: np.ndarray
@@ -259,6 +261,7 @@ class Evidence:
         return Score(
             members=members,
             log=float(logsumexp(grid)),
+            fit=float(logsumexp(own.base - 0.5 * square)),
             size=self.places[k],
             spread=int(o),
             values=values[k, o],

@@ -118,6 +118,9 @@ class Spread:
     def whiteners(self, at: Errors, size: float, forces: float) -> tuple[np.ndarray, np.ndarray]:
         """Inverse roots of the windows' covariances, and log determinants.
 
+        Forces have no covariance of their sensors': they count by the share of the replays' error
+        that is the model's own. Those of an exact model are noise and say nothing.
+
         Args:
             at: Windows.
             size: Of the model's own error in replays, as a factor.
@@ -130,6 +133,11 @@ class Spread:
         n, f = covariance.shape[1], self.forces.shape[1]
         roots = np.zeros((len(covariance), n + f, n + f))
         roots[:, :n, :n] = inverse_roots(covariance)
+        log = -2.0 * np.log(np.einsum("wii->wi", roots[:, :n, :n])).sum(axis=1)
         if f:
-            roots[:, n:, n:] = inverse_roots(forces**2 * self.forces)[at.recording]
-        return roots, -2.0 * np.log(np.einsum("wii->wi", roots)).sum(axis=1)
+            noise = np.einsum("wii->wi", at.problem.noise.covariance[at.chosen])
+            own = 1.0 - float(np.mean(noise / np.einsum("wii->wi", covariance)))
+            force_roots = inverse_roots(forces**2 * self.forces)[at.recording]
+            log -= 2.0 * own * np.log(np.einsum("wii->wi", force_roots)).sum(axis=1)
+            roots[:, n:, n:] = np.sqrt(own) * force_roots
+        return roots, log

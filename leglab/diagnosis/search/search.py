@@ -25,6 +25,8 @@ KAPPA = 0.1
 NEAR = 10.0
 # Sets that are fitted from the first linearisation, and singles among them.
 FIRST, SINGLES = 6, 4
+# Share of all that is to be gained by which first promises of equal sets differ.
+AS_GOOD = 0.1
 # Sets that are fitted from a second start.
 LEADING = 3
 # Further sets that are fitted; fewer where so many in a row change nothing.
@@ -124,16 +126,19 @@ def search(
         return fit
 
     tried: set[frozenset[Key]] = {frozenset()}
-    wanted = [(evidence.departures(one), one.unknowns) for one in picked.values()]
-    wanted += [(start, tuple(start)) for start in balance_seeds(balanced_sets(at, trials(unknowns)))]
-    for start, members in wanted:
+    wanted = [(evidence.departures(one), one.unknowns, one.log) for one in picked.values()]
+    seeds = balance_seeds(balanced_sets(at, trials(unknowns)))
+    wanted += [(start, tuple(start), -np.inf) for start in seeds]
+    least = -np.inf
+    for start, members, promise in wanted:
         names = frozenset(unknowns.keys[q] for q in members)
-        if names in tried:
+        if names in tried or promise < least:
             continue
         tried.add(names)
-        # What explains everything has its rivals beside it, not elsewhere.
-        if run(first, start, members, spread, weight).level <= EXPLAINED:
-            break
+        fit = run(first, start, members, spread, weight)
+        # Beside what explains everything only what promises nearly as much is a rival.
+        if fit.level <= EXPLAINED:
+            least = max(least, promise - NEAR - AS_GOOD * worth)
     run(first, evidence.departures(nothing) if nothing.log > ranked[0].log - 300 else {}, (), spread, weight)
     vain, again = 0, set()
     for _ in range(MORE + 1):
@@ -251,6 +256,15 @@ def proposal(fitter: Fitter, ranks, tried: set[frozenset[Key]]):
     top = ranks[0][2].log
     best = None
     sound = [r for r in ranks if not r[0].ended] or ranks
+    # Each member of the best set is left out once, whatever first order promises.
+    fit, _, _ = sound[0]
+    for one in fit.members if len(fit.members) > 1 else ():
+        rest = tuple(q for q in fit.members if q != one)
+        names = frozenset(u.keys[q] for q in rest)
+        if names not in tried and len(names) < len(fit.keys(fitter)):
+            there = fitter.evidence(fit.columns, fit.spread, fit.weight, ranks[0][1].kappa)
+            start = there.departures(there.score([(q, None) for q in rest]))
+            return rest, start, fit.columns, fit.spread, fit.weight
 
     def consider(gain, members, fit, evidence, score):
         nonlocal best

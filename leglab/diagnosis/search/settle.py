@@ -149,7 +149,7 @@ class Fitter:
             now = at.at(moved)
             if members or self.level(now) < self.level(errors) or beside:
                 hypothesis, errors, x = moved, now, u.departures(moved)
-                z = np.array([start.get(q, 0.0) for q in members])
+                z = np.array([x[list(u.singles(q))].mean() for q in members])
                 spikes = self._spikes(x, members, z)
                 spread = self.own_spread(errors)
                 weight = np.ones(len(errors))

@@ -10,16 +10,19 @@ impostor.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.stats import norm
 
 from leglab.diagnosis.effects.base import all_effects
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.columns import Columns
 from leglab.diagnosis.likelihood.evidence import Evidence, Score
 from leglab.diagnosis.likelihood.spread import Spread
+from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.search.search import Found
+from leglab.diagnosis.verdict.twins import twins
 
 # Odds of a cause in the library against one outside of it.
 LIBRARY_ODDS = 2.0
@@ -32,6 +35,9 @@ VISIBLE = 25.0
 EDGE = 0.5
 # Confidence of a name; of a member of a confusion set, without some part of the recordings.
 NAMED, POSSIBLE = 0.5, 0.3
+# Sets whose fits differ by less than this factor in probability are not told apart by the data,
+# whichever is simpler, if the rival needs no more than so many further numbers.
+TIE, FURTHER = 4.0, 2
 # Level up to which errors are those of noise, or of a healthy specimen.
 EXPLAINED = 2.0
 # Log of the influence of a drive that differs between good fits.
@@ -50,6 +56,12 @@ class Row:
     left: np.ndarray
     level: float
     drive: dict[str, float] = field(default_factory=dict)
+    renamed: Mapping[Key, Key] = field(default_factory=dict)
+
+    def unknowns_of(self, unknowns: Unknowns, key: Key) -> list[int]:
+        """Places among the members of an effect's parameters."""
+        names = [self.renamed.get(unknowns.keys[q], unknowns.keys[q]) for q in self.score.unknowns]
+        return [i for i, name in enumerate(names) if name == key]
 
 
 @dataclass(frozen=True)
@@ -167,6 +179,15 @@ class Judge:
                 for spread in own:
                     there = self.fitter.evidence(columns, spread, self.weight, self.kappa)
                     enter(self.row(there, members, bool(fit.ended) and bool(members)))
+        for row in list(rows.values()):
+            for key in row.keys:
+                for twin in twins(self.at.problem, key):
+                    alike = (row.keys - {key}) | {twin}
+                    if twin not in row.keys:
+                        # The same motion by another name.
+                        known = rows.get(alike)
+                        if known is None or known.score.log < row.score.log:
+                            rows[alike] = replace(row, keys=alike, renamed={key: twin})
         return sorted(rows.values(), key=lambda r: -r.score.log)
 
     def quieter(self, rows: list[Row]) -> np.ndarray:
@@ -210,21 +231,54 @@ class Judge:
                 lost[i] += self.kappa * float(numbers) * min(louder + SLACK, 0.0)
         return lost
 
+    def _ties(self, rows: list[Row], first: Row, key: Key) -> tuple[frozenset[Key], ...]:
+        """Sets without an effect that fit as well as the best one with it, in both ways.
+
+        A simpler set is more probable, but where the data have no say its name is no finding.
+        """
+        lost = {id(r): float(v) for r, v in zip(rows, self.lost, strict=True)}
+        own, numbers = first.score.fit + lost[id(first)], len(first.score.members)
+        shared = first.keys - {key}
+        found: list[frozenset[Key]] = []
+        for row in rows:
+            new = row.keys - shared
+            if key in row.keys or row.ended or not new or len(row.score.members) > numbers + FURTHER:
+                continue
+            fit = row.score.fit + lost[id(row)]
+            if fit > own - np.log(TIE) and not any(one <= new for one in found):
+                found.append(new)
+        return tuple(found)
+
+    def _claimed(self, row: Row, key: Key) -> float:
+        """Probability that directions differ by more than is noticeable, where a name says so."""
+        u, score = self.unknowns, row.score
+        places = row.unknowns_of(u, key)
+        claims = []
+        for pair in u.effect(score.unknowns[places[0]]).by_direction:
+            both = [i for i in places if u.name(score.unknowns[i]) in pair]
+            if both:
+                away = abs(float(np.subtract(*score.values[both]) if len(both) == 2 else score.values[both[0]]))
+                spread = float(np.linalg.norm(score.deviations[both]))
+                claims.append(float(norm.cdf((away - 1.0) / max(spread, 1e-9))))
+        return max(claims, default=1.0)
+
     def without(self, row: Row, key: Key) -> np.ndarray:
         """Errors with an effect taken out and the other members fitted anew; spikes stay."""
         u = self.unknowns
+        gone = row.unknowns_of(u, key)
         columns = self.removed.get((row.keys, key))
         errors = row.left
         if columns is not None:
             errors = columns.errors
         else:
-            for (q, _), value in zip(row.score.members, row.score.values, strict=True):
-                if u.keys[q] == key:
-                    errors = errors - row.evidence.columns.tangents[:, :, q] * value
-        members = [q for q, _ in row.score.members if u.keys[q] != key]
+            for i in gone:
+                q = row.score.unknowns[i]
+                errors = errors - row.evidence.columns.tangents[:, :, q] * row.score.values[i]
+        members = [q for i, q in enumerate(row.score.unknowns) if i not in gone]
         if members:
             tangents = (columns or row.evidence.columns).tangents[:, :, members]
-            roots, _ = row.evidence.spread.whiteners(self.at, self.fitter.priors.sizes[row.score.size], 1.0)
+            size = self.fitter.priors.sizes[row.score.size]
+            roots, _ = row.evidence.spread.whiteners(self.at, size, 1.0)
             white = roots @ np.concatenate([errors[:, :, None], tangents], axis=2)
             white = (white * np.sqrt(self.weight)[:, None, None]).reshape(-1, 1 + len(members))
             step = np.linalg.lstsq(white[:, 1:], -white[:, 0], rcond=None)[0]
@@ -279,6 +333,7 @@ class Judge:
         bins = self.at.size // self.channels
         grain = np.sqrt(2.0 / (bins * np.array([(recording == r).sum() for r in np.unique(recording)])))[:, None]
         effects: dict[Key, Judged] = {}
+        tied: dict[Key, tuple[frozenset[Key], ...]] = {}
         for key in sorted({k for r in rows for k in r.keys}):
             has = np.array([key in r.keys for r in rows])
             sound = has & ~np.array([r.ended for r in rows])
@@ -291,18 +346,24 @@ class Judge:
             alone = 1.0 / (1.0 + np.exp(np.clip(worst, -50.0, 50.0)))
             rho = _explained(self.blocks(first.left), self.blocks(self.without(first, key)), grain)
             inside = _inside(rho, self.f0, top)
-            size = max(abs(v) for (q, _), v in zip(first.score.members, first.score.values, strict=True) if self.unknowns.keys[q] == key)
+            size = float(np.abs(first.score.values[first.unknowns_of(self.unknowns, key)]).max())
             possible = 0.0
             if sound.any():
                 possible = max(float(apart[sound].sum(axis=0).max()), nameable)
                 possible = max(possible, float(apart_drive[sound].sum(axis=0).max()))
             nameable = min(nameable, float(in_drive[sound].sum()))
             alone = min(alone, float(apart_drive[sound].sum(axis=0).min()) if sound.any() else 0.0)
-            effects[key] = Judged(
-                min(nameable, alone) * inside, possible * inside, evidence, alone, rho, inside, size
-            )
-        named = tuple(sorted((k for k, e in effects.items() if e.confidence >= NAMED), key=lambda k: -effects[k].confidence))
+            inside *= self._claimed(first, key)
+            ties = self._ties(rows, first, key) if min(nameable, alone) * inside > NAMED else ()
+            tied |= {key: ties} if ties else {}
+            sure = min(nameable, alone) * inside / (1 + len(ties))
+            effects[key] = Judged(sure, possible * inside, evidence, alone, rho, inside, size)
+        named = tuple(sorted((k for k, e in effects.items() if e.confidence > NAMED), key=lambda k: -effects[k].confidence))
         confusion = () if named else tuple(sorted((k for k, e in effects.items() if e.possible >= POSSIBLE), key=lambda k: -effects[k].possible))
+        if tied and not named:
+            leader = max(tied, key=lambda k: effects[k].evidence)
+            others = [k for row in tied[leader] for k in sorted(row)]
+            confusion = tuple(dict.fromkeys((leader, *others, *confusion)))
         still = any(
             not r.keys and apart[i].max() >= POSSIBLE
             and (self.fitter.priors.sizes[r.score.size] if self.fitter.fixed else r.level) <= EXPLAINED

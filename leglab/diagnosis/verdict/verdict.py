@@ -36,7 +36,7 @@ from leglab.diagnosis.result import (
     Rivals,
 )
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, Searched, searched
-from leglab.diagnosis.verdict.confidence import VISIBLE, Judge, Row, Verdict
+from leglab.diagnosis.verdict.confidence import NAMED, VISIBLE, Judge, Row, Verdict
 from leglab.diagnosis.verdict.experiment import propose
 from leglab.diagnosis.verdict.whole import whole_recording
 
@@ -133,7 +133,7 @@ def _judged(found: Searched) -> Outcome:
     judge = Judge(found.found)
     judged = judge.judge()
     told = set(judged.named or judged.confusion[:1])
-    row = next((r for r in judged.rows if told <= r.keys), judged.rows[0])
+    row = next((r for r in judged.rows if told <= r.keys and not r.renamed), judged.rows[0])
     nothing = next((r for r in judged.rows if not r.keys), None)
     if judged.verdict == "nothing_missing" and nothing is not None:
         row = nothing
@@ -266,7 +266,8 @@ def _effects(
         without = problem.noise_levels(final.without(key))
         contribution = (rms(without[shown]) - after) / max(unnamed - floor, 1e-9)
         tied = () if judged.named else tuple(k[0] for k in judged.confusion if k != key)
-        confidence = one.confidence if judged.named else min(one.possible, one.evidence)
+        # Of a set that is not told apart none is surer than not.
+        confidence = one.confidence if judged.named else min(one.possible, one.evidence, NAMED)
         if explained < limits.explanation_share:
             # A name does not stand while most of the error is left.
             confidence = min(confidence, explained)

@@ -1,0 +1,49 @@
+"""Effects that no recording of some channels tells apart, whatever the motion.
+
+A late command and a late position sensor shift the same motion against the same command. Only a
+third signal says which: a pressure, or another joint that feels this one.
+"""
+
+import mujoco
+import numpy as np
+
+from leglab.diagnosis.effects.hypothesis import Key
+from leglab.diagnosis.plant.model import Machine
+from leglab.diagnosis.replay.residual import Problem
+
+_DELAYS = ("command_delay", "sensor_delay")
+# Correlation in the mass matrix below which two joints do not feel each other: rounding.
+_COUPLED = 1e-9
+
+
+def twins(problem: Problem, key: Key) -> tuple[Key, ...]:
+    """Exact twins of an effect on an element of this machine, as far as they are looked for."""
+    machine = problem.machine
+    if key[0] not in _DELAYS or any(c.chamber for c in problem.channels):
+        return ()
+    joints = machine.driven.get(key[1], (key[1],))
+    if set(joints) & set(coupled_joints(machine)):
+        return ()
+    return tuple(
+        other
+        for other in sorted(problem.library.searched)
+        if other[0] in _DELAYS
+        and other[0] != key[0]
+        and set(machine.driven.get(other[1], (other[1],))) == set(joints)
+    )
+
+
+def coupled_joints(machine: Machine) -> tuple[str, ...]:
+    """Joints whose acceleration acts on another joint, by the mass matrix at some poses."""
+    model = machine.base.model
+    data = mujoco.MjData(model)
+    found: set[int] = set()
+    for shift in (0.0, 0.4, -0.7):
+        data.qpos[:] = model.qpos0 + shift
+        mujoco.mj_forward(model, data)
+        mass = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, mass)
+        own = np.sqrt(np.diag(mass))
+        share = np.abs(mass) / np.outer(own, own) - np.eye(model.nv)
+        found |= set(np.flatnonzero((share > _COUPLED).any(axis=1)).tolist())
+    return tuple(machine.joints[int(model.dof_jntid[k])] for k in sorted(found))
