@@ -10,7 +10,6 @@ from scipy.signal import savgol_coeffs
 
 from leglab.diagnosis.balance.lacking import balanced_joints
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key, Library
-from leglab.diagnosis.former.discrepancy import Discrepancy, directions_of, from_errors
 from leglab.diagnosis.replay.nuisances import Nuisance, departures, within_tolerance
 from leglab.diagnosis.plant.model import CHAMBERS, CYLINDER, Change, Machine
 from leglab.diagnosis.replay.replay import Replay
@@ -18,8 +17,6 @@ from leglab.diagnosis.replay.starts import Nudge
 from leglab.diagnosis.replay.windows import Channel, UniformSeries, filter_difference
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
-# Least variance of forces left over in a recording, as a share of the largest of all.
-_LEAST_FORCE = 0.01
 # Share of a variance that rounding may take.
 _ROUNDING = 1e-9
 
@@ -32,19 +29,12 @@ class NoiseModel:
         defect: Error of the replays' time step, shape (windows, channels, bins).
         whitening: Inverse Cholesky factors of the windows' covariances, which turn errors into
             numbers of unit variance, shape (windows, size, size).
-        sensors: The same where the model is taken for exact: errors in noise levels of the sensors.
-        covariance: Of the windows' errors in that case, same shape.
-        discrepancy: Of the model, which `whitening` counts in; None for an exact one.
-        forces: Inverse Cholesky factors for the forces left over, (windows, size, size); None
-            where they do not count.
+        covariance: Of the windows' errors, same shape.
     """
 
     defect: np.ndarray
     whitening: np.ndarray
-    sensors: np.ndarray
     covariance: np.ndarray
-    discrepancy: Discrepancy | None = None
-    forces: np.ndarray | None = None
     # The factors of the windows that were chosen last, by their mask: hundreds of replays in turn
     # take the same ones, and copying them costs as much as a replay of a leg.
     _chosen: dict[bytes, np.ndarray] = field(default_factory=dict, init=False)
@@ -58,16 +48,6 @@ class NoiseModel:
             self._chosen.clear()
             self._chosen[mask] = self.whitening[chosen]
         return whitened(self._chosen[mask], errors)
-
-    def trusting(self, discrepancy: Discrepancy | None, recording: np.ndarray) -> "NoiseModel":
-        """The same with another discrepancy of the model; `recording` that of each window."""
-        if discrepancy is None:
-            return replace(self, whitening=self.sensors, discrepancy=None, forces=None)
-        covariance = self.covariance + discrepancy.covariance(recording)
-        whitening, forces = inverse_roots(covariance), None
-        if discrepancy.forces is not None:
-            forces = inverse_roots(discrepancy.forces.covariance(recording))
-        return replace(self, whitening=whitening, discrepancy=discrepancy, forces=forces)
 
 
 def whitened(roots: np.ndarray, errors: np.ndarray) -> np.ndarray:
@@ -169,7 +149,6 @@ class Problem:
         self.fitted = np.isin(self.replay.recording, list(fit))
         self.held = ~self.fitted
         self.nuisances = within_tolerance(library)
-        self._worth: float | None = None
         self.sensor_noise = self.replay.sensor_noise
         change = library.change(Hypothesis(), machine)
         errors, half = (
@@ -186,26 +165,7 @@ class Problem:
     @property
     def size(self) -> int:
         """Numbers in a whitened window."""
-        blocks = 0 if self.noise.forces is None else self.thresholds.force_blocks
-        return len(self.channels) * self.replay.bins + len(self.balanced) * blocks
-
-    @property
-    def numbers(self) -> float:
-        """How many independent numbers the errors of a rough machine are worth."""
-        return self.thresholds.rough_numbers * self._kinds
-
-    @property
-    def worth(self) -> float | None:
-        """How many independent numbers all errors are worth beside the priors of the nuisances.
-
-        None: as many as they are.
-        """
-        return None if self._worth is None else self._worth * self._kinds
-
-    @property
-    def _kinds(self) -> int:
-        """Kinds of evidence: replays, and forces along the measured motion."""
-        return 1 if self.noise.forces is None else 2
+        return len(self.channels) * self.replay.bins
 
     @property
     def judged(self) -> np.ndarray:
@@ -222,128 +182,14 @@ class Problem:
         fine, _ = self._errors(self._fine, hypothesis, None)
         change = self.library.change(hypothesis, self.machine)
         other = copy(self)
-        noise = self._noise_model(change, self.replay.error(change).values, fine - errors)
-        other.noise = noise.trusting(self.noise.discrepancy, self.replay.recording)
-        return other
-
-    def trusting(self, discrepancy: Discrepancy | None) -> "Problem":
-        """The same problem with another discrepancy of the model."""
-        other = copy(self)
-        other.noise = self.noise.trusting(discrepancy, self.replay.recording)
+        other.noise = self._noise_model(change, self.replay.error(change).values, fine - errors)
         return other
 
     def calibrated(self, hypothesis: Hypothesis) -> "Problem":
-        """The same problem about a specimen of these values, without a discrepancy of the model."""
-        other = self.trusting(None)
-        limits = self.thresholds
+        """The same problem about a specimen of these values."""
+        other = copy(self)
         other.library = self.library.of_specimen(self.library.whole(hypothesis))
-        other.nuisances = within_tolerance(other.library, limits.drift_share)
-        other._worth = None
-        return other
-
-    def with_nuisances(
-        self, nuisances: Sequence[Nuisance], worth: float | None = None
-    ) -> "Problem":
-        """The same problem with other parameters that follow every fit.
-
-        Args:
-            nuisances: The parameters.
-            worth: How many independent numbers the errors of each kind of evidence are worth
-                beside the priors; None: as many as they are.
-        """
-        other = copy(self)
-        other.nuisances = tuple(nuisances)
-        other._worth = worth
-        return other
-
-    def prior_weight(self, chosen: np.ndarray) -> float:
-        """Weight of a squared departure, in tolerances, beside the chi-square of chosen windows.
-
-        Errors of a model go together in time and across channels, so that they are few numbers:
-        counted one by one they would carry any nuisance as far as a fault has moved it.
-        """
-        return 1.0 if self.worth is None else float(self.size * chosen.sum()) / self.worth
-
-    def rewhitened(self, at: Linearisation, before: "Problem") -> Linearisation:
-        """A linearisation that was taken under another discrepancy of the model."""
-        turn = self.turn_from(before, at.chosen)
-        return replace(at, residual=whitened(turn, at.residual), tangents=turn @ at.tangents)
-
-    def turn_from(self, before: "Problem", chosen: np.ndarray) -> np.ndarray:
-        """What whitens errors that were white under another discrepancy, (windows, size, size)."""
-        now, then = self.noise, before.noise
-        turn = now.whitening[chosen] @ np.linalg.inv(then.whitening[chosen])
-        if now.forces is None or then.forces is None:
-            return turn
-        forces = now.forces[chosen] @ np.linalg.inv(then.forces[chosen])
-        whole = np.zeros((len(turn), self.size, self.size))
-        size = turn.shape[1]
-        whole[:, :size, :size], whole[:, size:, size:] = turn, forces
-        return whole
-
-    def discrepancy(self, hypothesis: Hypothesis) -> Discrepancy:
-        """The discrepancy of the model under a hypothesis: what its errors show beyond noise.
-
-        Its size is that which gives the errors themselves the usual cost in the middle of windows.
-        """
-        errors, certain = self._errors(self.replay, hypothesis, None)
-        errors = errors + self.noise.defect
-        use = certain > 0.0
-        recording = self.replay.recording
-        squares = (whitened(self.noise.sensors, errors).reshape(errors.shape) ** 2).mean(axis=2)
-        level = np.ones((len(self.series), len(self.channels)))
-        for number in np.unique(recording[use]):
-            level[number] = np.median(squares[use & (recording == number)], axis=0)
-        excess = np.clip(1.0 - 1.0 / np.maximum(level, 1e-12), 0.0, 1.0)
-        rows = np.unique(recording[use])
-        directions = directions_of(self.machine, self.channels)
-        found = from_errors(errors[use], recording[use], excess[rows], directions)
-        variance = np.zeros(level.shape)
-        variance[rows] = found.variance
-        found = replace(found, variance=variance, forces=self._force_discrepancy(hypothesis))
-        if not variance.any():
-            return found
-        errors = errors * certain[:, None, None]
-        clip = self.thresholds.clip
-        for _ in range(3):
-            white = self.noise.trusting(found, recording).white(errors)
-            cost = np.median(np.mean(np.clip(white, -clip, clip) ** 2, axis=1))
-            found = found.scaled(float(cost) / self.thresholds.usual_cost)
-        return found
-
-    def _force_discrepancy(self, hypothesis: Hypothesis) -> Discrepancy | None:
-        """That of the forces left over: all they are, and as usual as in `discrepancy`."""
-        if not self.balanced:
-            return None
-        left, recording = self._lacking(hypothesis, None), self.replay.recording
-        every = np.unique(recording)
-        ones, joints = np.ones((every.size, len(self.balanced))), np.eye(len(self.balanced))
-        found = from_errors(left, recording, ones, joints)
-        # At rest a joint leaves nothing over, but no model is known as well as that.
-        least = _LEAST_FORCE * found.variance.max(axis=0)
-        variance = np.full((len(self.series), len(self.balanced)), 1.0) * least
-        variance[every] = np.maximum(found.variance, least)
-        found = replace(found, variance=np.maximum(variance, 1e-12))
-        for _ in range(3):
-            roots = inverse_roots(found.covariance(recording))
-            cost = np.median(np.mean(whitened(roots, left) ** 2, axis=1))
-            found = found.scaled(max(float(cost), 1e-12) / self.thresholds.usual_cost)
-        return found
-
-    def _lacking(self, hypothesis: Hypothesis, chosen: np.ndarray | None) -> np.ndarray:
-        change = self.library.change(hypothesis, self.replay.machine)
-        return self.replay.lacking(change, chosen, self.thresholds.force_blocks)
-
-    def with_defect_of(self, hypothesis: Hypothesis) -> "Problem":
-        """The same problem with the defect of the time step about a hypothesis, nothing else.
-
-        Costs stay comparable. A damping that MuJoCo integrates implicitly has another defect than
-        the same damping by a plugin.
-        """
-        errors, _ = self._errors(self.replay, hypothesis, None)
-        fine, _ = self._errors(self._fine, hypothesis, None)
-        other = copy(self)
-        other.noise = replace(self.noise, defect=(fine - errors) * self._beyond_half[:, None])
+        other.nuisances = within_tolerance(other.library, self.thresholds.drift_share)
         return other
 
     def _noise_model(self, change: Change, reference: np.ndarray, finer: np.ndarray) -> NoiseModel:
@@ -381,9 +227,8 @@ class Problem:
             directions.append(moved.reshape(replay.windows, size) * shares)
         together = np.stack(directions, axis=2)
         covariance += together @ together.transpose(0, 2, 1)
-        whitening = inverse_roots(covariance)
         return NoiseModel(
-            defect=defect, whitening=whitening, sensors=whitening, covariance=covariance
+            defect=defect, whitening=inverse_roots(covariance), covariance=covariance
         )
 
     def _nudges(self) -> list[tuple[Nudge, np.ndarray]]:
@@ -422,30 +267,14 @@ class Problem:
 
     def residual(self, hypothesis: Hypothesis, chosen: np.ndarray | None = None) -> np.ndarray:
         """Whitened errors, shape (chosen windows, size); 0 in windows where an effect begins."""
-        forces, blocks = self.noise.forces, self.thresholds.force_blocks
-        if forces is None or hypothesis.onsets:
-            errors, certain = self._errors(self.replay, hypothesis, chosen)
-            left = None if forces is None else self._lacking(hypothesis, chosen)
-        else:
-            change = self.library.change(hypothesis, self.replay.machine)
-            found = self.replay.error(change, chosen=chosen, blocks=blocks)
-            errors, left, certain = found.normalised, found.left, np.ones(len(found.values))
+        errors, certain = self._errors(self.replay, hypothesis, chosen)
         defect = self.noise.defect if chosen is None else self.noise.defect[chosen]
         white = self.noise.white((errors + defect) * certain[:, None, None], chosen)
-        if forces is not None and left is not None:
-            roots = forces if chosen is None else forces[chosen]
-            # They count as much as the replays, however few numbers they are.
-            kinds = white, whitened(roots, left * certain[:, None, None])
-            even = [np.sqrt(0.5 * self.size / kind.shape[1]) * kind for kind in kinds]
-            white = np.concatenate(even, axis=1)
         return np.clip(white, -self.thresholds.clip, self.thresholds.clip)
 
     def noise_levels(self, hypothesis: Hypothesis) -> np.ndarray:
-        """Mean square of the errors in noise levels of the sensors, whatever the discrepancy."""
-        errors, certain = self._errors(self.replay, hypothesis, None)
-        errors = (errors + self.noise.defect) * certain[:, None, None]
-        white = whitened(self.noise.sensors, errors)
-        return np.mean(np.clip(white, -self.thresholds.clip, self.thresholds.clip) ** 2, axis=1)
+        """Mean square of the errors of all windows in noise levels, (windows,)."""
+        return np.mean(self.residual(hypothesis) ** 2, axis=1)
 
     def raw_errors(self, hypothesis: Hypothesis) -> np.ndarray:
         """Measured less predicted in SI units, shape (windows, channels, bins)."""

@@ -72,7 +72,7 @@ class Fitter:
     def __init__(self, at: Errors, priors: Priors, fixed: Spread | None = None) -> None:
         self.at, self.priors, self.fixed = at, priors, fixed
         self.stiff = replace(priors, spreads=(0.02,), tolerances=STIFF, covariance=None)
-        sensors = at.problem.noise.sensors[at.chosen]
+        sensors = at.problem.noise.whitening[at.chosen]
         self._sensors = sensors
 
     def level(self, errors: np.ndarray) -> float:

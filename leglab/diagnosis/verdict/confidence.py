@@ -121,7 +121,7 @@ class Judge:
         self.place = place
         roots, _ = best.spread.whiteners(self.at, 1.0, 1.0)
         n = self.at.size
-        self.roots = roots[:, :n, :n] if found.fitter.fixed else self.at.problem.noise.sensors[self.at.chosen]
+        self.roots = roots[:, :n, :n] if found.fitter.fixed else self.at.problem.noise.whitening[self.at.chosen]
 
     def blocks(self, errors: np.ndarray) -> np.ndarray:
         """Mean squares, median of windows, by recording and channel."""

@@ -245,7 +245,7 @@ def _hardly_shows(
 ) -> bool:
     """Whether effects move the predictions in a mask of windows far less than in all."""
     change = problem.raw_errors(without) - problem.raw_errors(final)
-    square = np.mean(whitened(problem.noise.sensors, change) ** 2, axis=1)
+    square = np.mean(whitened(problem.noise.whitening, change) ** 2, axis=1)
     shows = square > max(1.0, problem.thresholds.shown_share * float(np.median(square)))
     return bool(shows[windows].mean() < problem.thresholds.shown_share * shows.mean())
 

@@ -1,1 +1,0 @@
-"""The search by rounds and its judging, which one likelihood replaces."""
