@@ -169,7 +169,9 @@ def _recalibrated(found: Outcome, named: Sequence[Key]) -> tuple[Problem, Hypoth
     )
     sites = problem.library.sites
     lean = {
-        key: np.where([p.tolerance > 0.0 for p in sites[key].parameters], values, sites[key].nominal)
+        key: np.where(
+            [p.tolerance > 0.0 for p in sites[key].parameters], values, sites[key].nominal
+        )
         for key, values in hypothesis.items()
         if key not in named and any(p.tolerance > 0.0 for p in sites[key].parameters)
     }

@@ -175,8 +175,10 @@ def _subsets(
     current: list[tuple[int, ...]] = [()]
     for count in range(1, MOST + 1):
         level = []
-        starts = combinations(pool, 2) if count == 2 else (
-            (*s, i) for s in current for i in pool if i not in s
+        starts = (
+            combinations(pool, 2)
+            if count == 2
+            else ((*s, i) for s in current for i in pool if i not in s)
         )
         done = set()
         for columns in starts:

@@ -8,7 +8,13 @@ from leglab.diagnosis.effects.spring import insert_spring
 from leglab.diagnosis.plant.model import Change, Machine
 
 _GAIN = EffectParameter(
-    "gain", "1", nominal=1.0, lower=0.05, upper=5.0, trials=(0.5, 0.9, 0.98, 1.02, 1.1, 1.5), tolerance=0.02
+    "gain",
+    "1",
+    nominal=1.0,
+    lower=0.05,
+    upper=5.0,
+    trials=(0.5, 0.9, 0.98, 1.02, 1.1, 1.5),
+    tolerance=0.02,
 )
 _LINEAR_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
 _LINEAR_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))

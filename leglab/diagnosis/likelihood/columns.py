@@ -109,7 +109,9 @@ class Errors:
             same = not hypothesis
             self._own_influence = influence if same else self._commanded(Hypothesis(), None)
         own = self._own_influence
-        return np.where(own > 0.0, np.maximum(influence, 1e-3 * own) / np.where(own > 0, own, 1), 1.0)
+        return np.where(
+            own > 0.0, np.maximum(influence, 1e-3 * own) / np.where(own > 0, own, 1), 1.0
+        )
 
     def _commanded(self, hypothesis: Hypothesis, left: np.ndarray | None) -> np.ndarray:
         """Change of each joint's forces per log command, root mean square, (joints,)."""
@@ -186,9 +188,7 @@ class Errors:
             changes=np.concatenate([columns.changes, np.stack(changes, axis=2)], axis=2),
         )
 
-    def columns(
-        self, base: Hypothesis, *, step: float, known: np.ndarray | None = None
-    ) -> Columns:
+    def columns(self, base: Hypothesis, *, step: float, known: np.ndarray | None = None) -> Columns:
         """Errors and all tangents at a hypothesis, without jumps.
 
         Tangents of shapes whose effects are not there are 0.
@@ -222,7 +222,8 @@ def trials(unknowns: Unknowns) -> list[Jump]:
         found += [
             (u, float(by))
             for by in sizes[0]
-            if abs(by) > 1.0 + 1e-6 and unknowns.lower[u] <= by <= unknowns.upper[u]
+            if abs(by) > 1.0 + 1e-6
+            and unknowns.lower[u] <= by <= unknowns.upper[u]
             and (by > 0 and unknowns.above[u] or by < 0 and unknowns.below[u])
         ]
     return found

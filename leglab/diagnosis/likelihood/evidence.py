@@ -34,6 +34,8 @@ SECANT = (0.4, 2.0)
 # Windows whose mean square is beyond this many usual ones count less: one that starts in a bad
 # moment must not outvote a hundred others.
 ROBUST = 3.0
+# Share of a prior's precision below which data say nothing of an unknown.
+TELLING = 0.1
 # Recordings below this number are cut into parts, so many in all.
 RECORDINGS, PARTS = 4, 8
 
@@ -51,7 +53,9 @@ def parts_of(recording: np.ndarray) -> np.ndarray:
     return out
 
 
-def robust_weights(at: Errors, errors: np.ndarray, spread: Spread, size: float, forces: float) -> np.ndarray:
+def robust_weights(
+    at: Errors, errors: np.ndarray, spread: Spread, size: float, forces: float
+) -> np.ndarray:
     """Weights of windows, (windows,), by how unusual their errors are (Huber 1964)."""
     roots, _ = spread.whiteners(at, size, forces)
     white = (roots @ errors[:, :, None])[:, :, 0]
@@ -202,7 +206,9 @@ class Evidence:
         """With all parts."""
         return self.reduced()
 
-    def _columns_of(self, members: Sequence[Member]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def _columns_of(
+        self, members: Sequence[Member]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Places, trials a unit, lower and upper coefficients of the members' columns."""
         u, columns = self.unknowns, self.columns
         index, unit, lower, upper = [], [], [], []
@@ -271,7 +277,9 @@ class Evidence:
             grid=grid,
         )
 
-    def additions(self, score: Score, *, also: Sequence[Member] | None = None) -> list[tuple[float, Member]]:
+    def additions(
+        self, score: Score, *, also: Sequence[Member] | None = None
+    ) -> list[tuple[float, Member]]:
         """Members to add by the log evidence they gain to first order, best first.
 
         At the best size and spread of the score, and at each smaller size: the model's own error,
@@ -330,6 +338,16 @@ class Evidence:
             errors = errors + step * moved
         return errors
 
+    def telling(self, score: Score) -> np.ndarray:
+        """Mask of the single unknowns of which the data tell something beside their prior.
+
+        That by which the data narrow an unknown alone is below a tenth of its prior for the others.
+        """
+        k, n = self.places.index(score.size), self.unknowns.single
+        precision, _ = self.priors.precision(self.unknowns, self.priors.spreads[score.spread])
+        data = self.kappa * np.diag(self.gram[k].sum(axis=0))[1 : 1 + n]
+        return np.asarray(data > TELLING * np.diag(precision))
+
     def deviations(self, score: Score) -> np.ndarray:
         """Standard deviations of all single unknowns, those of the members free, (single,)."""
         u, k, n = self.unknowns, self.places.index(score.size), self.unknowns.single
@@ -359,7 +377,9 @@ class Evidence:
         # The Cauchy prior of a fault's size, by its weight at the present one.
         now = self.columns.x[:n]
         size = np.array([now[list(u.singles(q))].mean() for q in score.unknowns])
-        matrix[range(n, n + index.size), range(n, n + index.size)] += 2.0 / (FAULT_SIZE**2 + size**2)
+        matrix[range(n, n + index.size), range(n, n + index.size)] += 2.0 / (
+            FAULT_SIZE**2 + size**2
+        )
         gradient[:n] += precision @ now
         matrix[np.diag_indices_from(matrix)] *= 1.0 + 1e-9
         lower = np.concatenate([u.lower[:n] - now, low])
@@ -373,7 +393,9 @@ class Evidence:
         """Posterior covariance of the single unknowns without any member, (single, single)."""
         k, n = self.places.index(score.size), self.unknowns.single
         precision, _ = self.priors.precision(self.unknowns, self.priors.spreads[score.spread])
-        return np.linalg.inv(self.kappa * self.gram[k].sum(axis=0)[1 : 1 + n, 1 : 1 + n] + precision)
+        return np.linalg.inv(
+            self.kappa * self.gram[k].sum(axis=0)[1 : 1 + n, 1 : 1 + n] + precision
+        )
 
     def departures(self, score: Score) -> dict[int, float]:
         """By how much all unknowns move from the linearisation, to the fit of a score."""

@@ -46,14 +46,24 @@ class Motion:
         q, v, a = (max(s, 1e-12) for s in (self.position, self.velocity, self.acceleration))
         f = self.force
         return {
-            "N m": f, "N": f,
-            "N m s/rad": f / v, "N s/m": f / v,
-            "N m s^2/rad^2": f / v**2, "N s^2/m^2": f / v**2,
-            "kg m^2": f / a, "kg": f / a,
-            "N m/rad": f / q, "N/m": f / q,
-            "N m/rad^3": f / q**3, "N/m^3": f / q**3,
-            "rad": q, "m": q, "rad/s": v, "m/s": v,
-            "rad/(N m)": q / f if f else 0.0, "m/(N)": q / f if f else 0.0,
+            "N m": f,
+            "N": f,
+            "N m s/rad": f / v,
+            "N s/m": f / v,
+            "N m s^2/rad^2": f / v**2,
+            "N s^2/m^2": f / v**2,
+            "kg m^2": f / a,
+            "kg": f / a,
+            "N m/rad": f / q,
+            "N/m": f / q,
+            "N m/rad^3": f / q**3,
+            "N/m^3": f / q**3,
+            "rad": q,
+            "m": q,
+            "rad/s": v,
+            "m/s": v,
+            "rad/(N m)": q / f if f else 0.0,
+            "m/(N)": q / f if f else 0.0,
         }.get(unit, 0.0)
 
 
@@ -153,9 +163,7 @@ def sized(library: Library, machine: Machine, seen: Shown) -> Library:
     return library.with_sites(sites)
 
 
-def _size(
-    p: EffectParameter, joint: Motion | None, command: float | None, seen: Shown
-) -> float:
+def _size(p: EffectParameter, joint: Motion | None, command: float | None, seen: Shown) -> float:
     if p.unit == "s":
         return seen.correlation
     if p.unit == "ctrl":
@@ -184,7 +192,9 @@ def _sized(p: EffectParameter, size: float, seen: Shown) -> EffectParameter:
     return replace(p, lower=lower, upper=upper, trials=tuple(trials)) if trials else p
 
 
-def widened(library: Library, key: tuple[str, str], index: int, factor: float = 3.0) -> Library | None:
+def widened(
+    library: Library, key: tuple[str, str], index: int, factor: float = 3.0
+) -> Library | None:
     """The library with bounds of a parameter moved outward; None where physics holds them.
 
     Shares (gains, loads) and angles have a meaning of their own, zero is no friction.

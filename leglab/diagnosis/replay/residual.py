@@ -227,9 +227,7 @@ class Problem:
             directions.append(moved.reshape(replay.windows, size) * shares)
         together = np.stack(directions, axis=2)
         covariance += together @ together.transpose(0, 2, 1)
-        return NoiseModel(
-            defect=defect, whitening=inverse_roots(covariance), covariance=covariance
-        )
+        return NoiseModel(defect=defect, whitening=inverse_roots(covariance), covariance=covariance)
 
     def _nudges(self) -> list[tuple[Nudge, np.ndarray]]:
         """Nudges and the spread of each start state, shape (windows,)."""

@@ -23,7 +23,9 @@ def beam(evidence: Evidence, start: Iterable[tuple[Member, ...]] = ((),)) -> lis
     def score(members: Iterable[Member]) -> Score:
         key = frozenset(members)
         if key not in seen:
-            seen[key] = evidence.score(sorted(key, key=lambda m: (m[0], -1 if m[1] is None else m[1])))
+            seen[key] = evidence.score(
+                sorted(key, key=lambda m: (m[0], -1 if m[1] is None else m[1]))
+            )
         return seen[key]
 
     current = [score(members) for members in start]

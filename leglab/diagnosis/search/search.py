@@ -75,7 +75,9 @@ def search(
     fitter = Fitter(at, priors, fixed)
     first = at.jumped(at.columns(Hypothesis(), step=COARSE), trials(unknowns))
     level = fitter.level(first.errors)
-    log(f"{len(unknowns)} unknowns ({unknowns.single} single), {len(first.jumps)} jumps, level {level:.4g}, cpu {process_time() - began:.0f}")
+    log(
+        f"{len(unknowns)} unknowns ({unknowns.single} single), {len(first.jumps)} jumps, level {level:.4g}, cpu {process_time() - began:.0f}"
+    )
     spread, weight = fitter.own_spread(first.errors), np.ones(len(first.errors))
     last = None
     for _ in range(4):
@@ -86,7 +88,9 @@ def search(
         spread = fitter.own_spread(left)
         weight = fitter.weights(left, spread, best.size)
         kappa = 1.0 / max(evidence.design_effect(best), 1.0)
-        log(f"  beam {label(unknowns, best)} log {best.log:.1f} size {priors.sizes[best.size]} kappa {kappa:.3f} cpu {process_time() - began:.0f}")
+        log(
+            f"  beam {label(unknowns, best)} log {best.log:.1f} size {priors.sizes[best.size]} kappa {kappa:.3f} cpu {process_time() - began:.0f}"
+        )
         now = frozenset(best.unknowns), round(float(np.log(kappa)), 1)
         if now == last:
             break
@@ -116,12 +120,16 @@ def search(
         picked.setdefault(keys(s), s)
     fits: list[Fit] = []
 
-    def run(columns: Columns, start: dict[int, float], members, spread, weight, beside=False) -> Fit:
+    def run(
+        columns: Columns, start: dict[int, float], members, spread, weight, beside=False
+    ) -> Fit:
         lowest = min((f.level for f in fits), default=np.inf)
         fit = fitter.fit(
             columns, start, members, spread, weight, kappa, give_up=HOPELESS * lowest, beside=beside
         )
-        log(f"    fitted {tell(unknowns, fit)} cpu {process_time() - began:.0f}{' again' if beside else ''}")
+        log(
+            f"    fitted {tell(unknowns, fit)} cpu {process_time() - began:.0f}{' again' if beside else ''}"
+        )
         fits.append(fit)
         return fit
 
@@ -139,7 +147,13 @@ def search(
         # Beside what explains everything only what promises nearly as much is a rival.
         if fit.level <= EXPLAINED:
             least = max(least, promise - NEAR - AS_GOOD * worth)
-    run(first, evidence.departures(nothing) if nothing.log > ranked[0].log - 300 else {}, (), spread, weight)
+    run(
+        first,
+        evidence.departures(nothing) if nothing.log > ranked[0].log - 300 else {},
+        (),
+        spread,
+        weight,
+    )
     vain, again = 0, set()
     for _ in range(MORE + 1):
         ranks = rank(fitter, fits, kappa)
@@ -147,14 +161,20 @@ def search(
         before, kappa = kappa, 1.0 / max(lowest[1].design_effect(lowest[2]), 1.0)
         if abs(np.log(before / kappa)) > 0.1:
             ranks = rank(fitter, fits, kappa)
-        log(f"  best {label(unknowns, ranks[0][2])} level {ranks[0][0].level:.4g} kappa {kappa:.3f}")
+        log(
+            f"  best {label(unknowns, ranks[0][2])} level {ranks[0][0].level:.4g} kappa {kappa:.3f}"
+        )
         # The leading sets once more, from where the one that leaves least has the machine.
         point = lowest[0]
         for fit, _, score in ranks[:LEADING]:
             names = fit.keys(fitter), point.keys(fitter)
             if fit is not point and names not in again and fit.level > point.level:
                 again.add(names)
-                start = {i: -float(point.columns.x[i]) for q in point.members for i in unknowns.singles(q)}
+                start = {
+                    i: -float(point.columns.x[i])
+                    for q in point.members
+                    for i in unknowns.singles(q)
+                }
                 for q, value in zip(fit.members, fit.score.values, strict=True):
                     for i in unknowns.singles(q):
                         own = start.get(i, -float(point.columns.x[i]))
@@ -231,10 +251,16 @@ def rank(fitter: Fitter, fits: list[Fit], kappa: float):
         return kept[key]
 
     for fit in fits:
-        spreads = [fitter.fixed] if fitter.fixed else [fit.spread, *(f.spread for f in near if f is not fit)]
+        spreads = (
+            [fitter.fixed]
+            if fitter.fixed
+            else [fit.spread, *(f.spread for f in near if f is not fit)]
+        )
         points = [fit] + [
-            f for f in near
-            if f is not fit and f.level <= fit.level
+            f
+            for f in near
+            if f is not fit
+            and f.level <= fit.level
             and all(np.abs(f.columns.tangents[:, :, q]).max() > 0 for q in fit.members)
         ]
         members = [(q, None) for q in fit.members]
@@ -275,9 +301,11 @@ def proposal(fitter: Fitter, ranks, tried: set[frozenset[Key]]):
             best = gain, members, fit, evidence, score
 
     for fit, _, _ in sound[:6]:
-        evidence = next(r[1] for r in ranks if r[1].columns is fit.columns) if any(
-            r[1].columns is fit.columns for r in ranks
-        ) else fitter.evidence(fit.columns, fit.spread, fit.weight, ranks[0][1].kappa)
+        evidence = (
+            next(r[1] for r in ranks if r[1].columns is fit.columns)
+            if any(r[1].columns is fit.columns for r in ranks)
+            else fitter.evidence(fit.columns, fit.spread, fit.weight, ranks[0][1].kappa)
+        )
         score = evidence.score([(q, None) for q in fit.members])
         if score.log < top - 3.0 * NEAR:
             continue
@@ -297,7 +325,13 @@ def proposal(fitter: Fitter, ranks, tried: set[frozenset[Key]]):
         if simpler is not None and frozenset(u.keys[q] for q in simpler) not in tried:
             by = {q: v - float(fit.columns.x[q]) for q, v in simpler.items()}
             gone = {q: -float(fit.columns.x[q]) for q in fit.members if q not in simpler}
-            return tuple(q for q, v in simpler.items() if v), {**gone, **by}, fit.columns, fit.spread, fit.weight
+            return (
+                tuple(q for q, v in simpler.items() if v),
+                {**gone, **by},
+                fit.columns,
+                fit.spread,
+                fit.weight,
+            )
     if best is None:
         return None
     _, members, fit, evidence, _ = best
@@ -324,7 +358,12 @@ def simplified(u: Unknowns, fit: Fit) -> dict[int, float] | None:
             for i in range(u.single):
                 other, place = u.places[i][0]
                 p = sites[other].parameters[place]
-                if other != key and u.library.contains(key, other) and p.unit == unit and u.nameable[i]:
+                if (
+                    other != key
+                    and u.library.contains(key, other)
+                    and p.unit == unit
+                    and u.nameable[i]
+                ):
                     kept = {m: float(x[m]) for m in fit.members if m not in both}
                     return {**kept, i: mean / u.scale[i]}
     return None
@@ -332,11 +371,17 @@ def simplified(u: Unknowns, fit: Fit) -> dict[int, float] | None:
 
 def label(u: Unknowns, score: Score) -> str:
     """A set in a few words."""
-    return " + ".join(
-        f"{u.keys[q][0]}@{u.keys[q][1]}.{u.name(q)} {v:.2f}" for q, v in zip(score.unknowns, score.values, strict=True)
-    ) or "nothing"
+    return (
+        " + ".join(
+            f"{u.keys[q][0]}@{u.keys[q][1]}.{u.name(q)} {v:.2f}"
+            for q, v in zip(score.unknowns, score.values, strict=True)
+        )
+        or "nothing"
+    )
 
 
 def tell(u: Unknowns, fit: Fit) -> str:
     """A fit in a few words."""
-    return f"{label(u, fit.score)} log {fit.score.log:.1f} level {fit.level:.4g}" + (f" ENDED {fit.ended}" if fit.ended else "")
+    return f"{label(u, fit.score)} log {fit.score.log:.1f} level {fit.level:.4g}" + (
+        f" ENDED {fit.ended}" if fit.ended else ""
+    )

@@ -21,7 +21,9 @@ from leglab.diagnosis.likelihood.spread import Spread
 
 TURNS = 16
 # Another turn that gains less is not worth its replays [nats].
-ENOUGH = 1.0
+ENOUGH = 2.0
+# All tangents are taken anew so often at most.
+RENEWALS = 5
 # In the first turns machines are built almost as their model.
 STIFF_TURNS, STIFF = 3, 0.05
 SHARES = (1.0, 0.5, 0.2, 0.05)
@@ -81,8 +83,13 @@ class Fitter:
         return float(np.sqrt(np.median(np.mean(white**2, axis=1))))
 
     def evidence(
-        self, columns: Columns, spread: Spread, weight: np.ndarray, kappa: float,
-        priors: Priors | None = None, places: Sequence[int] | None = None,
+        self,
+        columns: Columns,
+        spread: Spread,
+        weight: np.ndarray,
+        kappa: float,
+        priors: Priors | None = None,
+        places: Sequence[int] | None = None,
     ) -> Evidence:
         """Evidence of sets at a linearisation."""
         return Evidence(self.at, columns, spread, weight, kappa, priors or self.priors, places)
@@ -155,11 +162,17 @@ class Fitter:
                 weight = np.ones(len(errors))
         given_up = False
         anew = slow = False
+        telling, renewals = None, 0
         for turn in range(turns):
             first = turn < STIFF_TURNS and bool(members) and not beside
             priors = self.stiff if first else self.priors
-            if not first and not anew and (turn == (0 if beside else STIFF_TURNS) or slow or not members):
-                tangents, anew = self._all(hypothesis, errors, members, tangents), True
+            if (
+                not first
+                and not anew
+                and (turn == (0 if beside else STIFF_TURNS) or slow or not members)
+            ):
+                tangents = self._all(hypothesis, errors, members, tangents, telling)
+                anew, renewals = True, renewals + 1
             else:
                 tangents = self._fresh(hypothesis, errors, x, members, tangents, first)
             here = Columns(hypothesis, x, errors, tangents, (), np.zeros((*errors.shape, 0)))
@@ -174,6 +187,8 @@ class Fitter:
                     here = Columns(hypothesis, x, errors, tangents, (), here.changes)
                     evidence = self.evidence(here, spread, weight, kappa, priors)
                     score = evidence.score([(q, None) for q in members])
+            if not first:
+                telling = evidence.telling(score)
             goal = evidence.step(score)
             before = self._cost(evidence, errors, z, spikes, score)
             for share in SHARES:
@@ -193,7 +208,9 @@ class Fitter:
             tangents = _broyden(tangents, errors_new - errors, x_new - x, members, u.single)
             hypothesis, errors, x, z, spikes = moved, errors_new, x_new, z_new, spikes_new
             gain = 0.5 * (before - after)
-            LOG(f"      turn {turn} share {share} gain {gain:.1f} size {score.size} spread {score.spread} level {self.level(errors):.3f} z {np.round(z, 2)} anew {anew}")
+            LOG(
+                f"      turn {turn} share {share} gain {gain:.1f} size {score.size} spread {score.spread} level {self.level(errors):.3f} z {np.round(z, 2)} anew {anew}"
+            )
             spread = self.own_spread(errors)
             weight = self.weights(errors, spread, score.size)
             if not first:
@@ -202,16 +219,21 @@ class Fitter:
             if turn + 1 >= STIFF_TURNS and self.level(errors) > give_up:
                 given_up = True
                 break
-            if not first and anew and gain < ENOUGH:
+            if not first and anew and (gain < ENOUGH or renewals >= RENEWALS):
                 break
             slow, anew = share < 1.0 or gain < 5.0 * ENOUGH, False
-        if not given_up:
-            tangents = self._all(hypothesis, errors, members, tangents)
+        if not given_up and not anew:
+            tangents = self._all(hypothesis, errors, members, tangents, telling)
         here = Columns(hypothesis, x, errors, tangents, (), np.zeros((*errors.shape, 0)))
         evidence = self.evidence(here, spread, weight, kappa)
         score = evidence.score([(q, None) for q in members])
         return Fit(
-            members, here, spread, weight, score, self.level(errors),
+            members,
+            here,
+            spread,
+            weight,
+            score,
+            self.level(errors),
             self.ended(members, x, score.values),
         )
 
@@ -235,13 +257,20 @@ class Fitter:
         return {i: float(d) for i, d in enumerate(goal - x[: u.single]) if d != 0.0}
 
     def _cost(
-        self, evidence: Evidence, errors: np.ndarray, z: np.ndarray, spikes: np.ndarray, score: Score
+        self,
+        evidence: Evidence,
+        errors: np.ndarray,
+        z: np.ndarray,
+        spikes: np.ndarray,
+        score: Score,
     ) -> float:
         """Twice the negative log posterior at the score's size and spread."""
         roots, _ = self._roots(evidence, score.size)
         white = (roots @ errors[:, :, None])[:, :, 0]
         square = evidence.kappa * float((evidence.weight[:, None] * white**2).sum())
-        precision, _ = evidence.priors.precision(self.at.unknowns, evidence.priors.spreads[score.spread])
+        precision, _ = evidence.priors.precision(
+            self.at.unknowns, evidence.priors.spreads[score.spread]
+        )
         fault = float(2.0 * np.log1p((z / FAULT_SIZE) ** 2).sum())
         return square + float(spikes @ precision @ spikes) + fault
 
@@ -271,14 +300,17 @@ class Fitter:
             out[:, :, q] = difference
         return out
 
-    def _all(self, hypothesis, errors, members, tangents):
-        """All tangents taken anew."""
+    def _all(self, hypothesis, errors, members, tangents, telling=None):
+        """All tangents taken anew, but of unknowns of which the data hardly tell anything."""
         u = self.at.unknowns
         # A shape is the effect's whose strength is a member: of a spike it means nothing.
         keys = {u.library_keys(q) for q in members}
         there = frozenset().union(*keys) if keys else frozenset()
         which = [
-            i for i in range(u.single) if u.keys[i] in there or (u.gradual[i] and not u.shape[i])
+            i
+            for i in range(u.single)
+            if u.keys[i] in there
+            or (u.gradual[i] and not u.shape[i] and (telling is None or telling[i]))
         ]
         known = tangents.copy()
         known[:, :, : u.single][:, :, u.shape[: u.single]] = 0.0

@@ -121,7 +121,11 @@ class Judge:
         self.place = place
         roots, _ = best.spread.whiteners(self.at, 1.0, 1.0)
         n = self.at.size
-        self.roots = roots[:, :n, :n] if found.fitter.fixed else self.at.problem.noise.whitening[self.at.chosen]
+        self.roots = (
+            roots[:, :n, :n]
+            if found.fitter.fixed
+            else self.at.problem.noise.whitening[self.at.chosen]
+        )
 
     def blocks(self, errors: np.ndarray) -> np.ndarray:
         """Mean squares, median of windows, by recording and channel."""
@@ -135,10 +139,17 @@ class Judge:
         chosen = [(q, None) for q in members]
         score = evidence.score(chosen)
         parts = int(evidence.part.max()) + 1
-        apart = np.array([evidence.score(chosen, self._without(evidence, r)).log for r in range(parts)])
+        apart = np.array(
+            [evidence.score(chosen, self._without(evidence, r)).log for r in range(parts)]
+        )
         left = evidence.left(score)
         return Row(
-            frozenset(u.keys[q] for q in members), ended, score, evidence, apart, left,
+            frozenset(u.keys[q] for q in members),
+            ended,
+            score,
+            evidence,
+            apart,
+            left,
             self.fitter.level(left),
         )
 
@@ -167,15 +178,23 @@ class Judge:
             for key in {u.keys[q] for q in fit.members}:
                 members = tuple(q for q in fit.members if u.keys[q] != key)
                 x = fit.columns.x
-                gone = {i: -float(x[i]) for q in fit.members if u.keys[q] == key for i in u.singles(q)}
+                gone = {
+                    i: -float(x[i]) for q in fit.members if u.keys[q] == key for i in u.singles(q)
+                }
                 base = u.moved(fit.columns.base, gone)
                 errors = self.at.at(base)
                 if np.abs(errors).max() > 1e11:
                     continue
-                columns = Columns(base, u.departures(base), errors, fit.columns.tangents, (), fit.columns.changes)
+                columns = Columns(
+                    base, u.departures(base), errors, fit.columns.tangents, (), fit.columns.changes
+                )
                 self.removed[frozenset(u.keys[q] for q in fit.members), key] = columns
                 # What it is without the effect has a pattern of its own.
-                own = [evidence.spread] if self.fitter.fixed else [evidence.spread, Spread.of(self.at, errors)]
+                own = (
+                    [evidence.spread]
+                    if self.fitter.fixed
+                    else [evidence.spread, Spread.of(self.at, errors)]
+                )
                 for spread in own:
                     there = self.fitter.evidence(columns, spread, self.weight, self.kappa)
                     enter(self.row(there, members, bool(fit.ended) and bool(members)))
@@ -206,8 +225,11 @@ class Judge:
         lost = np.zeros(len(rows))
         nothing = Hypothesis()
         for actuator in self.at.problem.machine.actuators:
+
             def moved(hypothesis, errors):
-                return self.at.at(hypothesis, actuator)[:, : self.at.size] - errors[:, : self.at.size]
+                return (
+                    self.at.at(hypothesis, actuator)[:, : self.at.size] - errors[:, : self.at.size]
+                )
 
             first = moved(nothing, self.found.first.errors)
             white = np.einsum("wij,wj->wi", self.roots, first)
@@ -216,10 +238,14 @@ class Judge:
             drives = channels.mean(axis=0) > 0.1 * channels.mean(axis=0).max()
             in_window = channels[:, drives].sum(axis=1)
             moving = in_window > 0.1 * np.median(in_window)
-            numbers = beyond.reshape(len(white), self.channels, -1).sum(axis=2)[moving][:, drives].sum()
+            numbers = (
+                beyond.reshape(len(white), self.channels, -1).sum(axis=2)[moving][:, drives].sum()
+            )
             before = np.sqrt(in_window[moving])
             for i, row in enumerate(rows):
-                base = self.unknowns.moved(row.evidence.columns.base, row.evidence.departures(row.score))
+                base = self.unknowns.moved(
+                    row.evidence.columns.base, row.evidence.departures(row.score)
+                )
                 there = moved(base, self.at.at(base))
                 white = np.einsum("wij,wj->wi", self.roots, there)
                 after = (white.reshape(len(white), self.channels, -1) ** 2).mean(axis=2)
@@ -242,7 +268,12 @@ class Judge:
         found: list[frozenset[Key]] = []
         for row in rows:
             new = row.keys - shared
-            if key in row.keys or row.ended or not new or len(row.score.members) > numbers + FURTHER:
+            if (
+                key in row.keys
+                or row.ended
+                or not new
+                or len(row.score.members) > numbers + FURTHER
+            ):
                 continue
             fit = row.score.fit + lost[id(row)]
             if fit > own - np.log(TIE) and not any(one <= new for one in found):
@@ -257,7 +288,13 @@ class Judge:
         for pair in u.effect(score.unknowns[places[0]]).by_direction:
             both = [i for i in places if u.name(score.unknowns[i]) in pair]
             if both:
-                away = abs(float(np.subtract(*score.values[both]) if len(both) == 2 else score.values[both[0]]))
+                away = abs(
+                    float(
+                        np.subtract(*score.values[both])
+                        if len(both) == 2
+                        else score.values[both[0]]
+                    )
+                )
                 spread = float(np.linalg.norm(score.deviations[both]))
                 claims.append(float(norm.cdf((away - 1.0) / max(spread, 1e-9))))
         return max(claims, default=1.0)
@@ -289,7 +326,9 @@ class Judge:
         """Mean and standard deviation of the logit of the share that the best impostor explains."""
         u, first = self.unknowns, self.found.first
         n = u.single
-        evidence = self.fitter.evidence(first, self.spread, self.weight, self.kappa, places=[self.place])
+        evidence = self.fitter.evidence(
+            first, self.spread, self.weight, self.kappa, places=[self.place]
+        )
         inner = evidence.whole.inner[0, self.found.scores[0].spread]
         jumps = [1 + len(u) + j for j in range(len(first.jumps))]
         R = inner[np.ix_(jumps, jumps)]
@@ -331,7 +370,9 @@ class Judge:
         top = float(np.log(max(self.found.level**2, np.e)))
         recording = self.at.recording
         bins = self.at.size // self.channels
-        grain = np.sqrt(2.0 / (bins * np.array([(recording == r).sum() for r in np.unique(recording)])))[:, None]
+        grain = np.sqrt(
+            2.0 / (bins * np.array([(recording == r).sum() for r in np.unique(recording)]))
+        )[:, None]
         effects: dict[Key, Judged] = {}
         tied: dict[Key, tuple[frozenset[Key], ...]] = {}
         for key in sorted({k for r in rows for k in r.keys}):
@@ -358,15 +399,31 @@ class Judge:
             tied |= {key: ties} if ties else {}
             sure = min(nameable, alone) * inside / (1 + len(ties))
             effects[key] = Judged(sure, possible * inside, evidence, alone, rho, inside, size)
-        named = tuple(sorted((k for k, e in effects.items() if e.confidence > NAMED), key=lambda k: -effects[k].confidence))
-        confusion = () if named else tuple(sorted((k for k, e in effects.items() if e.possible >= POSSIBLE), key=lambda k: -effects[k].possible))
+        named = tuple(
+            sorted(
+                (k for k, e in effects.items() if e.confidence > NAMED),
+                key=lambda k: -effects[k].confidence,
+            )
+        )
+        confusion = (
+            ()
+            if named
+            else tuple(
+                sorted(
+                    (k for k, e in effects.items() if e.possible >= POSSIBLE),
+                    key=lambda k: -effects[k].possible,
+                )
+            )
+        )
         if tied and not named:
             leader = max(tied, key=lambda k: effects[k].evidence)
             others = [k for row in tied[leader] for k in sorted(row)]
             confusion = tuple(dict.fromkeys((leader, *others, *confusion)))
         still = any(
-            not r.keys and apart[i].max() >= POSSIBLE
-            and (self.fitter.priors.sizes[r.score.size] if self.fitter.fixed else r.level) <= EXPLAINED
+            not r.keys
+            and apart[i].max() >= POSSIBLE
+            and (self.fitter.priors.sizes[r.score.size] if self.fitter.fixed else r.level)
+            <= EXPLAINED
             for i, r in enumerate(rows)
         )
         if named:
@@ -377,7 +434,9 @@ class Judge:
             said = "confusion_set"
         else:
             said = "unexplained"
-        return Verdict(said, named, confusion, effects, tuple(rows), (self.found.level, rows[0].level))
+        return Verdict(
+            said, named, confusion, effects, tuple(rows), (self.found.level, rows[0].level)
+        )
 
 
 def _explained(with_: np.ndarray, without: np.ndarray, grain: np.ndarray) -> float:

@@ -281,7 +281,9 @@ def _effects(
             contribution=float(np.clip(contribution, 0.0, 1.0)),
             parameters=tuple(
                 estimate(p, n, float(v), max(p.lower, float(v - h)), min(p.upper, float(v + h)))
-                for p, n, v, h in zip(site.parameters, site.nominal, final[key], half[key], strict=True)
+                for p, n, v, h in zip(
+                    site.parameters, site.nominal, final[key], half[key], strict=True
+                )
             ),
             indistinguishable_from=tied,
             without=rms(without[problem.judged]),
@@ -360,7 +362,9 @@ def _calibration(found: Searched) -> Calibration:
     assert specimen is not None and problem is not None
     rows = []
     for key, site in problem.library.sites.items():
-        for p, nominal, value in zip(site.parameters, site.model, specimen.values[key], strict=True):
+        for p, nominal, value in zip(
+            site.parameters, site.model, specimen.values[key], strict=True
+        ):
             away = p.departure(float(value), float(nominal))
             if p.role == "strength" and away >= problem.thresholds.calibration_share:
                 rows.append((away, (*key, estimate(p, nominal, float(value), value, value))))
