@@ -6,14 +6,13 @@ from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.plant.model import Machine
 
 
-def reloaded_error(found, path):
+def reloaded_error(problem, hypothesis, path):
     """Largest difference of replays by the patched file and by the fit, in noise levels.
 
     The patched file speaks for itself: nothing of the fit is added to it.
     """
-    problem = found.problem
     machine = Machine(path, timestep=problem.machine.timestep)
-    own = problem.library.change(found.fit.hypothesis, problem.machine)
+    own = problem.library.change(hypothesis, problem.machine)
     bare = problem.library.change(Hypothesis(), machine)
     noise = problem.sensor_noise.min(axis=0)[:, None]
     patched = problem.replay.on(machine).error(bare).values

@@ -13,15 +13,15 @@ from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.cli import main
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
-from leglab.diagnosis.former.naming import exact_twins
-from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
+from leglab.diagnosis.improve import improved_model
 from leglab.diagnosis.intake.admission import admit
 from leglab.diagnosis.intake.recordings import held_out_choice, read_recordings, split_held_out
 from leglab.diagnosis.plant.model import Change, Machine
-from leglab.diagnosis.replay.windows import Channel
+from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.thresholds import Thresholds
 from leglab.diagnosis.verdict.experiment import catalogue, propose
-from leglab.diagnosis.verdict.output import write_diagnosis, write_improved
+from leglab.diagnosis.verdict.output import write_diagnosis
+from leglab.diagnosis.verdict.twins import twins
 from leglab.diagnosis.verdict.verdict import diagnose
 from tests.patched_models import reloaded_error
 
@@ -84,12 +84,13 @@ def test_json_holds_the_contract(deadband, tmp_path):
 
 
 def test_improved_model_runs_and_replays_as_the_fit(deadband, tmp_path):
-    _, found = deadband
-    path = write_improved(found, tmp_path)
+    better = improved_model(deadband[1])
+    path = better.write(tmp_path)
     model = mujoco.MjModel.from_xml_path(str(path))
     mujoco.mj_step(model, mujoco.MjData(model), 100)
     assert 'key="lap"' in path.read_text()
-    assert reloaded_error(found, path) < 0.1  # of a noise level: MJCF is written with few digits
+    # Of a noise level: MJCF is written with few digits.
+    assert reloaded_error(better.problem, better.hypothesis, path) < 0.1
 
 
 def test_same_seed_same_verdict(deadband):
@@ -297,10 +298,14 @@ def test_command_line_writes_verdict_and_model(tmp_path, capsys):
 
 
 def test_without_pressures_a_late_command_and_a_late_sensor_are_one():
-    position = Channel(column="knee_position", joint="knee")
-    pressure = Channel(
-        column="knee_pressure_a", joint="knee", cylinder="knee_valve", chamber="pressure_a"
-    )
-    assert exact_twins((position,), "sensor_delay") == ("command_delay",)
-    assert exact_twins((position, pressure), "sensor_delay") == ()
-    assert exact_twins((position,), "payload") == ()
+    settings = DiagnosisSettings(effects=("command_delay", "sensor_delay", "payload"), threads=1)
+    whole = recordings("nominal")
+    blind = {
+        name: log.select([c for c in log.columns if "_pressure_" not in c])
+        for name, log in whole.items()
+    }
+    seen, unseen = (set_up("knee_bench", logs, (), settings) for logs in (whole, blind))
+    assert twins(unseen, DELAY) == (("sensor_delay", "knee"),)
+    assert twins(unseen, ("sensor_delay", "knee")) == (DELAY,)
+    assert twins(unseen, ("payload", "shank")) == ()
+    assert twins(seen, DELAY) == ()

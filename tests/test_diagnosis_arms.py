@@ -2,9 +2,9 @@
 
 import pytest
 
-from leglab.diagnosis.former.naming import coupled_joints
+from leglab.diagnosis.improve import improved_model
 from leglab.diagnosis.plant.model import Machine
-from leglab.diagnosis.improve import write_improved
+from leglab.diagnosis.verdict.twins import coupled_joints
 from leglab.diagnosis.verdict.verdict import diagnose
 from tests.patched_models import reloaded_error
 from tests.rigs import (
@@ -102,7 +102,8 @@ def test_one_fault_is_named_on_its_joint(name, hidden, expected, tmp_path):
     fitted = {p.name: p.value for p in result.effects[0].parameters}
     assert fitted[parameter] == pytest.approx(value, rel=0.01)
     assert result.gap.after < 1.1
-    assert reloaded_error(found, write_improved(found, tmp_path)) < 0.1
+    better = improved_model(found)
+    assert reloaded_error(better.problem, better.hypothesis, better.write(tmp_path)) < 0.1
 
 
 @pytest.mark.slow("whole diagnoses of an arm with all effects")
@@ -144,6 +145,24 @@ def test_joints_feel_each_other_by_the_mass_matrix():
     assert coupled_joints(Machine(MOTOR_ARM.model)) == ("shoulder", "elbow")
     assert coupled_joints(Machine(GANTRY.model)) == ("trolley", "swing")
     assert coupled_joints(Machine(PENDULUM.model)) == ()
+
+
+FOLDED = """
+<mujoco><worldbody><body name="upper"><joint name="shoulder" axis="0 1 0"/>
+<geom type="sphere" size=".05" pos="1 0 0" mass="3"/>
+<body name="lower" pos="1 0 0"><joint name="elbow" axis="0 1 0"/>
+<geom type="sphere" size=".01" pos="-1 0 0" mass="1"/></body></body>
+<body name="other" pos="0 2 0"><joint name="lonely" axis="0 1 0"/>
+<geom type="sphere" size=".05" pos="1 0 0" mass="3"/></body></worldbody>
+<actuator><motor name="a" joint="shoulder"/><motor name="b" joint="elbow"/>
+<motor name="c" joint="lonely"/></actuator></mujoco>
+"""
+
+
+def test_joints_that_feel_each_other_at_some_pose_only_are_coupled(tmp_path):
+    path = tmp_path / "folded.xml"
+    path.write_text(FOLDED)
+    assert coupled_joints(Machine(path)) == ("shoulder", "elbow")
 
 
 @pytest.mark.slow("whole diagnoses of an arm with all effects")

@@ -9,7 +9,6 @@ from leglab import data
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.diagnosis.effects.hypothesis import Hypothesis
-from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.intake.admission import admit
 from leglab.diagnosis.intake.recordings import read_recordings, split_held_out
 from leglab.diagnosis.intake.remarks import Remark, merged
@@ -17,6 +16,7 @@ from leglab.diagnosis.intake.rotation import unwrapped
 from leglab.diagnosis.intake.series import Clock, UniformSeries, common_period, quantum
 from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.replay.windows import resolution
+from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.thresholds import Thresholds
 from leglab.diagnosis.verdict.verdict import diagnose
 from tests.rigs import PENDULUM, SLIDE_AXIS, Truth, record

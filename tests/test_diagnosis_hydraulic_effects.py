@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
-from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.plant.model import Machine, Measured
 from leglab.diagnosis.replay import starts
+from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.machine.cylinder import Cylinder
 from leglab.machine.parameters import State
 from leglab.studies.blind.faulty_bench import NOMINAL, FaultyBench, references

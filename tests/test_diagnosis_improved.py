@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -11,10 +10,10 @@ import pytest
 from leglab import RunSettings, data, run_scenario
 from leglab.diagnosis import improve
 from leglab.diagnosis.effects.hypothesis import Hypothesis
-from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.plant.paths import take_out
-from leglab.diagnosis.improve import write_improved
+from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
+from leglab.diagnosis.verdict.output import write_model
 from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.machine.sensors import EncoderFaults, PressureFaults
 from tests.patched_models import reloaded_error
@@ -54,18 +53,13 @@ def shifted():
     return slipped, *diagnose("knee_bench", slipped, held_out=("walk",), settings=settings)
 
 
-def found(problem, values):
-    return SimpleNamespace(problem=problem, fit=SimpleNamespace(hypothesis=Hypothesis(values)))
-
-
 @pytest.mark.parametrize("faults", [*([key] for key in FAULTS), list(FAULTS)], ids=str)
 def test_path_faults_are_read_back_from_the_patched_model(problem, tmp_path, faults):
-    search = found(problem, {key: FAULTS[key] for key in faults})
-    path = write_improved(search, tmp_path)
+    hypothesis = Hypothesis({key: FAULTS[key] for key in faults})
+    path = write_model(problem, hypothesis, tmp_path)
     # Compared in corrected units; the file keeps every digit of a numeric and six of a delay.
-    assert reloaded_error(search, path) < 0.05
-    unpatched = found(problem, {})
-    assert reloaded_error(unpatched, path) > 20.0
+    assert reloaded_error(problem, hypothesis, path) < 0.05
+    assert reloaded_error(problem, Hypothesis(), path) > 20.0
 
 
 def test_a_patched_model_is_patched_once_more(problem, tmp_path):
@@ -73,12 +67,12 @@ def test_a_patched_model_is_patched_once_more(problem, tmp_path):
     once, twice = tmp_path / "once", tmp_path / "twice"
     once.mkdir()
     twice.mkdir()
-    path = write_improved(found(problem, FAULTS), once)
+    path = write_model(problem, Hypothesis(FAULTS), once)
     settings = DiagnosisSettings(effects=tuple(name for name, _ in FAULTS), threads=1)
     again = set_up(path, recordings(), ("walk",), settings)
     # Whole samples: two linear interpolations are not one.
-    search = found(again, {**FAULTS, ("command_delay", "knee_valve"): np.array([0.006])})
-    assert reloaded_error(search, write_improved(search, twice)) < 0.05
+    whole = Hypothesis({**FAULTS, ("command_delay", "knee_valve"): np.array([0.006])})
+    assert reloaded_error(again, whole, write_model(again, whole, twice)) < 0.05
     faults = EncoderFaults.of(mujoco.MjModel.from_xml_path(str(twice / "improved.xml")), ["knee"])
     # measured = 1.04 (1.04 true + 0.03) + 0.03
     assert faults.scale == pytest.approx(1.04**2)
@@ -90,11 +84,11 @@ def test_a_patched_model_is_patched_once_more(problem, tmp_path):
 
 
 def test_the_patched_model_reproduces_the_claimed_gap(shifted, tmp_path):
-    slipped, result, search = shifted
+    slipped, result, found = shifted
     assert [effect.name for effect in result.effects] == ["encoder_offset"]
     assert result.effects[0].parameters[0].value == pytest.approx(OFFSET, abs=2e-3)
     assert result.gap.before > 20.0 * result.gap.after
-    path = write_improved(search, tmp_path)
+    path = improve.write_improved(found, tmp_path)
     patched = set_up(
         path, slipped, ("walk",), DiagnosisSettings(effects=("valve_bias",), threads=1)
     )
@@ -104,9 +98,9 @@ def test_the_patched_model_reproduces_the_claimed_gap(shifted, tmp_path):
 
 def test_the_patched_model_runs_in_a_closed_loop(shifted, tmp_path):
     """The encoder of the run is off as the diagnosis says, and the leg with it."""
-    _, result, search = shifted
+    _, result, found = shifted
     offset = result.effects[0].parameters[0].value
-    path = write_improved(search, tmp_path)
+    path = improve.write_improved(found, tmp_path)
     wanted = RunSettings(scenario="nominal", model="knee_bench", duration=1.0)
     true = []
     for model in ("knee_bench", str(path)):
@@ -119,7 +113,7 @@ def test_the_patched_model_runs_in_a_closed_loop(shifted, tmp_path):
 
 def test_pressure_sensors_of_a_patched_model_are_off_in_a_closed_loop(problem, tmp_path):
     key = "pressure_sensor_offset", "knee_valve"
-    path = write_improved(found(problem, {key: np.array([3e5, -4e5])}), tmp_path)
+    path = write_model(problem, Hypothesis({key: np.array([3e5, -4e5])}), tmp_path)
     wanted = RunSettings(scenario="nominal", model="knee_bench", duration=0.5)
     plain, patched = (
         run_scenario(replace(wanted, model=model)).recording for model in ("knee_bench", str(path))
@@ -183,12 +177,11 @@ def test_a_single_cause_without_a_name_is_doubted_and_learned():
     }
     known = ("viscous_friction", "coulomb_friction", "force_offset")
     settings = DiagnosisSettings(effects=known, threads=1)
-    result, search = diagnose(PENDULUM.model, logs, held_out=("slow",), settings=settings)
+    result, found = diagnose(PENDULUM.model, logs, held_out=("slow",), settings=settings)
     assert (result.verdict, result.effects) == ("unexplained", ())
-    assert not search.rough
-    model = improve.improved_model(search, result)
+    model = improve.improved_model(found)
     assert model.learned.startswith("a torque that repeats every 1.1 rad of the hinge, 0.4 N m")
-    levels = model.remainder.problem.noise_levels(model.hypothesis)[search.problem.judged]
+    levels = model.remainder.problem.noise_levels(model.hypothesis)[found.problem.judged]
     assert np.sqrt(levels.mean()) < 0.1 * result.gap.before
     (left,) = result.with_model("improved.xml", model.learned, model.errors).remaining
     assert left.learned < 0.1 * left.after

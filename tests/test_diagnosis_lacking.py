@@ -1,15 +1,13 @@
-"""Forces that the measured motion leaves over, and what they say beside replays."""
+"""Forces that the measured motion leaves over."""
 
 import numpy as np
 import pytest
 
 from leglab.diagnosis.balance.lacking import balanced_joints
 from leglab.diagnosis.effects.hypothesis import Hypothesis
-from leglab.diagnosis.former.discrepancy import from_errors
-from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.plant.model import Machine
-from leglab.diagnosis.replay.residual import whitened
 from leglab.diagnosis.replay.windows import Channel
+from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from tests.rigs import PENDULUM, Truth, record
 from tests.rigs.rough import ROTOR, as_made, record_rough
 
@@ -57,52 +55,6 @@ def test_forces_come_with_a_replay_as_they_come_alone(pushed):
     both = pushed.replay.error(change, chosen=chosen, blocks=blocks)
     np.testing.assert_array_equal(both.left, lacking(pushed, Hypothesis(), chosen))
     np.testing.assert_array_equal(both.values, pushed.replay.error(change, chosen=chosen).values)
-
-
-def test_forces_count_as_much_as_replays_once_the_model_is_not_exact(pushed):
-    bins = pushed.replay.bins
-    assert pushed.size == bins
-    assert pushed.numbers == pushed.thresholds.rough_numbers
-    trusting = pushed.trusting(pushed.discrepancy(Hypothesis()))
-    blocks = pushed.thresholds.force_blocks
-    assert trusting.size == bins + blocks
-    assert trusting.numbers == 2.0 * pushed.thresholds.rough_numbers
-    assert trusting.with_nuisances((), worth=30.0).worth == 60.0
-    chosen = trusting.fitted
-    white = trusting.residual(Hypothesis(), chosen)
-    left = whitened(trusting.noise.forces[chosen], lacking(pushed, Hypothesis(), chosen))
-    scale = np.sqrt(0.5 * trusting.size / blocks)
-    np.testing.assert_allclose(white[:, bins:], scale * left)
-    # Errors of their own usual size give both halves of the cost alike.
-    replays, forces = (
-        np.median((part**2).sum(axis=1)) for part in (white[:, :bins], white[:, bins:])
-    )
-    assert forces == pytest.approx(replays, rel=0.3)
-
-
-def test_a_step_is_whitened_anew_as_a_whole(pushed):
-    before = pushed.trusting(pushed.discrepancy(Hypothesis()))
-    now = pushed.trusting(pushed.discrepancy(Hypothesis({OFFSET: np.array([PUSH])})))
-    chosen = pushed.fitted
-    turned = whitened(now.turn_from(before, chosen), before.residual(Hypothesis(), chosen))
-    np.testing.assert_allclose(turned, now.residual(Hypothesis(), chosen), rtol=1e-6, atol=1e-6)
-
-
-def test_variances_of_forces_go_with_those_of_replays():
-    errors = np.random.default_rng(0).normal(size=(40, 1, 4))
-    recording = np.repeat([0, 1], 20)
-    errors[recording == 1] *= 3.0
-    one = from_errors(errors, recording, np.ones((2, 1)), np.eye(1))
-    both = from_errors(errors, recording, np.ones((2, 1)), np.eye(1))
-    whole = type(one)(
-        directions=one.directions, pattern=one.pattern, variance=one.variance, forces=both
-    )
-    other = whole.of([1, 1, 0])
-    np.testing.assert_array_equal(other.forces.variance, both.variance[[1, 1, 0]])
-    high = whole.at_least(whole.of([1, 0]))
-    assert (high.forces.variance == both.variance.max()).all()
-    assert (high.variance == one.variance.max()).all()
-    assert whole.at_least(None) is whole
 
 
 def test_a_cylinder_without_pressures_hides_its_joints_forces():

@@ -7,10 +7,10 @@ import pytest
 
 from leglab.base.errors import LeglabError
 from leglab.diagnosis.effects.hypothesis import Hypothesis
-from leglab.diagnosis.search.pipeline import DiagnosisSettings, at_replay_step, set_up
 from leglab.diagnosis.intake.recordings import read_recordings, split_held_out
 from leglab.diagnosis.plant.model import Machine, moved
 from leglab.diagnosis.replay.windows import channels
+from leglab.diagnosis.search.pipeline import DiagnosisSettings, at_replay_step, set_up
 from leglab.diagnosis.verdict.verdict import notes, touching_share
 from leglab.runs.preparation import RunSettings
 from leglab.runs.run import run_scenario

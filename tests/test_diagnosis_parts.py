@@ -10,21 +10,20 @@ from leglab import DiagnosisSettings, Recording, diagnose
 from leglab.base.errors import LeglabError
 from leglab.diagnosis.effects.base import Effect, EffectParameter, register_effect
 from leglab.diagnosis.effects.cogging import waves
-from leglab.diagnosis.effects.hypothesis import Library
-from leglab.diagnosis.former.fitting import Sums, Unknowns
-from leglab.diagnosis.former.judging import preferences, t_value
-from leglab.diagnosis.former.onset import change_point
-from leglab.diagnosis.former.screening import Candidate
-from leglab.diagnosis.former.search import chance_gain
-from leglab.diagnosis.plant.model import ForceLeft, Machine
+from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
+from leglab.diagnosis.plant.model import Change, ForceLeft, Machine
 from leglab.diagnosis.plant.paths import delayed, lagged, play
 from leglab.diagnosis.replay import windows
-from leglab.diagnosis.replay.residual import extrapolation, robust_cost
+from leglab.diagnosis.replay.nuisances import within_tolerance
+from leglab.diagnosis.replay.residual import extrapolation
 from leglab.diagnosis.replay.starts import bristle, spool
 from leglab.diagnosis.replay.windows import Channel, Cut, derivative, noise_level, smoothed
+from leglab.diagnosis.result import Gap
+from leglab.diagnosis.search.pipeline import set_up
 from leglab.diagnosis.verdict.verdict import at_limits
 from leglab.studies.blind.faulty_bench import FAULTS, FaultyBench, detuned, references
 from leglab.studies.blind.selftest import Case, Outcome, cases, make, score_table, scores
+from tests.rigs import PENDULUM, Truth, record
 
 
 def test_noise_level_of_a_noisy_sine():
@@ -68,94 +67,6 @@ def test_play_keeps_half_its_width():
 def test_delay_between_samples_mixes_neighbours():
     late = delayed(np.arange(6.0), 2.25e-3, 1e-3)
     np.testing.assert_allclose(late, [0.0, 0.0, 0.0, 0.75, 1.75, 2.75])
-
-
-def solve_step(residual, jacobian, now, prior, lower, upper):
-    unknowns = Unknowns(now=now, prior=prior, lower=lower, upper=upper)
-    return Sums.of(residual, jacobian).step(unknowns)
-
-
-def test_step_is_least_squares_while_errors_are_small():
-    rng = np.random.default_rng(2)
-    jacobian = rng.standard_normal((8, 30, 3))
-    residual = 0.1 * rng.standard_normal((8, 30))
-    step = solve_step(
-        residual, jacobian, np.zeros(3), np.zeros(3), np.full(3, -9.0), np.full(3, 9.0)
-    )
-    expected = np.linalg.lstsq(jacobian.reshape(-1, 3), -residual.ravel(), rcond=None)[0]
-    np.testing.assert_allclose(step, expected, rtol=1e-6)
-
-
-def test_step_respects_bounds_and_priors():
-    jacobian = np.ones((2, 50, 1))
-    residual = np.full((2, 50), -1.0)
-    bounded = solve_step(
-        residual, jacobian, np.zeros(1), np.zeros(1), np.array([-1.0]), np.array([0.4])
-    )
-    assert bounded[0] == 0.4
-    prior = solve_step(
-        residual, jacobian, np.array([0.0]), np.array([100.0]), np.array([-9.0]), np.array([9.0])
-    )
-    assert prior[0] == pytest.approx(0.5)
-
-
-def test_a_bounded_step_is_optimal_under_its_bounds():
-    """Also where the free solution leaves bounds that the best one does not touch."""
-    rng = np.random.default_rng(7)
-    for _ in range(50):
-        jacobian = rng.standard_normal((4, 10, 6)) @ rng.standard_normal((6, 6))
-        residual = 0.3 * rng.standard_normal((4, 10))
-        lower, upper = np.full(6, -0.02), np.full(6, 0.03)
-        step = solve_step(residual, jacobian, np.zeros(6), np.zeros(6), lower, upper)
-        assert ((lower <= step) & (step <= upper)).all()
-        slope = np.einsum("wni,wn->i", jacobian, residual + jacobian @ step)
-        scale = 1e-9 * np.abs(jacobian).sum()
-        assert (slope[step > lower + 1e-12] < scale).all()  # no unknown gains by a smaller value
-        assert (slope[step < upper - 1e-12] > -scale).all()  # nor by a larger one
-
-
-def test_one_wild_window_does_not_outvote_the_others():
-    jacobian = np.ones((20, 40, 1))
-    residual = np.full((20, 40), -0.5)
-    residual[0] = 300.0
-    step = solve_step(
-        residual, jacobian, np.zeros(1), np.zeros(1), np.array([-9.0]), np.array([9.0])
-    )
-    assert step[0] == pytest.approx(0.5, abs=0.1)
-
-
-def test_chance_gain_of_one_direction_is_a_chi_square_quantile():
-    direction = np.zeros((4, 10))
-    direction[0, 0] = 7.0
-    candidate = Candidate(
-        key=("a", "b"),
-        values=np.zeros(1),
-        gain=0.0,
-        direction=direction,
-        step=direction,
-        detectable=7.0,
-    )
-    gain = chance_gain(
-        [candidate], np.zeros((4, 10, 0)), 1.0, np.random.default_rng(3), draws=200000
-    )
-    assert gain == pytest.approx(6.635, abs=0.15)  # 99 % of chi-square with one degree
-
-
-def test_preferences_are_shares_of_resamples():
-    rng = np.random.default_rng(4)
-    better = rng.uniform(0.8, 1.2, 60)
-    table = preferences([better, better + 0.5], rng)
-    assert table[0, 1] == 1.0
-    assert table[1, 0] == 0.0
-    assert t_value(np.array([1.0, 2.0, 3.0])) == pytest.approx(2.0 / (1.0 / np.sqrt(3.0)))
-
-
-def test_change_point_of_a_step():
-    rng = np.random.default_rng(5)
-    values = 0.1 * rng.standard_normal(40)
-    assert change_point(values) is None
-    values[23:] += 3.0
-    assert change_point(values) == 23
 
 
 def test_a_parameter_outside_its_bounds_is_refused():
@@ -284,20 +195,6 @@ def test_scores_count_sets_and_false_alarms():
     assert list(table.columns[1].cells)[:3] == ["1 (33%)", "2 (67%)", "1 (100%)"]
 
 
-def test_sums_over_windows_say_what_a_step_of_some_unknowns_costs():
-    rng = np.random.default_rng(3)
-    residual, jacobian = rng.normal(size=(6, 20)), rng.normal(size=(6, 20, 4))
-    residual[2] *= 30.0
-    some, x = [3, 1], np.array([0.4, -0.7])
-    left = residual + jacobian[:, :, some] @ x
-    part = Sums.of(residual, jacobian).only(some)
-    assert part.cost(x) == pytest.approx(20 * robust_cost(np.mean(left**2, axis=1)).sum())
-    free = np.zeros(2), np.zeros(2), np.full(2, -np.inf), np.full(2, np.inf)
-    step = part.step(Unknowns(now=free[0], prior=free[1], lower=free[2], upper=free[3]))
-    np.testing.assert_allclose(step, solve_step(residual, jacobian[:, :, some], *free))
-    assert part.cost(step) < part.cost(x)
-
-
 def test_the_order_of_the_step_error_is_measured():
     """Errors of c_1 h + c_2 h^2 + noise; one channel of each order, and one of both."""
     rng = np.random.default_rng(4)
@@ -386,3 +283,131 @@ def test_a_fit_that_ended_at_a_limit_of_its_effect_is_told():
     # Where nothing of it is at work an effect is at home, though that is an end as well.
     leak = ("external_leakage", "knee_valve")
     assert at_limits(library, {leak: np.array([0.0, 1e-12])}) == ()
+
+
+def test_effects_that_lower_the_same_parameter_end_where_the_plugin_does():
+    machine = Machine("knee_bench")
+    for name, most, least in (
+        ("stribeck_velocity", 10.0, 0.05),  # must be more than zero
+        ("stribeck_exponent", 20.0, 0.0),
+        ("viscous", 1e6, 0.0),
+    ):
+        row = machine.base.elements["knee_valve"][1].parameters[name]
+        own = machine.parameter("knee_valve", name)
+        for differences, end in (
+            ((-0.6 * own, -0.6 * own), row.minimum + least * own),
+            ((1e7, 1e7), most),
+            ((0.2 * own, -0.1 * own), 1.1 * own),
+        ):
+            change = Change(machine)
+            for difference in differences:
+                change.add_parameter("knee_valve", name, difference)
+            assert change.parameter("knee_valve", name) == pytest.approx(end)
+
+
+def test_before_its_onset_an_effect_is_as_a_good_machine_has_it():
+    """Friction of good machines scatters: before it changes it is not the model's."""
+    key, offset = ("viscous_friction", "hinge"), ("force_offset", "hinge")
+    logs = {k: record(PENDULUM, k, Truth(), seed=0, seconds=3.0) for k in ("multisine", "slow")}
+    problem = set_up(PENDULUM.model, logs, (), DiagnosisSettings(threads=1))
+    site = problem.library.sites[key]
+    good = Hypothesis({key: 1.3 * site.nominal, offset: np.array([0.02])})
+    onsets = np.array([1.5, np.inf])
+    begun = good.changed(key, 3.0 * site.nominal, onsets)
+    start, recording = problem.replay.start, problem.replay.recording
+    before = start + problem.replay.window < onsets[recording]
+    after = start >= onsets[recording]
+    for hypothesis in (begun, begun.with_values(offset, good[offset])):
+        found = problem.residual(hypothesis)
+        throughout = good.with_values(key, 3.0 * site.nominal)
+        np.testing.assert_array_equal(found[before], problem.residual(good)[before])
+        np.testing.assert_array_equal(found[after], problem.residual(throughout)[after])
+    # What was never there is absent before, and without an onset nothing is.
+    absent = begun.without(key).changed(key, site.nominal, onsets).not_begun(key)
+    assert key not in absent
+    assert begun.with_onset(key, None).not_begun(key) == good.without(key)
+    assert begun.not_begun(key)[key] == good[key]
+
+
+def a_gap(**levels):
+    given = {"before": 10.0, "baseline": 10.0, "after": 1.0, "held_out": ("c",), **levels}
+    return Gap(**given)
+
+
+def test_explained_is_the_share_of_what_the_healthy_machine_did_not_show():
+    assert a_gap(unnamed=10.0, after=4.0, healthy=4.0).explained == 1.0
+    assert a_gap(unnamed=10.0, after=7.0, healthy=4.0).explained == pytest.approx(0.5)
+    assert a_gap(unnamed=10.0, after=4.0).explained == pytest.approx(6.0 / 9.0)
+    assert a_gap(unnamed=10.0, after=3.0, healthy=4.0).explained == 1.0
+    assert a_gap(unnamed=10.0, after=11.0, healthy=4.0).explained == 0.0
+    assert a_gap(unnamed=4.0, after=4.0, healthy=4.0).explained is None
+    assert a_gap(after=4.0).explained is None
+
+
+def test_a_tenth_of_the_bandwidth_is_as_severe_as_the_trials_that_it_passes():
+    bandwidth = EffectParameter("f", "Hz", nominal=250.0, upper=500.0, trials=(12.5, 30.0, 87.5))
+    assert bandwidth.departure(250.0, 250.0) == 0.0
+    assert bandwidth.departure(168.75, 250.0) == pytest.approx(0.5)
+    assert bandwidth.departure(30.0, 250.0) == pytest.approx(2.0)
+    assert bandwidth.departure(12.5, 250.0) == pytest.approx(3.0)
+    # A long way in smallest trials counts as such, on a side without trials as well.
+    assert bandwidth.departure(500.0, 250.0) == pytest.approx(250.0 / 162.5)
+
+
+@pytest.mark.parametrize(
+    ("confidence", "said", "honest"),
+    [(0.95, "named", False), (0.6, "partial", False), (0.3, "partial", True)],
+)
+def test_a_wrong_name_given_with_confidence_is_no_doubt(confidence, said, honest):
+    one = outcome("removed", ("a",), ("b",), confidence=(confidence,), verdict=said)
+    assert one.honest == honest
+    rows = {row[0]: row[1] for row in scores([one])}
+    assert rows["effect unknown to the library: doubt"] == ("1 (100%)" if honest else "0 (0%)")
+    sure = "1 (100%)" if confidence > 0.9 else "0 (0%)"
+    assert rows["... and a wrong name given for sure"] == sure
+
+
+def test_a_wrong_name_of_a_single_fault_counts_as_wrong():
+    rows = {
+        r[0]: r[1]
+        for r in scores([outcome("single", ("a",), ("b",), confidence=(0.2,), verdict="partial")])
+    }
+    assert rows["single effect named first"] == "0 (0%)"
+    assert rows["single effect named or in a set of 3"] == "0 (0%)"
+    rows = {
+        r[0]: r[1]
+        for r in scores([outcome("null", (), ("b",), confidence=(0.2,), verdict="partial")])
+    }
+    assert rows["false alarms where nothing is hidden"] == "1 (100%)"
+
+
+OFFSET, VISCOUS = ("force_offset", "hinge"), ("viscous_friction", "hinge")
+OWN = {OFFSET: np.array([0.3]), VISCOUS: np.array([0.1])}
+
+
+def test_a_library_is_about_the_values_of_its_specimen():
+    machine = Machine(PENDULUM.model)
+    library, coulomb = Library(machine), ("coulomb_friction", "hinge")
+    for about in (Library(machine, specimen=OWN), library.of_specimen(OWN)):
+        assert about.sites[OFFSET].nominal == [0.3]
+        assert about.sites[OFFSET].model == [0.0]
+        assert about.sites[coulomb].nominal == [0.0]
+        assert dict(about.neutral()) == {OFFSET: [0.0], VISCOUS: [0.08]}
+        assert about.whole({OFFSET: np.array([0.5])}) == {OFFSET: [0.5], VISCOUS: [0.1]}
+        assert about.whole({}) == OWN
+        same = about.change({}, machine).edits, library.change(OWN, machine).edits
+        assert len(same[0]) == len(same[1]) > 0
+    assert library.sites[OFFSET].nominal == [0.0]  # the first one stays as it was
+    assert not library.neutral()
+    unused = Library(machine, names=["payload"], specimen=OWN)
+    assert unused.names == ("payload",)
+    assert OFFSET in unused.sites
+
+
+def test_effects_depart_from_the_specimen_and_not_from_the_model():
+    about = Library(Machine(PENDULUM.model), specimen=OWN)
+    trials = [float(t[0]) for t in about.sites[OFFSET].trials()]
+    offs = [-0.4143, -0.08286, 0.08286, 0.4143]
+    assert trials == pytest.approx([0.3 + off for off in offs])
+    priors = {n.key: n.nominal for n in within_tolerance(about)}
+    assert priors[VISCOUS] == 0.1

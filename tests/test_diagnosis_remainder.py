@@ -14,7 +14,6 @@ from leglab.base.errors import LeglabError
 from leglab.cli.app import app
 from leglab.diagnosis import improve as improving
 from leglab.diagnosis.effects.hypothesis import Hypothesis
-from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.improve import improve
 from leglab.diagnosis.plant.model import Change, Machine
 from leglab.diagnosis.remainder import Period, learn_remainder
@@ -24,6 +23,7 @@ from leglab.diagnosis.remainder.learning import closed, pays
 from leglab.diagnosis.remainder.part import Part
 from leglab.diagnosis.remainder.splines import Spline, basis, clamped, project, roughness
 from leglab.diagnosis.remainder.words import describe
+from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.machine import plugin
 from leglab.studies.blind.faulty_bench import FaultyBench, references

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from leglab.diagnosis.former.judging import rarely_but_surely, t_value
-from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.improve import write_improved
+from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.verdict.verdict import diagnose
 from tests.rigs import PENDULUM, SLIDE_AXIS, Truth, record
 from tests.rigs.agreement import open_loop_error
@@ -115,15 +114,3 @@ def test_backlash_is_named_where_the_held_out_recording_shows_it_twice():
     """A slow swing changes the sign of the torque in two windows; none of the others gets worse."""
     result, _ = verdict(PENDULUM, Truth(play=0.03), "slow")
     assert [effect.name for effect in result.effects] == ["backlash"]
-
-
-def test_an_effect_that_shows_at_times_is_judged_by_the_windows_that_it_changes():
-    rare = np.zeros(19)
-    rare[[3, 11]] = 20.0
-    assert t_value(rare) < 2.5
-    assert rarely_but_surely(rare)
-    assert not rarely_but_surely(np.zeros(19))
-    rare[7] = -5.0
-    assert not rarely_but_surely(rare)
-    rare[[3, 7]] = 0.0
-    assert not rarely_but_surely(rare)

@@ -10,8 +10,8 @@ import pytest
 
 from leglab import data
 from leglab.base.recording import Recording
-from leglab.diagnosis.former.workflow import DiagnosisSettings, set_up
 from leglab.diagnosis.replay.windows import window_length
+from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.thresholds import Thresholds
 from leglab.diagnosis.verdict.verdict import diagnose
 from tests.native_models import GRAVITY, MASS, REACH, pendulum
@@ -118,12 +118,9 @@ def test_a_delay_of_a_tenth_of_a_second_is_named_from_a_slow_log(servo):
 
 
 def test_a_slow_log_of_a_machine_that_is_off_everywhere_gets_a_verdict(servo):
-    """What its errors are beside those of the sensors has forces in five parts of each window."""
     truth = MODEL.replace('armature="0.02" damping="0.1"', 'armature="0.06" stiffness="0.6"')
     logs = swinging(25, delay=0.1, model=truth.replace('kp="12"', 'kp="10"'))
-    result, found = told(servo, logs, "viscous_friction")
-    problem = found.problem.trusting(found.problem.discrepancy(found.fit.hypothesis))
-    assert problem.noise.forces.shape == (problem.replay.windows, 5, 5)
+    result, _ = told(servo, logs, "viscous_friction")
     assert all(e.confidence < 0.5 for e in result.effects)
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis
-from leglab.diagnosis.former.search import chance_gain
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.diagnosis.verdict.whole import LOOP, _gains, follow, whole_recording
@@ -106,9 +105,6 @@ def test_the_loop_leads_where_commands_set_forces_and_not_where_they_set_positio
 
 
 def test_one_effect_alone_may_be_asked_for():
-    """After the only effect is named no candidate is left, and chance gains nothing of none."""
-    rng = np.random.default_rng(0)
-    assert chance_gain((), np.zeros((3, 4, 0)), 1.0, rng) == np.inf
     recordings = {
         kind: record(SLIDE_AXIS, kind, Truth(forward=8.0, offset=2.0), seed=seed, seconds=4.0)
         for seed, kind in enumerate(("multisine", "fast", "slow"))

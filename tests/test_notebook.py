@@ -20,7 +20,7 @@ from leglab import (
 )
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
-from leglab.diagnosis.former.workflow import Search
+from leglab.diagnosis.verdict.verdict import Outcome
 from leglab.runs.comparison import run_all
 from tests.made_up_diagnosis import diagnosis
 from tests.report_folders import Elements
@@ -143,11 +143,12 @@ def test_a_comparison_tells_what_is_in_its_file(results):
 def test_a_diagnosis_tells_what_is_missing(results):
     effect = results.diagnosis.effects[0]
     assert repr(results.diagnosis).startswith(f"Diagnosis(confusion_set: {effect.name} at ")
-    problem = SimpleNamespace(noise=SimpleNamespace(discrepancy=None))
-    found = Search(problem=problem, baseline=None, fit=None, named=(("a", "b"),), rounds=())
-    assert repr(found) == "Search(exact, 0 rounds, named: a at b)"
-    doubtful = replace(found, suspect=("a", "b"))
-    assert repr(doubtful) == "Search(exact, 0 rounds, named: nothing, nearest a)"
+    said = SimpleNamespace(verdict="named")
+    found = Outcome(
+        searched=None, judged=said, row=None, baseline=None, final=None, named=(("a", "b"),)
+    )
+    assert repr(found) == "Outcome(named: a at b)"
+    assert repr(replace(found, named=())) == "Outcome(named: nothing)"
 
 
 def test_without_pandas_one_line_says_so(monkeypatch, run):

@@ -1,7 +1,8 @@
-"""Thresholds of the diagnosis: every number that was chosen rather than derived.
+"""Thresholds of recordings, replays and verdict: numbers that were chosen rather than derived.
 
 Costs are robust mean squares of whitened errors: in noise variances, so that noise alone gives 1.
-Constants of an effect's physics (bounds, trial sizes, tolerances) stand with the effect.
+Constants of an effect's physics (bounds, trial sizes, tolerances) stand with the effect; those of
+likelihood, search and confidence with the code that they belong to.
 """
 
 from dataclasses import dataclass
@@ -92,177 +93,24 @@ class Thresholds:
     # Whitened errors are clipped here: beyond lies only a replay that blew up.
     clip: float = 1e5
 
-    # A rough machine is judged by the forces that its measured motion leaves over as well, averaged
-    # over so many parts of a window.
+    # Forces are told in so many parts of a window, each of two bins at least.
     force_blocks: int = 5
-
-    # Fits.
-    # Rounds of iteratively reweighted least squares in a step.
-    reweightings: int = 3
-    # A nuisance parameter stays within this many tolerances: beyond, it is an effect.
-    nuisance_box: float = 4.0
-    # Median over windows of the mean square of errors whose mean is 1 and that go together.
-    usual_cost: float = 0.7
-    # A machine that differs from its model everywhere: its command paths and sensors are off by
-    # this share of what is barely noticeable, or by this one where the model is perfect (no delay,
-    # no hysteresis) and no machine is; parameters with a tolerance by so many tolerances. Wider,
-    # that would hide faults; healthy recordings, which have none, allow all that is barely
-    # noticeable for all strengths, and so many tolerances.
-    rough_share: float = 0.3
-    rough_imperfect: float = 0.7
-    rough_tolerance: float = 2.0
-    healthy_tolerance: float = 3.0
-    # The same machine on another day stays within this share of them. Its errors have a known size,
-    # and those of replays, and of forces, are worth so many numbers beside that.
+    # A calibrated machine stays within this share of its tolerances on another day.
     drift_share: float = 0.5
-    calibrated_numbers: float = 100.0
-    # So many windows of healthy recordings calibrate a specimen.
-    calibration_windows: int = 80
-    # Discrepancy of the model and fit are made anew, so often at most, until the error's level in
-    # noise levels squared stays above this share of the last.
-    annealings: int = 4
-    annealed: float = 0.9
-    # On healthy recordings, and with all that was found, so often again with fine differences; the
-    # latter until the cost stays above this share of the last.
-    sharpenings: int = 4
-    converged: float = 0.998
-    # Finite differences of the last fits, as a share of those of the first.
-    fine_differences: float = 0.1
 
-    # A search of a rough machine ends where so many effects are found and none of them is a cause.
-    fruitless: int = 3
-
-    # Of the variance of a rough machine's errors the right effect is taken to leave this share:
-    # under such a discrepancy the first effects are screened and fitted. The second share holds
-    # with healthy recordings, whose own errors bound it from below.
-    rough_left: float = 0.3
-    calibrated_left: float = 0.1
-
-    # Screening and rounds of the search.
-    # So many windows are screened and fitted at first; a verdict uses twice as many.
-    screened_windows: int = 40
-    # First-order steps go this many times as far as a trial; of two effects at once.
-    furthest: float = 20.0
-    pair_furthest: float = 3.0
-    # So many of the screened effects are refitted; on a rough machine more, for there the right one
-    # is not always among the first four. So many of those are sharpened, on a rough machine again
-    # more: many parameters follow, and a first fit is far from its end.
-    refitted: int = 4
-    rough_refitted: int = 6
-    sharpened: int = 3
-    rough_sharpened: int = 8
-    # A round whose best screened effect saves less than this cost a window ends there.
-    hopeful_gain: float = 0.04
-    # A rough fit that costs more than this share of the baseline is started again from there.
-    stuck_share: float = 0.95
-    # A rival whose excess over noise is this many times the leader's stays behind.
-    hopeless_factor: float = 8.0
-    # On a rough machine a round ends where no first fit is this many times as probable as no
-    # effect at all; else those are sharpened that are so many times as probable as the best, if
-    # all fits still lose this share of what they began with.
-    rough_chance: float = 0.5
-    rough_hopeless: float = 1e-3
-    rough_unfinished: float = 0.05
-    # A rival below this cost may still catch up, in so many more fits.
-    close_cost: float = 4.0
-    patience: int = 3
-    # So many of all pairs to first order are fitted: of an exact machine, whose effects are far
-    # larger than what first order holds for, and of a rough one.
-    pairs: int = 6
-    rough_pairs: int = 3
-    # Two effects at once must cost less than this share of the best single one.
-    pair_share: float = 0.6
-    # Above this cost more is certainly missing, and finishing the present fit can wait.
-    much_missing: float = 8.0
-    # Above this cost, some fifty noise levels squared, no effects will explain it down to noise.
-    hardly_explained: float = 12.0
-    # The search for a rough machine must leave this many times less of the mean square error where
-    # held out: else the machine differs from its model in one cause, which no effect is.
-    no_rougher: float = 2.0
-    # The noise model is taken about the fit and the fit made anew, this often at most.
-    settling: int = 3
-    # An early effect may be swapped for a rival that cost at most this factor more.
-    near_factor: float = 1.2
-    # A set of effects is challenged anew after it changed, so often at most.
-    challenges: int = 4
-
-    # When an effect is named.
-    # Cost below which nothing more is missing: windows that start in stick-slip or beside jumps of
-    # the command lift it on good models to at most this.
+    # Verdict.
+    # Cost, or error in noise levels, below which nothing more is missing: windows that start in
+    # stick-slip or beside jumps of the command lift it on good models to at most this.
     explained: float = 2.0
-    # Cost, with the discrepancy of its healthy recordings, below which a specimen errs as it did.
-    as_healthy: float = 1.1
-    # Cost below which not even a further round is worthwhile.
-    clean: float = 1.25
-    # A strength must depart from nominal by this share of its smallest trial ...
-    noticeable: float = 0.15
-    # ... save this cost, or this share of what was in excess of noise ...
-    worthwhile: float = 0.08
-    # ... and reach this t value of paired differences of held-out windows.
-    significant: float = 2.5
-    # An effect that shows at times only: windows whose cost changes by more than this ...
-    changed_cost: float = 1.0
-    # ... are at least so many, and this share of them changes for the better.
-    changed_windows: int = 2
-    changed_for_better: float = 0.9
-
-    # Onsets.
-    # This first share of every recording is taken for healthy, if the refitted model explains it
-    # to this cost.
-    early_share: float = 0.25
-    healthy_cost: float = 2.0
-    # So many windows lie on either side of a change, at least.
-    onset_windows: int = 3
-    # Windows after a change cost at least this factor more, in the mean of their logarithms.
-    onset_factor: float = 3.0
-    # Chi-square that an onset must save over the same effect throughout.
-    onset_gain: float = 60.0
-    # Chi-square by which a window tells that an effect is, or is not, at work in it.
-    onset_evidence: float = 12.0
-    # Errors have left the noise where they exceed those of healthy windows by this factor.
-    departed_factor: float = 6.0
-
-    # Verdict and confidence.
-    # Independent numbers that the errors of a rough machine are worth, in replays, and again in
-    # forces: calibrated by the self-test on rough specimens, docs/diagnosis.md.
-    rough_numbers: float = 30.0
-    # Odds that the cause of a gap is among the effects that are looked for, where they explain half
-    # of what is beyond the model's own error; and half of an error whose own part is unknown.
-    library_odds: float = 3.0
-    uncalibrated_odds: float = 50.0
-    # Standard deviation of the size of a change that is found on one, as a share of it.
-    rough_size: float = 0.25
-    # A rival this many times less probable is not told apart.
-    rough_tie: float = 4.0
     # Held-out recordings hardly show effects if the share of their windows in which these show is
     # below this share of that among all windows.
     shown_share: float = 0.3
-    # Strengths of healthy specimens scatter by this share of what is barely noticeable about their
-    # model, by this one about what they were on another day; those of faults lie within so many
-    # times what is barely noticeable.
-    specimen_spread: float = 0.7
-    day_spread: float = 0.15
-    fault_range: float = 5.0
-    # What is less probably a fault than this is a smaller difference.
-    fault: float = 0.5
-    # An effect of a rough machine that closes less of the gap, or does less of what all that were
-    # found do, is a smaller difference.
-    smaller_share: float = 0.1
-    # What is named without healthy recordings and leaves more than noise, of a rough machine more
-    # than half of the gap, is told as a part of what is missing from this confidence on.
-    partly: float = 0.5
-    # Strengths of a calibrated specimen that are listed depart by this share of barely noticeable.
-    calibration_share: float = 0.25
-    # Resamples of the bootstrap of windows.
-    resamples: int = 1000
-    # A rival is told apart if resampling prefers the named effect at least this often and it
-    # costs this much more.
-    preference: float = 0.975
-    distance: float = 0.01
     # Effects that explain less than this share of the misfit are no explanation.
     explanation_share: float = 0.5
-    # An effect whose smallest trial moves whitened errors less than this was not excited.
-    detectable: float = 8.0
+    # An effect beside others that closes less of the gap is a smaller difference.
+    smaller_share: float = 0.1
+    # Strengths of a calibrated specimen that are listed depart by this share of barely noticeable.
+    calibration_share: float = 0.25
 
     # From this share of the gap on, what is named is the model's improvement; below, a remainder is
     # learned as well.
