@@ -21,8 +21,8 @@ from leglab.diagnosis.remainder.learning import (
     pays,
 )
 from leglab.diagnosis.replay.residual import Problem, robust_cost
-from leglab.diagnosis.verdict.output import write_model
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
+from leglab.diagnosis.verdict.output import write_model
 from leglab.diagnosis.verdict.verdict import Outcome, diagnose
 
 # An effect is written into the model from this confidence on.

@@ -9,7 +9,7 @@ import numpy as np
 
 from leglab.base.notebook import data_frame, html_table, panels
 
-Verdict = Literal["named", "confusion_set", "partial", "unexplained", "nothing_missing"]
+Verdict = Literal["named", "confusion_set", "unexplained", "nothing_missing"]
 # An onset that is known to less than this [s] is told as a time.
 _WIDE = 0.2
 
@@ -43,7 +43,8 @@ class NamedEffect:
             shows in no motion between them.
         differences: By how much the directions differ where the effect says that they do; surer
             than each alone.
-        confidence: Probability that the name is right against every rival, in [0, 1].
+        confidence: Probability of the name among all sets of effects that were fitted, the least
+            of several, and against causes that no effect describes, in [0, 1].
         contribution: Share of the gap that it closes when it is added last.
         indistinguishable_from: Effects that explain these recordings as well.
         without: Normalised replay error on the held-out recordings where it alone is taken out.
@@ -164,7 +165,7 @@ class Gap:
         noise_floor: What noise alone gives.
         healthy: Error that the calibrated specimen had in its healthy recordings; None without any.
         unnamed: Error of the final fit without the named effects; NaN where there are none.
-        compared: What `explained` is taken from, as of `Measure`: error without the named effects,
+        compared: What `explained` is taken from: error without the named effects,
             with them, and what is no part of the gap; where held out, or over all recordings where
             those hardly show what is named. None for `unnamed`, `after` and the floor.
         everywhere: The same over all recordings; None for `compared`.
@@ -215,12 +216,13 @@ def _closed(unnamed: float, after: float, floor: float) -> float | None:
 
 @dataclass(frozen=True, kw_only=True)
 class Rank:
-    """One effect of the screening.
+    """One effect that was tried.
 
     Attributes:
-        round: Of the search, from 1.
-        gain: Chi-square saved.
-        threshold: What the best of all effects gains by chance in 1 of 100 cases.
+        round: 1.
+        gain: Log of the factor by which it alone makes the recordings more probable, to first
+            order.
+        threshold: 0, from where on it does.
     """
 
     name: str
@@ -232,13 +234,13 @@ class Rank:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rivals:
-    """Effects of one round that were fitted to the end.
+    """Sets of effects that were fitted to the end.
 
     Attributes:
-        round: Of the search, from 1.
-        names: Effects, best first.
-        cost: Robust mean square error of each, noise alone gives about 1.
-        preference: [i, j] is the share of resampled data sets in which i beats j.
+        round: 1.
+        names: Effects of each set, with " + " between them, or "nothing"; most probable first.
+        cost: Mean square error of each, noise alone gives about 1.
+        preference: [i, j] is the probability of set i against set j.
     """
 
     round: int
@@ -360,17 +362,17 @@ class Diagnosis:
         not_testable: Effects on which the recordings say nothing.
         ceiling: Share of the baseline's misfit that any static function of position, velocity,
             load and pressure could explain; None where it was not computed.
-        ranking: Screening of all rounds.
-        rivals: Fits of all rounds.
+        ranking: All effects that were tried, best first.
+        rivals: The most probable sets of effects.
         traces: Residual series.
         nuisances: Refitted parameters within their tolerance.
         next_experiment: Where rivals remain.
-        smaller: Effects that are there and close less than a tenth of the gap each, or that a good
-            machine may have as well: differences, not the cause.
+        smaller: Effects that are there and close less than a tenth of the gap each: differences,
+            not the cause.
         remaining: Errors that are left, in units of the channels.
         whole: A held-out recording simulated in closed loop; None where that cannot be.
         calibration: Of the specimen, where healthy recordings were given.
-        rough: Whether the model's own error was counted in, beside the sensors' noise.
+        rough: Whether more than the sensors' noise is left.
         notes: What the reader should know: repairs, missing pressures, bounds that were hit.
         model: Path of the improved model; empty before it is written, or where nothing improves.
         learned: What the improved model has learned beside the effects, in words.

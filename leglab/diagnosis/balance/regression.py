@@ -1,4 +1,4 @@
-"""Sets of effects from the balance of forces, by regression: joint by joint and without integration.
+"""Sets of effects from the balance of forces, by regression: joint by joint, nothing integrated.
 
 Along the measured motion, the force that a joint's drive, gravity and friction leave over is nearly
 linear in most parameters, however far they are from where they should be, and no joint's balance

@@ -91,6 +91,7 @@ def define(
     excitation: str,
     *rows: CylinderRow,
     nameable: bool = True,
+    gradual: bool = True,
 ) -> None:
     """Registers an effect that changes parameters of cylinders; arguments as in `Effect`."""
     body = {
@@ -101,6 +102,7 @@ def define(
         "excitation": excitation,
         "rows": rows,
         "nameable": nameable,
+        "gradual": gradual,
         "__doc__": physics,
         "__module__": __name__,
     }
@@ -266,6 +268,7 @@ define(
     "pins of mobile hydraulics: 0.1 to 0.5 mm, worn ones more",
     "forces of the cylinder that change their sign, reversals",
     CylinderRow("play", (1e-4, 6e-4), upper=1e-2, relative=False),
+    gradual=False,
 )
 
 define(

@@ -224,6 +224,6 @@ def trials(unknowns: Unknowns) -> list[Jump]:
             for by in sizes[0]
             if abs(by) > 1.0 + 1e-6
             and unknowns.lower[u] <= by <= unknowns.upper[u]
-            and (by > 0 and unknowns.above[u] or by < 0 and unknowns.below[u])
+            and ((by > 0 and unknowns.above[u]) or (by < 0 and unknowns.below[u]))
         ]
     return found

@@ -348,15 +348,15 @@ class Evidence:
         data = self.kappa * np.diag(self.gram[k].sum(axis=0))[1 : 1 + n]
         return np.asarray(data > TELLING * np.diag(precision))
 
-    def deviations(self, score: Score) -> np.ndarray:
-        """Standard deviations of all single unknowns, those of the members free, (single,)."""
+    def posterior(self, score: Score) -> np.ndarray:
+        """Posterior covariance of the single unknowns, members free, (single, single)."""
         u, k, n = self.unknowns, self.places.index(score.size), self.unknowns.single
         precision, _ = self.priors.precision(u, self.priors.spreads[score.spread])
         free = [i for q in score.unknowns for i in u.singles(q)]
         precision[free] = precision[:, free] = 0.0
-        precision[free, free] = 1.0 / u.upper[free].clip(1.0) ** 2
-        matrix = self.kappa * self.gram[k].sum(axis=0)[1 : 1 + n, 1 : 1 + n] + precision
-        return np.sqrt(np.diag(np.linalg.inv(matrix)).clip(0.0))
+        precision[free, free] = (u.upper - u.lower)[free].clip(1.0) ** -2.0
+        gram = self.gram[k].sum(axis=0)[1 : 1 + n, 1 : 1 + n]
+        return np.asarray(np.linalg.inv(self.kappa * gram + precision))
 
     def step(self, score: Score) -> tuple[np.ndarray, np.ndarray]:
         """Most probable values of members and spikes within their bounds.
@@ -388,14 +388,6 @@ class Evidence:
         lower[parts], upper[parts] = -np.inf, np.inf
         found = _bounded(matrix, gradient, lower, upper)
         return found[n:], now + found[:n]
-
-    def covariance(self, score: Score) -> np.ndarray:
-        """Posterior covariance of the single unknowns without any member, (single, single)."""
-        k, n = self.places.index(score.size), self.unknowns.single
-        precision, _ = self.priors.precision(self.unknowns, self.priors.spreads[score.spread])
-        return np.linalg.inv(
-            self.kappa * self.gram[k].sum(axis=0)[1 : 1 + n, 1 : 1 + n] + precision
-        )
 
     def departures(self, score: Score) -> dict[int, float]:
         """By how much all unknowns move from the linearisation, to the fit of a score."""

@@ -15,6 +15,9 @@ NO_FAULT = 0.5
 FAULT_ODDS = 0.3
 # Odds of a further parameter of an effect that is there.
 FURTHER = 0.3
+# Where a tolerance is known it holds at the least spread of all else, and grows with it from half
+# of a wider one on.
+USUAL = 0.5
 # Standard deviation of what is there or is not, in trials: not there.
 ABSENT = 1e-3
 # Standard deviation of a shape, as a share of its range.
@@ -27,7 +30,8 @@ class Priors:
 
     Attributes:
         spreads: Standard deviations of good machines about the specimen, in smallest trials, all
-            as probable; tolerances count where they are larger.
+            as probable; of parameters with a tolerance, that tolerance, and more on machines that
+            depart more.
         tolerances: Share of the tolerances that counts.
         covariance: Of all single unknowns, by healthy recordings, (single, single); None without.
         sizes: Of the model's own error in its unit size; 0 is an exact model.
@@ -48,7 +52,9 @@ class Priors:
     def precision(self, unknowns: Unknowns, spread: float) -> tuple[np.ndarray, float]:
         """Prior precision of the single unknowns, (single, single), and its log determinant."""
         n = unknowns.single
-        deviation = np.maximum(self.tolerances * unknowns.tolerance[:n], spread)
+        known = self.tolerances * unknowns.tolerance[:n]
+        wider = max(1.0, spread / self.spreads[0] * USUAL)
+        deviation = np.where(known > 0.0, known * wider, spread)
         ranges = unknowns.upper[:n] - unknowns.lower[:n]
         # A moving part is there or is not.
         deviation = np.where(unknowns.gradual[:n], deviation, ABSENT)

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
-from leglab.diagnosis.replay.nuisances import departures
 from leglab.diagnosis.remainder.forms import Form, diagonal_blocks
 from leglab.diagnosis.remainder.part import LearnedLibrary, Part, Period
 from leglab.diagnosis.remainder.splines import Spline
+from leglab.diagnosis.replay.nuisances import departures
 from leglab.diagnosis.replay.residual import Problem, robust_cost, robust_weight
 
 # Directions of the unknowns that replays refine, those the balances know least; of all parts.

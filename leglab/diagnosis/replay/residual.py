@@ -10,8 +10,8 @@ from scipy.signal import savgol_coeffs
 
 from leglab.diagnosis.balance.lacking import balanced_joints
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key, Library
-from leglab.diagnosis.replay.nuisances import Nuisance, departures, within_tolerance
 from leglab.diagnosis.plant.model import CHAMBERS, CYLINDER, Change, Machine
+from leglab.diagnosis.replay.nuisances import Nuisance, departures, within_tolerance
 from leglab.diagnosis.replay.replay import Replay
 from leglab.diagnosis.replay.starts import Nudge
 from leglab.diagnosis.replay.windows import Channel, UniformSeries, filter_difference

@@ -12,12 +12,10 @@ from leglab.diagnosis.likelihood.priors import Priors
 from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import Problem, thinned
-from leglab.diagnosis.search.settle import Fitter
+from leglab.diagnosis.search.settle import KAPPA, Fitter
 
 # Windows of healthy recordings that are replayed.
 WINDOWS = 48
-# Share of the log likelihood that counts before anything is known.
-KAPPA = 0.1
 # A machine of another day departs from its healthy self by such spreads, in smallest trials, and by
 # half of what good machines differ by.
 DAY, DAY_TOLERANCES = (0.05, 0.15, 0.4), 0.5
@@ -89,7 +87,7 @@ def calibrate(problem: Problem, log: Callable[[str], None] = lambda _: None) -> 
     priors = Priors(
         spreads=DAY,
         tolerances=DAY_TOLERANCES,
-        covariance=evidence.covariance(score),
+        covariance=evidence.posterior(score),
         sizes=DAY_SIZES,
         log_sizes=-0.5 * (np.log(DAY_SIZES) / DAY_FACTOR) ** 2,
     )

@@ -10,7 +10,7 @@ import numpy as np
 
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
-from leglab.diagnosis.effects.hypothesis import Hypothesis, Key, Library
+from leglab.diagnosis.effects.hypothesis import Key, Library
 from leglab.diagnosis.intake.admission import admit
 from leglab.diagnosis.intake.series import UniformSeries, common_period
 from leglab.diagnosis.likelihood.sizes import Shown, shown, sized
@@ -18,6 +18,7 @@ from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.replay.windows import channels
 from leglab.diagnosis.search.healthy import Specimen, calibrate
+from leglab.diagnosis.search.onset import onset_of
 from leglab.diagnosis.search.search import Found, search
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
@@ -164,7 +165,9 @@ def searched(
     if not healthy:
         problem = set_up(model, recordings, held_out, settings)
         problem = _sized(problem, shown(problem))
-        return Searched(problem, search(problem, log=progress))
+        progress("looking for an onset")
+        onsets = onset_of(problem)
+        return Searched(problem, search(problem, onsets=onsets, log=progress), onsets=onsets)
     # A specimen differs in more than the effects that the user asks for.
     whole = DiagnosisSettings(threads=settings.threads, thresholds=settings.thresholds)
     before = set_up(model, healthy, (), whole, beside=recordings)

@@ -15,12 +15,10 @@ from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import Problem, thinned
 from leglab.diagnosis.search.beam import beam, without_idle
-from leglab.diagnosis.search.settle import Fit, Fitter
+from leglab.diagnosis.search.settle import EXPLAINED, KAPPA, Fit, Fitter
 
 # Windows that are replayed.
 WINDOWS = 32
-# Share of the log likelihood that counts before anything is known.
-KAPPA = 0.1
 # A set within so many nats of the best one is fitted.
 NEAR = 10.0
 # Sets that are fitted from the first linearisation, and singles among them.
@@ -33,8 +31,6 @@ LEADING = 3
 MORE, FRUITLESS = 10, 2
 # Times the level of the best set at which another one is given up.
 HOPELESS = 10.0
-# Level up to which errors are those of noise.
-EXPLAINED = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,13 +61,17 @@ def search(
     priors: Priors | None = None,
     fixed: Spread | None = None,
     kappa: float = KAPPA,
+    onsets: np.ndarray | None = None,
     log: Callable[[str], None] = lambda _: None,
 ) -> Found:
     """Finds and fits the sets of effects that explain recordings."""
     began = process_time()
     priors = priors or Priors()
     unknowns = Unknowns.of(problem.library)
-    at = Errors(problem, unknowns, thinned(problem.fitted, WINDOWS))
+    looked_at = problem.fitted
+    if onsets is not None:
+        looked_at = looked_at & (problem.replay.start > onsets[problem.replay.recording])
+    at = Errors(problem, unknowns, thinned(looked_at, WINDOWS))
     fitter = Fitter(at, priors, fixed)
     first = at.jumped(at.columns(Hypothesis(), step=COARSE), trials(unknowns))
     level = fitter.level(first.errors)

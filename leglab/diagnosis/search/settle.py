@@ -19,6 +19,11 @@ from leglab.diagnosis.likelihood.evidence import Evidence, Score, robust_weights
 from leglab.diagnosis.likelihood.priors import ABSENT, FAULT_SIZE, Priors
 from leglab.diagnosis.likelihood.spread import Spread
 
+# Share of the log likelihood that counts before anything is known.
+KAPPA = 0.1
+# Level up to which errors are those of noise: windows that start in stick-slip or beside jumps of
+# the command lift it on good models.
+EXPLAINED = 2.0
 TURNS = 16
 # Another turn that gains less is not worth its replays [nats].
 ENOUGH = 2.0

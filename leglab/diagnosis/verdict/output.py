@@ -141,7 +141,5 @@ def summary_lines(result: Diagnosis) -> list[str]:
         lines.append(f"to tell {' from '.join(proposal.rivals)}: {proposal.description}")
     if result.not_testable:
         names = ", ".join(sorted({n.name for n in result.not_testable}))
-        exact = "not testable with these recordings"
-        why = "a just noticeable amount is lost in the model's own error" if result.rough else exact
-        lines.append(f"{why}: {names}")
+        lines.append(f"these recordings hardly show: {names}")
     return [*lines, *(f"note: {note}" for note in result.notes)]

@@ -12,7 +12,7 @@ import numpy as np
 from leglab.base.recording import Recording
 from leglab.diagnosis.balance.isolation import isolate, sample_places
 from leglab.diagnosis.effects.base import EffectParameter
-from leglab.diagnosis.effects.hypothesis import Hypothesis, Key, Library
+from leglab.diagnosis.effects.hypothesis import Hypothesis, Key, Library, Site
 from leglab.diagnosis.effects.joints import unit
 from leglab.diagnosis.intake.admission import admit
 from leglab.diagnosis.intake.recordings import split_held_out
@@ -35,7 +35,9 @@ from leglab.diagnosis.result import (
     ResidualTrace,
     Rivals,
 )
+from leglab.diagnosis.search.onset import begun
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, Searched, searched
+from leglab.diagnosis.search.settle import Fitter
 from leglab.diagnosis.verdict.confidence import NAMED, VISIBLE, Judge, Row, Verdict
 from leglab.diagnosis.verdict.experiment import propose
 from leglab.diagnosis.verdict.whole import whole_recording
@@ -46,6 +48,12 @@ _HARDLY_SHOWN = (
 )
 # Poses of a recording that are looked at for contacts.
 _POSES = 50
+# Spread of a machine that is as its model but for tolerances, in trials; and the share of its error
+# by which such a fit may be worse.
+AS_BUILT, AS_GOOD = 1e-3, 0.1
+# Standard deviation of the size of a change that is found on a rough machine, as a share of it: what
+# a parameter of another law than the machine's differs by between motions.
+LAW = 0.25
 # Sets that are told as rivals.
 _RIVALS = 6
 
@@ -58,18 +66,23 @@ class Outcome:
         searched: Problem, fitted sets, specimen.
         judged: Names and confidence.
         row: The set whose values are told.
+        spread: Posterior covariance of all single unknowns there, in trials, (single, single).
         baseline: Nothing missing, all parameters within what machines differ by.
         final: The told set, all parameters as fitted beside it.
         named: Effects that are told, named or in a confusion set.
+        onsets: Of effects that begin during a recording, the earliest and the latest time [s] at
+            which they can have begun, (recordings, 2), nan where an effect begins in none.
         result: The verdict as it is told.
     """
 
     searched: Searched
     judged: Verdict
     row: Row
+    spread: np.ndarray
     baseline: Hypothesis
     final: Hypothesis
     named: tuple[Key, ...]
+    onsets: Mapping[Key, np.ndarray]
     result: Diagnosis = field(init=False)
 
     @property
@@ -142,7 +155,10 @@ def _judged(found: Searched) -> Outcome:
         u = judge.unknowns
         return u.moved(of.evidence.columns.base, of.evidence.departures(of.score))
 
-    final = hypothesis(row)
+    final, spread = hypothesis(row), row.evidence.posterior(row.score)
+    lean = _lean(found, row) if row.keys else None
+    if lean is not None:
+        final, spread = lean
     elements = found.problem.library.sites
     named = tuple(
         key
@@ -150,14 +166,43 @@ def _judged(found: Searched) -> Outcome:
         for key in sorted(elements)
         if key[0] == name and element in (key[1], EVERY)
     )
+    between: dict[Key, np.ndarray] = {}
+    if found.onsets is not None:
+        final, between = begun(found.problem, final, named, found.onsets)
     return Outcome(
+        onsets=between,
         searched=found,
         judged=judged,
         row=row,
+        spread=spread,
         baseline=hypothesis(nothing) if nothing is not None else Hypothesis(),
         final=final,
         named=named,
     )
+
+
+def _lean(found: Searched, row: Row) -> tuple[Hypothesis, np.ndarray] | None:
+    """The told set where the rest of the machine is as its model, but for tolerances.
+
+    What else departs a little takes a part of each effect's size with it. None where the recordings
+    need it: on a machine that is off everywhere, or that healthy recordings have shown.
+    """
+    fitter, columns = found.found.fitter, row.evidence.columns
+    if fitter.priors.calibrated:
+        return None
+    u = row.evidence.unknowns
+    goal = np.zeros(u.single)
+    for q, value in zip(row.score.unknowns, row.score.values, strict=True):
+        goal[list(u.singles(q))] += value
+    start = {i: float(d) for i, d in enumerate(goal - columns.x[: u.single])}
+    members = row.score.unknowns
+    lean = Fitter(fitter.at, replace(fitter.priors, spreads=(AS_BUILT,)))
+    weight, kappa = row.evidence.weight, row.evidence.kappa
+    fit = lean.fit(columns, start, members, row.evidence.spread, weight, kappa, beside=True)
+    if fit.level > (1.0 + AS_GOOD) * row.level:
+        return None
+    evidence = lean.evidence(fit.columns, fit.spread, fit.weight, kappa)
+    return fit.columns.base, evidence.posterior(evidence.score([(q, None) for q in members]))
 
 
 def assemble(outcome: Outcome, *, seconds: float) -> Diagnosis:
@@ -258,7 +303,7 @@ def _effects(
     limits = problem.thresholds
     unnamed, after, floor = gap.shown
     explained = gap.explained or 0.0
-    half = _intervals(outcome)
+    half = _intervals(outcome, gap.after > limits.explained)
     causes, smaller = [], []
     for key in outcome.named:
         site = problem.library.sites[key]
@@ -276,15 +321,29 @@ def _effects(
             element=key[1],
             group=site.effect.group,
             physics=site.effect.physics,
-            onset=(),
+            onset=tuple(
+                (series.name, float(time - series.time[0]))
+                for series, time in zip(problem.series, final.onsets.get(key, ()), strict=False)
+                if np.isfinite(time)
+            ),
+            onset_interval=tuple(
+                (series.name, *(both - series.time[0]).tolist())
+                for series, both in zip(problem.series, outcome.onsets.get(key, ()), strict=False)
+                if np.isfinite(both).all()
+            ),
             confidence=float(confidence),
             contribution=float(np.clip(contribution, 0.0, 1.0)),
             parameters=tuple(
                 estimate(p, n, float(v), max(p.lower, float(v - h)), min(p.upper, float(v + h)))
                 for p, n, v, h in zip(
-                    site.parameters, site.nominal, final[key], half[key], strict=True
+                    site.parameters,
+                    site.nominal,
+                    final[key],
+                    half[key][: len(site.parameters)],
+                    strict=True,
                 )
             ),
+            differences=_differences(site, final[key], half[key][len(site.parameters) :]),
             indistinguishable_from=tied,
             without=rms(without[problem.judged]),
         )
@@ -297,22 +356,48 @@ def _effects(
     return verdict, tuple(causes), tuple(sorted(smaller, key=lambda e: -e.contribution))
 
 
-def _intervals(outcome: Outcome) -> dict[Key, np.ndarray]:
-    """Half the width of the 95 % intervals of the parameters of told effects."""
-    row, sites = outcome.row, outcome.problem.library.sites
-    evidence = row.evidence
-    u = evidence.unknowns
-    deviations = evidence.deviations(row.score)
+def _intervals(outcome: Outcome, rough: bool) -> dict[Key, np.ndarray]:
+    """Half the width of the 95 % intervals of told effects: parameters, then differences.
+
+    A parameter of another law than the machine's is one thing in a slow motion and another in a
+    fast one: on a rough machine by a share of the change, which no spread of errors shows.
+    """
+    problem, u = outcome.problem, outcome.row.evidence.unknowns
     half = {}
     for key in outcome.named:
-        site = sites[key]
-        half[key] = np.array(
-            [
-                1.96 * deviations[u.places.index(((key, i),))] * p.scale
-                for i, p in enumerate(site.parameters)
-            ]
-        )
+        site = problem.library.sites[key]
+        scale = np.array([p.scale for p in site.parameters])
+        own = [u.places.index(((key, i),)) for i in range(scale.size)]
+        told = np.concatenate([np.eye(scale.size), site.differences]) * scale
+        spread = np.diag(told @ outcome.spread[np.ix_(own, own)] @ told.T)
+        strength = np.array([p.role == "strength" for p in site.parameters])
+        moved = (outcome.final.get(key, site.nominal) - site.nominal) * strength
+        change = np.concatenate([moved, site.differences @ moved])
+        law = LAW * change if rough else 0.0 * change
+        half[key] = 1.96 * np.sqrt(spread + law**2)
     return half
+
+
+def _differences(site: Site, values: np.ndarray, half: np.ndarray) -> tuple[Estimate, ...]:
+    """By how much directions differ that an effect says differ."""
+    units = {p.name: p.unit for p in site.parameters}
+    rows = zip(
+        site.effect.by_direction,
+        site.differences @ values,
+        site.differences @ site.nominal,
+        half,
+        strict=True,
+    )
+    return tuple(
+        Estimate(
+            name=f"{first}_less_{second.rpartition('_')[2]}",
+            unit=units[first],
+            value=float(value),
+            nominal=float(nominal),
+            interval=(float(value - h), float(value + h)),
+        )
+        for (first, second), value, nominal, h in rows
+    )
 
 
 def _ranking(found: Searched) -> tuple[Rank, ...]:
@@ -320,7 +405,7 @@ def _ranking(found: Searched) -> tuple[Rank, ...]:
     first, u = found.found.first, found.found.fitter.at.unknowns
     best = found.found.evidence[0]
     evidence = found.found.fitter.evidence(first, best.spread, best.weight, best.kappa)
-    gains: dict[Key, float] = {key: 0.0 for key in found.problem.library.searched}
+    gains: dict[Key, float] = dict.fromkeys(found.problem.library.searched, 0.0)
     for gain, (q, _) in evidence.additions(evidence.score(())):
         for key in u.library_keys(q):
             if key in gains and u.keys[q] == key:

@@ -1,0 +1,137 @@
+"""Faults that begin during a recording: when what is missing starts to show."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
+from leglab.diagnosis.likelihood.columns import COARSE, Errors
+from leglab.diagnosis.likelihood.priors import Priors
+from leglab.diagnosis.likelihood.unknowns import Unknowns
+from leglab.diagnosis.replay.residual import Problem
+from leglab.diagnosis.search.settle import EXPLAINED, KAPPA, Fitter
+
+# This first share of every recording is taken for healthy, if the model explains it.
+EARLY = 0.25
+# So many windows lie on either side of a change, at least.
+FEWEST = 3
+# Errors after a change are larger by at least this factor in square, in the mean of logarithms.
+RISE = 3.0
+# Chi-square that an onset must save over the same effect throughout; of one window, to tell that an
+# effect is, or is not, at work in it: five and three and a half standard deviations.
+GAIN, TOLD = 60.0, 12.0
+# Errors have left the noise where two bins in a row exceed those of healthy windows by this factor.
+DEPARTED = 6.0
+
+
+def onset_of(problem: Problem) -> np.ndarray | None:
+    """Time at which a model that explains the starts of the recordings does so no more [s].
+
+    Returns:
+        Shape (recordings,), inf where a recording shows no change; None where nothing begins.
+    """
+    replay = problem.replay
+    first = np.array([series.time[0] for series in problem.series])
+    last = np.array([series.time[-1] for series in problem.series])
+    limit = (first + EARLY * (last - first))[replay.recording]
+    early = problem.fitted & (replay.start + replay.window < limit)
+    if early.sum() < FEWEST:
+        return None
+    fitter = Fitter(Errors(problem, Unknowns.of(problem.library), early), Priors())
+    columns = fitter.at.columns(Hypothesis(), step=COARSE)
+    # Most recordings show at once that no onset is to be looked for.
+    spread, weight = fitter.own_spread(columns.errors), np.ones(len(columns.errors))
+    fit = fitter.fit(columns, {}, (), spread, weight, KAPPA)
+    if fit.level > EXPLAINED:
+        return None
+    base = fit.columns.base
+    cost = problem.window_cost(base)
+    windows = [np.flatnonzero(replay.recording == i) for i in range(len(problem.series))]
+    changes = [change_point(np.log(cost[own])) for own in windows]
+    if all(change is None for change in changes):
+        return None
+    errors = problem.raw_errors(base)
+    onsets = np.full(len(windows), np.inf)
+    for i, (own, change) in enumerate(zip(windows, changes, strict=True)):
+        if change is not None:
+            coarse = float(replay.start[own[change]] + 0.5 * replay.window)
+            onsets[i] = _refined(problem, errors, own, coarse)
+    return onsets
+
+
+def begun(
+    problem: Problem, final: Hypothesis, named: Sequence[Key], onsets: np.ndarray
+) -> tuple[Hypothesis, dict[Key, np.ndarray]]:
+    """Lets named effects begin at an onset where the recordings need it.
+
+    The onset is the middle of the time in which an effect may have begun: one that shows in fast
+    motion alone departs from the noise some time after it began. It was surely absent in windows
+    that replays with it miss, and present from the start of windows that replays without it miss
+    and those with it meet.
+
+    Returns:
+        The hypothesis, and by effect the earliest and the latest onset [s] that the recordings
+        allow, (recordings, 2), nan where it begins in none.
+    """
+    begin, length = problem.replay.start, problem.replay.window
+    between: dict[Key, np.ndarray] = {}
+    for key in named:
+        later = final.with_onset(key, onsets)
+        present = problem.window_cost(final)
+        if problem.size * (present - problem.window_cost(later)).sum() < GAIN:
+            continue
+        absent = problem.window_cost(final.without(key))
+        evidence = problem.size * (absent - present)
+        times = onsets.copy()
+        ends = np.where(np.isfinite(times), times, np.nan)[:, None].repeat(2, axis=1)
+        for i in np.flatnonzero(np.isfinite(times)):
+            seen, here = times[i], problem.replay.recording == i
+            after = present[here & (begin > seen)]
+            if not after.size:
+                continue
+            met = present < max(EXPLAINED, RISE * float(np.median(after)))
+            # Where a replay without the effect misses far more than one with it, it had begun.
+            missed = ~met & (absent < RISE * present)
+            out = here & ((evidence < -TOLD) | missed) & (begin < seen)
+            if not out.any():
+                continue
+            last = begin[out].max()
+            clear = here & (evidence > TOLD) & met & (begin > last) & (begin + length < seen)
+            seen = min([seen, *begin[clear]])
+            ends[i] = min(seen, last + length), seen
+            times[i] = ends[i].mean()
+        final, between[key] = final.with_onset(key, times), ends
+    return final, between
+
+
+def change_point(values: np.ndarray) -> int | None:
+    """First index after the most likely rise of the mean (Page 1954), None where there is none."""
+    count = values.size
+    best, where = 0.0, None
+    for k in range(FEWEST, count - FEWEST + 1):
+        rise = float(values[k:].mean() - values[:k].mean())
+        gain = rise**2 * k * (count - k) / count
+        if rise > np.log(RISE) and gain > best:
+            best, where = gain, k
+    if where is None:
+        return None
+    before, after = values[:where], values[where:]
+    # Windows before a true onset are noise: their costs hardly vary.
+    return where if before.std() < 0.5 * (after.mean() - before.mean()) else None
+
+
+def _refined(problem: Problem, errors: np.ndarray, windows: np.ndarray, onset: float) -> float:
+    """First bin, around a coarse onset, in which errors leave those of healthy windows."""
+    replay = problem.replay
+    start, length = replay.start[windows], replay.window
+    healthy = windows[start + length < onset - length]
+    near = windows[(start + length > onset - length) & (start < onset + length)]
+    if not healthy.size:
+        return onset
+    level = np.sqrt(np.mean(errors[healthy] ** 2, axis=0)) + 1e-12
+    for window in near:
+        out = (np.abs(errors[window]) > DEPARTED * level).any(axis=0)
+        lasting = out[:-1] & out[1:]
+        if lasting.any():
+            return float(replay.start[window] + int(np.argmax(lasting)) / replay.bins * length)
+    return onset
