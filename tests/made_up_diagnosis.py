@@ -113,15 +113,15 @@ def diagnosis(verdict="named", effects=None, recording="walk", **changes):
         ),
         ceiling=0.4,
         ranking=tuple(
-            Rank(name=n, element=e, round=1, gain=g, threshold=25.0)
+            Rank(name=n, element=e, round=1, gain=g, threshold=0.0)
             for (n, e), g in zip(tried, (900.0, 300.0, -4.0), strict=True)
         ),
         rivals=(
             Rivals(
                 round=1,
-                names=("valve_deadband", "stiction"),
-                cost=(1.1, 1.2),
-                preference=np.array([[0.5, 0.83], [0.17, 0.5]]),
+                names=("valve_deadband", "payload + stiction", "nothing"),
+                cost=(1.1, 1.2, 200.0),
+                preference=np.array([[0.5, 0.83, 1.0], [0.17, 0.5, 1.0], [0.0, 0.0, 0.5]]),
             ),
         ),
         traces=(

@@ -55,7 +55,7 @@ def words(root):
 
 
 def told_sure(verdict):
-    return verdict in ("named", "confusion_set", "partial")
+    return verdict in ("named", "confusion_set")
 
 
 @pytest.mark.parametrize(
@@ -63,7 +63,6 @@ def told_sure(verdict):
     [
         ("named", "The simulation is missing: valve deadband at knee_valve."),
         ("confusion_set", "do not pin down: valve deadband or stiction at knee_valve."),
-        ("partial", "is missing valve deadband at knee_valve, and more that has no name yet."),
         ("unexplained", "no known effect explains it."),
         ("nothing_missing", "Nothing is missing that these recordings could show."),
     ],
@@ -107,7 +106,7 @@ def test_the_page_holds_the_figures_that_lie_beside_it(tmp_path):
     ]
     told = [i.get("alt") for i in images]
     assert "walk: 14.2 before, 1.1 after." in told[2]
-    assert "valve_deadband beats stiction in 83%." in told[4]
+    assert "valve_deadband beats payload + stiction with 83%." in told[4]
     assert all(told)
 
 
@@ -162,7 +161,7 @@ def test_hostile_names_are_shown_and_do_nothing(tmp_path):
     result = diagnosis(
         effects=(found,),
         recording=HOSTILE,
-        ranking=(Rank(name=HOSTILE, element=HOSTILE, round=1, gain=90.0, threshold=25.0),),
+        ranking=(Rank(name=HOSTILE, element=HOSTILE, round=1, gain=90.0, threshold=0.0),),
         traces=(trace(HOSTILE, f"{HOSTILE}/../../x_position", "rad", 0),),
         notes=(HOSTILE,),
         model="improved.xml",
@@ -305,10 +304,6 @@ def test_recordings_of_the_fit_are_not_in_the_first_figure():
             "confusion_set",
             "healthy recordings, one of these: valve deadband or stiction at knee_valve.",
         ),
-        (
-            "partial",
-            "healthy recordings: valve deadband at knee_valve, and more that has no name yet.",
-        ),
         ("unexplained", "has changed since the healthy recordings, and no known effect explains"),
         ("nothing_missing", "Nothing has changed since the healthy recordings that these could"),
     ],
@@ -326,18 +321,18 @@ def test_healthy_recordings_tell_what_changed_since(tmp_path, verdict, told):
     assert not result.effects or "before" in table(page, "What changed")[0]
 
 
-def test_a_round_of_pairs_does_not_repeat_the_screening():
+def test_figures_of_effects_alone_and_of_sets_have_a_row_each():
     result = diagnosis()
-    again = tuple(replace(rank, round=2) for rank in result.ranking)
-    pairs = replace(result, ranking=(*result.ranking, *again))
-    shown = picture(pairs, "ranking")
-    assert len(shown.figure.axes) == 1
-    assert "Round 2 tried the best two effects at once." in shown.caption
-    assert "two at once" in section(pairs, "What was looked at")
-    other = tuple(replace(rank, gain=rank.gain + 1.0) for rank in again)
-    usual = replace(result, ranking=(*result.ranking, *other))
-    assert len(picture(usual, "ranking").figure.axes) == 2
-    assert "two at once" not in section(usual, "What was looked at")
+    (alone,) = picture(result, "ranking").figure.axes
+    assert [t.get_text() for t in alone.get_yticklabels()] == [
+        "valve deadband, knee_valve",
+        "stiction, knee_valve",
+    ]
+    assert [line.get_xdata()[0] for line in alone.lines if len(line.get_xdata()) == 1] == [900, 300]
+    (sets,) = picture(result, "rivals").figure.axes
+    rows = [t.get_text() for t in sets.get_yticklabels()]
+    assert rows == ["valve deadband  1", "payload + stiction  2", "nothing  3"]
+    assert [t.get_text() for t in sets.texts] == ["83", "100", "17", "100", "0", "0"]
 
 
 def test_a_value_that_says_little_is_called_uncertain(tmp_path):
@@ -364,18 +359,6 @@ def test_many_effects_that_cannot_be_told_are_one_sentence_and_a_table(tmp_path)
     assert lines[1] == "walk: 3 samples are missing."
     page = write_page(result, tmp_path, model="m")
     assert len(table(page, "hardly show")) == 7
-
-
-def test_what_a_rough_machine_hides_is_lost_in_the_error_of_its_model(tmp_path):
-    """The recordings move enough, but the model errs by more than a little of an effect does."""
-    little = (NotTestable(name="coulomb_friction", element="knee", reason="needs slow motion"),)
-    result = diagnosis(not_testable=little, rough=True)
-    line = next(s for s in sections(result, "m") if s.title == "What cannot be told").lines[0]
-    assert line.startswith("A just noticeable amount of coulomb friction at knee would be lost in")
-    assert len(table(write_page(result, tmp_path, model="m"), "own error")) == 2
-    told = summary_lines(result)
-    assert any("lost in the model's own error: coulomb_friction" in line for line in told)
-    assert not any("not testable" in line for line in told)
 
 
 def test_where_is_told_without_pressures():

@@ -39,7 +39,7 @@ def diagnose(
         list[str] | None,
         typer.Option(help="Effect to consider, of docs/effects.md, repeatable; default: all."),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Of the bootstraps, or of the self-test.")] = 0,
+    seed: Annotated[int, typer.Option(help="Of the self-test's cases.")] = 0,
     self_test: Annotated[
         bool, typer.Option("--self-test", help="Diagnose blind cases with known truth instead.")
     ] = False,
@@ -98,9 +98,9 @@ def diagnose(
         )
     if model is None or not recordings:
         raise LeglabError("diagnose needs a model and at least one recording, or --self-test")
-    from leglab.diagnosis.search.pipeline import DiagnosisSettings
     from leglab.diagnosis.improve import improved_model
     from leglab.diagnosis.intake.recordings import read_recordings, split_held_out
+    from leglab.diagnosis.search.pipeline import DiagnosisSettings
     from leglab.diagnosis.verdict import output as results
     from leglab.diagnosis.verdict.verdict import diagnose as run_diagnosis
     from leglab.report.diagnosis.page import write_page
@@ -116,7 +116,7 @@ def diagnose(
         raise LeglabError(
             f"{min(both).name} is given as a recording and as --healthy; allowed: one of both"
         )
-    settings = DiagnosisSettings(effects=tuple(effect) if effect else None, seed=seed)
+    settings = DiagnosisSettings(effects=tuple(effect) if effect else None)
     with new_folder(out, mark="diagnosis.json", overwrite=overwrite) as partial:
         with progress("diagnosis") as show:
             result, found = run_diagnosis(

@@ -1,4 +1,4 @@
-"""Figures of a diagnosis: gaps, screening, rivals, and the errors of replays that are left."""
+"""Figures of a diagnosis: gaps, effects alone, sets, and the errors of replays that are left."""
 
 import math
 import re
@@ -15,9 +15,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-from leglab.diagnosis.result import Diagnosis, Rank, ResidualTrace, Rivals, shown_unit
+from leglab.diagnosis.result import Diagnosis, Rank, ResidualTrace, shown_unit
 from leglab.diagnosis.verdict.regions import equally_filled
-from leglab.report.diagnosis.words import after_words, joint_of, main_channels, pair_rounds, rms
+from leglab.report.diagnosis.words import after_words, joint_of, main_channels, rms, set_words
 from leglab.report.figures import add_head
 from leglab.report.page.shell import printable
 from leglab.report.page.wording import number, readable, shortened
@@ -309,83 +309,79 @@ def gap_picture(result: Diagnosis) -> CaptionedFigure | None:
 
 
 def ranking_picture(result: Diagnosis) -> CaptionedFigure | None:
-    """Draws the chi-square that each effect and chance save, a panel a round; None if none does."""
-    rounds: dict[int, list[Rank]] = {}
-    pairs = pair_rounds(result)  # They repeat the screening of the round before.
-    for rank in sorted((r for r in result.ranking if r.round not in pairs), key=lambda r: r.round):
-        rounds.setdefault(rank.round, []).append(rank)
-    shown = [(n, best) for n, ranks in rounds.items() if (best := _best(ranks))]
-    if not shown:
+    """Draws how much more probable each effect alone makes the recordings; None if none does."""
+    ranks = _best(result.ranking)
+    if not ranks:
         return None
     named = {(e.name, e.element) for e in result.effects}
     tied = {name for e in result.effects for name in e.indistinguishable_from}
     with look():
-        heights = [_ROW * len(ranks) + 0.2 for _, ranks in shown]
-        total = _HEAD + sum(heights) + (0.3 + _FOOT) * len(shown)
-        figure = Figure(figsize=(_WIDTH, total))
-        top = total - _HEAD - 0.3
-        labels = [_rank_label(rank) for _, ranks in shown for rank in ranks]
-        left = 0.07 * max(len(label) for label in labels) + 0.25
-        for (round_, ranks), height in zip(shown, heights, strict=True):
-            axes = _axes(figure, (left, top - height, _WIDTH - left - 0.35, height))
-            _draw_ranks(axes, ranks, named, tied)
-            cut = f", best {len(ranks)}" if len(ranks) < len(rounds[round_]) else ""
-            axes.set_title(f"round {round_}{cut}")
-            axes.set_xlabel("chi-square saved on first trial")
-            top -= height + 0.3 + _FOOT
+        figure, axes = _rows([_rank_label(rank) for rank in ranks], 1.5)
+        _log(axes, [rank.gain for rank in ranks])
+        for i, rank in enumerate(ranks):
+            color = ORANGE if rank.name in tied else LIGHT_GREY
+            color = BLUE if (rank.name, rank.element) in named else color
+            axes.plot([axes.get_xlim()[0], rank.gain], [i, i], color=color, linewidth=1.6)
+            axes.plot(rank.gain, i, "o", color=color, markersize=6)
+        axes.set_xlabel("gain in probability, natural logarithm")
         others = [_mark("not told apart", ORANGE)] * bool(tied) + [_mark("other", LIGHT_GREY)]
-        chance = Line2D([], [], color=VERMILION, linestyle="--", label="chance, 1 in 100")
-        lines = [_mark("named", BLUE), *others, chance]
-        add_head(figure, "Which effect helps, on first trial", lines, **_LEGEND)
+        title = f"Which effect explains most alone (best {len(ranks)} of {len(result.ranking)})"
+        add_head(figure, title, [_mark("named", BLUE), *others], **_LEGEND)
     return CaptionedFigure(
         name="ranking",
         figure=figure,
-        caption="What adding each effect alone saves; left of the dashed line is what the best of "
-        "all saves by chance in 1 of 100 cases."
-        + "".join(f" Round {n} tried the best two effects at once." for n in pairs),
-        alt=" ".join(
-            f"Round {n}: best is {ranks[0].name} at {ranks[0].element} with "
-            f"{number(ranks[0].gain)}, chance gives {number(ranks[0].threshold)}."
-            for n, ranks in shown
-        ),
+        caption="By how much each effect alone makes the recordings more probable than none does, "
+        "before anything is fitted to the end. Several may gain by the same error: what is named "
+        "is decided among sets that were fitted.",
+        alt=f"Best alone is {ranks[0].name} at {ranks[0].element} with {number(ranks[0].gain)}.",
     )
 
 
 def rivals_picture(result: Diagnosis) -> CaptionedFigure | None:
-    """Share of resampled data in which one effect beats another; None where none had a rival."""
-    rounds = [r for r in result.rivals if len(r.names) > 1]
-    if not rounds:
+    """Probability of each set of effects against each other; None where there is but one."""
+    rivals = next((r for r in result.rivals if len(r.names) > 1), None)
+    if rivals is None:
         return None
-    longest = max(len(_rival_label(name)) for r in rounds for name in r.names)
-    cell, left = 0.72, max(2.35, 0.085 * longest)
-    above = 0.035 * longest + 0.2  # names at 30 degrees
-    heights = [above + 0.36 * len(r.names) for r in rounds]
-    total = 0.4 + sum(heights) + 0.15 * len(rounds)
+    count = len(rivals.names)
+    labels = [f"{short(set_words(n), 40)}  {i}" for i, n in enumerate(rivals.names, start=1)]
+    left = 0.08 * max(map(len, labels)) + 0.2
+    height, above = 0.36 * count, 0.75
+    share = 100.0 * np.asarray(rivals.preference, dtype=np.float64)
+    np.fill_diagonal(share, np.nan)
+    colors = LinearSegmentedColormap.from_list("preference", ["#FFFFFF", BLUE])
     with look():
-        figure = Figure(figsize=(_WIDTH, total))
-        top = total - 0.4
-        for rivals, height in zip(rounds, heights, strict=True):
-            count = len(rivals.names)
-            width = min(cell * count, _WIDTH - left - 0.9)
-            axes = _axes(figure, (left, top - height, width, height - above))
-            _draw_rivals(axes, rivals)
-            figure.text(0.1 / _WIDTH, (top - above) / total, f"round {rivals.round}", va="bottom")
-            top -= height + 0.15
-        add_head(figure, "Rivals fitted to the end", [])
+        figure = Figure(figsize=(_WIDTH, above + height + 0.1))
+        axes = _axes(figure, (left, 0.1, min(0.72 * count, _WIDTH - left - 0.2), height))
+        axes.imshow(share, cmap=colors, vmin=0.0, vmax=100.0, aspect="auto")
+        for i, j in np.argwhere(np.isfinite(share)):
+            ink = "white" if share[i, j] > 60.0 else "black"
+            axes.text(j, i, f"{share[i, j]:.0f}", ha="center", va="center", color=ink)
+        axes.set_facecolor(GRID)  # the diagonal
+        axes.set_yticks(range(count), labels)
+        axes.set_xticks(range(count), [str(i) for i in range(1, count + 1)])
+        axes.set_xticks(np.arange(-0.5, count), minor=True)
+        axes.set_yticks(np.arange(-0.5, count), minor=True)
+        axes.xaxis.tick_top()
+        axes.tick_params(which="both", length=0)
+        axes.grid(False)
+        axes.grid(True, which="minor", axis="both", color=LIGHT_GREY)
+        axes.set_axisbelow(False)
+        for side in axes.spines.values():
+            side.set_visible(False)
+        add_head(figure, "Sets of effects that were fitted to the end", [])
     return CaptionedFigure(
         name="rivals",
         figure=figure,
-        caption="Percent of resampled data sets in which the effect of the row explains the "
-        "recordings better than that of the column; near 50 they are not told apart.",
+        caption="Probability in per cent of the set in the row against that in the column, by the "
+        "recordings as a whole; near 50 they are not told apart.",
         alt=" ".join(
-            f"Round {r.round}: {r.names[0]} beats {name} in {share:.0%}."
-            for r in rounds
-            for name, share in zip(r.names[1:], r.preference[0, 1:], strict=True)
+            f"{rivals.names[0]} beats {name} with {one:.0%}."
+            for name, one in zip(rivals.names[1:], rivals.preference[0, 1:], strict=True)
         ),
     )
 
 
-_LEAST_GAIN = 1e-2  # chi-square
+_LEAST_GAIN = 1e-2  # nats
 
 
 def _best(ranks: Sequence[Rank]) -> list[Rank]:
@@ -396,53 +392,6 @@ def _best(ranks: Sequence[Rank]) -> list[Rank]:
 
 def _rank_label(rank: Rank) -> str:
     return f"{short(readable(rank.name))}, {short(rank.element, _LONGEST // 2)}"
-
-
-def _draw_ranks(
-    axes: Axes, ranks: Sequence[Rank], named: set[tuple[str, str]], tied: set[str]
-) -> None:
-    threshold = ranks[0].threshold
-    marked = math.isfinite(threshold) and threshold > 0.0
-    _log(axes, [*(r.gain for r in ranks), threshold])
-    _label(axes, [_rank_label(r) for r in ranks])
-    if marked:
-        axes.axvline(threshold, color=VERMILION, linestyle="--", linewidth=1.0)
-    for i, rank in enumerate(ranks):
-        color = ORANGE if rank.name in tied else LIGHT_GREY
-        color = BLUE if (rank.name, rank.element) in named else color
-        if marked:
-            axes.plot([threshold, rank.gain], [i, i], color=color, linewidth=1.6)
-        axes.plot(rank.gain, i, "o", color=color, markersize=6)
-
-
-def _rival_label(name: str) -> str:
-    """Name of a rival, which ends with its element where another has the same name."""
-    effect, _, element = name.partition(" at ")
-    return f"{short(readable(effect))}, {element}" if element else short(readable(effect))
-
-
-def _draw_rivals(axes: Axes, rivals: Rivals) -> None:
-    count = len(rivals.names)
-    share = 100.0 * np.asarray(rivals.preference, dtype=np.float64)
-    np.fill_diagonal(share, np.nan)
-    colors = LinearSegmentedColormap.from_list("preference", ["#FFFFFF", BLUE])
-    axes.imshow(share, cmap=colors, vmin=0.0, vmax=100.0, aspect="auto")
-    for i, j in np.argwhere(np.isfinite(share)):
-        ink = "white" if share[i, j] > 60.0 else "black"
-        axes.text(j, i, f"{share[i, j]:.0f}", ha="center", va="center", color=ink)
-    axes.set_xticks(np.arange(-0.5, count), minor=True)
-    axes.set_yticks(np.arange(-0.5, count), minor=True)
-    axes.set_facecolor(GRID)  # the diagonal
-    names = [_rival_label(name) for name in rivals.names]
-    axes.set_xticks(range(count), names, rotation=30, ha="left", rotation_mode="anchor")
-    axes.set_yticks(range(count), names)
-    axes.xaxis.tick_top()
-    axes.tick_params(which="both", length=0)
-    axes.grid(False)
-    axes.grid(True, which="minor", axis="both", color=LIGHT_GREY)
-    axes.set_axisbelow(False)
-    for side in axes.spines.values():
-        side.set_visible(False)
 
 
 def _rows(labels: Sequence[str], left: float) -> tuple[Figure, Axes]:

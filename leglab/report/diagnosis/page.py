@@ -30,7 +30,6 @@ _FIRST = ("overlay", "whole")
 _KINDS = {
     "named": "named",
     "confusion_set": "confusion set",
-    "partial": "partly named",
     "unexplained": "unexplained",
     "nothing_missing": "nothing missing",
 }
@@ -175,10 +174,7 @@ def _nuisance_table(result: Diagnosis) -> Table:
 def _untestable_table(result: Diagnosis) -> Table:
     rows = [[n.name, n.element, n.reason] for n in result.not_testable]
     head = ("effect", "element", "to see it")
-    caption = "What these recordings hardly show"
-    if result.rough:
-        caption = "A just noticeable amount of these is lost in the model's own error"
-    return Table(caption=caption, head=head, rows=rows, words=3)
+    return Table(caption="What these recordings hardly show", head=head, rows=rows, words=3)
 
 
 def _put(content: bytes, stream: io.BufferedIOBase) -> None:

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from leglab.diagnosis.result import Diagnosis, Estimate, NamedEffect, Remaining, shown_unit
-from leglab.diagnosis.thresholds import DEFAULT
 from leglab.report.page.shell import Section
 from leglab.report.page.wording import capital, listed, number, readable
 
@@ -24,8 +23,13 @@ _DEPARTED = 0.3
 _UNRESOLVED = 0.001
 # Up to so many effects that cannot be told apart from nothing have a line each.
 _UNTOLD = 4
-# Effects that came closest without being named.
+# Sets of effects that came closest without being named.
 _CLOSEST = 3
+_CONFIDENCE = (
+    "Confidence is the probability of the name among all sets of effects that were fitted: the "
+    "least that is left without any one part of the recordings, and with errors counted in the "
+    "motion or in units of the drive; lowered for causes that no effect here describes."
+)
 # Units that a rig's engineer reads, where all values are below a limit in SI: name, factor, limit.
 _SMALL = {"s": ("ms", 1e3, 1.0), "m": ("mm", 1e3, 1.0), "rad": ("mrad", 1e3, 0.1)}
 
@@ -70,16 +74,7 @@ def headline(result: Diagnosis) -> str:
             start = f"The simulation is missing {listed(tuple(sure))}, and something"
             return f"{start} that these recordings do not pin down: {told}."
         return f"Something is missing that these recordings do not pin down: {told}."
-    if result.verdict == "partial":
-        if since:
-            return f"Changed since the healthy recordings: {found}, and more that has no name yet."
-        return f"The simulation is missing {found}, and more that has no name yet."
     if result.verdict == "unexplained":
-        if not found and _ordinary(result):
-            return (
-                "The machine differs from its model by no more than a good one may; recordings of "
-                "it while healthy would tell whether anything has changed."
-            )
         ending = f"; nearest comes {found}" if found else ""
         if since:
             start = "Something has changed since the healthy recordings"
@@ -103,13 +98,6 @@ def _alternatives(effect: NamedEffect) -> tuple[str, ...]:
     return (*(readable(n) for n in tied if n not in (*friction, beside)), both)
 
 
-def _ordinary(result: Diagnosis) -> tuple[NamedEffect, ...]:
-    """Effects that explain most together, and that a good machine may have as well."""
-    if (result.gap.explained or 0.0) < DEFAULT.explanation_share:
-        return ()
-    return tuple(e for e in result.smaller if e.contribution >= DEFAULT.smaller_share)
-
-
 def facts(result: Diagnosis) -> tuple[tuple[str, str], ...]:
     """What is missing, how sure, how much it explains and how much is left: question, answer.
 
@@ -123,13 +111,9 @@ def facts(result: Diagnosis) -> tuple[tuple[str, str], ...]:
         sure = "; ".join(_confidence(e, alone=len(result.effects) == 1) for e in result.effects)
     elif result.verdict == "nothing_missing":
         missing, sure = "nothing that these recordings could show", ""
-    elif ordinary := _ordinary(result):
-        told = listed(tuple(_at(e) for e in ordinary))
-        missing = f"{told} explains most of it, as it may on a good machine"
-        sure = "no name is probably a fault"
     else:
-        tried = len({(rank.name, rank.element) for rank in result.ranking})
-        missing = f"something that has no name among the {tried} effects tried{_mostly(result)}"
+        tried = f"the {len(result.ranking)} effects tried"
+        missing = f"something that has no name among {tried}{_mostly(result)}"
         sure = "no name is probable enough to be told"
     rows = [(changed, missing)]
     if sure:
@@ -200,14 +184,6 @@ def uncertain(p: Estimate) -> bool:
     return low < p.nominal < high or high - low > abs(p.value)
 
 
-def pair_rounds(result: Diagnosis) -> tuple[int, ...]:
-    """Rounds that tried two effects at once: they repeat the screening of the round before."""
-    screened: dict[int, list[tuple[str, str, float]]] = {}
-    for rank in result.ranking:
-        screened.setdefault(rank.round, []).append((rank.name, rank.element, rank.gain))
-    return tuple(n for n in sorted(screened) if screened[n] == screened.get(n - 1))
-
-
 def improved_words(result: Diagnosis) -> str:
     """What stands in the improved model and how far it is to be trusted; after its name."""
     parts = [readable(e.name) for e in result.effects]
@@ -273,6 +249,11 @@ def _parameter_unit(p: Estimate) -> tuple[float, str]:
     if 0.0 < largest < limit:
         return factor, name
     return 1.0, "" if p.unit == "1" else p.unit
+
+
+def set_words(name: str) -> str:
+    """The name of a set of effects."""
+    return " + ".join(map(readable, name.split(" + ")))
 
 
 def _at(effect: NamedEffect) -> str:
@@ -350,18 +331,12 @@ def _looked_at(result: Diagnosis, model: str) -> tuple[str, ...]:
         lines.append(f"{listed(held)} was kept from all fits; the verdict is judged on it.")
     else:
         lines.append("No recording was kept apart: the verdict is judged on the data of the fit.")
-    tried = len({(rank.name, rank.element) for rank in result.ranking})
     lines.append(
-        f"{tried} possible effects tried, {result.rollouts:.0f} replays of all windows, "
-        f"{result.seconds:.0f} s."
+        f"{len(result.ranking)} possible effects tried, alone and together, "
+        f"{result.rollouts:.0f} replays of all windows, {result.seconds:.0f} s."
     )
-    if pair_rounds(result):
-        lines.append("No single effect would do, so the best were tried two at once.")
     if result.rough:
-        lines.append(
-            "The model differs from this machine by more than sensor noise whatever is fitted: its "
-            "own error was counted in."
-        )
+        lines.append("Whatever is fitted, the model is off by more than the noise of the sensors.")
     return tuple(lines)
 
 
@@ -405,7 +380,7 @@ def _missing(result: Diagnosis) -> tuple[str, ...]:
             lines.append(f"{capital(readable(effect.name))} begins {listed(effect.begins())}.")
     if not lines:
         lines.append(
-            "No effect stands out from what chance gives."
+            "Nothing at all is a likely explanation: no effect has to be there."
             if result.verdict == "nothing_missing"
             else "No effect that was tried explains it."
         )
@@ -424,10 +399,8 @@ def smaller_words(result: Diagnosis) -> tuple[str, ...]:
             else parameter_words(p)[0]
             for p in effect.parameters
         )
-        closes = f"closes {100.0 * effect.contribution:.0f} % of the gap"
-        if effect in _ordinary(result):
-            closes += ", and a good machine may differ as much"
-        told.append(f"{_at(effect)} {values}".rstrip() + f" ({closes})")
+        closes = f"(closes {100.0 * effect.contribution:.0f} % of the gap)"
+        told.append(f"{_at(effect)} {values}".rstrip() + f" {closes}")
     start = "There too, and not the cause" if result.effects else "There, and not the cause"
     return (f"{start}: {'; '.join(told)}.",)
 
@@ -449,32 +422,14 @@ def _sure(result: Diagnosis) -> tuple[str, ...]:
             lines.append(f"{name} is not told apart from {others}.")
     if not lines:
         return ("No effect is named, so there is no confidence to state.",)
-    return (*lines, _confidence_meaning(result))
-
-
-def _confidence_meaning(result: Diagnosis) -> str:
-    if result.rough:
-        # As `naming.judge_rough` weighs it.
-        known = result.calibration is not None
-        by = "by what it leaves of the gap" if known else "by how much of the error it leaves"
-        return (
-            "Confidence is the probability of the name among the rivals that were tried in its "
-            f"place, lowered {by} and where a good machine may have as much of it."
-        )
-    text = "Confidence is the share of resampled data that prefers the name to its nearest rival"
-    if result.verdict in ("partial", "unexplained"):
-        text += ", lowered because more than noise is left"
-    return f"{text}."
+    return (*lines, _CONFIDENCE)
 
 
 def _tried(result: Diagnosis) -> tuple[str, ...]:
     """What was done about an error that no effect explains."""
-    tried = len({(rank.name, rank.element) for rank in result.ranking})
-    lines = [f"{tried} possible effects, each alone"]
-    if pair_rounds(result):
-        lines[0] += ", and the best two at once"
-    first = next((r for r in result.rivals if r.round == 1), None)
-    names = tuple(dict.fromkeys(map(readable, first.names)))[:_CLOSEST] if first else ()
+    lines = [f"{len(result.ranking)} possible effects, alone and together"]
+    sets = (name for rivals in result.rivals for name in rivals.names if name != "nothing")
+    names = tuple(dict.fromkeys(map(set_words, sets)))[:_CLOSEST]
     lines[0] += f"; {listed(names)} came closest." if names else "."
     gap = result.gap
     lines.append(
@@ -496,12 +451,7 @@ def _tried(result: Diagnosis) -> tuple[str, ...]:
     for effect in result.effects:
         lines.append(f"{capital(_at(effect))}: confidence {percent(effect.confidence)}.")
     if result.effects:
-        lines.append(_confidence_meaning(result))
-    if not result.rough:
-        lines.append(
-            "A model that may be a little off everywhere does hardly better: what is missing is "
-            "probably a single cause that is not among these effects."
-        )
+        lines.append(_CONFIDENCE)
     if result.model:
         lines.append("The improved model carries no effect without a name.")
     else:
@@ -572,12 +522,7 @@ def _where(result: Diagnosis) -> tuple[str, ...]:
 def _untold(result: Diagnosis) -> tuple[str, ...]:
     lines = []
     untold = tuple(f"{readable(n.name)} at {n.element}" for n in result.not_testable)
-    if result.rough and untold:
-        lines.append(
-            f"A just noticeable amount of {listed(untold, 'or')} would be lost in the model's own "
-            "error; the table below has what shows each best."
-        )
-    elif len(untold) > _UNTOLD:
+    if len(untold) > _UNTOLD:
         lines.append(
             f"These recordings hardly show {listed(untold, 'or')}; the table below has what each "
             "needs."
@@ -599,7 +544,7 @@ def _next(result: Diagnosis) -> tuple[str, ...]:
     if proposal is None:
         if any(e.indistinguishable_from for e in result.effects):
             return ("No command of the catalogue separates the rivals.",)
-        if result.verdict in ("unexplained", "partial"):
+        if result.verdict == "unexplained":
             return (
                 "No rivals are left to separate: what is missing is not among the effects that "
                 "were tried. The residual figures show where to look.",

@@ -19,9 +19,9 @@ from scipy.stats import binomtest
 
 from leglab.base.errors import unknown_name
 from leglab.diagnosis.effects.hypothesis import Library
-from leglab.diagnosis.search.pipeline import DiagnosisSettings
 from leglab.diagnosis.intake.recordings import held_out_choice
 from leglab.diagnosis.plant.model import Machine
+from leglab.diagnosis.search.pipeline import DiagnosisSettings
 from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.studies.blind.outcomes import run_missing
 from leglab.studies.blind.rough_bench import FAULTS, SIZES, effect_of, rough_case, specimen
@@ -95,7 +95,7 @@ class RoughOutcome:
         faults: That were there.
         severities: Parameter and true value of each.
         diagnosis: What diagnosis.json holds; empty where the diagnosis failed.
-        ranking: Best effects of the first screening: name, element, chi-square saved.
+        ranking: Best effects alone: name, element, gain.
         seconds: Time of the diagnosis on one thread.
         error: Why it failed.
     """
@@ -293,12 +293,11 @@ def run_case(case: RoughTestCase, settings: RoughTestSettings) -> RoughOutcome:
             MODEL,
             made.recordings,
             held_out=held_out_choice(made.recordings, Machine(MODEL)),
-            settings=DiagnosisSettings(threads=1, seed=settings.seed),
+            settings=DiagnosisSettings(threads=1),
             **extra,
         )
         content = result.to_json()
-        best = sorted((r for r in result.ranking if r.round == 1), key=lambda r: -r.gain)
-        ranking = [(r.name, r.element, float(r.gain)) for r in best[:_RANKED]]
+        ranking = [(r.name, r.element, float(r.gain)) for r in result.ranking[:_RANKED]]
     except Exception as failure:  # hours of other cases must not be lost
         error = f"{type(failure).__name__}: {failure}"
     return RoughOutcome(

@@ -14,9 +14,9 @@ from rich.table import Table
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.diagnosis.effects.hypothesis import Library
-from leglab.diagnosis.search.pipeline import DiagnosisSettings
 from leglab.diagnosis.intake.recordings import held_out_choice
 from leglab.diagnosis.plant.model import Machine
+from leglab.diagnosis.search.pipeline import DiagnosisSettings
 from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.studies.blind.faulty_bench import (
     FAULTS,
@@ -212,7 +212,7 @@ def run_case(case: Case, seed: int) -> Outcome:
     """Makes a case and diagnoses it on one thread."""
     recordings, severities = make(case, seed)
     excluded = case.effects if case.kind == "removed" else ()
-    settings = DiagnosisSettings(excluded=excluded, threads=1, seed=seed)
+    settings = DiagnosisSettings(excluded=excluded, threads=1)
     began = perf_counter()
     result, _ = diagnose(
         MODEL, recordings, held_out=held_out_choice(recordings, Machine(MODEL)), settings=settings
