@@ -21,9 +21,9 @@ from scipy.signal import butter, decimate, filtfilt
 
 from leglab.base.recording import Recording
 from leglab.diagnosis.effects.hypothesis import Hypothesis
-from leglab.diagnosis.former.workflow import DiagnosisSettings, set_up
 from leglab.diagnosis.improve import improved_model
 from leglab.diagnosis.replay.residual import Problem
+from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.diagnosis.verdict.whole import LOOP, follow
 
@@ -156,11 +156,11 @@ def measure(options: argparse.Namespace) -> Any:
     result, found = diagnose(EMPS_MODEL, recordings, held_out=(EMPS_HELD_OUT,), settings=settings)
     names = ", ".join(e.name for e in result.effects)
     with tempfile.TemporaryDirectory() as folder:
-        path = improved_model(found, result).write(Path(folder))
+        path = improved_model(found).write(Path(folder))
         better = set_up(path, recordings, (EMPS_HELD_OUT,), settings)
         for name, problem, hypothesis in (
             ("leglab: the model as it was", found.problem, Hypothesis()),
-            (f"leglab diagnose: {names}", found.problem, found.fit.hypothesis),
+            (f"leglab diagnose: {names}", found.problem, found.final),
             ("leglab diagnose: improved.xml", better, Hypothesis()),
         ):
             number = [s.name for s in problem.series].index(EMPS_HELD_OUT)
@@ -169,7 +169,7 @@ def measure(options: argparse.Namespace) -> Any:
                 followed = follow(problem, hypothesis, number, loop=loop)
                 errors.append(followed.deviation("slide") if followed else float("nan"))
             add(name, "", *errors)
-    replays = limits(found.problem, Hypothesis(), found.fit.hypothesis)
+    replays = limits(found.problem, Hypothesis(), found.final)
     return {"whole": rows, "windows": replays}
 
 

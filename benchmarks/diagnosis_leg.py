@@ -19,9 +19,9 @@ from scipy.stats import binomtest
 from leglab import RunSettings, run_scenario
 from leglab.base.recording import Recording
 from leglab.base.scenario import Options, ParameterChange, register_scenario
-from leglab.diagnosis.former.workflow import DiagnosisSettings
 from leglab.diagnosis.intake.recordings import held_out_choice
 from leglab.diagnosis.plant.model import Machine
+from leglab.diagnosis.search.pipeline import DiagnosisSettings
 from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.studies.blind.outcomes import run_missing
 

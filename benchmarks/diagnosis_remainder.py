@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from leglab.base.recording import Recording
-from leglab.diagnosis.former.workflow import DiagnosisSettings
 from leglab.diagnosis.improve import improve
 from leglab.diagnosis.intake.recordings import split_held_out
+from leglab.diagnosis.search.pipeline import DiagnosisSettings
 from leglab.studies.blind.faulty_bench import FaultyBench, references
 from tests.rigs import PENDULUM, SERVO_JOINT, Hidden, Truth, record, record_linkage
 from tests.rigs.measured import EMPS_HELD_OUT, EMPS_MODEL, emps, rough_bench

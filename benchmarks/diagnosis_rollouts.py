@@ -18,11 +18,11 @@ import numpy as np
 import results
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis
-from leglab.diagnosis.former.workflow import DiagnosisSettings, set_up
 from leglab.diagnosis.intake.recordings import read_recordings, split_held_out
 from leglab.diagnosis.plant.model import Change
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.replay.starts import measure, start_states
+from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.studies.shared_data import shared_data
 
 KEY = ("valve_gain", "knee_valve")

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 import results
 
-from leglab.diagnosis.former.workflow import DiagnosisSettings
+from leglab.diagnosis.search.pipeline import DiagnosisSettings
 from leglab.diagnosis.verdict.verdict import diagnose
 
 sys.path.insert(0, str(Path(__file__).parents[1]))

@@ -22,9 +22,9 @@ import results
 from leglab import data
 from leglab.base.recording import Recording
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
-from leglab.diagnosis.former.workflow import DiagnosisSettings, set_up
 from leglab.diagnosis.intake.recordings import read_recordings, split_held_out
 from leglab.diagnosis.plant.model import Machine
+from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.machine.plugin import library_path, to_xml
 from leglab.studies.shared_data import shared_data
 

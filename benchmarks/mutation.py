@@ -21,19 +21,16 @@ import pytest
 import results
 
 ROOT = Path(__file__).parents[1]
-_JUDGING = (
-    "tests/test_diagnosis_judging_figures.py",
-    "tests/test_diagnosis_discrepancy.py",
-    "tests/test_diagnosis_verdicts.py",
-)
+_VERDICT = ("tests/test_diagnosis_parts.py", "tests/test_diagnosis_verdicts.py")
 MODULES = {
     "leglab.runs.metrics": ("tests/test_metrics.py",),
     "leglab.runs.clock": ("tests/test_clock.py",),
-    "leglab.diagnosis.former.judging": _JUDGING,
-    "leglab.diagnosis.former.naming": _JUDGING,
-    "leglab.diagnosis.verdict.verdict": _JUDGING,
+    "leglab.diagnosis.likelihood.evidence": _VERDICT,
+    "leglab.diagnosis.likelihood.priors": _VERDICT,
+    "leglab.diagnosis.verdict.confidence": _VERDICT,
+    "leglab.diagnosis.verdict.verdict": _VERDICT,
 }
-PATIENCE = 400.0  # s; all tests of the judging take 90 on an idle core
+PATIENCE = 400.0  # s
 _COMPARISONS = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq,
     ast.NotEq: ast.Eq, ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,

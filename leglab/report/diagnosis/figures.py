@@ -318,11 +318,11 @@ def ranking_picture(result: Diagnosis) -> CaptionedFigure | None:
     with look():
         figure, axes = _rows([_rank_label(rank) for rank in ranks], 1.5)
         _log(axes, [rank.gain for rank in ranks])
+        axes.grid(True, axis="y")
         for i, rank in enumerate(ranks):
             color = ORANGE if rank.name in tied else LIGHT_GREY
             color = BLUE if (rank.name, rank.element) in named else color
-            axes.plot([axes.get_xlim()[0], rank.gain], [i, i], color=color, linewidth=1.6)
-            axes.plot(rank.gain, i, "o", color=color, markersize=6)
+            axes.plot(rank.gain, i, "o", color=color, markersize=7)
         axes.set_xlabel("gain in probability, natural logarithm")
         others = [_mark("not told apart", ORANGE)] * bool(tied) + [_mark("other", LIGHT_GREY)]
         title = f"Which effect explains most alone (best {len(ranks)} of {len(result.ranking)})"
