@@ -3,9 +3,9 @@
 import numpy as np
 
 from leglab.diagnosis.balance.isolation import isolate
+from leglab.diagnosis.balance.regions import EVERYWHERE, worst_region
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
-from leglab.diagnosis.verdict.regions import EVERYWHERE, worst_region
 from leglab.diagnosis.verdict.verdict import traces
 from tests.rigs import MOTOR_ARM, Hidden, record_linkage
 

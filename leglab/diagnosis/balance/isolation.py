@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 from scipy.interpolate import BSpline
 
+from leglab.diagnosis.balance.regions import worst_region
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.effects.joints import unit
 from leglab.diagnosis.plant.model import CYLINDER
@@ -14,7 +15,6 @@ from leglab.diagnosis.replay.starts import spool
 from leglab.diagnosis.replay.windows import UniformSeries, derivative, smoothed
 from leglab.diagnosis.result import Where
 from leglab.diagnosis.thresholds import Thresholds
-from leglab.diagnosis.verdict.regions import worst_region
 from leglab.machine.cylinder import Cylinder
 from leglab.machine.parameters import State
 from leglab.machine.simulation import actuator_moments

@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
+from leglab.diagnosis.balance.regions import equally_filled
 from leglab.diagnosis.result import Diagnosis, Rank, ResidualTrace, shown_unit
-from leglab.diagnosis.verdict.regions import equally_filled
 from leglab.report.diagnosis.words import after_words, joint_of, main_channels, rms, set_words
 from leglab.report.figures import add_head
 from leglab.report.page.shell import printable
