@@ -52,33 +52,6 @@ class Site:
         """Bounds, (parameters,)."""
         return np.array([p.upper for p in self.parameters])
 
-    def used(self, values: np.ndarray, noticeable: float, *, alike: bool = False) -> int:
-        """How many parameters values, shape (parameters,), need.
-
-        A strength at its nominal value is as if the effect had none: friction in one direction
-        alone needs no number for the other. At least one.
-
-        Args:
-            values: Of the parameters.
-            noticeable: Departure that counts, in smallest trials.
-            alike: Whether one number says how far both directions depart.
-        """
-        rows = zip(self.parameters, values, self.nominal, strict=True)
-        needed = np.array(
-            [p.role == "shape" or p.departure(float(v), float(n)) > noticeable for p, v, n in rows]
-        )
-        if alike:
-            needed = self.alike[needed].any(axis=0)
-        return max(int(needed.sum()), 1)
-
-    @property
-    def alike(self) -> np.ndarray:
-        """Parameters by what moves them where both directions depart alike, (parameters, moves)."""
-        place = {p.name: i for i, p in enumerate(self.parameters)}
-        leads = {place[b]: place[a] for a, b in self.effect.by_direction}
-        moves = [i for i in range(len(place)) if i not in leads]
-        return np.array([[float(leads.get(i, i) == m) for m in moves] for i in range(len(place))])
-
     @property
     def differences(self) -> np.ndarray:
         """Differences between directions, first less second, as sums of parameters.

@@ -1,8 +1,8 @@
 """Recordings and machine as a least-squares problem: whitened errors, noise model and priors."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg.lapack import dtrtri
@@ -11,7 +11,7 @@ from scipy.signal import savgol_coeffs
 from leglab.diagnosis.balance.lacking import balanced_joints
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key, Library
 from leglab.diagnosis.plant.model import CHAMBERS, CYLINDER, Change, Machine
-from leglab.diagnosis.replay.nuisances import Nuisance, departures, within_tolerance
+from leglab.diagnosis.replay.nuisances import Nuisance, within_tolerance
 from leglab.diagnosis.replay.replay import Replay
 from leglab.diagnosis.replay.starts import Nudge
 from leglab.diagnosis.replay.windows import Channel, UniformSeries, filter_difference
@@ -89,12 +89,6 @@ class Linearisation:
     tangents: np.ndarray
     nuisances: tuple[Nuisance, ...]
     chosen: np.ndarray
-
-    def without(self, keys: Collection[Key]) -> "Linearisation":
-        """The same without the nuisances of some effects."""
-        keep = [i for i, n in enumerate(self.nuisances) if n.key not in keys]
-        nuisances = tuple(self.nuisances[i] for i in keep)
-        return replace(self, nuisances=nuisances, tangents=self.tangents[:, :, keep])
 
 
 def robust_cost(mean_square: np.ndarray, limit: float = DEFAULT.robust_limit) -> np.ndarray:
@@ -301,11 +295,6 @@ class Problem:
             out[group] = replay.error(change, chosen=group).normalised
         return out[chosen], certain[chosen].astype(float)
 
-    def cost(self, residual: np.ndarray, prior: float = 0.0) -> float:
-        """Robust chi-square of whitened errors plus the prior's."""
-        robust = robust_cost(np.mean(residual**2, axis=1), self.thresholds.robust_limit)
-        return float(self.size * robust.sum()) + prior
-
     def window_cost(self, hypothesis: Hypothesis) -> np.ndarray:
         """Robust mean square of all windows, fitted and held out, shape (windows,)."""
         squares = np.mean(self.residual(hypothesis) ** 2, axis=1)
@@ -314,10 +303,6 @@ class Problem:
     def active_nuisances(self, free: Collection[Key]) -> tuple[Nuisance, ...]:
         """Nuisances but those of effects that are fitted freely."""
         return tuple(n for n in self.nuisances if n.key not in free)
-
-    def departed(self, hypothesis: Mapping[Key, np.ndarray], free: Collection[Key]) -> float:
-        """Sum of squared departures of the nuisances in tolerances."""
-        return float((departures(hypothesis, self.active_nuisances(free)) ** 2).sum())
 
     def moved(
         self, hypothesis: Hypothesis, nuisances: Sequence[Nuisance], eta: np.ndarray
