@@ -21,9 +21,9 @@ from .data import write as write
 from .diagnosis.effects import Effect as Effect
 from .diagnosis.effects import EffectParameter as EffectParameter
 from .diagnosis.effects import register_effect as register_effect
-from .diagnosis.search.pipeline import DiagnosisSettings as DiagnosisSettings
-from .diagnosis.result import Diagnosis as Diagnosis
 from .diagnosis.improve import write_improved as write_improved
+from .diagnosis.result import Diagnosis as Diagnosis
+from .diagnosis.search.pipeline import DiagnosisSettings as DiagnosisSettings
 from .diagnosis.verdict.verdict import diagnose as diagnose
 from .machine.library import register_model as register_model
 from .machine.plugin import load_plugin as load_plugin
