@@ -157,29 +157,8 @@ def improved_model(
 
 
 def _recalibrated(found: Outcome, named: Sequence[Key]) -> tuple[Problem, Hypothesis]:
-    """The fit with some of the named effects, and what else is off.
-
-    Where effects leave noise alone, only parameters that have a tolerance follow: the rest of the
-    machine is as its model. A machine that differs everywhere becomes a specimen of its own, about
-    which a remainder is learned as if it were exact.
-    """
-    problem = found.problem
-    hypothesis = (found.final if named else found.baseline).without(
-        *(key for key in found.named if key not in named)
-    )
-    sites = problem.library.sites
-    lean = {
-        key: np.where(
-            [p.tolerance > 0.0 for p in sites[key].parameters], values, sites[key].nominal
-        )
-        for key, values in hypothesis.items()
-        if key not in named and any(p.tolerance > 0.0 for p in sites[key].parameters)
-    }
-    simple = Hypothesis({**lean, **{key: hypothesis[key] for key in named}})
-    errors = [problem.noise_levels(h)[problem.judged].mean() for h in (hypothesis, simple)]
-    if errors[1] <= max(errors[0], problem.thresholds.explained**2):
-        return problem, simple
-    return problem.calibrated(hypothesis.without(*named)), hypothesis.only(named)
+    """The model with some of the named effects, and what has a tolerance where it fits best."""
+    return found.problem, found.written.without(*(k for k in found.named if k not in named))
 
 
 def improve(

@@ -46,7 +46,11 @@ SLACK = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """A set with its evidence, whole and without each part."""
+    """A set with its evidence, whole and without each part.
+
+    Attributes:
+        fitted: Whether its linearisation is where it was fitted by replays.
+    """
 
     keys: frozenset[Key]
     ended: bool
@@ -55,6 +59,7 @@ class Row:
     apart: np.ndarray
     left: np.ndarray
     level: float
+    fitted: bool = False
     drive: dict[str, float] = field(default_factory=dict)
     renamed: Mapping[Key, Key] = field(default_factory=dict)
 
@@ -170,7 +175,8 @@ class Judge:
 
         self.removed: dict[tuple[frozenset[Key], Key], Columns] = {}
         for fit, evidence, score in zip(found.fits, found.evidence, found.scores, strict=True):
-            enter(self.row(evidence, fit.members, bool(fit.ended)))
+            row = self.row(evidence, fit.members, bool(fit.ended))
+            enter(replace(row, fitted=evidence.columns is fit.columns))
         top = max(row.score.log for row in rows.values())
         for fit, evidence, score in zip(found.fits, found.evidence, found.scores, strict=True):
             if score.log < top - 10.0:

@@ -8,6 +8,7 @@ from time import perf_counter
 
 import mujoco
 import numpy as np
+from scipy.stats import t as student
 
 from leglab.base.recording import Recording
 from leglab.diagnosis.balance.isolation import isolate, sample_places
@@ -18,6 +19,8 @@ from leglab.diagnosis.intake.admission import admit
 from leglab.diagnosis.intake.recordings import split_held_out
 from leglab.diagnosis.intake.remarks import Remark, merged
 from leglab.diagnosis.intake.series import UniformSeries
+from leglab.diagnosis.likelihood.columns import Errors
+from leglab.diagnosis.likelihood.evidence import Evidence, Score
 from leglab.diagnosis.likelihood.unknowns import EVERY
 from leglab.diagnosis.plant.model import CYLINDER, Machine
 from leglab.diagnosis.replay.residual import Problem, whitened
@@ -37,8 +40,8 @@ from leglab.diagnosis.result import (
 )
 from leglab.diagnosis.search.onset import begun
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, Searched, searched
-from leglab.diagnosis.search.settle import Fitter
-from leglab.diagnosis.verdict.confidence import NAMED, VISIBLE, Judge, Row, Verdict
+from leglab.diagnosis.search.settle import Fit, Fitter
+from leglab.diagnosis.verdict.confidence import EXPLAINED, NAMED, VISIBLE, Judge, Row, Verdict
 from leglab.diagnosis.verdict.experiment import propose
 from leglab.diagnosis.verdict.whole import whole_recording
 
@@ -69,6 +72,7 @@ class Outcome:
         spread: Posterior covariance of all single unknowns there, in trials, (single, single).
         baseline: Nothing missing, all parameters within what machines differ by.
         final: The told set, all parameters as fitted beside it.
+        written: What an improved model carries: the told effects, and what has a tolerance.
         named: Effects that are told, named or in a confusion set.
         onsets: Of effects that begin during a recording, the earliest and the latest time [s] at
             which they can have begun, (recordings, 2), nan where an effect begins in none.
@@ -81,6 +85,7 @@ class Outcome:
     spread: np.ndarray
     baseline: Hypothesis
     final: Hypothesis
+    written: Hypothesis
     named: tuple[Key, ...]
     onsets: Mapping[Key, np.ndarray]
     result: Diagnosis = field(init=False)
@@ -144,7 +149,7 @@ def diagnose(
 def _judged(found: Searched) -> Outcome:
     """The search with its verdict, and the hypotheses that are told."""
     judge = Judge(found.found)
-    judged = judge.judge()
+    judged, u = judge.judge(), judge.unknowns
     told = set(judged.named or judged.confusion[:1])
     row = next((r for r in judged.rows if told <= r.keys and not r.renamed), judged.rows[0])
     nothing = next((r for r in judged.rows if not r.keys), None)
@@ -152,20 +157,30 @@ def _judged(found: Searched) -> Outcome:
         row = nothing
 
     def hypothesis(of: Row) -> Hypothesis:
-        u = judge.unknowns
-        return u.moved(of.evidence.columns.base, of.evidence.departures(of.score))
+        columns, fitter = of.evidence.columns, found.found.fitter
+        promised = u.moved(columns.base, of.evidence.departures(of.score))
+        return min(
+            (promised, columns.base) if of.fitted else (promised,),
+            key=lambda h: fitter.level(fitter.at.at(h)),
+        )
 
-    final, spread = hypothesis(row), row.evidence.posterior(row.score)
-    lean = _lean(found, row) if row.keys else None
-    if lean is not None:
-        final, spread = lean
-    elements = found.problem.library.sites
+    final, spread = hypothesis(row), _scatter(row.evidence, row.score)
     named = tuple(
         key
         for name, element in (judged.named or judged.confusion[:1])
-        for key in sorted(elements)
+        for key in sorted(found.problem.library.sites)
         if key[0] == name and element in (key[1], EVERY)
     )
+    if found.specimen is not None:
+        written = final.only(named)
+        final = final if named or judged.verdict != "nothing_missing" else written
+    else:
+        values = zip(row.score.unknowns, row.score.values, strict=True)
+        kept = {q: float(v) for q, v in values if u.library_keys(q) <= set(named)}
+        lean, scatter = _lean(found, row, kept, final)
+        written = lean.columns.base
+        if lean.level <= (1.0 + AS_GOOD) * row.level:
+            final, spread = written, scatter
     between: dict[Key, np.ndarray] = {}
     if found.onsets is not None:
         final, between = begun(found.problem, final, named, found.onsets)
@@ -177,38 +192,69 @@ def _judged(found: Searched) -> Outcome:
         spread=spread,
         baseline=hypothesis(nothing) if nothing is not None else Hypothesis(),
         final=final,
+        written=written,
         named=named,
     )
 
 
-def _lean(found: Searched, row: Row) -> tuple[Hypothesis, np.ndarray] | None:
-    """The told set where the rest of the machine is as its model, but for tolerances.
+def _lean(
+    found: Searched, row: Row, values: Mapping[int, float], final: Hypothesis
+) -> tuple[Fit, np.ndarray]:
+    """Some members where the rest of the machine is as its model, but for tolerances.
 
-    What else departs a little takes a part of each effect's size with it. None where the recordings
-    need it: on a machine that is off everywhere, or that healthy recordings have shown.
+    What else departs a little takes a part of each effect's size with it. The noise model is that
+    about the final hypothesis.
+
+    Returns:
+        The fit, and the covariance of all single unknowns there.
     """
-    fitter, columns = found.found.fitter, row.evidence.columns
-    if fitter.priors.calibrated:
-        return None
+    fitter, old = found.found.fitter, row.evidence.columns
     u = row.evidence.unknowns
+    at = Errors(found.problem.about(final), u, fitter.at.chosen)
+    columns = replace(old, errors=at.at(old.base))
     goal = np.zeros(u.single)
-    for q, value in zip(row.score.unknowns, row.score.values, strict=True):
+    for q, value in values.items():
         goal[list(u.singles(q))] += value
-    start = {i: float(d) for i, d in enumerate(goal - columns.x[: u.single])}
-    members = row.score.unknowns
-    lean = Fitter(fitter.at, replace(fitter.priors, spreads=(AS_BUILT,)))
+    # Shapes stay as they were found.
+    shape = u.shape[: u.single]
+    goal[shape] = old.x[: u.single][shape]
+    start = {i: float(d) for i, d in enumerate(goal - old.x[: u.single])}
+    lean = Fitter(at, replace(fitter.priors, spreads=(AS_BUILT,)))
     weight, kappa = row.evidence.weight, row.evidence.kappa
-    fit = lean.fit(columns, start, members, row.evidence.spread, weight, kappa, beside=True)
-    if fit.level > (1.0 + AS_GOOD) * row.level:
-        return None
+    fit = lean.fit(columns, start, tuple(values), row.evidence.spread, weight, kappa, beside=True)
     evidence = lean.evidence(fit.columns, fit.spread, fit.weight, kappa)
-    return fit.columns.base, evidence.posterior(evidence.score([(q, None) for q in members]))
+    return fit, _scatter(evidence, evidence.score([(q, None) for q in values]))
+
+
+def _scatter(evidence: Evidence, score: Score) -> np.ndarray:
+    """Covariance of all single unknowns, (single, single): posterior, or between parts.
+
+    What all windows of a recording share no posterior sees: of the members the larger of it and a
+    jackknife over parts of the recordings.
+    """
+    spread, u = evidence.posterior(score), evidence.unknowns
+    parts = int(evidence.part.max()) + 1
+    if not score.members or parts < 2:
+        return spread
+    without = [
+        evidence.score(score.members, evidence.reduced(without=r)).values for r in range(parts)
+    ]
+    away = np.array(without) - np.mean(without, axis=0)
+    for i, q in enumerate(score.unknowns):
+        jack = (parts - 1) / parts * float(away[:, i] @ away[:, i])
+        for k in u.singles(q):
+            widened = np.sqrt(max(1.0, jack / max(spread[k, k], 1e-300)))
+            spread[k] *= widened
+            spread[:, k] *= widened
+    return spread
 
 
 def assemble(outcome: Outcome, *, seconds: float) -> Diagnosis:
     """Builds the verdict of a judged search."""
-    found, problem = outcome.searched, outcome.problem
-    judged, final, limits = outcome.judged, outcome.final, outcome.problem.thresholds
+    found, judged, final = outcome.searched, outcome.judged, outcome.final
+    # Start states are as uncertain as the told model makes them.
+    problem = found.problem.about(final)
+    limits = problem.thresholds
     models = {"before": Hypothesis(), "baseline": outcome.baseline, "after": final}
     if outcome.named:
         models["unnamed"] = final.without(*outcome.named)
@@ -238,7 +284,7 @@ def assemble(outcome: Outcome, *, seconds: float) -> Diagnosis:
             # A slow motion that nobody fitted cannot tell what a fast one would show.
             compared, shown = overall, every
         gap = replace(gap, compared=compared, everywhere=overall)
-    verdict, effects, smaller = _effects(outcome, gap, shown)
+    verdict, effects, smaller = _effects(outcome, problem, gap, shown)
     where, ceiling = isolate(problem)
     return Diagnosis(
         verdict=verdict,
@@ -296,14 +342,14 @@ def _hardly_shows(
 
 
 def _effects(
-    outcome: Outcome, gap: Gap, shown: np.ndarray
+    outcome: Outcome, problem: Problem, gap: Gap, shown: np.ndarray
 ) -> tuple[str, tuple[NamedEffect, ...], tuple[NamedEffect, ...]]:
     """Verdict, named effects and smaller differences, the largest contribution first."""
-    problem, judged, final = outcome.problem, outcome.judged, outcome.final
+    judged, final = outcome.judged, outcome.final
     limits = problem.thresholds
     unnamed, after, floor = gap.shown
     explained = gap.explained or 0.0
-    half = _intervals(outcome, gap.after > limits.explained)
+    half = _intervals(outcome)
     causes, smaller = [], []
     for key in outcome.named:
         site = problem.library.sites[key]
@@ -356,13 +402,16 @@ def _effects(
     return verdict, tuple(causes), tuple(sorted(smaller, key=lambda e: -e.contribution))
 
 
-def _intervals(outcome: Outcome, rough: bool) -> dict[Key, np.ndarray]:
+def _intervals(outcome: Outcome) -> dict[Key, np.ndarray]:
     """Half the width of the 95 % intervals of told effects: parameters, then differences.
 
     A parameter of another law than the machine's is one thing in a slow motion and another in a
     fast one: on a rough machine by a share of the change, which no spread of errors shows.
     """
-    problem, u = outcome.problem, outcome.row.evidence.unknowns
+    problem, evidence = outcome.problem, outcome.row.evidence
+    u, rough = evidence.unknowns, outcome.row.level > EXPLAINED
+    # Few parts say how errors scatter.
+    width = float(student.ppf(0.975, max(int(evidence.part.max()), 1)))
     half = {}
     for key in outcome.named:
         site = problem.library.sites[key]
@@ -374,7 +423,7 @@ def _intervals(outcome: Outcome, rough: bool) -> dict[Key, np.ndarray]:
         moved = (outcome.final.get(key, site.nominal) - site.nominal) * strength
         change = np.concatenate([moved, site.differences @ moved])
         law = LAW * change if rough else 0.0 * change
-        half[key] = 1.96 * np.sqrt(spread + law**2)
+        half[key] = np.hypot(width * np.sqrt(spread), 1.96 * law)
     return half
 
 
