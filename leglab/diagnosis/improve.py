@@ -139,7 +139,7 @@ def improved_model(
     """
     limits, result = found.problem.thresholds, found.result
     told = {(e.name, e.element) for e in (*result.effects, *result.smaller)}
-    named = tuple(key for key in found.named if key in told and result.verdict != "unexplained")
+    named = tuple(key for key in found.named if key in told and result.verdict == "named")
     problem, final = _recalibrated(found, named)
     remainder = None
     more_than_noise = result.gap.after > limits.explained

@@ -50,7 +50,9 @@ def forces_left(at: Errors, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndar
     change = problem.library.change(hypothesis, replay.machine)
     model = change.variant.model
     dofs = [int(model.joint(joint).dofadr[0]) for joint in joints]
-    inside, rows, drives = replay._inside(BLOCKS), [], []
+    inside = replay._inside(BLOCKS)
+    rows: list[np.ndarray] = []
+    drives: list[np.ndarray] = []
     for cut, measured, _ in replay._parts(change, at.chosen):
         moments = replace(measured, samples=(cut.firsts[:, None] + inside).ravel())
         states = start_states(cut, change, moments, replay.channels, replay.thresholds.rest_time)
@@ -92,14 +94,14 @@ def balanced_sets(at: Errors, jumps: Sequence[Jump]) -> dict[str, list[Balanced]
                 grown = float((both[:, j] * own).sum() / (own**2).sum()) - 1.0
                 share = share if abs(grown - LOUDER) < 0.1 * LOUDER else 0.0
             if share:
-                # A gain of 0 leaves no force over, nor does a friction of all of the drive's force:
-                # regressed on itself the drive explains itself. What the motion takes stands for it.
+                # A gain of 0 leaves no force over, nor does a friction that eats the drive's:
+                # regressed on itself the drive explains itself. The motion's force stands for it.
                 own = np.sign(own * drive[:, j]) * share * (left[:, j] + drive[:, j])
             columns.append((own * weight[:, None]).ravel())
             scaling.append(share)
         x = np.stack(columns, axis=1)
         sets: dict[frozenset[int], Balanced] = {}
-        # A drive that is turned down or late imitates whatever resists: once with the machine alone.
+        # A drive that is turned down or late imitates what resists: once with the machine alone.
         machine = [
             i
             for i, (q, _) in enumerate(jumps)
@@ -157,7 +159,7 @@ def _subsets(
             return None
         return max(total - float(slope[index] @ factors), 1e-12 * total), factors
 
-    singles = {}
+    singles: dict[int, tuple[float, int]] = {}
     for i in every:
         if one := fitted([i]):
             unknown = jumps[i][0]

@@ -1,1 +1,1 @@
-"""Marginal likelihood of sets of effects: errors, their columns, their covariance, their evidence."""
+"""Marginal likelihood of sets of effects: errors, their columns and covariance, evidence."""

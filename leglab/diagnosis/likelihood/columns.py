@@ -14,9 +14,11 @@ from leglab.diagnosis.replay.residual import Problem
 Jump = tuple[int, float]
 
 # Errors beyond this are those of a replay that blew up [SI units].
-_BLOWN = 1e11
+BLOWN = 1e11
 # Step of first tangents, in trials: effects that are not smooth have none at a smaller one.
 COARSE = 0.3
+# Step of later ones.
+FINE = 0.05
 # Of a large departure, the step of its tangent as a share, at the end and at first.
 LARGE, LARGE_FIRST = 0.02, 0.1
 # Factor on a command that shows what it moves.
@@ -162,7 +164,7 @@ class Errors:
                 continue
             moved = self.at(u.moved(base, {i: h}))
             difference = (moved - errors) / h
-            difference[np.abs(moved).max(axis=1) > _BLOWN] = 0.0
+            difference[np.abs(moved).max(axis=1) > BLOWN] = 0.0
             out[:, :, i] = difference
         index = {places[0]: i for i, places in enumerate(u.places[: u.single])}
         for i in range(u.single, len(u)):
@@ -177,7 +179,7 @@ class Errors:
                 continue
             moved = self.at(self.unknowns.moved(columns.base, {u: by}))
             change = moved - columns.errors
-            change[np.abs(moved).max(axis=1) > _BLOWN] = 0.0
+            change[np.abs(moved).max(axis=1) > BLOWN] = 0.0
             new.append((u, by))
             changes.append(change)
         if not new:

@@ -139,6 +139,7 @@ class Evidence:
         self.unknowns, self.spread, self.weight = at.unknowns, spread, weight
         self.places = tuple(range(len(priors.sizes)) if places is None else places)
         self.part = parts_of(at.recording)
+        self._without: dict[int, _Reduced] = {}
         every = int(self.part.max()) + 1
         stacked = np.concatenate(
             [columns.errors[:, :, None], columns.tangents, columns.changes], axis=2
@@ -200,6 +201,12 @@ class Evidence:
                     + self.priors.log_sizes[self.places[k]]
                 )
         return _Reduced(inner, base, follow)
+
+    def without(self, part: int) -> _Reduced:
+        """Without a part of the recordings; made once."""
+        if part not in self._without:
+            self._without[part] = self.reduced(without=part)
+        return self._without[part]
 
     @cached_property
     def whole(self) -> _Reduced:
@@ -364,7 +371,7 @@ class Evidence:
         At the size and spread of a score; members by their tangents.
 
         Returns:
-            Departures of the members, (members,), and of the single unknowns beside them, (single,).
+            Departures of the members, (members,), and of single unknowns beside them, (single,).
         """
         u, n = self.unknowns, self.unknowns.single
         k = self.places.index(score.size)

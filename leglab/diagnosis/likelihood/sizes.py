@@ -153,10 +153,9 @@ def sized(library: Library, machine: Machine, seen: Shown) -> Library:
     """The library with trials and bounds that fit what was recorded."""
     sites = {}
     for key, site in library.sites.items():
-        joint = site.element if site.element in seen.joints else None
         command = seen.commands.get(site.element)
         parameters = tuple(
-            _sized(p, _size(p, joint and seen.joints[joint], command, seen), seen)
+            _sized(p, _size(p, seen.joints.get(site.element), command, seen), seen)
             for p in site.parameters
         )
         sites[key] = replace(site, parameters=parameters)

@@ -1,4 +1,4 @@
-"""Unknowns of a diagnosis: every parameter of every effect, and the same effect on all like parts."""
+"""Unknowns of a diagnosis: all parameters of all effects, and those that like parts share."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -75,9 +75,9 @@ class Unknowns:
                     }
                 )
         rows += _tied(library, rows)
-        columns = {name: [row[name] for row in rows] for name in rows[0]}
-        fixed = {name: tuple(columns.pop(name)) for name in ("places", "keys")}
-        return cls(library=library, **fixed, **{n: np.array(v) for n, v in columns.items()})
+        places, keys = (tuple(row.pop(name) for row in rows) for name in ("places", "keys"))
+        columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+        return cls(library=library, places=places, keys=keys, **columns)
 
     def __len__(self) -> int:
         return len(self.keys)

@@ -1,8 +1,7 @@
 """The search: a linearisation, a beam over sets, fits by replays, all sets under each other."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from time import process_time
 
 import numpy as np
 
@@ -15,42 +14,41 @@ from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import Problem, thinned
 from leglab.diagnosis.search.beam import beam, without_idle
+from leglab.diagnosis.search.rank import NEAR, Proposal, Ranked, proposal, rank
 from leglab.diagnosis.search.settle import EXPLAINED, KAPPA, Fit, Fitter
 
 # Windows that are replayed.
 WINDOWS = 32
-# A set within so many nats of the best one is fitted.
-NEAR = 10.0
-# Sets that are fitted from the first linearisation, and singles among them.
-FIRST, SINGLES = 6, 4
-# Share of all that is to be gained by which first promises of equal sets differ.
-AS_GOOD = 0.1
+# Turns in which the pattern of errors and what explains them are found from each other.
+ANNEALINGS = 4
+# Sets that are fitted from the first linearisation whatever they promise, at most, and singles and
+# sets beside an exact model among them.
+SURE, FIRST, SINGLES, EXACT = 3, 5, 3, 2
+# Share of all that is to be gained by which first promises of equal sets differ; and below which a
+# member of a set is idle, beside so many nats.
+AS_GOOD, IDLE_SHARE, IDLE = 0.1, 0.03, 3.0
 # Sets that are fitted from a second start.
-LEADING = 3
-# Further sets that are fitted; fewer where so many in a row change nothing.
-MORE, FRUITLESS = 10, 2
+LEADING = 2
+# Further sets that are fitted; fewer where so many in a row change nothing, or by less than this.
+MORE, FRUITLESS, BETTER = 7, 2, 0.95
 # Times the level of the best set at which another one is given up.
 HOPELESS = 10.0
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """All fitted sets, best first, under one pattern of the model's own error.
+    """All fitted sets, best first.
 
     Attributes:
         fitter: With which they were fitted.
-        fits: The sets where they were fitted.
-        evidence: Of each set where it is most probable: its own linearisation or another's.
-        scores: Likewise.
+        ranks: The sets.
         kappa: 1/design effect.
         first: Linearisation of the model as it is, with all trials.
         level: Of the model as it is.
     """
 
     fitter: Fitter
-    fits: tuple[Fit, ...]
-    evidence: tuple[Evidence, ...]
-    scores: tuple[Score, ...]
+    ranks: tuple[Ranked, ...]
     kappa: float
     first: Columns
     level: float
@@ -64,23 +62,93 @@ def search(
     onsets: np.ndarray | None = None,
     log: Callable[[str], None] = lambda _: None,
 ) -> Found:
-    """Finds and fits the sets of effects that explain recordings."""
-    began = process_time()
-    priors = priors or Priors()
-    unknowns = Unknowns.of(problem.library)
+    """Finds and fits the sets of effects that explain recordings.
+
+    Args:
+        problem: Recordings and machine about the specimen.
+        priors: Of everything but the errors; None for those of a machine without healthy
+            recordings.
+        fixed: Pattern of the model's own error by healthy recordings; None without.
+        kappa: 1/design effect at first.
+        onsets: Time at which what is missing begins [s], (recordings,); None for throughout.
+        log: Called with what is being done.
+    """
+    u = Unknowns.of(problem.library)
     looked_at = problem.fitted
     if onsets is not None:
         looked_at = looked_at & (problem.replay.start > onsets[problem.replay.recording])
-    at = Errors(problem, unknowns, thinned(looked_at, WINDOWS))
-    fitter = Fitter(at, priors, fixed)
-    first = at.jumped(at.columns(Hypothesis(), step=COARSE), trials(unknowns))
-    level = fitter.level(first.errors)
-    log(
-        f"{len(unknowns)} unknowns ({unknowns.single} single), {len(first.jumps)} jumps, level {level:.4g}, cpu {process_time() - began:.0f}"
-    )
+    at = Errors(problem, u, thinned(looked_at, WINDOWS))
+    fitter = Fitter(at, priors or Priors(), fixed)
+    log(f"tangents and trials of {len(u)} unknowns")
+    first = at.jumped(at.columns(Hypothesis(), step=COARSE), trials(u))
+    evidence, ranked, kappa = _annealed(fitter, first, kappa)
+    wanted = _wanted(evidence, ranked)
+    log("balance of forces")
+    wanted += _seeds(evidence, balanced_sets(at, trials(u)))
+    fits: list[Fit] = []
+
+    def run(new: Proposal, *, beside: bool = False) -> Fit:
+        lowest = min((f.level for f in fits), default=np.inf)
+        fit = fitter.fit(
+            new.columns,
+            new.start,
+            new.members,
+            new.spread,
+            new.weight,
+            kappa,
+            give_up=HOPELESS * lowest,
+            beside=beside,
+        )
+        log(f"fitted {told(u, fit.score)}: {fit.level:.3g} noise levels")
+        fits.append(fit)
+        return fit
+
+    worth = ranked[0].log - next(s.log for s in ranked if not s.members)
+    tried: set[frozenset[Key]] = {frozenset()}
+    least = -np.inf
+    for new in wanted:
+        names = frozenset(u.keys[q] for q in new.members)
+        if names in tried or new.promise < least:
+            continue
+        tried.add(names)
+        # Beside what explains everything only what promises nearly as much is a rival.
+        if run(new).level <= EXPLAINED:
+            least = max(least, new.promise - NEAR - AS_GOOD * worth)
+    run(_of(evidence, evidence.score(())))
+    vain, again = 0, set[tuple[frozenset[Key], frozenset[Key]]]()
+    for _ in range(MORE + 1):
+        ranks = rank(fitter, fits, kappa)
+        least_left = min(ranks, key=lambda r: r.fit.level)
+        kappa = 1.0 / max(least_left.evidence.design_effect(least_left.score), 1.0)
+        # The leading sets once more, from where the one that leaves least has the machine.
+        point = least_left.fit
+        late = next(
+            (
+                r.fit
+                for r in ranks[:LEADING]
+                if r.fit.level > point.level and (r.fit.keys, point.keys) not in again
+            ),
+            None,
+        )
+        if late is not None:
+            again.add((late.keys, point.keys))
+            run(_from(u, late, point), beside=True)
+            continue
+        then = None if vain >= FRUITLESS else proposal(fitter, ranks, tried)
+        if then is None:
+            break
+        tried.add(frozenset(u.keys[q] for q in then.members))
+        known = {r.fit.keys: r.fit.level for r in ranks}
+        fit = run(then)
+        vain = vain + 1 if fit.level > BETTER * known.get(fit.keys, np.inf) else 0
+    return Found(fitter, tuple(rank(fitter, fits, kappa)), kappa, first, fitter.level(first.errors))
+
+
+def _annealed(fitter: Fitter, first: Columns, kappa: float) -> tuple[Evidence, list[Score], float]:
+    """Sets by the first linearisation, with the pattern of errors that the best of them leaves."""
     spread, weight = fitter.own_spread(first.errors), np.ones(len(first.errors))
     last = None
-    for _ in range(4):
+    for _ in range(ANNEALINGS):
         evidence = fitter.evidence(first, spread, weight, kappa)
         ranked = beam(evidence)
         best = ranked[0]
@@ -88,300 +156,83 @@ def search(
         spread = fitter.own_spread(left)
         weight = fitter.weights(left, spread, best.size)
         kappa = 1.0 / max(evidence.design_effect(best), 1.0)
-        log(
-            f"  beam {label(unknowns, best)} log {best.log:.1f} size {priors.sizes[best.size]} kappa {kappa:.3f} cpu {process_time() - began:.0f}"
-        )
         now = frozenset(best.unknowns), round(float(np.log(kappa)), 1)
         if now == last:
             break
         last = now
-    for s in ranked[:8]:
-        log(f"    {s.log:9.1f} {label(unknowns, s)}")
-    nothing = next(s for s in ranked if not s.members)
+    return evidence, ranked, kappa
+
+
+def _wanted(evidence: Evidence, ranked: Sequence[Score]) -> list[Proposal]:
+    """Sets to fit by the first linearisation, the most promising first."""
+    u = evidence.unknowns
     picked: dict[frozenset[Key], Score] = {}
 
     def keys(score: Score) -> frozenset[Key]:
-        return frozenset(unknowns.keys[q] for q in score.unknowns)
+        return frozenset(u.keys[q] for q in score.unknowns)
 
-    worth = max(ranked[0].log - nothing.log, 0.0)
-    for s in ranked[:40]:
-        s = without_idle(evidence, s, 3.0 + 0.03 * worth)
-        if keys(s) in picked:
-            continue
-        if len(picked) < 3 or (len(picked) < FIRST and s.log > ranked[0].log - NEAR):
-            picked[keys(s)] = s
-    singles = sorted((s for s in ranked if len(s.members) == 1), key=lambda s: -s.log)
-    for s in singles[:SINGLES]:
-        picked.setdefault(keys(s), s)
-    empty = evidence.score(())
-    exact = replace_size(evidence, empty)
-    for _, member in evidence.additions(exact)[:2]:
-        s = evidence.score((member,))
-        picked.setdefault(keys(s), s)
-    fits: list[Fit] = []
+    nothing = next(s for s in ranked if not s.members)
+    idle = IDLE + IDLE_SHARE * max(ranked[0].log - nothing.log, 0.0)
+    for score in ranked:
+        score = without_idle(evidence, score, idle)
+        near = len(picked) < FIRST and score.log > ranked[0].log - NEAR
+        if keys(score) not in picked and (len(picked) < SURE or near):
+            picked[keys(score)] = score
+    for score in [s for s in ranked if len(s.members) == 1][:SINGLES]:
+        picked.setdefault(keys(score), score)
+    # What leads where the model is exact: its own error, as estimated while something is missing,
+    # has that one's shape and hides it.
+    widest = len(evidence.priors.spreads) - 1
+    shift = evidence.whole.follow[0, widest][:, 0].copy()
+    exact = replace(evidence.score(()), size=evidence.places[0], spread=widest, shift=shift)
+    for _, member in evidence.additions(exact)[:EXACT]:
+        score = evidence.score((member,))
+        picked.setdefault(keys(score), score)
+    return [_of(evidence, score) for names, score in picked.items() if names]
 
-    def run(
-        columns: Columns, start: dict[int, float], members, spread, weight, beside=False
-    ) -> Fit:
-        lowest = min((f.level for f in fits), default=np.inf)
-        fit = fitter.fit(
-            columns, start, members, spread, weight, kappa, give_up=HOPELESS * lowest, beside=beside
-        )
-        log(
-            f"    fitted {tell(unknowns, fit)} cpu {process_time() - began:.0f}{' again' if beside else ''}"
-        )
-        fits.append(fit)
-        return fit
 
-    tried: set[frozenset[Key]] = {frozenset()}
-    wanted = [(evidence.departures(one), one.unknowns, one.log) for one in picked.values()]
-    seeds = balance_seeds(balanced_sets(at, trials(unknowns)))
-    wanted += [(start, tuple(start), -np.inf) for start in seeds]
-    least = -np.inf
-    for start, members, promise in wanted:
-        names = frozenset(unknowns.keys[q] for q in members)
-        if names in tried or promise < least:
-            continue
-        tried.add(names)
-        fit = run(first, start, members, spread, weight)
-        # Beside what explains everything only what promises nearly as much is a rival.
-        if fit.level <= EXPLAINED:
-            least = max(least, promise - NEAR - AS_GOOD * worth)
-    run(
-        first,
-        evidence.departures(nothing) if nothing.log > ranked[0].log - 300 else {},
-        (),
-        spread,
-        weight,
-    )
-    vain, again = 0, set()
-    for _ in range(MORE + 1):
-        ranks = rank(fitter, fits, kappa)
-        lowest = min(ranks, key=lambda r: r[0].level)
-        before, kappa = kappa, 1.0 / max(lowest[1].design_effect(lowest[2]), 1.0)
-        if abs(np.log(before / kappa)) > 0.1:
-            ranks = rank(fitter, fits, kappa)
-        log(
-            f"  best {label(unknowns, ranks[0][2])} level {ranks[0][0].level:.4g} kappa {kappa:.3f}"
-        )
-        # The leading sets once more, from where the one that leaves least has the machine.
-        point = lowest[0]
-        for fit, _, score in ranks[:LEADING]:
-            names = fit.keys(fitter), point.keys(fitter)
-            if fit is not point and names not in again and fit.level > point.level:
-                again.add(names)
-                start = {
-                    i: -float(point.columns.x[i])
-                    for q in point.members
-                    for i in unknowns.singles(q)
-                }
-                for q, value in zip(fit.members, fit.score.values, strict=True):
-                    for i in unknowns.singles(q):
-                        own = start.get(i, -float(point.columns.x[i]))
-                        start[i] = own + float(value)
-                run(point.columns, start, fit.members, point.spread, point.weight, beside=True)
-                break
-        else:
-            if vain >= FRUITLESS:
-                break
-            new = proposal(fitter, ranks, tried)
-            if new is None:
-                break
-            members, start, columns, spread, weight = new
-            tried.add(frozenset(unknowns.keys[q] for q in members))
-            known = {fit.keys(fitter): fit.level for fit, _, _ in ranks}
-            fit = run(columns, start, members, spread, weight)
-            # The same set once more, and not much better.
-            vain = vain + 1 if fit.level > 0.95 * known.get(fit.keys(fitter), np.inf) else 0
-    return Found(
-        fitter,
-        tuple(r[0] for r in ranks),
-        tuple(r[1] for r in ranks),
-        tuple(r[2] for r in ranks),
-        kappa,
-        first,
-        level,
+def _of(evidence: Evidence, score: Score) -> Proposal:
+    """A set to fit from the first linearisation."""
+    return Proposal(
+        score.unknowns,
+        evidence.departures(score),
+        evidence.columns,
+        evidence.spread,
+        evidence.weight,
+        score.log,
     )
 
 
-def balance_seeds(found: dict[str, list[Balanced]]) -> list[dict[int, float]]:
-    """Sets to fit by the balances of all joints: each joint's best, and all joints' together."""
+def _seeds(evidence: Evidence, found: dict[str, list[Balanced]]) -> list[Proposal]:
+    """Sets to fit by the balances of forces: each joint's best, and all joints' together."""
     seeds: dict[frozenset[int], dict[int, float]] = {}
     joined: dict[int, dict[int, float]] = {}
     for sets in found.values():
-        for one in sets:
-            if one.gain <= 0.0:
-                continue
-            if len(found) == 1:
-                seeds.setdefault(frozenset(one.start), one.start)
-            joined.setdefault(len(one.start), {})
-        for count in (1, 2, 3):
-            best = next((b for b in sets if len(b.start) <= count and b.gain > 0.0), None)
-            if best is not None and count in joined:
-                joined[count].update(best.start)
+        gaining = [one for one in sets if one.gain > 0.0]
+        if len(found) == 1:
+            seeds |= {frozenset(one.start): one.start for one in gaining}
+        for count in {len(one.start) for one in gaining}:
+            best = next(one for one in gaining if len(one.start) <= count)
+            joined.setdefault(count, {}).update(best.start)
     for start in joined.values():
         seeds.setdefault(frozenset(start), start)
-    return list(seeds.values())
+    columns, spread, weight = evidence.columns, evidence.spread, evidence.weight
+    return [
+        Proposal(tuple(start), start, columns, spread, weight, -np.inf) for start in seeds.values()
+    ]
 
 
-def replace_size(evidence: Evidence, score: Score) -> Score:
-    """The score at the exact end of the sizes, where the model's own error hides nothing."""
-    k = 0
-    o = len(evidence.priors.spreads) - 1
-    shift = evidence.whole.follow[k, o][:, 0].copy()
-    return replace(score, size=evidence.places[k], spread=o, shift=shift)
+def _from(u: Unknowns, fit: Fit, point: Fit) -> Proposal:
+    """A fitted set once more, the rest of the machine where another one has it."""
+    x = point.columns.x
+    start = {i: -float(x[i]) for q in point.members for i in u.singles(q)}
+    for q, value in zip(fit.members, fit.score.values, strict=True):
+        for i in u.singles(q):
+            start[i] = start.get(i, -float(x[i])) + float(value)
+    return Proposal(fit.members, start, point.columns, point.spread, point.weight)
 
 
-def rank(fitter: Fitter, fits: list[Fit], kappa: float):
-    """Sets by evidence, best first.
-
-    The pattern of the model's own error is not known either: each set counts with the one that
-    makes it most probable, of its own and those of the sets that leave least; and at the point, its
-    own or another's, where it does best: a larger set is never worse than one that it holds.
-    """
-    near = sorted(fits, key=lambda f: f.level)[:3]
-    weight = near[0].weight
-    rows = []
-    kept: dict[tuple[int, int], Evidence] = {}
-
-    def evidence(fit: Fit, spread: Spread) -> Evidence:
-        key = id(fit), id(spread)
-        if key not in kept:
-            kept[key] = fitter.evidence(fit.columns, spread, weight, kappa)
-        return kept[key]
-
-    for fit in fits:
-        spreads = (
-            [fitter.fixed]
-            if fitter.fixed
-            else [fit.spread, *(f.spread for f in near if f is not fit)]
-        )
-        points = [fit] + [
-            f
-            for f in near
-            if f is not fit
-            and f.level <= fit.level
-            and all(np.abs(f.columns.tangents[:, :, q]).max() > 0 for q in fit.members)
-        ]
-        members = [(q, None) for q in fit.members]
-        tries = []
-        for point in points:
-            for spread in spreads if point is fit else [fitter.fixed or point.spread]:
-                there = evidence(point, spread)
-                tries.append((fit, there, there.score(members)))
-        rows.append(max(tries, key=lambda r: r[2].log))
-    best: dict[frozenset[Key], tuple] = {}
-    for row in sorted(rows, key=lambda r: -r[2].log):
-        best.setdefault(row[0].keys(fitter), row)
-    return list(best.values())
-
-
-def proposal(fitter: Fitter, ranks, tried: set[frozenset[Key]]):
-    """The most promising set that was not fitted: an addition, or a swap, within some nats."""
-    u = fitter.at.unknowns
-    top = ranks[0][2].log
-    best = None
-    sound = [r for r in ranks if not r[0].ended] or ranks
-    # Each member of the best set is left out once, whatever first order promises.
-    fit, _, _ = sound[0]
-    for one in fit.members if len(fit.members) > 1 else ():
-        rest = tuple(q for q in fit.members if q != one)
-        names = frozenset(u.keys[q] for q in rest)
-        if names not in tried and len(names) < len(fit.keys(fitter)):
-            there = fitter.evidence(fit.columns, fit.spread, fit.weight, ranks[0][1].kappa)
-            start = there.departures(there.score([(q, None) for q in rest]))
-            return rest, start, fit.columns, fit.spread, fit.weight
-
-    def consider(gain, members, fit, evidence, score):
-        nonlocal best
-        names = frozenset(u.keys[q] for q in members)
-        if names in tried or gain < top - NEAR or len(members) > 7:
-            return
-        if best is None or gain > best[0]:
-            best = gain, members, fit, evidence, score
-
-    for fit, _, _ in sound[:6]:
-        evidence = (
-            next(r[1] for r in ranks if r[1].columns is fit.columns)
-            if any(r[1].columns is fit.columns for r in ranks)
-            else fitter.evidence(fit.columns, fit.spread, fit.weight, ranks[0][1].kappa)
-        )
-        score = evidence.score([(q, None) for q in fit.members])
-        if score.log < top - 3.0 * NEAR:
-            continue
-        for gain, member in evidence.additions(score)[:6]:
-            if gain > 0.0:
-                consider(score.log + gain, (*fit.members, member[0]), fit, evidence, score)
-        if fit is sound[0][0]:
-            for one in fit.members:
-                rest = evidence.score([(q, None) for q in fit.members if q != one])
-                consider(rest.log, tuple(q for q in fit.members if q != one), fit, evidence, rest)
-                for gain, member in evidence.additions(rest)[:4]:
-                    if member[0] != one:
-                        members = (*(q for q in fit.members if q != one), member[0])
-                        consider(rest.log + gain, members, fit, evidence, rest)
-    for fit, _, score in sound[:6]:
-        simpler = simplified(u, fit)
-        if simpler is not None and frozenset(u.keys[q] for q in simpler) not in tried:
-            by = {q: v - float(fit.columns.x[q]) for q, v in simpler.items()}
-            gone = {q: -float(fit.columns.x[q]) for q in fit.members if q not in simpler}
-            return (
-                tuple(q for q, v in simpler.items() if v),
-                {**gone, **by},
-                fit.columns,
-                fit.spread,
-                fit.weight,
-            )
-    if best is None:
-        return None
-    _, members, fit, evidence, _ = best
-    score = evidence.score([(q, None) for q in members])
-    return members, evidence.departures(score), fit.columns, fit.spread, fit.weight
-
-
-def simplified(u: Unknowns, fit: Fit) -> dict[int, float] | None:
-    """The set with an effect by direction replaced by the same one in both directions.
-
-    Returns:
-        Departures of its members; None where the set has no such effect.
-    """
-    x, sites = fit.columns.x, u.library.sites
-    for q in fit.members:
-        key = u.places[q][0][0]
-        effect = sites[key].effect
-        for pair in effect.by_direction:
-            both = [i for i in fit.members if u.places[i][0][0] == key and u.name(i) in pair]
-            if len(both) < 2 or q not in both:
-                continue
-            unit = sites[key].parameters[u.places[q][0][1]].unit
-            mean = float(np.mean([x[i] * u.scale[i] for i in both]))
-            for i in range(u.single):
-                other, place = u.places[i][0]
-                p = sites[other].parameters[place]
-                if (
-                    other != key
-                    and u.library.contains(key, other)
-                    and p.unit == unit
-                    and u.nameable[i]
-                ):
-                    kept = {m: float(x[m]) for m in fit.members if m not in both}
-                    return {**kept, i: mean / u.scale[i]}
-    return None
-
-
-def label(u: Unknowns, score: Score) -> str:
+def told(u: Unknowns, score: Score) -> str:
     """A set in a few words."""
-    return (
-        " + ".join(
-            f"{u.keys[q][0]}@{u.keys[q][1]}.{u.name(q)} {v:.2f}"
-            for q, v in zip(score.unknowns, score.values, strict=True)
-        )
-        or "nothing"
-    )
-
-
-def tell(u: Unknowns, fit: Fit) -> str:
-    """A fit in a few words."""
-    return f"{label(u, fit.score)} log {fit.score.log:.1f} level {fit.level:.4g}" + (
-        f" ENDED {fit.ended}" if fit.ended else ""
-    )
+    members = zip(score.unknowns, score.values, strict=True)
+    return " + ".join(f"{u.keys[q][0]} {v:.3g}" for q, v in members) or "nothing"

@@ -2,19 +2,27 @@
 
 Gauss-Newton on the likelihood of `likelihood.evidence`: tangents of the members are taken anew at
 every turn, those of all other unknowns are corrected by what the replays show (Broyden 1965) and
-taken anew at the end. The model's own error is what the set itself leaves. Members find their place
-first while the rest of the machine stays as it is built: beside a gross fault the rest would move to
-where it does not belong. Whatever is not smooth (play, dead band, delay) is looked at along a ladder
-of sizes.
+taken anew at the end. The model's own error is what the set itself leaves. Members find their
+place first, while the rest of the machine stays as it is built: beside a gross fault the rest
+would move to where it does not belong. What is not smooth (play, dead band, delay) is looked at
+along a ladder of sizes.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leglab.diagnosis.effects.hypothesis import Key
-from leglab.diagnosis.likelihood.columns import COARSE, LARGE, LARGE_FIRST, Columns, Errors
+from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
+from leglab.diagnosis.likelihood.columns import (
+    BLOWN,
+    COARSE,
+    FINE,
+    LARGE,
+    LARGE_FIRST,
+    Columns,
+    Errors,
+)
 from leglab.diagnosis.likelihood.evidence import Evidence, Score, robust_weights
 from leglab.diagnosis.likelihood.priors import ABSENT, FAULT_SIZE, Priors
 from leglab.diagnosis.likelihood.spread import Spread
@@ -25,19 +33,21 @@ KAPPA = 0.1
 # the command lift it on good models.
 EXPLAINED = 2.0
 TURNS = 16
-# Another turn that gains less is not worth its replays [nats].
-ENOUGH = 2.0
+# Another turn that gains less is not worth its replays [nats]; one that gains so many times more
+# goes on with the tangents that it has.
+ENOUGH, GOES_ON = 2.0, 5.0
 # All tangents are taken anew so often at most.
-RENEWALS = 5
-# In the first turns machines are built almost as their model.
-STIFF_TURNS, STIFF = 3, 0.05
+RENEWALS = 3
+# In the first turns machines are built almost as their model: by this share of tolerances, and of
+# smallest trials.
+STIFF_TURNS, STIFF, STIFF_SPREAD = 3, 0.05, 0.02
+# Shares of a step that are tried.
 SHARES = (1.0, 0.5, 0.2, 0.05)
-# Multiples of a size that are looked at.
-LADDER = (0.3, 0.5, 0.75, 1.3, 1.8, 2.8)
-# Relative change of a slope over the ladder below which an unknown is smooth.
-SMOOTH = 0.2
-_FINE = 0.05
-LOG = lambda s: None
+# Multiples of a size that are looked at, and the relative change of a slope over them below which
+# an unknown is smooth.
+LADDER, SMOOTH = (0.3, 0.5, 0.75, 1.3, 1.8, 2.8), 0.2
+# Share of a value within which a size is the same, or stands at a bound.
+SAME = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +56,7 @@ class Fit:
 
     Attributes:
         members: Unknowns of the set.
+        keys: Their effects and elements.
         columns: Linearisation where the fit ended.
         spread: Pattern of the error that the set leaves.
         weight: Of windows.
@@ -55,6 +66,7 @@ class Fit:
     """
 
     members: tuple[int, ...]
+    keys: frozenset[Key]
     columns: Columns
     spread: Spread
     weight: np.ndarray
@@ -62,9 +74,32 @@ class Fit:
     level: float
     ended: tuple[int, ...]
 
-    def keys(self, fitter: "Fitter") -> frozenset[Key]:
-        """Effects of the set."""
-        return frozenset(fitter.at.unknowns.keys[q] for q in self.members)
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Where a fit stands.
+
+    Attributes:
+        hypothesis: Values of all effects.
+        errors: There, (windows, rows).
+        x: Departures of all unknowns.
+        values: Of the members, (members,).
+        spikes: Departures of the single unknowns beside the members, (single,).
+        tangents: As far as they are known, (windows, rows, unknowns).
+    """
+
+    hypothesis: Hypothesis
+    errors: np.ndarray
+    x: np.ndarray
+    values: np.ndarray
+    spikes: np.ndarray
+    tangents: np.ndarray
+
+    @property
+    def columns(self) -> Columns:
+        """As a linearisation."""
+        none = np.zeros((*self.errors.shape, 0))
+        return Columns(self.hypothesis, self.x, self.errors, self.tangents, (), none)
 
 
 class Fitter:
@@ -78,14 +113,16 @@ class Fitter:
 
     def __init__(self, at: Errors, priors: Priors, fixed: Spread | None = None) -> None:
         self.at, self.priors, self.fixed = at, priors, fixed
-        self.stiff = replace(priors, spreads=(0.02,), tolerances=STIFF, covariance=None)
-        sensors = at.problem.noise.whitening[at.chosen]
-        self._sensors = sensors
+        self._stiff = replace(priors, spreads=(STIFF_SPREAD,), tolerances=STIFF, covariance=None)
+        self._sensors = at.problem.noise.whitening[at.chosen]
+        self._roots: tuple[Evidence, int, np.ndarray] | None = None
 
     def level(self, errors: np.ndarray) -> float:
         """Median error of windows in noise levels of the sensors."""
-        white = np.einsum("wij,wj->wi", self._sensors, errors[:, : self.at.size])
-        return float(np.sqrt(np.median(np.mean(white**2, axis=1))))
+        return float(np.sqrt(np.median(np.mean(self._white(errors) ** 2, axis=1))))
+
+    def _white(self, errors: np.ndarray) -> np.ndarray:
+        return np.asarray(np.einsum("wij,wj->wi", self._sensors, errors[:, : self.at.size]))
 
     def evidence(
         self,
@@ -96,7 +133,7 @@ class Fitter:
         priors: Priors | None = None,
         places: Sequence[int] | None = None,
     ) -> Evidence:
-        """Evidence of sets at a linearisation."""
+        """Evidence of sets at a linearisation; arguments as of `Evidence`."""
         return Evidence(self.at, columns, spread, weight, kappa, priors or self.priors, places)
 
     def own_spread(self, errors: np.ndarray) -> Spread:
@@ -104,29 +141,15 @@ class Fitter:
         return self.fixed or Spread.of(self.at, errors)
 
     def weights(self, errors: np.ndarray, spread: Spread, place: int) -> np.ndarray:
-        """Robust weights of windows."""
+        """Robust weights of windows, at a size of the model's own error by its place."""
         size = self.priors.sizes[place]
         forces = max(1.0, size) if self.priors.calibrated else 1.0
         return robust_weights(self.at, errors, spread, size, forces)
 
-    def ended(self, members: Sequence[int], x: np.ndarray, values: np.ndarray) -> tuple[int, ...]:
-        """Members that stand within 2 % of a bound; zero is none: no friction is an answer."""
-        u, found = self.at.unknowns, []
-        for q, value in zip(members, values, strict=True):
-            v = value if q >= u.single else x[q]
-            near = 0.02 * max(abs(v), 1e-9)
-            key, i = u.places[q][0]
-            natural = u.library.sites[key].lower[i] == 0.0
-            if (v >= u.upper[q] - near and u.upper[q] > 0) or (
-                v <= u.lower[q] + near and u.lower[q] < 0 and not natural
-            ):
-                found.append(q)
-        return tuple(found)
-
     def fit(
         self,
         columns: Columns,
-        start: dict[int, float],
+        start: Mapping[int, float],
         members: Sequence[int],
         spread: Spread,
         weight: np.ndarray,
@@ -144,231 +167,234 @@ class Fitter:
             members: Unknowns of the set.
             spread: Pattern of the model's own error at first.
             weight: Of windows at first.
-            kappa: 1/design effect.
+            kappa: 1/design effect at first.
             turns: At most.
             give_up: Level of the errors beyond which the fit is not finished.
             beside: Whether the rest of the machine starts where another set has left it, and moves
                 with the members from the first turn on.
         """
-        at, u = self.at, self.at.unknowns
-        members = tuple(members)
-        hypothesis, tangents = columns.base, columns.tangents
-        errors, x = columns.errors, columns.x
-        z = np.zeros(len(members))
-        spikes = x[: u.single].copy()
+        members, u = tuple(members), self.at.unknowns
+        point = self._point(columns.base, columns.errors, columns.tangents, members)
         if start:
-            moved = u.moved(hypothesis, start)
-            now = at.at(moved)
-            if members or self.level(now) < self.level(errors) or beside:
-                hypothesis, errors, x = moved, now, u.departures(moved)
-                z = np.array([x[list(u.singles(q))].mean() for q in members])
-                spikes = self._spikes(x, members, z)
-                spread = self.own_spread(errors)
-                weight = np.ones(len(errors))
-        given_up = False
-        anew = slow = False
+            moved = u.moved(columns.base, start)
+            errors = self.at.at(moved)
+            if members or beside or self.level(errors) < self.level(point.errors):
+                point = self._point(moved, errors, columns.tangents, members)
+                spread, weight = self.own_spread(errors), np.ones(len(errors))
+        stiff_turns = 0 if beside or not members else STIFF_TURNS
+        anew = slow = given_up = False
         telling, renewals = None, 0
         for turn in range(turns):
-            first = turn < STIFF_TURNS and bool(members) and not beside
-            priors = self.stiff if first else self.priors
-            if (
-                not first
-                and not anew
-                and (turn == (0 if beside else STIFF_TURNS) or slow or not members)
-            ):
-                tangents = self._all(hypothesis, errors, members, tangents, telling)
+            first = turn < stiff_turns
+            if not first and not anew and (turn == stiff_turns or slow):
+                point = self._all_tangents(point, members, telling)
                 anew, renewals = True, renewals + 1
             else:
-                tangents = self._fresh(hypothesis, errors, x, members, tangents, first)
-            here = Columns(hypothesis, x, errors, tangents, (), np.zeros((*errors.shape, 0)))
-            evidence = self.evidence(here, spread, weight, kappa, priors)
+                point = self._own_tangents(point, members, first)
+            priors = self._stiff if first else self.priors
+            evidence = self.evidence(point.columns, spread, weight, kappa, priors)
             score = evidence.score([(q, None) for q in members])
-            if first:
-                begun = z
-                hypothesis, errors, x, z, spikes, tangents = self._profiled(
-                    evidence, score, hypothesis, errors, x, z, spikes, tangents, members
-                )
-                if z is not begun:
-                    here = Columns(hypothesis, x, errors, tangents, (), here.changes)
-                    evidence = self.evidence(here, spread, weight, kappa, priors)
-                    score = evidence.score([(q, None) for q in members])
-            if not first:
-                telling = evidence.telling(score)
-            goal = evidence.step(score)
-            before = self._cost(evidence, errors, z, spikes, score)
-            for share in SHARES:
-                z_new = z + share * (goal[0] - z)
-                spikes_new = spikes + share * (goal[1] - spikes)
-                moved = u.moved(hypothesis, self._moves(x, members, z_new, spikes_new))
-                errors_new = at.at(moved)
-                after = self._cost(evidence, errors_new, z_new, spikes_new, score)
-                if after < before:
-                    break
-            else:
+            if first and (other := self._on_ladder(evidence, score, point, members)):
+                point = other
+                evidence = self.evidence(point.columns, spread, weight, kappa, priors)
+                score = evidence.score([(q, None) for q in members])
+            telling = telling if first else evidence.telling(score)
+            then = self._stepped(evidence, score, point, members)
+            if then is None:
                 if anew and not first:
                     break
                 slow = True
                 continue
-            x_new = u.departures(moved)
-            tangents = _broyden(tangents, errors_new - errors, x_new - x, members, u.single)
-            hypothesis, errors, x, z, spikes = moved, errors_new, x_new, z_new, spikes_new
-            gain = 0.5 * (before - after)
-            LOG(
-                f"      turn {turn} share {share} gain {gain:.1f} size {score.size} spread {score.spread} level {self.level(errors):.3f} z {np.round(z, 2)} anew {anew}"
-            )
-            spread = self.own_spread(errors)
-            weight = self.weights(errors, spread, score.size)
+            share, gain, point = then
+            spread = self.own_spread(point.errors)
+            weight = self.weights(point.errors, spread, score.size)
             if not first:
                 # As explanations get better, errors are worth more numbers.
                 kappa = 1.0 / max(evidence.design_effect(score), 1.0)
-            if turn + 1 >= STIFF_TURNS and self.level(errors) > give_up:
+            if turn + 1 >= STIFF_TURNS and self.level(point.errors) > give_up:
                 given_up = True
                 break
             if not first and anew and (gain < ENOUGH or renewals >= RENEWALS):
                 break
-            slow, anew = share < 1.0 or gain < 5.0 * ENOUGH, False
+            slow, anew = share < 1.0 or gain < GOES_ON * ENOUGH, False
         if not given_up and not anew:
-            tangents = self._all(hypothesis, errors, members, tangents, telling)
-        here = Columns(hypothesis, x, errors, tangents, (), np.zeros((*errors.shape, 0)))
-        evidence = self.evidence(here, spread, weight, kappa)
+            point = self._all_tangents(point, members, telling)
+        evidence = self.evidence(point.columns, spread, weight, kappa)
         score = evidence.score([(q, None) for q in members])
         return Fit(
-            members,
-            here,
-            spread,
-            weight,
-            score,
-            self.level(errors),
-            self.ended(members, x, score.values),
+            members=members,
+            keys=frozenset(u.keys[q] for q in members),
+            columns=point.columns,
+            spread=spread,
+            weight=weight,
+            score=score,
+            level=self.level(point.errors),
+            ended=self._ended(members, point.x, score.values),
         )
 
-    def _spikes(self, x: np.ndarray, members: Sequence[int], z: np.ndarray) -> np.ndarray:
-        """Departures of single unknowns beside the members' values."""
+    def _point(
+        self,
+        hypothesis: Hypothesis,
+        errors: np.ndarray,
+        tangents: np.ndarray,
+        members: Sequence[int],
+        values: np.ndarray | None = None,
+    ) -> Point:
+        """A point; where no values are given, the members' are all that their unknowns depart."""
         u = self.at.unknowns
+        x = u.departures(hypothesis)
+        if values is None:
+            values = np.array([x[list(u.singles(q))].mean() for q in members])
         spikes = x[: u.single].copy()
-        for q, value in zip(members, z, strict=True):
+        for q, value in zip(members, values, strict=True):
             spikes[list(u.singles(q))] -= value
-        return spikes
+        return Point(hypothesis, errors, x, values, spikes, tangents)
 
-    def _moves(
-        self, x: np.ndarray, members: Sequence[int], z: np.ndarray, spikes: np.ndarray
-    ) -> dict[int, float]:
-        """By how much single unknowns move from x for members' values and spikes."""
+    def _stepped(
+        self, evidence: Evidence, score: Score, point: Point, members: Sequence[int]
+    ) -> tuple[float, float, Point] | None:
+        """The share of a step that lowers the cost, its gain [nats] and where it leads."""
         u = self.at.unknowns
-        goal = spikes.copy()
-        for q, value in zip(members, z, strict=True):
-            goal[list(u.singles(q))] += value
-        goal = np.where(u.gradual[: u.single] | (np.abs(goal) > ABSENT), goal, 0.0)
-        return {i: float(d) for i, d in enumerate(goal - x[: u.single]) if d != 0.0}
+        values, spikes = evidence.step(score)
+        before = self._cost(evidence, score, point.errors, point.values, point.spikes)
+        for share in SHARES:
+            new_values = point.values + share * (values - point.values)
+            new_spikes = point.spikes + share * (spikes - point.spikes)
+            goal = new_spikes.copy()
+            for q, value in zip(members, new_values, strict=True):
+                goal[list(u.singles(q))] += value
+            # A moving part is there or is not.
+            goal = np.where(u.gradual[: u.single] | (np.abs(goal) > ABSENT), goal, 0.0)
+            by = {i: float(d) for i, d in enumerate(goal - point.x[: u.single]) if d != 0.0}
+            moved = u.moved(point.hypothesis, by)
+            errors = self.at.at(moved)
+            after = self._cost(evidence, score, errors, new_values, new_spikes)
+            if after < before:
+                x = u.departures(moved)
+                tangents = _broyden(
+                    point.tangents, errors - point.errors, x - point.x, members, u.single
+                )
+                new = Point(moved, errors, x, new_values, new_spikes, tangents)
+                return share, 0.5 * (before - after), new
+        return None
 
     def _cost(
         self,
         evidence: Evidence,
-        errors: np.ndarray,
-        z: np.ndarray,
-        spikes: np.ndarray,
         score: Score,
+        errors: np.ndarray,
+        values: np.ndarray,
+        spikes: np.ndarray,
     ) -> float:
-        """Twice the negative log posterior at the score's size and spread."""
-        roots, _ = self._roots(evidence, score.size)
-        white = (roots @ errors[:, :, None])[:, :, 0]
+        """Twice the negative log posterior at a score's size and spread."""
+        if self._roots is None or self._roots[0] is not evidence or self._roots[1] != score.size:
+            size = evidence.priors.sizes[score.size]
+            found, _ = evidence.spread.whiteners(self.at, size, evidence.force_size(score.size))
+            self._roots = evidence, score.size, found
+        white = (self._roots[2] @ errors[:, :, None])[:, :, 0]
         square = evidence.kappa * float((evidence.weight[:, None] * white**2).sum())
-        precision, _ = evidence.priors.precision(
-            self.at.unknowns, evidence.priors.spreads[score.spread]
-        )
-        fault = float(2.0 * np.log1p((z / FAULT_SIZE) ** 2).sum())
+        spread = evidence.priors.spreads[score.spread]
+        precision, _ = evidence.priors.precision(self.at.unknowns, spread)
+        fault = float(2.0 * np.log1p((values / FAULT_SIZE) ** 2).sum())
         return square + float(spikes @ precision @ spikes) + fault
 
-    def _roots(self, evidence: Evidence, place: int) -> tuple[np.ndarray, np.ndarray]:
-        key = (id(evidence), place)
-        if getattr(self, "_kept", (None,))[0] != key:
-            size = evidence.priors.sizes[place]
-            self._kept = key, evidence.spread.whiteners(self.at, size, evidence.force_size(place))
-        return self._kept[1]
-
-    def _fresh(self, hypothesis, errors, x, members, tangents, coarse=False):
-        """Tangents with those of the members and their shapes taken anew."""
-        at, u = self.at, self.at.unknowns
-        keys = frozenset().union(*(u.library_keys(q) for q in members))
-        which = [q for q in members if q < u.single]
-        which += [i for i in range(u.single) if u.shape[i] and u.keys[i] in keys]
-        step, large = (COARSE, LARGE_FIRST) if coarse else (_FINE, LARGE)
-        out = at.tangents(hypothesis, errors, which, step, tangents, large)
-        for q in members:
-            if q < u.single:
-                continue
-            now = float(np.mean(x[list(u.singles(q))]))
-            h = max(step, large * abs(now))
-            moved = at.at(u.moved(hypothesis, {q: h}))
-            difference = (moved - errors) / h
-            difference[np.abs(moved).max(axis=1) > 1e11] = 0.0
-            out[:, :, q] = difference
-        return out
-
-    def _all(self, hypothesis, errors, members, tangents, telling=None):
-        """All tangents taken anew, but of unknowns of which the data hardly tell anything."""
+    def _shapes(self, members: Sequence[int]) -> list[int]:
+        """Shapes of the members' effects; a shape of a spike means nothing."""
         u = self.at.unknowns
-        # A shape is the effect's whose strength is a member: of a spike it means nothing.
-        keys = {u.library_keys(q) for q in members}
-        there = frozenset().union(*keys) if keys else frozenset()
+        keys = frozenset[Key]().union(*(u.library_keys(q) for q in members))
+        return [i for i in range(u.single) if u.shape[i] and u.keys[i] in keys]
+
+    def _own_tangents(self, point: Point, members: Sequence[int], coarse: bool) -> Point:
+        """With the tangents of the members and their shapes taken anew."""
+        at, u = self.at, self.at.unknowns
+        which = [q for q in members if q < u.single] + self._shapes(members)
+        step, large = (COARSE, LARGE_FIRST) if coarse else (FINE, LARGE)
+        out = at.tangents(point.hypothesis, point.errors, which, step, point.tangents, large)
+        for q in members:
+            if q >= u.single:
+                h = max(step, large * abs(float(np.mean(point.x[list(u.singles(q))]))))
+                moved = at.at(u.moved(point.hypothesis, {q: h}))
+                difference = (moved - point.errors) / h
+                difference[np.abs(moved).max(axis=1) > BLOWN] = 0.0
+                out[:, :, q] = difference
+        return replace(point, tangents=out)
+
+    def _all_tangents(
+        self, point: Point, members: Sequence[int], telling: np.ndarray | None
+    ) -> Point:
+        """With all tangents taken anew, but of unknowns of which the data hardly tell anything."""
+        u = self.at.unknowns
+        own = {i for q in members for i in u.singles(q)} | set(self._shapes(members))
         which = [
             i
             for i in range(u.single)
-            if u.keys[i] in there
-            or (u.gradual[i] and not u.shape[i] and (telling is None or telling[i]))
+            if i in own
+            or (u.gradual[i] and not u.shape[i] and (telling is None or bool(telling[i])))
         ]
-        known = tangents.copy()
+        known = point.tangents.copy()
         known[:, :, : u.single][:, :, u.shape[: u.single]] = 0.0
-        return self.at.tangents(hypothesis, errors, which, _FINE, known)
+        out = self.at.tangents(point.hypothesis, point.errors, which, FINE, known)
+        return replace(point, tangents=out)
 
-    def _profiled(self, evidence, score, hypothesis, errors, x, z, spikes, tangents, members):
-        """The best size of each member that is not smooth, on a ladder; all else stays."""
-        at, u = self.at, self.at.unknowns
-        lowest = self._cost(evidence, errors, z, spikes, score)
-        changed = False
+    def _on_ladder(
+        self, evidence: Evidence, score: Score, point: Point, members: Sequence[int]
+    ) -> Point | None:
+        """The best size of each member that is not smooth, all else as it is; None for no other."""
+        u, begun = self.at.unknowns, point
+        lowest = self._cost(evidence, score, point.errors, point.values, point.spikes)
         for n, q in enumerate(members):
-            sizes = sorted({float(np.clip(f * z[n], u.lower[q], u.upper[q])) for f in LADDER})
-            sizes = [y for y in sizes if abs(y - z[n]) > 0.02 * abs(z[n])]
+            now = float(point.values[n])
+            sizes = sorted({float(np.clip(f * now, u.lower[q], u.upper[q])) for f in LADDER})
+            sizes = [y for y in sizes if abs(y - now) > SAME * abs(now)]
             if len(sizes) < 2:
                 continue
-            tried = {}
-
-            def look(y: float) -> np.ndarray:
-                moved = u.moved(hypothesis, {q: y - z[n]})
-                tried[y] = moved, at.at(moved)
-                change = (tried[y][1] - errors)[:, : at.size] / (y - z[n])
-                return np.einsum("wij,wj->wi", self._sensors, change)
-
-            near = [sizes[i] for i in (1, -2)] if len(sizes) > 3 else [sizes[0], sizes[-1]]
-            slopes = [look(y) for y in near]
-            if np.linalg.norm(slopes[1] - slopes[0]) < SMOOTH * np.linalg.norm(slopes[0]):
+            ends = (sizes[1], sizes[-2]) if len(sizes) > 3 else (sizes[0], sizes[-1])
+            tried = {y: self._at_size(point, members, n, y) for y in ends}
+            low, high = (self._white(tried[y].errors - point.errors) / (y - now) for y in ends)
+            if np.linalg.norm(high - low) < SMOOTH * np.linalg.norm(low):
                 continue
-            for y in sizes:
-                if y not in tried:
-                    look(y)
-            for y, (moved, there) in tried.items():
-                z_there = np.where(np.arange(z.size) == n, y, z)
-                cost = self._cost(evidence, there, z_there, spikes, score)
+            tried |= {y: self._at_size(point, members, n, y) for y in sizes if y not in tried}
+            for one in tried.values():
+                cost = self._cost(evidence, score, one.errors, one.values, point.spikes)
                 if cost < lowest:
-                    lowest, best, changed = cost, (moved, there, z_there), True
-            if changed:
-                hypothesis, errors, z = best
-                x = u.departures(hypothesis)
-        if changed:
-            tangents = self._fresh(hypothesis, errors, x, members, tangents)
-        return hypothesis, errors, x, z, spikes, tangents
+                    lowest, point = cost, one
+        return None if point is begun else self._own_tangents(point, members, True)
+
+    def _at_size(self, point: Point, members: Sequence[int], n: int, size: float) -> Point:
+        """With the n-th member at another size."""
+        by = {members[n]: size - float(point.values[n])}
+        moved = self.at.unknowns.moved(point.hypothesis, by)
+        values = np.where(np.arange(point.values.size) == n, size, point.values)
+        return self._point(moved, self.at.at(moved), point.tangents, members, values)
+
+    def _ended(self, members: Sequence[int], x: np.ndarray, values: np.ndarray) -> tuple[int, ...]:
+        """Members that stand at a bound; zero is none: no friction is an answer."""
+        u, found = self.at.unknowns, []
+        for q, value in zip(members, values, strict=True):
+            v = float(value if q >= u.single else x[q])
+            near = SAME * max(abs(v), 1e-9)
+            key, i = u.places[q][0]
+            natural = u.library.sites[key].lower[i] == 0.0
+            above = v >= u.upper[q] - near and u.upper[q] > 0
+            if above or (v <= u.lower[q] + near and u.lower[q] < 0 and not natural):
+                found.append(q)
+        return tuple(found)
 
 
-def _broyden(tangents, change, moved, members, single):
-    """Tangents corrected by what a step showed, along the unknowns that moved most."""
+def _broyden(
+    tangents: np.ndarray,
+    change: np.ndarray,
+    moved: np.ndarray,
+    members: Sequence[int],
+    single: int,
+) -> np.ndarray:
+    """Tangents corrected by what a step showed, along the members if they moved."""
     direction = moved[:single].copy()
-    on = [q for q in members if q < single]
-    along = direction.copy()
-    if on:
-        mask = np.zeros(single)
-        mask[on] = 1.0
-        if (direction * mask).any():
-            along = direction * mask
+    along = np.zeros(single)
+    own = [q for q in members if q < single]
+    along[own] = direction[own]
+    if not along.any():
+        along = direction
     norm = float(direction @ along)
     if norm <= 1e-12:
         return tangents

@@ -37,12 +37,14 @@ from leglab.diagnosis.result import (
     Remaining,
     ResidualTrace,
     Rivals,
+    Verdict,
 )
 from leglab.diagnosis.search.onset import begun
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, Searched, searched
-from leglab.diagnosis.search.settle import Fit, Fitter
-from leglab.diagnosis.verdict.confidence import EXPLAINED, NAMED, VISIBLE, Judge, Row, Verdict
+from leglab.diagnosis.search.settle import EXPLAINED, Fit, Fitter
+from leglab.diagnosis.verdict.confidence import NAMED, VISIBLE, Judgement, judged
 from leglab.diagnosis.verdict.experiment import propose
+from leglab.diagnosis.verdict.sets import Row, Sets
 from leglab.diagnosis.verdict.whole import whole_recording
 
 _HARDLY_SHOWN = (
@@ -54,8 +56,8 @@ _POSES = 50
 # Spread of a machine that is as its model but for tolerances, in trials; and the share of its error
 # by which such a fit may be worse.
 AS_BUILT, AS_GOOD = 1e-3, 0.1
-# Standard deviation of the size of a change that is found on a rough machine, as a share of it: what
-# a parameter of another law than the machine's differs by between motions.
+# Standard deviation of the size of a change on a rough machine, as a share of it: what a parameter
+# of another law than the machine's differs by between motions.
 LAW = 0.25
 # Sets that are told as rivals.
 _RIVALS = 6
@@ -80,7 +82,7 @@ class Outcome:
     """
 
     searched: Searched
-    judged: Verdict
+    judged: Judgement
     row: Row
     spread: np.ndarray
     baseline: Hypothesis
@@ -148,32 +150,29 @@ def diagnose(
 
 def _judged(found: Searched) -> Outcome:
     """The search with its verdict, and the hypotheses that are told."""
-    judge = Judge(found.found)
-    judged, u = judge.judge(), judge.unknowns
-    told = set(judged.named or judged.confusion[:1])
-    row = next((r for r in judged.rows if told <= r.keys and not r.renamed), judged.rows[0])
-    nothing = next((r for r in judged.rows if not r.keys), None)
-    if judged.verdict == "nothing_missing" and nothing is not None:
+    judgement = judged(Sets(found.found))
+    told = set(judgement.named or judgement.confusion[:1])
+    rows = judgement.rows
+    row = next((r for r in rows if told <= r.keys and not r.renamed), rows[0])
+    nothing = next((r for r in rows if not r.keys), None)
+    if judgement.verdict == "nothing_missing" and nothing is not None:
         row = nothing
+    u, fitter = row.evidence.unknowns, found.found.fitter
 
     def hypothesis(of: Row) -> Hypothesis:
-        columns, fitter = of.evidence.columns, found.found.fitter
-        promised = u.moved(columns.base, of.evidence.departures(of.score))
-        return min(
-            (promised, columns.base) if of.fitted else (promised,),
-            key=lambda h: fitter.level(fitter.at.at(h)),
-        )
+        both = (of.hypothesis, of.evidence.columns.base) if of.fitted else (of.hypothesis,)
+        return min(both, key=lambda h: fitter.level(fitter.at.at(h)))
 
     final, spread = hypothesis(row), _scatter(row.evidence, row.score)
     named = tuple(
         key
-        for name, element in (judged.named or judged.confusion[:1])
+        for name, element in (judgement.named or judgement.confusion[:1])
         for key in sorted(found.problem.library.sites)
         if key[0] == name and element in (key[1], EVERY)
     )
     if found.specimen is not None:
         written = final.only(named)
-        final = final if named or judged.verdict != "nothing_missing" else written
+        final = final if named or judgement.verdict != "nothing_missing" else written
     else:
         values = zip(row.score.unknowns, row.score.values, strict=True)
         kept = {q: float(v) for q, v in values if u.library_keys(q) <= set(named)}
@@ -187,7 +186,7 @@ def _judged(found: Searched) -> Outcome:
     return Outcome(
         onsets=between,
         searched=found,
-        judged=judged,
+        judged=judgement,
         row=row,
         spread=spread,
         baseline=hypothesis(nothing) if nothing is not None else Hypothesis(),
@@ -343,14 +342,15 @@ def _hardly_shows(
 
 def _effects(
     outcome: Outcome, problem: Problem, gap: Gap, shown: np.ndarray
-) -> tuple[str, tuple[NamedEffect, ...], tuple[NamedEffect, ...]]:
+) -> tuple[Verdict, tuple[NamedEffect, ...], tuple[NamedEffect, ...]]:
     """Verdict, named effects and smaller differences, the largest contribution first."""
     judged, final = outcome.judged, outcome.final
     limits = problem.thresholds
     unnamed, after, floor = gap.shown
     explained = gap.explained or 0.0
     half = _intervals(outcome)
-    causes, smaller = [], []
+    causes: list[NamedEffect] = []
+    smaller: list[NamedEffect] = []
     for key in outcome.named:
         site = problem.library.sites[key]
         one = judged.effects.get(key) or judged.effects[key[0], EVERY]
@@ -452,7 +452,7 @@ def _differences(site: Site, values: np.ndarray, half: np.ndarray) -> tuple[Esti
 def _ranking(found: Searched) -> tuple[Rank, ...]:
     """What each effect would explain alone, to first order, in nats."""
     first, u = found.found.first, found.found.fitter.at.unknowns
-    best = found.found.evidence[0]
+    best = found.found.ranks[0].evidence
     evidence = found.found.fitter.evidence(first, best.spread, best.weight, best.kappa)
     gains: dict[Key, float] = dict.fromkeys(found.problem.library.searched, 0.0)
     for gain, (q, _) in evidence.additions(evidence.score(())):
@@ -463,7 +463,7 @@ def _ranking(found: Searched) -> tuple[Rank, ...]:
     return tuple(Rank(name=k[0], element=k[1], round=1, gain=g, threshold=0.0) for k, g in rows)
 
 
-def _rivals(judged: Verdict) -> tuple[Rivals, ...]:
+def _rivals(judged: Judgement) -> tuple[Rivals, ...]:
     """The most probable sets, and how much each is preferred to another."""
     rows = judged.rows[:_RIVALS]
     names = tuple(" + ".join(sorted(k[0] for k in row.keys)) or "nothing" for row in rows)
@@ -493,7 +493,8 @@ def _remaining(problem: Problem, final: Hypothesis, held: np.ndarray) -> tuple[R
 def _calibration(found: Searched) -> Calibration:
     """The calibration for the page: what departed most."""
     specimen, problem = found.specimen, found.healthy
-    assert specimen is not None and problem is not None
+    assert specimen is not None
+    assert problem is not None
     rows = []
     for key, site in problem.library.sites.items():
         for p, nominal, value in zip(
@@ -534,7 +535,7 @@ def _not_testable(outcome: Outcome) -> tuple[NotTestable, ...]:
     found = outcome.searched.found
     first, u = found.first, found.fitter.at.unknowns
     evidence = found.fitter.evidence(
-        first, found.evidence[0].spread, np.ones(len(first.errors)), 1.0, places=[0]
+        first, found.ranks[0].evidence.spread, np.ones(len(first.errors)), 1.0, places=[0]
     )
     inner = evidence.whole.inner[0, 0]
     sites = outcome.problem.library.sites

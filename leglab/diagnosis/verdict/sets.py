@@ -1,0 +1,220 @@
+"""Sets of effects as a verdict compares them: whole, by parts, and in units of the drive.
+
+Among them are those that lack an effect where it stands: each effect of every good set is taken out
+by a replay. So every name has a rival at its own place.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
+from leglab.diagnosis.likelihood.columns import BLOWN, Columns
+from leglab.diagnosis.likelihood.evidence import Evidence, Score
+from leglab.diagnosis.likelihood.spread import Spread
+from leglab.diagnosis.likelihood.unknowns import Unknowns
+from leglab.diagnosis.search.rank import NEAR
+from leglab.diagnosis.search.search import Found
+from leglab.diagnosis.verdict.twins import twins
+
+# Log of the influence of a drive by which good fits differ.
+SLACK = 0.1
+# A drive moves channels, and windows, whose change by it is beyond this share of the largest.
+MOVES = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """A set with its evidence.
+
+    Attributes:
+        keys: Its effects.
+        ended: Whether a member ended at a bound.
+        score: Where the set is most probable.
+        evidence: Linearisation there.
+        apart: Log evidence without each part of the recordings in turn, (parts,).
+        left: Errors that it leaves, (windows, rows).
+        level: Median of these in noise levels.
+        fitted: Whether the linearisation is where the set itself was fitted by replays.
+        renamed: Effects that go by the name of a twin.
+        drive: Nats by which it loses in units of the drive, 0 and less.
+    """
+
+    keys: frozenset[Key]
+    ended: bool
+    score: Score
+    evidence: Evidence
+    apart: np.ndarray
+    left: np.ndarray
+    level: float
+    fitted: bool = False
+    renamed: Mapping[Key, Key] = field(default_factory=dict)
+    drive: float = 0.0
+
+    def places(self, key: Key) -> list[int]:
+        """Places among the members of an effect's parameters."""
+        u = self.evidence.unknowns
+        names = [self.renamed.get(u.keys[q], u.keys[q]) for q in self.score.unknowns]
+        return [i for i, name in enumerate(names) if name == key]
+
+    @property
+    def hypothesis(self) -> Hypothesis:
+        """Where first order leads from the linearisation."""
+        evidence = self.evidence
+        by = evidence.departures(self.score)
+        return evidence.unknowns.moved(evidence.columns.base, by)
+
+
+class Sets:
+    """All sets of a search.
+
+    Args:
+        found: The search.
+
+    Attributes:
+        rows: The sets, most probable first.
+        removed: Linearisations of sets without an effect, by the set and the effect.
+    """
+
+    def __init__(self, found: Found) -> None:
+        self.found, self.fitter, self.at = found, found.fitter, found.fitter.at
+        self.unknowns: Unknowns = self.at.unknowns
+        self.best = found.ranks[0].evidence
+        self.size = found.ranks[0].score.size
+        self.channels = len(self.at.problem.channels)
+        n, problem = self.at.size, self.at.problem
+        if self.fitter.fixed:  # in the errors of the healthy specimen
+            self._roots = self.best.spread.whiteners(self.at, 1.0, 1.0)[0][:, :n, :n]
+        else:
+            self._roots = problem.noise.whitening[self.at.chosen]
+        self.removed: dict[tuple[frozenset[Key], Key], Columns] = {}
+        rows = self._all()
+        lost = self._in_units_of_the_drive(rows)
+        self.rows = [replace(row, drive=float(v)) for row, v in zip(rows, lost, strict=True)]
+
+    def channel_squares(self, errors: np.ndarray) -> np.ndarray:
+        """Mean squares by window and channel, in noise or errors as healthy."""
+        white = np.einsum("wij,wj->wi", self._roots, errors[:, : self.at.size])
+        return np.asarray((white.reshape(len(white), self.channels, -1) ** 2).mean(axis=2))
+
+    def blocks(self, errors: np.ndarray) -> np.ndarray:
+        """The same, the median of the windows of each recording, (recordings, channels)."""
+        square, recording = self.channel_squares(errors), self.at.recording
+        return np.stack([np.median(square[recording == r], axis=0) for r in np.unique(recording)])
+
+    def _row(self, evidence: Evidence, members: Sequence[int], ended: bool) -> Row:
+        chosen = [(q, None) for q in members]
+        score, parts = evidence.score(chosen), int(evidence.part.max()) + 1
+        left = evidence.left(score)
+        return Row(
+            keys=frozenset(self.unknowns.keys[q] for q in members),
+            ended=ended,
+            score=score,
+            evidence=evidence,
+            apart=np.array([evidence.score(chosen, evidence.without(r)).log for r in range(parts)]),
+            left=left,
+            level=self.fitter.level(left),
+        )
+
+    def _all(self) -> list[Row]:
+        """All sets, each where it is most probable, most probable first."""
+        u = self.unknowns
+        rows: dict[frozenset[Key], Row] = {}
+
+        def enter(row: Row) -> None:
+            if row.keys not in rows or row.score.log > rows[row.keys].score.log:
+                rows[row.keys] = row
+
+        for r in self.found.ranks:
+            row = self._row(r.evidence, r.fit.members, bool(r.fit.ended))
+            enter(replace(row, fitted=r.evidence.columns is r.fit.columns))
+        top = max(row.score.log for row in rows.values())
+        for r in self.found.ranks:
+            for key in r.fit.keys if r.score.log > top - NEAR else ():
+                columns = self._removed(r.fit.columns, r.fit.members, key)
+                if columns is None:
+                    continue
+                self.removed[r.fit.keys, key] = columns
+                members = tuple(q for q in r.fit.members if u.keys[q] != key)
+                # What it is without the effect has a pattern of its own.
+                own = [] if self.fitter.fixed else [Spread.of(self.at, columns.errors)]
+                for spread in (r.evidence.spread, *own):
+                    weight, kappa = self.best.weight, self.best.kappa
+                    there = self.fitter.evidence(columns, spread, weight, kappa)
+                    enter(self._row(there, members, bool(r.fit.ended and members)))
+        for row in list(rows.values()):
+            for key in row.keys:
+                for twin in twins(self.at.problem, key):
+                    if twin not in row.keys:  # the same motion by another name
+                        keys = (row.keys - {key}) | {twin}
+                        enter(replace(row, keys=keys, renamed={key: twin}))
+        return sorted(rows.values(), key=lambda r: -r.score.log)
+
+    def _removed(self, columns: Columns, members: Sequence[int], key: Key) -> Columns | None:
+        """A linearisation without an effect; None where its replay blows up."""
+        u, x = self.unknowns, columns.x
+        gone = {i: -float(x[i]) for q in members if u.keys[q] == key for i in u.singles(q)}
+        base = u.moved(columns.base, gone)
+        errors = self.at.at(base)
+        if np.abs(errors).max() > BLOWN:
+            return None
+        return replace(columns, base=base, x=u.departures(base), errors=errors)
+
+    def without(self, row: Row, key: Key) -> np.ndarray:
+        """Errors with an effect taken out and the other members fitted anew; spikes stay."""
+        gone = row.places(key)
+        removed = self.removed.get((row.keys, key))
+        columns = removed or row.evidence.columns
+        errors = row.left
+        if removed is not None:
+            errors = removed.errors
+        else:
+            for i in gone:
+                moved = columns.tangents[:, :, row.score.unknowns[i]]
+                errors = errors - moved * row.score.values[i]
+        members = [q for i, q in enumerate(row.score.unknowns) if i not in gone]
+        if members:
+            tangents = columns.tangents[:, :, members]
+            size = self.fitter.priors.sizes[row.score.size]
+            roots, _ = row.evidence.spread.whiteners(self.at, size, 1.0)
+            white = roots @ np.concatenate([errors[:, :, None], tangents], axis=2)
+            white = white * np.sqrt(self.best.weight)[:, None, None]
+            flat = white.reshape(-1, 1 + len(members))
+            step = np.linalg.lstsq(flat[:, 1:], -flat[:, 0], rcond=None)[0]
+            errors = errors + tangents @ step
+        return np.asarray(errors)
+
+    def _in_units_of_the_drive(self, rows: Sequence[Row]) -> np.ndarray:
+        """Nats by which sets lose in units of the drive, (sets,), 0 and less.
+
+        Any misfit shrinks the influence of a drive on the motion that a fit predicts, as noise in
+        a regressor shrinks its slope. Errors counted in units of the drive, motion error over how
+        much motion a command makes, do not profit from that: the other direction of the same
+        regression. Only errors beyond the sensors' noise count.
+        """
+        at, size = self.at, self.fitter.priors.sizes[self.size]
+        noise = at.problem.noise.covariance[at.chosen]
+        own = size**2 * self.best.spread.replays[at.recording]
+        beyond = np.einsum("wij,wji->wi", np.linalg.inv(noise + own), own).clip(0.0, 1.0)
+        numbers = beyond.reshape(len(beyond), self.channels, -1).sum(axis=2)
+        points = [row.hypothesis for row in rows]
+        errors = [at.at(point) for point in points]
+        lost = np.zeros(len(rows))
+        for actuator in at.problem.machine.actuators:
+            change = at.at(Hypothesis(), actuator) - self.found.first.errors
+            squares = self.channel_squares(change)
+            mean = squares.mean(axis=0)
+            channels = mean > MOVES * mean.max()
+            before = squares[:, channels].sum(axis=1)
+            moving = before > MOVES * np.median(before)
+            count = self.best.kappa * float(numbers[moving][:, channels].sum())
+            for i, (point, here) in enumerate(zip(points, errors, strict=True)):
+                change = at.at(point, actuator) - here
+                if np.abs(change).max() > BLOWN:
+                    continue
+                after = self.channel_squares(change)[moving][:, channels].sum(axis=1)
+                ratio = np.maximum(after, 1e-24) / before[moving]
+                influence = 0.5 * float(np.median(np.log(ratio)))
+                lost[i] += count * min(influence + SLACK, 0.0)
+        return lost
