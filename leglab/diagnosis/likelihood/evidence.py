@@ -34,6 +34,8 @@ SECANT = (0.4, 2.0)
 # Windows whose mean square is beyond this many usual ones count less: one that starts in a bad
 # moment must not outvote a hundred others.
 ROBUST = 3.0
+# Share of a sum of squares that rounding may take.
+ROUNDING = 1e-14
 # Share of a prior's precision below which data say nothing of an unknown.
 TELLING = 0.1
 # Recordings below this number are cut into parts, so many in all.
@@ -189,7 +191,8 @@ class Evidence:
                 cross = kappa * gram[k, 1 : 1 + n]
                 cross[:, 0] += pulled
                 matrix = kappa * gram[k, 1 : 1 + n, 1 : 1 + n] + precision
-                matrix[np.diag_indices(n)] *= 1.0 + 1e-9
+                # Rounding alone: more would hold a spike where it stands.
+                matrix[np.diag_indices(n)] *= 1.0 + ROUNDING
                 root = np.linalg.cholesky(matrix)
                 half = np.linalg.solve(root, cross)
                 inner[k, o] = whole - half.T @ half
@@ -388,7 +391,7 @@ class Evidence:
             FAULT_SIZE**2 + size**2
         )
         gradient[:n] += precision @ now
-        matrix[np.diag_indices_from(matrix)] *= 1.0 + 1e-9
+        matrix[np.diag_indices_from(matrix)] *= 1.0 + ROUNDING
         lower = np.concatenate([u.lower[:n] - now, low])
         upper = np.concatenate([u.upper[:n] - now, high])
         parts = [i for q in score.unknowns for i in u.singles(q)]

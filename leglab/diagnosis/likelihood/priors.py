@@ -16,7 +16,7 @@ FAULT_ODDS = 0.3
 # Odds of a further parameter of an effect that is there.
 FURTHER = 0.3
 # Where a tolerance is known it holds at the least spread of all else, and grows with it from half
-# of a wider one on.
+# of a wider one on, but not beyond it.
 USUAL = 0.5
 # Standard deviation of what is there or is not, in trials: not there.
 ABSENT = 1e-3
@@ -54,7 +54,8 @@ class Priors:
         n = unknowns.single
         known = self.tolerances * unknowns.tolerance[:n]
         wider = max(1.0, spread / self.spreads[0] * USUAL)
-        deviation = np.where(known > 0.0, known * wider, spread)
+        widest = np.minimum(known * wider, np.maximum(known, spread))
+        deviation = np.where(known > 0.0, widest, spread)
         ranges = unknowns.upper[:n] - unknowns.lower[:n]
         # A moving part is there or is not.
         deviation = np.where(unknowns.gradual[:n], deviation, ABSENT)
