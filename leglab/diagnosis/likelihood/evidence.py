@@ -333,7 +333,7 @@ class Evidence:
             gain = gain + 0.5 * np.log(2.0 * np.pi / safe) + np.log(np.abs(unit))
             gain = gain + log_fault(u, which, step * unit)
             known = np.array([u.keys[q] in there for q in which.tolist()])
-            gain = gain + np.where(known, np.log(FURTHER), np.log(FAULT_ODDS / u.sites))
+            gain = gain + np.where(known, np.log(FURTHER), np.log(FAULT_ODDS / max(u.sites, 1)))
             gain = np.where(curve <= 1e-9, -np.inf, gain)
             for member, value in zip(also, gain.tolist(), strict=True):
                 best[member] = max(best.get(member, -np.inf), value)

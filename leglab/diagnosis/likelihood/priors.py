@@ -82,5 +82,5 @@ def log_fault(unknowns: Unknowns, which: np.ndarray, x: np.ndarray) -> np.ndarra
 def log_set(unknowns: Unknowns, members: tuple[int, ...]) -> float:
     """Log prior odds of a set of faulty parameters over none."""
     keys = {unknowns.keys[u] for u in members}
-    first = len(keys) * np.log(FAULT_ODDS / unknowns.sites)
+    first = len(keys) * np.log(FAULT_ODDS / max(unknowns.sites, 1))
     return float(first + (len(members) - len(keys)) * np.log(FURTHER))

@@ -18,8 +18,9 @@ from leglab.diagnosis.replay.residual import Problem
 
 # Trials as shares of what is recorded: 1 % is the smallest that a user would notice.
 TRIALS = (0.01, 0.05, 0.25)
-# Delays and lags as shares of the longest correlation of a command; none below the rounding of
-# time to the sampling period, 1/sqrt(12) of it, and no fit follows one beyond this time [s].
+# Delays and lags as shares of the time in which commands change by their own size, up to that in
+# which they forget themselves; none below the rounding of time to the sampling period, 1/sqrt(12)
+# of it, and no fit follows one beyond this time [s].
 LONGEST = 0.5
 # Largest values are quantiles: one bad sample is no size.
 TOP = 0.99
@@ -75,12 +76,14 @@ class Shown:
         joints: By joint.
         commands: Half the range of each command, by actuator.
         period: Sampling period [s].
+        change: Shortest time in which a command changes by its size, rms u / rms du/dt [s].
         correlation: Longest time at which a command's autocorrelation falls to a half [s].
     """
 
     joints: Mapping[str, Motion]
     commands: Mapping[str, float]
     period: float
+    change: float
     correlation: float
 
     @classmethod
@@ -94,7 +97,8 @@ class Shown:
         }
         commands = {a: max(s.commands[a] for s in several) for a in first.commands}
         period = max(s.period for s in several)
-        return cls(joints, commands, period, max(s.correlation for s in several))
+        change = min(s.change for s in several)
+        return cls(joints, commands, period, change, max(s.correlation for s in several))
 
 
 def shown(problem: Problem) -> Shown:
@@ -135,7 +139,16 @@ def shown(problem: Problem) -> Shown:
         a: 0.5 * float(np.ptp(np.quantile(np.concatenate(c), [1.0 - TOP, TOP])))
         for a, c in commands.items()
     }
-    return Shown(joints, half, problem.series[0].period, longest)
+    period = problem.series[0].period
+    shortest = min((change_time(c, period) for c in commands.values()), default=0.0)
+    return Shown(joints, half, period, shortest, longest)
+
+
+def change_time(parts: Sequence[np.ndarray], period: float) -> float:
+    """Time in which a command changes by its own size, rms u / rms du/dt over recordings [s]."""
+    size = np.concatenate([u - u.mean() for u in parts])
+    rate = np.concatenate([np.diff(u) / period for u in parts])
+    return float(np.std(size) / np.sqrt(np.mean(rate**2))) if rate.any() else 0.0
 
 
 def correlation_time(x: np.ndarray, period: float) -> float:
@@ -164,7 +177,7 @@ def sized(library: Library, machine: Machine, seen: Shown) -> Library:
 
 def _size(p: EffectParameter, joint: Motion | None, command: float | None, seen: Shown) -> float:
     if p.unit == "s":
-        return seen.correlation
+        return seen.change
     if p.unit == "ctrl":
         return command or 0.0
     return joint.of_unit(p.unit) if joint else 0.0
@@ -176,7 +189,10 @@ def _sized(p: EffectParameter, size: float, seen: Shown) -> EffectParameter:
         return p
     least = max(TRIALS[0] * size, seen.period / np.sqrt(12.0) if p.unit == "s" else 0.0)
     steps = [least * t / TRIALS[0] for t in TRIALS]
-    far = min(max(size, steps[-1]), LONGEST) if p.unit == "s" else size
+    far = size
+    if p.unit == "s":
+        far = min(max(seen.correlation, steps[-1]), LONGEST)
+        steps = sorted({*(t for t in steps if t < far), TRIALS[-1] * far})
     sides = [s for s in (-1.0, 1.0) if any((t - p.nominal) * s > 0.0 for t in p.trials)]
     lower = p.nominal - far if p.lower < p.nominal else p.lower
     if p.lower >= 0.0:

@@ -3,14 +3,16 @@
 import os
 from collections.abc import Callable, Iterable, Mapping
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
-from leglab.diagnosis.effects.hypothesis import Key, Library
+from leglab.diagnosis.balance.forces import forces_left
+from leglab.diagnosis.effects.base import Effect
+from leglab.diagnosis.effects.hypothesis import Hypothesis, Key, Library
 from leglab.diagnosis.intake.admission import admit
 from leglab.diagnosis.intake.series import UniformSeries, common_period
 from leglab.diagnosis.likelihood.sizes import Shown, shown, sized
@@ -188,6 +190,22 @@ def searched(
 
 
 def _sized(problem: Problem, seen: Shown) -> Problem:
+    """The problem with sizes of parameters as recorded, and shapes as the forces left suggest."""
     other = copy(problem)
-    other.library = sized(problem.library, problem.machine, seen)
+    sites = dict(sized(problem.library, problem.machine, seen).sites)
+    guessing = [k for k, s in sites.items() if type(s.effect).guesses is not Effect.guesses]
+    left = forces_left(problem, Hypothesis()) if guessing else {}
+    for key in guessing:
+        site = sites[key]
+        if site.element not in left:
+            continue
+        for values in site.effect.guesses(problem.machine, site.element, left[site.element])[:1]:
+            parameters = tuple(
+                replace(p, nominal=float(np.clip(values[p.name], p.lower, p.upper)))
+                if p.role == "shape"
+                else p
+                for p in site.parameters
+            )
+            sites[key] = replace(site, parameters=parameters)
+    other.library = problem.library.with_sites(sites)
     return other
