@@ -88,11 +88,16 @@ def test_a_soft_gear_of_a_pendulum_is_named():
     assert result.gap.closed_fraction > 0.9
 
 
-@pytest.mark.xfail(strict=True, reason="no search asks an effect for its guesses of the period")
 @pytest.mark.slow("whole diagnosis of a rig with all effects")
 @pytest.mark.parametrize(
     ("rig", "size", "period", "second"),
-    [(SLIDE_AXIS, 2.0, 0.031, 0.0), (PENDULUM, 0.2, 0.9, 0.35)],
+    [
+        (SLIDE_AXIS, 2.0, 0.031, 0.0),
+        pytest.param(
+            *(PENDULUM, 0.2, 0.9, 0.35),
+            marks=pytest.mark.xfail(strict=True, reason="a second harmonic is left unexplained"),
+        ),
+    ],
 )
 def test_a_force_that_repeats_with_the_position_is_named_with_its_period(rig, size, period, second):
     result, _ = verdict(rig, Truth(ripple=(size, period, 0.7), second=second), "multisine")

@@ -125,7 +125,6 @@ def test_a_slow_log_of_a_machine_that_is_off_everywhere_gets_a_verdict(servo):
     assert all(e.confidence < 0.5 for e in result.effects)
 
 
-@pytest.mark.xfail(strict=True, reason="a search without any effect divides by no sites")
 def test_what_is_over_between_two_samples_is_not_testable():
     logs = {n: data.read(BENCH / f"d2_{n}.parquet") for n in ("slow", "walk")}
     logs = {n: thinned(r, np.arange(len(r)) % 50 == 0) for n, r in logs.items()}

@@ -70,6 +70,8 @@ def balanced_sets(at: Errors, jumps: Sequence[Jump]) -> dict[str, list[Balanced]
     if not joints:
         return {}
     jumps = [jump for jump in jumps if jump[0] < u.single]
+    if not jumps:
+        return {}
     left, drive = forces_left(at, base)
     moved = [forces_left(at, u.moved(base, dict([jump])))[0] - left for jump in jumps]
     louder = {q: LOUDER / u.scale[q] for q in range(u.single) if u.keys[q][0] == "actuator_gain"}
