@@ -6,16 +6,18 @@ import mujoco
 import numpy as np
 import pytest
 
-from leglab import DiagnosisSettings, Recording, diagnose
+from leglab import DiagnosisSettings, Recording, data, diagnose
 from leglab.base.errors import LeglabError
 from leglab.diagnosis.effects.base import Effect, EffectParameter, register_effect
 from leglab.diagnosis.effects.cogging import waves
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
+from leglab.diagnosis.likelihood.columns import Errors
+from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.plant.model import Change, ForceLeft, Machine
 from leglab.diagnosis.plant.paths import delayed, lagged, play
 from leglab.diagnosis.replay import windows
 from leglab.diagnosis.replay.nuisances import within_tolerance
-from leglab.diagnosis.replay.residual import extrapolation
+from leglab.diagnosis.replay.residual import extrapolation, thinned, whitened
 from leglab.diagnosis.replay.starts import bristle, spool
 from leglab.diagnosis.replay.windows import Channel, Cut, derivative, noise_level, smoothed
 from leglab.diagnosis.result import Gap
@@ -24,6 +26,7 @@ from leglab.diagnosis.verdict.verdict import at_limits
 from leglab.studies.blind.faulty_bench import FAULTS, FaultyBench, detuned, references
 from leglab.studies.blind.selftest import Case, Outcome, cases, make, score_table, scores
 from tests.rigs import PENDULUM, Truth, record
+from tests.unpleasant import BENCH
 
 
 def test_noise_level_of_a_noisy_sine():
@@ -411,3 +414,26 @@ def test_effects_depart_from_the_specimen_and_not_from_the_model():
     assert trials == pytest.approx([0.3 + off for off in offs])
     priors = {n.key: n.nominal for n in within_tolerance(about)}
     assert priors[VISCOUS] == 0.1
+
+
+def test_a_little_of_an_effect_that_good_machines_have_changes_little():
+    """Unknowns beside a set depart a little: one that jumps there would stop every fit."""
+    names = ("slow", "walk")
+    logs = {name: data.read(BENCH / f"d2_{name}.parquet") for name in names}
+    problem = set_up("knee_bench", logs, (), DiagnosisSettings(threads=1))
+    unknowns = Unknowns.of(problem.library)
+    at = Errors(problem, unknowns, thinned(problem.fitted, 8))
+    # Off its model a little everywhere, as a fit finds it.
+    little = {i: 0.1 for i in range(unknowns.single) if unknowns.gradual[i]}
+    little = {i: d for i, d in little.items() if not unknowns.shape[i] and unknowns.upper[i] > d}
+
+    def moved(i, by):
+        base = unknowns.moved(Hypothesis(), {k: d for k, d in little.items() if k != i})
+        change = at.at(unknowns.moved(base, {i: by})) - at.at(base)
+        return np.linalg.norm(whitened(problem.noise.whitening[at.chosen], change[:, : at.size]))
+
+    for i in little:
+        assert moved(i, 1e-5) < 0.05 * moved(i, 0.3) + 0.01, unknowns.keys[i]
+    # Of what is there or is not, the first trace says it is there.
+    absent = [i for i in range(unknowns.single) if not unknowns.gradual[i] and unknowns.nameable[i]]
+    assert {unknowns.keys[i][0] for i in absent} == {"backlash"}

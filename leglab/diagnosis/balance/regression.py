@@ -20,7 +20,7 @@ from leglab.diagnosis.replay.starts import start_states
 # Effects of a set on one joint; sets of each number that are kept, and singles that are combined.
 MOST, KEPT, COMBINED = 3, 2, 16
 # Step of the drives' gains that shows what grows with them.
-LOUDER = 0.1
+STRONGER = 0.1
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def balanced_sets(at: Errors, jumps: Sequence[Jump]) -> dict[str, list[Balanced]
         return {}
     left, drive = forces_left(at, base)
     moved = [forces_left(at, u.moved(base, dict([jump])))[0] - left for jump in jumps]
-    louder = {q: LOUDER / u.scale[q] for q in range(u.single) if u.keys[q][0] == "actuator_gain"}
+    louder = {q: STRONGER / u.scale[q] for q in range(u.single) if u.keys[q][0] == "actuator_gain"}
     loud = forces_left(at, u.moved(base, louder))[0] if louder else left
     found = {}
     for j, joint in enumerate(joints):
@@ -94,7 +94,7 @@ def balanced_sets(at: Errors, jumps: Sequence[Jump]) -> dict[str, list[Balanced]
                 # What is in proportion to the drive grows with its gain; other friction does not.
                 both = forces_left(at, u.moved(base, {**louder, jump[0]: jump[1]}))[0] - loud
                 grown = float((both[:, j] * own).sum() / (own**2).sum()) - 1.0
-                share = share if abs(grown - LOUDER) < 0.1 * LOUDER else 0.0
+                share = share if abs(grown - STRONGER) < 0.1 * STRONGER else 0.0
             if share:
                 # A gain of 0 leaves no force over, nor does a friction that eats the drive's:
                 # regressed on itself the drive explains itself. The motion's force stands for it.

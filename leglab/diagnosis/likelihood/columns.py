@@ -1,6 +1,6 @@
 """Errors about a hypothesis and what moves them: tangents of all unknowns, and finite jumps."""
 
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,6 +9,7 @@ from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.plant.model import Change
 from leglab.diagnosis.replay.residual import Problem
+from leglab.diagnosis.thresholds import DEFAULT
 
 # An unknown, and by how much it moves at once, in trials.
 Jump = tuple[int, float]
@@ -23,7 +24,8 @@ FINE = 0.05
 LARGE, LARGE_FIRST = 0.02, 0.1
 # Factor on a command that shows what it moves.
 LOUDER = 1.02
-BLOCKS = 5  # of a window, over which forces are averaged
+# Blocks of a window, over which forces are averaged.
+BLOCKS = DEFAULT.force_blocks
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,17 +50,6 @@ class Columns:
     tangents: np.ndarray
     jumps: tuple[Jump, ...]
     changes: np.ndarray
-
-    def without_jumps(self) -> "Columns":
-        """The same without any jumps."""
-        return replace(self, jumps=(), changes=self.changes[:, :, :0])
-
-    def of_jumps(self, unknowns: Collection[int]) -> "Columns":
-        """The same with the jumps of some unknowns only."""
-        keep = [i for i, (u, _) in enumerate(self.jumps) if u in unknowns]
-        return replace(
-            self, jumps=tuple(self.jumps[i] for i in keep), changes=self.changes[:, :, keep]
-        )
 
 
 class Errors:
@@ -129,7 +120,7 @@ class Errors:
             return problem.replay.lacking(change, self.chosen, BLOCKS)
 
         change = forces(True) - (forces(False) if left is None else left)
-        return np.sqrt(np.mean(np.clip(change, -1e11, 1e11) ** 2, axis=(0, 2)))
+        return np.sqrt(np.mean(np.clip(change, -BLOWN, BLOWN) ** 2, axis=(0, 2)))
 
     def tangents(
         self,

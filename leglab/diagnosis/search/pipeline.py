@@ -47,7 +47,6 @@ class DiagnosisSettings:
     effects: tuple[str, ...] | None = None
     excluded: tuple[str, ...] = ()
     threads: int = field(default_factory=_threads)
-    seed: int = 0
     thresholds: Thresholds = DEFAULT
 
 

@@ -26,12 +26,12 @@ from leglab.diagnosis.likelihood.columns import (
 from leglab.diagnosis.likelihood.evidence import Evidence, Score, robust_weights
 from leglab.diagnosis.likelihood.priors import ABSENT, FAULT_SIZE, Priors
 from leglab.diagnosis.likelihood.spread import Spread
+from leglab.diagnosis.thresholds import DEFAULT
 
 # Share of the log likelihood that counts before anything is known.
 KAPPA = 0.1
-# Level up to which errors are those of noise: windows that start in stick-slip or beside jumps of
-# the command lift it on good models.
-EXPLAINED = 2.0
+# Level up to which errors are those of noise.
+EXPLAINED = DEFAULT.explained
 TURNS = 16
 # Another turn that gains less is not worth its replays [nats]; one that gains so many times more
 # goes on with the tangents that it has.

@@ -35,7 +35,7 @@ EDGE = 0.5
 NAMED, POSSIBLE = 0.5, 0.3
 # Sets whose fits differ by less than this factor in probability are not told apart by the data,
 # whichever is simpler, if the rival needs no more than so many further numbers.
-TIE, FURTHER = 4.0, 2
+TIE, MORE_NUMBERS = 4.0, 2
 
 
 @dataclass(frozen=True)
@@ -181,7 +181,12 @@ def _ties(rows: Sequence[Row], first: Row, key: Key) -> tuple[frozenset[Key], ..
     found: list[frozenset[Key]] = []
     for row in rows:
         new = row.keys - shared
-        if key in row.keys or row.ended or not new or len(row.score.members) > numbers + FURTHER:
+        if (
+            key in row.keys
+            or row.ended
+            or not new
+            or len(row.score.members) > numbers + MORE_NUMBERS
+        ):
             continue
         fits = row.score.fit + row.drive > own - np.log(TIE)
         if fits and not any(one <= new for one in found):
