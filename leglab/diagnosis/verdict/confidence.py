@@ -8,6 +8,7 @@ no effect describes? How much an impostor would explain is computed: every effec
 turn plays the unknown cause, and the best effect of another kind its impostor.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -155,7 +156,7 @@ def _effect(
     count = np.array([(sets.at.recording == r).sum() for r in np.unique(sets.at.recording)])
     grain = np.sqrt(2.0 / (sets.at.size // sets.channels * count))[:, None]
     share = _explained(sets.blocks(first.left), sets.blocks(sets.without(first, key)), grain)
-    inside = _inside(share, impostor, float(np.log(max(sets.found.level**2, np.e))))
+    inside = _inside(share, impostor, max(2.0 * math.log(sets.found.level), 1.0))
     inside *= _claimed(first, key)
     sure = min(whole, alone) * inside
     ties = _ties(rows, first, key) if sure > NAMED else ()
