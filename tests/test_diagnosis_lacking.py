@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from leglab.diagnosis.balance.lacking import balanced_joints
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.plant.model import Machine
+from leglab.diagnosis.replay.lacking import balanced_joints
 from leglab.diagnosis.replay.windows import Channel
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from tests.rigs import PENDULUM, Truth, record

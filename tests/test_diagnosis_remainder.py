@@ -13,11 +13,11 @@ from leglab import data
 from leglab.base.errors import LeglabError
 from leglab.cli.app import app
 from leglab.diagnosis import improve as improving
+from leglab.diagnosis.balance.balances import Balance, balances
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.improve import improve
 from leglab.diagnosis.plant.model import Change, Machine
 from leglab.diagnosis.remainder import Period, learn_remainder
-from leglab.diagnosis.remainder.balances import Balance, balances
 from leglab.diagnosis.remainder.forms import choose_form
 from leglab.diagnosis.remainder.learning import closed, pays
 from leglab.diagnosis.remainder.part import Part

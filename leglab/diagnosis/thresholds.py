@@ -95,9 +95,6 @@ class Thresholds:
 
     # Forces are told in so many parts of a window, each of two bins at least.
     force_blocks: int = 5
-    # A calibrated machine stays within this share of its tolerances on another day.
-    drift_share: float = 0.5
-
     # Verdict.
     # Cost, or error in noise levels, below which nothing more is missing: windows that start in
     # stick-slip or beside jumps of the command lift it on good models to at most this.

@@ -3,10 +3,10 @@
 import numpy as np
 from scipy.signal import savgol_filter
 
-from leglab.diagnosis.balance.lacking import balanced_joints
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.plant.model import ForceLeft
 from leglab.diagnosis.plant.moments import commands_at, forces_at, states_at
+from leglab.diagnosis.replay.lacking import balanced_joints
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.replay.starts import Instances
 

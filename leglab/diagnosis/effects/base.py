@@ -79,11 +79,6 @@ class EffectParameter:
         trials = tuple(factor * trial for trial in self.trials)
         return replace(self, upper=factor * self.upper, trials=trials)
 
-    def may_be_fault(self, value: float, nominal: float) -> bool:
-        """Whether a value lies on a side of `nominal` on which faults lie."""
-        beyond = {"above": value > nominal, "below": value < nominal}
-        return beyond.get(self.faults, True)
-
     def departure(self, value: float, nominal: float) -> float:
         """How severe a value is: 1 for a barely noticeable distance from `nominal`, more beyond.
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -91,18 +91,15 @@ class Hypothesis(Mapping[Key, np.ndarray]):
         onsets: Time [s] in every recording at which an effect begins, shape (recordings,), by
             effect; -inf where it is there from the start, inf where it never is. Effects without
             an entry are there throughout.
-        before: Values of effects until their onset, by effect; those without an entry are absent.
     """
 
     def __init__(
         self,
         values: Mapping[Key, np.ndarray] | None = None,
         onsets: Mapping[Key, np.ndarray] | None = None,
-        before: Mapping[Key, np.ndarray] | None = None,
     ) -> None:
         self._values = {key: np.array(v, dtype=float) for key, v in (values or {}).items()}
         self.onsets = {k: v for k, v in (onsets or {}).items() if k in self._values}
-        self.before = {k: v for k, v in (before or {}).items() if k in self.onsets}
 
     def __getitem__(self, key: Key) -> np.ndarray:
         return self._values[key]
@@ -115,33 +112,23 @@ class Hypothesis(Mapping[Key, np.ndarray]):
 
     def with_values(self, key: Key, values: np.ndarray) -> "Hypothesis":
         """The same with an effect set."""
-        return Hypothesis({**self._values, key: values}, self.onsets, self.before)
+        return Hypothesis({**self._values, key: values}, self.onsets)
 
     def with_onset(self, key: Key, onset: np.ndarray | None) -> "Hypothesis":
         """The same with an effect that begins at times, or throughout for None."""
         others = {k: v for k, v in self.onsets.items() if k != key}
         onsets = others if onset is None else {**others, key: onset}
-        return Hypothesis(self._values, onsets, self.before)
-
-    def changed(self, key: Key, values: np.ndarray, onset: np.ndarray | None) -> "Hypothesis":
-        """The same with an effect that takes values at its onset; until then it stays as it is.
-
-        Good machines have a little of some effects. With None it has the values throughout.
-        """
-        begun = self.with_values(key, values).with_onset(key, onset)
-        before = {**self.before, key: self[key]} if key in self else self.before
-        return Hypothesis(begun, begun.onsets, before)
+        return Hypothesis(self._values, onsets)
 
     def only(self, keys: Iterable[Key]) -> "Hypothesis":
         """The same with nothing but some effects."""
         wanted = set(keys)
         values = {k: v for k, v in self._values.items() if k in wanted}
-        return Hypothesis(values, self.onsets, self.before)
+        return Hypothesis(values, self.onsets)
 
     def not_begun(self, *keys: Key) -> "Hypothesis":
         """The same as it is until some effects begin."""
         values = {k: v for k, v in self._values.items() if k not in keys}
-        values |= {k: self.before[k] for k in keys if k in self.before}
         return Hypothesis(values, {k: v for k, v in self.onsets.items() if k not in keys})
 
     def without(self, *keys: Key) -> "Hypothesis":
@@ -213,13 +200,6 @@ class Library:
         (_, one), (name, other) = larger, simpler
         joints = (self._driven.get(element, (element,)) for element in (one, other))
         return name in self.sites[larger].effect.contains and len({j[0] for j in joints}) == 1
-
-    def of_specimen(self, specimen: Mapping[Key, np.ndarray]) -> "Library":
-        """The same effects about the values of a specimen."""
-        other = copy(self)
-        other.specimen = dict(specimen)
-        other.sites = {k: replace(s, own=other.specimen.get(k)) for k, s in self.sites.items()}
-        return other
 
     def with_sites(self, sites: Mapping[Key, Site]) -> "Library":
         """The same effects with other parameters."""

@@ -1,13 +1,16 @@
 """Errors about a hypothesis and what moves them: tangents of all unknowns, and finite jumps."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leglab.diagnosis.effects.hypothesis import Hypothesis
+from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.plant.model import Change
+from leglab.diagnosis.replay.replay import LOUDER
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.thresholds import DEFAULT
 
@@ -22,8 +25,6 @@ COARSE = 0.3
 FINE = 0.05
 # Of a large departure, the step of its tangent as a share, at the end and at first.
 LARGE, LARGE_FIRST = 0.02, 0.1
-# Factor on a command that shows what it moves.
-LOUDER = 1.02
 # Blocks of a window, over which forces are averaged.
 BLOCKS = DEFAULT.force_blocks
 
@@ -70,6 +71,29 @@ class Errors:
         self.recording = problem.replay.recording[chosen]
         self.size = len(problem.channels) * problem.replay.bins
         self._own_influence: np.ndarray | None = None
+        self._helpers: list[Errors] = []
+
+    def each(self, hypotheses: Sequence[Hypothesis]) -> list[np.ndarray]:
+        """Errors of several hypotheses, on several threads: a replay is half Python."""
+        threads = min(self.problem.threads, len(hypotheses))
+        if threads < 2:
+            return [self.at(h) for h in hypotheses]
+        while len(self._helpers) < threads:
+            helper = copy(self)
+            helper.problem, helper._helpers = self.problem.alone(), []
+            self._helpers.append(helper)
+
+        def share(k: int) -> list[np.ndarray]:
+            return [self._helpers[k].at(h) for h in hypotheses[k::threads]]
+
+        out: list[np.ndarray] = [np.empty(0)] * len(hypotheses)
+        with ThreadPoolExecutor(threads) as pool:
+            for k, found in enumerate(pool.map(share, range(threads))):
+                out[k::threads] = found
+        for helper in self._helpers:
+            self.problem.replay.rollouts += helper.problem.replay.rollouts
+            helper.problem.replay.rollouts = 0.0
+        return out
 
     def at(self, hypothesis: Hypothesis, louder: str | None = None) -> np.ndarray:
         """Errors of a hypothesis, (windows, rows).
@@ -79,48 +103,36 @@ class Errors:
             louder: Actuator whose command is `LOUDER` times what was recorded; None for no one.
         """
         problem = self.problem
-        change = problem.library.change(hypothesis, problem.replay.machine)
+        made = problem.library.change(hypothesis, problem.replay.machine)
         if louder is not None:
-            _louder(change, [louder])
+            _louder(made, [louder])
         blocks = BLOCKS if problem.balanced else 0
-        found = problem.replay.error(change, chosen=self.chosen, blocks=blocks)
+        found = problem.replay.error(made, chosen=self.chosen, blocks=blocks)
         errors = found.normalised + problem.noise.defect[self.chosen]
         errors = errors.reshape(len(errors), -1)
-        if found.left is None:
+        if found.left is None or found.pushed is None:
             return errors
-        left = found.left / self._influence(hypothesis, found.left)[:, None]
+        left = found.left / self._influence(hypothesis, found.pushed)[:, None]
         return np.concatenate([errors, left.reshape(len(errors), -1)], axis=1)
 
-    def _influence(self, hypothesis: Hypothesis, left: np.ndarray) -> np.ndarray:
+    def _influence(self, hypothesis: Hypothesis, pushed: np.ndarray) -> np.ndarray:
         """Influence of the commands on the forces of each joint, over the model's own, (joints,).
 
         Forces left over along a measured motion count in units of the drive: they say what drive
         the motion takes. A gain of 0, or a friction that eats the drive's force, leaves none over.
         """
-        influence = self._commanded(hypothesis, left)
         if self._own_influence is None:
-            same = not hypothesis
-            self._own_influence = influence if same else self._commanded(Hypothesis(), None)
+            if hypothesis:
+                problem = self.problem
+                made = problem.library.change(Hypothesis(), problem.replay.machine)
+                self._own_influence = _size(problem.replay.lacking(made, self.chosen, BLOCKS)[1])
+            else:
+                self._own_influence = _size(pushed)
+        influence = _size(pushed)
         own = self._own_influence
         return np.where(
             own > 0.0, np.maximum(influence, 1e-3 * own) / np.where(own > 0, own, 1), 1.0
         )
-
-    def _commanded(self, hypothesis: Hypothesis, left: np.ndarray | None) -> np.ndarray:
-        """Change of each joint's forces per log command, root mean square, (joints,)."""
-        problem = self.problem
-        native = problem.machine.native_actuators()
-        if not native:
-            return np.zeros(len(problem.balanced))
-
-        def forces(loud: bool) -> np.ndarray:
-            change = problem.library.change(hypothesis, problem.replay.machine)
-            if loud:
-                _louder(change, native)
-            return problem.replay.lacking(change, self.chosen, BLOCKS)
-
-        change = forces(True) - (forces(False) if left is None else left)
-        return np.sqrt(np.mean(np.clip(change, -BLOWN, BLOWN) ** 2, axis=(0, 2)))
 
     def tangents(
         self,
@@ -144,6 +156,7 @@ class Errors:
         u = self.unknowns
         out = np.zeros((*errors.shape, len(u))) if known is None else known.copy()
         x = u.departures(base)
+        steps: dict[int, float] = {}
         for i in which:
             if i >= u.single:
                 continue
@@ -151,12 +164,11 @@ class Errors:
             if x[i] + h > u.upper[i]:
                 h = -h
             out[:, :, i] = 0.0
-            if x[i] + h < u.lower[i]:
-                continue
-            moved = self.at(u.moved(base, {i: h}))
-            difference = (moved - errors) / h
-            difference[np.abs(moved).max(axis=1) > BLOWN] = 0.0
-            out[:, :, i] = difference
+            if x[i] + h >= u.lower[i]:
+                steps[i] = h
+        moved = self.each([u.moved(base, {i: h}) for i, h in steps.items()])
+        for (i, h), there in zip(steps.items(), moved, strict=True):
+            out[:, :, i] = change(errors, there) / h
         index = {places[0]: i for i, places in enumerate(u.places[: u.single])}
         for i in range(u.single, len(u)):
             out[:, :, i] = sum(out[:, :, index[place]] for place in u.places[i])
@@ -164,22 +176,29 @@ class Errors:
 
     def jumped(self, columns: Columns, jumps: Iterable[Jump]) -> Columns:
         """Columns with further jumps; in windows in which a replay blows up they change nothing."""
-        known, new, changes = set(columns.jumps), [], []
-        for u, by in jumps:
-            if (u, by) in known:
-                continue
-            moved = self.at(self.unknowns.moved(columns.base, {u: by}))
-            change = moved - columns.errors
-            change[np.abs(moved).max(axis=1) > BLOWN] = 0.0
-            new.append((u, by))
-            changes.append(change)
+        new = [jump for jump in dict.fromkeys(jumps) if jump not in columns.jumps]
         if not new:
             return columns
+        moved = self.each([self.unknowns.moved(columns.base, {u: by}) for u, by in new])
+        changes = np.stack([change(columns.errors, there) for there in moved], axis=2)
         return replace(
             columns,
             jumps=(*columns.jumps, *new),
-            changes=np.concatenate([columns.changes, np.stack(changes, axis=2)], axis=2),
+            changes=np.concatenate([columns.changes, changes], axis=2),
         )
+
+    def without(self, columns: Columns, members: Sequence[int], key: Key) -> Columns | None:
+        """A linearisation with one effect of a set taken out; None where its replay blows up.
+
+        Tangents stay as they are.
+        """
+        u, x = self.unknowns, columns.x
+        gone = {i: -float(x[i]) for q in members if u.keys[q] == key for i in u.singles(q)}
+        base = u.moved(columns.base, gone)
+        errors = self.at(base)
+        if np.abs(errors).max() > BLOWN:
+            return None
+        return replace(columns, base=base, x=u.departures(base), errors=errors)
 
     def columns(self, base: Hypothesis, *, step: float, known: np.ndarray | None = None) -> Columns:
         """Errors and all tangents at a hypothesis, without jumps.
@@ -193,6 +212,18 @@ class Errors:
         which = [i for i in range(u.single) if not u.shape[i] or u.keys[i] in there]
         tangents = self.tangents(base, errors, which, step, known)
         return Columns(base, x, errors, tangents, (), np.zeros((*errors.shape, 0)))
+
+
+def _size(pushed: np.ndarray) -> np.ndarray:
+    """Root mean square over windows and blocks, (joints,)."""
+    return np.asarray(np.sqrt(np.mean(np.clip(pushed, -BLOWN, BLOWN) ** 2, axis=(0, 2))))
+
+
+def change(errors: np.ndarray, moved: np.ndarray) -> np.ndarray:
+    """Change of the errors, (windows, rows); 0 in windows in which a replay blows up."""
+    out = moved - errors
+    out[np.abs(moved).max(axis=1) > BLOWN] = 0.0
+    return out
 
 
 def _louder(change: Change, actuators: Iterable[str]) -> None:

@@ -2,8 +2,10 @@
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
+from copy import copy
 from dataclasses import dataclass, field
 from pathlib import Path
+from threading import Lock
 
 import mujoco
 import numpy as np
@@ -25,6 +27,8 @@ SUPPLY = "leglab.supply"
 Edit = tuple[Hashable, Callable[[mujoco.MjSpec], None]]
 _SIMPLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _CACHED_VARIANTS = 64
+# Models are compiled one at a time.
+_COMPILING = Lock()
 # Share of an actuator's largest moment below which another is rounding, see `moved`.
 _ROUNDING = 1e-9
 # Of a parameter that must be more than its minimum, this share of what the model has beyond it.
@@ -120,6 +124,12 @@ class Machine:
         """The same machine with another time step [s]."""
         return Machine(self.path, timestep=timestep)
 
+    def alone(self) -> "Machine":
+        """The same machine for another thread: it compiles its own variants."""
+        other = copy(self)
+        other._variants = OrderedDict()
+        return other
+
     def spec(self) -> mujoco.MjSpec:
         """A fresh copy of the model's specification, as in the file."""
         # MjSpec.copy() of MuJoCo 3.17.0 loses passive plugin instances.
@@ -165,6 +175,10 @@ class Machine:
         if key in self._variants:
             self._variants.move_to_end(key)
             return self._variants[key]
+        with _COMPILING:
+            return self._compiled(edits, key)
+
+    def _compiled(self, edits: tuple[Edit, ...], key: Hashable) -> Variant:
         spec = self.spec()
         take_out(spec)
         spec.option.timestep = self.timestep

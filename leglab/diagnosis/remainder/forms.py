@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from leglab.diagnosis.remainder.balances import Balance
+from leglab.diagnosis.balance.balances import Balance
 from leglab.diagnosis.remainder.splines import Blocks, basis, project, roughness
 
 # Knots by variable; those of velocity and command lie dense about zero.

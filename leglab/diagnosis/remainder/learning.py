@@ -7,13 +7,13 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from leglab.diagnosis.balance.balances import balances
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.effects.joints import unit
 from leglab.diagnosis.plant.model import CYLINDER
-from leglab.diagnosis.remainder.balances import balances
 from leglab.diagnosis.remainder.forms import Form, choose_form, usable
 from leglab.diagnosis.remainder.part import Part
-from leglab.diagnosis.remainder.refining import Refined, Unknowns, bounded, refine, with_parts
+from leglab.diagnosis.remainder.refining import Directions, Refined, bounded, refine, with_parts
 from leglab.diagnosis.remainder.words import Described, describe
 from leglab.diagnosis.replay.residual import Problem, robust_cost, thinned
 
@@ -115,8 +115,10 @@ def learn_remainder(
     """
     if not problem.held.any() or problem.window_cost(hypothesis)[problem.held].mean() < CLEAN:
         return None
-    nuisances = {n.key for n in problem.nuisances}
-    keep = frozenset(set(hypothesis) - nuisances if named is None else set(named))
+    if named is None:
+        sites = problem.library.sites
+        named = [k for k in hypothesis if all(p.tolerance == 0.0 for p in sites[k].parameters)]
+    keep = frozenset(named)
     chosen = thinned(problem.fitted, _WINDOWS)
     best: tuple[float, Hypothesis, tuple[Form, ...]] | None = None
     # Nuisances that a missing force has pulled along hide it: begin without, or with them.
@@ -128,8 +130,8 @@ def learn_remainder(
         forms = find_forms(problem, start)
         if not forms:
             continue
-        unknowns = Unknowns.of(forms)
-        there = with_parts(problem, unknowns.parts(np.zeros(unknowns.count)))
+        directions = Directions.of(forms)
+        there = with_parts(problem, directions.parts(np.zeros(directions.count)))
         cost = float(there.window_cost(start)[problem.fitted].mean())
         if best is None or cost < best[0]:
             best = cost, start, forms

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
+from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.remainder.forms import Form, diagonal_blocks
 from leglab.diagnosis.remainder.part import LearnedLibrary, Part, Period
 from leglab.diagnosis.remainder.splines import Spline
-from leglab.diagnosis.replay.nuisances import departures
 from leglab.diagnosis.replay.residual import Problem, robust_cost, robust_weight
 
 # Directions of the unknowns that replays refine, those the balances know least; of all parts.
@@ -19,6 +19,8 @@ _DIRECTIONS = 24
 _PRIORS = (3e-3, 1e-1, 3.0)
 # Finite differences, in standard deviations that the balances leave.
 _STEP = 0.5
+# The same of what differs between good machines, in tolerances.
+_STEP_OF_TOLERANCE = 0.2
 # Robust reweightings in a step.
 _REWEIGHTINGS = 6
 # A wave longer than this share of the position's range is not called periodic.
@@ -27,7 +29,7 @@ _FOLDS = 4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Unknowns:
+class Directions:
     """Values of all forms' unknowns about the balances' estimate, along principal directions.
 
     Attributes:
@@ -39,7 +41,7 @@ class Unknowns:
     directions: tuple[np.ndarray, ...]
 
     @classmethod
-    def of(cls, forms: Sequence[Form]) -> "Unknowns":
+    def of(cls, forms: Sequence[Form]) -> "Directions":
         """The directions in which the balances leave most open."""
         each = max(3, _DIRECTIONS // max(len(forms), 1))
         found = []
@@ -157,47 +159,55 @@ def refine(
         free: Effects whose values stay as they are.
         iterations: Accepted steps at most.
     """
-    unknowns = Unknowns.of(forms)
-    z, base = np.zeros(unknowns.count), hypothesis
+    directions = Directions.of(forms)
+    z, base = np.zeros(directions.count), hypothesis
+    u = Unknowns.of(problem.library)
+    # What differs between good machines follows.
+    open_ = [i for i in range(u.single) if u.tolerance[i] > 0.0 and u.keys[i] not in free]
     spread = None
     for iteration in range(iterations):
-        now = with_parts(problem, unknowns.parts(z))
+        now = with_parts(problem, directions.parts(z))
         # The noise model of a base without its parts tells little of start states.
         if iteration < 2:
             noise = now.about(base).noise
         now.noise = noise
-        at = now.linearise(base, chosen, free, share=0.2)
-        eta = departures(base, at.nuisances)
+        residual = now.residual(base, chosen)
+        x = u.departures(base)
+        eta = x[open_] / u.tolerance[open_]
+        tangents = [
+            (now.residual(u.moved(base, {i: h}), chosen) - residual) * (u.tolerance[i] / h)
+            for i, h in ((i, _STEP_OF_TOLERANCE * u.tolerance[i]) for i in open_)
+        ]
         columns = []
         for k in range(z.size):
             moved = z.copy()
             moved[k] += _STEP
-            there = with_parts(problem, unknowns.parts(moved))
+            there = with_parts(problem, directions.parts(moved))
             there.noise = noise
-            columns.append((there.residual(base, chosen) - at.residual) / _STEP)
-        own = np.stack(columns, axis=2) if columns else np.zeros((*at.residual.shape, 0))
+            columns.append((there.residual(base, chosen) - residual) / _STEP)
         linear = Linear(
-            residual=at.residual,
-            jacobian=np.concatenate([own, at.tangents], axis=2),
+            residual=residual,
+            jacobian=np.stack([*columns, *tangents], axis=2),
             offset=np.concatenate([z, eta]),
             limit=problem.thresholds.robust_limit,
         )
         tried = []
         for weight in _PRIORS:
-            precision = diagonal_blocks([unknowns.precision(weight), np.eye(eta.size)])
+            precision = diagonal_blocks([directions.precision(weight), np.eye(eta.size)])
             tried.append((linear.validated(precision), weight, precision))
         _, _, precision = min(tried, key=lambda t: t[:2])
         step, matrix, scale = linear.step(precision)
-        before = linear.cost(at.residual, scale) + float(linear.offset @ precision @ linear.offset)
+        before = linear.cost(residual, scale) + float(linear.offset @ precision @ linear.offset)
         share = 1.0
         for _ in range(5):
             new_z = z + share * step[: z.size]
-            new_base = problem.moved(base, at.nuisances, eta + share * step[z.size :])
-            there = with_parts(problem, unknowns.parts(new_z))
+            by = share * step[z.size :] * u.tolerance[open_]
+            new_base = u.moved(base, dict(zip(open_, by.tolist(), strict=True)))
+            there = with_parts(problem, directions.parts(new_z))
             there.noise = noise
-            residual = there.residual(new_base, chosen)
-            departed = np.concatenate([new_z, departures(new_base, at.nuisances)])
-            after = linear.cost(residual, scale) + float(departed @ precision @ departed)
+            departed = np.concatenate([new_z, u.departures(new_base)[open_] / u.tolerance[open_]])
+            after = linear.cost(there.residual(new_base, chosen), scale)
+            after += float(departed @ precision @ departed)
             if after < before:
                 break
             share *= 0.4
@@ -207,7 +217,7 @@ def refine(
         spread = np.linalg.pinv(matrix, hermitian=True)[: z.size, : z.size]
         if before - after < 1e-2 * before:
             break
-    return Refined(parts=unknowns.parts(z, spread), hypothesis=base)
+    return Refined(parts=directions.parts(z, spread), hypothesis=base)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -9,10 +9,16 @@ import numpy as np
 from mujoco import rollout
 
 from leglab.base.errors import LeglabError
-from leglab.diagnosis.balance.lacking import balanced_joints, comparable_forces, lacking_forces
 from leglab.diagnosis.plant.model import CYLINDER, Change, Machine, Measured, Variant
 from leglab.diagnosis.plant.moments import plugin_offset
-from leglab.diagnosis.replay.starts import Nudge, hidden_slots, measure, start_states
+from leglab.diagnosis.replay.lacking import balanced_joints, comparable_forces, lacking_forces
+from leglab.diagnosis.replay.starts import (
+    Nudge,
+    commanded,
+    hidden_slots,
+    measure,
+    start_states,
+)
 from leglab.diagnosis.replay.windows import (
     Channel,
     Cut,
@@ -28,6 +34,9 @@ _CACHED_VARIANTS = 8
 # Share of the spread of a command by which it is moved, to see what it moves.
 _COURSE_STEP = 0.05
 
+# Factor on a command that shows what it moves.
+LOUDER = 1.02
+
 # Windows of one recording, its measured series, and its corrected columns.
 Part = tuple[Cut, Measured, dict[str, np.ndarray]]
 
@@ -40,11 +49,13 @@ class ReplayErrors:
         values: Averaged over bins, in corrected units, shape (windows, channels, bins).
         noise_gain: Factor by which corrections multiply each channel's noise, (channels,).
         left: As `Replay.lacking` has it, where it was asked for.
+        pushed: What louder commands change in it, same shape.
     """
 
     values: np.ndarray
     noise_gain: np.ndarray
     left: np.ndarray | None = None
+    pushed: np.ndarray | None = None
 
     @property
     def normalised(self) -> np.ndarray:
@@ -151,6 +162,13 @@ class Replay:
         other.substeps = max(1, round(self._period / machine.timestep))
         return other
 
+    def alone(self) -> "Replay":
+        """The same windows for another thread: nothing is kept together."""
+        other = self.on(self.machine.alone())
+        other._threads, other._pool = 1, rollout.Rollout(nthread=0)
+        other.cuts = [cut.alone() for cut in self.cuts]
+        return other
+
     def error(
         self,
         change: Change,
@@ -168,13 +186,13 @@ class Replay:
             blocks: Into which a window is divided for the forces that it leaves over; 0 for none.
         """
         parts = list(self._parts(change, chosen))
-        left = None
+        left = pushed = None
         if blocks and not self.blind and nudge is None:
-            starts, left = self._starts_and_left(change, parts, blocks)
+            starts, left, pushed = self._starts_and_left(change, parts, blocks)
         else:
             starts = self._starts(change, parts, nudge)
             if blocks:
-                left = self.lacking(change, chosen, blocks)
+                left, pushed = self.lacking(change, chosen, blocks)
         controls, targets = [], []
         for cut, measured, corrected in parts:
             index = cut.firsts[:, None] + np.arange(self.samples)
@@ -188,9 +206,12 @@ class Replay:
             values=np.nan_to_num(binned, nan=1e12, posinf=1e12, neginf=-1e12),
             noise_gain=np.array([np.prod([gain for _, gain in found]) for found in undone]),
             left=left,
+            pushed=pushed,
         )
 
-    def lacking(self, change: Change, chosen: np.ndarray | None, blocks: int) -> np.ndarray:
+    def lacking(
+        self, change: Change, chosen: np.ndarray | None, blocks: int
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Forces that the measured motion leaves over, averaged over blocks of a window.
 
         Args:
@@ -200,15 +221,17 @@ class Replay:
 
         Returns:
             Shape (chosen windows, joints whose forces can be known, blocks) [N m or N], as
-            `comparable_forces` has them.
+            `comparable_forces` has them; and what commands of native actuators that are `LOUDER`
+            change in them.
         """
         inside = self._inside(blocks)
         rows = []
         for cut, measured, _ in self._parts(change, chosen):
             at = replace(measured, samples=(cut.firsts[:, None] + inside).ravel())
             states = start_states(cut, change, at, self.channels, self.rest_time)
-            rows.append(self._left(change, at, states, blocks))
-        return np.concatenate(rows)
+            rows.append(self._left(cut, change, at, states, blocks))
+        left, pushed = zip(*rows, strict=True)
+        return np.concatenate(left), np.concatenate(pushed)
 
     def _inside(self, blocks: int) -> np.ndarray:
         """Samples after a window's start at which forces are looked at, as many in each block."""
@@ -217,33 +240,41 @@ class Replay:
         return inside[: inside.size // blocks * blocks]
 
     def _left(
-        self, change: Change, measured: Measured, states: np.ndarray, blocks: int
-    ) -> np.ndarray:
-        """Forces left over at the samples of windows, as `lacking` has them."""
+        self, cut: Cut, change: Change, measured: Measured, states: np.ndarray, blocks: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """At the samples of windows, as `lacking` has them."""
         joints = balanced_joints(self.machine, self.channels)
-        found = lacking_forces(change, measured, states, self.samples // self.bins)
-        left = comparable_forces(change, measured, found, joints)
         inside = self._inside(blocks).size
-        left = left.reshape(-1, blocks, inside // blocks, len(joints)).mean(axis=2)
-        left = left.transpose(0, 2, 1)
-        return np.nan_to_num(left, nan=1e12, posinf=1e12, neginf=-1e12)
+
+        def left(measured: Measured) -> np.ndarray:
+            found = lacking_forces(change, measured, states, self.samples // self.bins)
+            rows = comparable_forces(change, measured, found, joints)
+            rows = rows.reshape(-1, blocks, inside // blocks, len(joints)).mean(axis=2)
+            return np.nan_to_num(rows.transpose(0, 2, 1), nan=1e12, posinf=1e12, neginf=-1e12)
+
+        own, native = left(measured), self.machine.native_actuators()
+        if not native:
+            return own, np.zeros_like(own)
+        loud = {a: commanded(cut, change, a, LOUDER) for a in native}
+        return own, left(replace(measured, command={**measured.command, **loud})) - own
 
     def _starts_and_left(
         self, change: Change, parts: list[Part], blocks: int
-    ) -> tuple[np.ndarray, np.ndarray]:
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Full physics states at window starts, and what `lacking` gives, in one go.
 
         Most of the work is to follow spools, seals and supplies along the recordings.
         """
-        starts, left = [], []
+        starts, rows = [], []
         for cut, measured, _ in parts:
             inside = (cut.firsts[:, None] + self._inside(blocks)).ravel()
             both = replace(measured, samples=np.concatenate([cut.firsts, inside]))
             states = start_states(cut, change, both, self.channels, self.rest_time)
             starts.append(states[: cut.firsts.size])
             at = replace(measured, samples=inside)
-            left.append(self._left(change, at, states[cut.firsts.size :], blocks))
-        return np.concatenate(starts), np.concatenate(left)
+            rows.append(self._left(cut, change, at, states[cut.firsts.size :], blocks))
+        left, pushed = zip(*rows, strict=True)
+        return np.concatenate(starts), np.concatenate(left), np.concatenate(pushed)
 
     def respond(self, change: Change, window: int, commands: np.ndarray) -> np.ndarray:
         """Predictions from the start of one window under other commands.

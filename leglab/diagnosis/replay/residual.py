@@ -1,6 +1,6 @@
 """Recordings and machine as a least-squares problem: whitened errors, noise model and priors."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field
 
@@ -8,10 +8,9 @@ import numpy as np
 from scipy.linalg.lapack import dtrtri
 from scipy.signal import savgol_coeffs
 
-from leglab.diagnosis.balance.lacking import balanced_joints
-from leglab.diagnosis.effects.hypothesis import Hypothesis, Key, Library
+from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
 from leglab.diagnosis.plant.model import CHAMBERS, CYLINDER, Change, Machine
-from leglab.diagnosis.replay.nuisances import Nuisance, within_tolerance
+from leglab.diagnosis.replay.lacking import balanced_joints
 from leglab.diagnosis.replay.replay import Replay
 from leglab.diagnosis.replay.starts import Nudge
 from leglab.diagnosis.replay.windows import Channel, UniformSeries, filter_difference
@@ -72,25 +71,6 @@ def inverse_roots(covariance: np.ndarray) -> np.ndarray:
     return factors
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Linearisation:
-    """Whitened errors about a hypothesis, to first order in the nuisances.
-
-    Attributes:
-        base: The hypothesis.
-        residual: Its whitened errors, shape (chosen windows, size).
-        tangents: d(residual)/d(nuisance in tolerances), (chosen windows, size, nuisances).
-        nuisances: Those of the tangents' columns.
-        chosen: Mask of the windows, shape (windows,).
-    """
-
-    base: Hypothesis
-    residual: np.ndarray
-    tangents: np.ndarray
-    nuisances: tuple[Nuisance, ...]
-    chosen: np.ndarray
-
-
 def robust_cost(mean_square: np.ndarray, limit: float = DEFAULT.robust_limit) -> np.ndarray:
     """Cost of windows by their mean square: beyond a limit by its logarithm, shape as given."""
     beyond = limit * (1.0 + np.log(np.maximum(mean_square, limit) / limit))
@@ -116,7 +96,7 @@ class Problem:
 
     Attributes:
         replay: The windows.
-        nuisances: Parameters with a tolerance.
+        threads: That replay at once.
         fitted: Mask of windows that are fitted, shape (windows,).
         held: Mask of windows that are held out.
         balanced: Joints whose forces along the measured motion can be known.
@@ -136,13 +116,13 @@ class Problem:
         thresholds: Thresholds = DEFAULT,
     ) -> None:
         self.machine, self.library, self.thresholds = machine, library, thresholds
+        self.threads = max(1, threads)
         self.series, self.channels = series, channels
         self.replay = Replay(machine, series, channels, thresholds, threads=threads)
         self._fine = self._at(0.5)
         self.balanced = balanced_joints(machine, channels)
         self.fitted = np.isin(self.replay.recording, list(fit))
         self.held = ~self.fitted
-        self.nuisances = within_tolerance(library)
         self.sensor_noise = self.replay.sensor_noise
         change = library.change(Hypothesis(), machine)
         errors, half = (
@@ -170,6 +150,13 @@ class Problem:
         """The replay with a share of its time step."""
         return self.replay.on(self.machine.at_timestep(share * self.machine.timestep))
 
+    def alone(self) -> "Problem":
+        """The same problem for another thread: its replays share nothing with these."""
+        other = copy(self)
+        other.replay = self.replay.alone()
+        other.machine = other.replay.machine
+        return other
+
     def about(self, hypothesis: Hypothesis) -> "Problem":
         """The same problem with its noise model taken about a hypothesis."""
         errors, _ = self._errors(self.replay, hypothesis, None)
@@ -177,13 +164,6 @@ class Problem:
         change = self.library.change(hypothesis, self.machine)
         other = copy(self)
         other.noise = self._noise_model(change, self.replay.error(change).values, fine - errors)
-        return other
-
-    def calibrated(self, hypothesis: Hypothesis) -> "Problem":
-        """The same problem about a specimen of these values."""
-        other = copy(self)
-        other.library = self.library.of_specimen(self.library.whole(hypothesis))
-        other.nuisances = within_tolerance(other.library, self.thresholds.drift_share)
         return other
 
     def _noise_model(self, change: Change, reference: np.ndarray, finer: np.ndarray) -> NoiseModel:
@@ -299,48 +279,6 @@ class Problem:
         """Robust mean square of all windows, fitted and held out, shape (windows,)."""
         squares = np.mean(self.residual(hypothesis) ** 2, axis=1)
         return robust_cost(squares, self.thresholds.robust_limit)
-
-    def active_nuisances(self, free: Collection[Key]) -> tuple[Nuisance, ...]:
-        """Nuisances but those of effects that are fitted freely."""
-        return tuple(n for n in self.nuisances if n.key not in free)
-
-    def moved(
-        self, hypothesis: Hypothesis, nuisances: Sequence[Nuisance], eta: np.ndarray
-    ) -> Hypothesis:
-        """The hypothesis with nuisances at departures in tolerances, clipped to their bounds."""
-        for n, departure in zip(nuisances, eta, strict=True):
-            site = self.library.sites[n.key]
-            now = hypothesis.get(n.key, site.nominal).copy()
-            value = n.nominal + departure * n.tolerance
-            now[n.index] = np.clip(value, site.lower[n.index], site.upper[n.index])
-            hypothesis = hypothesis.with_values(n.key, now)
-        return hypothesis
-
-    def linearise(
-        self,
-        base: Hypothesis,
-        chosen: np.ndarray,
-        free: Collection[Key] = (),
-        *,
-        share: float = 0.5,
-    ) -> Linearisation:
-        """Tangents of all nuisances but those of free effects, by a share of their tolerances."""
-        nuisances = self.active_nuisances(free)
-        residual = self.residual(base, chosen)
-        tangents = np.zeros((*residual.shape, len(nuisances)))
-        for i, n in enumerate(nuisances):
-            site = self.library.sites[n.key]
-            step = share * n.tolerance
-            if n.value(base) + step > site.upper[n.index]:
-                step = -step
-            moved = base.get(n.key, site.nominal).copy()
-            value = moved[n.index] + step
-            moved[n.index] = np.clip(value, site.lower[n.index], site.upper[n.index])
-            other = self.residual(base.with_values(n.key, moved), chosen)
-            tangents[:, :, i] = (other - residual) * (n.tolerance / step)
-        return Linearisation(
-            base=base, residual=residual, tangents=tangents, nuisances=nuisances, chosen=chosen
-        )
 
 
 def thinned(mask: np.ndarray, count: int) -> np.ndarray:

@@ -373,12 +373,7 @@ def measure(
 ) -> tuple[Measured, dict[str, np.ndarray]]:
     """Smoothed series under the sensor and command faults of a change, and corrected columns."""
     machine, series, period = change.machine, cut.series, cut.series.period
-    command = {}
-    for actuator in machine.actuators:
-        samples = series.columns[f"{actuator}_command"]
-        for path in change.commands.get(actuator, ()):
-            samples = path(samples, period)
-        command[actuator] = samples
+    command = {a: commanded(cut, change, a) for a in machine.actuators}
     # A body that a hypothesis puts between motor and joint takes the pushes.
     rigid = cut.pushes is not None and cut.pushes.dofs == change.variant.model.nv
     driven = cut.pushed(channels, command) if rigid else {}
@@ -412,6 +407,16 @@ def measure(
         lately=cut.lately,
     )
     return measured, corrected
+
+
+def commanded(cut: Cut, change: Change, actuator: str, factor: float = 1.0) -> np.ndarray:
+    """What reaches an actuator of a factor on its measured commands, (n,)."""
+    samples = cut.series.columns[f"{actuator}_command"]
+    if factor != 1.0:
+        samples = factor * samples
+    for path in change.commands.get(actuator, ()):
+        samples = path(samples, cut.series.period)
+    return samples
 
 
 def start_states(

@@ -8,11 +8,13 @@ from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.columns import COARSE, Errors
 from leglab.diagnosis.likelihood.priors import Priors
 from leglab.diagnosis.likelihood.unknowns import Unknowns
-from leglab.diagnosis.replay.residual import Problem
-from leglab.diagnosis.search.settle import EXPLAINED, KAPPA, Fitter
+from leglab.diagnosis.replay.residual import Problem, thinned
+from leglab.diagnosis.search.settle import EXPLAINED, HOPELESS, KAPPA, Fitter
 
 # This first share of every recording is taken for healthy, if the model explains it.
 EARLY = 0.25
+# So many windows at these starts are fitted.
+WINDOWS = 16
 # So many windows lie on either side of a change, at least.
 FEWEST = 3
 # Errors after a change are larger by at least this factor in square, in the mean of logarithms.
@@ -37,11 +39,13 @@ def onset_of(problem: Problem) -> np.ndarray | None:
     early = problem.fitted & (replay.start + replay.window < limit)
     if early.sum() < FEWEST:
         return None
-    fitter = Fitter(Errors(problem, Unknowns.of(problem.library), early), Priors())
+    some = thinned(early, WINDOWS)
+    fitter = Fitter(Errors(problem, Unknowns.of(problem.library), some), Priors())
     columns = fitter.at.columns(Hypothesis(), step=COARSE)
     # Most recordings show at once that no onset is to be looked for.
     spread, weight = fitter.own_spread(columns.errors), np.ones(len(columns.errors))
-    fit = fitter.fit(columns, {}, (), spread, weight, KAPPA)
+    hopeless = HOPELESS * EXPLAINED
+    fit = fitter.fit(columns, {}, (), spread, weight, KAPPA, give_up=hopeless)
     if fit.level > EXPLAINED:
         return None
     base = fit.columns.base

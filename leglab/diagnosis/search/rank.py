@@ -16,7 +16,7 @@ from leglab.diagnosis.search.settle import Fit, Fitter
 # behind nothing is hoped for.
 NEAR, BEHIND = 10.0, 3.0
 # Sets whose errors say how the model errs; and whose additions are looked at, so many of each.
-PATTERNS, HOPEFUL, ADDITIONS, SWAPS = 3, 6, 6, 4
+PATTERNS, HOPEFUL, ADDITIONS = 3, 6, 16
 # Members of a set.
 LARGEST = 7
 
@@ -95,69 +95,74 @@ def rank(fitter: Fitter, fits: Sequence[Fit], kappa: float) -> list[Ranked]:
 
 
 def proposal(
-    fitter: Fitter, ranks: Sequence[Ranked], tried: set[frozenset[Key]]
+    fitter: Fitter,
+    ranks: Sequence[Ranked],
+    tried: set[frozenset[Key]],
+    removed: dict[tuple[int, Key], Columns | None],
 ) -> Proposal | None:
     """The next set to fit; None where nothing promises to come near the best one.
 
-    Each member of the best set is left out once, whatever first order promises; then what adds a
-    member to a good set, swaps one of the best set's, or says the same of both directions.
+    What says the same of both directions; then what adds a member to a good set, or leaves one out
+    or swaps it, of the best sets and of those that ended at a bound.
+
+    Args:
+        fitter: Of the sets.
+        ranks: Sets that are fitted.
+        tried: Effects of all sets that have been.
+        removed: Linearisations without an effect, by fit and effect, as far as they are made.
     """
     u = fitter.at.unknowns
+    # What ended at a bound is a rival, but no yardstick: it would be another machine beyond.
     sound = [r for r in ranks if not r.fit.ended] or list(ranks)
-    best, top = sound[0].fit, ranks[0].score.log
-
-    def keys(members: Sequence[int]) -> frozenset[Key]:
-        return frozenset(u.keys[q] for q in members)
-
-    def of(fit: Fit, evidence: Evidence, members: tuple[int, ...], promise: float) -> Proposal:
-        score = evidence.score([(q, None) for q in members])
-        start = evidence.departures(score)
-        return Proposal(members, start, fit.columns, fit.spread, fit.weight, promise)
-
-    def there(fit: Fit) -> Evidence:
-        own = (r.evidence for r in ranks if r.evidence.columns is fit.columns)
-        kappa = ranks[0].evidence.kappa
-        known = next(own, None)
-        return known or fitter.evidence(fit.columns, fit.spread, fit.weight, kappa)
-
-    for one in best.members if len(best.keys) > 1 else ():
-        rest = tuple(q for q in best.members if u.keys[q] != u.keys[one])
-        if keys(rest) not in tried:
-            return of(best, there(best), rest, np.inf)
-    found: list[tuple[float, tuple[int, ...], Fit, Evidence]] = []
-    for row in sound[:HOPEFUL]:
-        fit, evidence = row.fit, there(row.fit)
-        score = evidence.score([(q, None) for q in fit.members])
-        if score.log < top - BEHIND * NEAR:
-            continue
-        for gain, (q, _) in evidence.additions(score)[:ADDITIONS]:
-            if gain > 0.0:
-                found.append((score.log + gain, (*fit.members, q), fit, evidence))
-        for one in fit.members if fit is best else ():
-            rest = tuple(q for q in fit.members if q != one)
-            left = evidence.score([(q, None) for q in rest])
-            swaps = [
-                (left.log + gain, (*rest, q), fit, evidence)
-                for gain, (q, _) in evidence.additions(left)[:SWAPS]
-                if q != one
-            ]
-            found += [(left.log, rest, fit, evidence), *swaps]
-    found = [
-        (promise, members, fit, evidence)
-        for promise, members, fit, evidence in found
-        if promise >= top - NEAR and len(members) <= LARGEST and keys(members) not in tried
-    ]
+    best, top = sound[0].fit, sound[0].score.log
+    kappa = ranks[0].evidence.kappa
     for row in sound[:HOPEFUL]:
         simpler = both_ways(u, row.fit)
-        if simpler is not None and keys(tuple(simpler)) not in tried:
+        if simpler is not None and frozenset(u.keys[q] for q in simpler) not in tried:
             x, fit = row.fit.columns.x, row.fit
             start = {q: -float(x[q]) for q in fit.members if q not in simpler}
             start |= {q: value - float(x[q]) for q, value in simpler.items()}
             return Proposal(tuple(simpler), start, fit.columns, fit.spread, fit.weight)
+    found: list[tuple[float, tuple[int, ...], Fit, Evidence]] = []
+
+    def add(evidence: Evidence, members: Sequence[int], fit: Fit, least: float = -np.inf) -> None:
+        score = evidence.score([(q, None) for q in members])
+        found.append((score.log, tuple(members), fit, evidence))
+        for _, (q, _) in evidence.additions(score)[:ADDITIONS]:
+            larger = evidence.score([(p, None) for p in (*members, q)])
+            if larger.log > score.log + least:
+                found.append((larger.log, larger.unknowns, fit, evidence))
+
+    for row in sound[:HOPEFUL]:
+        own = (r.evidence for r in ranks if r.evidence.columns is row.fit.columns)
+        there = next(own, None) or fitter.evidence(
+            row.fit.columns, row.fit.spread, row.fit.weight, kappa
+        )
+        if row.score.log > top - BEHIND * NEAR:
+            add(there, row.fit.members, row.fit, 0.0)
+    for row in [r for r in ranks[:HOPEFUL] if r.fit is best or r.fit.ended]:
+        fit = row.fit
+        out = fit.members if fit is best else fit.ended
+        for key in dict.fromkeys(u.keys[q] for q in out):
+            if (id(fit), key) not in removed:
+                removed[id(fit), key] = fitter.at.without(fit.columns, fit.members, key)
+            columns = removed[id(fit), key]
+            if columns is not None:
+                rest = [q for q in fit.members if u.keys[q] != key]
+                add(fitter.evidence(columns, fit.spread, fit.weight, kappa), rest, fit)
+    found = [
+        one
+        for one in found
+        if one[0] >= top - NEAR
+        and 0 < len(one[1]) <= LARGEST
+        and frozenset(u.keys[q] for q in one[1]) not in tried
+    ]
     if not found:
         return None
     promise, members, fit, evidence = max(found, key=lambda entry: entry[0])
-    return of(fit, evidence, members, promise)
+    score = evidence.score([(q, None) for q in members])
+    start = evidence.departures(score)
+    return Proposal(members, start, evidence.columns, fit.spread, fit.weight, promise)
 
 
 def both_ways(u: Unknowns, fit: Fit) -> dict[int, float] | None:

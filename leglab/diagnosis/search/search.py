@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leglab.diagnosis.balance.regression import Balanced, balanced_sets
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.columns import COARSE, Columns, Errors, trials
 from leglab.diagnosis.likelihood.evidence import Evidence, Score
@@ -14,8 +13,9 @@ from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import Problem, thinned
 from leglab.diagnosis.search.beam import beam, without_idle
-from leglab.diagnosis.search.rank import NEAR, Proposal, Ranked, proposal, rank
-from leglab.diagnosis.search.settle import EXPLAINED, KAPPA, Fit, Fitter
+from leglab.diagnosis.search.rank import BEHIND, NEAR, Proposal, Ranked, proposal, rank
+from leglab.diagnosis.search.regression import Balanced, balanced_sets
+from leglab.diagnosis.search.settle import HOPELESS, KAPPA, RENEWALS, Fit, Fitter
 
 # Windows that are replayed.
 WINDOWS = 32
@@ -31,8 +31,6 @@ AS_GOOD, IDLE_SHARE, IDLE = 0.1, 0.03, 3.0
 LEADING = 2
 # Further sets that are fitted; fewer where so many in a row change nothing, or by less than this.
 MORE, FRUITLESS, BETTER = 7, 2, 0.95
-# Times the level of the best set at which another one is given up.
-HOPELESS = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +85,7 @@ def search(
     wanted += _seeds(evidence, balanced_sets(at, trials(u)))
     fits: list[Fit] = []
 
-    def run(new: Proposal, *, beside: bool = False) -> Fit:
+    def run(new: Proposal, *, beside: bool = False, renewals: int = 0) -> Fit:
         lowest = min((f.level for f in fits), default=np.inf)
         fit = fitter.fit(
             new.columns,
@@ -98,6 +96,7 @@ def search(
             kappa,
             give_up=HOPELESS * lowest,
             beside=beside,
+            renewals=renewals,
         )
         log(f"fitted {told(u, fit.score)}: {fit.level:.3g} noise levels")
         fits.append(fit)
@@ -112,15 +111,33 @@ def search(
             continue
         tried.add(names)
         # Beside what explains everything only what promises nearly as much is a rival.
-        if run(new).level <= EXPLAINED:
+        if fitter.explains(run(new)):
             least = max(least, new.promise - NEAR - AS_GOOD * worth)
     run(_of(evidence, evidence.score(())))
-    vain, again = 0, set[tuple[frozenset[Key], frozenset[Key]]]()
-    for _ in range(MORE + 1):
+    vain = more = 0
+    again, ended = set[tuple[frozenset[Key], frozenset[Key]]](), set[frozenset[Key]]()
+    removed: dict[tuple[int, Key], Columns | None] = {}
+    while True:
         ranks = rank(fitter, fits, kappa)
         least_left = min(ranks, key=lambda r: r.fit.level)
         kappa = 1.0 / max(least_left.evidence.design_effect(least_left.score), 1.0)
-        # The leading sets once more, from where the one that leaves least has the machine.
+        # What may lead is fitted to its end; the leading sets also from where the one that leaves
+        # least has the machine.
+        top = ranks[0].score.log
+        behind = BEHIND * NEAR
+        if not fitter.explains(least_left.fit):
+            behind += AS_GOOD * (top - next(r.score.log for r in ranks if not r.fit.members))
+        near = [
+            r.fit
+            for r in ranks
+            if r.score.log > top - behind and r.fit.level < HOPELESS * least_left.fit.level
+        ]
+        begun = next((f for f in near if not f.finished and f.keys not in ended), None)
+        if begun is not None:
+            ended.add(begun.keys)
+            run(_from(u, begun, begun), beside=True, renewals=RENEWALS)
+            fits.remove(begun)
+            continue
         point = least_left.fit
         late = next(
             (
@@ -132,11 +149,13 @@ def search(
         )
         if late is not None:
             again.add((late.keys, point.keys))
-            run(_from(u, late, point), beside=True)
+            run(_from(u, late, point), beside=True, renewals=RENEWALS)
             continue
-        then = None if vain >= FRUITLESS else proposal(fitter, ranks, tried)
+        done = vain >= FRUITLESS or more >= MORE
+        then = None if done else proposal(fitter, ranks, tried, removed)
         if then is None:
             break
+        more += 1
         tried.add(frozenset(u.keys[q] for q in then.members))
         known = {r.fit.keys: r.fit.level for r in ranks}
         fit = run(then)

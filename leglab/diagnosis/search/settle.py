@@ -15,13 +15,13 @@ import numpy as np
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.columns import (
-    BLOWN,
     COARSE,
     FINE,
     LARGE,
     LARGE_FIRST,
     Columns,
     Errors,
+    change,
 )
 from leglab.diagnosis.likelihood.evidence import Evidence, Score, robust_weights
 from leglab.diagnosis.likelihood.priors import ABSENT, FAULT_SIZE, Priors
@@ -33,6 +33,8 @@ KAPPA = 0.1
 # Level up to which errors are those of noise.
 EXPLAINED = DEFAULT.explained
 TURNS = 16
+# Times the level of the best set, or of noise, at which a fit is given up.
+HOPELESS = 10.0
 # Another turn that gains less is not worth its replays [nats]; one that gains so many times more
 # goes on with the tangents that it has.
 ENOUGH, GOES_ON = 2.0, 5.0
@@ -63,6 +65,7 @@ class Fit:
         score: Evidence there.
         level: Median error in noise levels of the sensors.
         ended: Members that ended at a bound.
+        finished: Whether another turn would gain nothing.
     """
 
     members: tuple[int, ...]
@@ -73,6 +76,7 @@ class Fit:
     score: Score
     level: float
     ended: tuple[int, ...]
+    finished: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +125,15 @@ class Fitter:
         """Median error of windows in noise levels of the sensors."""
         return float(np.sqrt(np.median(np.mean(self._white(errors) ** 2, axis=1))))
 
+    def explains(self, fit: Fit) -> bool:
+        """Whether noise, or errors as the healthy specimen has them, are left."""
+        if self.fixed is None:
+            return fit.level <= EXPLAINED
+        roots, _ = self.fixed.whiteners(self.at, 1.0, 1.0)
+        n = self.at.size
+        white = np.einsum("wij,wj->wi", roots[:, :n, :n], fit.columns.errors[:, :n])
+        return float(np.median(np.mean(white**2, axis=1))) <= EXPLAINED**2
+
     def _white(self, errors: np.ndarray) -> np.ndarray:
         return np.asarray(np.einsum("wij,wj->wi", self._sensors, errors[:, : self.at.size]))
 
@@ -155,7 +168,7 @@ class Fitter:
         weight: np.ndarray,
         kappa: float,
         *,
-        turns: int = TURNS,
+        renewals: int = RENEWALS,
         give_up: float = np.inf,
         beside: bool = False,
     ) -> Fit:
@@ -168,7 +181,7 @@ class Fitter:
             spread: Pattern of the model's own error at first.
             weight: Of windows at first.
             kappa: 1/design effect at first.
-            turns: At most.
+            renewals: All tangents are taken anew so often at most.
             give_up: Level of the errors beyond which the fit is not finished.
             beside: Whether the rest of the machine starts where another set has left it, and moves
                 with the members from the first turn on.
@@ -182,18 +195,23 @@ class Fitter:
                 point = self._point(moved, errors, columns.tangents, members)
                 spread, weight = self.own_spread(errors), np.ones(len(errors))
         stiff_turns = 0 if beside or not members else STIFF_TURNS
-        anew = slow = given_up = False
-        telling, renewals = None, 0
-        for turn in range(turns):
-            first = turn < stiff_turns
-            if not first and not anew and (turn == stiff_turns or slow):
+        # By so much tangents have missed what replays showed since they were taken [nats].
+        missed, off = 0.0, _beyond(columns, point)
+        slow = given_up = finished = False
+        telling, renewed = None, 0
+        for turn in range(TURNS):
+            first, fresh = turn < stiff_turns, False
+            if not first and missed > ENOUGH and (slow or not renewed):
+                if renewed == renewals:
+                    break
                 point = self._all_tangents(point, members, telling)
-                anew, renewals = True, renewals + 1
+                fresh, renewed, missed = True, renewed + 1, 0.0
             else:
                 point = self._own_tangents(point, members, first)
             priors = self._stiff if first else self.priors
             evidence = self.evidence(point.columns, spread, weight, kappa, priors)
             score = evidence.score([(q, None) for q in members])
+            missed += 0.5 * self._square(evidence, score, off)
             if first and (other := self._on_ladder(evidence, score, point, members)):
                 point = other
                 evidence = self.evidence(point.columns, spread, weight, kappa, priors)
@@ -201,11 +219,15 @@ class Fitter:
             telling = telling if first else evidence.telling(score)
             then = self._stepped(evidence, score, point, members)
             if then is None:
-                if anew and not first:
+                if first:
+                    stiff_turns = turn + 1
+                    continue
+                if fresh or missed < ENOUGH:
+                    finished = True
                     break
-                slow = True
+                slow, missed, off = True, np.inf, 0.0 * off
                 continue
-            share, gain, point = then
+            share, gain, off, point = then
             spread = self.own_spread(point.errors)
             weight = self.weights(point.errors, spread, score.size)
             if not first:
@@ -214,11 +236,10 @@ class Fitter:
             if turn + 1 >= STIFF_TURNS and self.level(point.errors) > give_up:
                 given_up = True
                 break
-            if not first and anew and (gain < ENOUGH or renewals >= RENEWALS):
+            if not first and gain < ENOUGH and (fresh or missed < ENOUGH):
+                finished = True
                 break
-            slow, anew = share < 1.0 or gain < GOES_ON * ENOUGH, False
-        if not given_up and not anew:
-            point = self._all_tangents(point, members, telling)
+            slow = share < 1.0 or gain < GOES_ON * ENOUGH
         evidence = self.evidence(point.columns, spread, weight, kappa)
         score = evidence.score([(q, None) for q in members])
         return Fit(
@@ -230,6 +251,7 @@ class Fitter:
             score=score,
             level=self.level(point.errors),
             ended=self._ended(members, point.x, score.values),
+            finished=finished or given_up,
         )
 
     def _point(
@@ -252,8 +274,11 @@ class Fitter:
 
     def _stepped(
         self, evidence: Evidence, score: Score, point: Point, members: Sequence[int]
-    ) -> tuple[float, float, Point] | None:
-        """The share of a step that lowers the cost, its gain [nats] and where it leads."""
+    ) -> tuple[float, float, np.ndarray, Point] | None:
+        """The share of a step that lowers the cost, and where it leads.
+
+        Beside the share its gain [nats], and what it changed beyond the tangents.
+        """
         u = self.at.unknowns
         values, spikes = evidence.step(score)
         before = self._cost(evidence, score, point.errors, point.values, point.spikes)
@@ -271,11 +296,11 @@ class Fitter:
             after = self._cost(evidence, score, errors, new_values, new_spikes)
             if after < before:
                 x = u.departures(moved)
-                tangents = _broyden(
+                tangents, off = _broyden(
                     point.tangents, errors - point.errors, x - point.x, members, u.single
                 )
                 new = Point(moved, errors, x, new_values, new_spikes, tangents)
-                return share, 0.5 * (before - after), new
+                return share, 0.5 * (before - after), off, new
         return None
 
     def _cost(
@@ -287,16 +312,20 @@ class Fitter:
         spikes: np.ndarray,
     ) -> float:
         """Twice the negative log posterior at a score's size and spread."""
+        square = self._square(evidence, score, errors)
+        spread = evidence.priors.spreads[score.spread]
+        precision, _ = evidence.priors.precision(self.at.unknowns, spread)
+        fault = float(2.0 * np.log1p((values / FAULT_SIZE) ** 2).sum())
+        return square + float(spikes @ precision @ spikes) + fault
+
+    def _square(self, evidence: Evidence, score: Score, errors: np.ndarray) -> float:
+        """Square of errors at a score's size, as much as it counts."""
         if self._roots is None or self._roots[0] is not evidence or self._roots[1] != score.size:
             size = evidence.priors.sizes[score.size]
             found, _ = evidence.spread.whiteners(self.at, size, evidence.force_size(score.size))
             self._roots = evidence, score.size, found
         white = (self._roots[2] @ errors[:, :, None])[:, :, 0]
-        square = evidence.kappa * float((evidence.weight[:, None] * white**2).sum())
-        spread = evidence.priors.spreads[score.spread]
-        precision, _ = evidence.priors.precision(self.at.unknowns, spread)
-        fault = float(2.0 * np.log1p((values / FAULT_SIZE) ** 2).sum())
-        return square + float(spikes @ precision @ spikes) + fault
+        return evidence.kappa * float((evidence.weight[:, None] * white**2).sum())
 
     def _shapes(self, members: Sequence[int]) -> list[int]:
         """Shapes of the members' effects; a shape of a spike means nothing."""
@@ -314,9 +343,7 @@ class Fitter:
             if q >= u.single:
                 h = max(step, large * abs(float(np.mean(point.x[list(u.singles(q))]))))
                 moved = at.at(u.moved(point.hypothesis, {q: h}))
-                difference = (moved - point.errors) / h
-                difference[np.abs(moved).max(axis=1) > BLOWN] = 0.0
-                out[:, :, q] = difference
+                out[:, :, q] = change(point.errors, moved) / h
         return replace(point, tangents=out)
 
     def _all_tangents(
@@ -349,23 +376,28 @@ class Fitter:
             if len(sizes) < 2:
                 continue
             ends = (sizes[1], sizes[-2]) if len(sizes) > 3 else (sizes[0], sizes[-1])
-            tried = {y: self._at_size(point, members, n, y) for y in ends}
+            tried = self._at_sizes(point, members, n, ends)
             low, high = (self._white(tried[y].errors - point.errors) / (y - now) for y in ends)
             if np.linalg.norm(high - low) < SMOOTH * np.linalg.norm(low):
                 continue
-            tried |= {y: self._at_size(point, members, n, y) for y in sizes if y not in tried}
+            tried |= self._at_sizes(point, members, n, [y for y in sizes if y not in tried])
             for one in tried.values():
                 cost = self._cost(evidence, score, one.errors, one.values, point.spikes)
                 if cost < lowest:
                     lowest, point = cost, one
         return None if point is begun else self._own_tangents(point, members, True)
 
-    def _at_size(self, point: Point, members: Sequence[int], n: int, size: float) -> Point:
-        """With the n-th member at another size."""
-        by = {members[n]: size - float(point.values[n])}
-        moved = self.at.unknowns.moved(point.hypothesis, by)
-        values = np.where(np.arange(point.values.size) == n, size, point.values)
-        return self._point(moved, self.at.at(moved), point.tangents, members, values)
+    def _at_sizes(
+        self, point: Point, members: Sequence[int], n: int, sizes: Sequence[float]
+    ) -> dict[float, Point]:
+        """With the n-th member at other sizes, by size."""
+        u, now = self.at.unknowns, float(point.values[n])
+        moved = [u.moved(point.hypothesis, {members[n]: size - now}) for size in sizes]
+        found = {}
+        for size, hypothesis, errors in zip(sizes, moved, self.at.each(moved), strict=True):
+            values = np.where(np.arange(point.values.size) == n, size, point.values)
+            found[size] = self._point(hypothesis, errors, point.tangents, members, values)
+        return found
 
     def _ended(self, members: Sequence[int], x: np.ndarray, values: np.ndarray) -> tuple[int, ...]:
         """Members that stand at a bound; zero is none: no friction is an answer."""
@@ -381,14 +413,24 @@ class Fitter:
         return tuple(found)
 
 
+def _beyond(columns: Columns, point: Point) -> np.ndarray:
+    """Errors at a point beyond what a linearisation has them, (windows, rows)."""
+    single = point.spikes.size
+    moved = (point.x - columns.x)[:single]
+    return np.asarray(point.errors - columns.errors - columns.tangents[:, :, :single] @ moved)
+
+
 def _broyden(
     tangents: np.ndarray,
     change: np.ndarray,
     moved: np.ndarray,
     members: Sequence[int],
     single: int,
-) -> np.ndarray:
-    """Tangents corrected by what a step showed, along the members if they moved."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Tangents corrected by what a step showed, along the members if they moved.
+
+    And what it showed beyond them, (windows, rows).
+    """
     direction = moved[:single].copy()
     along = np.zeros(single)
     own = [q for q in members if q < single]
@@ -396,9 +438,9 @@ def _broyden(
     if not along.any():
         along = direction
     norm = float(direction @ along)
-    if norm <= 1e-12:
-        return tangents
     missed = change - tangents[:, :, :single] @ direction
+    if norm <= 1e-12:
+        return tangents, missed
     out = tangents.copy()
     out[:, :, :single] += missed[:, :, None] * (along / norm)
-    return out
+    return out, missed

@@ -145,8 +145,8 @@ def _effect(
     logs, apart = np.array([r.score.log for r in rows]), np.array([r.apart for r in rows])
     drive = np.array([r.drive for r in rows])
     has = np.array([key in r.keys for r in rows])
-    # A fit that ends at a bound is a rival, but no name.
-    sound = has & ~np.array([r.ended for r in rows])
+    # What ends at a bound is a rival, but no name.
+    sound = has & ~np.array([key in r.ended for r in rows])
     ways = [(_shares(logs + d), _shares(apart + np.expand_dims(d, 1))) for d in (0 * drive, drive)]
     evidence = float(ways[0][0][has].sum())
     whole = min(float(share[sound].sum()) for share, _ in ways)
@@ -184,7 +184,7 @@ def _ties(rows: Sequence[Row], first: Row, key: Key) -> tuple[frozenset[Key], ..
         new = row.keys - shared
         if (
             key in row.keys
-            or row.ended
+            or row.ended & new
             or not new
             or len(row.score.members) > numbers + MORE_NUMBERS
         ):

@@ -30,7 +30,7 @@ class Row:
 
     Attributes:
         keys: Its effects.
-        ended: Whether a member ended at a bound.
+        ended: Those that ended at a bound.
         score: Where the set is most probable.
         evidence: Linearisation there.
         apart: Log evidence without each part of the recordings in turn, (parts,).
@@ -42,7 +42,7 @@ class Row:
     """
 
     keys: frozenset[Key]
-    ended: bool
+    ended: frozenset[Key]
     score: Score
     evidence: Evidence
     apart: np.ndarray
@@ -103,7 +103,7 @@ class Sets:
         square, recording = self.channel_squares(errors), self.at.recording
         return np.stack([np.median(square[recording == r], axis=0) for r in np.unique(recording)])
 
-    def _row(self, evidence: Evidence, members: Sequence[int], ended: bool) -> Row:
+    def _row(self, evidence: Evidence, members: Sequence[int], ended: frozenset[Key]) -> Row:
         chosen = [(q, None) for q in members]
         score, parts = evidence.score(chosen), int(evidence.part.max()) + 1
         left = evidence.left(score)
@@ -127,12 +127,13 @@ class Sets:
                 rows[row.keys] = row
 
         for r in self.found.ranks:
-            row = self._row(r.evidence, r.fit.members, bool(r.fit.ended))
+            ended = frozenset(u.keys[q] for q in r.fit.ended)
+            row = self._row(r.evidence, r.fit.members, ended)
             enter(replace(row, fitted=r.evidence.columns is r.fit.columns))
         top = max(row.score.log for row in rows.values())
         for r in self.found.ranks:
             for key in r.fit.keys if r.score.log > top - NEAR else ():
-                columns = self._removed(r.fit.columns, r.fit.members, key)
+                columns = self.at.without(r.fit.columns, r.fit.members, key)
                 if columns is None:
                     continue
                 self.removed[r.fit.keys, key] = columns
@@ -142,7 +143,8 @@ class Sets:
                 for spread in (r.evidence.spread, *own):
                     weight, kappa = self.best.weight, self.best.kappa
                     there = self.fitter.evidence(columns, spread, weight, kappa)
-                    enter(self._row(there, members, bool(r.fit.ended and members)))
+                    ended = frozenset(u.keys[q] for q in r.fit.ended if q in members)
+                    enter(self._row(there, members, ended))
         for row in list(rows.values()):
             for key in row.keys:
                 for twin in twins(self.at.problem, key):
@@ -150,16 +152,6 @@ class Sets:
                         keys = (row.keys - {key}) | {twin}
                         enter(replace(row, keys=keys, renamed={key: twin}))
         return sorted(rows.values(), key=lambda r: -r.score.log)
-
-    def _removed(self, columns: Columns, members: Sequence[int], key: Key) -> Columns | None:
-        """A linearisation without an effect; None where its replay blows up."""
-        u, x = self.unknowns, columns.x
-        gone = {i: -float(x[i]) for q in members if u.keys[q] == key for i in u.singles(q)}
-        base = u.moved(columns.base, gone)
-        errors = self.at.at(base)
-        if np.abs(errors).max() > BLOWN:
-            return None
-        return replace(columns, base=base, x=u.departures(base), errors=errors)
 
     def without(self, row: Row, key: Key) -> np.ndarray:
         """Errors with an effect taken out and the other members fitted anew; spikes stay."""
@@ -201,6 +193,8 @@ class Sets:
         points = [row.hypothesis for row in rows]
         errors = [at.at(point) for point in points]
         lost = np.zeros(len(rows))
+        # A set whose replay blows up where first order leads is no better than any other.
+        blown = np.array([np.abs(here).max() > BLOWN for here in errors])
         for actuator in at.problem.machine.actuators:
             change = at.at(Hypothesis(), actuator) - self.found.first.errors
             squares = self.channel_squares(change)
@@ -212,9 +206,10 @@ class Sets:
             for i, (point, here) in enumerate(zip(points, errors, strict=True)):
                 change = at.at(point, actuator) - here
                 if np.abs(change).max() > BLOWN:
+                    blown[i] = True
                     continue
                 after = self.channel_squares(change)[moving][:, channels].sum(axis=1)
                 ratio = np.maximum(after, 1e-24) / before[moving]
                 influence = 0.5 * float(np.median(np.log(ratio)))
                 lost[i] += count * min(influence + SLACK, 0.0)
-        return lost
+        return np.where(blown, lost.min(), lost)

@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leglab.diagnosis.balance.lacking import balanced_joints, lacking_forces
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.plant.model import CHAMBERS, CYLINDER, Change, Measured
 from leglab.diagnosis.plant.moments import plugin_offset
+from leglab.diagnosis.replay.lacking import balanced_joints, lacking_forces
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.replay.starts import measure, start_states
 from leglab.diagnosis.replay.windows import Cut

@@ -12,9 +12,9 @@ from itertools import combinations
 
 import numpy as np
 
-from leglab.diagnosis.balance.lacking import balanced_joints, lacking_forces
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.likelihood.columns import BLOCKS, Errors, Jump
+from leglab.diagnosis.replay.lacking import balanced_joints, lacking_forces
 from leglab.diagnosis.replay.starts import start_states
 
 # Effects of a set on one joint; sets of each number that are kept, and singles that are combined.
