@@ -27,8 +27,6 @@ SURE, FIRST, SINGLES, EXACT = 3, 5, 3, 2
 # Share of all that is to be gained by which first promises of equal sets differ; and below which a
 # member of a set is idle, beside so many nats.
 AS_GOOD, IDLE_SHARE, IDLE = 0.1, 0.03, 3.0
-# Sets that are fitted from a second start.
-LEADING = 2
 # Further sets that are fitted; fewer where so many in a row change nothing, or by less than this.
 MORE, FRUITLESS, BETTER = 7, 2, 0.95
 
@@ -121,33 +119,26 @@ def search(
         ranks = rank(fitter, fits, kappa)
         least_left = min(ranks, key=lambda r: r.fit.level)
         kappa = 1.0 / max(least_left.evidence.design_effect(least_left.score), 1.0)
-        # What may lead is fitted to its end; the leading sets also from where the one that leaves
-        # least has the machine.
+        # What may lead is fitted to its end; what is more probable where another set was fitted
+        # also from there.
         top = ranks[0].score.log
         behind = BEHIND * NEAR
         if not fitter.explains(least_left.fit):
             behind += AS_GOOD * (top - next(r.score.log for r in ranks if not r.fit.members))
-        near = [
-            r.fit
-            for r in ranks
-            if r.score.log > top - behind and r.fit.level < HOPELESS * least_left.fit.level
-        ]
-        begun = next((f for f in near if not f.finished and f.keys not in ended), None)
+        near = [r for r in ranks if r.score.log > top - behind]
+        most = HOPELESS * least_left.fit.level
+        open_ = (r.fit for r in near if not r.fit.finished and r.fit.level < most)
+        begun = next((f for f in open_ if f.keys not in ended), None)
         if begun is not None:
             ended.add(begun.keys)
             run(_from(u, begun, begun), beside=True, renewals=RENEWALS)
             fits.remove(begun)
             continue
-        point = least_left.fit
-        late = next(
-            (
-                r.fit
-                for r in ranks[:LEADING]
-                if r.fit.level > point.level and (r.fit.keys, point.keys) not in again
-            ),
-            None,
-        )
-        if late is not None:
+        points = {id(f.columns): f for f in fits}
+        pairs = ((r.fit, points[id(r.evidence.columns)]) for r in near)
+        moved = ((f, p) for f, p in pairs if f is not p and (f.keys, p.keys) not in again)
+        late, point = next(moved, (None, None))
+        if late is not None and point is not None:
             again.add((late.keys, point.keys))
             run(_from(u, late, point), beside=True, renewals=RENEWALS)
             continue

@@ -12,7 +12,6 @@ import numpy as np
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.columns import BLOWN, Columns
 from leglab.diagnosis.likelihood.evidence import Evidence, Score
-from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.search.rank import NEAR
 from leglab.diagnosis.search.search import Found
@@ -34,7 +33,8 @@ class Row:
         score: Where the set is most probable.
         evidence: Linearisation there.
         apart: Log evidence without each part of the recordings in turn, (parts,).
-        left: Errors that it leaves, (windows, rows).
+        left: Errors that it leaves, (windows, rows): by first order where it was fitted, else by a
+            replay.
         level: Median of these in noise levels.
         fitted: Whether the linearisation is where the set itself was fitted by replays.
         renamed: Effects that go by the name of a twin.
@@ -117,19 +117,47 @@ class Sets:
             level=self.fitter.level(left),
         )
 
+    def _replayed(self, row: Row) -> Row | None:
+        """A set that was not fitted by what a replay shows where first order leads.
+
+        None where that blows up; what it errs beyond first order counts against it.
+        """
+        evidence, score = row.evidence, row.score
+        errors = self.at.at(row.hypothesis)
+        if np.abs(errors).max() > BLOWN:
+            return None
+        size = evidence.priors.sizes[score.size]
+        roots, _ = evidence.spread.whiteners(self.at, size, evidence.force_size(score.size))
+        after, before = (
+            np.einsum("wij,wj->wi", roots, e, optimize=True) for e in (errors, row.left)
+        )
+        beyond = 0.5 * evidence.kappa * evidence.weight * (after**2 - before**2).sum(axis=1)
+        by_part = np.array([beyond[evidence.part == r].sum() for r in range(row.apart.size)])
+        lost = max(float(by_part.sum()), 0.0)
+        apart = row.apart - np.maximum(by_part.sum() - by_part, 0.0)
+        score = replace(score, log=score.log - lost, fit=score.fit - lost)
+        level = self.fitter.level(errors)
+        return replace(row, score=score, apart=apart, left=errors, level=level)
+
     def _all(self) -> list[Row]:
         """All sets, each where it is most probable, most probable first."""
         u = self.unknowns
         rows: dict[frozenset[Key], Row] = {}
 
-        def enter(row: Row) -> None:
+        def enter(row: Row | None) -> None:
+            if row is None:
+                return
             if row.keys not in rows or row.score.log > rows[row.keys].score.log:
                 rows[row.keys] = row
 
+        best = self.best
         for r in self.found.ranks:
             ended = frozenset(u.keys[q] for q in r.fit.ended)
-            row = self._row(r.evidence, r.fit.members, ended)
-            enter(replace(row, fitted=r.evidence.columns is r.fit.columns))
+            fit, own = r.fit, r.evidence
+            if own.columns is not fit.columns:  # more probable where another set was fitted
+                enter(self._replayed(self._row(own, fit.members, ended)))
+                own = self.fitter.evidence(fit.columns, own.spread, best.weight, best.kappa)
+            enter(replace(self._row(own, fit.members, ended), fitted=True))
         top = max(row.score.log for row in rows.values())
         for r in self.found.ranks:
             for key in r.fit.keys if r.score.log > top - NEAR else ():
@@ -138,13 +166,22 @@ class Sets:
                     continue
                 self.removed[r.fit.keys, key] = columns
                 members = tuple(q for q in r.fit.members if u.keys[q] != key)
+                rest = self.fitter.fit(
+                    columns,
+                    {},
+                    members,
+                    r.evidence.spread,
+                    best.weight,
+                    best.kappa,
+                    renewals=0,
+                    beside=True,
+                )
                 # What it is without the effect has a pattern of its own.
-                own = [] if self.fitter.fixed else [Spread.of(self.at, columns.errors)]
-                for spread in (r.evidence.spread, *own):
-                    weight, kappa = self.best.weight, self.best.kappa
-                    there = self.fitter.evidence(columns, spread, weight, kappa)
+                its = [] if self.fitter.fixed else [rest.spread]
+                for spread in (r.evidence.spread, *its):
+                    there = self.fitter.evidence(rest.columns, spread, best.weight, best.kappa)
                     ended = frozenset(u.keys[q] for q in r.fit.ended if q in members)
-                    enter(self._row(there, members, ended))
+                    enter(self._replayed(self._row(there, members, ended)))
         for row in list(rows.values()):
             for key in row.keys:
                 for twin in twins(self.at.problem, key):
