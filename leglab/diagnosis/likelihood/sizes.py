@@ -8,12 +8,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from leglab.diagnosis.effects.base import EffectParameter
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
 from leglab.diagnosis.plant.model import Machine
-from leglab.diagnosis.plant.moments import commands_at, forces_at, states_at
+from leglab.diagnosis.plant.moments import commands_at, forces_at
+from leglab.diagnosis.replay.lacking import accelerations
 from leglab.diagnosis.replay.residual import Problem
 
 # Trials as shares of what is recorded: 1 % is the smallest that a user would notice.
@@ -110,15 +110,9 @@ def shown(problem: Problem) -> Shown:
     rows: dict[str, list[np.ndarray]] = {j: [] for j in machine.joints}
     commands: dict[str, list[np.ndarray]] = {a: [] for a in machine.actuators}
     longest = 0.0
-    for measured in replay.moments(change, problem.fitted, 0.015):
-        length = max(2 * round(0.5 * 0.031 / measured.period) + 1, 5)
+    for _, measured, states in replay.along(change, problem.fitted):
         samples = measured.samples
-        slope = np.zeros((samples.size, model.nv))
-        for j, d in zip(machine.joints, dofs, strict=True):
-            rate = savgol_filter(measured.velocity[j], length, 2, deriv=1, delta=measured.period)
-            slope[:, d] = rate[samples]
-        plugin = np.tile(change.variant.plugin_state, (samples.size, 1))
-        states = states_at(machine, model, measured, samples, plugin)
+        slope = accelerations(change, measured, replay.half)
         found = forces_at(model, states, commands_at(machine, measured, samples))
         inertia = np.abs(np.einsum("nij,nj->ni", found.inertia, slope))
         for j, d in zip(machine.joints, dofs, strict=True):

@@ -44,16 +44,12 @@ def lacking_forces(
         states: Full physics states at the samples, (samples, nstate).
         half: Accelerations are the mean over so many samples to both sides.
     """
-    machine, model = change.machine, change.variant.model
-    k, period = measured.samples, measured.period
-    acceleration = np.zeros((k.size, model.nv))
+    machine, model, k = change.machine, change.variant.model, measured.samples
     states = states.copy()
     velocity = states[:, 1 + model.nq : 1 + model.nq + model.nv]
     velocity[:] = 0.0
     for joint in machine.joints:
-        v, dof = measured.velocity[joint], int(model.joint(joint).dofadr[0])
-        acceleration[:, dof] = (v[k + half] - v[k - half]) / (2 * half * period)
-        velocity[:, dof] = v[k]
+        velocity[:, int(model.joint(joint).dofadr[0])] = measured.velocity[joint][k]
     # Held commands change at samples: about one, the mean of both sides acts.
     native = machine.native_actuators()
     command = np.stack(
@@ -65,7 +61,18 @@ def lacking_forces(
     )
     start = plugin_offset(model)
     states[:, [start + place for place in plays(machine, change.variant)]] = 0.0
-    return forces_at(model, states, command, acceleration)
+    return forces_at(model, states, command, accelerations(change, measured, half))
+
+
+def accelerations(change: Change, measured: Measured, half: int) -> np.ndarray:
+    """Measured accelerations at the samples, (samples, nv), over so many samples to both sides."""
+    k, model = measured.samples, change.variant.model
+    out = np.zeros((k.size, model.nv))
+    for joint in change.machine.joints:
+        v = measured.velocity[joint]
+        slope = (v[k + half] - v[k - half]) / (2 * half * measured.period)
+        out[:, int(model.joint(joint).dofadr[0])] = slope
+    return out
 
 
 def comparable_forces(

@@ -224,14 +224,26 @@ class Replay:
             `comparable_forces` has them; and what commands of native actuators that are `LOUDER`
             change in them.
         """
-        inside = self._inside(blocks)
-        rows = []
-        for cut, measured, _ in self._parts(change, chosen):
-            at = replace(measured, samples=(cut.firsts[:, None] + inside).ravel())
-            states = start_states(cut, change, at, self.channels, self.rest_time)
-            rows.append(self._left(cut, change, at, states, blocks))
+        rows = [
+            self._left(cut, change, at, states, blocks)
+            for cut, at, states in self.along(change, chosen, blocks)
+        ]
         left, pushed = zip(*rows, strict=True)
         return np.concatenate(left), np.concatenate(pushed)
+
+    def along(
+        self, change: Change, chosen: np.ndarray | None, blocks: int = DEFAULT.force_blocks
+    ) -> Iterator[tuple[Cut, Measured, np.ndarray]]:
+        """Samples inside the chosen windows of every recording, and full physics states there."""
+        inside = self._inside(blocks)
+        for cut, measured, _ in self._parts(change, chosen):
+            at = replace(measured, samples=(cut.firsts[:, None] + inside).ravel())
+            yield cut, at, start_states(cut, change, at, self.channels, self.rest_time)
+
+    @property
+    def half(self) -> int:
+        """Samples to both sides over which accelerations are taken: a bin's."""
+        return self.samples // self.bins
 
     def _inside(self, blocks: int) -> np.ndarray:
         """Samples after a window's start at which forces are looked at, as many in each block."""
@@ -247,7 +259,7 @@ class Replay:
         inside = self._inside(blocks).size
 
         def left(measured: Measured) -> np.ndarray:
-            found = lacking_forces(change, measured, states, self.samples // self.bins)
+            found = lacking_forces(change, measured, states, self.half)
             rows = comparable_forces(change, measured, found, joints)
             rows = rows.reshape(-1, blocks, inside // blocks, len(joints)).mean(axis=2)
             return np.nan_to_num(rows.transpose(0, 2, 1), nan=1e12, posinf=1e12, neginf=-1e12)
@@ -343,15 +355,6 @@ class Replay:
             index = cut.firsts[:, None] + np.arange(self.samples + 1)
             rows.append(np.stack([cut.series.columns[c.column][index] for c in self.channels], 1))
         return np.concatenate(rows)
-
-    def moments(self, change: Change, chosen: np.ndarray, every: float) -> list[Measured]:
-        """Measured series of the recordings, whose samples lie a time [s] apart in some windows."""
-        stride = max(1, round(every / self._period))
-        inside = np.arange(0, self.samples, stride)
-        return [
-            replace(measured, samples=(cut.firsts[:, None] + inside).ravel())
-            for cut, measured, _ in self._parts(change, chosen)
-        ]
 
     def at_starts(self, values: list[np.ndarray]) -> np.ndarray:
         """Values at window starts, shape (windows,), from one array of shape (n,) a recording."""

@@ -116,9 +116,15 @@ def proposal(
     sound = [r for r in ranks if not r.fit.ended] or list(ranks)
     best, top = sound[0].fit, sound[0].score.log
     kappa = ranks[0].evidence.kappa
-    for row in sound[:HOPEFUL]:
+    levels = {r.fit.keys: r.fit.level for r in ranks}
+    for row in [r for r in sound if r.score.log > top - BEHIND * NEAR]:
         simpler = both_ways(u, row.fit)
-        if simpler is not None and frozenset(u.keys[q] for q in simpler) not in tried:
+        if simpler is None:
+            continue
+        names = frozenset(u.keys[q] for q in simpler)
+        once = names | row.fit.keys  # from here
+        if once not in tried and row.fit.level < levels.get(names, np.inf):
+            tried.add(once)
             x, fit = row.fit.columns.x, row.fit
             start = {q: -float(x[q]) for q in fit.members if q not in simpler}
             start |= {q: value - float(x[q]) for q, value in simpler.items()}
@@ -133,13 +139,12 @@ def proposal(
             if larger.log > score.log + least:
                 found.append((larger.log, larger.unknowns, fit, evidence))
 
-    for row in sound[:HOPEFUL]:
+    for row in [r for r in sound[:HOPEFUL] if r.score.log > top - BEHIND * NEAR]:
         own = (r.evidence for r in ranks if r.evidence.columns is row.fit.columns)
         there = next(own, None) or fitter.evidence(
             row.fit.columns, row.fit.spread, row.fit.weight, kappa
         )
-        if row.score.log > top - BEHIND * NEAR:
-            add(there, row.fit.members, row.fit, 0.0)
+        add(there, row.fit.members, row.fit, 0.0)
     for row in [r for r in ranks[:HOPEFUL] if r.fit is best or r.fit.ended]:
         fit = row.fit
         out = fit.members if fit is best else fit.ended

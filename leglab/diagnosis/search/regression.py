@@ -13,9 +13,8 @@ from itertools import combinations
 import numpy as np
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis
-from leglab.diagnosis.likelihood.columns import BLOCKS, Errors, Jump
+from leglab.diagnosis.likelihood.columns import Errors, Jump
 from leglab.diagnosis.replay.lacking import balanced_joints, lacking_forces
-from leglab.diagnosis.replay.starts import start_states
 
 # Effects of a set on one joint; sets of each number that are kept, and singles that are combined.
 MOST, KEPT, COMBINED = 3, 2, 16
@@ -50,13 +49,10 @@ def forces_left(at: Errors, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndar
     change = problem.library.change(hypothesis, replay.machine)
     model = change.variant.model
     dofs = [int(model.joint(joint).dofadr[0]) for joint in joints]
-    inside = replay._inside(BLOCKS)
     rows: list[np.ndarray] = []
     drives: list[np.ndarray] = []
-    for cut, measured, _ in replay._parts(change, at.chosen):
-        moments = replace(measured, samples=(cut.firsts[:, None] + inside).ravel())
-        states = start_states(cut, change, moments, replay.channels, replay.thresholds.rest_time)
-        found = lacking_forces(change, moments, states, replay.samples // replay.bins)
+    for cut, moments, states in replay.along(change, at.chosen):
+        found = lacking_forces(change, moments, states, replay.half)
         for out, force in ((rows, found.lacking), (drives, found.load)):
             out.append(force[:, dofs].reshape(cut.firsts.size, -1, len(dofs)).transpose(0, 2, 1))
     left, drive = np.concatenate(rows), np.concatenate(drives)

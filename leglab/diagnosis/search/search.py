@@ -15,7 +15,7 @@ from leglab.diagnosis.replay.residual import Problem, thinned
 from leglab.diagnosis.search.beam import beam, without_idle
 from leglab.diagnosis.search.rank import BEHIND, NEAR, Proposal, Ranked, proposal, rank
 from leglab.diagnosis.search.regression import Balanced, balanced_sets
-from leglab.diagnosis.search.settle import HOPELESS, KAPPA, RENEWALS, Fit, Fitter
+from leglab.diagnosis.search.settle import EXPLAINED, HOPELESS, KAPPA, RENEWALS, Fit, Fitter
 
 # Windows that are replayed.
 WINDOWS = 32
@@ -78,9 +78,14 @@ def search(
     log(f"tangents and trials of {len(u)} unknowns")
     first = at.jumped(at.columns(Hypothesis(), step=COARSE), trials(u))
     evidence, ranked, kappa = _annealed(fitter, first, kappa)
-    wanted = _wanted(evidence, ranked)
+    wanted = {_names(u, one): one for one in _wanted(evidence, ranked)}
     log("balance of forces")
-    wanted += _seeds(evidence, balanced_sets(at, trials(u)))
+    for seed in _seeds(evidence, balanced_sets(at, trials(u))):
+        one = wanted.setdefault(_names(u, seed), seed)
+        # A set that both propose begins where a replay is nearer.
+        levels = [fitter.level(at.at(u.moved(first.base, s.start))) for s in (seed, one)]
+        if levels[0] < levels[1]:
+            wanted[_names(u, seed)] = replace(seed, promise=one.promise)
     fits: list[Fit] = []
 
     def run(new: Proposal, *, beside: bool = False, renewals: int = 0) -> Fit:
@@ -103,13 +108,12 @@ def search(
     worth = ranked[0].log - next(s.log for s in ranked if not s.members)
     tried: set[frozenset[Key]] = {frozenset()}
     least = -np.inf
-    for new in wanted:
-        names = frozenset(u.keys[q] for q in new.members)
-        if names in tried or new.promise < least:
+    for names, new in wanted.items():
+        if new.promise < least:
             continue
         tried.add(names)
         # Beside what explains everything only what promises nearly as much is a rival.
-        if fitter.explains(run(new)):
+        if run(new).level <= EXPLAINED:
             least = max(least, new.promise - NEAR - AS_GOOD * worth)
     run(_of(evidence, evidence.score(())))
     vain = more = 0
@@ -199,6 +203,10 @@ def _wanted(evidence: Evidence, ranked: Sequence[Score]) -> list[Proposal]:
         score = evidence.score((member,))
         picked.setdefault(keys(score), score)
     return [_of(evidence, score) for names, score in picked.items() if names]
+
+
+def _names(u: Unknowns, one: Proposal) -> frozenset[Key]:
+    return frozenset(u.keys[q] for q in one.members)
 
 
 def _of(evidence: Evidence, score: Score) -> Proposal:
