@@ -184,7 +184,7 @@ def test_a_piston_is_found_on_the_flank_that_it_presses(healthy):
     problem = set_up("knee_bench", recordings, (), settings)
     key = "backlash", VALVE
     change = problem.library.change({key: np.array([5e-4])}, problem.replay.machine)
-    moments = problem.replay.moments(change, problem.fitted, 0.3)
+    moments = [at for _, at, _ in problem.replay.along(change, problem.fitted, 1)]
     state = np.tile(change.variant.plugin_state, (moments[0].samples.size, 1))
     state[:, change.variant.slot(VALVE, "play")] = 5e-4
     for chamber in ("pressure_a", "pressure_b"):

@@ -29,7 +29,7 @@ def pushed():
 
 def lacking(problem, hypothesis, chosen=None):
     change = problem.library.change(hypothesis, problem.replay.machine)
-    return problem.replay.lacking(change, chosen, problem.thresholds.force_blocks)
+    return problem.replay.lacking(change, chosen, problem.thresholds.force_blocks)[0]
 
 
 def test_a_constant_torque_is_left_over_in_every_part_of_every_window(pushed):

@@ -141,16 +141,30 @@ def diagnose(
     if healthy:
         remarks += admit(machine, healthy, (), limits).notes
     progress("verdict")
-    outcome = _judged(found)
+    outcome = _judged(found, judged(Sets(found.found)))
+    if outcome.judged.named and _lacks_nothing(outcome):
+        nothing = replace(outcome.judged, verdict="nothing_missing", named=(), confusion=())
+        outcome = _judged(found, nothing)
     result = assemble(outcome, seconds=perf_counter() - began)
     result = replace(result, notes=(*remarks, *result.notes))
     object.__setattr__(outcome, "result", result)
     return result, outcome
 
 
-def _judged(found: Searched) -> Outcome:
+def _lacks_nothing(outcome: Outcome) -> bool:
+    """Whether noise is left without the names where nobody fitted, and they do not lessen it."""
+    problem = outcome.problem.about(outcome.final)
+    if not problem.held.any():
+        return False
+    with_it, without = (
+        rms(problem.noise_levels(h)[problem.held])
+        for h in (outcome.final, outcome.final.without(*outcome.named))
+    )
+    return without <= EXPLAINED and without <= with_it
+
+
+def _judged(found: Searched, judgement: Judgement) -> Outcome:
     """The search with its verdict, and the hypotheses that are told."""
-    judgement = judged(Sets(found.found))
     told = set(judgement.named or judgement.confusion[:1])
     rows = judgement.rows
     row = next((r for r in rows if told <= r.keys and not r.renamed), rows[0])
