@@ -27,8 +27,8 @@ SURE, FIRST, SINGLES, EXACT = 3, 5, 3, 2
 # Share of all that is to be gained by which first promises of equal sets differ; and below which a
 # member of a set is idle, beside so many nats.
 AS_GOOD, IDLE_SHARE, IDLE = 0.1, 0.03, 3.0
-# Further sets that are fitted; fewer where so many in a row change nothing, or by less than this.
-MORE, FRUITLESS, BETTER = 7, 2, 0.95
+# Further sets that are fitted; fewer where so many in a row do not come near the best one.
+MORE, FRUITLESS = 7, 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +116,7 @@ def search(
         if run(new).level <= EXPLAINED:
             least = max(least, new.promise - NEAR - AS_GOOD * worth)
     run(_of(evidence, evidence.score(())))
-    vain = more = 0
+    vain, more, last = 0, 0, frozenset[Key]()
     again, ended = set[tuple[frozenset[Key], frozenset[Key]]](), set[frozenset[Key]]()
     removed: dict[tuple[int, Key], Columns | None] = {}
     while True:
@@ -146,15 +146,16 @@ def search(
             again.add((late.keys, point.keys))
             run(_from(u, late, point), beside=True, renewals=RENEWALS)
             continue
-        done = vain >= FRUITLESS or more >= MORE
+        # What was proposed last is a rival now, or was in vain.
+        vain = 0 if last in {r.fit.keys for r in near if r.score.log > top - NEAR} else vain + 1
+        done = vain > FRUITLESS or more >= MORE
         then = None if done else proposal(fitter, ranks, tried, removed)
         if then is None:
             break
         more += 1
-        tried.add(frozenset(u.keys[q] for q in then.members))
-        known = {r.fit.keys: r.fit.level for r in ranks}
-        fit = run(then)
-        vain = vain + 1 if fit.level > BETTER * known.get(fit.keys, np.inf) else 0
+        last = _names(u, then)
+        tried.add(last)
+        run(then)
     return Found(fitter, tuple(rank(fitter, fits, kappa)), kappa, first, fitter.level(first.errors))
 
 

@@ -145,13 +145,15 @@ def _effect(
     logs, apart = np.array([r.score.log for r in rows]), np.array([r.apart for r in rows])
     drive = np.array([r.drive for r in rows])
     has = np.array([key in r.keys for r in rows])
-    # What ends at a bound is a rival, but no name.
-    sound = has & ~np.array([key in r.ended for r in rows])
+    # Where an effect ends at a bound, the machine is another one: no name of that set is sure, and
+    # what ended is not even possible.
+    sound = has & ~np.array([bool(r.ended) for r in rows])
+    there = has & ~np.array([key in r.ended for r in rows])
     ways = [(_shares(logs + d), _shares(apart + np.expand_dims(d, 1))) for d in (0 * drive, drive)]
     evidence = float(ways[0][0][has].sum())
     whole = min(float(share[sound].sum()) for share, _ in ways)
     alone = min(float(parts[sound].sum(axis=0).min()) for _, parts in ways)
-    possible = max(float(parts[sound].sum(axis=0).max()) for _, parts in ways)
+    possible = max(float(parts[there].sum(axis=0).max()) for _, parts in ways)
     first = rows[int(np.argmax(np.where(has, logs, -np.inf)))]
     count = np.array([(sets.at.recording == r).sum() for r in np.unique(sets.at.recording)])
     grain = np.sqrt(2.0 / (sets.at.size // sets.channels * count))[:, None]
