@@ -14,6 +14,10 @@ Verdict = Literal["named", "confusion_set", "unexplained", "nothing_missing"]
 _WIDE = 0.2
 
 
+# Errors that differ by less, in noise levels, differ by nothing.
+ROOM = 0.05
+
+
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
     """A fitted parameter of an effect in SI units, with its value in the model as it was.
@@ -205,13 +209,13 @@ class Gap:
     def closed_fraction(self) -> float | None:
         """(before - after)/(before - noise_floor); None where there was no gap."""
         room = self.before - self.noise_floor
-        return (self.before - self.after) / room if room > 0.05 else None
+        return (self.before - self.after) / room if room > ROOM else None
 
 
 def _closed(unnamed: float, after: float, floor: float) -> float | None:
     """Share of the gap between two errors; None where there is none."""
     room = unnamed - floor
-    return min(max((unnamed - after) / room, 0.0), 1.0) if room > 0.05 else None
+    return min(max((unnamed - after) / room, 0.0), 1.0) if room > ROOM else None
 
 
 @dataclass(frozen=True, kw_only=True)

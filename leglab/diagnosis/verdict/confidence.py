@@ -119,9 +119,9 @@ def judged(sets: Sets) -> Judgement:
 
 def _as_healthy(sets: Sets) -> bool:
     """Whether nothing may be missing: noise, or the errors of the healthy specimen, are left."""
-    possible = _shares(np.array([r.apart for r in sets.rows]))
-    for row, own in zip(sets.rows, possible, strict=True):
-        if row.keys or own.max() < POSSIBLE:
+    whole = _shares(np.array([r.score.log for r in sets.rows]))
+    for row, own in zip(sets.rows, whole, strict=True):
+        if row.keys or own < POSSIBLE:
             continue
         if sets.fitter.fixed:
             # The specimen as it was, nothing moved: what a day changes may hide a fault.

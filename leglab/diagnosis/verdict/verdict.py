@@ -25,6 +25,7 @@ from leglab.diagnosis.likelihood.unknowns import EVERY
 from leglab.diagnosis.plant.model import CYLINDER, Machine
 from leglab.diagnosis.replay.residual import Problem, whitened
 from leglab.diagnosis.result import (
+    ROOM,
     Calibration,
     Diagnosis,
     Estimate,
@@ -142,7 +143,7 @@ def diagnose(
         remarks += admit(machine, healthy, (), limits).notes
     progress("verdict")
     outcome = _judged(found, judged(Sets(found.found)))
-    if outcome.judged.named and _lacks_nothing(outcome):
+    if outcome.named and _lacks_nothing(outcome):
         nothing = replace(outcome.judged, verdict="nothing_missing", named=(), confusion=())
         outcome = _judged(found, nothing)
     result = assemble(outcome, seconds=perf_counter() - began)
@@ -152,7 +153,7 @@ def diagnose(
 
 
 def _lacks_nothing(outcome: Outcome) -> bool:
-    """Whether noise is left without the names where nobody fitted, and they do not lessen it."""
+    """Whether noise is left without the names where nobody fitted, and they hardly lessen it."""
     problem = outcome.problem.about(outcome.final)
     if not problem.held.any():
         return False
@@ -160,7 +161,8 @@ def _lacks_nothing(outcome: Outcome) -> bool:
         rms(problem.noise_levels(h)[problem.held])
         for h in (outcome.final, outcome.final.without(*outcome.named))
     )
-    return without <= EXPLAINED and without <= with_it
+    share = problem.thresholds.explanation_share
+    return without <= EXPLAINED and without - with_it < share * max(without - 1.0, ROOM)
 
 
 def _judged(found: Searched, judgement: Judgement) -> Outcome:
