@@ -98,7 +98,7 @@ def proposal(
     fitter: Fitter,
     ranks: Sequence[Ranked],
     tried: set[frozenset[Key]],
-    removed: dict[tuple[int, Key], Columns | None],
+    removed: dict[tuple[Fit, Key], Columns | None],
 ) -> Proposal | None:
     """The next set to fit; None where nothing promises to come near the best one.
 
@@ -149,9 +149,9 @@ def proposal(
         fit = row.fit
         out = fit.members if fit is best else fit.ended
         for key in dict.fromkeys(u.keys[q] for q in out):
-            if (id(fit), key) not in removed:
-                removed[id(fit), key] = fitter.at.without(fit.columns, fit.members, key)
-            columns = removed[id(fit), key]
+            if (fit, key) not in removed:
+                removed[fit, key] = fitter.at.without(fit.columns, fit.members, key)
+            columns = removed[fit, key]
             if columns is not None:
                 rest = [q for q in fit.members if u.keys[q] != key]
                 add(fitter.evidence(columns, fit.spread, fit.weight, kappa), rest, fit)

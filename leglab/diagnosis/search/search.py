@@ -118,7 +118,7 @@ def search(
     run(_of(evidence, evidence.score(())))
     vain, more, last = 0, 0, frozenset[Key]()
     again, ended = set[tuple[frozenset[Key], frozenset[Key]]](), set[frozenset[Key]]()
-    removed: dict[tuple[int, Key], Columns | None] = {}
+    removed: dict[tuple[Fit, Key], Columns | None] = {}
     while True:
         ranks = rank(fitter, fits, kappa)
         least_left = min(ranks, key=lambda r: r.fit.level)

@@ -466,15 +466,16 @@ def _differences(site: Site, values: np.ndarray, half: np.ndarray) -> tuple[Esti
 
 
 def _ranking(found: Searched) -> tuple[Rank, ...]:
-    """What each effect would explain alone, to first order, in nats."""
+    """What each effect would explain alone at the first linearisation, in nats."""
     first, u = found.found.first, found.found.fitter.at.unknowns
     best = found.found.ranks[0].evidence
     evidence = found.found.fitter.evidence(first, best.spread, best.weight, best.kappa)
     gains: dict[Key, float] = dict.fromkeys(found.problem.library.searched, 0.0)
-    for gain, (q, _) in evidence.additions(evidence.score(())):
-        for key in u.library_keys(q):
-            if key in gains and u.keys[q] == key:
-                gains[key] = max(gains[key], gain)
+    nothing = evidence.score(())
+    for _, member in evidence.additions(nothing):
+        key = u.keys[member[0]]
+        if key in gains:
+            gains[key] = max(gains[key], evidence.score((member,)).log - nothing.log)
     rows = sorted(gains.items(), key=lambda row: -row[1])
     return tuple(Rank(name=k[0], element=k[1], round=1, gain=g, threshold=0.0) for k, g in rows)
 
