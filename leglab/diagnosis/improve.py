@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from leglab.base.recording import Recording
+from leglab.base.threads import one_blas_thread
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.effects.joints import unit
 from leglab.diagnosis.intake.recordings import split_held_out
@@ -129,6 +130,7 @@ def write_improved(found: Outcome, folder: Path) -> Path | None:
     return None if better is None else better.write(folder)
 
 
+@one_blas_thread()
 def improved_model(
     found: Outcome, progress: Callable[[str], None] = lambda _: None
 ) -> ImprovedModel | None:
@@ -161,6 +163,7 @@ def _recalibrated(found: Outcome, named: Sequence[Key]) -> tuple[Problem, Hypoth
     return found.problem, found.written.without(*(k for k in found.named if k not in named))
 
 
+@one_blas_thread()
 def improve(
     model: str | Path,
     recordings: Mapping[str, Recording],

@@ -9,10 +9,12 @@ by 1/design effect (composite likelihood; Pauli, Racugno and Ventura 2011).
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg.lapack import dtrtrs
 from scipy.special import logsumexp
 
 from leglab.diagnosis.likelihood.columns import Columns, Errors
@@ -106,12 +108,18 @@ class _Reduced:
 
     inner: (sizes, spreads, columns, columns): errors, tangents, jumps.
     base: Log evidence of no member, but for the errors' square, (sizes, spreads).
-    follow: (sizes, spreads, single, columns): how single unknowns follow a column.
+    roots: Cholesky factors of the single unknowns' precision, (sizes, spreads, single, single).
+    halves: Their inverses times the products with the columns, (sizes, spreads, single, columns).
     """
 
     inner: np.ndarray
     base: np.ndarray
-    follow: np.ndarray
+    roots: np.ndarray
+    halves: np.ndarray
+
+    def follow(self, k: int, o: int, step: np.ndarray) -> np.ndarray:
+        """How single unknowns follow a step along the columns, at a size and spread, (single,)."""
+        return np.asarray(-dtrtrs(self.roots[k, o].T, self.halves[k, o] @ step, lower=0)[0])
 
 
 class Evidence:
@@ -142,23 +150,43 @@ class Evidence:
         self.places = tuple(range(len(priors.sizes)) if places is None else places)
         self.part = parts_of(at.recording)
         self._without: dict[int, _Reduced] = {}
-        every = int(self.part.max()) + 1
-        stacked = np.concatenate(
-            [columns.errors[:, :, None], columns.tangents, columns.changes], axis=2
+        found = [self._products(k, np.zeros(self.part.size, dtype=int)) for k in self._sizes]
+        self.gram = np.concatenate([gram for gram, _ in found])
+        self.log_covariance = np.concatenate([log for _, log in found])
+
+    @property
+    def _sizes(self) -> range:
+        return range(len(self.places))
+
+    def _white(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Errors, tangents and jumps whitened at a size, and log determinants of windows."""
+        place, columns = self.places[k], self.columns
+        roots, log = self.spread.whiteners(
+            self.at, self.priors.sizes[place], self.force_size(place)
         )
-        width = stacked.shape[2]
-        self.gram = np.zeros((len(self.places), every, width, width))
-        self.log_covariance = np.zeros((len(self.places), every))
-        root_weight = np.sqrt(weight)[:, None, None]
-        for k, place in enumerate(self.places):
-            size = priors.sizes[place]
-            roots, log = spread.whiteners(at, size, self.force_size(place))
-            white = (roots @ stacked) * root_weight
-            for r in range(every):
-                own = self.part == r
-                flat = white[own].reshape(-1, width)
-                self.gram[k, r] = flat.T @ flat
-                self.log_covariance[k, r] = (weight[own] * log[own]).sum()
+        stacked = [columns.errors[:, :, None], columns.tangents, columns.changes]
+        white = roots @ np.concatenate(stacked, axis=2)
+        return white * np.sqrt(self.weight)[:, None, None], self.weight * log
+
+    def _products(self, k: int, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Inner products of all columns, (parts, columns, columns), and log determinants."""
+        white, log = self._white(k)
+        every = int(part.max()) + 1
+        flat = [white[part == r].reshape(-1, white.shape[2]) for r in range(every)]
+        return np.stack([f.T @ f for f in flat]), np.bincount(part, log, every)
+
+    @cached_property
+    def _by_part(self) -> tuple[np.ndarray, np.ndarray]:
+        """The same of every part, (sizes, parts, columns, columns) and (sizes, parts)."""
+        gram, log = zip(*(self._products(k, self.part) for k in self._sizes), strict=True)
+        return np.stack(gram), np.stack(log)
+
+    def with_kappa(self, kappa: float) -> "Evidence":
+        """The same where another share of the log likelihood counts; nothing else is kept."""
+        other = copy(self)
+        other.kappa, other._without = kappa, {}
+        other.__dict__.pop("whole", None)
+        return other
 
     def force_size(self, place: int) -> float:
         """Size of the model's own error in forces, by place of that in replays."""
@@ -174,18 +202,19 @@ class Evidence:
     def reduced(self, without: int | None = None) -> _Reduced:
         """Inner products with the single unknowns integrated out, without a part or with all."""
         n, kappa = self.unknowns.single, self.kappa
-        gram, log = self.gram.sum(axis=1), self.log_covariance.sum(axis=1)
+        gram, log = self.gram, self.log_covariance
         if without is not None:
-            gram, log = gram - self.gram[:, without], log - self.log_covariance[:, without]
+            of_part = self._by_part
+            gram, log = gram - of_part[0][:, without], log - of_part[1][:, without]
         now = self.columns.x[:n]
         width = gram.shape[1]
         shape = len(self.places), len(self.priors.spreads)
         inner, base = np.zeros((*shape, width, width)), np.zeros(shape)
-        follow = np.zeros((*shape, n, width))
+        roots, halves = np.zeros((*shape, n, n)), np.zeros((*shape, n, width))
         for o, deviation in enumerate(self.priors.spreads):
             precision, log_prior = self.priors.precision(self.unknowns, deviation)
             pulled = precision @ now
-            for k in range(len(self.places)):
+            for k in self._sizes:
                 whole = kappa * gram[k]
                 whole[0, 0] += now @ pulled
                 cross = kappa * gram[k, 1 : 1 + n]
@@ -194,16 +223,16 @@ class Evidence:
                 # Rounding alone: more would hold a spike where it stands.
                 matrix[np.diag_indices(n)] *= 1.0 + ROUNDING
                 root = np.linalg.cholesky(matrix)
-                half = np.linalg.solve(root, cross)
+                half = dtrtrs(root.T, cross, lower=0, trans=1)[0]
+                roots[k, o], halves[k, o] = root, half
                 inner[k, o] = whole - half.T @ half
-                follow[k, o] = -np.linalg.solve(root.T, half)
                 base[k, o] = (
                     0.5 * log_prior
                     - np.log(np.diag(root)).sum()
                     - 0.5 * kappa * log[k]
                     + self.priors.log_sizes[self.places[k]]
                 )
-        return _Reduced(inner, base, follow)
+        return _Reduced(inner, base, roots, halves)
 
     def without(self, part: int) -> _Reduced:
         """Without a part of the recordings; made once."""
@@ -272,8 +301,9 @@ class Evidence:
         grid = own.base - 0.5 * square + log_members + log_set(u, tuple(q for q, _ in members))
         k, o = np.unravel_index(int(np.argmax(grid)), grid.shape)
         step = steps[k, o]
-        shift = own.follow[k, o][:, 0].copy()
-        shift += own.follow[k, o][:, index] @ step if m else 0.0
+        along = np.zeros(inner.shape[2])
+        along[0] = 1.0
+        np.add.at(along, index, step)
         return Score(
             members=members,
             log=float(logsumexp(grid)),
@@ -282,7 +312,7 @@ class Evidence:
             spread=int(o),
             values=values[k, o],
             deviations=deviations[k, o],
-            shift=shift,
+            shift=own.follow(int(k), int(o), along),
             coefficients=step,
             grid=grid,
         )
@@ -355,7 +385,7 @@ class Evidence:
         """
         k, n = self.places.index(score.size), self.unknowns.single
         precision, _ = self.priors.precision(self.unknowns, self.priors.spreads[score.spread])
-        data = self.kappa * np.diag(self.gram[k].sum(axis=0))[1 : 1 + n]
+        data = self.kappa * np.diag(self.gram[k])[1 : 1 + n]
         return np.asarray(data > TELLING * np.diag(precision))
 
     def posterior(self, score: Score) -> np.ndarray:
@@ -365,7 +395,7 @@ class Evidence:
         free = [i for q in score.unknowns for i in u.singles(q)]
         precision[free] = precision[:, free] = 0.0
         precision[free, free] = (u.upper - u.lower)[free].clip(1.0) ** -2.0
-        gram = self.gram[k].sum(axis=0)[1 : 1 + n, 1 : 1 + n]
+        gram = self.gram[k][1 : 1 + n, 1 : 1 + n]
         return np.asarray(np.linalg.inv(self.kappa * gram + precision))
 
     def step(self, score: Score) -> tuple[np.ndarray, np.ndarray]:
@@ -380,7 +410,7 @@ class Evidence:
         k = self.places.index(score.size)
         index, _, low, high = self._columns_of([(q, None) for q in score.unknowns])
         use = np.concatenate([1 + np.arange(n), index])
-        gram = self.kappa * self.gram[k].sum(axis=0)
+        gram = self.kappa * self.gram[k]
         precision, _ = self.priors.precision(u, self.priors.spreads[score.spread])
         matrix, gradient = gram[np.ix_(use, use)], gram[use, 0].copy()
         matrix[:n, :n] += precision
@@ -416,15 +446,17 @@ class Evidence:
         k, n = self.places.index(score.size), self.unknowns.single
         index, _, _, _ = self._columns_of(score.members)
         use = np.concatenate([1 + np.arange(n), index])
-        full = np.zeros(self.gram.shape[2])
+        full = np.zeros(self.gram.shape[1])
         full[0] = 1.0
         full[1 : 1 + n] += score.shift
         np.add.at(full, index, score.coefficients)
-        slopes = np.array([g[use] @ full for g in self.gram[k] if g.any()])
-        count = len(slopes)
+        white, _ = self._white(k)
+        slope = np.einsum("wrc,wr->wc", white[:, :, use], white @ full)
+        count = int(self.part.max()) + 1
         if count < 2:
             return 1.0
-        curvature = self.gram[k].sum(axis=0)[np.ix_(use, use)]
+        slopes = np.stack([slope[self.part == r].sum(axis=0) for r in range(count)])
+        curvature = self.gram[k][np.ix_(use, use)]
         root = np.sqrt(np.diag(curvature) + 1e-12)
         values, vectors = np.linalg.eigh(curvature / np.outer(root, root))
         keep = values > 1e-3 * values.max()

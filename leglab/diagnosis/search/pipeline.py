@@ -1,6 +1,5 @@
 """From recordings to fitted sets of effects: the problem, the specimen, the onset, the search."""
 
-import os
 from collections.abc import Callable, Iterable, Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
@@ -10,6 +9,7 @@ import numpy as np
 
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
+from leglab.base.threads import threads_allowed
 from leglab.diagnosis.balance.forces import forces_left
 from leglab.diagnosis.effects.base import Effect
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key, Library
@@ -27,11 +27,6 @@ from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 Progress = Callable[[str], None]
 
 
-def _threads() -> int:
-    told = os.environ.get("OMP_NUM_THREADS", "")
-    return int(told) if told.isdigit() and int(told) else len(os.sched_getaffinity(0))
-
-
 @dataclass(frozen=True, kw_only=True)
 class DiagnosisSettings:
     """Settings of a diagnosis.
@@ -46,7 +41,7 @@ class DiagnosisSettings:
 
     effects: tuple[str, ...] | None = None
     excluded: tuple[str, ...] = ()
-    threads: int = field(default_factory=_threads)
+    threads: int = field(default_factory=threads_allowed)
     thresholds: Thresholds = DEFAULT
 
 

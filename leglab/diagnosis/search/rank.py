@@ -57,7 +57,29 @@ class Proposal:
     promise: float = np.inf
 
 
-def rank(fitter: Fitter, fits: Sequence[Fit], kappa: float) -> list[Ranked]:
+class Compared:
+    """Evidence of sets at linearisations, of which products and scores are made once."""
+
+    def __init__(self, fitter: Fitter) -> None:
+        self.fitter = fitter
+        self._made: dict[tuple[int, ...], Evidence] = {}
+        self._scores: dict[tuple[int, float, tuple[int, ...]], Score] = {}
+
+    def score(
+        self, fit: Fit, at: Fit, spread: Spread, weight: np.ndarray, kappa: float
+    ) -> tuple[Evidence, Score]:
+        """A set at the point of a fit."""
+        key = id(at.columns), id(spread), id(weight)
+        if key not in self._made:
+            self._made[key] = self.fitter.evidence(at.columns, spread, weight, kappa)
+        evidence = self._made[key].with_kappa(kappa)
+        known = id(self._made[key]), kappa, fit.members
+        if known not in self._scores:
+            self._scores[known] = evidence.score([(q, None) for q in fit.members])
+        return evidence, self._scores[known]
+
+
+def rank(compared: Compared, fits: Sequence[Fit], kappa: float) -> list[Ranked]:
     """Sets by evidence, best first; of several fits of a set the best.
 
     The pattern of the model's own error is not known either: each set counts with the one that
@@ -66,27 +88,19 @@ def rank(fitter: Fitter, fits: Sequence[Fit], kappa: float) -> list[Ranked]:
     """
     near = sorted(fits, key=lambda f: f.level)[:PATTERNS]
     weight = near[0].weight
-    kept: dict[tuple[int, int], Evidence] = {}
-
-    def evidence(at: Fit, spread: Spread) -> Evidence:
-        key = id(at), id(spread)
-        if key not in kept:
-            kept[key] = fitter.evidence(at.columns, spread, weight, kappa)
-        return kept[key]
-
+    fixed = compared.fitter.fixed
     rows = []
     for fit in fits:
-        members = [(q, None) for q in fit.members]
-        own = [fit.spread, *(f.spread for f in near if f is not fit)]
-        tries = [evidence(fit, spread) for spread in ([fitter.fixed] if fitter.fixed else own)]
+        spreads = [fixed] if fixed else [fit.spread, *(f.spread for f in near if f is not fit)]
+        tries = [(fit, spread) for spread in spreads]
         tries += [
-            evidence(other, fitter.fixed or other.spread)
+            (other, fixed or other.spread)
             for other in near
             if other is not fit
             and other.level <= fit.level
             and all(np.abs(other.columns.tangents[:, :, q]).max() > 0 for q in fit.members)
         ]
-        scored = [(there, there.score(members)) for there in tries]
+        scored = [compared.score(fit, *there, weight, kappa) for there in tries]
         rows.append(Ranked(fit, *max(scored, key=lambda entry: entry[1].log)))
     best: dict[frozenset[Key], Ranked] = {}
     for row in sorted(rows, key=lambda r: -r.score.log):

@@ -13,7 +13,7 @@ from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import Problem, thinned
 from leglab.diagnosis.search.beam import beam, without_idle
-from leglab.diagnosis.search.rank import BEHIND, NEAR, Proposal, Ranked, proposal, rank
+from leglab.diagnosis.search.rank import BEHIND, NEAR, Compared, Proposal, Ranked, proposal, rank
 from leglab.diagnosis.search.regression import Balanced, balanced_sets
 from leglab.diagnosis.search.settle import EXPLAINED, HOPELESS, KAPPA, RENEWALS, Fit, Fitter
 
@@ -119,10 +119,14 @@ def search(
     vain, more, last = 0, 0, frozenset[Key]()
     again, ended = set[tuple[frozenset[Key], frozenset[Key]]](), set[frozenset[Key]]()
     removed: dict[tuple[Fit, Key], Columns | None] = {}
+    compared, erring = Compared(fitter), fits[0]
     while True:
-        ranks = rank(fitter, fits, kappa)
+        ranks = rank(compared, fits, kappa)
         least_left = min(ranks, key=lambda r: r.fit.level)
-        kappa = 1.0 / max(least_left.evidence.design_effect(least_left.score), 1.0)
+        if least_left.fit is not erring:
+            erring = least_left.fit
+            kappa = 1.0 / max(least_left.evidence.design_effect(least_left.score), 1.0)
+            ranks = rank(compared, fits, kappa)
         # What may lead is fitted to its end; what is more probable where another set was fitted
         # also from there.
         top = ranks[0].score.log
@@ -156,7 +160,7 @@ def search(
         last = _names(u, then)
         tried.add(last)
         run(then)
-    return Found(fitter, tuple(rank(fitter, fits, kappa)), kappa, first, fitter.level(first.errors))
+    return Found(fitter, tuple(ranks), kappa, first, fitter.level(first.errors))
 
 
 def _annealed(fitter: Fitter, first: Columns, kappa: float) -> tuple[Evidence, list[Score], float]:
@@ -198,7 +202,7 @@ def _wanted(evidence: Evidence, ranked: Sequence[Score]) -> list[Proposal]:
     # What leads where the model is exact: its own error, as estimated while something is missing,
     # has that one's shape and hides it.
     widest = len(evidence.priors.spreads) - 1
-    shift = evidence.whole.follow[0, widest][:, 0].copy()
+    shift = evidence.whole.follow(0, widest, np.eye(1, evidence.gram.shape[1])[0])
     exact = replace(evidence.score(()), size=evidence.places[0], spread=widest, shift=shift)
     for _, member in evidence.additions(exact)[:EXACT]:
         score = evidence.score((member,))

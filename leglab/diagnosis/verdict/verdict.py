@@ -11,6 +11,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from leglab.base.recording import Recording
+from leglab.base.threads import one_blas_thread
 from leglab.diagnosis.balance.isolation import isolate, sample_places
 from leglab.diagnosis.effects.base import EffectParameter
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key, Library, Site
@@ -103,6 +104,7 @@ class Outcome:
         return f"Outcome({self.judged.verdict}: {named})"
 
 
+@one_blas_thread()
 def diagnose(
     model: str | Path,
     recordings: Mapping[str, Recording],
