@@ -111,14 +111,12 @@ def diagnosis(verdict="named", effects=None, recording="walk", **changes):
             RecordingGap(name=recording, held_out=True, before=14.2, baseline=12.0, after=1.1),
             RecordingGap(name="slow", held_out=False, before=9.0, baseline=8.0, after=1.0),
         ),
-        ceiling=0.4,
         ranking=tuple(
-            Rank(name=n, element=e, round=1, gain=g, threshold=0.0)
+            Rank(name=n, element=e, gain=g)
             for (n, e), g in zip(tried, (900.0, 300.0, -4.0), strict=True)
         ),
         rivals=(
             Rivals(
-                round=1,
                 names=("valve_deadband", "payload + stiction", "nothing"),
                 cost=(1.1, 1.2, 200.0),
                 preference=np.array([[0.5, 0.83, 1.0], [0.17, 0.5, 1.0], [0.0, 0.0, 0.5]]),

@@ -161,7 +161,7 @@ def test_hostile_names_are_shown_and_do_nothing(tmp_path):
     result = diagnosis(
         effects=(found,),
         recording=HOSTILE,
-        ranking=(Rank(name=HOSTILE, element=HOSTILE, round=1, gain=90.0, threshold=0.0),),
+        ranking=(Rank(name=HOSTILE, element=HOSTILE, gain=90.0),),
         traces=(trace(HOSTILE, f"{HOSTILE}/../../x_position", "rad", 0),),
         notes=(HOSTILE,),
         model="improved.xml",
@@ -189,7 +189,6 @@ def test_a_diagnosis_without_evidence_still_has_a_page(tmp_path):
         ),
         gap=Gap(before=nan, baseline=nan, after=nan, held_out=()),
         remaining=(),
-        ceiling=None,
         whole=None,
     )
     _, root = parsed(write_page(result, tmp_path, model="knee_bench"))

@@ -55,7 +55,7 @@ def made_up(force, *, noise=0.05, seed=0, oil=False):
         "command": 0.8 * np.sin(2.9 * t + 0.3),
     }
     inputs = {name: x.reshape(shape) for name, x in waves.items()}
-    lacking = force(**inputs).mean(axis=1) + noise * rng.standard_normal(shape[0])
+    lacking = force(**inputs) + noise * rng.standard_normal((shape[0], 1))
     return Balance(
         element="valve" if oil else "knee",
         joint="knee",
@@ -64,7 +64,7 @@ def made_up(force, *, noise=0.05, seed=0, oil=False):
         lacking=lacking,
         gain=np.ones(shape),
         inputs=inputs,
-        moving=np.ones(shape[0]),
+        moving=np.ones(shape[0], dtype=bool),
         recording=np.repeat(np.arange(3), 300),
         time=t.reshape(shape).mean(axis=1),
     )
@@ -232,7 +232,7 @@ def test_the_balance_of_a_right_model_is_noise_and_that_of_a_ripple_is_the_rippl
         problem = set_up(PENDULUM.model, pendulum(truth, 3.0), ("multisine",), SETTINGS)
         (balance,) = balances(problem, Hypothesis())
         wanted = size * np.sin(2 * np.pi * balance.inputs["position"] / 0.9 + 0.4)
-        left = balance.lacking - wanted.mean(axis=1)
+        left = balance.gained - wanted.mean(axis=1)
         assert np.sqrt(np.mean(left**2)) < 0.08
         assert abs(left.mean()) < 0.01
 

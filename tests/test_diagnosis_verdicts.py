@@ -211,7 +211,6 @@ def names(name):
 def test_what_is_hidden_is_named_for_sure_with_its_size(name):
     result, hidden = told(name), NAMED[name]
     assert result.verdict == "named"
-    assert not result.rough
     assert {e.name for e in result.effects} == set(hidden)
     assert result.smaller == ()
     for effect in result.effects:
@@ -396,7 +395,6 @@ def test_intervals_hold_the_truth_whatever_the_noise():
 @pytest.mark.parametrize("name", ["rough, pulled", "rough, pulled since"])
 def test_a_change_of_a_machine_that_is_off_everywhere_is_named(name):
     result = told(name)
-    assert result.rough
     assert result.verdict == "named"
     assert names(name) == ["force_offset"]
     (effect,) = result.effects
@@ -457,7 +455,6 @@ def test_what_held_out_motion_hardly_shows_is_told_by_all_recordings():
     assert names("hardly shown") == ["viscous_friction"]
     assert any("hardly show" in note for note in result.notes)
     assert result.gap.explained > 0.9
-    assert result.gap.explained == result.gap.explained_everywhere
     assert not any("hardly show" in note for note in told("rough, pulled").notes)
 
 

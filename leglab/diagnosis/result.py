@@ -172,7 +172,6 @@ class Gap:
         compared: What `explained` is taken from: error without the named effects,
             with them, and what is no part of the gap; where held out, or over all recordings where
             those hardly show what is named. None for `unnamed`, `after` and the floor.
-        everywhere: The same over all recordings; None for `compared`.
         held_out: Names of the recordings.
     """
 
@@ -184,7 +183,6 @@ class Gap:
     healthy: float | None = None
     unnamed: float = math.nan
     compared: tuple[float, float, float] | None = None
-    everywhere: tuple[float, float, float] | None = None
     held_out: tuple[str, ...]
 
     @property
@@ -199,11 +197,6 @@ class Gap:
         What was off before the machine changed, or noise, is no part of the gap.
         """
         return _closed(*self.shown)
-
-    @property
-    def explained_everywhere(self) -> float | None:
-        """The same over all recordings, those that were fitted, too."""
-        return _closed(*(self.everywhere or self.shown))
 
     @property
     def closed_fraction(self) -> float | None:
@@ -223,17 +216,13 @@ class Rank:
     """One effect that was tried.
 
     Attributes:
-        round: 1.
         gain: Log of the factor by which it alone makes the recordings more probable, to first
             order.
-        threshold: 0, from where on it does.
     """
 
     name: str
     element: str
-    round: int
     gain: float
-    threshold: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -241,13 +230,11 @@ class Rivals:
     """Sets of effects that were fitted to the end.
 
     Attributes:
-        round: 1.
         names: Effects of each set, with " + " between them, or "nothing"; most probable first.
         cost: Mean square error of each, noise alone gives about 1.
         preference: [i, j] is the probability of set i against set j.
     """
 
-    round: int
     names: tuple[str, ...]
     cost: tuple[float, ...]
     preference: np.ndarray
@@ -364,8 +351,6 @@ class Diagnosis:
         effects: Ordered by what each contributes.
         where: Where simulation and data disagree, worst first.
         not_testable: Effects on which the recordings say nothing.
-        ceiling: Share of the baseline's misfit that any static function of position, velocity,
-            load and pressure could explain; None where it was not computed.
         ranking: All effects that were tried, best first.
         rivals: The most probable sets of effects.
         traces: Residual series.
@@ -376,7 +361,6 @@ class Diagnosis:
         remaining: Errors that are left, in units of the channels.
         whole: A held-out recording simulated in closed loop; None where that cannot be.
         calibration: Of the specimen, where healthy recordings were given.
-        rough: Whether more than the sensors' noise is left.
         notes: What the reader should know: repairs, missing pressures, bounds that were hit.
         model: Path of the improved model; empty before it is written, or where nothing improves.
         learned: What the improved model has learned beside the effects, in words.
@@ -390,7 +374,6 @@ class Diagnosis:
     not_testable: tuple[NotTestable, ...]
     gap: Gap
     recordings: tuple[RecordingGap, ...]
-    ceiling: float | None
     ranking: tuple[Rank, ...]
     rivals: tuple[Rivals, ...]
     traces: tuple[ResidualTrace, ...]
@@ -401,7 +384,6 @@ class Diagnosis:
     remaining: tuple[Remaining, ...] = ()
     whole: WholeRecording | None = None
     calibration: Calibration | None = None
-    rough: bool = False
     model: str = ""
     learned: str = ""
     rollouts: float = 0.0
@@ -491,7 +473,7 @@ class Diagnosis:
             "where": [asdict(where) for where in self.where],
             "not_testable": sorted({n.name for n in self.not_testable}),
             "gap": {
-                **_fields(self.gap, "held_out", "unnamed", "compared", "everywhere"),
+                **_fields(self.gap, "held_out", "unnamed", "compared"),
                 "closed_fraction": self.gap.closed_fraction,
                 "held_out": self.gap.held_out,
             },
@@ -509,10 +491,7 @@ class Diagnosis:
                     for effect, element, estimate in self.calibration.estimates
                 ],
             },
-            "rivals": [
-                {"round": one.round, "names": one.names, "cost": one.cost} for one in self.rivals
-            ],
-            "ceiling": self.ceiling,
+            "rivals": [{"names": one.names, "cost": one.cost} for one in self.rivals],
             "next_experiment": self.next_experiment and asdict(self.next_experiment),
             "notes": self.notes,
             "learned": self.learned or None,

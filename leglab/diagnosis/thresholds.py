@@ -115,11 +115,10 @@ class Thresholds:
     # An improved model errs by less than this share of the model as it was, where held out.
     improvement: float = 0.97
 
-    # Balances of torque and oil.
-    # Time between samples [s], knots of the splines, and their relative ridge.
-    balance_stride: float = 0.01
-    balance_knots: int = 7
-    balance_ridge: float = 1e-3
+    # Balances of force and oil.
+    # A joint slower than this share of its usual speed rests: its friction is anything up to a
+    # limit.
+    resting_speed: float = 0.03
 
     # Proposed experiment.
     # Duration [s], amplitudes as shares of the present range, tones of the multisine [Hz].

@@ -5,8 +5,9 @@ forces, and the pressure gained against the modelled flows. Nothing is different
 length of a window, so that noise of sensors hardly counts.
 """
 
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -20,31 +21,23 @@ from leglab.diagnosis.replay.windows import Cut
 from leglab.machine.cylinder import Cylinder
 from leglab.machine.parameters import RESIDUAL_VARIABLES, State
 
-# Time between samples of a balance [s], and length of the windows over which it is integrated.
-_STRIDE = 0.005
-_WINDOW = 0.04
-# Step of the spool [1] for the gain of an oil balance.
-_SPOOL_STEP = 0.01
-# A joint slower than this share of its usual speed rests: its friction is anything up to a limit.
-_RESTING = 0.03
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Balance:
     """What the model lacks in one joint's balance of forces, or one cylinder's of oil.
 
-    Samples lie in rows of windows, (windows, samples), or are sums of windows, (windows,).
+    Samples lie in rows of windows, (windows, samples); whose sums are the balance.
 
     Attributes:
         element: Joint or cylinder.
         joint: Whose motion it is.
         actuator: Whose command the inputs have; empty where nothing drives the joint.
         oil: Whether it is an oil balance.
-        lacking: Force [N m or N], or rate of pressure A less B [Pa/s], (windows,).
+        lacking: Force [N m or N], or rate of pressure A less B [Pa/s], (windows, samples).
         gain: d(lacking)/d(what is learned), (windows, samples): 1 for a force, rate of pressure an
             opening of the valve.
         inputs: By variable, each (windows, samples).
-        moving: Share of every window in which the joint moves, (windows,).
+        moving: Whether the joint moves all the while, (windows,).
         recording: Number of the recording, (windows,).
         time: s, in the middle of windows, (windows,).
     """
@@ -60,17 +53,24 @@ class Balance:
     recording: np.ndarray
     time: np.ndarray
 
+    @property
+    def gained(self) -> np.ndarray:
+        """Mean of what is lacking over each window, (windows,)."""
+        return np.asarray(self.lacking.mean(axis=1))
+
     def of(self, mask: np.ndarray) -> "Balance":
         """Some of the windows."""
-        return replace(
-            self,
-            lacking=self.lacking[mask],
-            gain=self.gain[mask],
-            inputs={k: v[mask] for k, v in self.inputs.items()},
-            moving=self.moving[mask],
-            recording=self.recording[mask],
-            time=self.time[mask],
-        )
+        return _combined([self], lambda own: own[0][mask])
+
+
+def _combined(
+    parts: Sequence[Balance], combine: Callable[[list[np.ndarray]], np.ndarray]
+) -> Balance:
+    """A balance whose arrays are made of those of others."""
+    names = ("lacking", "gain", "moving", "recording", "time")
+    made: dict[str, Any] = {name: combine([getattr(p, name) for p in parts]) for name in names}
+    made["inputs"] = {k: combine([p.inputs[k] for p in parts]) for k in parts[0].inputs}
+    return replace(parts[0], **made)
 
 
 def balances(problem: Problem, hypothesis: Hypothesis) -> tuple[Balance, ...]:
@@ -85,31 +85,18 @@ def balances(problem: Problem, hypothesis: Hypothesis) -> tuple[Balance, ...]:
     for number, cut in enumerate(problem.replay.cuts):
         for one in _of_series(problem, change, cut, number, known):
             found.setdefault((one.element, one.oil), []).append(one)
-    return tuple(_joined(parts) for parts in found.values())
-
-
-def _joined(parts: list[Balance]) -> Balance:
-    first = parts[0]
-    moving = np.concatenate([p.moving for p in parts])
-    return replace(
-        first,
-        lacking=np.concatenate([p.lacking for p in parts]),
-        gain=np.concatenate([p.gain for p in parts]),
-        inputs={k: np.concatenate([p.inputs[k] for p in parts]) for k in first.inputs},
-        moving=moving,
-        recording=np.concatenate([p.recording for p in parts]),
-        time=np.concatenate([p.time for p in parts]),
-    )
+    return tuple(_combined(parts, np.concatenate) for parts in found.values())
 
 
 def _of_series(
     problem: Problem, change: Change, cut: Cut, number: int, known: Collection[str]
 ) -> Iterator[Balance]:
-    machine, period = problem.machine, cut.series.period
+    machine, limits = problem.machine, problem.thresholds
     model = change.variant.model
-    # Samples lie half a stride to both sides of an odd number of periods apart.
-    half = max(1, round(0.5 * _STRIDE / period))
-    stride, per_window = 2 * half, max(2, round(_WINDOW / _STRIDE))
+    # Samples lie half a stride to both sides of an odd number of periods apart, two of them in a
+    # bin. Noise of windows twice as long as the filter hardly depends on that of their neighbours.
+    half = max(1, round(0.25 * limits.bin / cut.series.period))
+    stride, per_window = 2 * half, round(2.0 * limits.position_filter[0] / (0.5 * limits.bin))
     margin = max(c.filter[0] for c in problem.channels) + half
     valid = cut.series.valid
     starts = np.arange(margin, valid.size - margin - stride * per_window, stride * per_window)
@@ -132,7 +119,7 @@ def _of_series(
             continue
         dof = int(model.joint(joint).dofadr[0])
         v = measured.velocity[joint]
-        slow = _RESTING * float(np.sqrt(np.mean(v**2)))
+        slow = limits.resting_speed * float(np.sqrt(np.mean(v**2)))
         drive = next((a for a in machine.actuators if joint in machine.driven[a]), "")
         inputs = {
             "position": measured.position[joint][rows],
@@ -146,10 +133,10 @@ def _of_series(
             joint=joint,
             actuator=drive,
             oil=False,
-            lacking=found.lacking[:, dof].reshape(shape).mean(axis=1),
+            lacking=found.lacking[:, dof].reshape(shape),
             gain=np.ones(shape),
             inputs=inputs,
-            moving=(np.abs(v[rows]) > slow).mean(axis=1),
+            moving=(np.abs(v[rows]) > slow).all(axis=1),
             **common,
         )
     for cylinder in machine.instances(CYLINDER):
@@ -157,29 +144,27 @@ def _of_series(
         if joint not in known:
             continue
         index = model.actuator(cylinder).id
-        at = {"length": found.length[:, index], "speed": found.speed[:, index]}
-        lacking, gain = _oil(problem, change, flat, states, cylinder, at, half)
         values = {
-            "position": at["length"],
-            "velocity": at["speed"],
+            "position": found.length[:, index],
+            "velocity": found.speed[:, index],
             "load": found.pull[:, index],
             "command": np.clip(measured.command[cylinder][flat.samples], -1.0, 1.0),
         }
+        lacking, gain = _oil(change, flat, states, cylinder, values, half)
         yield Balance(
             element=cylinder,
             joint=joint,
             actuator=cylinder,
             oil=True,
-            lacking=lacking.reshape(shape).mean(axis=1),
+            lacking=lacking.reshape(shape),
             gain=gain.reshape(shape),
             inputs={name: values[name].reshape(shape) for name in RESIDUAL_VARIABLES},
-            moving=np.ones(len(rows)),
+            moving=np.ones(len(rows), dtype=bool),
             **common,
         )
 
 
 def _oil(
-    problem: Problem,
     change: Change,
     measured: Measured,
     states: np.ndarray,
@@ -188,34 +173,26 @@ def _oil(
     half: int,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rate of pressure A less B beyond the modelled one, and its gain by the spool, (samples,)."""
-    joint = problem.machine.driven[cylinder][0]
-    names = change.variant.elements[cylinder][1].parameters
-    values = {
-        name: change.parameter(cylinder, name)
-        for name, entry in names.items()
-        if not isinstance(entry, State)
-    }
-    model = Cylinder(values)
-    k, period = measured.samples, measured.period
+    joint = change.machine.driven[cylinder][0]
+    table = change.variant.elements[cylinder][1].parameters
+    names = [name for name, entry in table.items() if not isinstance(entry, State)]
+    values = {name: change.parameter(cylinder, name) for name in names}
+    model, k = Cylinder(values), measured.samples
     a, b = (measured.pressure[f"{joint}_{chamber}"] for chamber in CHAMBERS)
-    difference = a - b
-    rate = (difference[k + half] - difference[k - half]) / (2 * half * period)
-    plugin = plugin_offset(change.variant.model)
-    spool = states[:, plugin + change.variant.slot(cylinder, "spool_position")]
-    lacking, gain = np.empty(k.size), np.empty(k.size)
-    for i, sample in enumerate(k.tolist()):
+    rate = ((a - b)[k + half] - (a - b)[k - half]) / (2 * half * measured.period)
+    slot = plugin_offset(change.variant.model) + change.variant.slot(cylinder, "spool_position")
+    # A step of one per cent, for the gain: nothing but the curvature of an edge depends on it.
+    step = 0.01
+    modelled = np.empty((3, k.size))
+    for i, spool in enumerate(np.clip(states[:, slot], step - 1.0, 1.0 - step).tolist()):
         state = {
-            "position": 0.5 * values["stroke"] + at["length"][i] - values["mid_length"],
-            "velocity": at["speed"][i],
-            "pressure_a": a[sample],
-            "pressure_b": b[sample],
+            "position": 0.5 * values["stroke"] + at["position"][i] - values["mid_length"],
+            "velocity": at["velocity"][i],
+            "pressure_a": a[k[i]],
+            "pressure_b": b[k[i]],
         }
-        x = float(np.clip(spool[i], -1.0 + _SPOOL_STEP, 1.0 - _SPOOL_STEP))
-        rates = []
-        for step in (-_SPOOL_STEP, 0.0, _SPOOL_STEP):
-            full = model.initial_state(**state, spool_position=x + step)
-            change_of = model.derivative(full, command=x)
-            rates.append(change_of[4] - change_of[5])
-        lacking[i] = rate[i] - rates[1]
-        gain[i] = (rates[2] - rates[0]) / (2.0 * _SPOOL_STEP)
-    return lacking, gain
+        for row, by in enumerate((-step, 0.0, step)):
+            full = model.initial_state(**state, spool_position=spool + by)
+            flows = model.derivative(full, command=spool)
+            modelled[row, i] = flows[4] - flows[5]
+    return rate - modelled[1], (modelled[2] - modelled[0]) / (2.0 * step)

@@ -35,8 +35,6 @@ _REPEATS = (0.0, 1.3, 1.8)
 _HUBER = 2.5
 # Knots of the spline that stands for sines, a period.
 _KNOTS_A_PERIOD = 14
-# Share of a window in which the joint must move.
-_MOVING = 0.99
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -157,7 +155,7 @@ def sines(x: np.ndarray, period: float, harmonics: int, middle: float) -> np.nda
 
 def usable(balance: Balance, fitted: Sequence[int]) -> np.ndarray:
     """Windows of fitted recordings in which the joint moves, (windows,)."""
-    return (balance.moving >= _MOVING) & np.isin(balance.recording, list(fitted))
+    return balance.moving & np.isin(balance.recording, list(fitted))
 
 
 def choose_form(balance: Balance, *, driven_by_oil: bool) -> Form | None:
@@ -167,14 +165,14 @@ def choose_form(balance: Balance, *, driven_by_oil: bool) -> Form | None:
         balance: Windows that may be used.
         driven_by_oil: Whether a cylinder moves the joint: its command is no force.
     """
-    if balance.lacking.size < 60:
+    if len(balance.lacking) < 60:
         return None
     block = _blocks(balance)
     candidates = _candidates(balance, driven_by_oil)
     if not candidates:
         return None
     weight = _robust_weights(balance, candidates, block)
-    sums = Blocks.of(_design(candidates), balance.lacking, weight, block)
+    sums = Blocks.of(_design(candidates), balance.gained, weight, block)
     null = sums.squares
     chosen: list[Term] = []
     left = null
@@ -280,8 +278,8 @@ def _robust_weights(balance: Balance, candidates: list[Term], block: np.ndarray)
         weight = 1.0 / (size**2 + (0.1 * np.median(size)) ** 2)
     start = weight.copy()
     for _ in range(4):
-        sums = Blocks.of(design, balance.lacking, weight, block)
-        rest = balance.lacking - design @ sums.solve(_penalty(candidates, weight))
+        sums = Blocks.of(design, balance.gained, weight, block)
+        rest = balance.gained - design @ sums.solve(_penalty(candidates, weight))
         scaled = np.abs(rest) * np.sqrt(start)
         level = 1.4826 * float(np.median(scaled)) + 1e-300
         weight = start * np.minimum(1.0, _HUBER * level / np.maximum(scaled, 1e-300))
@@ -351,7 +349,7 @@ def _periodic(
         across = (rest * root).T @ columns
         return across, inverse @ across
 
-    target = balance.lacking[:, None] * root
+    target = balance.gained[:, None] * root
     of_target = out_of(target)
     most = float((target.T @ target - of_target[0].T @ of_target[1])[0, 0])
 
@@ -370,7 +368,7 @@ def _periodic(
         own = averaged(columns)
         design = np.concatenate([rest, own], axis=1)
         penalty = diagonal_blocks([smooth, np.zeros((own.shape[1],) * 2)])
-        return float(Blocks.of(design, balance.lacking, weight, block).validated(penalty).sum())
+        return float(Blocks.of(design, balance.gained, weight, block).validated(penalty).sum())
 
     frequencies = np.arange(1.0 / _PERIODS[1], 1.0 / _PERIODS[0], 0.1) / span
     cubic = validated(((x - middle) / span)[:, :, None] ** np.arange(4))
@@ -431,9 +429,9 @@ def _estimated(
             penalties.append(smooth[own, own])
     design = np.concatenate(columns, axis=1)
     penalty = diagonal_blocks(penalties)
-    sums = Blocks.of(design, balance.lacking, weight, block)
+    sums = Blocks.of(design, balance.gained, weight, block)
     estimate = sums.solve(penalty)
-    rest = balance.lacking - design @ estimate
+    rest = balance.gained - design @ estimate
     if harmonics:
         # The period is one more unknown: d/dP of the waves at the estimate.
         place = 0

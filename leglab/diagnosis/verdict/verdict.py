@@ -271,7 +271,6 @@ def assemble(outcome: Outcome, *, seconds: float) -> Diagnosis:
     found, judged, final = outcome.searched, outcome.judged, outcome.final
     # Start states are as uncertain as the told model makes them.
     problem = found.problem.about(final)
-    limits = problem.thresholds
     models = {"before": Hypothesis(), "baseline": outcome.baseline, "after": final}
     if outcome.named:
         models["unnamed"] = final.without(*outcome.named)
@@ -292,23 +291,17 @@ def assemble(outcome: Outcome, *, seconds: float) -> Diagnosis:
     )
     shown = held
     if outcome.named:
-        every = np.ones_like(held)
-        compared, overall = (
-            (rms(squares["unnamed"][w]), rms(squares["after"][w]), rms(floors[w]))
-            for w in (held, every)
-        )
         if _hardly_shows(problem, held, models["unnamed"], final):
             # A slow motion that nobody fitted cannot tell what a fast one would show.
-            compared, shown = overall, every
-        gap = replace(gap, compared=compared, everywhere=overall)
+            shown = np.ones_like(held)
+        before, after = (rms(squares[k][shown]) for k in ("unnamed", "after"))
+        gap = replace(gap, compared=(before, after, rms(floors[shown])))
     verdict, effects, smaller = _effects(outcome, problem, gap, shown)
-    where, ceiling = isolate(problem)
     return Diagnosis(
         verdict=verdict,
         effects=effects,
         smaller=smaller,
-        rough=levels["after"] > limits.explained and verdict != "nothing_missing",
-        where=where,
+        where=isolate(problem),
         not_testable=_not_testable(outcome),
         gap=gap,
         recordings=tuple(
@@ -322,7 +315,6 @@ def assemble(outcome: Outcome, *, seconds: float) -> Diagnosis:
         remaining=_remaining(problem, final, held),
         whole=whole_recording(problem, final),
         calibration=_calibration(found) if found.specimen else None,
-        ceiling=ceiling,
         ranking=_ranking(found),
         rivals=_rivals(judged),
         traces=traces(problem, final),
@@ -479,7 +471,7 @@ def _ranking(found: Searched) -> tuple[Rank, ...]:
         if key in gains:
             gains[key] = max(gains[key], evidence.score((member,)).log - nothing.log)
     rows = sorted(gains.items(), key=lambda row: -row[1])
-    return tuple(Rank(name=k[0], element=k[1], round=1, gain=g, threshold=0.0) for k, g in rows)
+    return tuple(Rank(name=k[0], element=k[1], gain=g) for k, g in rows)
 
 
 def _rivals(judged: Judgement) -> tuple[Rivals, ...]:
@@ -489,7 +481,7 @@ def _rivals(judged: Judgement) -> tuple[Rivals, ...]:
     logs = np.array([row.score.log for row in rows])
     preference = 1.0 / (1.0 + np.exp(np.clip(logs[None, :] - logs[:, None], -500, 500)))
     cost = tuple(row.level**2 for row in rows)
-    return (Rivals(round=1, names=names, cost=cost, preference=preference),)
+    return (Rivals(names=names, cost=cost, preference=preference),)
 
 
 def _remaining(problem: Problem, final: Hypothesis, held: np.ndarray) -> tuple[Remaining, ...]:

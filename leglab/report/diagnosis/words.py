@@ -335,8 +335,6 @@ def _looked_at(result: Diagnosis, model: str) -> tuple[str, ...]:
         f"{len(result.ranking)} possible effects tried, alone and together, "
         f"{result.rollouts:.0f} replays of all windows, {result.seconds:.0f} s."
     )
-    if result.rough:
-        lines.append("Whatever is fitted, the model is off by more than the noise of the sensors.")
     return tuple(lines)
 
 
@@ -510,13 +508,7 @@ def where_words(result: Diagnosis) -> tuple[str, ...]:
 def _where(result: Diagnosis) -> tuple[str, ...]:
     if not result.where:
         return ("No joint was measured in a way that says where.",)
-    lines = [*where_words(result), "This is the model as it was, along the measured motion."]
-    if result.ceiling is not None and math.isfinite(result.ceiling):
-        lines.append(
-            f"Static functions of position, velocity, pressure and command could explain "
-            f"{100.0 * result.ceiling:.0f} % of the worst one at most; the rest has memory."
-        )
-    return tuple(lines)
+    return (*where_words(result), "This is the model as it was, along the measured motion.")
 
 
 def _untold(result: Diagnosis) -> tuple[str, ...]:
