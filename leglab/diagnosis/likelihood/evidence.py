@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import cho_solve
 from scipy.linalg.lapack import dtrtrs
 from scipy.special import logsumexp
 
@@ -108,18 +109,12 @@ class _Reduced:
 
     inner: (sizes, spreads, columns, columns): errors, tangents, jumps.
     base: Log evidence of no member, but for the errors' square, (sizes, spreads).
-    roots: Cholesky factors of the single unknowns' precision, (sizes, spreads, single, single).
-    halves: Their inverses times the products with the columns, (sizes, spreads, single, columns).
+    gram: As they are, (sizes, columns, columns).
     """
 
     inner: np.ndarray
     base: np.ndarray
-    roots: np.ndarray
-    halves: np.ndarray
-
-    def follow(self, k: int, o: int, step: np.ndarray) -> np.ndarray:
-        """How single unknowns follow a step along the columns, at a size and spread, (single,)."""
-        return np.asarray(-dtrtrs(self.roots[k, o].T, self.halves[k, o] @ step, lower=0)[0])
+    gram: np.ndarray
 
 
 class Evidence:
@@ -149,7 +144,6 @@ class Evidence:
         self.unknowns, self.spread, self.weight = at.unknowns, spread, weight
         self.places = tuple(range(len(priors.sizes)) if places is None else places)
         self.part = parts_of(at.recording)
-        self._without: dict[int, _Reduced] = {}
         found = [self._products(k, np.zeros(self.part.size, dtype=int)) for k in self._sizes]
         self.gram = np.concatenate([gram for gram, _ in found])
         self.log_covariance = np.concatenate([log for _, log in found])
@@ -175,16 +169,10 @@ class Evidence:
         flat = [white[part == r].reshape(-1, white.shape[2]) for r in range(every)]
         return np.stack([f.T @ f for f in flat]), np.bincount(part, log, every)
 
-    @cached_property
-    def _by_part(self) -> tuple[np.ndarray, np.ndarray]:
-        """The same of every part, (sizes, parts, columns, columns) and (sizes, parts)."""
-        gram, log = zip(*(self._products(k, self.part) for k in self._sizes), strict=True)
-        return np.stack(gram), np.stack(log)
-
     def with_kappa(self, kappa: float) -> "Evidence":
         """The same where another share of the log likelihood counts; nothing else is kept."""
         other = copy(self)
-        other.kappa, other._without = kappa, {}
+        other.kappa = kappa
         other.__dict__.pop("whole", None)
         return other
 
@@ -199,51 +187,68 @@ class Evidence:
     def _jump(self, place: int) -> int:
         return 1 + len(self.unknowns) + place
 
-    def reduced(self, without: int | None = None) -> _Reduced:
-        """Inner products with the single unknowns integrated out, without a part or with all."""
+    def _joint(
+        self, gram: np.ndarray, precision: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Products of columns beside priors, those with single unknowns, and a Cholesky factor.
+
+        Args:
+            gram: At one size, (columns, columns).
+            precision: Prior precision of the single unknowns.
+        """
         n, kappa = self.unknowns.single, self.kappa
-        gram, log = self.gram, self.log_covariance
-        if without is not None:
-            of_part = self._by_part
-            gram, log = gram - of_part[0][:, without], log - of_part[1][:, without]
         now = self.columns.x[:n]
+        pulled = precision @ now
+        whole = kappa * gram
+        whole[0, 0] += now @ pulled
+        cross = kappa * gram[1 : 1 + n]
+        cross[:, 0] += pulled
+        matrix = kappa * gram[1 : 1 + n, 1 : 1 + n] + precision
+        # Rounding alone: more would hold a spike where it stands.
+        matrix[np.diag_indices(n)] *= 1.0 + ROUNDING
+        return whole, cross, np.linalg.cholesky(matrix)
+
+    def _reduced(self, gram: np.ndarray, log: np.ndarray) -> _Reduced:
+        """With the single unknowns integrated out.
+
+        Args:
+            gram: Inner products of all columns, (sizes, columns, columns).
+            log: Log determinants, (sizes,).
+        """
         width = gram.shape[1]
         shape = len(self.places), len(self.priors.spreads)
         inner, base = np.zeros((*shape, width, width)), np.zeros(shape)
-        roots, halves = np.zeros((*shape, n, n)), np.zeros((*shape, n, width))
         for o, deviation in enumerate(self.priors.spreads):
             precision, log_prior = self.priors.precision(self.unknowns, deviation)
-            pulled = precision @ now
             for k in self._sizes:
-                whole = kappa * gram[k]
-                whole[0, 0] += now @ pulled
-                cross = kappa * gram[k, 1 : 1 + n]
-                cross[:, 0] += pulled
-                matrix = kappa * gram[k, 1 : 1 + n, 1 : 1 + n] + precision
-                # Rounding alone: more would hold a spike where it stands.
-                matrix[np.diag_indices(n)] *= 1.0 + ROUNDING
-                root = np.linalg.cholesky(matrix)
+                whole, cross, root = self._joint(gram[k], precision)
                 half = dtrtrs(root.T, cross, lower=0, trans=1)[0]
-                roots[k, o], halves[k, o] = root, half
                 inner[k, o] = whole - half.T @ half
                 base[k, o] = (
                     0.5 * log_prior
                     - np.log(np.diag(root)).sum()
-                    - 0.5 * kappa * log[k]
+                    - 0.5 * self.kappa * log[k]
                     + self.priors.log_sizes[self.places[k]]
                 )
-        return _Reduced(inner, base, roots, halves)
+        return _Reduced(inner, base, gram)
 
-    def without(self, part: int) -> _Reduced:
-        """Without a part of the recordings; made once."""
-        if part not in self._without:
-            self._without[part] = self.reduced(without=part)
-        return self._without[part]
+    def follow(self, reduced: _Reduced, k: int, o: int, along: np.ndarray) -> np.ndarray:
+        """How single unknowns follow a step along the columns, at a size and spread, (single,)."""
+        precision, _ = self.priors.precision(self.unknowns, self.priors.spreads[o])
+        _, cross, root = self._joint(reduced.gram[k], precision)
+        return np.asarray(-cho_solve((root, True), cross @ along))
+
+    def apart(self, members: Sequence[Member]) -> list[Score]:
+        """Evidence of a set without each part of the recordings in turn."""
+        gram, log = zip(*(self._products(k, self.part) for k in self._sizes), strict=True)
+        without = self.gram[:, None] - np.stack(gram), self.log_covariance[:, None] - np.stack(log)
+        every = range(without[0].shape[1])
+        return [self.score(members, self._reduced(*(w[:, r] for w in without))) for r in every]
 
     @cached_property
     def whole(self) -> _Reduced:
         """With all parts."""
-        return self.reduced()
+        return self._reduced(self.gram, self.log_covariance)
 
     def _columns_of(
         self, members: Sequence[Member]
@@ -312,7 +317,7 @@ class Evidence:
             spread=int(o),
             values=values[k, o],
             deviations=deviations[k, o],
-            shift=own.follow(int(k), int(o), along),
+            shift=self.follow(own, int(k), int(o), along),
             coefficients=step,
             grid=grid,
         )

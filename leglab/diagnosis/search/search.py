@@ -17,8 +17,9 @@ from leglab.diagnosis.search.rank import BEHIND, NEAR, Compared, Proposal, Ranke
 from leglab.diagnosis.search.regression import Balanced, balanced_sets
 from leglab.diagnosis.search.settle import EXPLAINED, HOPELESS, KAPPA, RENEWALS, Fit, Fitter
 
-# Windows that are replayed.
-WINDOWS = 32
+# Windows that are replayed; beyond so many unknowns, each of which takes a replay of them all,
+# fewer, and half as many at least.
+WINDOWS, MANY = 32, 60
 # Turns in which the pattern of errors and what explains them are found from each other.
 ANNEALINGS = 4
 # Sets that are fitted from the first linearisation whatever they promise, at most, and singles and
@@ -73,7 +74,8 @@ def search(
     looked_at = problem.fitted
     if onsets is not None:
         looked_at = looked_at & (problem.replay.start > onsets[problem.replay.recording])
-    at = Errors(problem, u, thinned(looked_at, WINDOWS))
+    windows = max(WINDOWS // 2, min(WINDOWS, WINDOWS * MANY // len(u)))
+    at = Errors(problem, u, thinned(looked_at, windows))
     fitter = Fitter(at, priors or Priors(), fixed)
     log(f"tangents and trials of {len(u)} unknowns")
     first = at.jumped(at.columns(Hypothesis(), step=COARSE), trials(u))
@@ -202,7 +204,7 @@ def _wanted(evidence: Evidence, ranked: Sequence[Score]) -> list[Proposal]:
     # What leads where the model is exact: its own error, as estimated while something is missing,
     # has that one's shape and hides it.
     widest = len(evidence.priors.spreads) - 1
-    shift = evidence.whole.follow(0, widest, np.eye(1, evidence.gram.shape[1])[0])
+    shift = evidence.follow(evidence.whole, 0, widest, np.eye(1, evidence.gram.shape[1])[0])
     exact = replace(evidence.score(()), size=evidence.places[0], spread=widest, shift=shift)
     for _, member in evidence.additions(exact)[:EXACT]:
         score = evidence.score((member,))

@@ -105,14 +105,14 @@ class Sets:
 
     def _row(self, evidence: Evidence, members: Sequence[int], ended: frozenset[Key]) -> Row:
         chosen = [(q, None) for q in members]
-        score, parts = evidence.score(chosen), int(evidence.part.max()) + 1
+        score = evidence.score(chosen)
         left = evidence.left(score)
         return Row(
             keys=frozenset(self.unknowns.keys[q] for q in members),
             ended=ended,
             score=score,
-            evidence=evidence,
-            apart=np.array([evidence.score(chosen, evidence.without(r)).log for r in range(parts)]),
+            evidence=evidence.with_kappa(evidence.kappa),  # what it has worked out is large
+            apart=np.array([one.log for one in evidence.apart(chosen)]),
             left=left,
             level=self.fitter.level(left),
         )

@@ -253,9 +253,7 @@ def _scatter(evidence: Evidence, score: Score) -> np.ndarray:
     parts = int(evidence.part.max()) + 1
     if not score.members or parts < 2:
         return spread
-    without = [
-        evidence.score(score.members, evidence.reduced(without=r)).values for r in range(parts)
-    ]
+    without = [one.values for one in evidence.apart(score.members)]
     away = np.array(without) - np.mean(without, axis=0)
     for i, q in enumerate(score.unknowns):
         jack = (parts - 1) / parts * float(away[:, i] @ away[:, i])
