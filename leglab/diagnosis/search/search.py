@@ -82,12 +82,20 @@ def search(
     evidence, ranked, kappa = _annealed(fitter, first, kappa)
     wanted = {_names(u, one): one for one in _wanted(evidence, ranked)}
     log("balance of forces")
+    as_it_is = fitter.level(first.errors)
+
+    def begins(one: Proposal) -> float:
+        return fitter.level(at.at(u.moved(first.base, one.start)))
+
     for seed in _seeds(evidence, balanced_sets(at, trials(u))):
-        one = wanted.setdefault(_names(u, seed), seed)
-        # A set that both propose begins where a replay is nearer.
-        levels = [fitter.level(at.at(u.moved(first.base, s.start))) for s in (seed, one)]
-        if levels[0] < levels[1]:
-            wanted[_names(u, seed)] = replace(seed, promise=one.promise)
+        names = _names(u, seed)
+        if names not in wanted:
+            # A balance of what the machine does not do promises what no replay holds.
+            if begins(seed) < HOPELESS * as_it_is:
+                wanted[names] = seed
+        elif begins(seed) < begins(wanted[names]):
+            # A set that both propose begins where a replay is nearer.
+            wanted[names] = replace(seed, promise=wanted[names].promise)
     fits: list[Fit] = []
 
     def run(new: Proposal, *, beside: bool = False, renewals: int = 0) -> Fit:
@@ -162,7 +170,7 @@ def search(
         last = _names(u, then)
         tried.add(last)
         run(then)
-    return Found(fitter, tuple(ranks), kappa, first, fitter.level(first.errors))
+    return Found(fitter, tuple(ranks), kappa, first, as_it_is)
 
 
 def _annealed(fitter: Fitter, first: Columns, kappa: float) -> tuple[Evidence, list[Score], float]:
