@@ -5,6 +5,7 @@ Constants of an effect's physics (bounds, trial sizes, tolerances) stand with th
 likelihood, search and confidence with the code that they belong to.
 """
 
+import math
 from dataclasses import dataclass
 
 
@@ -13,33 +14,34 @@ class Thresholds:
     """Limits, sizes and counts of all steps, in the order in which a diagnosis meets them."""
 
     # Recordings, before anything is replayed.
-    # A position may pass the joint's range by this share before its unit is doubted.
+    # A position may pass the joint's range by this share before its unit is doubted: a range that
+    # was guessed is off by less, degrees by 57 times.
     beyond_range: float = 0.5
+    # A joint that turns further than this without a limit [rad], twice around and back, is a wheel.
+    far: float = 4.0 * math.pi
     # No hydraulic machine runs its whole recording below this pressure [Pa]: 0.1 bar.
     no_pressure: float = 1e4
     # So many equal samples at a limit in a row look like a saturated sensor.
     saturated_samples: int = 20
-    # A recording is too slow for the others if its period is longer than this [s], and this many
-    # times theirs.
-    slowest_period: float = 0.02
+    # A recording is too slow for the others if its period is this many times theirs, and longer
+    # than two bins.
     slowest_factor: float = 5.0
-    # Share of a period by which stamps may jitter before it is worth a note.
-    even_clock: float = 0.02
     # Share of a single recording that is held out, at its end.
     held_out_share: float = 0.3
 
     # Series on a uniform grid.
-    # Clocks that differ by less than this share were meant to be the same.
-    same_period: float = 0.02
-    # A log that has lost more than this share of its rows is averaged, not bridged.
-    lost_share: float = 0.02
-    # Between samples at most so many periods apart a value on the grid is measured ...
-    gap_periods: float = 3.5
-    # ... and between samples up to so many periods or this time [s] (a bin's) apart, where their
-    # neighbours lie on one parabola to so many standard deviations of noise.
-    bridged_periods: float = 6.5
-    bridged_time: float = 0.01
-    bridged_misfit: float = 5.0
+    # Shares below which periods, or sizes of turns and counts, are the same: clocks and converters
+    # that were meant to be differ by less, others by more. Up to this share of rows is lost, and
+    # of a period stamps jitter, without a word.
+    same: float = 0.02
+    # Stamps this near to the grid, in periods, are on it: rounding of a time column, not jitter.
+    on_grid: float = 1e-3
+    # Samples of the parabola through the neighbours of a value on the grid. Between samples half
+    # as many periods apart a value is measured; across a whole one, or a bin, it is where the
+    # parabola fits.
+    neighbours: int = 7
+    # What departs by more standard deviations is no chance, of whatever many thousand samples.
+    certain: float = 5.0
     # Savitzky-Golay filters as (length [s], fewest samples, order): they pass the motion of a leg
     # and, at 1 kHz, take noise to a third.
     position_filter: tuple[float, int, int] = (0.021, 7, 4)
@@ -114,6 +116,18 @@ class Thresholds:
     well_explained: float = 0.8
     # An improved model errs by less than this share of the model as it was, where held out.
     improvement: float = 0.97
+
+    # What is learned.
+    # A change is worthwhile if it saves this share of the misfit ...
+    worthwhile: float = 0.05
+    # ... by more than so many standard errors over blocks or windows.
+    beyond_chance: float = 2.5
+    # What is simpler may leave this share more of what was gained.
+    as_good: float = 0.03
+    # Windows to which replays are fitted, as many as a balance needs at least, and directions of
+    # what its estimate leaves open that they refine: a replay each.
+    learned_windows: int = 60
+    learned_directions: int = 24
 
     # Balances of force and oil.
     # A joint slower than this share of its usual speed rests: its friction is anything up to a

@@ -20,8 +20,7 @@ _POSES = 12
 
 def unit(machine: Machine, joint: str) -> str:
     """Unit of a joint's position."""
-    hinge = machine.base.model.joint(joint).type[0] == int(mujoco.mjtJoint.mjJNT_HINGE)
-    return "rad" if hinge else "m"
+    return machine.unit(joint)
 
 
 def unit_of(machine: Machine, joint: str, pattern: str) -> str:

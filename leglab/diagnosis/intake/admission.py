@@ -15,16 +15,6 @@ from leglab.diagnosis.plant.model import CHAMBERS, CYLINDER, Machine
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
 _DEGREES = 180.0 / np.pi
-# An encoder's full turn in degrees, and how near a jump must be to it.
-_FULL_CIRCLE, _NEAR = 360.0, 0.03
-# Clocks whose periods agree to this share need no note.
-_SAME_CLOCK = 1e-4
-# Twice around and back: further only wheels turn [rad].
-_FAR = 4.0 * np.pi
-# Speed changes over ten places of this grid [s] are compared with the model's forces.
-_COARSE, _STRIDE, _PLACES = 0.01, 10, 1000
-# Forces explain the motion below this share of its speed changes left over, and not above that.
-_EXPLAINED, _UNEXPLAINED = 0.4, 0.8
 _UNIT = "is it in bar?"
 
 
@@ -162,7 +152,7 @@ def _fast_enough(
     slow = {
         name: f"sampled every {period:.4g} s only, the others every {fastest:.4g} s"
         for name, period in periods.items()
-        if period > max(limits.slowest_period, limits.slowest_factor * fastest)
+        if period > max(2.0 * limits.bin, limits.slowest_factor * fastest)
     }
     return {n: e for n, e in usable.items() if n not in slow}, slow
 
@@ -202,8 +192,8 @@ def _entry(machine: Machine, name: str, recording: Recording, limits: Thresholds
     if fault is None:
         turned, remarks, fault = _turned(machine, name, own)
         own = own.with_columns(turned)
-    for joint in machine.joints if fault is None else ():
-        fault = fault or _position_fault(machine, name, own, joint, limits.beyond_range)
+    for joint in machine.joints:
+        fault = fault or _position_fault(machine, own, joint, limits)
     lost = {
         column: why
         for column, cylinder in known.items()
@@ -250,15 +240,14 @@ def _turned(
     machine: Machine, name: str, recording: Recording
 ) -> tuple[dict[str, np.ndarray], list[Remark], str | None]:
     """Positions without the jumps of their encoders, remarks on them, and a fault."""
-    model = machine.base.model
     found, remarks = {}, []
     for joint in machine.joints:
-        column, entry = f"{joint}_position", model.joint(joint)
-        hinge = int(entry.type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE)
+        column, unit = f"{joint}_position", machine.unit(joint)
+        hinge = unit == "rad"
         result = unwrapped(recording.time, recording[column], hinge=hinge)
         if result is None:
             continue
-        if hinge and abs(result.turn - _FULL_CIRCLE) < _NEAR * _FULL_CIRCLE:
+        if hinge and abs(result.turn / 360.0 - 1.0) < DEFAULT.same:
             why = f"column {column!r} jumps by {result.turn:.4g}, a turn has 6.283 rad"
             return {}, [], f"{why}; is it in degrees? allowed: rad"
         samples = result.samples
@@ -272,8 +261,7 @@ def _turned(
         found[column] = samples
         remarks.append(
             Remark(
-                text=f"the encoder begins anew after {result.turn:.4g} "
-                f"{'rad' if hinge else 'm'}; unwrapped",
+                text=f"the encoder begins anew after {result.turn:.4g} {unit}; unwrapped",
                 recording=name,
                 place=f"{column!r} {result.jumps} times",
             )
@@ -282,32 +270,30 @@ def _turned(
 
 
 def _position_fault(
-    machine: Machine, name: str, recording: Recording, joint: str, beyond: float
+    machine: Machine, recording: Recording, joint: str, limits: Thresholds
 ) -> str | None:
     """Why positions cannot be in the joint's unit, None if they can."""
-    column, entry = f"{joint}_position", machine.base.model.joint(joint)
+    column, unit = f"{joint}_position", machine.unit(joint)
     values = recording[column]
     low, high = np.nanmin(values), np.nanmax(values)
-    hinge = int(entry.type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE)
+    hinge = unit == "rad"
     said = f"column {column!r} covers [{low:.4g}, {high:.4g}]"
     allowed = _range(machine, joint)
     if allowed is None:
         # A wheel may turn as far as it likes: only its speeds tell.
-        if hinge and max(-low, high) > _FAR and in_degrees(machine, recording, joint):
+        if hinge and max(-low, high) > limits.far and in_degrees(machine, recording, joint):
             return (
                 f"{said}, and the model's forces explain its speeds 57 times as slow; is it in "
                 "degrees? allowed: rad"
             )
         return None
     lower, upper = allowed
-    room = beyond * (upper - lower)
+    room = limits.beyond_range * (upper - lower)
     if low >= lower - room and high <= upper + room:
         return None
     inside = hinge and low / _DEGREES > lower - room and high / _DEGREES < upper + room
     hint = "; is it in degrees?" if inside else ""
-    return (
-        f"{said}, joint {joint!r} allows [{lower:.4g}, {upper:.4g}] {'rad' if hinge else 'm'}{hint}"
-    )
+    return f"{said}, joint {joint!r} allows [{lower:.4g}, {upper:.4g}] {unit}{hint}"
 
 
 def _range(machine: Machine, joint: str) -> tuple[float, float] | None:
@@ -317,51 +303,46 @@ def _range(machine: Machine, joint: str) -> tuple[float, float] | None:
     lower, upper = (float(x) for x in entry.range)
     if lower < upper and (machine.base.model.jnt_limited[entry.id] or on_cylinder):
         return lower, upper
-    turns = int(entry.type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE)
-    return (-_FAR, _FAR) if on_cylinder and turns else None
+    far = DEFAULT.far
+    return (-far, far) if on_cylinder and machine.unit(joint) == "rad" else None
 
 
 def in_degrees(machine: Machine, recording: Recording, joint: str) -> bool:
     """Whether the speeds of an unlimited hinge are clearly those of degrees.
 
-    Changes of speed over 0.1 s are compared with the integral of the accelerations that the model
-    has at the measured positions, speeds and commands. It is clear where, with all unlimited hinges
-    taken for degrees, they leave less than 0.4 of the changes over, and taken for radians more than
-    0.8.
+    Changes of speed over ten places of a grid of bins are compared with the integral of the
+    accelerations that the model has at the measured positions, speeds and commands. It is clear
+    where, with all unlimited hinges taken for degrees, they leave less than half as much over as
+    taken for radians, and less than half of the changes.
     """
-    model = machine.base.model
-    period = max(_COARSE, Clock.of(recording.time).period)
+    model, places = machine.base.model, 10
+    period = max(DEFAULT.bin, Clock.of(recording.time).period)
     series = UniformSeries.from_recording(recording, "", machine.columns, period=period)
-    count = min(series.time.size, _PLACES)
-    if count < 3 * _STRIDE:
+    count = series.time.size
+    if count < 3 * places:
         return False
     data = mujoco.MjData(model)
+    known = series.valid[places:] & series.valid[:-places]
+    commands = np.stack([series.columns[f"{name}_command"] for name in machine.actuators], axis=1)
     left = []
     for factor in (1.0, 1.0 / _DEGREES):
-        positions, speeds = {}, {}
+        q, v = np.zeros((count, model.nq)), np.zeros((count, model.nv))
         for name in machine.joints:
             entry = model.joint(name)
-            turns = int(entry.type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE)
-            share = factor if turns and _range(machine, name) is None else 1.0
-            positions[name] = share * series.columns[f"{name}_position"][:count]
-            speeds[name] = np.gradient(positions[name], period)
-        acceleration = np.empty(count)
+            wheel = machine.unit(name) == "rad" and _range(machine, name) is None
+            position = (factor if wheel else 1.0) * series.columns[f"{name}_position"]
+            q[:, entry.qposadr[0]] = position
+            v[:, entry.dofadr[0]] = np.gradient(position, period)
+        dof, gained = int(model.joint(joint).dofadr[0]), np.empty(count)
         for k in range(count):
-            for name in machine.joints:
-                entry = model.joint(name)
-                data.qpos[entry.qposadr[0]] = positions[name][k]
-                data.qvel[entry.dofadr[0]] = speeds[name][k]
-            for i, name in enumerate(machine.actuators):
-                data.ctrl[i] = series.columns[f"{name}_command"][k]
+            data.qpos[:], data.qvel[:], data.ctrl[:] = q[k], v[k], commands[k]
             mujoco.mj_forward(model, data)
-            acceleration[k] = data.qacc[model.joint(joint).dofadr[0]]
-        gained = period * np.cumsum(acceleration)
-        measured = speeds[joint][_STRIDE:] - speeds[joint][:-_STRIDE]
-        rest = measured - (gained[_STRIDE:] - gained[:-_STRIDE])
-        known = series.valid[:count][_STRIDE:] & series.valid[: count - _STRIDE]
-        size = float(np.sqrt(np.mean(measured[known] ** 2))) if known.any() else 0.0
-        left.append(float(np.sqrt(np.mean(rest[known] ** 2))) / size if size > 0.0 else np.inf)
-    return left[0] > _UNEXPLAINED and left[1] < _EXPLAINED
+            gained[k] = period * data.qacc[dof]
+        rest = v[:, dof] - np.cumsum(gained)
+        changes, rests = ((x[places:] - x[:-places])[known] for x in (v[:, dof], rest))
+        size = float(np.sum(changes**2))
+        left.append(float(np.sqrt(np.sum(rests**2) / size)) if size > 0.0 else np.inf)
+    return left[1] < 0.5 * min(left[0], 1.0)
 
 
 def _pressure_fault(
@@ -447,51 +428,38 @@ def clock_notes(recordings: Mapping[str, Recording], limits: Thresholds) -> tupl
     """What is done to the clocks of recordings that are not all on one uniform grid."""
     period = common_period(recordings, limits)
     clocks = {name: Clock.of(r.time, name) for name, r in recordings.items()}
-    lines, remarks = [], []
-    fast = [
-        n for n, c in clocks.items() if c.clear and c.period < (1.0 - limits.same_period) * period
-    ]
+    lines = []
+    clear = {n: c.period for n, c in clocks.items() if c.clear}
+    fast = [n for n, own in clear.items() if own < (1.0 - limits.same) * period]
     if fast:
-        rates = ", ".join(f"{n} from {1.0 / clocks[n].period:.4g} Hz" for n in fast)
+        rates = ", ".join(f"{n} from {1.0 / clear[n]:.4g} Hz" for n in fast)
         lines.append(
             f"averaged to {1.0 / period:.4g} Hz, the rate of the slowest recording: {rates}; their "
             f"motion above {0.5 / period:.4g} Hz is lost"
         )
-    drifting = {
-        name: clock.period / period - 1.0
-        for name, clock in clocks.items()
-        if name not in fast and _drifts(clock, period)
-    }
+    # Worth a note is what comes to a sample over the recording.
+    drifting = [
+        f"{name} {100.0 * (own / period - 1.0):+.2g} %"
+        for name, own in clear.items()
+        if name not in fast and abs(own / period - 1.0) * len(recordings[name]) > 1.0
+    ]
     if drifting:
-        shares = ", ".join(f"{name} {100.0 * share:+.2g} %" for name, share in drifting.items())
         lines.append(
-            f"clocks differ from a period of {period:.6g} s, resampled by their stamps: {shares}"
+            f"clocks differ from a period of {period:.6g} s, resampled by their stamps: "
+            + ", ".join(drifting)
         )
+    remarks = []
     for name, clock in clocks.items():
         if clock.rounding:
             text = f"stamps are rounded to {clock.rounding:.3g} s; taken for a uniform clock's"
             remarks.append(Remark(text=text, recording=name))
-        if clock.jitter > limits.even_clock:
-            remarks.append(
-                Remark(
-                    text="stamps are uneven, resampled by them",
-                    recording=name,
-                    place=f"{100.0 * clock.jitter:.2g} % of a period",
-                )
-            )
+        if clock.jitter > limits.same:
+            share = f"{100.0 * clock.jitter:.2g} % of a period"
+            text = "stamps are uneven, resampled by them"
+            remarks.append(Remark(text=text, recording=name, place=share))
         if clock.lost:
-            share = 100.0 * clock.lost / (clock.lost + len(recordings[name]))
+            share = f"{100.0 * clock.lost / (clock.lost + len(recordings[name])):.2g} %"
             longest = float(np.diff(recordings[name].time).max())
-            remarks.append(
-                Remark(
-                    text="rows are missing",
-                    recording=name,
-                    place=f"{clock.lost} ({share:.2g} %), the longest pause {longest:.3g} s",
-                )
-            )
+            place = f"{clock.lost} ({share}), the longest pause {longest:.3g} s"
+            remarks.append(Remark(text="rows are missing", recording=name, place=place))
     return (*lines, *merged(remarks, recordings))
-
-
-def _drifts(clock: Clock, period: float) -> bool:
-    """Whether a clock's own period differs by what is worth a note."""
-    return clock.clear and abs(clock.period - period) > _SAME_CLOCK * period

@@ -4,20 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from leglab.diagnosis.thresholds import DEFAULT
+
 _TURN = 2.0 * np.pi
-# A jump spans at least this share of all that an encoder shows.
-_JUMP = 0.5
-# What is left of a jump without the turn may depart from the steps beside it by this share of one.
-_SMOOTH = 0.2
-# Turns that jumps tell of agree to this share, and whole parts of 2 pi are recognised so near.
-_AGREE = 0.03
-_SNAP = 5e-3
-# Where it turns, an encoder shows every angle: no larger part of a turn is never seen.
-_UNSEEN = 0.25
-# A longer interval than this, in usual ones, is a gap, across which the speed beside it counts.
-_GAP = 1.5
-# A jump is told from motion across at most so many usual intervals.
-_CLOSE = 10.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,8 +46,10 @@ def unwrapped(time: np.ndarray, samples: np.ndarray, *, hinge: bool) -> Unwrappe
     values, steps, intervals = samples[good], np.diff(samples[good]), np.diff(time[good])
     unit = float(np.median(intervals))
     low, high = np.quantile(values, (0.001, 0.999))
-    jumps = (intervals <= _CLOSE * unit) & (np.abs(steps) > _JUMP * (high - low))
-    still = np.flatnonzero(~jumps & (intervals <= _GAP * unit))
+    # Across a longer interval a jump is not told from motion, across a gap only by the speed.
+    jumps = (intervals <= DEFAULT.neighbours * unit) & (np.abs(steps) > 0.5 * (high - low))
+    usual = intervals <= 1.5 * unit
+    still = np.flatnonzero(~jumps & usual)
     if not jumps.any() or still.size < 0.2 * steps.size:
         return None
     places = np.flatnonzero(jumps)
@@ -66,7 +57,6 @@ def unwrapped(time: np.ndarray, samples: np.ndarray, *, hinge: bool) -> Unwrappe
     turn = _turn(values, np.abs(steps[places] - beside), hinge=hinge)
     if turn is None:
         return None
-    usual = intervals <= _GAP * unit
     rate = (steps - turn * np.rint(steps / turn)) / intervals
     speed = np.interp(np.arange(steps.size), np.flatnonzero(usual), rate[usual])
     expected = np.where(usual, 0.0, speed * intervals)
@@ -80,16 +70,18 @@ def _turn(values: np.ndarray, sizes: np.ndarray, *, hinge: bool) -> float | None
     """Size of a turn from the sizes of jumps, None where they do not look like one."""
     turn = float(np.median(sizes))
     low, high = np.quantile(values, (0.001, 0.999))
-    if (np.abs(sizes - turn) < _SMOOTH * turn).mean() < 0.9 or high - low > (1.0 + _AGREE) * turn:
+    same, part = DEFAULT.same, 0.25
+    if (np.abs(sizes - turn) < part * turn).mean() < 0.9 or high - low > (1.0 + same) * turn:
         return None
     if hinge:
-        if abs(turn - _TURN) < _AGREE * _TURN:
+        if abs(turn - _TURN) < same * _TURN:
             return _TURN
         known = np.concatenate([_TURN * np.arange(1, 65), _TURN / np.arange(2, 65)])
         nearest = float(known[np.argmin(np.abs(known - turn))])
-        if abs(turn - nearest) < _SNAP * nearest:
+        if abs(turn - nearest) < part * same * nearest:  # They lie that close.
             turn = nearest
-    agree = np.median(np.abs(sizes - turn)) < _AGREE * turn
+    agree = np.median(np.abs(sizes - turn)) < same * turn
+    # Where it turns, an encoder shows every angle: no large part of a turn is never seen.
     seen = np.sort(values[(values >= low) & (values <= high)])
     unseen = max(float(np.diff(seen).max(initial=0.0)), turn - float(high - low))
-    return turn if agree and unseen < _UNSEEN * turn else None
+    return turn if agree and unseen < part * turn else None

@@ -18,26 +18,11 @@ from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
-# Stamps this near to the grid, in periods, are on it: rounding of a time column, not jitter.
-_ON_GRID = 1e-3
-# Samples of the parabola through the neighbours of a value on the grid, at least.
-_NEIGHBOURS = 7
-# The mean interval of a log that lost no rows is its period up to so many standard errors.
-_ALL_ROWS = 4.0
-# Jitter, in periods, above which a period is known to so many times the usual share only.
-_UNCLEAR, _DOUBT = 0.1, 6.0
-# Stamps, places a period and share of the period around a first guess in which the beat of a clock
-# is looked for; it is there if it stands so far above what stamps without one would show.
-_BEAT_STAMPS, _BEAT_PLACES, _BEAT_RANGE, _BEAT = 4000, 16, 0.15, 6.0
-# A tick that never lies further from its stamp than this share of the clock's step is rounded.
-_ROUNDED = 0.75
-# Steps below this share of the largest value are rounding of floats.
-_FLOAT_STEP = 1e-9
-# Counts are exact but for conversions, as shares of a step, and rounding to single precision.
-_OFF_STEP = 0.02
-# Below this share of a signal's standard deviation it does not matter what lies in a gap.
-_TAME = 1e-4
-_SINGLE = 1.2e-7
+_ON_GRID = DEFAULT.on_grid
+# Differences below this share of the largest value are rounding of floats.
+_FLOAT = float(np.sqrt(np.finfo(float).eps))
+# Where jitter and lost rows hide the beat of a clock, its period is known to this share only.
+_UNCLEAR = DEFAULT.certain * DEFAULT.same
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +79,7 @@ class UniformSeries:
         ticks = np.rint(stamps / period).astype(np.int64)
         native = bool((np.abs(stamps - period * ticks) <= _ON_GRID * period).all())
         # Lost rows cost noise of their own, see `_Log.averaged`.
-        native = native and ticks.size > (1.0 - thresholds.lost_share) * count
+        native = native and ticks.size > (1.0 - thresholds.same) * count
         valid = np.ones(count, dtype=bool)
         columns, steps, noise = {}, {}, {}
         for column in needed:
@@ -112,10 +97,10 @@ class UniformSeries:
             )
             if column.endswith("_command"):
                 columns[column], known = log.held(period, count, thresholds)
-            elif native and good.sum() > (1.0 - thresholds.lost_share) * count:
-                columns[column], known = log.on_ticks(period, count, thresholds)
             else:
-                columns[column], known, noise[column] = log.averaged(period, count, thresholds)
+                columns[column], known, white = log.averaged(period, count, thresholds)
+                if not native or good.sum() <= (1.0 - thresholds.same) * count:
+                    noise[column] = white
             valid &= known
         return cls(
             name=name,
@@ -161,7 +146,8 @@ class Clock:
         stamps, rounding = time, 0.0
         line, step = _line(np.arange(time.size), time), quantum(time - time[0])
         off, mean = float(np.abs(time - line).max()), float(line[1] - line[0])
-        if _ON_GRID * mean < off <= _ROUNDED * step < 2.0 * mean:
+        # A tick lies half a step from its stamp, and a little more from a line through stamps.
+        if _ON_GRID * mean < off <= 0.75 * step < 2.0 * mean:
             stamps, rounding = line, step
         period = usual_interval(stamps)
         intervals = np.diff(stamps)
@@ -174,7 +160,7 @@ class Clock:
             lost = max(0, round(float(stamps[-1] - stamps[0]) / period) + 1 - stamps.size)
         if lost and jitter > _ON_GRID:
             line = _line(ticks, time)
-            if 0.0 < step < 2.0 * period and np.abs(time - line).max() <= _ROUNDED * step:
+            if 0.0 < step < 2.0 * period and np.abs(time - line).max() <= 0.75 * step:
                 period = float(line[-1] - line[0]) / float(ticks[-1])
                 stamps, rounding, jitter = line, step, 0.0
         return cls(
@@ -200,17 +186,19 @@ def _jitter(intervals: np.ndarray, period: float) -> tuple[float, np.ndarray]:
 
 def _beat(time: np.ndarray, guess: float) -> float | None:
     """Period of the strongest beat of stamps near a guess [s], None where none stands out."""
-    some = time[:_BEAT_STAMPS] - time[0]
-    place = guess / _BEAT_PLACES
+    some = time[:4000] - time[0]
+    place = guess / 16.0
     count = np.bincount(np.rint(some / place).astype(np.int64)).astype(float)
     size = 4 * count.size
     strength = np.abs(np.fft.rfft(count - count.mean(), size)) / some.size
     rate = np.fft.rfftfreq(size, place)
-    near = np.abs(rate * guess - 1.0) < _BEAT_RANGE
+    near = np.abs(rate * guess - 1.0) < 1.5 * _UNCLEAR
     if not near.any():
         return None
     best = int(np.argmax(np.where(near, strength, 0.0)))
-    return float(1.0 / rate[best]) if strength[best] > _BEAT / np.sqrt(some.size) else None
+    return (
+        float(1.0 / rate[best]) if strength[best] > DEFAULT.certain / np.sqrt(some.size) else None
+    )
 
 
 def usual_interval(time: np.ndarray) -> float:
@@ -228,7 +216,7 @@ def usual_interval(time: np.ndarray) -> float:
             break
     mean = float(time[-1] - time[0]) / intervals.size
     error = float(intervals[close].std()) / np.sqrt(close.sum())
-    return mean if abs(mean - period) < _ALL_ROWS * error else period
+    return mean if abs(mean - period) < DEFAULT.certain * error else period
 
 
 def common_period(recordings: Mapping[str, Recording], thresholds: Thresholds = DEFAULT) -> float:
@@ -243,9 +231,9 @@ def common_period(recordings: Mapping[str, Recording], thresholds: Thresholds = 
     clear = [c for c in clocks if c.clear] or clocks
     slowest = max(c.period for c in clear)
     for clock in clocks:
-        if not clock.clear and clock.period > (1.0 + _DOUBT * thresholds.same_period) * slowest:
+        if not clock.clear and clock.period > (1.0 + _UNCLEAR) * slowest:
             slowest = clock.period
-    same = [c.period for c in clear if c.period > (1.0 - thresholds.same_period) * slowest]
+    same = [c.period for c in clear if c.period > (1.0 - thresholds.same) * slowest]
     return median_high(same) if same else slowest
 
 
@@ -256,7 +244,7 @@ def readings_change(samples: np.ndarray, length: int) -> np.ndarray:
     however long that lasts, on a machine of any size.
     """
     apart = maximum_filter1d(samples, length) - minimum_filter1d(samples, length)
-    return apart > _FLOAT_STEP * np.abs(samples).max()
+    return apart > _FLOAT * np.abs(samples).max()
 
 
 def quantum(samples: np.ndarray) -> float:
@@ -267,13 +255,13 @@ def quantum(samples: np.ndarray) -> float:
     """
     largest = float(np.abs(samples).max(initial=0.0))
     moves = np.abs(np.diff(samples))
-    moves = np.sort(moves[moves > _FLOAT_STEP * largest])
+    moves = np.sort(moves[moves > _FLOAT * largest])
     if not moves.size:
         return 0.0
     rests = moves.size < samples.size - 1
     # Differences of differences: a fast signal may never move by a single count.
     apart = np.diff(moves)
-    apart = np.sort(apart[apart > max(_FLOAT_STEP * largest, 1e-6 * moves[-1])])
+    apart = np.sort(apart[apart > max(_FLOAT * largest, 1e-6 * moves[-1])])
     found = 0.0
     for pool in (moves, apart):
         for share in (0.0, 0.01, 0.03, 0.1, 0.25, 0.5):
@@ -294,7 +282,9 @@ def _fitted_step(moves: np.ndarray, step: float, largest: float, *, rests: bool)
         step = float(np.median(moves[some] / count[some]))
     share = moves[moves <= 100.5 * step] / step
     count = np.rint(share)
-    multiple = (count > 0) & (np.abs(share - count) < _OFF_STEP + 2.0 * _SINGLE * largest / step)
+    multiple = (count > 0) & (
+        np.abs(share - count) < DEFAULT.same + 2.0 * np.finfo(np.float32).eps * largest / step
+    )
     # A steady motion moves by one amount as well, yet neither less nor more.
     varied = rests or (count != np.median(count)).mean() > 0.02
     whole = multiple.mean() > 0.8 and share.size >= 0.5 * moves.size
@@ -344,31 +334,17 @@ class _Log:
     ) -> np.ndarray:
         """Where values between neighbours `width` apart are known; `smooth` where they agree."""
         spacing = self.spacing
-        near = width <= max(limits.gap_periods * spacing, 1.5 * period)
-        reach = max(limits.bridged_periods * spacing, limits.bridged_time)
+        near = width <= max(0.5 * limits.neighbours * spacing, 1.5 * period)
+        reach = max((limits.neighbours - 0.5) * spacing, limits.bin)
         return near | (smooth & (width <= reach))
-
-    def on_ticks(
-        self, period: float, count: int, limits: Thresholds
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Samples that lie on the grid as they are, and where they are known."""
-        values = np.interp(period * np.arange(count), self.times, self.samples)
-        _, width = self.around(period, count)
-        holes = np.flatnonzero(width > 0.0)
-        if not holes.size:
-            return values, np.ones(count, dtype=bool)
-        fit = self._parabola(period * holes, period)
-        smooth = np.ones(count, dtype=bool)
-        smooth[holes] = fit.misfit <= limits.bridged_misfit * self._scatter(period)
-        known = self._known(width, smooth, period, limits)
-        # Filters reach into gaps: what stands there must be tame.
-        values[holes] = np.where(known[holes], fit.value, values[holes])
-        return values, known
 
     def averaged(
         self, period: float, count: int, limits: Thresholds
     ) -> tuple[np.ndarray, np.ndarray, float]:
-        """Samples averaged about each place of the grid, where they are known, and their noise."""
+        """Samples averaged about each place of the grid, where they are known, and their noise.
+
+        One that lies on the grid alone stays as it is.
+        """
         grid = period * np.arange(count)
         place = np.floor(self.times / period + 0.5 - 1e-9).astype(np.int64).clip(0, count - 1)
         inside = np.abs(self.times - grid[place]) <= 0.5 * period * (1.0 + 1e-6)
@@ -376,6 +352,7 @@ class _Log:
         number = np.bincount(place, minlength=count)
         held = np.maximum(number, 1)
         away = times - grid[place]
+        away[np.abs(away) <= _ON_GRID * period] = 0.0
         fit = self._parabola(grid, period)
         early = np.bincount(place, weights=away, minlength=count) / held
         spread = np.bincount(place, weights=away**2, minlength=count) / held
@@ -385,8 +362,8 @@ class _Log:
         rest = samples - fit.value[place] - fit.slope[place] * away - fit.bend[place] * away**2
         shown = readings_change(samples, fit.neighbours.shape[1])
         scatter = _robust(rest[shown]) / np.sqrt(1.0 - fit.leverage)
-        least = max(scatter, self.step / np.sqrt(12.0), _TAME * float(np.std(samples)))
-        smooth = fit.misfit <= limits.bridged_misfit * least
+        least = max(scatter, self.step / np.sqrt(12.0), _ON_GRID * float(np.std(samples)))
+        smooth = fit.misfit <= limits.certain * least
         _, width = self.around(period, count)
         known = self._known(np.where(number > 0, 0.0, width), smooth, period, limits)
         # Filters reach into gaps: what stands there must be tame.
@@ -432,18 +409,10 @@ class _Log:
         smooth = (np.abs(change) <= 3.0 * usual * ticks)[after - 1]
         return mean, self._known(width, smooth, period, limits)
 
-    def _scatter(self, period: float) -> float:
-        """Standard deviation of the samples about parabolas, not below a count's rounding."""
-        some = np.linspace(0, self.times.size - 1, min(self.times.size, 2000)).astype(int)
-        fit = self._parabola(self.times[some], period)
-        shown = readings_change(self.samples, fit.neighbours.shape[1])[some]
-        rest = _robust((self.samples[some] - fit.value)[shown]) / np.sqrt(1.0 - fit.leverage)
-        return max(rest, self.step / np.sqrt(12.0), _TAME * float(np.std(self.samples)))
-
     def _parabola(self, centres: np.ndarray, period: float) -> "_Parabola":
         """Parabolas through the neighbours of some times, by least squares."""
-        reach = max(1.5 * period, 0.5 * _NEIGHBOURS * self.spacing)
-        size = max(_NEIGHBOURS, 2 * int(np.ceil(1.5 * period / self.spacing)) + 1)
+        reach = max(1.5 * period, 0.5 * DEFAULT.neighbours * self.spacing)
+        size = max(DEFAULT.neighbours, 2 * int(np.ceil(1.5 * period / self.spacing)) + 1)
         size = min(size, self.times.size)
         # The nearest samples on both sides, as many as there are.
         first = np.searchsorted(self.times, centres) - size // 2

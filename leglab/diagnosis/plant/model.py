@@ -120,6 +120,11 @@ class Machine:
         positions = tuple(f"{joint}_position" for joint in self.joints)
         return positions + tuple(f"{actuator}_command" for actuator in self.actuators)
 
+    def unit(self, joint: str) -> str:
+        """Unit of a joint's position: "rad" of a hinge, "m" of a slide."""
+        hinge = self.base.model.joint(joint).type[0] == int(mujoco.mjtJoint.mjJNT_HINGE)
+        return "rad" if hinge else "m"
+
     def at_timestep(self, timestep: float) -> "Machine":
         """The same machine with another time step [s]."""
         return Machine(self.path, timestep=timestep)
