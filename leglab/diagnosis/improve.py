@@ -13,7 +13,6 @@ from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.effects.joints import unit
 from leglab.diagnosis.intake.recordings import split_held_out
 from leglab.diagnosis.remainder.learning import (
-    CLEAN,
     Remainder,
     closed,
     has_memory,
@@ -28,8 +27,6 @@ from leglab.diagnosis.verdict.verdict import Outcome, diagnose
 
 # An effect is written into the model from this confidence on.
 _SURE = 0.8
-# Recalibration and effects must save this share of the held-out misfit.
-_WORTHWHILE = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -217,11 +214,11 @@ def improve(
         for p, h in ((judged, judged.library.neutral()), (after_problem, final))
     ]
     held = problem.judged
-    limit = problem.thresholds.robust_limit
+    limits = problem.thresholds
     improved = (
         bool(problem.held.any())
-        and float(robust_cost(squares[0][held], limit).mean()) >= CLEAN
-        and pays(squares[0][held], squares[1][held], limit, _WORTHWHILE)
+        and float(robust_cost(squares[0][held], limits.robust_limit).mean()) >= limits.explained
+        and pays(squares[0][held], squares[1][held], limits)
     )
     if not improved:
         remainder, final, after_problem = None, judged.library.neutral(), judged

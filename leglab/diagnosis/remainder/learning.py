@@ -1,6 +1,6 @@
 """Learns what no effect explains: a static remainder from the balances, refined by replay."""
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,23 +13,11 @@ from leglab.diagnosis.effects.joints import unit
 from leglab.diagnosis.plant.model import CYLINDER
 from leglab.diagnosis.remainder.forms import Form, choose_form, usable
 from leglab.diagnosis.remainder.part import Part
-from leglab.diagnosis.remainder.refining import Directions, Refined, bounded, refine, with_parts
+from leglab.diagnosis.remainder.refining import bounded, part_of, refine, with_parts
 from leglab.diagnosis.remainder.words import Described, describe
-from leglab.diagnosis.replay.residual import Problem, robust_cost, thinned
-
-# Windows to which replays are fitted.
-_WINDOWS = 60
-# A remainder must save this share of the held-out misfit, ...
-_WORTHWHILE = 0.1
-# ... a part of it this, with this t value over held-out windows.
-_PART_WORTHWHILE = 0.02
-_SIGNIFICANT = 2.5
-# Below this cost nothing more is to be learned: noise alone gives 1.
-CLEAN = 1.25
-# Correlation of whitened errors in neighbouring bins that last.
-_LASTING = 0.3
-# Share of a balance's squares from which on static functions explain it.
-_STATIC = 0.5
+from leglab.diagnosis.replay.residual import Problem, robust_cost
+from leglab.diagnosis.result import ROOM
+from leglab.diagnosis.thresholds import Thresholds
 
 Progress = Callable[[str], None]
 
@@ -43,8 +31,6 @@ class Remainder:
         hypothesis: The hypothesis beside it, nuisances refitted: it replaces the one given.
         described: The parts in words.
         problem: With the parts in every hypothesis, noise model about the end.
-        before: Robust mean square of every window without it, (windows,).
-        after: With it, (windows,).
         closed_fraction: (before - after) / (before - 1) of the RMS of whitened errors in held-out
             windows.
         memory: Whether what is left has a memory.
@@ -54,8 +40,6 @@ class Remainder:
     hypothesis: Hypothesis
     described: tuple[Described, ...]
     problem: Problem
-    before: np.ndarray
-    after: np.ndarray
     closed_fraction: float
     memory: bool
 
@@ -113,41 +97,34 @@ def learn_remainder(
     Returns:
         None where no gain was proved.
     """
-    if not problem.held.any() or problem.window_cost(hypothesis)[problem.held].mean() < CLEAN:
+    limits = problem.thresholds
+    if not problem.held.any():
+        return None
+    if problem.window_cost(hypothesis)[problem.held].mean() < limits.explained:
         return None
     if named is None:
         sites = problem.library.sites
         named = [k for k in hypothesis if all(p.tolerance == 0.0 for p in sites[k].parameters)]
     keep = frozenset(named)
-    chosen = thinned(problem.fitted, _WINDOWS)
-    best: tuple[float, Hypothesis, tuple[Form, ...]] | None = None
     # Nuisances that a missing force has pulled along hide it: begin without, or with them.
     starts = [hypothesis.only(keep)]
     if set(hypothesis) != set(keep):
         starts.append(hypothesis)
+    found = []
     for start in starts:
         progress("balances of force and oil")
-        forms = find_forms(problem, start)
-        if not forms:
-            continue
-        directions = Directions.of(forms)
-        there = with_parts(problem, directions.parts(np.zeros(directions.count)))
-        cost = float(there.window_cost(start)[problem.fitted].mean())
-        if best is None or cost < best[0]:
-            best = cost, start, forms
-    if best is None:
+        if forms := find_forms(problem, start):
+            parts = [part_of(form, form.values) for form in forms]
+            costs = with_parts(problem, parts).window_cost(start)
+            found.append((float(costs[problem.fitted].mean()), start, forms))
+    if not found:
         return None
     progress("refining what was learned by replay")
-    _, start, forms = best
-    refined = refine(problem, start, forms, chosen, free=keep)
-    by_name = {(f.balance.element, f.balance.oil): f for f in forms}
-
-    def form_of(part: Part) -> Form:
-        return by_name[part.element, part.oil]
-
-    parts = [bounded(part, form_of(part)) for part in refined.parts]
+    _, start, forms = min(found, key=lambda one: one[0])
+    refined, beside = refine(problem, start, forms, fixed=keep)
     progress("proof on held-out recordings")
-    return _proved(problem, hypothesis, refined, parts, form_of)
+    rows = zip(refined, forms, strict=True)
+    return _proved(problem, hypothesis, beside, [(bounded(p, f), f) for p, f in rows])
 
 
 def find_forms(problem: Problem, hypothesis: Hypothesis) -> tuple[Form, ...]:
@@ -158,72 +135,64 @@ def find_forms(problem: Problem, hypothesis: Hypothesis) -> tuple[Form, ...]:
     found = []
     for balance in balances(problem, hypothesis):
         part = balance.of(usable(balance, fitted))
-        form = choose_form(part, driven_by_oil=balance.joint in by_oil)
+        form = choose_form(part, driven_by_oil=balance.joint in by_oil, limits=problem.thresholds)
         if form is not None:
             found.append(form)
     return tuple(found)
 
 
 def _proved(
-    problem: Problem,
-    hypothesis: Hypothesis,
-    refined: Refined,
-    parts: list[Part],
-    form_of: Callable[[Part], Form],
+    problem: Problem, without: Hypothesis, beside: Hypothesis, learned: list[tuple[Part, Form]]
 ) -> Remainder | None:
-    final = with_parts(problem, parts).about(refined.hypothesis)
-    held, limit = problem.held, problem.thresholds.robust_limit
+    """What pays on held-out recordings, beside a hypothesis and against one without it."""
+    held, limits = problem.held, problem.thresholds
+    noise = with_parts(problem, [part for part, _ in learned]).about(beside).noise
 
-    def squares(some: Sequence[Part], under: Hypothesis) -> np.ndarray:
-        there = with_parts(problem, some)
-        there.noise = final.noise
+    def squares(some: list[tuple[Part, Form]], under: Hypothesis) -> np.ndarray:
+        there = with_parts(problem, [part for part, _ in some])
+        there.noise = noise
         return np.asarray(np.mean(there.residual(under) ** 2, axis=1))
 
-    before = squares((), hypothesis)
-    after = squares(parts, refined.hypothesis)
-    for part in [*parts] if len(parts) > 1 else ():
-        others = [p for p in parts if p is not part]
-        without = squares(others, refined.hypothesis)
-        if not pays(without[held], after[held], limit, _PART_WORTHWHILE):
-            parts, after = others, without
-    if not pays(before[held], after[held], limit, _WORTHWHILE):
-        return None
+    before, after = squares([], without), squares(learned, beside)
+    for one in [*learned] if len(learned) > 1 else ():
+        others = [other for other in learned if other is not one]
+        alone = squares(others, beside)
+        if not pays(alone[held], after[held], limits):
+            learned, after = others, alone
     rms = [float(np.sqrt(np.mean(s[held]))) for s in (before, after)]
-    if rms[1] >= rms[0]:
+    if not pays(before[held], after[held], limits) or rms[1] >= rms[0]:
         return None
-    final = with_parts(problem, parts)
-    noise = final.about(refined.hypothesis).noise
-    final.noise = noise
-    units = [unit(problem.machine, p.joint) for p in parts]
-    cost = float(robust_cost(after, limit).mean())
+    final = with_parts(problem, [part for part, _ in learned])
+    final.noise = final.about(beside).noise
+    cost = float(robust_cost(after, limits.robust_limit).mean())
     return Remainder(
-        parts=tuple(parts),
-        hypothesis=refined.hypothesis,
+        parts=tuple(part for part, _ in learned),
+        hypothesis=beside,
         described=tuple(
-            describe(p, form_of(p).balance.inputs, u) for p, u in zip(parts, units, strict=True)
+            describe(part, form.balance.inputs, unit(problem.machine, part.joint))
+            for part, form in learned
         ),
         problem=final,
-        before=robust_cost(before, limit),
-        after=robust_cost(after, limit),
         closed_fraction=closed(*rms),
-        memory=cost > problem.thresholds.explained and has_memory(final, refined.hypothesis),
+        memory=cost > limits.explained and has_memory(final, beside),
     )
 
 
 def closed(before: float, after: float) -> float:
     """Share of a gap in noise levels that is closed; 0 where there was none."""
-    return (before - after) / (before - 1.0) if before > 1.05 else 0.0
+    return (before - after) / (before - 1.0) if before - 1.0 > ROOM else 0.0
 
 
-def pays(before: np.ndarray, after: np.ndarray, limit: float, share: float) -> bool:
+def pays(before: np.ndarray, after: np.ndarray, limits: Thresholds) -> bool:
     """Whether mean squares of held-out windows fall by a share of the misfit, beyond chance."""
-    saved = robust_cost(before, limit) - robust_cost(after, limit)
+    cost = robust_cost(before, limits.robust_limit)
+    saved = cost - robust_cost(after, limits.robust_limit)
     if saved.size < 2:
         return False
     spread = float(saved.std(ddof=1)) / np.sqrt(saved.size)
-    excess = max(float(robust_cost(before, limit).mean()) - 1.0, CLEAN - 1.0)
+    excess = max(float(cost.mean()), limits.explained) - 1.0
     mean = float(saved.mean())
-    return bool(mean > _SIGNIFICANT * spread and mean > share * excess)
+    return mean > limits.beyond_chance * spread and mean > limits.worthwhile * excess
 
 
 def has_memory(problem: Problem, hypothesis: Hypothesis) -> bool:
@@ -236,6 +205,5 @@ def has_memory(problem: Problem, hypothesis: Hypothesis) -> bool:
     residual = problem.residual(hypothesis).reshape(problem.replay.windows, -1, problem.replay.bins)
     own = residual / (np.sqrt(np.mean(residual**2, axis=(1, 2), keepdims=True)) + 1e-300)
     alike = float(np.mean(own[:, :, 1:] * own[:, :, :-1]) / np.mean(own**2))
-    if alike < _LASTING:
-        return False
-    return all(form.gain < _STATIC for form in find_forms(problem, hypothesis))
+    share = problem.thresholds.explanation_share
+    return alike > 0.3 and all(form.gain < share for form in find_forms(problem, hypothesis))

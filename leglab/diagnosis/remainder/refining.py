@@ -8,24 +8,18 @@ import numpy as np
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.unknowns import Unknowns
-from leglab.diagnosis.remainder.forms import Form, diagonal_blocks
-from leglab.diagnosis.remainder.part import LearnedLibrary, Part, Period
-from leglab.diagnosis.remainder.splines import Spline
-from leglab.diagnosis.replay.residual import Problem, robust_cost, robust_weight
+from leglab.diagnosis.remainder.forms import Form
+from leglab.diagnosis.remainder.part import LearnedLibrary, Part
+from leglab.diagnosis.replay.residual import (
+    NoiseModel,
+    Problem,
+    robust_cost,
+    robust_weight,
+    thinned,
+)
 
-# Directions of the unknowns that replays refine, those the balances know least; of all parts.
-_DIRECTIONS = 24
-# Weights of the balances against the replays that are tried.
-_PRIORS = (3e-3, 1e-1, 3.0)
-# Finite differences, in standard deviations that the balances leave.
+# Finite differences, in standard deviations of what the balances, or good machines, leave open.
 _STEP = 0.5
-# The same of what differs between good machines, in tolerances.
-_STEP_OF_TOLERANCE = 0.2
-# Robust reweightings in a step.
-_REWEIGHTINGS = 6
-# A wave longer than this share of the position's range is not called periodic.
-_LONGEST = 1.25
-_FOLDS = 4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,15 +35,14 @@ class Directions:
     directions: tuple[np.ndarray, ...]
 
     @classmethod
-    def of(cls, forms: Sequence[Form]) -> "Directions":
-        """The directions in which the balances leave most open."""
-        each = max(3, _DIRECTIONS // max(len(forms), 1))
+    def of(cls, forms: Sequence[Form], most: int) -> "Directions":
+        """The directions in which the balances leave most open, about so many of all parts."""
+        each = max(3, most // max(len(forms), 1))
         found = []
         for form in forms:
             scale = np.sqrt(np.maximum(np.diag(form.covariance), 1e-300))
-            limit = scale.size if form.harmonics else each  # of sines all count
             values, vectors = np.linalg.eigh(form.covariance / np.outer(scale, scale))
-            order = np.argsort(-values)[:limit]
+            order = np.argsort(-values)[:each]
             root = np.sqrt(np.maximum(values[order], 0.0))
             found.append(scale[:, None] * vectors[:, order] * root)
         return cls(forms=tuple(forms), directions=tuple(found))
@@ -59,64 +52,23 @@ class Directions:
         """Number of directions."""
         return sum(d.shape[1] for d in self.directions)
 
-    def precision(self, weight: float) -> np.ndarray:
-        """Inverse prior covariance of z with the balances at a weight, (directions, directions).
-
-        Smoothness keeps its full weight.
-        """
-        return diagonal_blocks(
-            [
-                d.T @ (weight * form.information + form.smoothness) @ d
-                for form, d in zip(self.forms, self.directions, strict=True)
-            ]
-        )
-
-    def parts(self, z: np.ndarray, spread: np.ndarray | None = None) -> tuple[Part, ...]:
-        """The parts at a place along the directions, (directions,).
-
-        Args:
-            z: In standard deviations of the balances' estimates.
-            spread: Covariance of z, for the interval of a period.
-        """
-        out, place = [], 0
-        for form, directions in zip(self.forms, self.directions, strict=True):
-            own = slice(place, place + directions.shape[1])
-            place = own.stop
-            values = form.values + directions @ z[own]
-            covariance = form.covariance
-            if spread is not None:
-                covariance = directions @ spread[own, own] @ directions.T
-            balance = form.balance
-            terms = {
-                variable: Spline(knots=form.knots[variable], coefficients=weights)
-                for variable, weights in form.coefficients(values).items()
-            }
-            out.append(
-                Part(
-                    element=balance.element,
-                    joint=balance.joint,
-                    actuator=balance.actuator,
-                    oil=balance.oil,
-                    terms=terms,
-                    period=_period(form, values, covariance),
-                )
-            )
-        return tuple(out)
+    def parts(self, z: np.ndarray) -> tuple[Part, ...]:
+        """The parts at a place along the directions, (directions,), in standard deviations."""
+        ends = np.cumsum([d.shape[1] for d in self.directions])[:-1]
+        rows = zip(self.forms, self.directions, np.split(z, ends), strict=True)
+        return tuple(part_of(form, form.values + along @ own) for form, along, own in rows)
 
 
-def _period(form: Form, values: np.ndarray, covariance: np.ndarray) -> Period | None:
-    place = form.period_place
-    if place is None:
-        return None
-    span = float(np.ptp(form.knots["position"][[0, -1]]))
-    if not 0.0 < values[place] < _LONGEST * span:
-        return None  # The replays have made a bow of it.
-    length, half = float(values[place]), 1.96 * float(np.sqrt(covariance[place, place]))
-    pairs = values[place - 2 * form.harmonics : place].reshape(-1, 2)
-    return Period(
-        length=length,
-        interval=(length - half, length + half),
-        amplitudes=tuple(np.hypot(*pairs.T).tolist()),
+def part_of(form: Form, values: np.ndarray) -> Part:
+    """The part that a form is with values of its unknowns."""
+    balance = form.balance
+    return Part(
+        element=balance.element,
+        joint=balance.joint,
+        actuator=balance.actuator,
+        oil=balance.oil,
+        terms=form.splines(values),
+        period=form.repeats(values),
     )
 
 
@@ -127,155 +79,102 @@ def with_parts(problem: Problem, parts: Sequence[Part]) -> Problem:
     return other
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Refined:
-    """Parts after the refinement.
-
-    Attributes:
-        parts: Learned.
-        hypothesis: The hypothesis, its nuisances refitted beside them.
-    """
-
-    parts: tuple[Part, ...]
-    hypothesis: Hypothesis
-
-
 def refine(
     problem: Problem,
     hypothesis: Hypothesis,
     forms: Sequence[Form],
-    chosen: np.ndarray,
     *,
-    free: frozenset[Key] = frozenset(),
+    fixed: frozenset[Key] = frozenset(),
     iterations: int = 4,
-) -> Refined:
+) -> tuple[tuple[Part, ...], Hypothesis]:
     """Fits directions of the forms and nuisances to replays.
 
     Args:
         problem: With its noise model.
         hypothesis: Where nuisances start.
         forms: First estimates by the balances.
-        chosen: Windows to fit, shape (windows,).
-        free: Effects whose values stay as they are.
+        fixed: Effects whose values stay as they are.
         iterations: Accepted steps at most.
+
+    Returns:
+        The parts, in the order of the forms, and the hypothesis with the nuisances beside them.
     """
-    directions = Directions.of(forms)
-    z, base = np.zeros(directions.count), hypothesis
+    limits = problem.thresholds
+    chosen = thinned(problem.fitted, limits.learned_windows)
+    directions = Directions.of(forms, limits.learned_directions)
     u = Unknowns.of(problem.library)
     # What differs between good machines follows.
-    open_ = [i for i in range(u.single) if u.tolerance[i] > 0.0 and u.keys[i] not in free]
-    spread = None
+    loose = [i for i in range(u.single) if u.tolerance[i] > 0.0 and u.keys[i] not in fixed]
+    count, z, base = directions.count, np.zeros(directions.count), hypothesis
+
+    def there(z: np.ndarray) -> Problem:
+        return with_parts(problem, directions.parts(z))
+
+    def moved(step: np.ndarray) -> tuple[np.ndarray, Hypothesis, np.ndarray]:
+        """Place and hypothesis after a step, and its departures from the priors' means."""
+        by = dict(zip(loose, (step[count:] * u.tolerance[loose]).tolist(), strict=True))
+        new = z + step[:count], u.moved(base, by)
+        eta = u.departures(new[1])[loose] / u.tolerance[loose]
+        return *new, np.concatenate([new[0], eta])
+
     for iteration in range(iterations):
-        now = with_parts(problem, directions.parts(z))
         # The noise model of a base without its parts tells little of start states.
         if iteration < 2:
-            noise = now.about(base).noise
-        now.noise = noise
-        residual = now.residual(base, chosen)
-        x = u.departures(base)
-        eta = x[open_] / u.tolerance[open_]
-        tangents = [
-            (now.residual(u.moved(base, {i: h}), chosen) - residual) * (u.tolerance[i] / h)
-            for i, h in ((i, _STEP_OF_TOLERANCE * u.tolerance[i]) for i in open_)
-        ]
-        columns = []
-        for k in range(z.size):
-            moved = z.copy()
-            moved[k] += _STEP
-            there = with_parts(problem, directions.parts(moved))
-            there.noise = noise
-            columns.append((there.residual(base, chosen) - residual) / _STEP)
-        linear = Linear(
-            residual=residual,
-            jacobian=np.stack([*columns, *tangents], axis=2),
-            offset=np.concatenate([z, eta]),
-            limit=problem.thresholds.robust_limit,
-        )
-        tried = []
-        for weight in _PRIORS:
-            precision = diagonal_blocks([directions.precision(weight), np.eye(eta.size)])
-            tried.append((linear.validated(precision), weight, precision))
-        _, _, precision = min(tried, key=lambda t: t[:2])
-        step, matrix, scale = linear.step(precision)
-        before = linear.cost(residual, scale) + float(linear.offset @ precision @ linear.offset)
-        share = 1.0
-        for _ in range(5):
-            new_z = z + share * step[: z.size]
-            by = share * step[z.size :] * u.tolerance[open_]
-            new_base = u.moved(base, dict(zip(open_, by.tolist(), strict=True)))
-            there = with_parts(problem, directions.parts(new_z))
-            there.noise = noise
-            departed = np.concatenate([new_z, u.departures(new_base)[open_] / u.tolerance[open_]])
-            after = linear.cost(there.residual(new_base, chosen), scale)
-            after += float(departed @ precision @ departed)
+            noise = there(z).about(base).noise
+
+        def errors(z: np.ndarray, base: Hypothesis, noise: NoiseModel = noise) -> np.ndarray:
+            replayed = there(z)
+            replayed.noise = noise
+            return replayed.residual(base, chosen)
+
+        residual, (_, _, offset) = errors(z, base), moved(np.zeros(count + len(loose)))
+        probes = (moved(_STEP * row)[:2] for row in np.eye(offset.size))
+        columns = [(errors(*probe) - residual) / _STEP for probe in probes]
+        step, scale = _step(residual, np.stack(columns, axis=2), offset, limits.robust_limit)
+
+        def cost(residual: np.ndarray, departed: np.ndarray, scale: float = scale) -> float:
+            squares = np.mean(residual**2, axis=1) / scale**2
+            told = residual.shape[1] * robust_cost(squares, limits.robust_limit).sum()
+            return float(told + departed @ departed)
+
+        before = cost(residual, offset)
+        for share in 0.4 ** np.arange(5):
+            new_z, new_base, departed = moved(share * step)
+            after = cost(errors(new_z, new_base), departed)
             if after < before:
                 break
-            share *= 0.4
         else:
             break
         z, base = new_z, new_base
-        spread = np.linalg.pinv(matrix, hermitian=True)[: z.size, : z.size]
         if before - after < 1e-2 * before:
             break
-    return Refined(parts=directions.parts(z, spread), hypothesis=base)
+    return directions.parts(z), base
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Linear:
-    """Whitened errors of windows to first order in all unknowns.
+def _step(
+    residual: np.ndarray, jacobian: np.ndarray, offset: np.ndarray, limit: float
+) -> tuple[np.ndarray, float]:
+    """Robust step of all unknowns, and the scale of what is left.
 
-    Attributes:
-        residual: Shape (windows, size).
-        jacobian: Shape (windows, size, unknowns).
+    A model that is wrong elsewhere leaves errors of many noise levels. Their scale, the median
+    window after the step, weighs replays against priors (Kennedy and O'Hagan 2001).
+
+    Args:
+        residual: Whitened errors, (windows, size).
+        jacobian: By unknown, in standard deviations of its prior, (windows, size, unknowns).
         offset: Present departures from the priors' means, (unknowns,).
-        limit: Mean square beyond which a window counts by its logarithm.
+        limit: Of the cost of a window.
     """
-
-    residual: np.ndarray
-    jacobian: np.ndarray
-    offset: np.ndarray
-    limit: float
-
-    def cost(self, residual: np.ndarray, scale: float) -> float:
-        """Robust chi-square with errors in units of `scale` noise levels."""
-        squares = np.mean(residual**2, axis=1) / scale**2
-        return float(residual.shape[1] * robust_cost(squares, self.limit).sum())
-
-    def of(self, mask: np.ndarray) -> "Linear":
-        """Some of the windows."""
-        return replace(self, residual=self.residual[mask], jacobian=self.jacobian[mask])
-
-    def step(self, precision: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        """Robust step of all unknowns, its normal matrix, and the scale of what is left.
-
-        A model that is wrong elsewhere leaves errors of many noise levels. Their scale, the median
-        window after the step, weighs replays against priors (Kennedy and O'Hagan 2001).
-        """
-        matrices = self.jacobian.transpose(0, 2, 1) @ self.jacobian
-        rights = np.einsum("wnk,wn->wk", self.jacobian, self.residual)
-        x = np.zeros(self.offset.size)
-        matrix, scale = precision, 1.0
-        for _ in range(_REWEIGHTINGS):
-            squares = np.mean((self.residual + self.jacobian @ x) ** 2, axis=1)
-            scale = max(1.0, float(np.sqrt(np.median(squares))))
-            weight = robust_weight(squares / scale**2, self.limit) / scale**2
-            matrix = np.einsum("w,wij->ij", weight, matrices) + precision
-            matrix += 1e-12 * np.trace(matrix) / max(len(matrix), 1) * np.eye(len(matrix))
-            x = np.linalg.solve(matrix, -(weight @ rights + precision @ self.offset))
-        return x, matrix, scale
-
-    def validated(self, precision: np.ndarray) -> float:
-        """Logarithmic misfit of windows under steps that the windows of other folds ask for."""
-        total = 0.0
-        fold = np.arange(len(self.residual)) * _FOLDS // max(len(self.residual), 1)
-        for k in range(_FOLDS):
-            own = fold == k
-            if own.all() or not own.any():
-                continue
-            x, _, _ = self.of(~own).step(precision)
-            rest = self.residual[own] + self.jacobian[own] @ x
-            total += float(np.log(0.1 + np.mean(rest**2, axis=1)).sum())
-        return total
+    matrices = jacobian.transpose(0, 2, 1) @ jacobian
+    rights = np.einsum("wnk,wn->wk", jacobian, residual)
+    x, scale = np.zeros(offset.size), 1.0
+    for _ in range(6):
+        squares = np.mean((residual + jacobian @ x) ** 2, axis=1)
+        scale = max(1.0, float(np.sqrt(np.median(squares))))
+        weight = robust_weight(squares / scale**2, limit) / scale**2
+        matrix = np.einsum("w,wij->ij", weight, matrices) + np.eye(offset.size)
+        x = np.linalg.solve(matrix, -(weight @ rights + offset))
+    return x, scale
 
 
 def bounded(part: Part, form: Form) -> Part:

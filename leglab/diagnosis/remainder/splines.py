@@ -1,10 +1,9 @@
 """Additive cubic B-splines with a smoothness penalty, and what a recording's blocks say of them."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import BSpline
+from scipy.interpolate import BSpline, make_lsq_spline
 
 DEGREE = 3
 
@@ -30,15 +29,10 @@ class Spline:
         """Inputs over the whole range, shape (count,)."""
         return np.linspace(self.knots[0], self.knots[-1], count)
 
-    @property
-    def span(self) -> float:
-        """Length of the range."""
-        return float(self.knots[-1] - self.knots[0])
-
 
 def clamped(knots: np.ndarray) -> np.ndarray:
     """Knots with the outermost four times."""
-    return np.concatenate([[knots[0]] * DEGREE, knots, [knots[-1]] * DEGREE])
+    return np.pad(knots, DEGREE, mode="edge")
 
 
 def basis(knots: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -57,19 +51,13 @@ def roughness(knots: np.ndarray) -> np.ndarray:
     left, right = knots[:-1, None], knots[1:, None]
     x = (0.5 * (left + right) + 0.5 * (right - left) * points).ravel()
     w = (0.5 * (right - left) * weights).ravel()
-    identity = np.eye(knots.size + 2)
-    bend = BSpline(clamped(knots), identity, DEGREE).derivative(2)(x)
+    bend = BSpline(clamped(knots), np.eye(knots.size + 2), DEGREE).derivative(2)(x)
     return np.asarray(span**3 * (bend * w[:, None]).T @ bend)
 
 
-def project(knots: np.ndarray, function: np.ndarray, grid: np.ndarray) -> np.ndarray:
-    """Coefficients nearest to a function that is given on a grid, shape (knots + 2,)."""
-    design = basis(knots, grid)
-    ridge = 1e-9 * roughness(knots)
-    normal = design.T @ design / grid.size
-    return np.linalg.solve(
-        normal + 1e-12 * np.eye(len(normal)) + ridge, design.T @ function / grid.size
-    )
+def nearest(knots: np.ndarray, x: np.ndarray, functions: np.ndarray) -> np.ndarray:
+    """Coefficients nearest to functions given at increasing places, (n,) or (n, functions)."""
+    return np.asarray(make_lsq_spline(x, functions, clamped(knots), DEGREE).c)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -80,37 +68,23 @@ class Blocks:
         matrices: X'WX of each block, (blocks, p, p).
         rights: X'Wy, (blocks, p).
         squares: y'Wy, (blocks,).
-        counts: Sum of weights, (blocks,).
     """
 
     matrices: np.ndarray
     rights: np.ndarray
     squares: np.ndarray
-    counts: np.ndarray
 
     @classmethod
     def of(
         cls, design: np.ndarray, target: np.ndarray, weight: np.ndarray, block: np.ndarray
     ) -> "Blocks":
         """Sums over samples: design (n, p), target, weight and number of the block (n,)."""
-        numbers = np.unique(block)
-        rows = [np.flatnonzero(block == k) for k in numbers]
+        rows = [np.flatnonzero(block == k) for k in np.unique(block)]
         weighted = design * weight[:, None]
         return cls(
             matrices=np.stack([weighted[r].T @ design[r] for r in rows]),
             rights=np.stack([weighted[r].T @ target[r] for r in rows]),
             squares=np.array([weight[r] @ target[r] ** 2 for r in rows]),
-            counts=np.array([weight[r].sum() for r in rows]),
-        )
-
-    def only(self, columns: Sequence[int]) -> "Blocks":
-        """The same with some columns."""
-        index = np.asarray(columns, dtype=int)
-        return Blocks(
-            matrices=self.matrices[:, index[:, None], index],
-            rights=self.rights[:, index],
-            squares=self.squares,
-            counts=self.counts,
         )
 
     def solve(self, penalty: np.ndarray, without: np.ndarray | None = None) -> np.ndarray:
@@ -121,18 +95,13 @@ class Blocks:
         matrix = matrix + ridge * np.eye(len(matrix))
         return np.linalg.solve(matrix, self.rights[keep].sum(axis=0))
 
-    def errors(self, x: np.ndarray) -> np.ndarray:
-        """Sum of squared errors in every block, (blocks,)."""
-        bent = np.einsum("i,bij,j->b", x, self.matrices, x)
-        return np.maximum(self.squares - 2.0 * self.rights @ x + bent, 0.0)
-
     def validated(self, penalty: np.ndarray, folds: int = 5) -> np.ndarray:
         """Squared errors of every block under a fit to the blocks of other folds, (blocks,)."""
         fold = np.arange(self.squares.size) % folds
-        out = np.empty(self.squares.size)
-        for k in range(folds):
+        out = self.squares.copy()
+        for k in range(min(folds, self.squares.size) if self.squares.size > 1 else 0):
             own = fold == k
-            if own.all():
-                return self.errors(np.zeros(self.rights.shape[1]))
-            out[own] = self.errors(self.solve(penalty, own))[own]
-        return out
+            x = self.solve(penalty, own)
+            bent = np.einsum("i,bij,j->b", x, self.matrices[own], x)
+            out[own] += bent - 2.0 * self.rights[own] @ x
+        return np.maximum(out, 0.0)
