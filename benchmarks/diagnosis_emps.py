@@ -25,7 +25,7 @@ from leglab.diagnosis.improve import improved_model
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.verdict.verdict import diagnose
-from leglab.diagnosis.verdict.whole import LOOP, follow
+from leglab.diagnosis.verdict.whole import follow
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -165,7 +165,7 @@ def measure(options: argparse.Namespace) -> Any:
         ):
             number = [s.name for s in problem.series].index(EMPS_HELD_OUT)
             errors = []
-            for loop in (0.0, LOOP):
+            for loop in (0.0, 1.0):
                 followed = follow(problem, hypothesis, number, loop=loop)
                 errors.append(followed.deviation("slide") if followed else float("nan"))
             add(name, "", *errors)

@@ -224,8 +224,8 @@ def test_the_period_of_a_force_is_found_beside_friction_and_a_spring():
     force = wave + other + rng.normal(0.0, 2.0, q.size)
     force[::97] += 400.0
     wave = waves(ForceLeft(q, v, a, force))[0]
-    assert wave.period == pytest.approx(0.137, rel=0.02)
-    assert np.hypot(wave.sine, wave.cosine) == pytest.approx(1.3, abs=0.25)
+    assert wave["period"] == pytest.approx(0.137, rel=0.02)
+    assert np.hypot(wave["sine"], wave["cosine"]) == pytest.approx(1.3, abs=0.25)
     still = np.zeros(100)
     assert waves(ForceLeft(still, still, still, still)) == []
 

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -12,7 +13,6 @@ from typer.testing import CliRunner
 from leglab import data
 from leglab.base.errors import LeglabError
 from leglab.cli.app import app
-from leglab.diagnosis import improve as improving
 from leglab.diagnosis.balance.balances import Balance, balances
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.improve import improve
@@ -385,7 +385,7 @@ def test_play_is_no_static_force_and_is_said_to_have_a_memory():
 
 
 @pytest.mark.slow("whole diagnosis of a bench")
-def test_a_sure_effect_is_kept_and_the_rest_learned(monkeypatch):
+def test_a_sure_effect_is_kept_and_the_rest_learned():
     truth = Truth(offset=1.0, ripple=(0.0, 1.0, 0.0))
     recordings = pendulum(truth, 5.0)
     result, better = improve(PENDULUM.model, recordings, held_out=("multisine",), settings=SETTINGS)
@@ -394,8 +394,8 @@ def test_a_sure_effect_is_kept_and_the_rest_learned(monkeypatch):
     assert better.hypothesis["force_offset", "hinge"][0] == pytest.approx(1.0, rel=0.05)
     assert result.closed_fraction > 0.95
     # An effect that is not sure stays out, and what it would say is learned.
-    monkeypatch.setattr(improving, "_SURE", 1.1)
-    result, _ = improve(PENDULUM.model, recordings, held_out=("multisine",), settings=SETTINGS)
+    never = replace(SETTINGS, thresholds=replace(DEFAULT, sure=1.1))
+    result, _ = improve(PENDULUM.model, recordings, held_out=("multisine",), settings=never)
     assert result.effects == {}
     assert "a constant torque on the hinge, 1 N m" in result.words
     assert result.closed_fraction > 0.9

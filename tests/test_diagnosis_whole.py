@@ -8,7 +8,7 @@ import pytest
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.verdict.verdict import diagnose
-from leglab.diagnosis.verdict.whole import LOOP, _gains, follow, whole_recording
+from leglab.diagnosis.verdict.whole import _gains, follow, whole_recording
 from tests.rigs import PENDULUM, SERVO_JOINT, SLIDE_AXIS, Hidden, Truth, record, record_linkage
 
 OFFSET = ("force_offset", "axis")
@@ -47,7 +47,7 @@ def test_the_correction_of_an_axis_is_the_force_that_its_model_lacks(pushed):
 
 
 def test_without_a_loop_the_same_error_grows(pushed):
-    held, free = (follow(pushed, Hypothesis(), 0, loop=loop) for loop in (LOOP, 0.0))
+    held, free = (follow(pushed, Hypothesis(), 0, loop=loop) for loop in (1.0, 0.0))
     assert not any(added.any() for added in free.correction.values())
     assert free.deviation("axis") > 3.0 * held.deviation("axis")
 
@@ -95,7 +95,7 @@ def test_the_loop_leads_where_commands_set_forces_and_not_where_they_set_positio
         problem = problem_of(rig, Truth())
     change = problem.library.change(Hypothesis(), problem.machine)
     course = problem.replay.course(change, 0, -np.inf)
-    proportional, rate = _gains(problem, course, LOOP)[:, 0, 0]
+    proportional, rate = _gains(problem, course, 1.0)[:, 0, 0]
     assert proportional > 0.0
     if lead == "none":
         assert rate == 0.0

@@ -10,7 +10,6 @@ import numpy as np
 from leglab.base.recording import Recording
 from leglab.base.threads import one_blas_thread
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
-from leglab.diagnosis.effects.joints import unit
 from leglab.diagnosis.intake.recordings import split_held_out
 from leglab.diagnosis.remainder.learning import (
     Remainder,
@@ -24,9 +23,6 @@ from leglab.diagnosis.replay.residual import Problem, robust_cost
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.verdict.output import write_model
 from leglab.diagnosis.verdict.verdict import Outcome, diagnose
-
-# An effect is written into the model from this confidence on.
-_SURE = 0.8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,25 +135,22 @@ def improved_model(
     limits, result = found.problem.thresholds, found.result
     told = {(e.name, e.element) for e in (*result.effects, *result.smaller)}
     named = tuple(key for key in found.named if key in told and result.verdict == "named")
-    problem, final = _recalibrated(found, named)
+    problem, final = found.problem, _recalibrated(found, named)
     remainder = None
-    more_than_noise = result.gap.after > limits.explained
-    much_left = (result.gap.explained or 0.0) < limits.well_explained
-    if result.verdict != "nothing_missing" and more_than_noise and much_left:
+    if result.verdict != "nothing_missing" and result.gap.after > limits.explained:
         remainder = learn_remainder(problem, final, named=named, progress=progress)
-    before = problem.noise_levels(problem.library.neutral())
-    after = problem.noise_levels(final)
+    better = problem
     if remainder:
-        final, after = remainder.hypothesis, remainder.problem.noise_levels(remainder.hypothesis)
-    judged = problem.judged
-    if after[judged].mean() >= limits.improvement**2 * before[judged].mean():
+        final, better = remainder.hypothesis, remainder.problem
+    before, after = problem.noise_levels(problem.library.neutral()), better.noise_levels(final)
+    if not pays(before[problem.judged], after[problem.judged], limits):
         return None
     return ImprovedModel(problem=problem, hypothesis=final, remainder=remainder)
 
 
-def _recalibrated(found: Outcome, named: Sequence[Key]) -> tuple[Problem, Hypothesis]:
+def _recalibrated(found: Outcome, named: Sequence[Key]) -> Hypothesis:
     """The model with some of the named effects, and what has a tolerance where it fits best."""
-    return found.problem, found.written.without(*(k for k in found.named if k not in named))
+    return found.written.without(*(key for key in found.named if key not in named))
 
 
 @one_blas_thread()
@@ -189,107 +182,100 @@ def improve(
         LeglabError: Model or recordings cannot be used.
     """
     settings = settings or DiagnosisSettings()
+    limits = settings.thresholds
     if held_out is None:
-        recordings, held_out = split_held_out(model, recordings, (), settings.thresholds)
+        recordings, held_out = split_held_out(model, recordings, (), limits)
     held_out = tuple(held_out)
     sure: tuple[Key, ...] = ()
     if effects:
         result, found = diagnose(
             model, recordings, held_out=held_out, settings=settings, progress=progress
         )
-        certain = {(e.name, e.element) for e in result.effects if e.confidence >= _SURE}
+        certain = {(e.name, e.element) for e in result.effects if e.confidence >= limits.sure}
         sure = tuple(key for key in found.named if key in certain)
-        problem, hypothesis = _recalibrated(found, sure)
+        problem, final = found.problem, _recalibrated(found, sure)
     else:
-        problem, hypothesis = set_up(model, recordings, held_out, settings), Hypothesis()
-    remainder = learn_remainder(problem, hypothesis, named=sure, progress=progress)
-    final = remainder.hypothesis if remainder else hypothesis
-    judged = problem.about(final)
-    after_problem = judged
+        problem, final = set_up(model, recordings, held_out, settings), Hypothesis()
+    remainder = learn_remainder(problem, final, named=sure, progress=progress)
     if remainder:
-        after_problem = remainder.problem
-        judged.noise = remainder.problem.noise
-    squares = [
-        np.mean(p.residual(h) ** 2, axis=1)
-        for p, h in ((judged, judged.library.neutral()), (after_problem, final))
-    ]
-    held = problem.judged
-    limits = problem.thresholds
+        final = remainder.hypothesis
+    before = problem.about(final)
+    after = remainder.problem if remainder else before
+    before.noise = after.noise
+    pairs = [(before, before.library.neutral()), (after, final)]
+    squares = [np.mean(p.residual(h) ** 2, axis=1) for p, h in pairs]
+    held = problem.held
+    costs = [robust_cost(s[held], limits.robust_limit) for s in squares]
     improved = (
-        bool(problem.held.any())
-        and float(robust_cost(squares[0][held], limits.robust_limit).mean()) >= limits.explained
+        bool(held.any())
+        and float(costs[0].mean()) >= limits.explained
         and pays(squares[0][held], squares[1][held], limits)
     )
+    words = _words(
+        pairs[improved], remainder, sure, float(costs[improved].mean()), improved=improved
+    )
     if not improved:
-        remainder, final, after_problem = None, judged.library.neutral(), judged
-        squares[1] = squares[0]
+        remainder, sure, pairs[1], squares[1] = None, (), pairs[0], squares[0]
     rms = [float(np.sqrt(s[held].mean())) for s in squares]
     outcome = Improvement(
         improved=improved,
-        words=_words(after_problem, final, remainder, sure if improved else (), squares, held),
+        words=words,
         effects={
-            f"{key[0]} at {key[1]}": problem.library.sites[key].named(final[key])
-            for key in (sure if improved else ())
+            f"{key[0]} at {key[1]}": problem.library.sites[key].named(final[key]) for key in sure
         },
         remainder=remainder.to_json() if remainder else None,
         closed_fraction=closed(*rms),
         horizon=problem.replay.window,
-        recordings=_errors(judged, after_problem, final, squares),
+        recordings=_errors(pairs, squares),
         units={
-            c.column: "Pa" if c.chamber else unit(problem.machine, c.joint)
-            for c in problem.channels
+            c.column: "Pa" if c.chamber else problem.machine.unit(c.joint) for c in problem.channels
         },
     )
-    if not improved:
-        return outcome, None
-    return outcome, ImprovedModel(problem=problem, hypothesis=final, remainder=remainder)
+    better = ImprovedModel(problem=problem, hypothesis=final, remainder=remainder)
+    return outcome, better if improved else None
 
 
 def _words(
-    problem: Problem,
-    final: Hypothesis,
+    final: tuple[Problem, Hypothesis],
     remainder: Remainder | None,
     sure: tuple[Key, ...],
-    squares: list[np.ndarray],
-    held: np.ndarray,
+    cost: float,
+    *,
+    improved: bool,
 ) -> str:
-    limits = problem.thresholds
-    cost = float(robust_cost(squares[1], limits.robust_limit)[held].mean())
-    memory = cost > limits.explained and (remainder is None) and has_memory(problem, final)
+    """What was added, or why nothing was; `cost` is what the held-out recordings are left with."""
     parts = [f"{name} at {element}" for name, element in sure]
-    if remainder:
-        parts.append(remainder.words)
-    if parts:
+    parts += [remainder.words] if remainder else []
+    if improved and parts:
         return "Added: " + "; ".join(parts) + "."
+    much = cost > final[0].thresholds.explained
     text = "Recalibrated within tolerances; no further static force improves it."
-    if squares[0] is squares[1]:
+    if not improved:
         text = "Nothing improves the model on held-out recordings"
-        text += ": it explains them." if cost <= limits.explained else "."
-    if memory:
-        text += f" {memory_words()}."
-    return text
+        text += "." if much else ": it explains them."
+    return f"{text} {memory_words()}." if much and has_memory(*final) else text
 
 
 def _errors(
-    before: Problem, after: Problem, final: Hypothesis, squares: list[np.ndarray]
+    pairs: Sequence[tuple[Problem, Hypothesis]], squares: Sequence[np.ndarray]
 ) -> tuple[ReplayError, ...]:
-    ends = [
-        p.raw_errors(h)[:, :, -1] for p, h in ((before, before.library.neutral()), (after, final))
-    ]
-    out = []
-    for i, series in enumerate(before.series):
-        own = before.replay.recording == i
+    """Errors of all recordings before and after, with mean squares of their windows."""
+    ends = [problem.raw_errors(hypothesis)[:, :, -1] for problem, hypothesis in pairs]
+    problem, out = pairs[0][0], []
+    for i, series in enumerate(problem.series):
+        own = problem.replay.recording == i
         if not own.any():
             continue
-        levels = [float(np.sqrt(s[own].mean())) for s in squares]
-        at_end = [np.sqrt((e[own] ** 2).mean(axis=0)).tolist() for e in ends]
+        before, after = (float(np.sqrt(s[own].mean())) for s in squares)
+        at_end = np.sqrt([np.mean(e[own] ** 2, axis=0) for e in ends]).T.tolist()
+        columns = [channel.column for channel in problem.channels]
         out.append(
             ReplayError(
                 recording=series.name,
-                held_out=bool(before.held[own].any()),
-                noise_levels=(levels[0], levels[1]),
+                held_out=bool(problem.held[own].any()),
+                noise_levels=(before, after),
                 at_horizon={
-                    c.column: (at_end[0][k], at_end[1][k]) for k, c in enumerate(before.channels)
+                    c: (first, last) for c, (first, last) in zip(columns, at_end, strict=True)
                 },
             )
         )

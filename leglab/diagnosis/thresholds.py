@@ -111,19 +111,15 @@ class Thresholds:
     # Strengths of a calibrated specimen that are listed depart by this share of barely noticeable.
     calibration_share: float = 0.25
 
-    # From this share of the gap on, what is named is the model's improvement; below, a remainder is
-    # learned as well.
-    well_explained: float = 0.8
-    # An improved model errs by less than this share of the model as it was, where held out.
-    improvement: float = 0.97
+    # Effects are written into an improved model from this confidence on.
+    sure: float = 0.8
 
     # What is learned.
-    # A change is worthwhile if it saves this share of the misfit ...
+    # A change is worthwhile if it saves this share of the misfit, what is simpler as good if it
+    # costs no more of what was gained ...
     worthwhile: float = 0.05
     # ... by more than so many standard errors over blocks or windows.
     beyond_chance: float = 2.5
-    # What is simpler may leave this share more of what was gained.
-    as_good: float = 0.03
     # Windows to which replays are fitted, as many as a balance needs at least, and directions of
     # what its estimate leaves open that they refine: a replay each.
     learned_windows: int = 60
@@ -133,12 +129,6 @@ class Thresholds:
     # A joint slower than this share of its usual speed rests: its friction is anything up to a
     # limit.
     resting_speed: float = 0.03
-
-    # Proposed experiment.
-    # Duration [s], amplitudes as shares of the present range, tones of the multisine [Hz].
-    experiment_duration: float = 1.0
-    experiment_amplitudes: tuple[float, ...] = (0.3, 1.0)
-    experiment_tones: tuple[float, ...] = (0.7, 1.9, 4.3, 8.9)
 
 
 DEFAULT = Thresholds()

@@ -5,7 +5,7 @@ import numpy as np
 from leglab.diagnosis.balance.balances import Balance, balances
 from leglab.diagnosis.balance.regions import worst_region
 from leglab.diagnosis.effects.hypothesis import Hypothesis
-from leglab.diagnosis.effects.joints import unit, unit_of
+from leglab.diagnosis.effects.joints import unit_of
 from leglab.diagnosis.replay.residual import Problem, inverse_roots, whitened
 from leglab.diagnosis.result import Where
 
@@ -30,7 +30,7 @@ def _of_balance(problem: Problem, balance: Balance) -> Where:
     """The residual of one balance, against white noise by its second differences."""
     rest = balance.lacking
     noise = float(np.median(np.abs(np.diff(rest, 2, axis=1)))) / np.sqrt(6.0)
-    length = "m" if balance.oil else unit(problem.machine, balance.joint)
+    length = "m" if balance.oil else problem.machine.unit(balance.joint)
     force = "N" if balance.oil else unit_of(problem.machine, balance.joint, "{force}")
     units = {"position": length, "velocity": f"{length}/s", "load": force, "command": ""}
     states = {name: (values.ravel(), units[name]) for name, values in balance.inputs.items()}
@@ -52,7 +52,7 @@ def _motion(problem: Problem) -> list[Where]:
     for k, channel in enumerate(problem.channels):
         if channel.chamber:
             continue
-        length = unit(problem.machine, channel.joint)
+        length = problem.machine.unit(channel.joint)
         rows = []
         for i, series in enumerate(problem.series):
             q = series.columns[f"{channel.joint}_position"]

@@ -4,39 +4,28 @@ from collections.abc import Mapping
 
 import numpy as np
 
-BINS = 20
-# Fewest points of a bin that says something.
-FEWEST = 8
 EVERYWHERE = "everywhere alike"
-# A region counts where the error there exceeds the mean by this factor ...
-_PEAK = 1.3
-# ... and reaches as far as this share of the peak's excess over the mean.
-_SHOULDER = 0.5
-# A region that holds zero and is narrower than this share of the range is "near zero".
-_NARROW = 0.35
-# Outliers set no ends.
-_OUTER = (0.01, 0.99)
-# A force that repeats: cycles over the range, and share of the variance that it must explain.
-_CYCLES = (2.0, 8.0)
-_REPEATS = 0.3
 
 
-def equally_filled(state: np.ndarray, bins: int = BINS) -> list[np.ndarray]:
-    """Indices of the points of every bin, along the state; bins that are nearly empty go."""
-    parts = np.array_split(np.argsort(state, kind="stable"), bins)
-    return [part for part in parts if part.size >= FEWEST]
+def equally_filled(state: np.ndarray, bins: int = 20) -> list[np.ndarray]:
+    """Indices of the points of every bin, along the state; few points have fewer bins, or none.
+
+    A bin of fewer than eight points says nothing.
+    """
+    count = min(bins, state.size // 8)
+    return np.array_split(np.argsort(state, kind="stable"), count) if count else []
 
 
 def worst_region(error: np.ndarray, states: Mapping[str, tuple[np.ndarray, str]]) -> str:
     """Where an error is largest, in words.
 
+    A region counts where the error exceeds the mean by a third, and reaches as far as half of that.
+
     Args:
         error: Shape (samples,).
         states: Values of the state, shape (samples,), and unit by name.
     """
-    finite = np.isfinite(error)
-    for values, _ in states.values():
-        finite &= np.isfinite(values)
+    finite = np.isfinite([error, *(values for values, _ in states.values())]).all(axis=0)
     error = error[finite]
     overall = float(np.mean(np.abs(error))) if error.size else 0.0
     if overall <= 0.0:
@@ -46,7 +35,7 @@ def worst_region(error: np.ndarray, states: Mapping[str, tuple[np.ndarray, str]]
         period = _period(error, values[finite])
         if period is not None:
             return f"repeating every {period:.3g} {unit} of the position"
-    best, text = _PEAK, EVERYWHERE
+    best, text = 4.0 / 3.0, EVERYWHERE
     for name, (values, unit) in states.items():
         values = values[finite]
         parts = equally_filled(values)
@@ -56,47 +45,40 @@ def worst_region(error: np.ndarray, states: Mapping[str, tuple[np.ndarray, str]]
         peak = int(np.argmax(size))
         if size[peak] <= best:
             continue
-        first = last = peak
-        limit = 1.0 + _SHOULDER * (size[peak] - 1.0)
-        while first > 0 and size[first - 1] > limit:
-            first -= 1
-        while last + 1 < len(parts) and size[last + 1] > limit:
-            last += 1
-        outer = np.quantile(values, _OUTER)
-        low = float(max(values[parts[first]].min(), outer[0]))
-        high = float(min(values[parts[last]].max(), outer[1]))
-        narrow = high - low < _NARROW * float(outer[1] - outer[0])
-        best, text = float(size[peak]), _words(name, low, high, unit, narrow=narrow)
+        small = np.flatnonzero(size <= 0.5 * (1.0 + size[peak]))
+        first = max(small[small < peak], default=-1) + 1
+        last = min(small[small > peak], default=len(parts)) - 1
+        ends = np.quantile(values, [0.01, 0.99])  # Outliers set no ends.
+        low = max(float(values[parts[first]].min()), float(ends[0]))
+        high = min(float(values[parts[last]].max()), float(ends[1]))
+        told = f"{low:.3g} to {high:.3g}{unit and ' '}{unit}"
+        narrow = low <= 0.0 <= high and high - low < np.ptp(ends) / 3.0
+        best, text = float(size[peak]), f"at a {name} of {told}"
+        if narrow and name in ("velocity", "command"):
+            text = f"near zero {name} ({told})"
     return text
 
 
-def _words(name: str, low: float, high: float, unit: str, *, narrow: bool) -> str:
-    """A region: by its ends, or as near zero."""
-    ends = f"{low:.3g} to {high:.3g}{unit and ' '}{unit}"
-    if name in ("velocity", "command") and low <= 0.0 <= high and narrow:
-        return f"near zero {name} ({ends})"
-    return f"at a {name} of {ends}"
-
-
 def _period(error: np.ndarray, position: np.ndarray) -> float | None:
-    """Period over the position of what repeats in an error; None where nothing does."""
-    low, high = np.quantile(position, _OUTER)
+    """Period over the position of what repeats in an error; None where nothing does.
+
+    It goes round two to eight times in the range and explains a third of the variance.
+    """
+    low, high = np.quantile(position, [0.01, 0.99])
     span = float(high - low)
     centred = error - error.mean()
     power = float(centred @ centred)
-    if span <= 0.0 or error.size < 10 * BINS or power <= 0.0:
+    if span <= 0.0 or error.size < 200 or power <= 0.0:
         return None
     x = (position - low) / span
     smooth = np.vander(2.0 * x - 1.0, 4)
     rest = error - smooth @ np.linalg.lstsq(smooth, error, rcond=None)[0]
-
-    def repeats(cycles: float) -> float:
-        waves = np.stack([np.cos(2 * np.pi * cycles * x), np.sin(2 * np.pi * cycles * x)], axis=1)
-        left = rest - waves @ np.linalg.lstsq(waves, rest, rcond=None)[0]
-        return float(rest @ rest - left @ left) / power
-
-    grid = np.linspace(*_CYCLES, 61)
-    shares = [repeats(float(cycles)) for cycles in grid]
-    best = int(np.argmax(shares))
-    inside = 0 < best < grid.size - 1
-    return span / float(grid[best]) if inside and shares[best] > _REPEATS else None
+    grid = np.linspace(2.0, 8.0, 61)
+    left = []
+    for cycles in grid.tolist():
+        waves = np.exp(2j * np.pi * cycles * x).view(float).reshape(-1, 2)
+        fit = waves @ np.linalg.lstsq(waves, rest, rcond=None)[0]
+        left.append(float((rest - fit) @ (rest - fit)))
+    best = int(np.argmin(left))
+    told = float(rest @ rest) - left[best] > power / 3.0
+    return span / float(grid[best]) if told and 0 < best < grid.size - 1 else None

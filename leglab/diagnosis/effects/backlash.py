@@ -49,7 +49,7 @@ class Backlash(Effect):
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """Width of the play and inertia of the motor."""
-        unit = joints.unit(machine, element)
+        unit = machine.unit(element)
         small = 1.0 if unit == "rad" else 0.1
         own = joints.native(machine, element, "armature")
         motor = own or _MOTOR_SHARE * joints.inertia(machine, element)

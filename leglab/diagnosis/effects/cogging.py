@@ -1,7 +1,6 @@
 """Force that repeats with the position of a joint."""
 
 import math
-from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -16,10 +15,6 @@ _FEWEST_CYCLES = 0.8
 _MOST_CYCLES = 200
 # Frequencies of the search lie this share of a cycle in the range apart.
 _SPACING = 0.2
-# Amplitude of the second harmonic, of the first.
-_MOST_SECOND = 1.0
-# Peaks of the periodogram that are tried.
-_PEAKS = 2
 # Forces count up to this many median deviations: stick-slip and impacts are no cogging.
 _CLIP = 6.0
 
@@ -49,7 +44,7 @@ class Cogging(JointEffect):
         # Steps are a share of the distance from nominal: that is near the shortest period.
         period = EffectParameter(
             "period",
-            joints.unit(machine, element),
+            machine.unit(element),
             nominal=0.02 * travel,
             lower=0.002 * travel,
             upper=4.0 * math.pi * travel,
@@ -57,16 +52,14 @@ class Cogging(JointEffect):
             role="shape",
         )
         second = tuple(
-            EffectParameter(
-                name, "1", lower=-_MOST_SECOND, upper=_MOST_SECOND, trials=(0.3,), role="shape"
-            )
+            EffectParameter(name, "1", lower=-1.0, upper=1.0, trials=(0.3,), role="shape")
             for name in ("second_sine", "second_cosine")
         )
         return (*amplitudes, period, *second)
 
     def guesses(self, machine: Machine, element: str, left: ForceLeft) -> tuple[Values, ...]:
         """The highest peaks in the spectrum of the force left over along the position."""
-        return tuple(asdict(wave) for wave in waves(left))
+        return tuple(waves(left))
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts a spring-damper that has nothing but the ripple."""
@@ -80,19 +73,8 @@ class Cogging(JointEffect):
         change.set_parameter(name, "ripple_cosine_2", size * values["second_cosine"])
 
 
-@dataclass(frozen=True, kw_only=True)
-class Wave:
-    """Parameters of the effect."""
-
-    sine: float
-    cosine: float
-    period: float
-    second_sine: float
-    second_cosine: float
-
-
-def waves(left: ForceLeft, peaks: int = _PEAKS) -> list[Wave]:
-    """Waves of the highest peaks of the spectrum, the best one first.
+def waves(left: ForceLeft, peaks: int = 2) -> list[Values]:
+    """Parameters of the waves at the highest peaks of the spectrum, the best one first.
 
     Least-squares spectrum over uneven positions (Lomb 1976) beside what other effects explain:
     a cubic of the position, friction and inertia.
@@ -127,20 +109,14 @@ def waves(left: ForceLeft, peaks: int = _PEAKS) -> list[Wave]:
     grid = np.arange(_FEWEST_CYCLES, min(_MOST_CYCLES, 0.02 * q.size), _SPACING)
     power = np.array([fitted(cycles)[0] for cycles in grid.tolist()])
     tops = [i for i in range(grid.size) if power[i] >= power[max(i - 3, 0) : i + 4].max()]
-    found = []
+    found: list[Values] = []
     for i in sorted(tops, key=lambda i: -power[i])[:peaks]:
         near = np.linspace(grid[i] - _SPACING, grid[i] + _SPACING, 21).tolist()
         cycles = max(near, key=lambda cycles: fitted(cycles, 2)[0])
         sine, cosine, *second = fitted(cycles, 2)[1].tolist()
         size = max(math.hypot(sine, cosine), 1e-300)
-        shares = np.clip(np.array(second) / size, -_MOST_SECOND, _MOST_SECOND).tolist()
-        found.append(
-            Wave(
-                sine=sine,
-                cosine=cosine,
-                period=reach / cycles,
-                second_sine=shares[0],
-                second_cosine=shares[1],
-            )
-        )
+        shares = np.clip(np.array(second) / size, -1.0, 1.0).tolist()
+        values = (sine, cosine, reach / cycles, *shares)
+        names = ("sine", "cosine", "period", "second_sine", "second_cosine")
+        found.append(dict(zip(names, values, strict=True)))
     return found

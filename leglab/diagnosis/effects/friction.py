@@ -65,7 +65,7 @@ class JointStiction(FrictionEffect):
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """Breakaway above Coulomb friction; Stribeck velocity and exponent."""
-        hinge = joints.unit(machine, element) == "rad"
+        hinge = machine.unit(element) == "rad"
         nominal, lower, upper = (0.05, 0.005, 1.0) if hinge else (0.01, 0.001, 0.2)
         unit = joints.unit_of(machine, element, "{length}/s")
         stribeck = EffectParameter(

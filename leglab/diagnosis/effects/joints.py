@@ -15,17 +15,11 @@ from leglab.machine.simulation import actuator_moments
 
 # Standard deviation of a native field between good machines, a share of its value.
 _TOLERANCE = 0.1
-_POSES = 12
-
-
-def unit(machine: Machine, joint: str) -> str:
-    """Unit of a joint's position."""
-    return machine.unit(joint)
 
 
 def unit_of(machine: Machine, joint: str, pattern: str) -> str:
     """Unit with "{force}", "{inertia}" and "{length}" replaced by those of a hinge or slide."""
-    if unit(machine, joint) == "rad":
+    if machine.unit(joint) == "rad":
         return pattern.format(force="N m", inertia="kg m^2", length="rad")
     return pattern.format(force="N", inertia="kg", length="m")
 
@@ -53,8 +47,8 @@ def gravity(machine: Machine, joint: str) -> float:
     index = dof(machine, joint)
     address = int(model.joint(joint).qposadr[0])
     worst = 0.0
-    reach = 2.0 * math.pi if unit(machine, joint) == "rad" else 1.0
-    for share in np.arange(_POSES) / _POSES:
+    reach = 2.0 * math.pi if machine.unit(joint) == "rad" else 1.0
+    for share in np.arange(12) / 12.0:
         data.qpos[:] = model.qpos0
         data.qpos[address] += share * reach
         mujoco.mj_forward(model, data)
@@ -80,7 +74,7 @@ def drive_damping(machine: Machine, joint: str) -> float:
 
 def travel(machine: Machine, joint: str) -> float:
     """Displacement that matters at a joint: 1 rad, or 0.2 m of a slide."""
-    return 1.0 if unit(machine, joint) == "rad" else 0.2
+    return 1.0 if machine.unit(joint) == "rad" else 0.2
 
 
 def one(machine: Machine, joint: str) -> float:
@@ -155,7 +149,7 @@ class JointRow:
     def parameter(self, machine: Machine, joint: str, own: float) -> EffectParameter:
         """The parameter on a joint that has a value of its own, 0 where it has none."""
         size = self.size(machine, joint)
-        if unit(machine, joint) == "m":
+        if machine.unit(joint) == "m":
             size *= self.slide
         half = (0.5 * own,) if self.field and own > self.half_above * size else ()
         return EffectParameter(

@@ -11,7 +11,6 @@ from leglab.diagnosis.effects.joints import JointEffect, JointRow
 from leglab.diagnosis.plant.model import Change, Machine
 
 _AXES = {"roll": (1.0, 0.0, 0.0), "pitch": (0.0, 1.0, 0.0), "yaw": (0.0, 0.0, 1.0)}
-_PROBE = 0.02  # rad
 # A tilt that changes no joint force by more than this share of its scale cannot be seen.
 _SEEN = 1e-3
 
@@ -85,13 +84,13 @@ class BaseTilt(Effect):
             data.qpos[:] = model.qpos0 + shift
             mujoco.mj_fwdPosition(model, data)
             for axis, found in forces.items():
-                # Linear in gravity, and the model itself stays as it is.
-                turn = _turn(gravity, axis, _PROBE) - _turn(gravity, axis, -_PROBE)
+                # Per rad of a small tilt; linear in gravity, and the model itself stays as it is.
+                turn = np.cross(_AXES[axis], gravity)
                 force = np.zeros(model.nv)
                 for body in range(1, model.nbody):
                     weight = model.body_mass[body] * turn
                     mujoco.mj_applyFT(model, data, weight, zero, data.xipos[body], body, force)
-                found.append(force / scale / (2.0 * _PROBE))
+                found.append(force / scale)
         return tuple(axis for axis, found in forces.items() if np.ptp(found, axis=0).max() > _SEEN)
 
 

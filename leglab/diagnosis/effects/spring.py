@@ -90,7 +90,7 @@ class SpringHardening(JointEffect):
         """The coefficient of the cubic part: k2 of the element that is there, else a new k3."""
         own = _of_spring(machine, element, "k2")
         size = joints.force_scale(machine, element)
-        if joints.unit(machine, element) == "m":
+        if machine.unit(element) == "m":
             size *= 100.0  # a slide moves some decimetres
         return (
             EffectParameter(
@@ -142,7 +142,7 @@ class SpringOffset(JointEffect):
         if spring and change.machine.parameter(spring, "k1") > 0:
             change.add_parameter(spring, "rest_position", shift)
             return
-        hinge = joints.unit(change.machine, element) == "rad"
+        hinge = change.machine.unit(element) == "rad"
 
         def edit(spec: mujoco.MjSpec) -> None:
             degrees = hinge and spec.compiler.degree

@@ -88,7 +88,7 @@ def admit(
     usable, slow = _fast_enough(usable, thresholds)
     dropped |= slow
     _check_roles(usable, dropped, held)
-    columns = _pressures(machine, usable, held)
+    columns = _pressures(usable, held)
     without = {n: e for n, e in usable.items() if not columns <= e.pressures}
     usable = {n: e for n, e in usable.items() if n not in without}
     for name, entry in without.items():
@@ -157,9 +157,7 @@ def _fast_enough(
     return {n: e for n, e in usable.items() if n not in slow}, slow
 
 
-def _pressures(
-    machine: Machine, usable: Mapping[str, _Entry], held: tuple[str, ...]
-) -> frozenset[str]:
+def _pressures(usable: Mapping[str, _Entry], held: tuple[str, ...]) -> frozenset[str]:
     """Pressure columns to use: the more, the better, yet not at the price of most recordings."""
     total = sum(e.recording.duration for e in usable.values())
     found = frozenset.intersection(*(e.pressures for e in usable.values()))
@@ -375,48 +373,38 @@ def _doubts(
     machine: Machine, name: str, recording: Recording, limits: Thresholds
 ) -> Iterator[Remark]:
     """Remarks on columns that are used."""
+
+    def remark(text: str, place: str) -> Remark:
+        return Remark(text=text, recording=name, place=place)
+
+    measured = {c: v for c, v in recording.columns.items() if not c.endswith("_command")}
     for column, values in recording.columns.items():
-        finite = np.isfinite(values)
-        bad = int((~finite).sum())
-        if bad:
-            yield Remark(text="samples without a number", recording=name, place=f"{column!r} {bad}")
-        measured = not column.endswith("_command")
-        if measured and finite.sum() > 1 and np.ptp(values[finite]) == 0.0:
-            yield Remark(
-                text="the same in every row, at rest or a sensor that is not connected",
-                recording=name,
-                place=f"{column!r} {values[finite][0]:.6g}",
-            )
-    model = machine.base.model
+        known = values[np.isfinite(values)]
+        if known.size < values.size:
+            yield remark("samples without a number", f"{column!r} {values.size - known.size}")
+        if column in measured and known.size > 1 and np.ptp(known) == 0.0:
+            text = "the same in every row, at rest or a sensor that is not connected"
+            yield remark(text, f"{column!r} {known[0]:.6g}")
     for actuator in machine.actuators:
-        entry = model.actuator(actuator)
+        entry = machine.base.model.actuator(actuator)
         if not entry.ctrllimited[0]:
             continue
-        low, high = (float(x) for x in entry.ctrlrange)
+        low, high = entry.ctrlrange.tolist()
         values = recording[f"{actuator}_command"]
         outside = int(((values < low) | (values > high)).sum())
         if outside:
-            yield Remark(
-                text="a command leaves its range, the model clips it",
-                recording=name,
-                place=f"'{actuator}_command' beyond [{low:g}, {high:g}] in {outside} samples",
-            )
-    for column, values in recording.columns.items():
-        if column.endswith("_command"):
-            continue
+            place = f"'{actuator}_command' beyond [{low:g}, {high:g}] in {outside} samples"
+            yield remark("a command leaves its range, the model clips it", place)
+    for column, values in measured.items():
         low, high = np.nanmin(values), np.nanmax(values)
         # What rests elsewhere as long is no saturated sensor.
-        resting = _longest_run(
-            (np.diff(values) == 0.0) & (values[1:] != low) & (values[1:] != high)
-        )
+        inside = (values[1:] != low) & (values[1:] != high)
+        resting = _longest_run((np.diff(values) == 0.0) & inside)
         for limit, word in ((low, "smallest"), (high, "largest")):
             run = _longest_run(values == limit)
             if max(limits.saturated_samples, 2 * resting) <= run < 0.9 * values.size:
-                yield Remark(
-                    text="an extreme value holds, is the sensor saturated?",
-                    recording=name,
-                    place=f"{column!r} {word} {limit:.6g} for {run} samples",
-                )
+                place = f"{column!r} {word} {limit:.6g} for {run} samples"
+                yield remark("an extreme value holds, is the sensor saturated?", place)
 
 
 def _longest_run(mask: np.ndarray) -> int:

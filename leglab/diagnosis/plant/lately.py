@@ -1,37 +1,21 @@
 """Series that were followed along a recording lately: most trials of a search leave them alike."""
 
+from collections import defaultdict, deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
-_KEPT = 3  # of one name
 
-
-@dataclass(frozen=True, eq=False)
-class Followed:
-    """A result and all that it follows from.
-
-    Attributes:
-        inputs: Arrays.
-        by: What followed them.
-        result: What came of it.
-    """
-
-    inputs: tuple[np.ndarray, ...]
-    by: object
-    result: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
 class Lately:
     """The last few results of each name, by all that they follow from.
 
     Attributes:
-        found: Results by name, the one used last at the end.
+        found: By name: inputs, what followed them, and the result; the one used last at the end.
     """
 
-    found: dict[str, list[Followed]] = field(default_factory=dict)
+    def __init__(self) -> None:
+        self.found: defaultdict[str, deque[tuple[tuple[np.ndarray, ...], object, np.ndarray]]]
+        self.found = defaultdict(lambda: deque(maxlen=3))
 
     def get(
         self,
@@ -50,11 +34,11 @@ class Lately:
             follow: Computes the result.
             by: The model that it depends on, the same object for the same model.
         """
-        known = self.found.setdefault(name, [])
+        known = self.found[name]
         for place, one in enumerate(known):
-            if one.by is by and all(map(np.array_equal, one.inputs, inputs)):
-                known.append(known.pop(place))
-                return one.result
-        known.append(Followed(tuple(inputs), by, follow()))
-        del known[:-_KEPT]
-        return known[-1].result
+            if one[1] is by and all(map(np.array_equal, one[0], inputs)):
+                del known[place]
+                known.append(one)
+                return one[2]
+        known.append((tuple(inputs), by, follow()))
+        return known[-1][2]

@@ -29,8 +29,8 @@ _SIMPLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _CACHED_VARIANTS = 64
 # Models are compiled one at a time.
 _COMPILING = Lock()
-# Share of an actuator's largest moment below which another is rounding, see `moved`.
-_ROUNDING = 1e-9
+# Share of a machine's largest moment, or inertia, below which another is rounding, see `moved`.
+ROUNDING = 1e-9
 # Of a parameter that must be more than its minimum, this share of what the model has beyond it.
 _LEAST_SHARE = 0.05
 
@@ -231,7 +231,7 @@ def moved(moments: np.ndarray) -> np.ndarray:
     thousandth of the machine. A joint that is moved has a share that somebody built.
     """
     size = np.abs(moments)
-    return np.flatnonzero(size > _ROUNDING * size.max())
+    return np.flatnonzero(size > ROUNDING * size.max())
 
 
 @dataclass(frozen=True, kw_only=True)

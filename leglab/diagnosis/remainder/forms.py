@@ -347,7 +347,7 @@ def _periodic(
     # A spline may fit a little better than sines do, but no cubic that needs no period.
     powers = _mean(fits.balance, (x / span)[:, :, None] ** np.arange(4))
     cubic = replace(own, columns=powers, penalty=np.zeros((4, 4)), smoothing=0.0)
-    room = limits.as_good * (alone - float(left.sum()))
+    room = limits.worthwhile * (alone - float(left.sum()))
     allowed = min(float(left.sum()) + room, float(fits.errors((*others, cubic)).sum()))
     # From a little more than the range to a twentieth of it. With free overtones anything is
     # periodic, unless it repeats.
@@ -356,7 +356,9 @@ def _periodic(
         tried = frequencies[frequencies * span >= repeats]
         costs = np.array([misfit(f, harmonics) for f in tried])
         # Half the frequency with every second harmonic is the same: the highest that does it.
-        near = np.flatnonzero(costs <= costs.min() + limits.as_good * max(alone - costs.min(), 0.0))
+        near = np.flatnonzero(
+            costs <= costs.min() + limits.worthwhile * max(alone - costs.min(), 0.0)
+        )
         best = None
         for start in sorted({int(near[-1]), int(np.argmin(costs))}, reverse=True):
             low, high = tried[max(start - 1, 0)], tried[min(start + 1, costs.size - 1)]
@@ -366,7 +368,7 @@ def _periodic(
             )  # fmt: skip
             terms = (*others, fits.sines(own, 1.0 / found.x, harmonics))
             errors = float(fits.errors(terms).sum())
-            if best is None or errors < (1.0 - limits.as_good) * best[0]:
+            if best is None or errors < (1.0 - limits.worthwhile) * best[0]:
                 best = errors, terms, 1.0 / float(found.x)
         if best is not None and best[0] <= allowed:
             return best[1], best[2]

@@ -9,7 +9,6 @@ import numpy as np
 
 from leglab.diagnosis.balance.balances import balances
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
-from leglab.diagnosis.effects.joints import unit
 from leglab.diagnosis.plant.model import CYLINDER
 from leglab.diagnosis.remainder.forms import Form, choose_form, usable
 from leglab.diagnosis.remainder.part import Part
@@ -169,7 +168,7 @@ def _proved(
         parts=tuple(part for part, _ in learned),
         hypothesis=beside,
         described=tuple(
-            describe(part, form.balance.inputs, unit(problem.machine, part.joint))
+            describe(part, form.balance.inputs, problem.machine.unit(part.joint))
             for part, form in learned
         ),
         problem=final,
@@ -192,7 +191,7 @@ def pays(before: np.ndarray, after: np.ndarray, limits: Thresholds) -> bool:
     spread = float(saved.std(ddof=1)) / np.sqrt(saved.size)
     excess = max(float(cost.mean()), limits.explained) - 1.0
     mean = float(saved.mean())
-    return mean > limits.beyond_chance * spread and mean > limits.worthwhile * excess
+    return bool(mean > limits.beyond_chance * spread and mean > limits.worthwhile * excess)
 
 
 def has_memory(problem: Problem, hypothesis: Hypothesis) -> bool:

@@ -7,17 +7,14 @@ from typing import Any, Literal
 import numpy as np
 
 from leglab.diagnosis.remainder.part import Part, Period
+from leglab.diagnosis.remainder.splines import Spline
+from leglab.diagnosis.thresholds import DEFAULT
 
 Parity = Literal["odd", "even", "mixed"]
 
-# Share of a curve's squares that must be odd, even or on one side of zero to be called so.
-_CLEARLY = 0.85
-# A curve saturates if it changes by less than this share of the whole in its outer quarters.
-_FLAT = 0.12
-# Quantiles of the data between which sizes are told.
-_USUAL = (0.01, 0.99)
-# Terms below this share of the largest are not told.
-_TOLD = 0.1
+# Less than this share of a thing is hardly there: terms beside larger ones, the other parity of a
+# curve, its other side, or its change in the outer quarters.
+_HARDLY = DEFAULT.smaller_share
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,13 +78,13 @@ def describe(part: Part, inputs: Mapping[str, np.ndarray], unit: str) -> Describ
     for variable, spline in part.terms.items():
         x = inputs[variable].ravel()
         constant += float(spline(x).mean())
-        low, high = np.quantile(x, _USUAL).tolist()
+        low, high = np.quantile(x, (0.01, 0.99)).tolist()
         period = part.period if variable == "position" else None
         shapes.append(_shape(variable, spline, low, high, period))
     shapes.sort(key=lambda s: -s.size)
     force = "1" if part.oil else ("N m" if unit == "rad" else "N")
-    told = [s for s in shapes if s.size >= _TOLD * shapes[0].size]
-    flat = shapes[0].size < 0.2 * abs(constant)
+    told = [s for s in shapes if s.size >= _HARDLY * shapes[0].size]
+    flat = shapes[0].size < _HARDLY * abs(constant)
     text = _constant(part, constant, force) if flat else ""
     if not flat:
         text = ", and ".join(_sentence(part, shape, force, unit) for shape in told)
@@ -96,75 +93,84 @@ def describe(part: Part, inputs: Mapping[str, np.ndarray], unit: str) -> Describ
     )
 
 
-def _shape(variable: str, spline: Any, low: float, high: float, period: Period | None) -> Shape:
+def _shape(variable: str, spline: Spline, low: float, high: float, period: Period | None) -> Shape:
     x = np.linspace(low, high, 401)
     y = spline(x)
     parity: Parity | None = None
     one_sided: Literal["positive", "negative"] | None = None
     reach = min(-low, high)
-    if variable != "position" and reach > 0.2 * max(-low, high):
+    if variable != "position" and reach > _HARDLY * max(-low, high):
         arm = np.linspace(0.0, reach, 201)
         zero = float(spline(np.zeros(1))[0])
         forth, back = spline(arm) - zero, spline(-arm) - zero
-        odd, even = np.mean((0.5 * (forth - back)) ** 2), np.mean((0.5 * (forth + back)) ** 2)
-        share = float(odd / (odd + even + 1e-300))
-        parity = "odd" if share > _CLEARLY else "even" if share < 1.0 - _CLEARLY else "mixed"
-        ahead = float(np.mean(forth**2) / (np.mean(forth**2) + np.mean(back**2) + 1e-300))
-        if ahead > 0.95 or ahead < 0.05:
+        odd = _share((forth - back) ** 2, (forth + back) ** 2)
+        ahead = _share(np.abs(forth), np.abs(back))
+        parity = "odd" if odd > 1.0 - _HARDLY else "even" if odd < _HARDLY else "mixed"
+        if not _HARDLY <= ahead <= 1.0 - _HARDLY:
             one_sided = "positive" if ahead > 0.5 else "negative"
-    size = 0.5 * float(np.ptp(y))
-    outer = [np.ptp(y[: x.size // 4]), np.ptp(y[-(x.size // 4) :])]
-    inner = abs(y[3 * x.size // 4] - y[x.size // 4])
+    quarters = np.split(y[:400], 4)
+    size, outer = 0.5 * float(np.ptp(y)), max(np.ptp(quarters[0]), np.ptp(quarters[-1]))
+    inner = abs(quarters[-1][0] - quarters[1][0])
     return Shape(
         variable=variable,
         size=size,
         interval=(low, high),
         parity=parity,
         one_sided=one_sided,
-        saturating=bool(max(outer) < _FLAT * 2.0 * size and inner > size),
-        rising=bool(np.corrcoef(x, y)[0, 1] > 0.0) if size > 0.0 else False,
+        saturating=bool(outer < _HARDLY * 2.0 * size and inner > size),
+        rising=size > 0.0 and bool(np.corrcoef(x, y)[0, 1] > 0.0),
         period=period,
     )
 
 
+def _share(one: np.ndarray, other: np.ndarray) -> float:
+    """Share of two that the first has."""
+    return float(np.sum(one) / (np.sum(one) + np.sum(other) + 1e-300))
+
+
 def _constant(part: Part, value: float, force: str) -> str:
-    if part.oil:
-        return f"a constant opening of {part.element}, {100 * value:.2g} % of full travel"
-    kind = "torque" if force == "N m" else "force"
-    return f"a constant {kind} on the {part.element}, {value:.3g} {force}"
+    thing = f"opening of {part.element}" if part.oil else f"{_kind(force)} on the {part.element}"
+    return f"a constant {thing}, {_size(part, value, force)}"
+
+
+def _kind(force: str) -> str:
+    return "torque" if force == "N m" else "force"
+
+
+def _size(part: Part, value: float, force: str, digits: int = 3) -> str:
+    return f"{100 * value:.2g} % of full travel" if part.oil else f"{value:.{digits}g} {force}"
 
 
 def _sentence(part: Part, shape: Shape, force: str, unit: str) -> str:
-    size = f"{100 * shape.size:.2g} % of full travel" if part.oil else f"{shape.size:.3g} {force}"
-    kind = "torque" if force == "N m" else "force"
-    thing = f"an opening of {part.element}" if part.oil else f"a {kind}"
+    size = _size(part, shape.size, force)
+    thing = f"an opening of {part.element}" if part.oil else f"a {_kind(force)}"
     where = "" if part.oil else f" of the {part.element}"
+    low, high = shape.interval
     if shape.period is not None:
         period = shape.period
-        seen = (shape.interval[1] - shape.interval[0]) / period.length
-        size = f"{period.amplitudes[0]:.2g} {force}"
+        size = _size(part, period.amplitudes[0], force, digits=2)
         if len(period.amplitudes) > 1:
             size += f" with {len(period.amplitudes) - 1} overtones"
+        seen = (high - low) / period.length
         once = f" (the recordings show {seen:.1f} of it)" if seen < 1.5 else ""
         return f"{thing} that repeats every {period.length:.3g} {unit}{where}, {size}{once}"
     if shape.variable == "position":
-        low, high = shape.interval
         way = f"between {low:.2g} and {high:.2g} {'m' if part.oil else unit}"
         return f"{thing} that depends on the position{where} {way}, {size}"
-    side = {"positive": "forward", "negative": "backward"}.get(shape.one_sided or "")
     if shape.variable == "velocity" and not part.oil:
         if shape.parity == "odd":
+            lacks = "friction that the model lacks"
+            more = "less friction than the model has" if shape.rising else lacks
             form = "like dry friction" if shape.saturating else "growing with speed"
-            more = f"friction that the model lacks, {form}"
-            less = f"less friction than the model has, {form}"
-            return f"{less if shape.rising else more}{where}, {size}"
-        if side:
+            return f"{more}, {form}{where}, {size}"
+        if shape.one_sided:
+            side = {"positive": "forward", "negative": "backward"}[shape.one_sided]
             return f"{thing} that acts in {side} motion only{where}, {size}"
         if shape.parity == "even":
             return f"{thing} that depends on speed in either direction alike{where}, {size}"
         return f"{thing} of the velocity that differs by direction{where}, {size}"
-    name = {"velocity": "speed", "load": "load", "command": "command"}[shape.variable]
-    form = {"odd": ", odd", "even": ", alike for both signs", "mixed": ""}[shape.parity or "mixed"]
+    name = "speed" if shape.variable == "velocity" else shape.variable
+    form = {"odd": ", odd", "even": ", alike for both signs"}.get(shape.parity or "", "")
     if shape.one_sided:
         form = f", for {shape.one_sided} {name} only"
     flat = ", flat at both ends" if shape.saturating else ""

@@ -5,14 +5,14 @@ import numpy as np
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.result import Proposal
-from leglab.diagnosis.thresholds import DEFAULT
+
+# Every excitation is tried with small and large commands, as shares of the present range, for 1 s.
+_AMPLITUDES, _DURATION = (0.3, 1.0), 1.0
 
 
-def catalogue(
-    samples: int, period: float, tones: tuple[float, ...] = DEFAULT.experiment_tones
-) -> dict[str, np.ndarray]:
+def catalogue(samples: int, period: float) -> dict[str, np.ndarray]:
     """Excitations of unit amplitude by name, each (samples,)."""
-    time = period * np.arange(samples)
+    time, tones = period * np.arange(samples), (0.7, 1.9, 4.3, 8.9)
     multisine = sum(np.sin(2.0 * np.pi * f * time + i) for i, f in enumerate(tones))
     return {
         "slow sine, 1 Hz": np.sin(2.0 * np.pi * time),
@@ -31,20 +31,14 @@ def propose(problem: Problem, rivals: dict[str, Hypothesis]) -> Proposal | None:
     noise levels, is proposed; None where no excitation separates them.
     """
     (one, first), (other, second) = list(rivals.items())[:2]
-    replay, limits = problem.replay, problem.thresholds
-    period = problem.series[0].period
-    samples = round(limits.experiment_duration / period)
-    commands = np.stack(
-        [
-            np.concatenate([s.columns[f"{a}_command"] for s in problem.series])
-            for a in problem.machine.actuators
-        ],
-        axis=1,
-    )
+    replay, period = problem.replay, problem.series[0].period
+    names = [f"{actuator}_command" for actuator in problem.machine.actuators]
+    rows = [np.stack([s.columns[name] for name in names], axis=1) for s in problem.series]
+    commands = np.concatenate(rows)
     middle = np.median(commands, axis=0)
     reach = np.ptp(np.quantile(commands, [0.02, 0.98], axis=0), axis=0) / 2.0
-    waves = catalogue(samples, period, limits.experiment_tones)
-    tried = [(name, amplitude) for name in waves for amplitude in limits.experiment_amplitudes]
+    waves = catalogue(round(_DURATION / period), period)
+    tried = [(name, amplitude) for name in waves for amplitude in _AMPLITUDES]
     series = [middle + amplitude * reach * waves[name][:, None] for name, amplitude in tried]
     speeds = replay.measured()[:, 0, :10]
     calm = int(np.argmin(np.abs(speeds[:, -1] - speeds[:, 0])))

@@ -8,12 +8,10 @@ import mujoco
 import numpy as np
 
 from leglab.diagnosis.effects.hypothesis import Key
-from leglab.diagnosis.plant.model import Machine
+from leglab.diagnosis.plant.model import ROUNDING, Machine
 from leglab.diagnosis.replay.residual import Problem
 
 _DELAYS = ("command_delay", "sensor_delay")
-# Correlation in the mass matrix below which two joints do not feel each other: rounding.
-_COUPLED = 1e-9
 
 
 def twins(problem: Problem, key: Key) -> tuple[Key, ...]:
@@ -45,5 +43,5 @@ def coupled_joints(machine: Machine) -> tuple[str, ...]:
         mujoco.mj_fullM(model, data, mass)
         own = np.sqrt(np.diag(mass))
         share = np.abs(mass) / np.outer(own, own) - np.eye(model.nv)
-        found |= set(np.flatnonzero((share > _COUPLED).any(axis=1)).tolist())
+        found |= set(np.flatnonzero((share > ROUNDING).any(axis=1)).tolist())
     return tuple(machine.joints[int(model.dof_jntid[k])] for k in sorted(found))

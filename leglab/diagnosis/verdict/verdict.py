@@ -15,7 +15,6 @@ from leglab.base.threads import one_blas_thread
 from leglab.diagnosis.balance.isolation import isolate, sample_places
 from leglab.diagnosis.effects.base import EffectParameter
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key, Library, Site
-from leglab.diagnosis.effects.joints import unit
 from leglab.diagnosis.intake.admission import admit
 from leglab.diagnosis.intake.recordings import split_held_out
 from leglab.diagnosis.intake.remarks import Remark, merged
@@ -489,7 +488,7 @@ def _remaining(problem: Problem, final: Hypothesis, held: np.ndarray) -> tuple[R
     return tuple(
         Remaining(
             channel=channel.column,
-            unit="Pa" if channel.chamber else unit(problem.machine, channel.joint),
+            unit="Pa" if channel.chamber else problem.machine.unit(channel.joint),
             horizon=problem.replay.window,
             before=rms(before[:, k] ** 2),
             after=rms(after[:, k] ** 2),
@@ -679,7 +678,7 @@ def traces(problem: Problem, final: Hypothesis) -> tuple[ResidualTrace, ...]:
                 ResidualTrace(
                     recording=series.name,
                     channel=channel.column,
-                    unit="Pa" if channel.chamber else unit(problem.machine, channel.joint),
+                    unit="Pa" if channel.chamber else problem.machine.unit(channel.joint),
                     time=series.time[index],
                     position=q[index],
                     velocity=np.gradient(q, period)[index],

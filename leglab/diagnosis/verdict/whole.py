@@ -12,16 +12,11 @@ import mujoco
 import numpy as np
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis
-from leglab.diagnosis.effects.joints import unit
 from leglab.diagnosis.plant.moments import STATE
 from leglab.diagnosis.replay.replay import Course
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.result import WholeRecording
 from leglab.machine.plugin import headless
-
-# Share of an error that the loop takes off in the length of a replay window: all of it. In 0.3 s
-# that is a rate of 3.3 rad/s, softer than the loops that legs and axes are run with.
-LOOP = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,7 +76,7 @@ def whole_recording(problem: Problem, final: Hypothesis) -> WholeRecording | Non
     return WholeRecording(
         recording=problem.series[recording].name,
         joint=joint,
-        unit=unit(machine, joint),
+        unit=machine.unit(joint),
         actuator=actuator,
         time=before.time,
         measured=measured,
@@ -98,7 +93,7 @@ def follow(
     hypothesis: Hypothesis,
     recording: int,
     *,
-    loop: float = LOOP,
+    loop: float = 1.0,
     after: float = -np.inf,
 ) -> Followed | None:
     """Simulates a recording from its first window on, to its end or its first gap.
@@ -107,7 +102,8 @@ def follow(
         problem: Recordings and machine.
         hypothesis: What is simulated, throughout.
         recording: Which one.
-        loop: Share of an error that the loop takes off in the length of a window; 0: none.
+        loop: Share of an error that the loop takes off in the length of a window: all of it, in
+            0.3 s softer than the loops that legs and axes are run with; 0 for none.
         after: The first window starts at this time or later [s].
 
     Returns:

@@ -1,11 +1,11 @@
-"""All effects as Markdown.
-
-`python -m leglab.diagnosis.effects.catalogue > docs/effect_table.md`.
-"""
+"""Writes docs/effect_table.md from the effects themselves: `python docs/make_effect_table.py`."""
 
 from itertools import groupby
+from pathlib import Path
 
 from leglab.diagnosis.effects import Effect, all_effects
+
+PAGE = Path(__file__).with_name("effect_table.md")
 
 
 def markdown_table() -> str:
@@ -13,7 +13,7 @@ def markdown_table() -> str:
     lines = [
         "# Effects that the diagnosis can name",
         "",
-        "Made by `python -m leglab.diagnosis.effects.catalogue > docs/effect_table.md`.",
+        "Made by `python docs/make_effect_table.py`.",
     ]
     known = all_effects()
     rows = sorted(
@@ -38,4 +38,4 @@ def _row(effect: Effect) -> str:
 
 
 if __name__ == "__main__":
-    print(markdown_table(), end="")
+    PAGE.write_text(markdown_table())
