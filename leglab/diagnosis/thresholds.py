@@ -19,13 +19,8 @@ class Thresholds:
     beyond_range: float = 0.5
     # A joint that turns further than this without a limit [rad], twice around and back, is a wheel.
     far: float = 4.0 * math.pi
-    # No hydraulic machine runs its whole recording below this pressure [Pa]: 0.1 bar.
-    no_pressure: float = 1e4
     # So many equal samples at a limit in a row look like a saturated sensor.
     saturated_samples: int = 20
-    # A recording is too slow for the others if its period is this many times theirs, and longer
-    # than two bins.
-    slowest_factor: float = 5.0
     # Share of a single recording that is held out, at its end.
     held_out_share: float = 0.3
 
@@ -34,8 +29,9 @@ class Thresholds:
     # that were meant to be differ by less, others by more. Up to this share of rows is lost, and
     # of a period stamps jitter, without a word.
     same: float = 0.02
-    # Stamps this near to the grid, in periods, are on it: rounding of a time column, not jitter.
-    on_grid: float = 1e-3
+    # Shares that do not matter: of a period by which stamps miss the grid, which is rounding of a
+    # time column and no jitter, and of what a signal moves.
+    negligible: float = 1e-3
     # Samples of the parabola through the neighbours of a value on the grid. Between samples half
     # as many periods apart a value is measured; across a whole one, or a bin, it is where the
     # parabola fits.
@@ -67,7 +63,8 @@ class Thresholds:
     # Windows start at the calmest sample within this share of their length from a regular grid.
     start_room: float = 0.35
     # A chamber below this gauge pressure [Pa] may hold vapour, whose amount no sensor tells: no
-    # window starts there, and what a window says after such a moment does not count.
+    # window starts there, and what a window says after such a moment does not count. No machine
+    # runs its whole recording there.
     vapour_pressure: float = 2e4
     # Where no pressures are measured, a replay of this time [s] before a window, which forgets
     # where it began, says what they are at its start.
@@ -110,25 +107,22 @@ class Thresholds:
     smaller_share: float = 0.1
     # Strengths of a calibrated specimen that are listed depart by this share of barely noticeable.
     calibration_share: float = 0.25
-
-    # Effects are written into an improved model from this confidence on.
+    # `leglab improve` writes effects into a model from this confidence on.
     sure: float = 0.8
 
-    # What is learned.
+    # What is learned from balances of force and oil.
+    # A joint slower than this share of its usual speed rests: its friction is anything up to a
+    # limit.
+    resting_speed: float = 0.03
     # A change is worthwhile if it saves this share of the misfit, what is simpler as good if it
     # costs no more of what was gained ...
     worthwhile: float = 0.05
     # ... by more than so many standard errors over blocks or windows.
     beyond_chance: float = 2.5
-    # Windows to which replays are fitted, as many as a balance needs at least, and directions of
-    # what its estimate leaves open that they refine: a replay each.
+    # Windows to which replays are fitted, as many as a balance needs at least: several for each of
+    # these directions, which replays refine of what its estimate leaves open.
     learned_windows: int = 60
     learned_directions: int = 24
-
-    # Balances of force and oil.
-    # A joint slower than this share of its usual speed rests: its friction is anything up to a
-    # limit.
-    resting_speed: float = 0.03
 
 
 DEFAULT = Thresholds()

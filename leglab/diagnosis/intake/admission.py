@@ -146,13 +146,16 @@ def _unused(name: str, entry: _Entry, columns: frozenset[str]) -> Iterator[Remar
 def _fast_enough(
     usable: dict[str, _Entry], limits: Thresholds
 ) -> tuple[dict[str, _Entry], dict[str, str]]:
-    """Recordings that do not slow down the others beyond use, and why the rest do."""
+    """Recordings that do not slow down the others beyond use, and why the rest do.
+
+    Where others have two samples in a bin, all have one in two bins at least.
+    """
     periods = {n: Clock.of(e.recording.time, n).period for n, e in usable.items()}
     fastest = min(periods.values())
     slow = {
         name: f"sampled every {period:.4g} s only, the others every {fastest:.4g} s"
         for name, period in periods.items()
-        if period > max(2.0 * limits.bin, limits.slowest_factor * fastest)
+        if fastest <= 0.5 * limits.bin and period > 2.0 * limits.bin
     }
     return {n: e for n, e in usable.items() if n not in slow}, slow
 
@@ -195,7 +198,7 @@ def _entry(machine: Machine, name: str, recording: Recording, limits: Thresholds
     lost = {
         column: why
         for column, cylinder in known.items()
-        if (why := _pressure_fault(machine, recording, column, cylinder, limits.no_pressure))
+        if (why := _pressure_fault(machine, recording, column, cylinder, limits.vapour_pressure))
     }
     return _Entry(
         recording=own,

@@ -18,7 +18,8 @@ from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
-_ON_GRID = DEFAULT.on_grid
+# Stamps this near to the grid, in periods, are on it.
+_ON_GRID = DEFAULT.negligible
 # Differences below this share of the largest value are rounding of floats.
 _FLOAT = float(np.sqrt(np.finfo(float).eps))
 # Where jitter and lost rows hide the beat of a clock, its period is known to this share only.
@@ -362,7 +363,7 @@ class _Log:
         rest = samples - fit.value[place] - fit.slope[place] * away - fit.bend[place] * away**2
         shown = readings_change(samples, fit.neighbours.shape[1])
         scatter = _robust(rest[shown]) / np.sqrt(1.0 - fit.leverage)
-        least = max(scatter, self.step / np.sqrt(12.0), _ON_GRID * float(np.std(samples)))
+        least = max(scatter, self.step / np.sqrt(12.0), DEFAULT.negligible * float(np.std(samples)))
         smooth = fit.misfit <= limits.certain * least
         _, width = self.around(period, count)
         known = self._known(np.where(number > 0, 0.0, width), smooth, period, limits)

@@ -205,4 +205,5 @@ def has_memory(problem: Problem, hypothesis: Hypothesis) -> bool:
     own = residual / (np.sqrt(np.mean(residual**2, axis=(1, 2), keepdims=True)) + 1e-300)
     alike = float(np.mean(own[:, :, 1:] * own[:, :, :-1]) / np.mean(own**2))
     share = problem.thresholds.explanation_share
+    # A rest of tenths of a second is as alike in neighbouring bins of hundredths.
     return alike > 0.3 and all(form.gain < share for form in find_forms(problem, hypothesis))

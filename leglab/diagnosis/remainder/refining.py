@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,41 +22,15 @@ from leglab.diagnosis.replay.residual import (
 _STEP = 0.5
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Directions:
-    """Values of all forms' unknowns about the balances' estimate, along principal directions.
+def directions(form: Form, most: int) -> np.ndarray:
+    """Principal directions in which a balance leaves its form's unknowns most open.
 
-    Attributes:
-        forms: Of all parts.
-        directions: Of each form, in standard deviations: (unknowns, directions).
+    Shape (unknowns, directions), in standard deviations.
     """
-
-    forms: tuple[Form, ...]
-    directions: tuple[np.ndarray, ...]
-
-    @classmethod
-    def of(cls, forms: Sequence[Form], most: int) -> "Directions":
-        """The directions in which the balances leave most open, about so many of all parts."""
-        each = max(3, most // max(len(forms), 1))
-        found = []
-        for form in forms:
-            scale = np.sqrt(np.maximum(np.diag(form.covariance), 1e-300))
-            values, vectors = np.linalg.eigh(form.covariance / np.outer(scale, scale))
-            order = np.argsort(-values)[:each]
-            root = np.sqrt(np.maximum(values[order], 0.0))
-            found.append(scale[:, None] * vectors[:, order] * root)
-        return cls(forms=tuple(forms), directions=tuple(found))
-
-    @property
-    def count(self) -> int:
-        """Number of directions."""
-        return sum(d.shape[1] for d in self.directions)
-
-    def parts(self, z: np.ndarray) -> tuple[Part, ...]:
-        """The parts at a place along the directions, (directions,), in standard deviations."""
-        ends = np.cumsum([d.shape[1] for d in self.directions])[:-1]
-        rows = zip(self.forms, self.directions, np.split(z, ends), strict=True)
-        return tuple(part_of(form, form.values + along @ own) for form, along, own in rows)
+    scale = np.sqrt(np.maximum(np.diag(form.covariance), 1e-300))
+    values, vectors = np.linalg.eigh(form.covariance / np.outer(scale, scale))
+    order = np.argsort(-values)[:most]
+    return np.asarray(scale[:, None] * vectors[:, order] * np.sqrt(np.maximum(values[order], 0.0)))
 
 
 def part_of(form: Form, values: np.ndarray) -> Part:
@@ -101,14 +75,17 @@ def refine(
     """
     limits = problem.thresholds
     chosen = thinned(problem.fitted, limits.learned_windows)
-    directions = Directions.of(forms, limits.learned_directions)
+    each = max(3, limits.learned_directions // len(forms))
+    along = [directions(form, each) for form in forms]
+    ends = np.cumsum([one.shape[1] for one in along])
     u = Unknowns.of(problem.library)
     # What differs between good machines follows.
     loose = [i for i in range(u.single) if u.tolerance[i] > 0.0 and u.keys[i] not in fixed]
-    count, z, base = directions.count, np.zeros(directions.count), hypothesis
+    count, z, base = ends[-1], np.zeros(ends[-1]), hypothesis
 
-    def there(z: np.ndarray) -> Problem:
-        return with_parts(problem, directions.parts(z))
+    def parts(z: np.ndarray) -> tuple[Part, ...]:
+        rows = zip(forms, along, np.split(z, ends[:-1]), strict=True)
+        return tuple(part_of(form, form.values + axes @ own) for form, axes, own in rows)
 
     def moved(step: np.ndarray) -> tuple[np.ndarray, Hypothesis, np.ndarray]:
         """Place and hypothesis after a step, and its departures from the priors' means."""
@@ -120,10 +97,10 @@ def refine(
     for iteration in range(iterations):
         # The noise model of a base without its parts tells little of start states.
         if iteration < 2:
-            noise = there(z).about(base).noise
+            noise = with_parts(problem, parts(z)).about(base).noise
 
         def errors(z: np.ndarray, base: Hypothesis, noise: NoiseModel = noise) -> np.ndarray:
-            replayed = there(z)
+            replayed = with_parts(problem, parts(z))
             replayed.noise = noise
             return replayed.residual(base, chosen)
 
@@ -148,7 +125,7 @@ def refine(
         z, base = new_z, new_base
         if before - after < 1e-2 * before:
             break
-    return directions.parts(z), base
+    return parts(z), base
 
 
 def _step(

@@ -19,6 +19,8 @@ NEAR, BEHIND = 10.0, 3.0
 PATTERNS, HOPEFUL, ADDITIONS = 3, 6, 16
 # Members of a set.
 LARGEST = 7
+# Memory for products of linearisations that are kept [bytes]: a small part of any computer's.
+MEMORY = 5e8
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,25 +60,30 @@ class Proposal:
 
 
 class Compared:
-    """Evidence of sets at linearisations, of which products and scores are made once."""
+    """Evidence of sets at linearisations: scores are made once, products as far as memory goes."""
 
     def __init__(self, fitter: Fitter) -> None:
         self.fitter = fitter
-        self._made: dict[tuple[int, ...], Evidence] = {}
-        self._scores: dict[tuple[int, float, tuple[int, ...]], Score] = {}
+        self._made: dict[tuple[Columns, Spread, Fit], Evidence] = {}
+        self._scores: dict[tuple[object, ...], Score] = {}
 
-    def score(
-        self, fit: Fit, at: Fit, spread: Spread, weight: np.ndarray, kappa: float
-    ) -> tuple[Evidence, Score]:
-        """A set at the point of a fit."""
-        key = id(at.columns), id(spread), id(weight)
+    def evidence(self, at: Fit, spread: Spread, by: Fit, kappa: float) -> Evidence:
+        """At the point of a fit, with a pattern of errors and the weights of another fit."""
+        key = at.columns, spread, by
         if key not in self._made:
-            self._made[key] = self.fitter.evidence(at.columns, spread, weight, kappa)
-        evidence = self._made[key].with_kappa(kappa)
-        known = id(self._made[key]), kappa, fit.members
-        if known not in self._scores:
-            self._scores[known] = evidence.score([(q, None) for q in fit.members])
-        return evidence, self._scores[known]
+            made = self.fitter.evidence(at.columns, spread, by.weight, kappa)
+            self._made[key] = made
+            while len(self._made) * made.gram.nbytes > MEMORY:
+                self._made.pop(next(iter(self._made)))
+        return self._made[key].with_kappa(kappa)
+
+    def score(self, fit: Fit, at: Fit, spread: Spread, by: Fit, kappa: float) -> Score:
+        """Of a set at the point of a fit; other arguments as of `evidence`."""
+        key = fit.members, at.columns, spread, by, kappa
+        if key not in self._scores:
+            members = [(q, None) for q in fit.members]
+            self._scores[key] = self.evidence(at, spread, by, kappa).score(members)
+        return self._scores[key]
 
 
 def rank(compared: Compared, fits: Sequence[Fit], kappa: float) -> list[Ranked]:
@@ -87,7 +94,6 @@ def rank(compared: Compared, fits: Sequence[Fit], kappa: float) -> list[Ranked]:
     own or another's, where it does best: a larger set is never worse than one that it holds.
     """
     near = sorted(fits, key=lambda f: f.level)[:PATTERNS]
-    weight = near[0].weight
     fixed = compared.fitter.fixed
     rows = []
     for fit in fits:
@@ -100,8 +106,10 @@ def rank(compared: Compared, fits: Sequence[Fit], kappa: float) -> list[Ranked]:
             and other.level <= fit.level
             and all(np.abs(other.columns.tangents[:, :, q]).max() > 0 for q in fit.members)
         ]
-        scored = [compared.score(fit, *there, weight, kappa) for there in tries]
-        rows.append(Ranked(fit, *max(scored, key=lambda entry: entry[1].log)))
+        scores = [compared.score(fit, *there, near[0], kappa) for there in tries]
+        place = int(np.argmax([score.log for score in scores]))
+        evidence = compared.evidence(*tries[place], near[0], kappa)
+        rows.append(Ranked(fit, evidence, scores[place]))
     best: dict[frozenset[Key], Ranked] = {}
     for row in sorted(rows, key=lambda r: -r.score.log):
         best.setdefault(row.fit.keys, row)
