@@ -3,6 +3,9 @@
 A mutant has one operator, number or comparison of a module changed. Each runs in a process of its
 own, forked when packages are loaded, with the tests named here, until the first one fails or some
 minutes are over. What no test notices is printed with its line.
+
+`--faults` puts in the faults of judging that stand here, each with the test of `make test` that
+looks for it, prints what turns red, and fails if a test stays green.
 """
 
 import argparse
@@ -14,7 +17,8 @@ import multiprocessing
 import os
 import random
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import pytest
@@ -22,6 +26,7 @@ import results
 
 ROOT = Path(__file__).parents[1]
 _VERDICT = ("tests/test_diagnosis_parts.py", "tests/test_diagnosis_verdicts.py")
+_MAKE_TEST = ("-m", "not slow and not soak")
 MODULES = {
     "leglab.runs.metrics": ("tests/test_metrics.py",),
     "leglab.runs.clock": ("tests/test_clock.py",),
@@ -31,6 +36,103 @@ MODULES = {
     "leglab.diagnosis.verdict.verdict": _VERDICT,
 }
 PATIENCE = 400.0  # s
+# Faults of judging: the module of leglab, its text, what is put in its place, and the test of
+# `make test` that must turn red.
+FAULTS = {
+    "a name is sure whatever is left": (
+        "diagnosis.verdict.confidence", "return float(odds / (1.0 + odds))", "return 1.0",
+        "test_a_cause_that_no_effect_describes_gives_no_sure_name",
+    ),
+    "rivals that fit as well are no ties": (
+        "diagnosis.verdict.confidence", "_ties(rows, first, key) if sure > NAMED else ()", "()",
+        "test_what_explains_the_recordings_as_well_stands_beside",
+    ),
+    "a name may lack a part of the recordings": (
+        "diagnosis.verdict.confidence", "sure = min(whole, alone) * inside",
+        "sure = whole * inside", "test_what_a_single_recording_shows_has_no_name",
+    ),
+    "directions need not differ": (
+        "diagnosis.verdict.confidence", "return max(claims, default=1.0)", "return 1.0",
+        "test_friction_by_direction_is_named_only_where_directions_differ",
+    ),
+    "what ended at a bound has a name": (
+        "diagnosis.verdict.confidence", "sound = has & ~np.array([bool(r.ended) for r in rows])",
+        "sound = has", "test_what_ends_at_its_bound_has_no_name",
+    ),
+    "all is clear at any error": (
+        "diagnosis.verdict.confidence", "return row.level <= EXPLAINED", "return True",
+        "test_nothing_is_named_where_nothing_that_is_looked_for_is_there",
+    ),
+    "all is clear though another set is more probable": (
+        "diagnosis.verdict.confidence", "if row.keys or own < POSSIBLE:", "if row.keys:",
+        "test_what_explains_the_recordings_as_well_stands_beside",
+    ),
+    "a healthy machine is not all-clear": (
+        "diagnosis.verdict.confidence",
+        "return bool(0.5 * np.log(np.median(squares)) <= DAY_FACTOR)", "return False",
+        "test_a_machine_that_errs_as_it_did_lacks_nothing",
+    ),
+    "a drive may be turned down": (
+        "diagnosis.verdict.sets", "return np.where(blown, lost.min(), lost)", "return 0.0 * lost",
+        "test_a_command_that_moved_nothing_is_no_weak_drive",
+    ),
+    "a name stands while most is left": (
+        "diagnosis.verdict.verdict",
+        'if verdict in ("named", "confusion_set") and explained < limits.explanation_share:',
+        "if False:", "test_of_two_causes_the_one_that_is_not_told_apart_takes_no_name",
+    ),
+    "intervals are a fifth as wide": (
+        "diagnosis.verdict.verdict", "half[key] = np.hypot(", "half[key] = 0.2 * np.hypot(",
+        "test_intervals_hold_the_truth_whatever_the_noise",
+    ),
+    "sizes are as sure as if laws were the model's": (
+        "diagnosis.verdict.verdict", "LAW = 0.25", "LAW = 0.0",
+        "test_a_change_of_a_machine_that_is_off_everywhere_is_named",
+    ),
+    "what was so before is part of the gap": (
+        "diagnosis.verdict.verdict",
+        "return levels[np.array(nearest)[problem.replay.recording]] ** 2",
+        "return np.ones(problem.replay.windows)",
+        "test_what_a_machine_has_had_before_is_no_part_of_the_gap",
+    ),
+    "the gap is that of fitted recordings": (
+        "diagnosis.replay.residual", "return self.held if self.held.any() else self.fitted",
+        "return self.fitted", "test_shares_intervals_and_gaps_agree_with_each_other",
+    ),
+    "held-out recordings are fitted": (
+        "diagnosis.search.search", "looked_at = problem.fitted",
+        "looked_at = problem.fitted | problem.held", "test_held_out_recordings_are_not_fitted",
+    ),
+    "an onset is told late": (
+        "diagnosis.search.onset", "times[i] = ends[i].mean()", "times[i] = ends[i].mean() + 0.3",
+        "test_what_begins_during_a_recording_is_told_with_its_time",
+    ),
+    "a further effect costs nothing": (
+        "diagnosis.likelihood.priors",
+        "return float(first + (len(members) - len(keys)) * np.log(FURTHER))", "return 0.0",
+        "test_a_change_of_a_machine_that_is_off_everywhere_is_named",
+    ),
+    "every machine is exact": (
+        "diagnosis.likelihood.evidence",
+        "self.places = tuple(range(len(priors.sizes)) if places is None else places)",
+        "self.places = (0,) if places is None else tuple(places)",
+        "test_a_change_of_a_machine_that_is_off_everywhere_is_named",
+    ),
+    "neighbouring errors are independent": (
+        "diagnosis.likelihood.evidence",
+        "return float((z**2).sum() * count / (count - 1) / keep.sum())", "return 1.0",
+        "test_the_less_of_it_the_less_sure_is_a_name",
+    ),
+    "improved.xml carries what has no name": (
+        "diagnosis.improve", 'if key in told and result.verdict == "named")', ")",
+        "test_the_improved_model_carries_no_effect_without_a_name",
+    ),
+    "any name in doubt is doubt": (
+        "studies.blind.selftest", "return not self.named or max(self.confidence) <= _DOUBT",
+        'return not self.named or self.verdict != "named"',
+        "test_a_wrong_name_given_with_confidence_is_no_doubt",
+    ),
+}  # fmt: skip
 _COMPARISONS = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq,
     ast.NotEq: ast.Eq, ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
@@ -111,8 +213,21 @@ class _Mutant(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         exec(compile(self._source, self._path, "exec"), module.__dict__)
 
 
-def _tested(mutant: importlib.abc.MetaPathFinder, tests: tuple[str, ...]) -> None:
-    """Runs the tests with a changed module, and ends the process with their status."""
+class _FirstRed:
+    """Sends the name of what fails, or cannot be collected, to another process."""
+
+    def __init__(self, told: Connection) -> None:
+        self._told = told
+
+    def pytest_runtest_logreport(self, report):
+        if report.failed:
+            self._told.send(report.nodeid)
+
+    pytest_collectreport = pytest_runtest_logreport
+
+
+def _tested(mutant: importlib.abc.MetaPathFinder, tests: tuple[str, ...], told: Connection) -> None:
+    """Runs the tests with a changed module, and tells which one fails first, or that none does."""
     sink = os.open(os.devnull, os.O_WRONLY)
     os.dup2(sink, 1)
     os.dup2(sink, 2)
@@ -121,18 +236,33 @@ def _tested(mutant: importlib.abc.MetaPathFinder, tests: tuple[str, ...]) -> Non
     if native := sys.modules.get("leglab._native"):
         importlib.import_module("leglab")._native = native
     arguments = ["-x", "-q", "-o", "cache_dir=.pytest_cache/mutants", "-p", "no:randomly", *tests]
-    os._exit(int(pytest.main(arguments)))
+    if pytest.main(arguments, plugins=[_FirstRed(told)]) == pytest.ExitCode.OK:
+        told.send("")
+    os._exit(0)
+
+
+def first_red(mutant: importlib.abc.MetaPathFinder, tests: tuple[str, ...]) -> str | None:
+    """The first test that fails with a module that is changed, which the mutant gives to Python.
+
+    Empty where all pass; None where the tests came to no end.
+    """
+    context = multiprocessing.get_context("fork")
+    heard, told = context.Pipe(duplex=False)
+    process = context.Process(target=_tested, args=(mutant, tests, told))
+    process.start()
+    told.close()
+    try:
+        return str(heard.recv()) if heard.poll(PATIENCE) else None
+    except EOFError:
+        return None
+    finally:
+        process.kill()
+        process.join()
 
 
 def survives(mutant: importlib.abc.MetaPathFinder, tests: tuple[str, ...]) -> bool:
-    """Whether all tests pass with a module that is changed, which the mutant gives to Python."""
-    process = multiprocessing.get_context("fork").Process(target=_tested, args=(mutant, tests))
-    process.start()
-    process.join(PATIENCE)
-    if process.is_alive():
-        process.kill()
-        process.join()
-    return process.exitcode == 0
+    """Whether all tests pass with a module that is changed."""
+    return first_red(mutant, tests) == ""
 
 
 def _load_packages(tests: tuple[str, ...]) -> None:
@@ -146,11 +276,31 @@ def _load_packages(tests: tuple[str, ...]) -> None:
             del sys.modules[name]
 
 
-def measure(options: argparse.Namespace) -> dict[str, dict]:
+def put_in_faults(some: Sequence[str]) -> bool:
+    """Puts in the faults of judging, or those named, and tells whether all turn their test red."""
+    _load_packages(_VERDICT)
+    noticed = True
+    for name in some or FAULTS:
+        short, old, new, test = FAULTS[name]
+        module = f"leglab.{short}"
+        path = ROOT / (module.replace(".", "/") + ".py")
+        source, red = path.read_text(), None
+        if source.count(old) == 1:
+            mutant = _Mutant(module, str(path), source.replace(old, new))
+            red = first_red(mutant, (*_VERDICT, *_MAKE_TEST, "-k", test))
+        told = red or ("GREEN" if red == "" else "NOT TRIED: no such text or test, or no end")
+        print(f"{name}: {told}", flush=True)
+        noticed = noticed and bool(red)
+    return noticed
+
+
+def measure(options: argparse.Namespace) -> dict[str, dict] | None:
     """Numbers of mutants made and noticed, and what survived, by module."""
+    if options.faults is not None:
+        sys.exit(0 if put_in_faults(options.faults) else 1)
     found = {}
     for name in options.modules or MODULES:
-        tests = (*MODULES[name], *(("-m", "not slow") if options.quick else ()))
+        tests = (*MODULES[name], *(_MAKE_TEST if options.quick else ()))
         path = str(ROOT / (name.replace(".", "/") + ".py"))
         every = mutants(Path(path).read_text())
         some = random.Random(0).sample(every, min(options.most, len(every)))
@@ -191,6 +341,13 @@ def main() -> None:
     parser.add_argument("modules", nargs="*", help="allowed: " + ", ".join(MODULES))
     parser.add_argument("--most", type=int, default=10_000, help="mutants of a module, by chance")
     parser.add_argument("--quick", action="store_true", help="by the tests of `make test` alone")
+    parser.add_argument(
+        "--faults",
+        nargs="*",
+        choices=FAULTS,
+        metavar="FAULT",
+        help="put in the faults of judging, all or some",
+    )
     results.main(parser, measure, tables)
 
 
