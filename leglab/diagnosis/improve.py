@@ -13,13 +13,13 @@ from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.intake.recordings import split_held_out
 from leglab.diagnosis.remainder.learning import (
     Remainder,
-    closed,
     has_memory,
     learn_remainder,
     memory_words,
     pays,
 )
 from leglab.diagnosis.replay.residual import Problem, robust_cost
+from leglab.diagnosis.result import closed
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.verdict.output import write_model
 from leglab.diagnosis.verdict.verdict import Outcome, diagnose
@@ -224,7 +224,7 @@ def improve(
             f"{key[0]} at {key[1]}": problem.library.sites[key].named(final[key]) for key in sure
         },
         remainder=remainder.to_json() if remainder else None,
-        closed_fraction=closed(*rms),
+        closed_fraction=closed(*rms) or 0.0,
         horizon=problem.replay.window,
         recordings=_errors(pairs, squares),
         units={

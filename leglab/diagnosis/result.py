@@ -196,19 +196,19 @@ class Gap:
 
         What was off before the machine changed, or noise, is no part of the gap.
         """
-        return _closed(*self.shown)
+        share = closed(*self.shown)
+        return None if share is None else min(max(share, 0.0), 1.0)
 
     @property
     def closed_fraction(self) -> float | None:
         """(before - after)/(before - noise_floor); None where there was no gap."""
-        room = self.before - self.noise_floor
-        return (self.before - self.after) / room if room > ROOM else None
+        return closed(self.before, self.after, self.noise_floor)
 
 
-def _closed(unnamed: float, after: float, floor: float) -> float | None:
-    """Share of the gap between two errors; None where there is none."""
-    room = unnamed - floor
-    return min(max((unnamed - after) / room, 0.0), 1.0) if room > ROOM else None
+def closed(before: float, after: float, floor: float = 1.0) -> float | None:
+    """Share of the gap between an error and what noise gives that is closed; None without one."""
+    room = before - floor
+    return (before - after) / room if room > ROOM else None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -72,4 +72,4 @@ class ForceOffset(JointEffect):
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts a spring-damper that has nothing but the constant force."""
         if values["force"]:
-            insert_spring(change, element, "force", "force_offset", values["force"])
+            insert_spring(change, element, "force", {"force_offset": values["force"]})

@@ -7,13 +7,7 @@ import mujoco
 import numpy as np
 
 from leglab.diagnosis.effects import joints
-from leglab.diagnosis.effects.base import (
-    Effect,
-    EffectParameter,
-    Values,
-    latest_only,
-    register_effect,
-)
+from leglab.diagnosis.effects.base import Effect, EffectParameter, Values, register_effect
 from leglab.diagnosis.plant.model import Change, Machine, Measured, Variant
 
 BACKLASH = "leglab.backlash"
@@ -72,24 +66,40 @@ class Backlash(Effect):
         width, motor = values["width"], values["motor_inertia"]
         if width == 0.0:
             return
-        name = f"{element}_backlash"
-        rate = 2.0 * math.pi * _FLANK_HZ
-        joints.insert_on_joint(change, BACKLASH, name, element, {"motor_inertia": 1.0})
-        change.set_parameter(name, "width", width)
-        change.set_parameter(name, "motor_inertia", motor)
-        change.set_parameter(name, "stiffness", motor * rate**2)
 
-        @latest_only  # both states of a recording follow from one pass
         def states(measured: Measured, variant: Variant) -> tuple[np.ndarray, np.ndarray]:
             return motor_states(measured, variant.model, element, width, motor)
 
-        change.start(name, "offset", lambda measured, variant, _: states(measured, variant)[0])
-        change.start(
-            name, "motor_velocity", lambda measured, variant, _: states(measured, variant)[1]
-        )
-        change.start(
-            name, "seated_width", lambda measured, *_: np.full(measured.samples.size, width)
-        )
+        stiffness = motor * (2.0 * math.pi * _FLANK_HZ) ** 2
+        play = {"width": width, "motor_inertia": motor, "stiffness": stiffness}
+        insert_play(change, f"{element}_backlash", element, play, states)
+
+
+# Where a motor is in its play, and its velocity, at window starts; both (windows,).
+MotorStates = Callable[[Measured, Variant], tuple[np.ndarray, np.ndarray]]
+
+
+def insert_play(change: Change, name: str, joint: str, values: Values, states: MotorStates) -> None:
+    """Inserts a play between motor and joint.
+
+    Args:
+        change: To write to.
+        name: Of the plugin instance.
+        joint: Whose motor it is.
+        values: Of the plugin's parameters.
+        states: Called once for each recording.
+    """
+    joints.insert_on_joint(change, BACKLASH, name, joint, {"motor_inertia": 1.0}, values)
+    latest: list[tuple[Measured, tuple[np.ndarray, np.ndarray]]] = []
+
+    def state(measured: Measured, variant: Variant, index: int) -> np.ndarray:
+        if not latest or latest[0][0] is not measured:
+            latest[:] = [(measured, states(measured, variant))]
+        return latest[0][1][index]
+
+    change.start(name, "offset", lambda m, variant, _: state(m, variant, 0))
+    change.start(name, "motor_velocity", lambda m, variant, _: state(m, variant, 1))
+    change.start(name, "seated_width", lambda m, *_: np.full(m.samples.size, values["width"]))
 
 
 def motor_states(

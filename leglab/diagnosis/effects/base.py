@@ -1,22 +1,21 @@
 """Effects: physical causes with parameters that change a simulation, and their registry."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, replace
-from typing import ClassVar, Literal, TypeVar
+from typing import ClassVar, Literal
 
 import mujoco
 import numpy as np
 
 from leglab.base import plugins
 from leglab.base.errors import LeglabError
-from leglab.diagnosis.plant.model import Change, ForceLeft, Machine, Measured, Variant
+from leglab.diagnosis.plant.model import Change, ForceLeft, Machine
 
 Side = Literal["above", "below", "either"]
 Group = Literal["oil and seals", "valve and command", "friction", "mechanics", "sensing"]
 # Values of an effect's parameters by name.
 Values = Mapping[str, float]
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -157,18 +156,6 @@ class Effect(ABC):
         to override this.
         """
         del spec, machine, element, values
-
-
-def latest_only(function: Callable[[Measured, Variant], T]) -> Callable[[Measured, Variant], T]:
-    """Keeps the latest result of a function as long as the recording stays the same."""
-    latest: list[tuple[Measured, T]] = []
-
-    def kept(measured: Measured, variant: Variant) -> T:
-        if not latest or latest[0][0] is not measured:
-            latest[:] = [(measured, function(measured, variant))]
-        return latest[0][1]
-
-    return kept
 
 
 _REGISTRY: dict[tuple[str, str], Effect] = {}

@@ -66,11 +66,14 @@ class Cogging(JointEffect):
         size = math.hypot(values["sine"], values["cosine"])
         if not size:
             return
-        name = insert_spring(change, element, "cogging", "ripple_period", values["period"])
-        change.set_parameter(name, "ripple_sine", values["sine"])
-        change.set_parameter(name, "ripple_cosine", values["cosine"])
-        change.set_parameter(name, "ripple_sine_2", size * values["second_sine"])
-        change.set_parameter(name, "ripple_cosine_2", size * values["second_cosine"])
+        ripple = {
+            "ripple_period": values["period"],
+            "ripple_sine": values["sine"],
+            "ripple_cosine": values["cosine"],
+            "ripple_sine_2": size * values["second_sine"],
+            "ripple_cosine_2": size * values["second_cosine"],
+        }
+        insert_spring(change, element, "cogging", ripple)
 
 
 def waves(left: ForceLeft, peaks: int = 2) -> list[Values]:

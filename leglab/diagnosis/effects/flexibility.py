@@ -6,14 +6,9 @@ import numpy as np
 from scipy.signal import bilinear, lfilter, lfilter_zi
 
 from leglab.diagnosis.effects import joints
-from leglab.diagnosis.effects.backlash import BACKLASH, Backlash, drive_torque
-from leglab.diagnosis.effects.base import (
-    EffectParameter,
-    Values,
-    latest_only,
-    register_effect,
-)
-from leglab.diagnosis.plant.model import Change, Machine, Measured, Start, Variant
+from leglab.diagnosis.effects.backlash import Backlash, drive_torque, insert_play
+from leglab.diagnosis.effects.base import EffectParameter, Values, register_effect
+from leglab.diagnosis.plant.model import Change, Machine, Measured, Variant
 
 # The element is a play with flanks; so little of it is none.
 _NO_PLAY = 1e-9
@@ -54,19 +49,11 @@ class JointFlexibility(Backlash):
         compliance, motor = values["compliance"], values["motor_inertia"]
         if compliance == 0.0:
             return
-        name = f"{element}_flexibility"
-        joints.insert_on_joint(change, BACKLASH, name, element, {"motor_inertia": 1.0})
-        change.set_parameter(name, "width", _NO_PLAY)
-        change.set_parameter(name, "motor_inertia", motor)
-        change.set_parameter(name, "stiffness", 1.0 / compliance)
-        change.set_parameter(name, "damping_ratio", values["damping_ratio"])
-
         own = joints.native(change.machine, element, "armature")
         link = max(joints.inertia(change.machine, element) - own, 1e-9)
         reduced = 1.0 / (1.0 / motor + 1.0 / link)
         damping = 2.0 * values["damping_ratio"] * math.sqrt(reduced / compliance)
 
-        @latest_only  # both states of a recording follow from one pass
         def twist(measured: Measured, variant: Variant) -> tuple[np.ndarray, np.ndarray]:
             h, velocity = measured.period, measured.velocity[element]
             acceleration = np.gradient(velocity, h)
@@ -80,13 +67,12 @@ class JointFlexibility(Backlash):
             offset = compliance * lfilter(over, under, excess, zi=start)[0]
             lag = 0.5 * variant.model.opt.timestep
             speed = velocity - lag * acceleration + np.gradient(offset, h)
-            return offset, speed
+            return offset[measured.samples], speed[measured.samples]
 
-        def state(index: int) -> Start:
-            return lambda measured, variant, _: twist(measured, variant)[index][measured.samples]
-
-        change.start(name, "offset", state(0))
-        change.start(name, "motor_velocity", state(1))
-        change.start(
-            name, "seated_width", lambda measured, *_: np.full(measured.samples.size, _NO_PLAY)
-        )
+        play = {
+            "width": _NO_PLAY,
+            "motor_inertia": motor,
+            "stiffness": 1.0 / compliance,
+            "damping_ratio": values["damping_ratio"],
+        }
+        insert_play(change, f"{element}_flexibility", element, play, twist)

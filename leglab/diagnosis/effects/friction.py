@@ -45,12 +45,11 @@ class JointCoulombFriction(FrictionEffect):
     rows = (JointRow("coulomb", "{force}", (0.01, 0.08), upper=1.0, field="frictionloss"),)
 
 
-def insert_friction(change: Change, joint: str, effect: str) -> str:
-    """Inserts a neutral `leglab.joint_friction` for one effect and returns its name."""
-    name, inertia = f"{joint}_{effect}", joints.inertia(change.machine, joint)
+def insert_friction(change: Change, joint: str, effect: str, values: Values) -> None:
+    """Inserts a `leglab.joint_friction` that has nothing but some parameters."""
+    inertia = joints.inertia(change.machine, joint)
     neutral = {"sigma_0": inertia * _BRISTLE**2, "sigma_1": inertia * _BRISTLE}
-    joints.insert_on_joint(change, FRICTION, name, joint, neutral)
-    return name
+    joints.insert_on_joint(change, FRICTION, f"{joint}_{effect}", joint, neutral, values)
 
 
 @register_effect
@@ -79,10 +78,8 @@ class JointStiction(FrictionEffect):
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts joint friction that has a breakaway level only."""
         if values["breakaway"]:
-            name = insert_friction(change, element, self.name)
-            change.set_parameter(name, "static", values["breakaway"])
-            for shape in ("stribeck_velocity", "stribeck_exponent"):
-                change.set_parameter(name, shape, values[shape])
+            shape = {k: v for k, v in values.items() if k.startswith("stribeck")}
+            insert_friction(change, element, self.name, {"static": values["breakaway"], **shape})
 
 
 @register_effect
@@ -108,11 +105,9 @@ class LoadDependentFriction(JointEffect):
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts joint friction that has a load coefficient only."""
-        if not any(values.values()):
-            return
-        name = insert_friction(change, element, self.name)
-        for load, share in values.items():
-            change.set_parameter(name, f"{load}_load_coefficient", share)
+        if any(values.values()):
+            shares = {f"{load}_load_coefficient": share for load, share in values.items()}
+            insert_friction(change, element, self.name, shares)
 
 
 def _loads(machine: Machine, joint: str) -> tuple[str, ...]:
@@ -159,9 +154,9 @@ class AsymmetricFriction(JointEffect):
         """Inserts joint friction with a mean and a difference."""
         if not any(values.values()):
             return
-        name = insert_friction(change, element, self.name)
+        found = {}
         for kind in ("viscous", "coulomb"):
             forward, backward = values[f"{kind}_forward"], values[f"{kind}_backward"]
-            change.set_parameter(name, kind, 0.5 * (forward + backward))
-            change.set_parameter(name, f"{kind}_difference", forward - backward)
-        change.set_parameter(name, "static", change.parameter(name, "coulomb"))
+            found[kind] = 0.5 * (forward + backward)
+            found[f"{kind}_difference"] = forward - backward
+        insert_friction(change, element, self.name, {**found, "static": found["coulomb"]})

@@ -108,12 +108,17 @@ def insert(spec: mujoco.MjSpec, plugin: str, name: str, config: Mapping[str, flo
 
 
 def insert_on_joint(
-    change: Change, plugin: str, name: str, joint: str, config: Mapping[str, float]
+    change: Change, plugin: str, name: str, joint: str, config: Mapping[str, float], values: Values
 ) -> None:
-    """Lets a change insert a neutral plugin instance on a joint, compiled once for all values."""
+    """Lets a change insert a plugin instance on a joint and set values of its parameters.
+
+    Compiled is what is neutral, with `config`: once for all values.
+    """
     full: dict[str, float | str] = {"joint": joint, **config}
     key = ("insert", plugin, name, *sorted(full.items(), key=str))
     change.edit(key, lambda spec: insert(spec, plugin, name, full))
+    for parameter, value in values.items():
+        change.set_parameter(name, parameter, value)
 
 
 @dataclass(frozen=True)

@@ -28,17 +28,14 @@ def set_spring(change: Change, joint: str, effect: str, parameter: str, value: f
     if spring := machine.spring_of(joint):
         change.add_parameter(spring, parameter, value - machine.parameter(spring, parameter))
     elif value:
-        insert_spring(change, joint, effect, parameter, value)
+        insert_spring(change, joint, effect, {parameter: value})
 
 
-def insert_spring(change: Change, joint: str, effect: str, parameter: str, value: float) -> str:
-    """Inserts a spring-damper that has nothing but one parameter and returns its name."""
+def insert_spring(change: Change, joint: str, effect: str, values: Values) -> None:
+    """Inserts a spring-damper that has nothing but some parameters."""
     model = change.machine.base.model
-    name = f"{joint}_{effect}"
     reference = {"rest_position": float(model.qpos_spring[model.joint(joint).qposadr[0]])}
-    joints.insert_on_joint(change, SPRING, name, joint, reference)
-    change.set_parameter(name, parameter, value)
-    return name
+    joints.insert_on_joint(change, SPRING, f"{joint}_{effect}", joint, reference, values)
 
 
 @register_effect

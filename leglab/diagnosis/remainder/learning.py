@@ -15,7 +15,7 @@ from leglab.diagnosis.remainder.part import Part
 from leglab.diagnosis.remainder.refining import bounded, part_of, refine, with_parts
 from leglab.diagnosis.remainder.words import Described, describe
 from leglab.diagnosis.replay.residual import Problem, robust_cost
-from leglab.diagnosis.result import ROOM
+from leglab.diagnosis.result import closed
 from leglab.diagnosis.thresholds import Thresholds
 
 Progress = Callable[[str], None]
@@ -172,14 +172,9 @@ def _proved(
             for part, form in learned
         ),
         problem=final,
-        closed_fraction=closed(*rms),
+        closed_fraction=closed(*rms) or 0.0,
         memory=cost > limits.explained and has_memory(final, beside),
     )
-
-
-def closed(before: float, after: float) -> float:
-    """Share of a gap in noise levels that is closed; 0 where there was none."""
-    return (before - after) / (before - 1.0) if before - 1.0 > ROOM else 0.0
 
 
 def pays(before: np.ndarray, after: np.ndarray, limits: Thresholds) -> bool:
