@@ -354,6 +354,8 @@ class _Log:
         held = np.maximum(number, 1)
         away = times - grid[place]
         away[np.abs(away) <= _ON_GRID * period] = 0.0
+        if (number == 1).all() and not away.any():  # Long logs take no time and memory then.
+            return samples, np.ones(count, dtype=bool), 0.0
         fit = self._parabola(grid, period)
         early = np.bincount(place, weights=away, minlength=count) / held
         spread = np.bincount(place, weights=away**2, minlength=count) / held
