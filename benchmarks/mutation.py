@@ -116,7 +116,7 @@ FAULTS = {
         "diagnosis.likelihood.evidence",
         "self.places = tuple(range(len(priors.sizes)) if places is None else places)",
         "self.places = (0,) if places is None else tuple(places)",
-        "test_a_change_of_a_machine_that_is_off_everywhere_is_named",
+        "test_nothing_is_named_where_nothing_that_is_looked_for_is_there",
     ),
     "neighbouring errors are independent": (
         "diagnosis.likelihood.evidence",
