@@ -21,7 +21,7 @@ from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.thresholds import Thresholds
 from leglab.diagnosis.verdict.experiment import catalogue, propose
 from leglab.diagnosis.verdict.output import write_diagnosis
-from leglab.diagnosis.verdict.twins import twins
+from leglab.diagnosis.likelihood.twins import twins
 from leglab.diagnosis.verdict.verdict import diagnose
 from tests.patched_models import reloaded_error
 

@@ -4,10 +4,12 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
+from leglab.diagnosis.likelihood.twins import twins
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.plant.model import Change
 from leglab.diagnosis.replay.replay import LOUDER
@@ -70,7 +72,6 @@ class Errors:
         self.problem, self.unknowns, self.chosen = problem, unknowns, chosen
         self.recording = problem.replay.recording[chosen]
         self.size = len(problem.channels) * problem.replay.bins
-        self._own_influence: np.ndarray | None = None
         self._helpers: list[Errors] = []
 
     def each(self, hypotheses: Sequence[Hypothesis]) -> list[np.ndarray]:
@@ -112,27 +113,44 @@ class Errors:
         errors = errors.reshape(len(errors), -1)
         if found.left is None or found.pushed is None:
             return errors
-        left = found.left / self._influence(hypothesis, found.pushed)[:, None]
+        left = found.left / self._influence(found.pushed)[:, None]
         return np.concatenate([errors, left.reshape(len(errors), -1)], axis=1)
 
-    def _influence(self, hypothesis: Hypothesis, pushed: np.ndarray) -> np.ndarray:
+    @cached_property
+    def _own(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of the model as it is, forces left over and influence of the commands, each (joints,)."""
+        problem = self.problem
+        if not problem.balanced:
+            return np.zeros(0), np.zeros(0)
+        made = problem.library.change(Hypothesis(), problem.replay.machine)
+        left, pushed = problem.replay.lacking(made, self.chosen, BLOCKS)
+        return _size(left), _size(pushed)
+
+    @property
+    def unit(self) -> np.ndarray:
+        """Forces that the model as it is leaves over, (joints,) [N m or N]: of its size."""
+        return np.maximum(self._own[0], 1e-300)
+
+    def _influence(self, pushed: np.ndarray) -> np.ndarray:
         """Influence of the commands on the forces of each joint, over the model's own, (joints,).
 
         Forces left over along a measured motion count in units of the drive: they say what drive
         the motion takes. A gain of 0, or a friction that eats the drive's force, leaves none over.
         """
-        if self._own_influence is None:
-            if hypothesis:
-                problem = self.problem
-                made = problem.library.change(Hypothesis(), problem.replay.machine)
-                self._own_influence = _size(problem.replay.lacking(made, self.chosen, BLOCKS)[1])
-            else:
-                self._own_influence = _size(pushed)
-        influence = _size(pushed)
-        own = self._own_influence
+        influence, own = _size(pushed), self._own[1]
         return np.where(
             own > 0.0, np.maximum(influence, 1e-3 * own) / np.where(own > 0, own, 1), 1.0
         )
+
+    @cached_property
+    def twins(self) -> frozenset[frozenset[Key]]:
+        """Pairs of effects that no recording of these channels tells apart."""
+        found = ((key, twin) for key in self.problem.library.searched for twin in self.twin(key))
+        return frozenset(frozenset(pair) for pair in found)
+
+    def twin(self, key: Key) -> tuple[Key, ...]:
+        """Exact twins of an effect."""
+        return twins(self.problem, key)
 
     def tangents(
         self,

@@ -273,6 +273,14 @@ class Evidence:
                 upper.append(max(SECANT[0], min(SECANT[1], ends[1])))
         return np.array(index, dtype=int), np.array(unit), np.array(lower), np.array(upper)
 
+    def _odds(self, members: Sequence[int]) -> float:
+        """Log prior odds of a set; none of two names of the same motion."""
+        u = self.unknowns
+        keys = {u.keys[q] for q in members}
+        if any(pair <= keys for pair in self.at.twins):
+            return -np.inf
+        return log_set(u, tuple(members))
+
     def score(self, members: Sequence[Member], reduced: _Reduced | None = None) -> Score:
         """Evidence of a set."""
         members = tuple(members)
@@ -303,7 +311,7 @@ class Evidence:
                 + np.log(np.abs(unit)).sum()
                 + log_fault(u, np.array([q for q, _ in members]), values).sum(axis=2)
             )
-        grid = own.base - 0.5 * square + log_members + log_set(u, tuple(q for q, _ in members))
+        grid = own.base - 0.5 * square + log_members + self._odds([q for q, _ in members])
         k, o = np.unravel_index(int(np.argmax(grid)), grid.shape)
         step = steps[k, o]
         along = np.zeros(inner.shape[2])

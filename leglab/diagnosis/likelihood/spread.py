@@ -119,7 +119,8 @@ class Spread:
         """Inverse roots of the windows' covariances, and log determinants.
 
         Forces have no covariance of their sensors': they count by the share of the replays' error
-        that is the model's own. Those of an exact model are noise and say nothing.
+        that is the model's own. Those of an exact model are noise and say nothing. Their log
+        determinants are in units of what the model as it is leaves over.
 
         Args:
             at: Windows.
@@ -139,5 +140,6 @@ class Spread:
             own = 1.0 - float(np.mean(noise / np.einsum("wii->wi", covariance)))
             force_roots = inverse_roots(forces**2 * self.forces)[at.recording]
             log -= 2.0 * own * np.log(np.einsum("wii->wi", force_roots)).sum(axis=1)
+            log -= 2.0 * own * BLOCKS * np.log(at.unit).sum()
             roots[:, n:, n:] = np.sqrt(own) * force_roots
         return roots, log

@@ -140,7 +140,7 @@ def proposal(
     kappa = ranks[0].evidence.kappa
     levels = {r.fit.keys: r.fit.level for r in ranks}
     for row in [r for r in sound if r.score.log > top - BEHIND * NEAR]:
-        simpler = both_ways(u, row.fit)
+        simpler = both_ways(u, row.fit.members, row.fit.columns.x[list(row.fit.members)].tolist())
         if simpler is None:
             continue
         names = frozenset(u.keys[q] for q in simpler)
@@ -192,25 +192,32 @@ def proposal(
     return Proposal(members, start, evidence.columns, fit.spread, fit.weight, promise)
 
 
-def both_ways(u: Unknowns, fit: Fit) -> dict[int, float] | None:
-    """The set with an effect by direction replaced by the same one in both directions.
+def both_ways(
+    u: Unknowns, members: Sequence[int], values: Sequence[float]
+) -> dict[int, float] | None:
+    """A set with an effect by direction replaced by the same one in both directions.
+
+    Args:
+        u: Unknowns.
+        members: Of the set.
+        values: Their departures.
 
     Returns:
         Departures of its members; None where the set has no such effect.
     """
-    x, sites = fit.columns.x, u.library.sites
-    for q in fit.members:
+    sites, value = u.library.sites, dict(zip(members, values, strict=True))
+    for q in members:
         key, place = u.places[q][0]
         for pair in u.effect(q).by_direction:
-            both = [i for i in fit.members if u.places[i][0][0] == key and u.name(i) in pair]
+            both = [i for i in members if u.places[i][0][0] == key and u.name(i) in pair]
             if len(both) < 2 or q not in both:
                 continue
             unit = sites[key].parameters[place].unit
-            mean = float(np.mean([x[i] * u.scale[i] for i in both]))
+            mean = float(np.mean([value[i] * u.scale[i] for i in both]))
             for i in range(u.single):
                 other, j = u.places[i][0]
                 alike = other != key and u.library.contains(key, other) and u.nameable[i]
                 if alike and sites[other].parameters[j].unit == unit:
-                    kept = {m: float(x[m]) for m in fit.members if m not in both}
+                    kept = {m: float(value[m]) for m in members if m not in both}
                     return {**kept, i: mean / u.scale[i]}
     return None

@@ -89,10 +89,15 @@ def search(
 
     for seed in _seeds(evidence, balanced_sets(at, trials(u))):
         names = _names(u, seed)
+        if any(pair <= names for pair in at.twins):
+            continue
         if names not in wanted:
-            # A balance of what the machine does not do promises what no replay holds.
-            if begins(seed) < HOPELESS * as_it_is:
-                wanted[names] = seed
+            # A balance of what the machine does not do promises what no replay holds; one that
+            # leaves little more than noise is a rival whatever else explains.
+            level = begins(seed)
+            if level < HOPELESS * as_it_is:
+                near_noise = level < HOPELESS * EXPLAINED
+                wanted[names] = replace(seed, promise=np.inf) if near_noise else seed
         elif begins(seed) < begins(wanted[names]):
             # A set that both propose begins where a replay is nearer.
             wanted[names] = replace(seed, promise=wanted[names].promise)
@@ -129,6 +134,7 @@ def search(
     vain, more, last = 0, 0, frozenset[Key]()
     again, ended = set[tuple[frozenset[Key], frozenset[Key]]](), set[frozenset[Key]]()
     removed: dict[tuple[Fit, Key], Columns | None] = {}
+    simpler = set[tuple[Fit, Key]]()
     compared, erring = Compared(fitter), fits[0]
     while True:
         ranks = rank(compared, fits, kappa)
@@ -143,7 +149,7 @@ def search(
         behind = BEHIND * NEAR
         if not fitter.explains(least_left.fit):
             behind += AS_GOOD * (top - next(r.score.log for r in ranks if not r.fit.members))
-        near = [r for r in ranks if r.score.log > top - behind]
+        near = [r for r in ranks if r.score.log > top - behind or r.fit.level <= EXPLAINED]
         most = HOPELESS * least_left.fit.level
         open_ = (r.fit for r in near if not r.fit.finished and r.fit.level < most)
         begun = next((f for f in open_ if f.keys not in ended), None)
@@ -165,7 +171,17 @@ def search(
         done = vain > FRUITLESS or more >= MORE
         then = None if done else proposal(fitter, ranks, tried, removed)
         if then is None:
-            break
+            # What does without an effect of the best set is fitted from there.
+            best = ranks[0].fit
+            out = next((k for k in sorted(best.keys) if (best, k) not in simpler), None)
+            if out is None or len(best.keys) < 2:
+                break
+            simpler.add((best, out))
+            columns = removed.setdefault((best, out), at.without(best.columns, best.members, out))
+            if columns is not None:
+                rest = tuple(q for q in best.members if u.keys[q] != out)
+                run(Proposal(rest, {}, columns, best.spread, best.weight), beside=True)
+            continue
         more += 1
         last = _names(u, then)
         tried.add(last)

@@ -201,7 +201,7 @@ class Fitter:
         telling, renewed = None, 0
         for turn in range(TURNS):
             first, fresh = turn < stiff_turns, False
-            if not first and missed > ENOUGH and (slow or not renewed):
+            if not first and missed > ENOUGH and (slow or renewed == 0 < renewals):
                 if renewed == renewals:
                     break
                 point = self._all_tangents(point, members, telling)

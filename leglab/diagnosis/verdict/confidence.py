@@ -118,17 +118,33 @@ def judged(sets: Sets) -> Judgement:
 
 
 def _as_healthy(sets: Sets) -> bool:
-    """Whether nothing may be missing: noise, or the errors of the healthy specimen, are left."""
-    whole = _shares(np.array([r.score.log for r in sets.rows]))
+    """Whether nothing may be missing: noise, or the errors of the healthy specimen, are left.
+
+    In every recording: one that moves tells more than three that rest.
+    """
+    whole, fixed = _shares(np.array([r.score.log for r in sets.rows])), sets.fitter.fixed
     for row, own in zip(sets.rows, whole, strict=True):
         if row.keys or own < POSSIBLE:
             continue
-        if sets.fitter.fixed:
-            # The specimen as it was, nothing moved: what a day changes may hide a fault.
-            squares = sets.channel_squares(sets.found.first.errors).mean(axis=1)
-            return bool(0.5 * np.log(np.median(squares)) <= DAY_FACTOR)
-        return row.level <= EXPLAINED
+        # The specimen as it was, nothing moved: what a day changes may hide a fault.
+        errors = sets.found.first.errors if fixed else row.left
+        levels = np.sqrt(sets.channel_squares(errors).mean(axis=1))
+        each = [np.median(levels[sets.at.recording == r]) for r in np.unique(sets.at.recording)]
+        return as_before(float(np.median(levels)), float(max(each)), healthy=fixed is not None)
     return False
+
+
+def as_before(middle: float, largest: float, *, healthy: bool) -> bool:
+    """Whether errors are those of noise, or of the healthy specimen on another day.
+
+    Args:
+        middle: Of all windows, in noise levels or errors of the healthy specimen.
+        largest: Of the middles of single recordings.
+        healthy: Whether healthy recordings say how far the model misses the specimen.
+    """
+    if healthy:
+        return middle <= math.exp(DAY_FACTOR) and largest <= math.exp(2.0 * DAY_FACTOR)
+    return largest <= EXPLAINED
 
 
 def _shares(logs: np.ndarray) -> np.ndarray:
@@ -200,7 +216,9 @@ def _ties(rows: Sequence[Row], first: Row, key: Key) -> tuple[frozenset[Key], ..
 def _claimed(row: Row, key: Key) -> float:
     """Probability that directions differ by more than is noticeable, where a name says so."""
     u, score = row.evidence.unknowns, row.score
-    places = row.places(key)
+    places = [] if key in row.renamed.values() else row.places(key)
+    if not places:
+        return 1.0
     claims = []
     for pair in u.effect(score.unknowns[places[0]]).by_direction:
         both = [i for i in places if u.name(score.unknowns[i]) in pair]

@@ -13,10 +13,12 @@ from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.columns import BLOWN, Columns
 from leglab.diagnosis.likelihood.evidence import Evidence, Score
 from leglab.diagnosis.likelihood.unknowns import Unknowns
-from leglab.diagnosis.search.rank import NEAR
+from leglab.diagnosis.search.rank import NEAR, both_ways
 from leglab.diagnosis.search.search import Found
-from leglab.diagnosis.verdict.twins import twins
 
+# Share of a departure within which two directions are alike, and sizes of a law that is not quite
+# the machine's may be off.
+LAW = 0.25
 # Log of the influence of a drive by which good fits differ.
 SLACK = 0.1
 # A drive moves channels, and windows, whose change by it is beyond this share of the largest.
@@ -142,13 +144,14 @@ class Sets:
     def _all(self) -> list[Row]:
         """All sets, each where it is most probable, most probable first."""
         u = self.unknowns
-        rows: dict[frozenset[Key], Row] = {}
+        rows: dict[tuple[frozenset[Key], bool], Row] = {}
 
         def enter(row: Row | None) -> None:
             if row is None:
                 return
-            if row.keys not in rows or row.score.log > rows[row.keys].score.log:
-                rows[row.keys] = row
+            names = row.keys, bool(row.renamed)
+            if names not in rows or row.score.log > rows[names].score.log:
+                rows[names] = row
 
         best = self.best
         for r in self.found.ranks:
@@ -182,13 +185,34 @@ class Sets:
                     there = self.fitter.evidence(rest.columns, spread, best.weight, best.kappa)
                     ended = frozenset(u.keys[q] for q in r.fit.ended if q in members)
                     enter(self._replayed(self._row(there, members, ended)))
-        for row in list(rows.values()):
+        for names, row in list(rows.items()):
+            if alike := self._alike(row):
+                del rows[names]
+                enter(alike)
+                continue
             for key in row.keys:
-                for twin in twins(self.at.problem, key):
+                for twin in self.at.twin(key):
                     if twin not in row.keys:  # the same motion by another name
                         keys = (row.keys - {key}) | {twin}
                         enter(replace(row, keys=keys, renamed={key: twin}))
         return sorted(rows.values(), key=lambda r: -r.score.log)
+
+    def _alike(self, row: Row) -> Row | None:
+        """A set whose effect by direction does the same in both, named as the one that says so.
+
+        No law of friction is exactly the machine's: that directions differ by less than laws are
+        off is no claim. None where they differ by more.
+        """
+        u, members, values = self.unknowns, row.score.unknowns, row.score.values
+        simpler = both_ways(u, members, values.tolist())
+        if simpler is None:
+            return None
+        both = [i for i, q in enumerate(members) if q not in simpler]
+        names = frozenset(u.keys[q] for q in simpler)
+        new, old = names - row.keys, u.keys[members[both[0]]]
+        if len(new) != 1 or old in names or np.ptp(values[both]) > LAW * abs(values[both].mean()):
+            return None
+        return replace(row, keys=names, renamed={old: next(iter(new))})
 
     def without(self, row: Row, key: Key) -> np.ndarray:
         """Errors with an effect taken out and the other members fitted anew; spikes stay."""

@@ -43,9 +43,9 @@ from leglab.diagnosis.result import (
 from leglab.diagnosis.search.onset import begun
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, Searched, searched
 from leglab.diagnosis.search.settle import EXPLAINED, Fit, Fitter
-from leglab.diagnosis.verdict.confidence import NAMED, VISIBLE, Judgement, judged
+from leglab.diagnosis.verdict.confidence import NAMED, VISIBLE, Judgement, as_before, judged
 from leglab.diagnosis.verdict.experiment import propose
-from leglab.diagnosis.verdict.sets import Row, Sets
+from leglab.diagnosis.verdict.sets import LAW, Row, Sets
 from leglab.diagnosis.verdict.whole import whole_recording
 
 _HARDLY_SHOWN = (
@@ -58,8 +58,6 @@ _POSES = 50
 # by which such a fit may be worse.
 AS_BUILT, AS_GOOD = 1e-3, 0.1
 # Standard deviation of the size of a change on a rough machine, as a share of it: what a parameter
-# of another law than the machine's differs by between motions.
-LAW = 0.25
 # Sets that are told as rivals.
 _RIVALS = 6
 
@@ -147,6 +145,8 @@ def diagnose(
     if outcome.named and _lacks_nothing(outcome):
         nothing = replace(outcome.judged, verdict="nothing_missing", named=(), confusion=())
         outcome = _judged(found, nothing)
+    elif outcome.judged.verdict == "nothing_missing" and not _clear_elsewhere(found):
+        outcome = replace(outcome, judged=replace(outcome.judged, verdict="unexplained"))
     result = assemble(outcome, seconds=perf_counter() - began)
     result = replace(result, notes=(*remarks, *result.notes))
     object.__setattr__(outcome, "result", result)
@@ -164,6 +164,17 @@ def _lacks_nothing(outcome: Outcome) -> bool:
     )
     share = problem.thresholds.explanation_share
     return without <= EXPLAINED and without - with_it < share * max(without - 1.0, ROOM)
+
+
+def _clear_elsewhere(found: Searched) -> bool:
+    """Whether the model errs as little as it may where nobody fitted."""
+    problem, recording = found.problem, found.problem.replay.recording
+    levels = np.sqrt(problem.noise_levels(Hypothesis()) / _floors(found))
+    each = [np.median(levels[recording == r]) for r in np.unique(recording[problem.held])]
+    if not each:
+        return True
+    middle = float(np.median(levels[problem.held]))
+    return as_before(middle, float(max(each)), healthy=found.specimen is not None)
 
 
 def _judged(found: Searched, judgement: Judgement) -> Outcome:
