@@ -16,12 +16,12 @@ from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
 from leglab.diagnosis.improve import improved_model
 from leglab.diagnosis.intake.admission import admit
 from leglab.diagnosis.intake.recordings import held_out_choice, read_recordings, split_held_out
+from leglab.diagnosis.likelihood.twins import twins
 from leglab.diagnosis.plant.model import Change, Machine
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.thresholds import Thresholds
 from leglab.diagnosis.verdict.experiment import catalogue, propose
 from leglab.diagnosis.verdict.output import write_diagnosis
-from leglab.diagnosis.likelihood.twins import twins
 from leglab.diagnosis.verdict.verdict import diagnose
 from tests.patched_models import reloaded_error
 

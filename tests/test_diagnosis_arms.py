@@ -3,8 +3,8 @@
 import pytest
 
 from leglab.diagnosis.improve import improved_model
-from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.likelihood.twins import coupled_joints
+from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.verdict.verdict import diagnose
 from tests.patched_models import reloaded_error
 from tests.rigs import (

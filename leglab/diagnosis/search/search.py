@@ -13,7 +13,16 @@ from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import Problem, thinned
 from leglab.diagnosis.search.beam import beam, without_idle
-from leglab.diagnosis.search.rank import BEHIND, NEAR, Compared, Proposal, Ranked, proposal, rank
+from leglab.diagnosis.search.rank import (
+    BEHIND,
+    LARGEST,
+    NEAR,
+    Compared,
+    Proposal,
+    Ranked,
+    proposal,
+    rank,
+)
 from leglab.diagnosis.search.regression import Balanced, balanced_sets
 from leglab.diagnosis.search.settle import EXPLAINED, HOPELESS, KAPPA, RENEWALS, Fit, Fitter
 
@@ -264,7 +273,8 @@ def _seeds(evidence: Evidence, found: dict[str, list[Balanced]]) -> list[Proposa
             best = next(one for one in gaining if len(one.start) <= count)
             joined.setdefault(count, {}).update(best.start)
     for start in joined.values():
-        seeds.setdefault(frozenset(start), start)
+        if len(start) <= LARGEST:
+            seeds.setdefault(frozenset(start), start)
     columns, spread, weight = evidence.columns, evidence.spread, evidence.weight
     return [
         Proposal(tuple(start), start, columns, spread, weight, -np.inf) for start in seeds.values()
