@@ -60,7 +60,7 @@ FAULTS = {
         "sound = has", "test_what_ends_at_its_bound_has_no_name",
     ),
     "all is clear at any error": (
-        "diagnosis.verdict.confidence", "return row.level <= EXPLAINED", "return True",
+        "diagnosis.verdict.confidence", "return largest <= DEFAULT.explained", "return True",
         "test_nothing_is_named_where_nothing_that_is_looked_for_is_there",
     ),
     "all is clear though another set is more probable": (
@@ -69,7 +69,8 @@ FAULTS = {
     ),
     "a healthy machine is not all-clear": (
         "diagnosis.verdict.confidence",
-        "return bool(0.5 * np.log(np.median(squares)) <= DAY_FACTOR)", "return False",
+        "return middle <= math.exp(DAY_FACTOR) and largest <= math.exp(2.0 * DAY_FACTOR)",
+        "return False",
         "test_a_machine_that_errs_as_it_did_lacks_nothing",
     ),
     "a drive may be turned down": (
@@ -86,7 +87,7 @@ FAULTS = {
         "test_intervals_hold_the_truth_whatever_the_noise",
     ),
     "sizes are as sure as if laws were the model's": (
-        "diagnosis.verdict.verdict", "LAW = 0.25", "LAW = 0.0",
+        "diagnosis.verdict.verdict", "law = LAW * change if rough", "law = 0.0 * change if rough",
         "test_a_change_of_a_machine_that_is_off_everywhere_is_named",
     ),
     "what was so before is part of the gap": (
@@ -109,7 +110,7 @@ FAULTS = {
     ),
     "a further effect costs nothing": (
         "diagnosis.likelihood.priors",
-        "return float(first + (len(members) - len(keys)) * np.log(FURTHER))", "return 0.0",
+        "return float(first + (len(members) - len(keys)) * np.log(FAULT_ODDS))", "return 0.0",
         "test_a_change_of_a_machine_that_is_off_everywhere_is_named",
     ),
     "every machine is exact": (

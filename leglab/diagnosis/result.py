@@ -8,14 +8,9 @@ from typing import Any, Literal
 import numpy as np
 
 from leglab.base.notebook import data_frame, html_table, panels
+from leglab.diagnosis.thresholds import ONSET_WIDE, ROOM
 
 Verdict = Literal["named", "confusion_set", "unexplained", "nothing_missing"]
-# An onset that is known to less than this [s] is told as a time.
-_WIDE = 0.2
-
-
-# Errors that differ by less, in noise levels, differ by nothing.
-ROOM = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +69,9 @@ class NamedEffect:
 
     def begins(self) -> tuple[str, ...]:
         """When it begins in each recording: a time, or from when to when it may have been."""
-        wide = {name: (low, high) for name, low, high in self.onset_interval if high - low >= _WIDE}
+        wide = {
+            name: (low, high) for name, low, high in self.onset_interval if high - low >= ONSET_WIDE
+        }
         return tuple(
             f"between {wide[name][0]:.2f} and {wide[name][1]:.2f} s of {name}"
             if name in wide

@@ -1,8 +1,9 @@
-"""Thresholds of recordings, replays and verdict: numbers that were chosen rather than derived.
+"""All numbers of a diagnosis that were chosen rather than derived, each with its reason.
 
 Costs are robust mean squares of whitened errors: in noise variances, so that noise alone gives 1.
-Constants of an effect's physics (bounds, trial sizes, tolerances) stand with the effect; those of
-likelihood, search and confidence with the code that they belong to.
+`Thresholds` holds those that settings may change; likelihood, search and verdict take the others,
+below it. Elsewhere stand what is an effect's physics (bounds, trial sizes, tolerances), guards
+against rounding, steps of differences and line searches, and sizes of caches.
 """
 
 import math
@@ -11,7 +12,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class Thresholds:
-    """Limits, sizes and counts of all steps, in the order in which a diagnosis meets them."""
+    """Limits of recordings, windows, noise and verdict, in the order in which they are met."""
 
     # Recordings, before anything is replayed.
     # A position may pass the joint's range by this share before its unit is doubted: a range that
@@ -27,16 +28,17 @@ class Thresholds:
     # Series on a uniform grid.
     # Shares below which periods, or sizes of turns and counts, are the same: clocks and converters
     # that were meant to be differ by less, others by more. Up to this share of rows is lost, and
-    # of a period stamps jitter, without a word.
+    # of a period stamps jitter, without a word. A parameter within this share of a value has it.
     same: float = 0.02
     # Shares that do not matter: of a period by which stamps miss the grid, which is rounding of a
-    # time column and no jitter, and of what a signal moves.
+    # time column and no jitter, of what a signal moves, and of any other whole.
     negligible: float = 1e-3
     # Samples of the parabola through the neighbours of a value on the grid. Between samples half
     # as many periods apart a value is measured; across a whole one, or a bin, it is where the
     # parabola fits.
     neighbours: int = 7
-    # What departs by more standard deviations is no chance, of whatever many thousand samples.
+    # What departs by more standard deviations is no chance, of whatever many thousand samples; an
+    # effect that does not move the errors by so many cannot be seen.
     certain: float = 5.0
     # Savitzky-Golay filters as (length [s], fewest samples, order): they pass the motion of a leg
     # and, at 1 kHz, take noise to a third.
@@ -52,7 +54,8 @@ class Thresholds:
     # filter: slopes of what was filtered are differences of neighbours.
     margin_samples: int = 2
     # Of windows in which no command moves by more than this share of its range, and no channel by
-    # more than so many noise levels, one in so many is kept: the others say the same.
+    # more than so many noise levels, one in so many is kept: the others say the same. Errors that
+    # exceed those of healthy windows by this factor have left the noise.
     still_command: float = 0.02
     still_noise: float = 6.0
     still_every: int = 5
@@ -86,14 +89,15 @@ class Thresholds:
     unseen_pressure: float = 3e5
     # Standard deviation of a bristle at a window's start, as a share of its full deflection.
     bristle_share: float = 0.3
-    # A window whose cost exceeds this counts by its logarithm only: one window that starts in a
-    # bad moment must not outvote a hundred others.
+    # A window whose cost exceeds this, or so many usual ones, counts by its logarithm only: one
+    # window that starts in a bad moment must not outvote a hundred others.
     robust_limit: float = 3.0
     # Whitened errors are clipped here: beyond lies only a replay that blew up.
     clip: float = 1e5
 
     # Forces are told in so many parts of a window, each of two bins at least.
     force_blocks: int = 5
+
     # Verdict.
     # Cost, or error in noise levels, below which nothing more is missing: windows that start in
     # stick-slip or beside jumps of the command lift it on good models to at most this.
@@ -103,7 +107,8 @@ class Thresholds:
     shown_share: float = 0.3
     # Effects that explain less than this share of the misfit are no explanation.
     explanation_share: float = 0.5
-    # An effect beside others that closes less of the gap is a smaller difference.
+    # What is below this share of another thing is small beside it: an effect that closes less of
+    # the gap, a difference of fits, data beside a prior, a channel that a drive hardly moves.
     smaller_share: float = 0.1
     # Strengths of a calibrated specimen that are listed depart by this share of barely noticeable.
     calibration_share: float = 0.25
@@ -126,3 +131,166 @@ class Thresholds:
 
 
 DEFAULT = Thresholds()
+
+# Recordings: sizes of parameters by what was recorded.
+# Trials are these shares of what is recorded: 1 % is the smallest that a user would notice.
+TRIALS = (0.01, 0.05, 0.25)
+# Largest values are quantiles: one bad sample is no size.
+TOP_QUANTILE = 0.99
+# Delays and lags are shares of the time in which commands change by their own size, up to that in
+# which they forget themselves; no fit follows one beyond this time [s]: windows hardly show it.
+LONGEST_DELAY = 0.5
+
+# Windows and their start states.
+# A column that rests on one count in every recording shows no step: it is taken to have this one,
+# coarse for sensors of pressures [Pa] and of positions [rad or m].
+UNSEEN_STEP = (1e4, 1e-3)
+# A piston certainly presses its pin with a force beyond this share of its dry friction.
+PRESSED = 0.15
+# At rest a flank is pressed with at least this force [N], which is little for any cylinder.
+FLANK = 1.0
+# Errors beyond this are those of a replay that blew up [SI units]: no sensor reads so much.
+BLOWN = 1e11
+
+# Priors: how machines are made, how large faults are, how many there are.
+# Half of all faults are smaller than so many smallest trials.
+FAULT_SIZE = 3.0
+# A departure below about half a smallest trial is no fault: nobody would notice it.
+NO_FAULT = 0.5
+# Odds of one more are below even: of a fault somewhere in the library beside those that are there,
+# and of a further parameter of an effect that is there.
+FAULT_ODDS = 0.3
+# Good machines depart from their model by such standard deviations, in smallest trials: nobody
+# knows which, from what nobody notices to what somebody may.
+SPREADS = (0.1, 0.25, 0.6)
+# The model's own error has such sizes beside what a set leaves: 0 is an exact model.
+SIZES = (0.0, 0.03, 0.1, 0.2, 0.35, 0.6, 1.0, 1.5)
+# Where a tolerance is known it holds at the least spread of all else, and grows with it from half
+# of a wider one on, but not beyond it.
+USUAL = 0.5
+# What is there or is not departs by this standard deviation, in trials, where it is not there; so
+# does a machine that is as its model but for tolerances.
+ABSENT = 1e-3
+# A shape has this standard deviation, as a share of its range: it lies anywhere in it.
+SHAPE_SPREAD = 0.3
+# A machine of another day departs from its healthy self by such spreads, in smallest trials, and by
+# this share of what good machines differ by: it is the same machine.
+DAY, DAY_TOLERANCES = (0.05, 0.15, 0.4), 0.5
+# Its own error is as large as in the healthy recordings but for a factor with this log deviation,
+# and larger while something is missing.
+DAY_SIZES, DAY_FACTOR = (0.7, 1.0, 1.4, 2.0, 3.0, 5.0, 9.0, 16.0), 0.4
+
+# Evidence.
+# Tangents are differences over so many trials, and this share of a large departure: at first, for
+# effects that are not smooth have none at a smaller step, and later.
+COARSE, FINE = (0.3, 0.1), (0.05, 0.02)
+# Commands that are louder by this factor show what they move.
+LOUDER = 1.0 + FINE[1]
+# Between these multiples of a jump its secant holds.
+SECANT = (0.4, 2.0)
+# Forces left over vary by this share of their largest variance at least: at rest a joint leaves
+# nothing over, but no force is known to better than a tenth of its usual error.
+LEAST_FORCE = 0.01
+# This share of the log likelihood counts before anything is known: errors go together.
+KAPPA = 0.1
+# Recordings below this number are cut into parts, twice as many in all: fewer say little of how
+# errors scatter.
+FEW_RECORDINGS = 4
+
+# Fits.
+# A fit is broken off after so many turns: each takes replays, and what still gains then creeps.
+TURNS = 16
+# All tangents are taken anew so often at most: each time takes a replay of every unknown.
+RENEWALS = 3
+# In so many first turns machines are built almost as their model, by these shares of tolerances and
+# of smallest trials: beside a gross fault the rest would move to where it does not belong.
+STIFF_TURNS, STIFF = 3, (0.05, 0.02)
+# Another turn that gains less is not worth its replays [nats].
+ENOUGH = 2.0
+# A fit at so many times the level of the best set, or of noise, is given up: what it lacks is more
+# than what it explains.
+HOPELESS = 10.0
+# Such multiples of the size of what is not smooth are looked at: they reach half
+# way to the next trials.
+LADDER = (0.3, 0.5, 0.75, 1.3, 1.8, 2.8)
+
+# Search.
+# So many windows are replayed, half more of healthy recordings, half as many of the starts of
+# recordings: all take time, and neighbours err alike. Beyond so many unknowns, each of which takes
+# a replay of them all, they are fewer, and half as many at least.
+WINDOWS, MANY_UNKNOWNS = 32, 60
+# An onset is looked for where the model explains this first share of every recording.
+EARLY_SHARE = 0.25
+# So many windows lie on either side of a change, at least: two tell no mean from chance.
+FEWEST_WINDOWS = 3
+# Errors after a change are larger by at least this factor in square, in the mean of logarithms:
+# those of healthy windows hardly vary.
+ONSET_RISE = 3.0
+# A window tells that an effect is, or is not, at work in it from this chi-square on: three and a
+# half standard deviations.
+ONSET_TOLD = 12.0
+# In so many turns at most the pattern of errors and what explains them are found from each other;
+# one that changes neither ends them.
+ANNEALINGS = 4
+# So many of the best sets are grown by further members, and told as rivals: others lie far behind.
+BEST_SETS = 6
+# Sets grow to so many members by first order; further ones are added to what was fitted.
+DEPTH = 5
+# So many additions to a set are scored exactly, twice as many beside a fitted one, and five times
+# as many of the first member: one that first order ranks lower hardly leads.
+SCORED = 8
+# So many sets are fitted from the first linearisation whatever they promise, and so many singles;
+# those near the best one are, up to the second number in all.
+SURE_FITS, FIRST_FITS = 3, 5
+# So many sets are fitted of what looks at the recordings in another way: beside an exact model, and
+# by the balances of forces, of each number of effects.
+EACH_WAY = 2
+# A set by one joint's balance has so many effects at most; further ones are added to its fit.
+JOINT_EFFECTS = 3
+# No set has more members: a machine with so many causes at once is another one.
+LARGEST_SET = 7
+# A member of a set is idle that gains fewer nats, and this share of all that is to be gained: first
+# order errs by as much.
+IDLE = (3.0, 0.03)
+# A set within so many nats of the best one is fitted, and a turn that gains as much goes on with
+# the tangents that it has; of a set that is so many times further behind nothing is hoped for, and
+# an onset must save as much.
+NEAR, BEHIND = 10.0, 3.0
+# So many sets that leave least say how the model errs: with each pattern all sets are scored.
+PATTERNS = 3
+# So many further sets are fitted, for each takes seconds; fewer where so many in a row do not come
+# near the best one.
+FURTHER_FITS, FRUITLESS = 7, 2
+
+# Verdict.
+# A cause is so much more probable in the library than outside of it.
+LIBRARY_ODDS = 2.0
+# The share that the best impostor explains has this mean and standard deviation, as a logit, on a
+# machine of which nothing is known; that counts for so many computed ones.
+IMPOSTOR = (-0.85, 1.8, 5.0)
+# The edge about one half, below which the right cause hardly explains less, has this width in
+# logits.
+EDGE = 0.5
+# A jump can be seen whose chi-square, beside all that machines differ in, is beyond this.
+VISIBLE = DEFAULT.certain**2
+# A name is surer than this: it is more probable than not.
+NAMED = 0.5
+# A member of a confusion set is surer than this, without some part of the recordings.
+POSSIBLE = 0.3
+# Sets whose fits differ by less than this factor in probability are not told apart by the data,
+# whichever is simpler, if the rival needs no more than so many further numbers.
+TIE, MORE_NUMBERS = 4.0, 2
+# No law is quite the machine's: within this share of a departure two directions are alike, and
+# sizes may be off.
+LAW = 0.25
+# Good fits differ by this in the logarithm of a drive's influence.
+SLACK = 0.1
+# Errors that differ by less, in noise levels, differ by nothing.
+ROOM = 0.05
+# An onset that is known to less than this [s] is told as a time: a window is hardly longer.
+ONSET_WIDE = 0.2
+
+# Remainder.
+# Errors of neighbouring bins that correlate by more have a memory: a rest of tenths of a second is
+# as alike in bins of hundredths.
+ALIKE = 0.3

@@ -34,9 +34,20 @@ class JointViscousFriction(FrictionEffect):
     rows = (JointRow("damping", "{force} s/{length}", (0.02, 0.15), upper=10.0, field="damping"),)
 
 
+def insert_friction(change: Change, joint: str, effect: str, values: Values) -> None:
+    """Inserts a `leglab.joint_friction` that has nothing but some parameters."""
+    inertia = joints.inertia(change.machine, joint)
+    neutral = {"sigma_0": inertia * _BRISTLE**2, "sigma_1": inertia * _BRISTLE}
+    joints.insert_on_joint(change, FRICTION, f"{joint}_{effect}", joint, neutral, values)
+
+
 @register_effect
 class JointCoulombFriction(FrictionEffect):
-    """Another dry friction of a joint: MuJoCo's own friction loss."""
+    """Another dry friction of a joint: less of MuJoCo's own, or a bristle beside it.
+
+    MuJoCo's friction loss gives way over its `solreffriction`, 20 ms where nobody says otherwise.
+    Beside a strong drive that is no dry friction: what there is more of it holds.
+    """
 
     name = "coulomb_friction"
     physics = "F_c sgn(v); at rest it holds up to F_c."
@@ -44,12 +55,13 @@ class JointCoulombFriction(FrictionEffect):
     excitation = "slow motion in both directions, and rest"
     rows = (JointRow("coulomb", "{force}", (0.01, 0.08), upper=1.0, field="frictionloss"),)
 
-
-def insert_friction(change: Change, joint: str, effect: str, values: Values) -> None:
-    """Inserts a `leglab.joint_friction` that has nothing but some parameters."""
-    inertia = joints.inertia(change.machine, joint)
-    neutral = {"sigma_0": inertia * _BRISTLE**2, "sigma_1": inertia * _BRISTLE}
-    joints.insert_on_joint(change, FRICTION, f"{joint}_{effect}", joint, neutral, values)
+    def apply(self, change: Change, element: str, values: Values) -> None:
+        """Sets MuJoCo's friction loss, and inserts joint friction for what is beyond it."""
+        own = joints.native(change.machine, element, "frictionloss")
+        joints.set_native(change, element, "frictionloss", min(own, values["coulomb"]))
+        more = values["coulomb"] - own
+        if more > 0.0:
+            insert_friction(change, element, self.name, {"coulomb": more, "static": more})
 
 
 @register_effect

@@ -12,23 +12,11 @@ from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.twins import twins
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.plant.model import Change
-from leglab.diagnosis.replay.replay import LOUDER
 from leglab.diagnosis.replay.residual import Problem
-from leglab.diagnosis.thresholds import DEFAULT
+from leglab.diagnosis.thresholds import BLOWN, DEFAULT, LOUDER
 
 # An unknown, and by how much it moves at once, in trials.
 Jump = tuple[int, float]
-
-# Errors beyond this are those of a replay that blew up [SI units].
-BLOWN = 1e11
-# Step of first tangents, in trials: effects that are not smooth have none at a smaller one.
-COARSE = 0.3
-# Step of later ones.
-FINE = 0.05
-# Of a large departure, the step of its tangent as a share, at the end and at first.
-LARGE, LARGE_FIRST = 0.02, 0.1
-# Blocks of a window, over which forces are averaged.
-BLOCKS = DEFAULT.force_blocks
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +95,7 @@ class Errors:
         made = problem.library.change(hypothesis, problem.replay.machine)
         if louder is not None:
             _louder(made, [louder])
-        blocks = BLOCKS if problem.balanced else 0
+        blocks = DEFAULT.force_blocks if problem.balanced else 0
         found = problem.replay.error(made, chosen=self.chosen, blocks=blocks)
         errors = found.normalised + problem.noise.defect[self.chosen]
         errors = errors.reshape(len(errors), -1)
@@ -123,7 +111,7 @@ class Errors:
         if not problem.balanced:
             return np.zeros(0), np.zeros(0)
         made = problem.library.change(Hypothesis(), problem.replay.machine)
-        left, pushed = problem.replay.lacking(made, self.chosen, BLOCKS)
+        left, pushed = problem.replay.lacking(made, self.chosen, DEFAULT.force_blocks)
         return _size(left), _size(pushed)
 
     @property
@@ -139,7 +127,9 @@ class Errors:
         """
         influence, own = _size(pushed), self._own[1]
         return np.where(
-            own > 0.0, np.maximum(influence, 1e-3 * own) / np.where(own > 0, own, 1), 1.0
+            own > 0.0,
+            np.maximum(influence, DEFAULT.negligible * own) / np.where(own > 0, own, 1),
+            1.0,
         )
 
     @cached_property
@@ -157,18 +147,16 @@ class Errors:
         base: Hypothesis,
         errors: np.ndarray,
         which: Iterable[int],
-        step: float,
+        step: tuple[float, float],
         known: np.ndarray | None = None,
-        large: float = LARGE,
     ) -> np.ndarray:
-        """Tangents by differences over a step in trials, (windows, rows, unknowns).
+        """Tangents by differences over a step, (windows, rows, unknowns).
 
         Args:
             base: Where.
             errors: There.
             which: Unknowns to take; tied ones are sums of the single ones.
-            step: In trials.
-            large: Of a large departure, the step as a share.
+            step: In trials, and as a share of a large departure.
             known: Of the others; None for 0.
         """
         u = self.unknowns
@@ -178,7 +166,7 @@ class Errors:
         for i in which:
             if i >= u.single:
                 continue
-            h = max(step, large * abs(x[i]))
+            h = max(step[0], step[1] * abs(x[i]))
             if x[i] + h > u.upper[i]:
                 h = -h
             out[:, :, i] = 0.0
@@ -218,7 +206,9 @@ class Errors:
             return None
         return replace(columns, base=base, x=u.departures(base), errors=errors)
 
-    def columns(self, base: Hypothesis, *, step: float, known: np.ndarray | None = None) -> Columns:
+    def columns(
+        self, base: Hypothesis, *, step: tuple[float, float], known: np.ndarray | None = None
+    ) -> Columns:
         """Errors and all tangents at a hypothesis, without jumps.
 
         Tangents of shapes whose effects are not there are 0.

@@ -19,36 +19,22 @@ from scipy.linalg.lapack import dtrtrs
 from scipy.special import logsumexp
 
 from leglab.diagnosis.likelihood.columns import Columns, Errors
-from leglab.diagnosis.likelihood.priors import (
-    FAULT_ODDS,
-    FAULT_SIZE,
-    FURTHER,
-    Priors,
-    log_fault,
-    log_set,
-)
+from leglab.diagnosis.likelihood.priors import Priors, log_fault, log_set
 from leglab.diagnosis.likelihood.spread import Spread
+from leglab.diagnosis.replay.residual import robust_weight
+from leglab.diagnosis.thresholds import DEFAULT, FAULT_ODDS, FAULT_SIZE, FEW_RECORDINGS, SECANT
 
 # An unknown, and the place of its jump among the columns' jumps; None for its tangent.
 Member = tuple[int, int | None]
 
-# Of a jump, the least and largest multiple at which its secant holds.
-SECANT = (0.4, 2.0)
-# Windows whose mean square is beyond this many usual ones count less: one that starts in a bad
-# moment must not outvote a hundred others.
-ROBUST = 3.0
 # Share of a sum of squares that rounding may take.
 ROUNDING = 1e-14
-# Share of a prior's precision below which data say nothing of an unknown.
-TELLING = 0.1
-# Recordings below this number are cut into parts, so many in all.
-RECORDINGS, PARTS = 4, 8
 
 
 def parts_of(recording: np.ndarray) -> np.ndarray:
     """Part of each window: recordings, or where these are few, runs of their windows."""
     every = np.unique(recording)
-    pieces = 1 if every.size >= RECORDINGS else int(np.ceil(PARTS / every.size))
+    pieces = 1 if every.size >= FEW_RECORDINGS else int(np.ceil(2 * FEW_RECORDINGS / every.size))
     out, count = np.zeros(recording.size, dtype=int), 0
     for r in every:
         own = np.flatnonzero(recording == r)
@@ -65,8 +51,7 @@ def robust_weights(
     roots, _ = spread.whiteners(at, size, forces)
     white = (roots @ errors[:, :, None])[:, :, 0]
     square = np.mean(white**2, axis=1)
-    square = square / max(float(np.median(square)), 1.0)
-    return ROBUST / np.maximum(square, ROBUST)
+    return robust_weight(square / max(float(np.median(square)), 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -376,7 +361,7 @@ class Evidence:
             gain = gain + 0.5 * np.log(2.0 * np.pi / safe) + np.log(np.abs(unit))
             gain = gain + log_fault(u, which, step * unit)
             known = np.array([u.keys[q] in there for q in which.tolist()])
-            gain = gain + np.where(known, np.log(FURTHER), np.log(FAULT_ODDS / max(u.sites, 1)))
+            gain = gain + np.where(known, np.log(FAULT_ODDS), np.log(FAULT_ODDS / max(u.sites, 1)))
             gain = np.where(curve <= 1e-9, -np.inf, gain)
             for member, value in zip(also, gain.tolist(), strict=True):
                 best[member] = max(best.get(member, -np.inf), value)
@@ -399,7 +384,7 @@ class Evidence:
         k, n = self.places.index(score.size), self.unknowns.single
         precision, _ = self.priors.precision(self.unknowns, self.priors.spreads[score.spread])
         data = self.kappa * np.diag(self.gram[k])[1 : 1 + n]
-        return np.asarray(data > TELLING * np.diag(precision))
+        return np.asarray(data > DEFAULT.smaller_share * np.diag(precision))
 
     def posterior(self, score: Score) -> np.ndarray:
         """Posterior covariance of the single unknowns, members free, (single, single)."""
@@ -472,7 +457,7 @@ class Evidence:
         curvature = self.gram[k][np.ix_(use, use)]
         root = np.sqrt(np.diag(curvature) + 1e-12)
         values, vectors = np.linalg.eigh(curvature / np.outer(root, root))
-        keep = values > 1e-3 * values.max()
+        keep = values > DEFAULT.negligible * values.max()
         turned = (vectors[:, keep] / np.sqrt(values[keep])) / root[:, None]
         z = (slopes - slopes.mean(axis=0)) @ turned
         return float((z**2).sum() * count / (count - 1) / keep.sum())

@@ -6,22 +6,16 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from leglab.diagnosis.likelihood.unknowns import Unknowns
-
-# Half of all faults are smaller than so many smallest trials.
-FAULT_SIZE = 3.0
-# A departure below about half a smallest trial is no fault: nobody would notice it.
-NO_FAULT = 0.5
-# Odds of a fault somewhere in the library, beside those that are there.
-FAULT_ODDS = 0.3
-# Odds of a further parameter of an effect that is there.
-FURTHER = 0.3
-# Where a tolerance is known it holds at the least spread of all else, and grows with it from half
-# of a wider one on, but not beyond it.
-USUAL = 0.5
-# Standard deviation of what is there or is not, in trials: not there.
-ABSENT = 1e-3
-# Standard deviation of a shape, as a share of its range.
-SHAPE = 0.3
+from leglab.diagnosis.thresholds import (
+    ABSENT,
+    FAULT_ODDS,
+    FAULT_SIZE,
+    NO_FAULT,
+    SHAPE_SPREAD,
+    SIZES,
+    SPREADS,
+    USUAL,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,11 +32,11 @@ class Priors:
         log_sizes: Log probabilities of these, (sizes,).
     """
 
-    spreads: tuple[float, ...] = (0.1, 0.25, 0.6)
+    spreads: tuple[float, ...] = SPREADS
     tolerances: float = 1.0
     covariance: np.ndarray | None = None
-    sizes: tuple[float, ...] = (0.0, 0.03, 0.1, 0.2, 0.35, 0.6, 1.0, 1.5)
-    log_sizes: np.ndarray = field(default_factory=lambda: np.zeros(8))
+    sizes: tuple[float, ...] = SIZES
+    log_sizes: np.ndarray = field(default_factory=lambda: np.zeros(len(SIZES)))
 
     @property
     def calibrated(self) -> bool:
@@ -59,7 +53,7 @@ class Priors:
         ranges = unknowns.upper[:n] - unknowns.lower[:n]
         # A moving part is there or is not.
         deviation = np.where(unknowns.gradual[:n], deviation, ABSENT)
-        deviation = np.where(unknowns.shape[:n], SHAPE * ranges, deviation)
+        deviation = np.where(unknowns.shape[:n], SHAPE_SPREAD * ranges, deviation)
         if self.covariance is None:
             return np.diag(deviation**-2.0), float(-2.0 * np.log(deviation).sum())
         factor = cho_factor(self.covariance + np.diag(deviation**2))
@@ -83,4 +77,4 @@ def log_set(unknowns: Unknowns, members: tuple[int, ...]) -> float:
     """Log prior odds of a set of faulty parameters over none."""
     keys = {unknowns.keys[u] for u in members}
     first = len(keys) * np.log(FAULT_ODDS / max(unknowns.sites, 1))
-    return float(first + (len(members) - len(keys)) * np.log(FURTHER))
+    return float(first + (len(members) - len(keys)) * np.log(FAULT_ODDS))

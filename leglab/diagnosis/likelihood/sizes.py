@@ -15,15 +15,7 @@ from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.plant.moments import commands_at, forces_at
 from leglab.diagnosis.replay.lacking import accelerations
 from leglab.diagnosis.replay.residual import Problem
-
-# Trials as shares of what is recorded: 1 % is the smallest that a user would notice.
-TRIALS = (0.01, 0.05, 0.25)
-# Delays and lags as shares of the time in which commands change by their own size, up to that in
-# which they forget themselves; none below the rounding of time to the sampling period, 1/sqrt(12)
-# of it, and no fit follows one beyond this time [s].
-LONGEST = 0.5
-# Largest values are quantiles: one bad sample is no size.
-TOP = 0.99
+from leglab.diagnosis.thresholds import LONGEST_DELAY, TOP_QUANTILE, TRIALS
 
 
 @dataclass(frozen=True)
@@ -126,11 +118,11 @@ def shown(problem: Problem) -> Shown:
     joints = {}
     for j, parts in rows.items():
         x = np.concatenate(parts)
-        ends = np.quantile(x[:, 0], [1.0 - TOP, TOP])
-        tops = (float(np.quantile(np.abs(x[:, k]), TOP)) for k in (1, 2, 3))
+        ends = np.quantile(x[:, 0], [1.0 - TOP_QUANTILE, TOP_QUANTILE])
+        tops = (float(np.quantile(np.abs(x[:, k]), TOP_QUANTILE)) for k in (1, 2, 3))
         joints[j] = Motion(0.5 * float(np.ptp(ends)), *tops)
     half = {
-        a: 0.5 * float(np.ptp(np.quantile(np.concatenate(c), [1.0 - TOP, TOP])))
+        a: 0.5 * float(np.ptp(np.quantile(np.concatenate(c), [1.0 - TOP_QUANTILE, TOP_QUANTILE])))
         for a, c in commands.items()
     }
     period = problem.series[0].period
@@ -185,7 +177,7 @@ def _sized(p: EffectParameter, size: float, seen: Shown) -> EffectParameter:
     steps = [least * t / TRIALS[0] for t in TRIALS]
     far = size
     if p.unit == "s":
-        far = min(max(seen.correlation, steps[-1]), LONGEST)
+        far = min(max(seen.correlation, steps[-1]), LONGEST_DELAY)
         steps = sorted({*(t for t in steps if t < far), TRIALS[-1] * far})
     sides = [s for s in (-1.0, 1.0) if any((t - p.nominal) * s > 0.0 for t in p.trials)]
     lower = p.nominal - far if p.lower < p.nominal else p.lower
@@ -199,25 +191,3 @@ def _sized(p: EffectParameter, size: float, seen: Shown) -> EffectParameter:
             trials.pop()
     trials = sorted(t for t in trials if lower <= t <= upper and t != p.nominal)
     return replace(p, lower=lower, upper=upper, trials=tuple(trials)) if trials else p
-
-
-def widened(
-    library: Library, key: tuple[str, str], index: int, factor: float = 3.0
-) -> Library | None:
-    """The library with bounds of a parameter moved outward; None where physics holds them.
-
-    Shares (gains, loads) and angles have a meaning of their own, zero is no friction.
-    """
-    site = library.sites[key]
-    p = site.parameters[index]
-    if p.role == "shape" or p.unit in ("1", "rad", "m", "degC"):
-        return None
-    lower = p.lower if p.lower >= 0.0 else p.nominal + factor * (p.lower - p.nominal)
-    upper = p.nominal + factor * (p.upper - p.nominal)
-    if p.unit == "s":
-        upper = min(upper, LONGEST)
-    if (lower, upper) == (p.lower, p.upper):
-        return None
-    parameters = list(site.parameters)
-    parameters[index] = replace(p, lower=lower, upper=upper)
-    return library.with_sites({**library.sites, key: replace(site, parameters=tuple(parameters))})

@@ -10,14 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leglab.diagnosis.likelihood.columns import BLOCKS, Errors
+from leglab.diagnosis.likelihood.columns import Errors
 from leglab.diagnosis.plant.model import CYLINDER, Machine
 from leglab.diagnosis.replay.residual import inverse_roots
 from leglab.diagnosis.replay.windows import Channel
-
-# Least variance of forces left over, as a share of the largest of all recordings: at rest a joint
-# leaves nothing over, but no force is known to better than a tenth of its usual error.
-LEAST_FORCE = 0.01
+from leglab.diagnosis.thresholds import DEFAULT, LEAST_FORCE
 
 
 def directions_of(machine: Machine, channels: Sequence[Channel]) -> np.ndarray:
@@ -99,16 +96,18 @@ class Spread:
             across = np.outer(direction, direction)[:, None, :, None] * pattern[None, :, None, :]
             replays += own[:, None, None, None, None] * across
         left = errors[:, at.size :]
-        joints = left.shape[1] // BLOCKS
-        forces = np.zeros((count, joints, BLOCKS, joints, BLOCKS))
+        joints = left.shape[1] // DEFAULT.force_blocks
+        forces = np.zeros((count, joints, DEFAULT.force_blocks, joints, DEFAULT.force_blocks))
         if joints:
-            shape, variance = _pattern(left.reshape(-1, joints, BLOCKS), at.recording, count)
+            shape, variance = _pattern(
+                left.reshape(-1, joints, DEFAULT.force_blocks), at.recording, count
+            )
             variance = np.maximum(variance, LEAST_FORCE * variance.max(axis=0) + 1e-12)
             for j in range(joints):
                 forces[:, j, :, j, :] = variance[:, j, None, None] * shape[j]
         return cls(
             replays.reshape(count, channels * bins, channels * bins),
-            forces.reshape(count, joints * BLOCKS, joints * BLOCKS),
+            forces.reshape(count, joints * DEFAULT.force_blocks, joints * DEFAULT.force_blocks),
         )
 
     def of_recordings(self, which: Sequence[int]) -> "Spread":
@@ -140,6 +139,6 @@ class Spread:
             own = 1.0 - float(np.mean(noise / np.einsum("wii->wi", covariance)))
             force_roots = inverse_roots(forces**2 * self.forces)[at.recording]
             log -= 2.0 * own * np.log(np.einsum("wii->wi", force_roots)).sum(axis=1)
-            log -= 2.0 * own * BLOCKS * np.log(at.unit).sum()
+            log -= 2.0 * own * DEFAULT.force_blocks * np.log(at.unit).sum()
             roots[:, n:, n:] = np.sqrt(own) * force_roots
         return roots, log

@@ -31,8 +31,6 @@ _CACHED_VARIANTS = 64
 _COMPILING = Lock()
 # Share of a machine's largest moment, or inertia, below which another is rounding, see `moved`.
 ROUNDING = 1e-9
-# Of a parameter that must be more than its minimum, this share of what the model has beyond it.
-_LEAST_SHARE = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -328,7 +326,8 @@ class Change:
             row = self.machine.base.elements[element][1].parameters[name]
             low = row.minimum
             if not row.minimum_allowed:
-                low += _LEAST_SHARE * (self.machine.parameter(element, name) - low)
+                # A small share of what the model has beyond it.
+                low += 0.05 * (self.machine.parameter(element, name) - low)
             value = min(max(value, low), row.maximum)
         self.set_parameter(element, name, value)
 

@@ -12,9 +12,6 @@ from leglab.diagnosis.remainder.part import Period
 from leglab.diagnosis.remainder.splines import Blocks, Spline, basis, nearest, roughness
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
-# Weights of the roughness that are tried, relative to the size of the columns.
-_SMOOTHING = 10.0 ** np.arange(-7.0, 3.0)
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Term:
@@ -245,7 +242,8 @@ class _Fits:
         """The terms with a new one's smoothing by cross-validation, and errors of all blocks."""
         sums = self.sums((*chosen, new))
         tried = []
-        for smoothing in _SMOOTHING.tolist():
+        # Relative to the size of the columns: from none to almost a straight line.
+        for smoothing in (10.0 ** np.arange(-7.0, 3.0)).tolist():
             terms = (*chosen, replace(new, smoothing=smoothing))
             tried.append((terms, sums.validated(self.penalty(terms))))
         best = min(tried, key=lambda t: float(t[1].sum()))[1]

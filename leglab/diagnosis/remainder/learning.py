@@ -16,7 +16,7 @@ from leglab.diagnosis.remainder.refining import bounded, part_of, refine, with_p
 from leglab.diagnosis.remainder.words import Described, describe
 from leglab.diagnosis.replay.residual import Problem, robust_cost
 from leglab.diagnosis.result import closed
-from leglab.diagnosis.thresholds import Thresholds
+from leglab.diagnosis.thresholds import ALIKE, Thresholds
 
 Progress = Callable[[str], None]
 
@@ -200,5 +200,4 @@ def has_memory(problem: Problem, hypothesis: Hypothesis) -> bool:
     own = residual / (np.sqrt(np.mean(residual**2, axis=(1, 2), keepdims=True)) + 1e-300)
     alike = float(np.mean(own[:, :, 1:] * own[:, :, :-1]) / np.mean(own**2))
     share = problem.thresholds.explanation_share
-    # A rest of tenths of a second is as alike in neighbouring bins of hundredths.
-    return alike > 0.3 and all(form.gain < share for form in find_forms(problem, hypothesis))
+    return alike > ALIKE and all(form.gain < share for form in find_forms(problem, hypothesis))

@@ -18,9 +18,6 @@ from leglab.diagnosis.replay.residual import (
     thinned,
 )
 
-# Finite differences, in standard deviations of what the balances, or good machines, leave open.
-_STEP = 0.5
-
 
 def directions(form: Form, most: int) -> np.ndarray:
     """Principal directions in which a balance leaves its form's unknowns most open.
@@ -105,8 +102,9 @@ def refine(
             return replayed.residual(base, chosen)
 
         residual, (_, _, offset) = errors(z, base), moved(np.zeros(count + len(loose)))
-        probes = (moved(_STEP * row)[:2] for row in np.eye(offset.size))
-        columns = [(errors(*probe) - residual) / _STEP for probe in probes]
+        # Differences over half a standard deviation of what balances, or good machines, leave open.
+        probes = (moved(0.5 * row)[:2] for row in np.eye(offset.size))
+        columns = [(errors(*probe) - residual) / 0.5 for probe in probes]
         step, scale = _step(residual, np.stack(columns, axis=2), offset, limits.robust_limit)
 
         def cost(residual: np.ndarray, departed: np.ndarray, scale: float = scale) -> float:

@@ -27,15 +27,10 @@ from leglab.diagnosis.replay.windows import (
     sensor_noise,
     window_length,
 )
-from leglab.diagnosis.thresholds import DEFAULT, Thresholds
+from leglab.diagnosis.thresholds import DEFAULT, LOUDER, Thresholds
 from leglab.machine.plugin import headless
 
 _CACHED_VARIANTS = 8
-# Share of the spread of a command by which it is moved, to see what it moves.
-_COURSE_STEP = 0.05
-
-# Factor on a command that shows what it moves.
-LOUDER = 1.02
 
 # Windows of one recording, its measured series, and its corrected columns.
 Part = tuple[Cut, Measured, dict[str, np.ndarray]]
@@ -329,7 +324,8 @@ class Replay:
         seen = np.ix_(np.arange(starts.shape[0]), late, np.array(places))
         there = self._roll(change.variant, starts, controls)[seen]
         for i, actuator in enumerate(self.machine.actuators):
-            step = _COURSE_STEP * float(np.std(cut.series.columns[f"{actuator}_command"]))
+            # Enough of its spread to show what it moves, and little beside the motion.
+            step = 0.05 * float(np.std(cut.series.columns[f"{actuator}_command"]))
             if step > 0.0:
                 moved = controls.copy()
                 moved[:, :, i] += step

@@ -24,15 +24,8 @@ from leglab.diagnosis.plant.model import (
 from leglab.diagnosis.plant.moments import STATE, commands_at, forces_at, plugin_offset, states_at
 from leglab.diagnosis.plant.paths import play
 from leglab.diagnosis.replay.windows import Channel, Cut
+from leglab.diagnosis.thresholds import FLANK, PRESSED
 
-# A piston certainly presses its pin with a force beyond this share of its dry friction.
-_PRESSED = 0.15
-# At rest a flank is pressed with at least this force [N].
-_FLANK = 1.0
-# Longest step at which the pressure of a supply is followed, some hundredths of its time constant.
-_SUPPLY_STEP = 5e-4  # s
-# The load on a joint is followed at this spacing and interpolated.
-_LOAD_EVERY = 20  # samples
 # Velocity at which a bristle breaks away: the Stribeck curve is at its peak [m/s or rad/s].
 _BREAKAWAY = np.finfo(float).tiny
 
@@ -166,11 +159,11 @@ class Instances:
         force = 0.25 * np.pi * (cap * pressures[0] - ring * pressures[1])
         stuck = self.value(element, "sigma_0") * self.followed[element, "bristle"]
         pressed = force - stuck - self.value(element, "viscous") * velocity
-        sure = np.abs(pressed) > _PRESSED * level
+        sure = np.abs(pressed) > PRESSED * level
         last = np.maximum.accumulate(np.where(sure, np.arange(sure.size), -1))
         side = np.where(last >= 0, np.sign(pressed[last]), np.sign(force[0]))
         given = pressed / self.value(element, "play_stiffness")
-        least = _FLANK / self.value(element, "play_stiffness")
+        least = FLANK / self.value(element, "play_stiffness")
         reach = 0.5 * play + np.maximum(np.abs(given), least)
         self.put(element, "play_offset", (side * reach)[samples])
         lag = 0.5 * self.machine.timestep
@@ -194,7 +187,8 @@ class Instances:
         )
 
         def followed() -> np.ndarray:
-            out, steps = np.empty(chambers[0][0].size), np.ceil(period / _SUPPLY_STEP - 1e-9)
+            # Steps of 0.5 ms at most: some hundredths of a supply's time constant.
+            out, steps = np.empty(chambers[0][0].size), np.ceil(period / 5e-4 - 1e-9)
             native.supply_pressure(*given, period, max(1, int(steps)), out)
             return out
 
@@ -221,7 +215,8 @@ class Instances:
         shares = np.array([self.value(element, f"{load}_load_coefficient") for load in loads])
         if not shares.any():
             return np.zeros(count)
-        chosen = np.unique(np.append(np.arange(0, count, _LOAD_EVERY), count - 1))
+        # Interpolated from every 20th sample: loads change with the pose.
+        chosen = np.unique(np.append(np.arange(0, count, 20), count - 1))
         # Only what loads the joint: forces are not computed anew for another friction.
         plugin = np.tile(self.variant.plugin_state, (chosen.size, 1))
         for cylinder in machine.instances(CYLINDER):

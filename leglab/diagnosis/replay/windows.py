@@ -14,11 +14,9 @@ from leglab.diagnosis.intake.series import UniformSeries, common_period, reading
 from leglab.diagnosis.plant.lately import Lately
 from leglab.diagnosis.plant.model import CHAMBERS, CYLINDER, Machine
 from leglab.diagnosis.replay.pushes import Pushes
-from leglab.diagnosis.thresholds import DEFAULT, Thresholds
+from leglab.diagnosis.thresholds import DEFAULT, UNSEEN_STEP, Thresholds
 from leglab.machine.simulation import actuator_moments
 
-# Step of columns that rest on one count in every recording: pressures [Pa], positions [rad or m].
-_UNSEEN_STEP = (1e4, 1e-3)
 # Filtered versions of a channel that are kept: the present one and those of a trial.
 _KNOWN = 3
 
@@ -126,7 +124,7 @@ def resolution(series: Sequence[UniformSeries], column: str) -> float:
     column that never moves at all nobody knows the step.
     """
     if all(np.ptp(s.columns[column]) == 0.0 for s in series):
-        return _UNSEEN_STEP[column.endswith("_position")] / np.sqrt(12.0)
+        return UNSEEN_STEP[column.endswith("_position")] / np.sqrt(12.0)
     steps = [s.steps[column] for s in series if s.steps.get(column, 0.0) > 0.0]
     largest = max(float(np.abs(s.columns[column]).max()) for s in series)
     return max(min(steps, default=0.0) / np.sqrt(12.0), 1e-9 * largest, 1e-12)

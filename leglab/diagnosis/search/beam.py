@@ -5,10 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from leglab.diagnosis.likelihood.evidence import Evidence, Member, Score
-
-WIDTH, DEPTH = 6, 5
-# Additions that are scored exactly; of the first member more, for its place is cheap.
-EXACT, FIRST = 8, 40
+from leglab.diagnosis.thresholds import BEST_SETS, DEPTH, SCORED
 
 
 def beam(evidence: Evidence, start: Iterable[tuple[Member, ...]] = ((),)) -> list[Score]:
@@ -34,7 +31,7 @@ def beam(evidence: Evidence, start: Iterable[tuple[Member, ...]] = ((),)) -> lis
         for one in current:
             for member in one.members:
                 score(m for m in one.members if m != member)
-            for _, member in evidence.additions(one)[: EXACT if depth else FIRST]:
+            for _, member in evidence.additions(one)[: SCORED if depth else 5 * SCORED]:
                 new = score((*one.members, member))
                 names = frozenset(new.unknowns)
                 if names not in found or new.log > found[names].log:
@@ -43,7 +40,9 @@ def beam(evidence: Evidence, start: Iterable[tuple[Member, ...]] = ((),)) -> lis
             break
         before = max(s.log for s in current)
         # A single impostor may lead where only two effects together explain: more first ones stay.
-        current = sorted(found.values(), key=lambda s: -s.log)[: WIDTH if depth else 3 * WIDTH]
+        current = sorted(found.values(), key=lambda s: -s.log)[
+            : BEST_SETS if depth else 3 * BEST_SETS
+        ]
         if depth and current[0].log < before:
             break
     best: dict[frozenset[int], Score] = {}

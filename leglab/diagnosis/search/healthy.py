@@ -7,22 +7,21 @@ import numpy as np
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.intake.series import UniformSeries
-from leglab.diagnosis.likelihood.columns import COARSE, Errors
+from leglab.diagnosis.likelihood.columns import Errors
 from leglab.diagnosis.likelihood.priors import Priors
 from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import Problem, thinned
-from leglab.diagnosis.search.settle import KAPPA, Fitter
-
-# Windows of healthy recordings that are replayed.
-WINDOWS = 48
-# A machine of another day departs from its healthy self by such spreads, in smallest trials, and by
-# half of what good machines differ by.
-DAY, DAY_TOLERANCES = (0.05, 0.15, 0.4), 0.5
-# Its own error is as large as in the healthy recordings but for a factor with this log deviation,
-# and larger while something is missing.
-DAY_SIZES = (0.7, 1.0, 1.4, 2.0, 3.0, 5.0, 9.0, 16.0)
-DAY_FACTOR = 0.4
+from leglab.diagnosis.search.settle import Fitter
+from leglab.diagnosis.thresholds import (
+    COARSE,
+    DAY,
+    DAY_FACTOR,
+    DAY_SIZES,
+    DAY_TOLERANCES,
+    KAPPA,
+    WINDOWS,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +66,7 @@ def motion(series: UniformSeries, columns: Sequence[str]) -> np.ndarray:
 def calibrate(problem: Problem, log: Callable[[str], None] = lambda _: None) -> Specimen:
     """Fits all strengths to healthy recordings, under the priors of machines as they are built."""
     unknowns = Unknowns.of(problem.library)
-    at = Errors(problem, unknowns, thinned(problem.fitted, WINDOWS))
+    at = Errors(problem, unknowns, thinned(problem.fitted, 3 * WINDOWS // 2))
     fitter = Fitter(at, Priors())
     first = at.columns(Hypothesis(), step=COARSE)
     spread, weight = fitter.own_spread(first.errors), np.ones(len(first.errors))

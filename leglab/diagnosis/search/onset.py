@@ -5,25 +5,24 @@ from collections.abc import Sequence
 import numpy as np
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
-from leglab.diagnosis.likelihood.columns import COARSE, Errors
+from leglab.diagnosis.likelihood.columns import Errors
 from leglab.diagnosis.likelihood.priors import Priors
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import Problem, thinned
-from leglab.diagnosis.search.settle import EXPLAINED, HOPELESS, KAPPA, Fitter
-
-# This first share of every recording is taken for healthy, if the model explains it.
-EARLY = 0.25
-# So many windows at these starts are fitted.
-WINDOWS = 16
-# So many windows lie on either side of a change, at least.
-FEWEST = 3
-# Errors after a change are larger by at least this factor in square, in the mean of logarithms.
-RISE = 3.0
-# Chi-square that an onset must save over the same effect throughout; of one window, to tell that an
-# effect is, or is not, at work in it: five and three and a half standard deviations.
-GAIN, TOLD = 60.0, 12.0
-# Errors have left the noise where two bins in a row exceed those of healthy windows by this factor.
-DEPARTED = 6.0
+from leglab.diagnosis.search.settle import Fitter
+from leglab.diagnosis.thresholds import (
+    BEHIND,
+    COARSE,
+    DEFAULT,
+    EARLY_SHARE,
+    FEWEST_WINDOWS,
+    HOPELESS,
+    KAPPA,
+    NEAR,
+    ONSET_RISE,
+    ONSET_TOLD,
+    WINDOWS,
+)
 
 
 def onset_of(problem: Problem) -> np.ndarray | None:
@@ -35,18 +34,18 @@ def onset_of(problem: Problem) -> np.ndarray | None:
     replay = problem.replay
     first = np.array([series.time[0] for series in problem.series])
     last = np.array([series.time[-1] for series in problem.series])
-    limit = (first + EARLY * (last - first))[replay.recording]
+    limit = (first + EARLY_SHARE * (last - first))[replay.recording]
     early = problem.fitted & (replay.start + replay.window < limit)
-    if early.sum() < FEWEST:
+    if early.sum() < FEWEST_WINDOWS:
         return None
-    some = thinned(early, WINDOWS)
+    some = thinned(early, WINDOWS // 2)
     fitter = Fitter(Errors(problem, Unknowns.of(problem.library), some), Priors())
     columns = fitter.at.columns(Hypothesis(), step=COARSE)
     # Most recordings show at once that no onset is to be looked for.
     spread, weight = fitter.own_spread(columns.errors), np.ones(len(columns.errors))
-    hopeless = HOPELESS * EXPLAINED
+    hopeless = HOPELESS * DEFAULT.explained
     fit = fitter.fit(columns, {}, (), spread, weight, KAPPA, give_up=hopeless)
-    if fit.level > EXPLAINED:
+    if fit.level > DEFAULT.explained:
         return None
     base = fit.columns.base
     cost = problem.window_cost(base)
@@ -82,7 +81,7 @@ def begun(
     for key in named:
         later = final.with_onset(key, onsets)
         present = problem.window_cost(final)
-        if problem.size * (present - problem.window_cost(later)).sum() < GAIN:
+        if problem.size * (present - problem.window_cost(later)).sum() < 2.0 * BEHIND * NEAR:
             continue
         absent = problem.window_cost(final.without(key))
         evidence = problem.size * (absent - present)
@@ -93,14 +92,14 @@ def begun(
             after = present[here & (begin > seen)]
             if not after.size:
                 continue
-            met = present < max(EXPLAINED, RISE * float(np.median(after)))
+            met = present < max(DEFAULT.explained, ONSET_RISE * float(np.median(after)))
             # Where a replay without the effect misses far more than one with it, it had begun.
-            missed = ~met & (absent < RISE * present)
-            out = here & ((evidence < -TOLD) | missed) & (begin < seen)
+            missed = ~met & (absent < ONSET_RISE * present)
+            out = here & ((evidence < -ONSET_TOLD) | missed) & (begin < seen)
             if not out.any():
                 continue
             last = begin[out].max()
-            clear = here & (evidence > TOLD) & met & (begin > last) & (begin + length < seen)
+            clear = here & (evidence > ONSET_TOLD) & met & (begin > last) & (begin + length < seen)
             seen = min([seen, *begin[clear]])
             ends[i] = min(seen, last + length), seen
             times[i] = ends[i].mean()
@@ -112,10 +111,10 @@ def change_point(values: np.ndarray) -> int | None:
     """First index after the most likely rise of the mean (Page 1954), None where there is none."""
     count = values.size
     best, where = 0.0, None
-    for k in range(FEWEST, count - FEWEST + 1):
+    for k in range(FEWEST_WINDOWS, count - FEWEST_WINDOWS + 1):
         rise = float(values[k:].mean() - values[:k].mean())
         gain = rise**2 * k * (count - k) / count
-        if rise > np.log(RISE) and gain > best:
+        if rise > np.log(ONSET_RISE) and gain > best:
             best, where = gain, k
     if where is None:
         return None
@@ -134,7 +133,7 @@ def _refined(problem: Problem, errors: np.ndarray, windows: np.ndarray, onset: f
         return onset
     level = np.sqrt(np.mean(errors[healthy] ** 2, axis=0)) + 1e-12
     for window in near:
-        out = (np.abs(errors[window]) > DEPARTED * level).any(axis=0)
+        out = (np.abs(errors[window]) > problem.thresholds.still_noise * level).any(axis=0)
         lasting = out[:-1] & out[1:]
         if lasting.any():
             return float(replay.start[window] + int(np.argmax(lasting)) / replay.bins * length)

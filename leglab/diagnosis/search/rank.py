@@ -11,16 +11,10 @@ from leglab.diagnosis.likelihood.evidence import Evidence, Score
 from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.search.settle import Fit, Fitter
+from leglab.diagnosis.thresholds import BEHIND, BEST_SETS, LARGEST_SET, NEAR, PATTERNS, SCORED
 
-# A set within so many nats of the best one is fitted; of one that is this many times further
-# behind nothing is hoped for.
-NEAR, BEHIND = 10.0, 3.0
-# Sets whose errors say how the model errs; and whose additions are looked at, so many of each.
-PATTERNS, HOPEFUL, ADDITIONS = 3, 6, 16
-# Members of a set.
-LARGEST = 7
 # Memory for products of linearisations that are kept [bytes]: a small part of any computer's.
-MEMORY = 5e8
+_MEMORY = 5e8
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +67,7 @@ class Compared:
         if key not in self._made:
             made = self.fitter.evidence(at.columns, spread, by.weight, kappa)
             self._made[key] = made
-            while len(self._made) * made.gram.nbytes > MEMORY:
+            while len(self._made) * made.gram.nbytes > _MEMORY:
                 self._made.pop(next(iter(self._made)))
         return self._made[key].with_kappa(kappa)
 
@@ -156,18 +150,18 @@ def proposal(
     def add(evidence: Evidence, members: Sequence[int], fit: Fit, least: float = -np.inf) -> None:
         score = evidence.score([(q, None) for q in members])
         found.append((score.log, tuple(members), fit, evidence))
-        for _, (q, _) in evidence.additions(score)[:ADDITIONS]:
+        for _, (q, _) in evidence.additions(score)[: 2 * SCORED]:
             larger = evidence.score([(p, None) for p in (*members, q)])
             if larger.log > score.log + least:
                 found.append((larger.log, larger.unknowns, fit, evidence))
 
-    for row in [r for r in sound[:HOPEFUL] if r.score.log > top - BEHIND * NEAR]:
+    for row in [r for r in sound[:BEST_SETS] if r.score.log > top - BEHIND * NEAR]:
         own = (r.evidence for r in ranks if r.evidence.columns is row.fit.columns)
         there = next(own, None) or fitter.evidence(
             row.fit.columns, row.fit.spread, row.fit.weight, kappa
         )
         add(there, row.fit.members, row.fit, 0.0)
-    for row in [r for r in ranks[:HOPEFUL] if r.fit is best or r.fit.ended]:
+    for row in [r for r in ranks[:BEST_SETS] if r.fit is best or r.fit.ended]:
         fit = row.fit
         out = fit.members if fit is best else fit.ended
         for key in dict.fromkeys(u.keys[q] for q in out):
@@ -181,7 +175,7 @@ def proposal(
         one
         for one in found
         if one[0] >= top - NEAR
-        and 0 < len(one[1]) <= LARGEST
+        and 0 < len(one[1]) <= LARGEST_SET
         and frozenset(u.keys[q] for q in one[1]) not in tried
     ]
     if not found:

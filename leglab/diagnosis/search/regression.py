@@ -15,11 +15,7 @@ import numpy as np
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.likelihood.columns import Errors, Jump
 from leglab.diagnosis.replay.lacking import balanced_joints, lacking_forces
-
-# Effects of a set on one joint; sets of each number that are kept, and singles that are combined.
-MOST, KEPT, COMBINED = 3, 2, 16
-# Step of the drives' gains that shows what grows with them.
-STRONGER = 0.1
+from leglab.diagnosis.thresholds import COARSE, DEFAULT, EACH_WAY, JOINT_EFFECTS, SCORED
 
 
 @dataclass(frozen=True)
@@ -39,7 +35,7 @@ class Balanced:
     gain: float
 
 
-def forces_left(at: Errors, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
+def forces_of(at: Errors, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
     """Forces along the measured motion, each (windows, joints, moments) [N m or N].
 
     Those that are left over, and those of the drives.
@@ -68,10 +64,11 @@ def balanced_sets(at: Errors, jumps: Sequence[Jump]) -> dict[str, list[Balanced]
     jumps = [jump for jump in jumps if jump[0] < u.single]
     if not jumps:
         return {}
-    left, drive = forces_left(at, base)
-    moved = [forces_left(at, u.moved(base, dict([jump])))[0] - left for jump in jumps]
-    louder = {q: STRONGER / u.scale[q] for q in range(u.single) if u.keys[q][0] == "actuator_gain"}
-    loud = forces_left(at, u.moved(base, louder))[0] if louder else left
+    left, drive = forces_of(at, base)
+    moved = [forces_of(at, u.moved(base, dict([jump])))[0] - left for jump in jumps]
+    stronger = COARSE[1]
+    louder = {q: stronger / u.scale[q] for q in range(u.single) if u.keys[q][0] == "actuator_gain"}
+    loud = forces_of(at, u.moved(base, louder))[0] if louder else left
     found = {}
     for j, joint in enumerate(joints):
         # Of a joint that rests nothing is learned; the middle of all windows sets the scale.
@@ -79,7 +76,9 @@ def balanced_sets(at: Errors, jumps: Sequence[Jump]) -> dict[str, list[Balanced]
         scale = np.ones(len(size))
         for r in np.unique(at.recording):
             own = at.recording == r
-            scale[own] = max(float(np.median(size[own])), 1e-3 * float(np.median(size)), 1e-12)
+            scale[own] = max(
+                float(np.median(size[own])), DEFAULT.negligible * float(np.median(size)), 1e-12
+            )
         weight = 1.0 / np.maximum(scale, size / 3.0)
         y = (left[:, j] * weight[:, None]).ravel()
         columns, scaling = [], []
@@ -88,9 +87,9 @@ def balanced_sets(at: Errors, jumps: Sequence[Jump]) -> dict[str, list[Balanced]
             share = _proportion(own.ravel(), drive[:, j].ravel()) if louder else 0.0
             if share and jump[0] not in louder:
                 # What is in proportion to the drive grows with its gain; other friction does not.
-                both = forces_left(at, u.moved(base, {**louder, jump[0]: jump[1]}))[0] - loud
+                both = forces_of(at, u.moved(base, {**louder, jump[0]: jump[1]}))[0] - loud
                 grown = float((both[:, j] * own).sum() / (own**2).sum()) - 1.0
-                share = share if abs(grown - STRONGER) < 0.1 * STRONGER else 0.0
+                share = share if abs(grown - stronger) < DEFAULT.smaller_share * stronger else 0.0
             if share:
                 # A gain of 0 leaves no force over, nor does a friction that eats the drive's:
                 # regressed on itself the drive explains itself. The motion's force stands for it.
@@ -114,13 +113,13 @@ def balanced_sets(at: Errors, jumps: Sequence[Jump]) -> dict[str, list[Balanced]
 
 def _proportion(change: np.ndarray, drive: np.ndarray) -> float:
     """Proportion of a change of forces to the drive's, (moments,) each; 0 where there is none."""
-    moves = np.abs(drive) > 0.1 * np.abs(drive).max()
+    moves = np.abs(drive) > DEFAULT.smaller_share * np.abs(drive).max()
     if not drive.any() or not moves.any():
         return 0.0
     ratio = np.abs(change[moves] / drive[moves])
     middle = float(np.median(ratio))
     # Beside reversals, which bend what rubs.
-    return middle if np.median(np.abs(ratio - middle)) <= 0.02 * middle else 0.0
+    return middle if np.median(np.abs(ratio - middle)) <= DEFAULT.same * middle else 0.0
 
 
 def _bent(balanced: Balanced, jumps: Sequence[Jump], scaling: Sequence[float]) -> Balanced:
@@ -173,7 +172,7 @@ def _subsets(
     pool = sorted(best_of.values(), key=lambda i: -(max(slope[i], 0.0) ** 2) / gram[i, i])
     sets: list[tuple[float, tuple[int, ...], np.ndarray]] = []
     current: list[tuple[int, ...]] = [()]
-    for count in range(1, MOST + 1):
+    for count in range(1, JOINT_EFFECTS + 1):
         level = []
         starts = (
             combinations(pool, 2)
@@ -189,8 +188,8 @@ def _subsets(
             if one := fitted(columns):
                 level.append((one[0], tuple(columns), one[1]))
         level.sort(key=lambda s: s[0])
-        current = [s[1] for s in level[:COMBINED]]
-        sets += level[:KEPT]
+        current = [s[1] for s in level[: 2 * SCORED]]
+        sets += level[:EACH_WAY]
     found = []
     for rest, columns, factors in sets:
         start = {jumps[i][0]: float(f * jumps[i][1]) for i, f in zip(columns, factors, strict=True)}

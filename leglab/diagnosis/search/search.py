@@ -6,39 +6,35 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
-from leglab.diagnosis.likelihood.columns import COARSE, Columns, Errors, trials
+from leglab.diagnosis.likelihood.columns import Columns, Errors, trials
 from leglab.diagnosis.likelihood.evidence import Evidence, Score
 from leglab.diagnosis.likelihood.priors import Priors
 from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import Problem, thinned
 from leglab.diagnosis.search.beam import beam, without_idle
-from leglab.diagnosis.search.rank import (
-    BEHIND,
-    LARGEST,
-    NEAR,
-    Compared,
-    Proposal,
-    Ranked,
-    proposal,
-    rank,
-)
+from leglab.diagnosis.search.rank import Compared, Proposal, Ranked, proposal, rank
 from leglab.diagnosis.search.regression import Balanced, balanced_sets
-from leglab.diagnosis.search.settle import EXPLAINED, HOPELESS, KAPPA, RENEWALS, Fit, Fitter
-
-# Windows that are replayed; beyond so many unknowns, each of which takes a replay of them all,
-# fewer, and half as many at least.
-WINDOWS, MANY = 32, 60
-# Turns in which the pattern of errors and what explains them are found from each other.
-ANNEALINGS = 4
-# Sets that are fitted from the first linearisation whatever they promise, at most, and singles and
-# sets beside an exact model among them.
-SURE, FIRST, SINGLES, EXACT = 3, 5, 3, 2
-# Share of all that is to be gained by which first promises of equal sets differ; and below which a
-# member of a set is idle, beside so many nats.
-AS_GOOD, IDLE_SHARE, IDLE = 0.1, 0.03, 3.0
-# Further sets that are fitted; fewer where so many in a row do not come near the best one.
-MORE, FRUITLESS = 7, 2
+from leglab.diagnosis.search.settle import Fit, Fitter
+from leglab.diagnosis.thresholds import (
+    ANNEALINGS,
+    BEHIND,
+    COARSE,
+    DEFAULT,
+    EACH_WAY,
+    FIRST_FITS,
+    FRUITLESS,
+    FURTHER_FITS,
+    HOPELESS,
+    IDLE,
+    KAPPA,
+    LARGEST_SET,
+    MANY_UNKNOWNS,
+    NEAR,
+    RENEWALS,
+    SURE_FITS,
+    WINDOWS,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +79,7 @@ def search(
     looked_at = problem.fitted
     if onsets is not None:
         looked_at = looked_at & (problem.replay.start > onsets[problem.replay.recording])
-    windows = max(WINDOWS // 2, min(WINDOWS, WINDOWS * MANY // len(u)))
+    windows = max(WINDOWS // 2, min(WINDOWS, WINDOWS * MANY_UNKNOWNS // len(u)))
     at = Errors(problem, u, thinned(looked_at, windows))
     fitter = Fitter(at, priors or Priors(), fixed)
     log(f"tangents and trials of {len(u)} unknowns")
@@ -105,7 +101,7 @@ def search(
             # leaves little more than noise is a rival whatever else explains.
             level = begins(seed)
             if level < HOPELESS * as_it_is:
-                near_noise = level < HOPELESS * EXPLAINED
+                near_noise = level < HOPELESS * DEFAULT.explained
                 wanted[names] = replace(seed, promise=np.inf) if near_noise else seed
         elif begins(seed) < begins(wanted[names]):
             # A set that both propose begins where a replay is nearer.
@@ -137,8 +133,8 @@ def search(
             continue
         tried.add(names)
         # Beside what explains everything only what promises nearly as much is a rival.
-        if run(new).level <= EXPLAINED:
-            least = max(least, new.promise - NEAR - AS_GOOD * worth)
+        if run(new).level <= DEFAULT.explained:
+            least = max(least, new.promise - NEAR - DEFAULT.smaller_share * worth)
     run(_of(evidence, evidence.score(())))
     vain, more, last = 0, 0, frozenset[Key]()
     again, ended = set[tuple[frozenset[Key], frozenset[Key]]](), set[frozenset[Key]]()
@@ -157,8 +153,10 @@ def search(
         top = ranks[0].score.log
         behind = BEHIND * NEAR
         if not fitter.explains(least_left.fit):
-            behind += AS_GOOD * (top - next(r.score.log for r in ranks if not r.fit.members))
-        near = [r for r in ranks if r.score.log > top - behind or r.fit.level <= EXPLAINED]
+            behind += DEFAULT.smaller_share * (
+                top - next(r.score.log for r in ranks if not r.fit.members)
+            )
+        near = [r for r in ranks if r.score.log > top - behind or r.fit.level <= DEFAULT.explained]
         most = HOPELESS * least_left.fit.level
         open_ = (r.fit for r in near if not r.fit.finished and r.fit.level < most)
         begun = next((f for f in open_ if f.keys not in ended), None)
@@ -177,7 +175,7 @@ def search(
             continue
         # What was proposed last is a rival now, or was in vain.
         vain = 0 if last in {r.fit.keys for r in near if r.score.log > top - NEAR} else vain + 1
-        done = vain > FRUITLESS or more >= MORE
+        done = vain > FRUITLESS or more >= FURTHER_FITS
         then = None if done else proposal(fitter, ranks, tried, removed)
         if then is None:
             # What does without an effect of the best set is fitted from there.
@@ -226,20 +224,20 @@ def _wanted(evidence: Evidence, ranked: Sequence[Score]) -> list[Proposal]:
         return frozenset(u.keys[q] for q in score.unknowns)
 
     nothing = next(s for s in ranked if not s.members)
-    idle = IDLE + IDLE_SHARE * max(ranked[0].log - nothing.log, 0.0)
+    idle = IDLE[0] + IDLE[1] * max(ranked[0].log - nothing.log, 0.0)
     for score in ranked:
         score = without_idle(evidence, score, idle)
-        near = len(picked) < FIRST and score.log > ranked[0].log - NEAR
-        if keys(score) not in picked and (len(picked) < SURE or near):
+        near = len(picked) < FIRST_FITS and score.log > ranked[0].log - NEAR
+        if keys(score) not in picked and (len(picked) < SURE_FITS or near):
             picked[keys(score)] = score
-    for score in [s for s in ranked if len(s.members) == 1][:SINGLES]:
+    for score in [s for s in ranked if len(s.members) == 1][:SURE_FITS]:
         picked.setdefault(keys(score), score)
     # What leads where the model is exact: its own error, as estimated while something is missing,
     # has that one's shape and hides it.
     widest = len(evidence.priors.spreads) - 1
     shift = evidence.follow(evidence.whole, 0, widest, np.eye(1, evidence.gram.shape[1])[0])
     exact = replace(evidence.score(()), size=evidence.places[0], spread=widest, shift=shift)
-    for _, member in evidence.additions(exact)[:EXACT]:
+    for _, member in evidence.additions(exact)[:EACH_WAY]:
         score = evidence.score((member,))
         picked.setdefault(keys(score), score)
     return [_of(evidence, score) for names, score in picked.items() if names]
@@ -273,7 +271,7 @@ def _seeds(evidence: Evidence, found: dict[str, list[Balanced]]) -> list[Proposa
             best = next(one for one in gaining if len(one.start) <= count)
             joined.setdefault(count, {}).update(best.start)
     for start in joined.values():
-        if len(start) <= LARGEST:
+        if len(start) <= LARGEST_SET:
             seeds.setdefault(frozenset(start), start)
     columns, spread, weight = evidence.columns, evidence.spread, evidence.weight
     return [

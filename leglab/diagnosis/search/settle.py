@@ -14,42 +14,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
-from leglab.diagnosis.likelihood.columns import (
-    COARSE,
-    FINE,
-    LARGE,
-    LARGE_FIRST,
-    Columns,
-    Errors,
-    change,
-)
+from leglab.diagnosis.likelihood.columns import Columns, Errors, change
 from leglab.diagnosis.likelihood.evidence import Evidence, Score, robust_weights
-from leglab.diagnosis.likelihood.priors import ABSENT, FAULT_SIZE, Priors
+from leglab.diagnosis.likelihood.priors import Priors
 from leglab.diagnosis.likelihood.spread import Spread
-from leglab.diagnosis.thresholds import DEFAULT
-
-# Share of the log likelihood that counts before anything is known.
-KAPPA = 0.1
-# Level up to which errors are those of noise.
-EXPLAINED = DEFAULT.explained
-TURNS = 16
-# Times the level of the best set, or of noise, at which a fit is given up.
-HOPELESS = 10.0
-# Another turn that gains less is not worth its replays [nats]; one that gains so many times more
-# goes on with the tangents that it has.
-ENOUGH, GOES_ON = 2.0, 5.0
-# All tangents are taken anew so often at most.
-RENEWALS = 3
-# In the first turns machines are built almost as their model: by this share of tolerances, and of
-# smallest trials.
-STIFF_TURNS, STIFF, STIFF_SPREAD = 3, 0.05, 0.02
-# Shares of a step that are tried.
-SHARES = (1.0, 0.5, 0.2, 0.05)
-# Multiples of a size that are looked at, and the relative change of a slope over them below which
-# an unknown is smooth.
-LADDER, SMOOTH = (0.3, 0.5, 0.75, 1.3, 1.8, 2.8), 0.2
-# Share of a value within which a size is the same, or stands at a bound.
-SAME = 0.02
+from leglab.diagnosis.thresholds import (
+    ABSENT,
+    COARSE,
+    DEFAULT,
+    ENOUGH,
+    FAULT_SIZE,
+    FINE,
+    LADDER,
+    NEAR,
+    RENEWALS,
+    STIFF,
+    STIFF_TURNS,
+    TURNS,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +99,8 @@ class Fitter:
 
     def __init__(self, at: Errors, priors: Priors, fixed: Spread | None = None) -> None:
         self.at, self.priors, self.fixed = at, priors, fixed
-        self._stiff = replace(priors, spreads=(STIFF_SPREAD,), tolerances=STIFF, covariance=None)
+        tolerances, spread = STIFF
+        self._stiff = replace(priors, spreads=(spread,), tolerances=tolerances, covariance=None)
         self._sensors = at.problem.noise.whitening[at.chosen]
         self._roots: tuple[Evidence, int, np.ndarray] | None = None
 
@@ -128,11 +111,11 @@ class Fitter:
     def explains(self, fit: Fit) -> bool:
         """Whether noise, or errors as the healthy specimen has them, are left."""
         if self.fixed is None:
-            return fit.level <= EXPLAINED
+            return fit.level <= DEFAULT.explained
         roots, _ = self.fixed.whiteners(self.at, 1.0, 1.0)
         n = self.at.size
         white = np.einsum("wij,wj->wi", roots[:, :n, :n], fit.columns.errors[:, :n])
-        return float(np.median(np.mean(white**2, axis=1))) <= EXPLAINED**2
+        return float(np.median(np.mean(white**2, axis=1))) <= DEFAULT.explained**2
 
     def _white(self, errors: np.ndarray) -> np.ndarray:
         return np.asarray(np.einsum("wij,wj->wi", self._sensors, errors[:, : self.at.size]))
@@ -239,7 +222,7 @@ class Fitter:
             if not first and gain < ENOUGH and (fresh or missed < ENOUGH):
                 finished = True
                 break
-            slow = share < 1.0 or gain < GOES_ON * ENOUGH
+            slow = share < 1.0 or gain < NEAR
         evidence = self.evidence(point.columns, spread, weight, kappa)
         score = evidence.score([(q, None) for q in members])
         return Fit(
@@ -282,7 +265,7 @@ class Fitter:
         u = self.at.unknowns
         values, spikes = evidence.step(score)
         before = self._cost(evidence, score, point.errors, point.values, point.spikes)
-        for share in SHARES:
+        for share in (1.0, 0.5, 0.2, 0.05):  # what shorter ones gain is not worth a replay
             new_values = point.values + share * (values - point.values)
             new_spikes = point.spikes + share * (spikes - point.spikes)
             goal = new_spikes.copy()
@@ -337,11 +320,11 @@ class Fitter:
         """With the tangents of the members and their shapes taken anew."""
         at, u = self.at, self.at.unknowns
         which = [q for q in members if q < u.single] + self._shapes(members)
-        step, large = (COARSE, LARGE_FIRST) if coarse else (FINE, LARGE)
-        out = at.tangents(point.hypothesis, point.errors, which, step, point.tangents, large)
+        step = COARSE if coarse else FINE
+        out = at.tangents(point.hypothesis, point.errors, which, step, point.tangents)
         for q in members:
             if q >= u.single:
-                h = max(step, large * abs(float(np.mean(point.x[list(u.singles(q))]))))
+                h = max(step[0], step[1] * abs(float(np.mean(point.x[list(u.singles(q))]))))
                 moved = at.at(u.moved(point.hypothesis, {q: h}))
                 out[:, :, q] = change(point.errors, moved) / h
         return replace(point, tangents=out)
@@ -372,13 +355,14 @@ class Fitter:
         for n, q in enumerate(members):
             now = float(point.values[n])
             sizes = sorted({float(np.clip(f * now, u.lower[q], u.upper[q])) for f in LADDER})
-            sizes = [y for y in sizes if abs(y - now) > SAME * abs(now)]
+            sizes = [y for y in sizes if abs(y - now) > DEFAULT.same * abs(now)]
             if len(sizes) < 2:
                 continue
             ends = (sizes[1], sizes[-2]) if len(sizes) > 3 else (sizes[0], sizes[-1])
             tried = self._at_sizes(point, members, n, ends)
             low, high = (self._white(tried[y].errors - point.errors) / (y - now) for y in ends)
-            if np.linalg.norm(high - low) < SMOOTH * np.linalg.norm(low):
+            # Where the slope hardly changes turns find the size: a ladder would only take time.
+            if np.linalg.norm(high - low) < 0.2 * np.linalg.norm(low):
                 continue
             tried |= self._at_sizes(point, members, n, [y for y in sizes if y not in tried])
             for one in tried.values():
@@ -404,7 +388,7 @@ class Fitter:
         u, found = self.at.unknowns, []
         for q, value in zip(members, values, strict=True):
             v = float(value if q >= u.single else x[q])
-            near = SAME * max(abs(v), 1e-9)
+            near = DEFAULT.same * max(abs(v), 1e-9)
             key, i = u.places[q][0]
             natural = u.library.sites[key].lower[i] == 0.0
             above = v >= u.upper[q] - near and u.upper[q] > 0

@@ -18,25 +18,19 @@ from scipy.stats import norm
 from leglab.diagnosis.effects.base import all_effects
 from leglab.diagnosis.effects.hypothesis import Key
 from leglab.diagnosis.result import Verdict
-from leglab.diagnosis.search.healthy import DAY_FACTOR
-from leglab.diagnosis.search.settle import EXPLAINED
+from leglab.diagnosis.thresholds import (
+    DAY_FACTOR,
+    DEFAULT,
+    EDGE,
+    IMPOSTOR,
+    LIBRARY_ODDS,
+    MORE_NUMBERS,
+    NAMED,
+    POSSIBLE,
+    TIE,
+    VISIBLE,
+)
 from leglab.diagnosis.verdict.sets import Row, Sets
-
-# Odds of a cause in the library against one outside of it.
-LIBRARY_ODDS = 2.0
-# Logit of the share that the best impostor explains: mean and standard deviation on a machine of
-# which nothing is known, and how many computed ones that counts for.
-IMPOSTOR, IMPOSTOR_WEIGHT = (-0.85, 1.8), 5.0
-# A jump whose chi-square beside all that machines differ in is beyond this can be seen: five
-# standard deviations.
-VISIBLE = 25.0
-# Width, in logits, of the edge about one half below which the right cause hardly explains less.
-EDGE = 0.5
-# A name is surer than this; a member of a confusion set, without some part of the recordings.
-NAMED, POSSIBLE = 0.5, 0.3
-# Sets whose fits differ by less than this factor in probability are not told apart by the data,
-# whichever is simpler, if the rival needs no more than so many further numbers.
-TIE, MORE_NUMBERS = 4.0, 2
 
 
 @dataclass(frozen=True)
@@ -49,7 +43,6 @@ class Judged:
         evidence: Probability by evidence alone.
         apart: Without the worst part.
         share: Of what is left without it, that it explains.
-        inside: Probability that it stands for itself and not for an unknown cause.
         size: Largest departure in trials.
     """
 
@@ -58,7 +51,6 @@ class Judged:
     evidence: float
     apart: float
     share: float
-    inside: float
     size: float
 
 
@@ -144,7 +136,7 @@ def as_before(middle: float, largest: float, *, healthy: bool) -> bool:
     """
     if healthy:
         return middle <= math.exp(DAY_FACTOR) and largest <= math.exp(2.0 * DAY_FACTOR)
-    return largest <= EXPLAINED
+    return largest <= DEFAULT.explained
 
 
 def _shares(logs: np.ndarray) -> np.ndarray:
@@ -184,7 +176,6 @@ def _effect(
         evidence=evidence,
         apart=alone,
         share=share,
-        inside=inside,
         size=float(np.abs(first.score.values[first.places(key)]).max()),
     )
     return told, ties
@@ -250,7 +241,7 @@ def impostors(sets: Sets) -> tuple[float, float]:
         if keys[b] not in best_of or size[b] > best_of[keys[b]][0]:
             best_of[keys[b]] = float(size[b]), float(min(share.max(), 1.0))
     x = np.array([_logit(share) for _, share in best_of.values()])
-    (m0, s0), w = IMPOSTOR, IMPOSTOR_WEIGHT
+    m0, s0, w = IMPOSTOR
     mean = (w * m0 + x.sum()) / (w + x.size)
     variance = w * (s0**2 + (m0 - mean) ** 2) + ((x - mean) ** 2).sum()
     return float(mean), float(np.sqrt(variance / (w + x.size)))

@@ -6,9 +6,6 @@ from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.result import Proposal
 
-# Every excitation is tried with small and large commands, as shares of the present range, for 1 s.
-_AMPLITUDES, _DURATION = (0.3, 1.0), 1.0
-
 
 def catalogue(samples: int, period: float) -> dict[str, np.ndarray]:
     """Excitations of unit amplitude by name, each (samples,)."""
@@ -37,8 +34,9 @@ def propose(problem: Problem, rivals: dict[str, Hypothesis]) -> Proposal | None:
     commands = np.concatenate(rows)
     middle = np.median(commands, axis=0)
     reach = np.ptp(np.quantile(commands, [0.02, 0.98], axis=0), axis=0) / 2.0
-    waves = catalogue(round(_DURATION / period), period)
-    tried = [(name, amplitude) for name in waves for amplitude in _AMPLITUDES]
+    # For 1 s, with small and large commands, as shares of the present range.
+    waves = catalogue(round(1.0 / period), period)
+    tried = [(name, amplitude) for name in waves for amplitude in (0.3, 1.0)]
     series = [middle + amplitude * reach * waves[name][:, None] for name, amplitude in tried]
     speeds = replay.measured()[:, 0, :10]
     calm = int(np.argmin(np.abs(speeds[:, -1] - speeds[:, 0])))

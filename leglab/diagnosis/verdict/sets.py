@@ -10,19 +10,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
-from leglab.diagnosis.likelihood.columns import BLOWN, Columns
+from leglab.diagnosis.likelihood.columns import Columns
 from leglab.diagnosis.likelihood.evidence import Evidence, Score
 from leglab.diagnosis.likelihood.unknowns import Unknowns
-from leglab.diagnosis.search.rank import NEAR, both_ways
+from leglab.diagnosis.search.rank import both_ways
 from leglab.diagnosis.search.search import Found
-
-# Share of a departure within which two directions are alike, and sizes of a law that is not quite
-# the machine's may be off.
-LAW = 0.25
-# Log of the influence of a drive by which good fits differ.
-SLACK = 0.1
-# A drive moves channels, and windows, whose change by it is beyond this share of the largest.
-MOVES = 0.1
+from leglab.diagnosis.thresholds import BLOWN, DEFAULT, LAW, NEAR, SLACK
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,9 +253,9 @@ class Sets:
             change = at.at(Hypothesis(), actuator) - self.found.first.errors
             squares = self.channel_squares(change)
             mean = squares.mean(axis=0)
-            channels = mean > MOVES * mean.max()
+            channels = mean > DEFAULT.smaller_share * mean.max()
             before = squares[:, channels].sum(axis=1)
-            moving = before > MOVES * np.median(before)
+            moving = before > DEFAULT.smaller_share * np.median(before)
             count = self.best.kappa * float(numbers[moving][:, channels].sum())
             for i, (point, here) in enumerate(zip(points, errors, strict=True)):
                 change = at.at(point, actuator) - here

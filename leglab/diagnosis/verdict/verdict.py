@@ -25,7 +25,6 @@ from leglab.diagnosis.likelihood.unknowns import EVERY
 from leglab.diagnosis.plant.model import CYLINDER, Machine
 from leglab.diagnosis.replay.residual import Problem, whitened
 from leglab.diagnosis.result import (
-    ROOM,
     Calibration,
     Diagnosis,
     Estimate,
@@ -42,24 +41,17 @@ from leglab.diagnosis.result import (
 )
 from leglab.diagnosis.search.onset import begun
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, Searched, searched
-from leglab.diagnosis.search.settle import EXPLAINED, Fit, Fitter
-from leglab.diagnosis.verdict.confidence import NAMED, VISIBLE, Judgement, as_before, judged
+from leglab.diagnosis.search.settle import Fit, Fitter
+from leglab.diagnosis.thresholds import ABSENT, BEST_SETS, DEFAULT, LAW, NAMED, ROOM, VISIBLE
+from leglab.diagnosis.verdict.confidence import Judgement, as_before, judged
 from leglab.diagnosis.verdict.experiment import propose
-from leglab.diagnosis.verdict.sets import LAW, Row, Sets
+from leglab.diagnosis.verdict.sets import Row, Sets
 from leglab.diagnosis.verdict.whole import whole_recording
 
 _HARDLY_SHOWN = (
     "the held-out recordings hardly show what is named: the share explained is that over all "
     "recordings"
 )
-# Poses of a recording that are looked at for contacts.
-_POSES = 50
-# Spread of a machine that is as its model but for tolerances, in trials; and the share of its error
-# by which such a fit may be worse.
-AS_BUILT, AS_GOOD = 1e-3, 0.1
-# Standard deviation of the size of a change on a rough machine, as a share of it: what a parameter
-# Sets that are told as rivals.
-_RIVALS = 6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -163,7 +155,7 @@ def _lacks_nothing(outcome: Outcome) -> bool:
         for h in (outcome.final, outcome.final.without(*outcome.named))
     )
     share = problem.thresholds.explanation_share
-    return without <= EXPLAINED and without - with_it < share * max(without - 1.0, ROOM)
+    return without <= DEFAULT.explained and without - with_it < share * max(without - 1.0, ROOM)
 
 
 def _clear_elsewhere(found: Searched) -> bool:
@@ -206,7 +198,7 @@ def _judged(found: Searched, judgement: Judgement) -> Outcome:
         kept = {q: float(v) for q, v in values if u.library_keys(q) <= set(named)}
         lean, scatter = _lean(found, row, kept, final)
         written = lean.columns.base
-        if lean.level <= (1.0 + AS_GOOD) * row.level:
+        if lean.level <= (1.0 + found.problem.thresholds.smaller_share) * row.level:
             final, spread = written, scatter
     between: dict[Key, np.ndarray] = {}
     if found.onsets is not None:
@@ -246,7 +238,7 @@ def _lean(
     shape = u.shape[: u.single]
     goal[shape] = old.x[: u.single][shape]
     start = {i: float(d) for i, d in enumerate(goal - old.x[: u.single])}
-    lean = Fitter(at, replace(fitter.priors, spreads=(AS_BUILT,)))
+    lean = Fitter(at, replace(fitter.priors, spreads=(ABSENT,)))
     weight, kappa = row.evidence.weight, row.evidence.kappa
     fit = lean.fit(columns, start, tuple(values), row.evidence.spread, weight, kappa, beside=True)
     evidence = lean.evidence(fit.columns, fit.spread, fit.weight, kappa)
@@ -427,7 +419,7 @@ def _intervals(outcome: Outcome) -> dict[Key, np.ndarray]:
     fast one: on a rough machine by a share of the change, which no spread of errors shows.
     """
     problem, evidence = outcome.problem, outcome.row.evidence
-    u, rough = evidence.unknowns, outcome.row.level > EXPLAINED
+    u, rough = evidence.unknowns, outcome.row.level > DEFAULT.explained
     # Few parts say how errors scatter.
     width = float(student.ppf(0.975, max(int(evidence.part.max()), 1)))
     half = {}
@@ -484,7 +476,7 @@ def _ranking(found: Searched) -> tuple[Rank, ...]:
 
 def _rivals(judged: Judgement) -> tuple[Rivals, ...]:
     """The most probable sets, and how much each is preferred to another."""
-    rows = judged.rows[:_RIVALS]
+    rows = judged.rows[:BEST_SETS]
     names = tuple(" + ".join(sorted(k[0] for k in row.keys)) or "nothing" for row in rows)
     logs = np.array([row.score.log for row in rows])
     preference = 1.0 / (1.0 + np.exp(np.clip(logs[None, :] - logs[:, None], -500, 500)))
@@ -643,7 +635,7 @@ def at_limits(library: Library, values: Mapping[Key, np.ndarray]) -> tuple[str, 
     for key, fitted in values.items():
         site = library.sites[key]
         for p, value, nominal in zip(site.parameters, fitted, site.nominal, strict=True):
-            room = 1e-3 * (p.upper - p.lower)
+            room = DEFAULT.negligible * (p.upper - p.lower)
             suffix = "" if p.unit == "1" else f" {p.unit}"
             ends = (("smallest", p.lower, value - p.lower), ("largest", p.upper, p.upper - value))
             lines += [
@@ -662,7 +654,8 @@ def touching_share(machine: Machine, series: Sequence[UniformSeries]) -> float:
     places = {f"{joint}_position": int(model.joint(joint).qposadr[0]) for joint in machine.joints}
     touched = []
     for one in series:
-        rows = np.linspace(0, one.time.size - 1, _POSES).astype(int)
+        # So many poses tell a share.
+        rows = np.linspace(0, one.time.size - 1, 50).astype(int)
         for row in rows:
             for column, place in places.items():
                 data.qpos[place] = one.columns[column][row]
