@@ -156,7 +156,13 @@ def search(
             behind += DEFAULT.smaller_share * (
                 top - next(r.score.log for r in ranks if not r.fit.members)
             )
-        near = [r for r in ranks if r.score.log > top - behind or r.fit.level <= DEFAULT.explained]
+        # So may a set no larger than the best one that leaves noise alone already.
+        small, noise = len(ranks[0].fit.members), DEFAULT.explained
+        near = [
+            r
+            for r in ranks
+            if r.score.log > top - behind or (r.fit.level <= noise and len(r.fit.members) <= small)
+        ]
         most = HOPELESS * least_left.fit.level
         open_ = (r.fit for r in near if not r.fit.finished and r.fit.level < most)
         begun = next((f for f in open_ if f.keys not in ended), None)
