@@ -80,7 +80,8 @@ def test_the_independent_simulator_agrees_with_the_nominal_models(name):
     assert open_loop_error(rig.model, quiet, rig.joints, rig.drives) < 5e-4  # of 0.5 to 1.5
 
 
-@pytest.mark.parametrize("name", _rigs([(name,) for name in RIGS]))
+@pytest.mark.slow("whole diagnoses with all effects, as of the bench in test_diagnosis.py")
+@pytest.mark.parametrize("name", RIGS)
 def test_a_perfect_model_lacks_nothing(name):
     result, _ = verdict(RIGS[name], {})
     assert result.verdict == "nothing_missing"
