@@ -137,7 +137,9 @@ def improved_model(
     named = tuple(key for key in found.named if key in told and result.verdict == "named")
     problem, final = found.problem, _recalibrated(found, named)
     remainder = None
-    if result.verdict != "nothing_missing" and result.gap.after > limits.explained:
+    much = result.gap.after > limits.explained
+    much &= (result.gap.explained or 0.0) < 1.0 - limits.smaller_share
+    if result.verdict != "nothing_missing" and much:
         remainder = learn_remainder(problem, final, named=named, progress=progress)
     better = problem
     if remainder:

@@ -91,11 +91,18 @@ class Errors:
 
         Args:
             hypothesis: Effects and what else departs.
-            louder: Actuator whose command is `LOUDER` times what was recorded; None for no one.
+            louder: Actuator whose force is `LOUDER` times what it is, where its gain is known to
+                scale it (a servo's motion does not grow with that), else its command; None for no
+                one.
         """
         problem = self.problem
+        gain = ("actuator_gain", louder or "")
+        scaled = gain in problem.library.sites
+        if scaled:
+            own = hypothesis.get(gain, problem.library.sites[gain].nominal)
+            hypothesis = hypothesis.with_values(gain, LOUDER * own)
         made = problem.library.change(hypothesis, problem.replay.machine)
-        if louder is not None:
+        if louder is not None and not scaled:
             _louder(made, [louder])
         blocks = DEFAULT.force_blocks if problem.balanced else 0
         found = problem.replay.error(made, chosen=self.chosen, blocks=blocks)

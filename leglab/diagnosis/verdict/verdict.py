@@ -363,7 +363,8 @@ def _effects(
     smaller: list[NamedEffect] = []
     for key in outcome.named:
         site = problem.library.sites[key]
-        one = judged.effects.get(key) or judged.effects[key[0], EVERY]
+        told = key if key in (*judged.named, *judged.confusion) else (key[0], EVERY)
+        one = judged.effects[told]
         without = problem.noise_levels(final.without(key))
         contribution = (rms(without[shown]) - after) / max(unnamed - floor, 1e-9)
         tied = () if judged.named else tuple(k[0] for k in judged.confusion if k != key)
