@@ -14,7 +14,7 @@ from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.plant.model import Change
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.thresholds import BLOWN, DEFAULT, LOUDER
-from leglab.machine.plugin import without_warnings
+from leglab.machine.plugin import quiet
 
 # An unknown, and by how much it moves at once, in trials.
 Jump = tuple[int, float]
@@ -77,8 +77,7 @@ class Errors:
             return [self._helpers[k].at(h) for h in hypotheses[k::threads]]
 
         out: list[np.ndarray] = [np.empty(0)] * len(hypotheses)
-        # Held throughout: MuJoCo's compiler puts back the handler that it found, on any thread.
-        with without_warnings(), ThreadPoolExecutor(threads) as pool:
+        with quiet(), ThreadPoolExecutor(threads) as pool:
             for k, found in enumerate(pool.map(share, range(threads))):
                 out[k::threads] = found
         for helper in self._helpers:
