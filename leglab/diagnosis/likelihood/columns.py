@@ -124,7 +124,7 @@ class Errors:
 
     @property
     def unit(self) -> np.ndarray:
-        """Forces that the model as it is leaves over, (joints,) [N m or N]: of its size."""
+        """Size of the forces that the model as it is leaves over [N m or N], shape (joints,)."""
         return np.maximum(self._own[0], 1e-300)
 
     def _influence(self, pushed: np.ndarray) -> np.ndarray:
