@@ -143,12 +143,9 @@ class Errors:
     @cached_property
     def twins(self) -> frozenset[frozenset[Key]]:
         """Pairs of effects that no recording of these channels tells apart."""
-        found = ((key, twin) for key in self.problem.library.searched for twin in self.twin(key))
+        problem = self.problem
+        found = ((key, twin) for key in problem.library.searched for twin in twins(problem, key))
         return frozenset(frozenset(pair) for pair in found)
-
-    def twin(self, key: Key) -> tuple[Key, ...]:
-        """Exact twins of an effect."""
-        return twins(self.problem, key)
 
     def tangents(
         self,

@@ -190,7 +190,9 @@ def search(
             if out is None or len(best.keys) < 2:
                 break
             simpler.add((best, out))
-            columns = removed.setdefault((best, out), at.without(best.columns, best.members, out))
+            if (best, out) not in removed:
+                removed[best, out] = at.without(best.columns, best.members, out)
+            columns = removed[best, out]
             if columns is not None:
                 rest = tuple(q for q in best.members if u.keys[q] != out)
                 run(Proposal(rest, {}, columns, best.spread, best.weight), beside=True)

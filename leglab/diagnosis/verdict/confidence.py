@@ -135,6 +135,7 @@ def as_before(middle: float, largest: float, *, healthy: bool) -> bool:
         healthy: Whether healthy recordings say how far the model misses the specimen.
     """
     if healthy:
+        # Of several recordings the largest departs by two deviations where none is ill.
         return middle <= math.exp(DAY_FACTOR) and largest <= math.exp(2.0 * DAY_FACTOR)
     return largest <= DEFAULT.explained
 

@@ -184,7 +184,9 @@ class Sets:
                 enter(alike)
                 continue
             for key in row.keys:
-                for twin in self.at.twin(key):
+                for twin in sorted(
+                    frozenset[Key]().union(*(p for p in self.at.twins if key in p)) - {key}
+                ):
                     if twin not in row.keys:  # the same motion by another name
                         keys = (row.keys - {key}) | {twin}
                         enter(replace(row, keys=keys, renamed={key: twin}))
