@@ -44,7 +44,7 @@ def onset_of(problem: Problem) -> np.ndarray | None:
     # Most recordings show at once that no onset is to be looked for.
     spread, weight = fitter.own_spread(columns.errors), np.ones(len(columns.errors))
     hopeless = HOPELESS * DEFAULT.explained
-    fit = fitter.fit(columns, {}, (), spread, weight, KAPPA, give_up=hopeless)
+    fit = fitter.fit(columns, {}, (), spread, weight, KAPPA, give_up=hopeless, renewals=0)
     if fit.level > DEFAULT.explained:
         return None
     base = fit.columns.base

@@ -187,6 +187,9 @@ class Fitter:
             if not first and missed > ENOUGH and (slow or renewed == 0 < renewals):
                 if renewed == renewals:
                     break
+                if telling is None:
+                    begun = self.evidence(point.columns, spread, weight, kappa)
+                    telling = begun.telling(begun.score([(q, None) for q in members]))
                 point = self._all_tangents(point, members, telling)
                 fresh, renewed, missed = True, renewed + 1, 0.0
             else:
@@ -329,17 +332,14 @@ class Fitter:
                 out[:, :, q] = change(point.errors, moved) / h
         return replace(point, tangents=out)
 
-    def _all_tangents(
-        self, point: Point, members: Sequence[int], telling: np.ndarray | None
-    ) -> Point:
+    def _all_tangents(self, point: Point, members: Sequence[int], telling: np.ndarray) -> Point:
         """With all tangents taken anew, but of unknowns of which the data hardly tell anything."""
         u = self.at.unknowns
         own = {i for q in members for i in u.singles(q)} | set(self._shapes(members))
         which = [
             i
             for i in range(u.single)
-            if i in own
-            or (u.gradual[i] and not u.shape[i] and (telling is None or bool(telling[i])))
+            if i in own or (u.gradual[i] and not u.shape[i] and bool(telling[i]))
         ]
         known = point.tangents.copy()
         known[:, :, : u.single][:, :, u.shape[: u.single]] = 0.0
