@@ -185,18 +185,21 @@ class Errors:
             out[:, :, i] = sum(out[:, :, index[place]] for place in u.places[i])
         return out
 
-    def jumped(self, columns: Columns, jumps: Iterable[Jump]) -> Columns:
-        """Columns with further jumps; in windows in which a replay blows up they change nothing."""
-        new = [jump for jump in dict.fromkeys(jumps) if jump not in columns.jumps]
-        if not new:
-            return columns
-        moved = self.each([self.unknowns.moved(columns.base, {u: by}) for u, by in new])
-        changes = np.stack([change(columns.errors, there) for there in moved], axis=2)
-        return replace(
-            columns,
-            jumps=(*columns.jumps, *new),
-            changes=np.concatenate([columns.changes, changes], axis=2),
-        )
+    def jumped(self, columns: Columns, jumps: Sequence[Jump], *, near: bool = False) -> Columns:
+        """Columns with jumps; in windows in which a replay blows up they change nothing.
+
+        Args:
+            columns: Without jumps.
+            jumps: What to try.
+            near: Whether tangents stand for jumps of all that a machine may have a little of.
+        """
+        u = self.unknowns
+        replayed = [k for k, (q, _) in enumerate(jumps) if not (near and u.gradual[q])]
+        changes = columns.tangents[:, :, [q for q, _ in jumps]] * [by for _, by in jumps]
+        moved = self.each([u.moved(columns.base, dict([jumps[k]])) for k in replayed])
+        for k, there in zip(replayed, moved, strict=True):
+            changes[:, :, k] = change(columns.errors, there)
+        return replace(columns, jumps=tuple(jumps), changes=changes)
 
     def without(self, columns: Columns, members: Sequence[int], key: Key) -> Columns | None:
         """A linearisation with one effect of a set taken out; None where its replay blows up.

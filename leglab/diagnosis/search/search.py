@@ -83,7 +83,9 @@ def search(
     at = Errors(problem, u, thinned(looked_at, windows))
     fitter = Fitter(at, priors or Priors(), fixed)
     log(f"tangents and trials of {len(u)} unknowns")
-    first = at.jumped(at.columns(Hypothesis(), step=COARSE), trials(u))
+    first = at.columns(Hypothesis(), step=COARSE)
+    # Where noise alone is left no large fault hides: that would show.
+    first = at.jumped(first, trials(u), near=fitter.clear(first.errors))
     evidence, ranked, kappa = _annealed(fitter, first, kappa)
     wanted = {_names(u, one): one for one in _wanted(evidence, ranked)}
     log("balance of forces")

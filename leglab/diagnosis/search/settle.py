@@ -117,6 +117,12 @@ class Fitter:
         white = np.einsum("wij,wj->wi", roots[:, :n, :n], fit.columns.errors[:, :n])
         return float(np.median(np.mean(white**2, axis=1))) <= DEFAULT.explained**2
 
+    def clear(self, errors: np.ndarray) -> bool:
+        """Whether each recording is left noise alone, as far as half of its windows go."""
+        squares, recording = np.mean(self._white(errors) ** 2, axis=1), self.at.recording
+        middles = [np.median(squares[recording == r]) for r in np.unique(recording)]
+        return bool(max(middles) <= DEFAULT.explained**2)
+
     def _white(self, errors: np.ndarray) -> np.ndarray:
         return np.asarray(np.einsum("wij,wj->wi", self._sensors, errors[:, : self.at.size]))
 
