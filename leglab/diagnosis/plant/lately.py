@@ -6,6 +6,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 
+def alike(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether arrays are the same or equal."""
+    return one is other or np.array_equal(one, other)
+
+
 class Lately:
     """The last few results of each name, by all that they follow from.
 
@@ -36,7 +41,7 @@ class Lately:
         """
         known = self.found[name]
         for place, one in enumerate(known):
-            if one[1] is by and all(map(np.array_equal, one[0], inputs)):
+            if one[1] is by and all(map(alike, one[0], inputs)):
                 del known[place]
                 known.append(one)
                 return one[2]

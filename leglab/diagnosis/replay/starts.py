@@ -7,6 +7,7 @@ they share it by their limits.
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -209,13 +210,23 @@ class Instances:
 
     def _load(self, element: str, joint: str) -> np.ndarray:
         """|k_a qfrc_actuator + k_b qfrc_bias| of a joint's friction along the recording, (n,)."""
-        measured, machine, model = self.measured, self.machine, self.variant.model
-        count = measured.velocity[joint].size
+        count = self.measured.velocity[joint].size
         loads = ("actuator", "bias")
         shares = np.array([self.value(element, f"{load}_load_coefficient") for load in loads])
         if not shares.any():
             return np.zeros(count)
-        # Interpolated from every 20th sample: loads change with the pose.
+        chosen, forces = self._loads
+        force = forces[:, int(self.variant.model.joint(joint).dofadr[0])]
+        return np.abs(np.interp(np.arange(count), chosen, force @ shares))
+
+    @cached_property
+    def _loads(self) -> tuple[np.ndarray, np.ndarray]:
+        """Samples, and forces of actuators and bias on all joints there, (samples, nv, 2).
+
+        Every 20th sample: loads change with the pose.
+        """
+        measured, machine, model = self.measured, self.machine, self.variant.model
+        count = measured.velocity[machine.joints[0]].size
         chosen = np.unique(np.append(np.arange(0, count, 20), count - 1))
         # Only what loads the joint: forces are not computed anew for another friction.
         plugin = np.tile(self.variant.plugin_state, (chosen.size, 1))
@@ -230,11 +241,11 @@ class Instances:
         commands = commands_at(machine, measured, chosen)
 
         def both() -> np.ndarray:
-            found, dof = forces_at(model, states, commands), int(model.joint(joint).dofadr[0])
-            return np.stack([found.load[:, dof], found.bias[:, dof]], axis=1)
+            found = forces_at(model, states, commands)
+            return np.stack([found.load, found.bias], axis=2)
 
-        forces = measured.lately.get(f"load of {joint}", (states, commands), both, by=self.variant)
-        return np.abs(np.interp(np.arange(count), chosen, forces @ shares))
+        found = measured.lately.get("loads", (states, commands), both, by=self.variant)
+        return chosen, found
 
     def _sliding_friction(
         self, element: str, velocity: np.ndarray, at: np.ndarray | slice = slice(None)
@@ -255,8 +266,13 @@ class Instances:
     def _slide(self, element: str, velocity: np.ndarray, carried: np.ndarray) -> np.ndarray:
         """Sets a bristle that slides all along, and returns the steady friction; all (n,)."""
         self.followed[element, "carried"] = carried
-        level, sigma = self._sliding_friction(element, velocity), self.value(element, "sigma_0")
-        deflection = bristle(velocity, level, sigma, self.measured.period)
+
+        def slid() -> np.ndarray:
+            level, sigma = self._sliding_friction(element, velocity), self.value(element, "sigma_0")
+            return np.stack([level, bristle(velocity, level, sigma, self.measured.period)])
+
+        given = self._parameters(element), velocity, carried
+        level, deflection = self.measured.lately.get(f"slide of {element}", given, slid)
         self.followed[element, "bristle"] = deflection
         self.put(element, "bristle", deflection[self.measured.samples])
         return level

@@ -2,16 +2,17 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import mujoco
 import numpy as np
 from scipy.ndimage import maximum_filter1d
-from scipy.signal import savgol_coeffs, savgol_filter
+from scipy.signal import savgol_coeffs
 
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.diagnosis.intake.series import UniformSeries, common_period, readings_change
-from leglab.diagnosis.plant.lately import Lately
+from leglab.diagnosis.plant.lately import Lately, alike
 from leglab.diagnosis.plant.model import CHAMBERS, CYLINDER, Machine
 from leglab.diagnosis.replay.pushes import Pushes
 from leglab.diagnosis.thresholds import DEFAULT, UNSEEN_STEP, Thresholds
@@ -92,7 +93,7 @@ def noise_level(samples: np.ndarray, window: tuple[int, int]) -> float:
     """
     if samples.size < window[0]:
         return 0.0
-    rest = np.abs(samples - savgol_filter(samples, *window))
+    rest = np.abs(samples - smoothed(samples, window))
     rest = rest[readings_change(samples, window[0])]
     centre = savgol_coeffs(*window)[window[0] // 2]
     return float(1.4826 * np.median(rest) / np.sqrt(1.0 - centre)) if rest.size else 0.0
@@ -130,16 +131,32 @@ def resolution(series: Sequence[UniformSeries], column: str) -> float:
     return max(min(steps, default=0.0) / np.sqrt(12.0), 1e-9 * largest, 1e-12)
 
 
+@cache
+def _kernels(length: int, order: int, slope: bool, period: float) -> np.ndarray:
+    """Weights of a window's samples in the polynomial at each of its places, (length, length)."""
+    rule = {"deriv": int(slope), "delta": period, "use": "dot"}
+    return np.stack([savgol_coeffs(length, order, pos=k, **rule) for k in range(length)])
+
+
+def _savgol(samples: np.ndarray, kernels: np.ndarray) -> np.ndarray:
+    """`scipy.signal.savgol_filter`, whose polynomials are fitted anew at every call."""
+    length = len(kernels)
+    half = length // 2
+    middle = np.correlate(samples, kernels[half], "valid")
+    first, last = kernels[:half] @ samples[:length], kernels[half + 1 :] @ samples[-length:]
+    return np.concatenate([first, middle, last])
+
+
 def smoothed(samples: np.ndarray, window: tuple[int, int]) -> np.ndarray:
     """Savitzky-Golay smoothing; series shorter than the filter stay as they are."""
-    return savgol_filter(samples, *window) if samples.size >= window[0] else samples
+    return _savgol(samples, _kernels(*window, False, 1.0)) if samples.size >= window[0] else samples
 
 
 def derivative(samples: np.ndarray, window: tuple[int, int], period: float) -> np.ndarray:
     """First derivative by the same filter."""
     if samples.size < window[0]:
         return np.gradient(samples, period)
-    return savgol_filter(samples, *window, deriv=1, delta=period)
+    return _savgol(samples, _kernels(*window, True, period))
 
 
 def filter_difference(
@@ -200,7 +217,7 @@ class Cut:
         Most hypotheses of a search correct a channel alike, so the last few are kept.
         """
         known = self.known.setdefault(channel.column, [])
-        place = next((i for i, k in enumerate(known) if np.array_equal(k[0], samples)), None)
+        place = next((i for i, k in enumerate(known) if alike(k[0], samples)), None)
         if place is None:
             slope = derivative(samples, channel.filter, self.series.period)
             known.append((samples, smoothed(samples, channel.filter), slope))
@@ -216,7 +233,7 @@ class Cut:
         if self.pushes is None:
             return {}
         for place, (known, found) in enumerate(self.driven):
-            if all(np.array_equal(known[name], commands[name]) for name in self.pushes.response):
+            if all(alike(known[name], commands[name]) for name in self.pushes.response):
                 self.driven.append(self.driven.pop(place))
                 return found
         period = self.series.period
