@@ -84,17 +84,21 @@ def search(
     fitter = Fitter(at, priors or Priors(), fixed)
     log(f"tangents and trials of {len(u)} unknowns")
     first = at.columns(Hypothesis(), step=COARSE)
+    as_it_is, clear = fitter.level(first.errors), fitter.clear(first.errors)
     # Where noise alone is left no large fault hides: that would show.
-    first = at.jumped(first, trials(u), near=fitter.clear(first.errors))
-    evidence, ranked, kappa = _annealed(fitter, first, kappa)
+    first = at.jumped(first, trials(u), near=clear)
+    fits: list[Fit] = []
+    if clear:
+        spread, weight = fitter.own_spread(first.errors), np.ones(len(first.errors))
+        fits.append(fitter.fit(first, {}, (), spread, weight, kappa))
+    evidence, ranked, kappa = _annealed(fitter, fits[0].columns if clear else first, kappa)
     wanted = {_names(u, one): one for one in _wanted(evidence, ranked)}
-    log("balance of forces")
-    as_it_is = fitter.level(first.errors)
 
     def begins(one: Proposal) -> float:
         return fitter.level(at.at(u.moved(first.base, one.start)))
 
-    for seed in _seeds(evidence, balanced_sets(at, trials(u))):
+    log("balance of forces")
+    for seed in [] if clear else _seeds(evidence, balanced_sets(at, trials(u))):
         names = _names(u, seed)
         if any(pair <= names for pair in at.twins):
             continue
@@ -108,7 +112,6 @@ def search(
         elif begins(seed) < begins(wanted[names]):
             # A set that both propose begins where a replay is nearer.
             wanted[names] = replace(seed, promise=wanted[names].promise)
-    fits: list[Fit] = []
 
     def run(new: Proposal, *, beside: bool = False, renewals: int = 0) -> Fit:
         lowest = min((f.level for f in fits), default=np.inf)
@@ -127,17 +130,20 @@ def search(
         fits.append(fit)
         return fit
 
-    worth = ranked[0].log - next(s.log for s in ranked if not s.members)
+    nothing = _of(evidence, evidence.score(()))
+    worth = ranked[0].log - nothing.promise
     tried: set[frozenset[Key]] = {frozenset()}
-    least = -np.inf
+    # Beside what explains everything only what promises nearly as much is a rival.
+    room = NEAR + DEFAULT.smaller_share * worth
+    least = nothing.promise - room if clear else -np.inf
     for names, new in wanted.items():
         if new.promise < least:
             continue
         tried.add(names)
-        # Beside what explains everything only what promises nearly as much is a rival.
         if run(new).level <= DEFAULT.explained:
-            least = max(least, new.promise - NEAR - DEFAULT.smaller_share * worth)
-    run(_of(evidence, evidence.score(())))
+            least = max(least, new.promise - room)
+    if not clear:
+        run(nothing)
     vain, more, last = 0, 0, frozenset[Key]()
     again, ended = set[tuple[frozenset[Key], frozenset[Key]]](), set[frozenset[Key]]()
     removed: dict[tuple[Fit, Key], Columns | None] = {}
