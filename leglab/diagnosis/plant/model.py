@@ -248,6 +248,7 @@ class Measured:
         start: Time of the first sample [s].
         pushed: Part of the velocity by commands of native actuators that act at once, by joint,
             each (n,): its slope jumps with them.
+        touched: Whether something touches what a joint carries, (n,) by joint, where it can.
         lately: What was followed along the recording lately.
     """
 
@@ -261,6 +262,7 @@ class Measured:
     samples: np.ndarray
     start: float = 0.0
     pushed: dict[str, np.ndarray] = field(default_factory=dict)
+    touched: dict[str, np.ndarray] = field(default_factory=dict)
     lately: Lately = field(default_factory=Lately)
 
 

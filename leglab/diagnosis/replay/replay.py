@@ -356,6 +356,12 @@ class Replay:
         """Values at window starts, shape (windows,), from one array of shape (n,) a recording."""
         return np.concatenate([v[c.firsts] for v, c in zip(values, self.cuts, strict=True)])
 
+    def touched(self, joint: str) -> np.ndarray:
+        """Mask of the windows at whose start something touches what a joint carries, (windows,)."""
+        none = (np.zeros(c.series.time.size, dtype=bool) for c in self.cuts)
+        found = (c.touched.get(joint, absent) for c, absent in zip(self.cuts, none, strict=True))
+        return self.at_starts(list(found))
+
     def _parts(self, change: Change, chosen: np.ndarray | None) -> Iterator[Part]:
         """The chosen windows of every recording that has some, as measured under a change."""
         for number, cut in enumerate(self.cuts):

@@ -232,9 +232,11 @@ class Problem:
                 found.append((nudge, np.full(replay.windows, limits.unseen_pressure)))
             stiffness = machine.parameter(cylinder, "sigma_0")
             if stiffness > 0.0:
-                size = limits.bristle_share * machine.parameter(cylinder, "static") / stiffness
+                full = machine.parameter(cylinder, "static") / stiffness
+                size = limits.bristle_share * full
                 nudge = Nudge(element=cylinder, quantity="bristle", size=size)
-                found.append((nudge, np.full(replay.windows, size)))
+                touched = replay.touched(machine.driven[cylinder][0])
+                found.append((nudge, np.where(touched, full, size)))
         return found
 
     def residual(self, hypothesis: Hypothesis, chosen: np.ndarray | None = None) -> np.ndarray:

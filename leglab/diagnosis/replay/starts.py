@@ -3,7 +3,7 @@
 Valve spools, sliding bristles under the load that joints carry, and the pressure of a supply follow
 from the measured series. At rest the measured motion is all noise, and the balance of forces says
 what dry friction carries; where several bristles rest on one joint (a cylinder's seals, a bearing)
-they share it by their limits.
+they share it by their limits. What touches something keeps the deflection of its last slide.
 """
 
 from dataclasses import dataclass, field
@@ -292,7 +292,10 @@ class Instances:
                 continue
             position = measured.position[joint]
             travel = np.abs(position[measured.samples] - position[back])
-            resting = np.stack([travel < 2.0 * one.travel for one in acting])
+            # What a contact carries at rest depends on speeds far below the noise: nobody knows it.
+            touched = measured.touched.get(joint)
+            free = True if touched is None else ~touched[measured.samples]
+            resting = np.stack([free & (travel < 2.0 * one.travel) for one in acting])
             if resting.any():
                 still[joint] = acting, resting
                 for one, rests in zip(acting, resting, strict=True):
@@ -414,6 +417,7 @@ def measure(
         pressure=pressure,
         samples=cut.firsts,
         start=float(series.time[0]),
+        touched=cut.touched,
         pushed={joint: beyond.whole for joint, beyond in driven.items()},
         lately=cut.lately,
     )

@@ -1,6 +1,6 @@
 """Channels of the recordings, their smoothing, and the windows cut from them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -193,6 +193,8 @@ class Cut:
         series: The recording.
         firsts: Samples at which windows start, shape (windows,).
         levers: d(actuator length)/d(joint position) of the cylinders, each (n,).
+        touched: Whether something touches what a joint carries, (n,) by joint; none where nothing
+            can.
         pushes: What commands of native actuators do at once; None where there are none.
         known: By column, samples that were filtered lately and what came of them, each (n,).
         driven: Commands lately and the motion by them, as of `pushed`.
@@ -202,6 +204,7 @@ class Cut:
     series: UniformSeries
     firsts: np.ndarray
     levers: dict[str, np.ndarray]
+    touched: dict[str, np.ndarray] = field(default_factory=dict)
     pushes: Pushes | None = None
     driven: list[tuple[dict[str, np.ndarray], dict[str, Driven]]] = field(default_factory=list)
     known: dict[str, list[tuple[np.ndarray, np.ndarray, np.ndarray]]] = field(default_factory=dict)
@@ -343,6 +346,7 @@ def _cut(
         series=series,
         firsts=firsts,
         levers={c: _lever(machine, series, c, stride) for c in machine.instances(CYLINDER)},
+        touched=_touched(machine, series, stride),
         pushes=Pushes.of(machine, series),
     )
 
@@ -421,15 +425,47 @@ def _unrest(
 def _lever(machine: Machine, series: UniformSeries, cylinder: str, stride: int) -> np.ndarray:
     """d(actuator length)/d(joint position) over a series, shape (n,), one in a stride exact."""
     model = machine.base.model
-    data = mujoco.MjData(model)
     actuator = model.actuator(cylinder).id
     dof = int(model.joint(machine.driven[cylinder][0]).dofadr[0])
     chosen = np.arange(0, series.time.size, stride)
-    lever = np.empty(chosen.size)
+    poses = _poses(machine, series, chosen)
+    lever = np.array([actuator_moments(model, data)[actuator, dof] for data in poses])
+    return np.interp(np.arange(series.time.size), chosen, lever)
+
+
+def _touched(machine: Machine, series: UniformSeries, stride: int) -> dict[str, np.ndarray]:
+    """Whether something touches what a joint carries, as `Cut` has it, one in a stride exact."""
+    model = machine.base.model
+    if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CONTACT):
+        return {}
+    first = int(mujoco.mjtConstraint.mjCNSTR_CONTACT_FRICTIONLESS)
+    chosen = np.arange(0, series.time.size, stride)
+    found = np.zeros((chosen.size, model.nv), dtype=bool)
+    for row, data in zip(found, _poses(machine, series, chosen), strict=True):
+        for contact in data.contact[: data.ncon]:
+            if contact.efc_address >= 0 and data.efc_type[contact.efc_address] >= first:
+                for geom in contact.geom:
+                    _carry(model, int(model.geom_bodyid[geom]), row)
+    dofs = {joint: int(model.joint(joint).dofadr[0]) for joint in machine.joints}
+    every = np.repeat(found, stride, axis=0)[: series.time.size]
+    return {joint: every[:, dof] for joint, dof in dofs.items()}
+
+
+def _carry(model: mujoco.MjModel, body: int, row: np.ndarray) -> None:
+    """Marks the degrees of freedom that move a body, (nv,)."""
+    while body:
+        first = int(model.body_dofadr[body])
+        row[first : first + int(model.body_dofnum[body])] = True
+        body = int(model.body_parentid[body])
+
+
+def _poses(machine: Machine, series: UniformSeries, chosen: np.ndarray) -> Iterator[mujoco.MjData]:
+    """The machine at measured positions, one after the other."""
+    model = machine.base.model
+    data = mujoco.MjData(model)
     addresses = [int(model.joint(name).qposadr[0]) for name in machine.joints]
     positions = np.stack([series.columns[f"{name}_position"] for name in machine.joints], 1)
-    for i, row in enumerate(positions[chosen]):
+    for row in positions[chosen]:
         data.qpos[addresses] = row
         mujoco.mj_fwdPosition(model, data)
-        lever[i] = actuator_moments(model, data)[actuator, dof]
-    return np.interp(np.arange(series.time.size), chosen, lever)
+        yield data
