@@ -133,14 +133,15 @@ def search(
     nothing = _of(evidence, evidence.score(()))
     worth = ranked[0].log - nothing.promise
     tried: set[frozenset[Key]] = {frozenset()}
-    # Beside what explains everything only what promises nearly as much is a rival.
+    # Beside what explains everything only what promises nearly as much is a rival; near noise first
+    # order is exact, and nothing is one only what promises more.
     room = NEAR + DEFAULT.smaller_share * worth
-    least = nothing.promise - room if clear else -np.inf
+    least = nothing.promise if clear else -np.inf
     for names, new in wanted.items():
         if new.promise < least:
             continue
         tried.add(names)
-        if run(new).level <= DEFAULT.explained:
+        if run(new, beside=clear).level <= DEFAULT.explained:
             least = max(least, new.promise - room)
     if not clear:
         run(nothing)
@@ -190,6 +191,7 @@ def search(
         # What was proposed last is a rival now, or was in vain.
         vain = 0 if last in {r.fit.keys for r in near if r.score.log > top - NEAR} else vain + 1
         done = vain > FRUITLESS or more >= FURTHER_FITS
+        done = done or (clear and not ranks[0].fit.members)
         then = None if done else proposal(fitter, ranks, tried, removed)
         if then is None:
             # What does without an effect of the best set is fitted from there.
