@@ -283,6 +283,18 @@ class Problem:
         return robust_cost(squares, self.thresholds.robust_limit)
 
 
+def noise_alone(squares: np.ndarray, recording: np.ndarray) -> bool:
+    """Whether each recording is left noise, but for a few of its windows.
+
+    Args:
+        squares: Mean squares of the windows in noise levels, (windows,).
+        recording: Of each window.
+    """
+    share, limit = 1.0 - DEFAULT.smaller_share, DEFAULT.explained**2
+    own = (squares[recording == r] for r in np.unique(recording))
+    return all(float(np.quantile(one, share)) <= limit for one in own)
+
+
 def thinned(mask: np.ndarray, count: int) -> np.ndarray:
     """About so many of the windows in a mask, evenly, same shape."""
     out = np.zeros_like(mask)

@@ -8,7 +8,7 @@ from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.columns import Errors
 from leglab.diagnosis.likelihood.priors import Priors
 from leglab.diagnosis.likelihood.unknowns import Unknowns
-from leglab.diagnosis.replay.residual import Problem, thinned
+from leglab.diagnosis.replay.residual import Problem, noise_alone, thinned
 from leglab.diagnosis.search.settle import Fitter
 from leglab.diagnosis.thresholds import (
     BEHIND,
@@ -32,6 +32,8 @@ def onset_of(problem: Problem) -> np.ndarray | None:
         Shape (recordings,), inf where a recording shows no change; None where nothing begins.
     """
     replay = problem.replay
+    if noise_alone(problem.noise_levels(Hypothesis()), replay.recording):
+        return None
     first = np.array([series.time[0] for series in problem.series])
     last = np.array([series.time[-1] for series in problem.series])
     limit = (first + EARLY_SHARE * (last - first))[replay.recording]

@@ -18,6 +18,7 @@ from leglab.diagnosis.likelihood.columns import Columns, Errors, change
 from leglab.diagnosis.likelihood.evidence import Evidence, Score, robust_weights
 from leglab.diagnosis.likelihood.priors import Priors
 from leglab.diagnosis.likelihood.spread import Spread
+from leglab.diagnosis.replay.residual import noise_alone
 from leglab.diagnosis.thresholds import (
     ABSENT,
     COARSE,
@@ -118,10 +119,8 @@ class Fitter:
         return float(np.median(np.mean(white**2, axis=1))) <= DEFAULT.explained**2
 
     def clear(self, errors: np.ndarray) -> bool:
-        """Whether each recording is left noise alone, as far as half of its windows go."""
-        squares, recording = np.mean(self._white(errors) ** 2, axis=1), self.at.recording
-        middles = [np.median(squares[recording == r]) for r in np.unique(recording)]
-        return bool(max(middles) <= DEFAULT.explained**2)
+        """Whether each recording is left noise alone."""
+        return noise_alone(np.mean(self._white(errors) ** 2, axis=1), self.at.recording)
 
     def _white(self, errors: np.ndarray) -> np.ndarray:
         return np.asarray(np.einsum("wij,wj->wi", self._sensors, errors[:, : self.at.size]))
