@@ -113,6 +113,11 @@ class Errors:
         return np.concatenate([errors, left.reshape(len(errors), -1)], axis=1)
 
     @cached_property
+    def covariance(self) -> np.ndarray:
+        """Of the sensors, start states and time step, (windows, size, size)."""
+        return self.problem.noise.covariance(self.chosen)
+
+    @cached_property
     def _own(self) -> tuple[np.ndarray, np.ndarray]:
         """Of the model as it is, forces left over and influence of the commands, each (joints,)."""
         problem = self.problem

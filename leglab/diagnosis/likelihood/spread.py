@@ -129,13 +129,13 @@ class Spread:
         Returns:
             (windows, rows, rows) and (windows,).
         """
-        covariance = at.problem.noise.covariance[at.chosen] + size**2 * self.replays[at.recording]
+        covariance = at.covariance + size**2 * self.replays[at.recording]
         n, f = covariance.shape[1], self.forces.shape[1]
         roots = np.zeros((len(covariance), n + f, n + f))
         roots[:, :n, :n] = inverse_roots(covariance)
         log = -2.0 * np.log(np.einsum("wii->wi", roots[:, :n, :n])).sum(axis=1)
         if f:
-            noise = np.einsum("wii->wi", at.problem.noise.covariance[at.chosen])
+            noise = np.einsum("wii->wi", at.covariance)
             own = 1.0 - float(np.mean(noise / np.einsum("wii->wi", covariance)))
             force_roots = inverse_roots(forces**2 * self.forces)[at.recording]
             log -= 2.0 * own * np.log(np.einsum("wii->wi", force_roots)).sum(axis=1)

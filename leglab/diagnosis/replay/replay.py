@@ -31,6 +31,8 @@ from leglab.diagnosis.thresholds import DEFAULT, LOUDER, Thresholds
 from leglab.machine.plugin import headless
 
 _CACHED_VARIANTS = 8
+# Memory for the states of windows that are replayed at once [bytes].
+_MEMORY = 50_000_000
 
 # Windows of one recording, its measured series, and its corrected columns.
 Part = tuple[Cut, Measured, dict[str, np.ndarray]]
@@ -193,8 +195,8 @@ class Replay:
             index = cut.firsts[:, None] + np.arange(self.samples)
             controls.append(self._controls(cut, measured, index))
             targets.append(np.stack([corrected[c.column][index + 1] for c in self.channels], 1))
-        states = self._roll(change.variant, starts, np.concatenate(controls))
-        errors = np.concatenate(targets) - self._predicted(change.variant, states)
+        predicted = self._predicted(change.variant, starts, np.concatenate(controls))
+        errors = np.concatenate(targets) - predicted
         binned = errors.reshape((*errors.shape[:2], self.bins, -1)).mean(axis=3)
         undone = [change.corrections.get(c.column, ()) for c in self.channels]
         return ReplayErrors(
@@ -301,8 +303,7 @@ class Replay:
             for path in change.commands.get(actuator, ()):
                 faulty[:, :, i] = [path(row, self._period) for row in faulty[:, :, i]]
         controls = np.repeat(faulty, self.substeps, axis=1)
-        states = self._roll(change.variant, np.repeat(start, len(commands), axis=0), controls)
-        return self._predicted(change.variant, states)
+        return self._predicted(change.variant, np.repeat(start, len(commands), axis=0), controls)
 
     def course(self, change: Change, recording: int, after: float) -> Course | None:
         """A recording from its first window that starts after a time [s], to its end or a gap.
@@ -319,17 +320,17 @@ class Replay:
         index = cut.firsts[:, None] + np.arange(self.samples)
         controls = self._controls(cut, measured, index)
         moves = np.zeros((2, len(self.machine.actuators), len(self.machine.joints)))
-        places = [1 + int(change.variant.model.joint(j).qposadr[0]) for j in self.machine.joints]
+        model = change.variant.model
+        places = np.array([1 + int(model.joint(j).qposadr[0]) for j in self.machine.joints])
         late = np.array([controls.shape[1] // 2, controls.shape[1]]) - 1
-        seen = np.ix_(np.arange(starts.shape[0]), late, np.array(places))
-        there = self._roll(change.variant, starts, controls)[seen]
+        there = self._roll(change.variant, starts, controls, late, places)
         for i, actuator in enumerate(self.machine.actuators):
             # Enough of its spread to show what it moves, and little beside the motion.
             step = 0.05 * float(np.std(cut.series.columns[f"{actuator}_command"]))
             if step > 0.0:
                 moved = controls.copy()
                 moved[:, :, i] += step
-                gone = self._roll(change.variant, starts, moved)[seen] - there
+                gone = self._roll(change.variant, starts, moved, late, places) - there
                 moves[:, i] = np.nan_to_num(np.median(gone, axis=0)) / step
         first = int(cut.firsts[0])
         gaps = np.flatnonzero(~cut.series.valid[first:])
@@ -393,10 +394,12 @@ class Replay:
             for cut, m, _ in parts
         ]
         before = states(self._lead, None, unknown)
-        warm = self._roll(change.variant, before, np.concatenate(controls))
         slots = plugin_offset(change.variant.model) + hidden_slots(change)
+        given = np.concatenate(controls)
+        last = np.array([given.shape[1] - 1])
+        warm = self._roll(change.variant, before, given, last, slots)
         counts = np.cumsum([cut.firsts.size for cut, _, _ in parts])[:-1]
-        return states(0, nudge, np.split(warm[:, -1][:, slots], counts))
+        return states(0, nudge, np.split(warm[:, 0], counts))
 
     def _controls(self, cut: Cut, measured: Measured, index: np.ndarray) -> np.ndarray:
         """Controls at the steps of windows, (windows, steps, actuators); `index` their samples."""
@@ -417,8 +420,18 @@ class Replay:
             controls[:, :, actuators.index(name)] = kicks
         return controls
 
-    def _roll(self, variant: Variant, starts: np.ndarray, controls: np.ndarray) -> np.ndarray:
-        """Full physics states after every step, (windows, steps, nstate); overwritten next time."""
+    def _roll(
+        self,
+        variant: Variant,
+        starts: np.ndarray,
+        controls: np.ndarray,
+        steps: np.ndarray,
+        places: np.ndarray,
+    ) -> np.ndarray:
+        """Places of the full physics state after some of the steps, (windows, steps, places).
+
+        As many windows at once as memory for their states goes.
+        """
         model = variant.model
         # Data carry their own plugin instances, so every variant has its own.
         key = id(variant)
@@ -426,29 +439,45 @@ class Replay:
             self._datas[key] = variant, [mujoco.MjData(model) for _ in range(self._threads)]
             while len(self._datas) > _CACHED_VARIANTS:
                 self._datas.pop(next(iter(self._datas)))
-        shape = (starts.shape[0], controls.shape[1], starts.shape[1])
+        windows, count = controls.shape[:2]
+        most = max(self._threads, _MEMORY // (8 * count * starts.shape[1]))
+        found = np.empty((windows, steps.size, places.size))
+        for first in range(0, windows, most):
+            part = slice(first, min(first + most, windows))
+            size = part.stop - part.start
+            states = self._buffer((size, count, starts.shape[1]))
+            sensors = np.empty((size, count, model.nsensordata))  # else made every time
+            with headless(model):
+                self._pool.rollout(
+                    model,
+                    self._datas[key][1],
+                    starts[part],
+                    controls[part],
+                    state=states,
+                    sensordata=sensors,
+                )
+            found[part] = states[:, steps[:, None], places]
+        self.rollouts += windows / self.windows
+        return found
+
+    def _buffer(self, shape: tuple[int, ...]) -> np.ndarray:
+        """Room for states; those of the last shapes are kept."""
         if shape not in self._buffers:
             if len(self._buffers) > 1:
                 self._buffers.clear()
             self._buffers[shape] = np.empty(shape)
-        states = self._buffers[shape]
-        sensors = np.empty((shape[0], shape[1], model.nsensordata))  # else made every time
-        with headless(model):
-            self._pool.rollout(
-                model, self._datas[key][1], starts, controls, state=states, sensordata=sensors
-            )
-        self.rollouts += shape[0] / self.windows
-        return states
+        return self._buffers[shape]
 
-    def _predicted(self, variant: Variant, states: np.ndarray) -> np.ndarray:
-        """Predictions at the samples of all windows, shape (windows, channels, samples)."""
+    def _predicted(self, variant: Variant, starts: np.ndarray, controls: np.ndarray) -> np.ndarray:
+        """Predictions at the samples of windows, shape (windows, channels, samples)."""
         model = variant.model
         plugin = plugin_offset(model)
-        index = [
+        places = [
             plugin + variant.slot(c.cylinder, c.chamber)
             if c.chamber and c.cylinder
             else 1 + int(model.joint(c.joint).qposadr[0])
             for c in self.channels
         ]
-        seen = states[:, self.substeps - 1 :: self.substeps]
-        return np.stack([seen[:, :, i] for i in index], axis=1)
+        steps = np.arange(self.substeps - 1, controls.shape[1], self.substeps)
+        seen = self._roll(variant, starts, controls, steps, np.array(places))
+        return seen.transpose(0, 2, 1)

@@ -28,15 +28,18 @@ class NoiseModel:
         defect: Error of the replays' time step, shape (windows, channels, bins).
         whitening: Inverse Cholesky factors of the windows' covariances, which turn errors into
             numbers of unit variance, shape (windows, size, size).
-        covariance: Of the windows' errors, same shape.
     """
 
     defect: np.ndarray
     whitening: np.ndarray
-    covariance: np.ndarray
     # The factors of the windows that were chosen last, by their mask: hundreds of replays in turn
     # take the same ones, and copying them costs as much as a replay of a leg.
     _chosen: dict[bytes, np.ndarray] = field(default_factory=dict, init=False)
+
+    def covariance(self, chosen: np.ndarray, block: slice = slice(None)) -> np.ndarray:
+        """Covariances of the chosen windows' errors, or a block of them, (windows, size, size)."""
+        factors = (dtrtri(root, lower=1)[0][block] for root in self.whitening[chosen])
+        return np.stack([factor @ factor.T for factor in factors])
 
     def white(self, errors: np.ndarray, chosen: np.ndarray | None = None) -> np.ndarray:
         """Errors of the chosen windows as numbers of unit variance, shape (windows, size)."""
@@ -63,11 +66,12 @@ def inverse_roots(covariance: np.ndarray) -> np.ndarray:
     Errors far above noise have few shapes; their covariance is positive but for rounding.
     """
     diagonal = np.arange(covariance.shape[1])
-    widened = covariance.copy()
-    widened[:, diagonal, diagonal] *= 1.0 + _ROUNDING
-    factors = np.linalg.cholesky(widened)
-    for factor in factors:  # A third of the work of a general inverse.
-        factor[:] = dtrtri(factor, lower=1)[0]
+    factors = np.empty_like(covariance)
+    for one, factor in zip(covariance, factors, strict=True):
+        widened = one.copy()
+        widened[diagonal, diagonal] *= 1.0 + _ROUNDING
+        # A third of the work of a general inverse.
+        factor[:] = dtrtri(np.linalg.cholesky(widened), lower=1)[0]
     return factors
 
 
@@ -201,7 +205,7 @@ class Problem:
             directions.append(moved.reshape(replay.windows, size) * shares)
         together = np.stack(directions, axis=2)
         covariance += together @ together.transpose(0, 2, 1)
-        return NoiseModel(defect=defect, whitening=inverse_roots(covariance), covariance=covariance)
+        return NoiseModel(defect=defect, whitening=inverse_roots(covariance))
 
     def _nudges(self) -> list[tuple[Nudge, np.ndarray]]:
         """Nudges and the spread of each start state, shape (windows,)."""

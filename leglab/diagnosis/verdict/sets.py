@@ -242,7 +242,7 @@ class Sets:
         regression. Only errors beyond the sensors' noise count.
         """
         at, size = self.at, self.fitter.priors.sizes[self.size]
-        noise = at.problem.noise.covariance[at.chosen]
+        noise = at.covariance
         own = size**2 * self.best.spread.replays[at.recording]
         beyond = np.einsum("wij,wji->wi", np.linalg.inv(noise + own), own).clip(0.0, 1.0)
         numbers = beyond.reshape(len(beyond), self.channels, -1).sum(axis=2)
