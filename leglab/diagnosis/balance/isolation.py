@@ -63,7 +63,7 @@ def _motion(problem: Problem) -> list[Where]:
         # In the noise levels of the gap, with what the start states carry on, whatever the other
         # joints do.
         block = slice(k * replay.bins, (k + 1) * replay.bins)
-        roots = inverse_roots(problem.noise.covariance(slice(None), block))
+        roots = inverse_roots(problem.noise.covariance(np.ones(replay.windows, dtype=bool), block))
         white = np.clip(whitened(roots, errors[:, k]), -limit, limit)
         level = float(np.sqrt(np.mean(white**2)))
         region = worst_region(error, states)
