@@ -426,6 +426,7 @@ class Evidence:
         parts = [i for q in score.unknowns for i in u.singles(q)]
         lower[parts], upper[parts] = -np.inf, np.inf
         free = np.concatenate([self.telling(score), np.ones(index.size, dtype=bool)])
+        free[parts] = True
         found = np.zeros(free.size)
         found[free] = _bounded(matrix[np.ix_(free, free)], gradient[free], lower[free], upper[free])
         return found[n:], now + found[:n]
