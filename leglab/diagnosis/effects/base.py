@@ -71,19 +71,12 @@ class EffectParameter:
         return max(self.trials) if self.unit == "s" else np.inf
 
     def stretched(self, shortest: float) -> "EffectParameter":
-        """The same as a log can tell it: a time [s] below which it says nothing is a tolerance.
-
-        Trials and upper bound are longer where some are below it.
-        """
-        if self.unit != "s" or not self.trials:
+        """The same; trials and upper bound of a time are longer where some are below a time [s]."""
+        if self.unit != "s" or not self.trials or self.scale >= shortest:
             return self
-        factor = max(1.0, shortest / self.scale)
-        return replace(
-            self,
-            tolerance=max(self.tolerance, shortest),
-            upper=factor * self.upper,
-            trials=tuple(factor * trial for trial in self.trials),
-        )
+        factor = shortest / self.scale
+        trials = tuple(factor * trial for trial in self.trials)
+        return replace(self, upper=factor * self.upper, trials=trials)
 
     def departure(self, value: float, nominal: float) -> float:
         """How severe a value is: 1 for a barely noticeable distance from `nominal`, more beyond.
