@@ -47,6 +47,7 @@ class Found:
         kappa: 1/design effect.
         first: Linearisation of the model as it is, with all trials.
         level: Of the model as it is.
+        onsets: As `search` was given them.
     """
 
     fitter: Fitter
@@ -54,6 +55,7 @@ class Found:
     kappa: float
     first: Columns
     level: float
+    onsets: np.ndarray | None = None
 
 
 def search(
@@ -211,7 +213,7 @@ def search(
         last = _names(u, then)
         tried.add(last)
         run(then)
-    return Found(fitter, tuple(ranks), kappa, first, as_it_is)
+    return Found(fitter, tuple(ranks), kappa, first, as_it_is, onsets)
 
 
 def _annealed(fitter: Fitter, first: Columns, kappa: float) -> tuple[Evidence, list[Score], float]:

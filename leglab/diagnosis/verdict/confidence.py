@@ -17,6 +17,7 @@ from scipy.stats import norm
 
 from leglab.diagnosis.effects.base import all_effects
 from leglab.diagnosis.effects.hypothesis import Key
+from leglab.diagnosis.likelihood.columns import Errors
 from leglab.diagnosis.result import Verdict
 from leglab.diagnosis.thresholds import (
     DAY_FACTOR,
@@ -164,9 +165,12 @@ def _effect(
     alone = min(float(parts[sound].sum(axis=0).min()) for _, parts in ways)
     possible = max(float(parts[there].sum(axis=0).max()) for _, parts in ways)
     first = rows[int(np.argmax(np.where(has, logs, -np.inf)))]
-    count = np.array([(sets.at.recording == r).sum() for r in np.unique(sets.at.recording)])
-    grain = np.sqrt(2.0 / (sets.at.size // sets.channels * count))[:, None]
-    share = _explained(sets.blocks(first.left), sets.blocks(sets.without(first, key)), grain)
+    share = _explained(
+        sets, sets.at, sets.blocks(first.left), sets.blocks(sets.without(first, key))
+    )
+    elsewhere = sets.shown_elsewhere(first, key)
+    if elsewhere is not None and sets.elsewhere is not None:
+        share = min(share, _explained(sets, sets.elsewhere, *elsewhere))
     inside = _inside(share, impostor, max(2.0 * math.log(sets.found.level), 1.0))
     inside *= _claimed(first, key)
     sure = min(whole, alone) * inside
@@ -252,8 +256,10 @@ def _logit(share: float) -> float:
     return float(np.log((share + 1e-3) / (1.0 - share + 1e-3)))
 
 
-def _explained(with_: np.ndarray, without: np.ndarray, grain: np.ndarray) -> float:
-    """Share of the errors beyond noise that an effect explains, where it acts."""
+def _explained(sets: Sets, at: Errors, with_: np.ndarray, without: np.ndarray) -> float:
+    """Share of the errors beyond noise that an effect explains in some windows, where it acts."""
+    count = np.array([(at.recording == r).sum() for r in np.unique(at.recording)])
+    grain = np.sqrt(2.0 / (at.size // sets.channels * count))[:, None]
     gain = np.maximum(without - with_, 0.0)
     share = gain / (gain + np.maximum(with_ - 1.0, 0.0) + grain)
     act = gain / np.maximum(without, 1e-9)

@@ -10,12 +10,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
-from leglab.diagnosis.likelihood.columns import Columns
+from leglab.diagnosis.likelihood.columns import Columns, Errors
 from leglab.diagnosis.likelihood.evidence import Evidence, Score
 from leglab.diagnosis.likelihood.unknowns import Unknowns
+from leglab.diagnosis.replay.residual import thinned
 from leglab.diagnosis.search.rank import both_ways
 from leglab.diagnosis.search.search import Found
-from leglab.diagnosis.thresholds import BLOWN, DEFAULT, LAW, NEAR, SLACK
+from leglab.diagnosis.thresholds import BLOWN, DEFAULT, LAW, NEAR, SLACK, WINDOWS
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +71,7 @@ class Sets:
     Attributes:
         rows: The sets, most probable first.
         removed: Linearisations of sets without an effect, by the set and the effect.
+        elsewhere: Windows of recordings that nobody fitted; None without any.
     """
 
     def __init__(self, found: Found) -> None:
@@ -77,16 +79,36 @@ class Sets:
         self.unknowns: Unknowns = self.at.unknowns
         self.best = found.ranks[0].evidence
         self.size = found.ranks[0].score.size
-        self.channels = len(self.at.problem.channels)
-        n, problem = self.at.size, self.at.problem
-        if self.fitter.fixed:  # in the errors of the healthy specimen
-            self._roots = self.best.spread.whiteners(self.at, 1.0, 1.0)[0][:, :n, :n]
-        else:
-            self._roots = problem.noise.whitening[self.at.chosen]
+        problem = self.at.problem
+        self.channels = len(problem.channels)
+        self._roots = self._whiteners(self.at)
+        # Recordings that nobody fitted; they do not tell when something began.
+        held = thinned(problem.held, WINDOWS)
+        shown = held.any() and found.onsets is None
+        self.elsewhere = Errors(problem, self.unknowns, held) if shown else None
         self.removed: dict[tuple[frozenset[Key], Key], Columns] = {}
         rows = self._all()
         lost = self._in_units_of_the_drive(rows)
         self.rows = [replace(row, drive=float(v)) for row, v in zip(rows, lost, strict=True)]
+
+    def _whiteners(self, at: Errors) -> np.ndarray:
+        """Inverse roots of covariances in noise, or errors as healthy, (windows, size, size)."""
+        if self.fitter.fixed:
+            return self.fitter.fixed.whiteners(at, 1.0, 1.0)[0][:, : at.size, : at.size]
+        return at.problem.noise.whitening[at.chosen]
+
+    def shown_elsewhere(self, row: Row, key: Key) -> tuple[np.ndarray, np.ndarray] | None:
+        """Blocks of recordings that nobody fitted, with an effect of a set and without it."""
+        at, u = self.elsewhere, self.unknowns
+        if at is None:
+            return None
+        places = row.places(key)
+        gone = {row.score.unknowns[i]: -float(row.score.values[i]) for i in places}
+        roots, found = self._whiteners(at), []
+        for hypothesis in (row.hypothesis, u.moved(row.hypothesis, gone)):
+            errors = np.clip(at.at(hypothesis)[:, : at.size], -BLOWN, BLOWN)
+            found.append(self._blocks(np.einsum("wij,wj->wi", roots, errors), at.recording))
+        return found[0], found[1]
 
     def channel_squares(self, errors: np.ndarray) -> np.ndarray:
         """Mean squares by window and channel, in noise or errors as healthy."""
@@ -95,7 +117,11 @@ class Sets:
 
     def blocks(self, errors: np.ndarray) -> np.ndarray:
         """The same, the median of the windows of each recording, (recordings, channels)."""
-        square, recording = self.channel_squares(errors), self.at.recording
+        white = np.einsum("wij,wj->wi", self._roots, errors[:, : self.at.size])
+        return self._blocks(white, self.at.recording)
+
+    def _blocks(self, white: np.ndarray, recording: np.ndarray) -> np.ndarray:
+        square = (white.reshape(len(white), self.channels, -1) ** 2).mean(axis=2)
         return np.stack([np.median(square[recording == r], axis=0) for r in np.unique(recording)])
 
     def _row(self, evidence: Evidence, members: Sequence[int], ended: frozenset[Key]) -> Row:
