@@ -386,6 +386,12 @@ class Evidence:
         data = self.kappa * np.diag(self.gram[k])[1 : 1 + n]
         return np.asarray(data > DEFAULT.smaller_share * np.diag(precision))
 
+    def _free(self, score: Score) -> np.ndarray:
+        """Mask of the single unknowns that move: those that tell, and the members' own."""
+        free = self.telling(score)
+        free[[i for q in score.unknowns for i in self.unknowns.singles(q)]] = True
+        return free
+
     def posterior(self, score: Score) -> np.ndarray:
         """Posterior covariance of the single unknowns, members free, (single, single)."""
         u, k, n = self.unknowns, self.places.index(score.size), self.unknowns.single
@@ -425,15 +431,14 @@ class Evidence:
         upper = np.concatenate([u.upper[:n] - now, high])
         parts = [i for q in score.unknowns for i in u.singles(q)]
         lower[parts], upper[parts] = -np.inf, np.inf
-        free = np.concatenate([self.telling(score), np.ones(index.size, dtype=bool)])
-        free[parts] = True
+        free = np.concatenate([self._free(score), np.ones(index.size, dtype=bool)])
         found = np.zeros(free.size)
         found[free] = _bounded(matrix[np.ix_(free, free)], gradient[free], lower[free], upper[free])
         return found[n:], now + found[:n]
 
     def departures(self, score: Score) -> dict[int, float]:
         """By how much all unknowns move from the linearisation, to the fit of a score."""
-        shift = np.where(self.telling(score), score.shift, 0.0)
+        shift = np.where(self._free(score), score.shift, 0.0)
         moved = {i: float(d) for i, d in enumerate(shift) if d != 0.0}
         for (q, _), value in zip(score.members, score.values, strict=True):
             moved[q] = moved.get(q, 0.0) + float(value)
