@@ -23,7 +23,7 @@ from leglab.diagnosis.likelihood.columns import Errors
 from leglab.diagnosis.likelihood.evidence import Evidence, Score
 from leglab.diagnosis.likelihood.unknowns import EVERY
 from leglab.diagnosis.plant.model import CYLINDER, Machine
-from leglab.diagnosis.replay.residual import Problem, whitened
+from leglab.diagnosis.replay.residual import Problem, noise_alone, whitened
 from leglab.diagnosis.result import (
     Calibration,
     Diagnosis,
@@ -134,11 +134,12 @@ def diagnose(
         remarks += admit(machine, healthy, (), limits).notes
     progress("verdict")
     outcome = _judged(found, judged(Sets(found.found)))
-    if outcome.named and _lacks_nothing(outcome):
+    if outcome.judged.verdict == "nothing_missing":
+        if not _clear_elsewhere(found):
+            outcome = replace(outcome, judged=replace(outcome.judged, verdict="unexplained"))
+    elif _lacks_nothing(outcome):
         nothing = replace(outcome.judged, verdict="nothing_missing", named=(), confusion=())
         outcome = _judged(found, nothing)
-    elif outcome.judged.verdict == "nothing_missing" and not _clear_elsewhere(found):
-        outcome = replace(outcome, judged=replace(outcome.judged, verdict="unexplained"))
     result = assemble(outcome, seconds=perf_counter() - began)
     result = replace(result, notes=(*remarks, *result.notes))
     object.__setattr__(outcome, "result", result)
@@ -146,16 +147,15 @@ def diagnose(
 
 
 def _lacks_nothing(outcome: Outcome) -> bool:
-    """Whether noise is left without the names where nobody fitted, and they hardly lessen it."""
+    """Whether noise is left without what is told, and where nobody fitted that hardly lessens it."""
     problem = outcome.problem.about(outcome.final)
     if not problem.held.any():
         return False
-    with_it, without = (
-        rms(problem.noise_levels(h)[problem.held])
-        for h in (outcome.final, outcome.final.without(*outcome.named))
-    )
-    share = problem.thresholds.explanation_share
-    return without <= DEFAULT.explained and without - with_it < share * max(without - 1.0, ROOM)
+    less = outcome.final.without(*outcome.named) if outcome.named else Hypothesis()
+    with_it, without = (problem.noise_levels(h) for h in (outcome.final, less))
+    after, before = (rms(squares[problem.held]) for squares in (with_it, without))
+    lessens = before - after >= problem.thresholds.explanation_share * max(before - 1.0, ROOM)
+    return not lessens and noise_alone(without, problem.replay.recording)
 
 
 def _clear_elsewhere(found: Searched) -> bool:
