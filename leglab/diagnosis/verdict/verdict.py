@@ -147,7 +147,7 @@ def diagnose(
 
 
 def _lacks_nothing(outcome: Outcome) -> bool:
-    """Whether noise is left without what is told, and where nobody fitted that hardly lessens it."""
+    """Whether noise is left without what is told, which hardly lessens it where nobody fitted."""
     problem = outcome.problem.about(outcome.final)
     if not problem.held.any():
         return False
