@@ -179,7 +179,8 @@ class Sets:
             if own.columns is not fit.columns:  # more probable where another set was fitted
                 enter(self._replayed(self._row(own, fit.members, ended)))
                 own = self.fitter.evidence(fit.columns, own.spread, best.weight, best.kappa)
-            enter(replace(self._row(own, fit.members, ended), fitted=True))
+            row = replace(self._row(own, fit.members, ended), fitted=True)
+            enter(row if fit.finished else self._replayed(row))
         top = max(row.score.log for row in rows.values())
         for r in self.found.ranks:
             for key in r.fit.keys if r.score.log > top - NEAR else ():
