@@ -106,23 +106,21 @@ class Sets:
         gone = {row.score.unknowns[i]: -float(row.score.values[i]) for i in places}
         roots, found = self._whiteners(at), []
         for hypothesis in (row.hypothesis, u.moved(row.hypothesis, gone)):
-            errors = np.clip(at.at(hypothesis)[:, : at.size], -BLOWN, BLOWN)
-            found.append(self._blocks(np.einsum("wij,wj->wi", roots, errors), at.recording))
+            errors = np.clip(at.at(hypothesis), -BLOWN, BLOWN)
+            found.append(_middles(self._squares(roots, errors), at.recording))
         return found[0], found[1]
 
     def channel_squares(self, errors: np.ndarray) -> np.ndarray:
         """Mean squares by window and channel, in noise or errors as healthy."""
-        white = np.einsum("wij,wj->wi", self._roots, errors[:, : self.at.size])
-        return np.asarray((white.reshape(len(white), self.channels, -1) ** 2).mean(axis=2))
+        return self._squares(self._roots, errors)
 
     def blocks(self, errors: np.ndarray) -> np.ndarray:
         """The same, the median of the windows of each recording, (recordings, channels)."""
-        white = np.einsum("wij,wj->wi", self._roots, errors[:, : self.at.size])
-        return self._blocks(white, self.at.recording)
+        return _middles(self.channel_squares(errors), self.at.recording)
 
-    def _blocks(self, white: np.ndarray, recording: np.ndarray) -> np.ndarray:
-        square = (white.reshape(len(white), self.channels, -1) ** 2).mean(axis=2)
-        return np.stack([np.median(square[recording == r], axis=0) for r in np.unique(recording)])
+    def _squares(self, roots: np.ndarray, errors: np.ndarray) -> np.ndarray:
+        white = np.einsum("wij,wj->wi", roots, errors[:, : self.at.size])
+        return np.asarray((white.reshape(len(white), self.channels, -1) ** 2).mean(axis=2))
 
     def _row(self, evidence: Evidence, members: Sequence[int], ended: frozenset[Key]) -> Row:
         chosen = [(q, None) for q in members]
@@ -296,3 +294,8 @@ class Sets:
                 influence = 0.5 * float(np.median(np.log(ratio)))
                 lost[i] += count * min(influence + SLACK, 0.0)
         return np.where(blown, lost.min(), lost)
+
+
+def _middles(squares: np.ndarray, recording: np.ndarray) -> np.ndarray:
+    """Medians over the windows of each recording, (recordings, channels)."""
+    return np.stack([np.median(squares[recording == r], axis=0) for r in np.unique(recording)])
