@@ -11,7 +11,7 @@ from leglab.diagnosis.intake.recordings import read_recordings, split_held_out
 from leglab.diagnosis.plant.model import Machine, moved
 from leglab.diagnosis.replay.windows import channels
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, at_replay_step, set_up
-from leglab.diagnosis.verdict.verdict import notes, touching_share
+from leglab.diagnosis.verdict.verdict import diagnose, notes, touching_share
 from leglab.runs.preparation import RunSettings
 from leglab.runs.run import run_scenario
 
@@ -87,7 +87,15 @@ def test_the_unmodified_leg_explains_its_recordings(model, timestep):
     found = problem(model, {"one": recording(model, 1, timestep=timestep)})
     cost = found.window_cost(Hypothesis())
     assert 0.7 < np.median(cost) < 1.3
-    assert cost.mean() < 2.0
+    # Also while the sole is on the ground, whose friction says nothing of bristles at rest.
+    assert np.quantile(cost, 0.95) < 1.6
+
+
+@pytest.mark.slow("the whole library on a leg that touches the ground")
+def test_nothing_is_missing_where_nothing_is_hidden_beside_a_contact():
+    recordings = {f"{i}": recording("leg_rail", i, duration=8.0) for i in (1, 2, 3)}
+    result, _ = diagnose("leg_rail", recordings, settings=DiagnosisSettings(threads=1))
+    assert result.verdict == "nothing_missing"
 
 
 def test_windows_start_at_the_supply_pressure_of_that_moment():

@@ -14,7 +14,7 @@ from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
 from leglab.diagnosis.likelihood.columns import Errors
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.plant.model import Change, ForceLeft, Machine
-from leglab.diagnosis.plant.paths import delayed, lagged, play
+from leglab.diagnosis.plant.paths import delayed, lagged, play, undo_delay
 from leglab.diagnosis.replay import windows
 from leglab.diagnosis.replay.residual import extrapolation, thinned, whitened
 from leglab.diagnosis.replay.starts import bristle, spool
@@ -64,6 +64,17 @@ def test_bristle_against_the_recursion():
 def test_play_keeps_half_its_width():
     samples = np.array([0.0, 0.3, 0.2, -0.5, -0.4])
     np.testing.assert_allclose(play(samples, 0.2), [0.0, 0.2, 0.2, -0.4, -0.4])
+
+
+def test_a_sensors_delay_is_undone_with_its_noise():
+    """An average of neighbours would let a fit take noise away by half a period of delay."""
+    time = 1e-3 * np.arange(4000)
+    noise = np.random.default_rng(3).normal(size=time.size)
+    for delay in (0.3e-3, 0.5e-3, 2e-3, 7.6e-3):
+        inside = slice(50, -50)
+        early = undo_delay(delay)(np.sin(30.0 * time), 1e-3)
+        np.testing.assert_allclose(early[inside], np.sin(30.0 * (time + delay))[inside], atol=1e-4)
+        assert undo_delay(delay)(noise, 1e-3)[inside].std() > 0.95 * noise[inside].std()
 
 
 def test_delay_between_samples_mixes_neighbours():
