@@ -137,26 +137,41 @@ class Sets:
         )
 
     def _replayed(self, row: Row) -> Row | None:
-        """A set that was not fitted by what a replay shows where first order leads.
+        """A set that was not fitted to its end by what replays show.
 
-        None where that blows up; what it errs beyond first order counts against it.
+        Where first order leads, or where the linearisation stands: what these err beyond first
+        order counts against the set. None where the first blows up and the second is another set's.
         """
-        evidence, score = row.evidence, row.score
-        errors = self.at.at(row.hypothesis)
-        if np.abs(errors).max() > BLOWN:
-            return None
+        evidence, score, columns = row.evidence, row.score, row.evidence.columns
+        u, n = self.unknowns, self.unknowns.single
         size = evidence.priors.sizes[score.size]
         roots, _ = evidence.spread.whiteners(self.at, size, evidence.force_size(score.size))
-        after, before = (
-            np.einsum("wij,wj->wi", roots, e, optimize=True) for e in (errors, row.left)
-        )
-        beyond = 0.5 * evidence.kappa * evidence.weight * (after**2 - before**2).sum(axis=1)
-        by_part = np.array([beyond[evidence.part == r].sum() for r in range(row.apart.size)])
-        lost = max(float(by_part.sum()), 0.0)
-        apart = row.apart - np.maximum(by_part.sum() - by_part, 0.0)
-        score = replace(score, log=score.log - lost, fit=score.fit - lost)
-        level = self.fitter.level(errors)
-        return replace(row, score=score, apart=apart, left=errors, level=level)
+        precision, _ = evidence.priors.precision(u, evidence.priors.spreads[score.spread])
+        stays = columns.x[:n].copy()
+        for q, value in zip(score.unknowns, score.values, strict=True):
+            stays[list(u.singles(q))] -= value
+        moves = columns.x[:n] + score.shift
+
+        def square(errors: np.ndarray) -> np.ndarray:
+            return np.asarray((np.einsum("wij,wj->wi", roots, errors, optimize=True) ** 2).sum(1))
+
+        promised, tries = square(row.left), []
+        led = self.at.at(row.hypothesis)
+        if np.abs(led).max() <= BLOWN:
+            tries.append((led, 0.0))
+        if row.fitted:
+            pull = 0.5 * float(stays @ precision @ stays - moves @ precision @ moves)
+            tries.append((columns.errors, max(pull, 0.0)))
+        rows = []
+        for errors, cost in tries:
+            beyond = 0.5 * evidence.kappa * evidence.weight * (square(errors) - promised)
+            by_part = np.array([beyond[evidence.part == r].sum() for r in range(row.apart.size)])
+            lost = max(float(by_part.sum()) + cost, 0.0)
+            apart = row.apart - np.maximum(by_part.sum() + cost - by_part, 0.0)
+            new = replace(score, log=score.log - lost, fit=score.fit - lost)
+            level = self.fitter.level(errors)
+            rows.append(replace(row, score=new, apart=apart, left=errors, level=level))
+        return max(rows, key=lambda r: r.score.log, default=None)
 
     def _all(self) -> list[Row]:
         """All sets, each where it is most probable, most probable first."""
@@ -202,7 +217,8 @@ class Sets:
                 for spread in (r.evidence.spread, *its):
                     there = self.fitter.evidence(rest.columns, spread, best.weight, best.kappa)
                     ended = frozenset(u.keys[q] for q in r.fit.ended if q in members)
-                    enter(self._replayed(self._row(there, members, ended)))
+                    less = replace(self._row(there, members, ended), fitted=True)
+                    enter(self._replayed(less))
         for names, row in list(rows.items()):
             if alike := self._alike(row):
                 del rows[names]
