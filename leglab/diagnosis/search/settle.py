@@ -186,7 +186,6 @@ class Fitter:
         # By so much tangents have missed what replays showed since they were taken [nats].
         missed, off = 0.0, _beyond(columns, point)
         slow = given_up = finished = False
-        fine = columns.fine
         telling, renewed = None, 0
         for turn in range(TURNS):
             first, fresh = turn < stiff_turns, False
@@ -197,7 +196,7 @@ class Fitter:
                     begun = self.evidence(point.columns, spread, weight, kappa)
                     telling = begun.telling(begun.score([(q, None) for q in members]))
                 point = self._all_tangents(point, members, telling)
-                fresh, fine, renewed, missed = True, True, renewed + 1, 0.0
+                fresh, renewed, missed = True, renewed + 1, 0.0
             else:
                 point = self._own_tangents(point, members, first)
             priors = self._stiff if first else self.priors
@@ -214,7 +213,7 @@ class Fitter:
                 if first:
                     stiff_turns = turn + 1
                     continue
-                if fresh or (fine and missed < ENOUGH):
+                if fresh or missed < ENOUGH:
                     finished = True
                     break
                 slow, missed, off = True, np.inf, 0.0 * off
@@ -229,17 +228,15 @@ class Fitter:
                 given_up = True
                 break
             if not first and gain < ENOUGH and (fresh or missed < ENOUGH):
-                if fresh or fine:
-                    finished = True
-                    break
-                missed = np.inf
+                finished = True
+                break
             slow = share < 1.0 or gain < NEAR
         evidence = self.evidence(point.columns, spread, weight, kappa)
         score = evidence.score([(q, None) for q in members])
         return Fit(
             members=members,
             keys=frozenset(u.keys[q] for q in members),
-            columns=replace(point.columns, fine=fine),
+            columns=point.columns,
             spread=spread,
             weight=weight,
             score=score,
