@@ -34,6 +34,7 @@ class Columns:
         tangents: Change of the errors by one trial, (windows, rows, unknowns).
         jumps: What was jumped.
         changes: Change of the errors by each jump, (windows, rows, jumps).
+        fine: Whether tangents of all of which the data tell are differences over small steps.
     """
 
     base: Hypothesis
@@ -42,6 +43,7 @@ class Columns:
     tangents: np.ndarray
     jumps: tuple[Jump, ...]
     changes: np.ndarray
+    fine: bool = False
 
 
 class Errors:

@@ -186,6 +186,7 @@ class Fitter:
         # By so much tangents have missed what replays showed since they were taken [nats].
         missed, off = 0.0, _beyond(columns, point)
         slow = given_up = finished = False
+        fine = columns.fine
         telling, renewed = None, 0
         for turn in range(TURNS):
             first, fresh = turn < stiff_turns, False
@@ -196,7 +197,7 @@ class Fitter:
                     begun = self.evidence(point.columns, spread, weight, kappa)
                     telling = begun.telling(begun.score([(q, None) for q in members]))
                 point = self._all_tangents(point, members, telling)
-                fresh, renewed, missed = True, renewed + 1, 0.0
+                fresh, fine, renewed, missed = True, True, renewed + 1, 0.0
             else:
                 point = self._own_tangents(point, members, first)
             priors = self._stiff if first else self.priors
@@ -213,7 +214,7 @@ class Fitter:
                 if first:
                     stiff_turns = turn + 1
                     continue
-                if fresh or missed < ENOUGH:
+                if fresh or (fine and missed < ENOUGH):
                     finished = True
                     break
                 slow, missed, off = True, np.inf, 0.0 * off
@@ -228,15 +229,17 @@ class Fitter:
                 given_up = True
                 break
             if not first and gain < ENOUGH and (fresh or missed < ENOUGH):
-                finished = True
-                break
+                if fresh or fine:
+                    finished = True
+                    break
+                missed = np.inf
             slow = share < 1.0 or gain < NEAR
         evidence = self.evidence(point.columns, spread, weight, kappa)
         score = evidence.score([(q, None) for q in members])
         return Fit(
             members=members,
             keys=frozenset(u.keys[q] for q in members),
-            columns=point.columns,
+            columns=replace(point.columns, fine=fine),
             spread=spread,
             weight=weight,
             score=score,
