@@ -384,7 +384,7 @@ class Evidence:
         k, n = self.places.index(score.size), self.unknowns.single
         precision, _ = self.priors.precision(self.unknowns, self.priors.spreads[score.spread])
         data = self.kappa * np.diag(self.gram[k])[1 : 1 + n]
-        return np.asarray(data > DEFAULT.smaller_share * np.diag(precision))
+        return np.asarray(data * np.diag(np.linalg.inv(precision)) > DEFAULT.smaller_share)
 
     def _free(self, score: Score) -> np.ndarray:
         """Mask of the single unknowns that move: those that tell, and the members' own."""

@@ -181,7 +181,7 @@ def _effect(
         evidence=evidence,
         apart=alone,
         share=share,
-        size=float(np.abs(first.score.values[first.places(key)]).max()),
+        size=first.size(key),
     )
     return told, ties
 

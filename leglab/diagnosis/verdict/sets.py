@@ -16,7 +16,7 @@ from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import thinned
 from leglab.diagnosis.search.rank import both_ways
 from leglab.diagnosis.search.search import Found
-from leglab.diagnosis.thresholds import BLOWN, DEFAULT, LAW, NEAR, SLACK, WINDOWS
+from leglab.diagnosis.thresholds import BLOWN, DEFAULT, LAW, NEAR, NO_FAULT, SLACK, WINDOWS
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +53,10 @@ class Row:
         u = self.evidence.unknowns
         names = [self.renamed.get(u.keys[q], u.keys[q]) for q in self.score.unknowns]
         return [i for i, name in enumerate(names) if name == key]
+
+    def size(self, key: Key) -> float:
+        """How far an effect departs at most, in trials."""
+        return float(np.abs(self.score.values[self.places(key)]).max(initial=0.0))
 
     @property
     def hypothesis(self) -> Hypothesis:
@@ -181,6 +185,8 @@ class Sets:
         def enter(row: Row | None) -> None:
             if row is None:
                 return
+            # What nobody would notice is no fault: such a set is the one without it.
+            row = replace(row, keys=frozenset(k for k in row.keys if row.size(k) >= NO_FAULT))
             names = row.keys, bool(row.renamed)
             if names not in rows or row.score.log > rows[names].score.log:
                 rows[names] = row
