@@ -75,7 +75,7 @@ FAULTS = {
     ),
     "a drive may be turned down": (
         "diagnosis.verdict.sets", "return np.where(blown, lost.min(), lost)", "return 0.0 * lost",
-        "test_a_command_that_moved_nothing_is_no_weak_drive",
+        "test_a_set_that_turns_the_drive_down_loses_in_units_of_the_drive",
     ),
     "a name stands while most is left": (
         "diagnosis.verdict.verdict",

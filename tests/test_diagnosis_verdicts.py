@@ -374,6 +374,13 @@ def test_a_command_that_moved_nothing_is_no_weak_drive():
     assert all(e.confidence <= 0.5 for e in result.effects)
 
 
+def test_a_set_that_turns_the_drive_down_loses_in_units_of_the_drive():
+    """A fifth of the drive moves a fifth as much: what is left over weighs five times."""
+    _, outcome = diagnosed(CASES["other command"])
+    lost = {row.keys: row.drive for row in outcome.judged.rows}
+    assert lost[frozenset({("actuator_gain", "drive")})] < lost[frozenset()] - 10.0
+
+
 def test_what_a_single_recording_shows_has_no_name():
     """Of two short ones the slow one hardly shows friction that is half as large again."""
     result = told("fast alone")
