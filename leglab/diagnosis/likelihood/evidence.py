@@ -379,11 +379,12 @@ class Evidence:
     def telling(self, score: Score) -> np.ndarray:
         """Mask of the single unknowns of which the data tell something beside their prior.
 
-        That by which the data narrow an unknown alone is below a tenth of its prior for the others.
+        That by which the data narrow an unknown alone is below a tenth of its prior for the others,
+        whatever share of the data counts: it grows as explanations get better.
         """
         k, n = self.places.index(score.size), self.unknowns.single
         precision, _ = self.priors.precision(self.unknowns, self.priors.spreads[score.spread])
-        data = self.kappa * np.diag(self.gram[k])[1 : 1 + n]
+        data = np.diag(self.gram[k])[1 : 1 + n]
         return np.asarray(data * np.diag(np.linalg.inv(precision)) > DEFAULT.smaller_share)
 
     def _free(self, score: Score) -> np.ndarray:
