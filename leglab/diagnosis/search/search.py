@@ -159,6 +159,9 @@ def search(
             erring = least_left.fit
             kappa = 1.0 / max(least_left.evidence.design_effect(least_left.score), 1.0)
             ranks = rank(compared, fits, kappa)
+        # Near noise first order is exact: what is behind nothing stays there.
+        if clear and not ranks[0].fit.members:
+            break
         # What may lead is fitted to its end; what is more probable where another set was fitted
         # also from there.
         top = ranks[0].score.log
@@ -193,7 +196,6 @@ def search(
         # What was proposed last is a rival now, or was in vain.
         vain = 0 if last in {r.fit.keys for r in near if r.score.log > top - NEAR} else vain + 1
         done = vain > FRUITLESS or more >= FURTHER_FITS
-        done = done or (clear and not ranks[0].fit.members)
         then = None if done else proposal(fitter, ranks, tried, removed)
         if then is None:
             # What does without an effect of the best set is fitted from there.
