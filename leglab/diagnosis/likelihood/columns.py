@@ -1,10 +1,12 @@
 """Errors about a hypothesis and what moves them: tangents of all unknowns, and finite jumps."""
 
+from collections import deque
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -64,6 +66,8 @@ class Errors:
         self.recording = problem.replay.recording[chosen]
         self.size = len(problem.channels) * problem.replay.bins
         self._helpers: list[Errors] = []
+        # Of the patterns of errors that were used last; a fit takes one again and again.
+        self.whitenings: deque[tuple[object, Any]] = deque(maxlen=2)
 
     def each(self, hypotheses: Sequence[Hypothesis]) -> list[np.ndarray]:
         """Errors of several hypotheses, on several threads: a replay is half Python."""

@@ -8,7 +8,7 @@ over the spread, leave the evidence of a set. Errors go together beyond D: all l
 by 1/design effect (composite likelihood; Pauli, Racugno and Ventura 2011).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -48,9 +48,7 @@ def robust_weights(
     at: Errors, errors: np.ndarray, spread: Spread, size: float, forces: float
 ) -> np.ndarray:
     """Weights of windows, (windows,), by how unusual their errors are (Huber 1964)."""
-    roots, _ = spread.whiteners(at, size, forces)
-    white = (roots @ errors[:, :, None])[:, :, 0]
-    square = np.mean(white**2, axis=1)
+    square = np.mean(spread.whitening(at).white(errors, size, forces) ** 2, axis=1)
     return robust_weight(square / max(float(np.median(square)), 1.0))
 
 
@@ -129,30 +127,38 @@ class Evidence:
         self.unknowns, self.spread, self.weight = at.unknowns, spread, weight
         self.places = tuple(range(len(priors.sizes)) if places is None else places)
         self.part = parts_of(at.recording)
-        found = [self._products(k, np.zeros(self.part.size, dtype=int)) for k in self._sizes]
-        self.gram = np.concatenate([gram for gram, _ in found])
-        self.log_covariance = np.concatenate([log for _, log in found])
+        gram, log = self._products(np.zeros(self.part.size, dtype=int))
+        self.gram, self.log_covariance = gram[:, 0], log[:, 0]
 
     @property
     def _sizes(self) -> range:
         return range(len(self.places))
 
-    def _white(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """Errors, tangents and jumps whitened at a size, and log determinants of windows."""
-        place, columns = self.places[k], self.columns
-        roots, log = self.spread.whiteners(
-            self.at, self.priors.sizes[place], self.force_size(place)
-        )
+    def _white(self, sizes: Iterable[int]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Errors, tangents and jumps whitened at sizes, and log determinants of windows."""
+        columns, whitening = self.columns, self.spread.whitening(self.at)
         stacked = [columns.errors[:, :, None], columns.tangents, columns.changes]
-        white = roots @ np.concatenate(stacked, axis=2)
-        return white * np.sqrt(self.weight)[:, None, None], self.weight * log
+        turned = whitening.basis @ np.concatenate(stacked, axis=2)
+        for k in sizes:
+            place = self.places[k]
+            factors, log = whitening.at(self.priors.sizes[place], self.force_size(place))
+            factors *= np.sqrt(self.weight)[:, None]
+            yield factors[:, :, None] * turned, self.weight * log
 
-    def _products(self, k: int, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Inner products of all columns, (parts, columns, columns), and log determinants."""
-        white, log = self._white(k)
+    def _products(self, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Inner products of all columns, (sizes, parts, columns, columns), and determinants."""
         every = int(part.max()) + 1
-        flat = [white[part == r].reshape(-1, white.shape[2]) for r in range(every)]
-        return np.stack([f.T @ f for f in flat]), np.bincount(part, log, every)
+        gram, logs = [], []
+        for white, log in self._white(self._sizes):
+            flat = (white[part == r].reshape(-1, white.shape[2]) for r in range(every))
+            gram.append(np.stack([f.T @ f for f in flat]))
+            logs.append(np.bincount(part, log, every))
+        return np.stack(gram), np.stack(logs)
+
+    def white(self, errors: np.ndarray, score: Score) -> np.ndarray:
+        """Errors as independent numbers at the size of a score, (windows, rows)."""
+        size, forces = self.priors.sizes[score.size], self.force_size(score.size)
+        return self.spread.whitening(self.at).white(errors, size, forces)
 
     def with_kappa(self, kappa: float) -> "Evidence":
         """The same where another share of the log likelihood counts; nothing else is kept."""
@@ -225,8 +231,8 @@ class Evidence:
 
     def apart(self, members: Sequence[Member]) -> list[Score]:
         """Evidence of a set without each part of the recordings in turn."""
-        gram, log = zip(*(self._products(k, self.part) for k in self._sizes), strict=True)
-        without = self.gram[:, None] - np.stack(gram), self.log_covariance[:, None] - np.stack(log)
+        gram, log = self._products(self.part)
+        without = self.gram[:, None] - gram, self.log_covariance[:, None] - log
         every = range(without[0].shape[1])
         return [self.score(members, self._reduced(*(w[:, r] for w in without))) for r in every]
 
@@ -459,7 +465,7 @@ class Evidence:
         full[0] = 1.0
         full[1 : 1 + n] += score.shift
         np.add.at(full, index, score.coefficients)
-        white, _ = self._white(k)
+        white, _ = next(self._white([k]))
         slope = np.einsum("wrc,wr->wc", white[:, :, use], white @ full)
         count = int(self.part.max()) + 1
         if count < 2:

@@ -114,31 +114,79 @@ class Spread:
         """That of other recordings, each with what one of these has."""
         return Spread(self.replays[list(which)], self.forces[list(which)])
 
-    def whiteners(self, at: Errors, size: float, forces: float) -> tuple[np.ndarray, np.ndarray]:
-        """Inverse roots of the windows' covariances, and log determinants.
+    def whitening(self, at: Errors) -> "Whitening":
+        """Directions in which the errors of windows are independent at every size of their own."""
+        for known, made in at.whitenings:
+            if known is self:
+                return made
+        sensors = at.problem.noise.whitening[at.chosen]
+        windows, n = sensors.shape[:2]
+        f = self.forces.shape[1]
+        basis, ratio = np.zeros((windows, n + f, n + f)), np.zeros((windows, n))
+        for w, (root, r) in enumerate(zip(sensors, at.recording, strict=True)):
+            values, vectors = np.linalg.eigh(root @ self.replays[r] @ root.T)
+            ratio[w] = np.maximum(values, 0.0)
+            basis[w, :n, :n] = vectors.T @ root
+        force_log = np.zeros(windows)
+        if f:
+            roots = inverse_roots(self.forces)
+            basis[:, n:, n:] = roots[at.recording]
+            logs = np.log(np.einsum("rii->ri", roots)).sum(axis=1)
+            force_log = -2.0 * (logs[at.recording] + DEFAULT.force_blocks * np.log(at.unit).sum())
+        made = Whitening(
+            basis=basis,
+            ratio=ratio,
+            noise=np.einsum("wii->wi", at.covariance),
+            own=np.einsum("rii->ri", self.replays)[at.recording],
+            log=-2.0 * np.log(np.einsum("wii->wi", sensors)).sum(axis=1),
+            force_log=force_log,
+        )
+        at.whitenings.append((self, made))
+        return made
+
+
+@dataclass(frozen=True, eq=False)
+class Whitening:
+    """Covariances N + s^2 D of windows' errors at all sizes s, from one decomposition of each.
+
+    With N^-1 = L'L and L D L' = Q diag(r) Q', rows of Q'L are independent and have the variances
+    1 + s^2 r.
+
+    Attributes:
+        basis: Q'L, (windows, rows, rows); below it inverse roots of forces.
+        ratio: r, (windows, size).
+        noise: Diagonal of N, (windows, size).
+        own: Diagonal of D, (windows, size).
+        log: Log determinants of N, (windows,).
+        force_log: Those of forces, in units of what the model as it is leaves over.
+    """
+
+    basis: np.ndarray
+    ratio: np.ndarray
+    noise: np.ndarray
+    own: np.ndarray
+    log: np.ndarray
+    force_log: np.ndarray
+
+    def at(self, size: float, forces: float) -> tuple[np.ndarray, np.ndarray]:
+        """Factors that make rows of unit variance, (windows, rows), and log determinants.
 
         Forces have no covariance of their sensors': they count by the share of the replays' error
-        that is the model's own. Those of an exact model are noise and say nothing. Their log
-        determinants are in units of what the model as it is leaves over.
+        that is the model's own. Those of an exact model are noise and say nothing.
 
         Args:
-            at: Windows.
             size: Of the model's own error in replays, as a factor.
             forces: The same in forces.
-
-        Returns:
-            (windows, rows, rows) and (windows,).
         """
-        covariance = at.covariance + size**2 * self.replays[at.recording]
-        n, f = covariance.shape[1], self.forces.shape[1]
-        roots = np.zeros((len(covariance), n + f, n + f))
-        roots[:, :n, :n] = inverse_roots(covariance)
-        log = -2.0 * np.log(np.einsum("wii->wi", roots[:, :n, :n])).sum(axis=1)
-        if f:
-            noise = np.einsum("wii->wi", at.covariance)
-            own = 1.0 - float(np.mean(noise / np.einsum("wii->wi", covariance)))
-            force_roots = inverse_roots(forces**2 * self.forces)[at.recording]
-            log -= 2.0 * own * np.log(np.einsum("wii->wi", force_roots)).sum(axis=1)
-            log -= 2.0 * own * DEFAULT.force_blocks * np.log(at.unit).sum()
-            roots[:, n:, n:] = np.sqrt(own) * force_roots
-        return roots, log
+        n, f = self.ratio.shape[1], self.basis.shape[1] - self.ratio.shape[1]
+        variance = 1.0 + size**2 * self.ratio
+        share = 1.0 - float(np.mean(self.noise / (self.noise + size**2 * self.own)))
+        factors = np.full((len(variance), n + f), np.sqrt(share) / forces)
+        factors[:, :n] = 1.0 / np.sqrt(variance)
+        log = self.log + np.log(variance).sum(axis=1)
+        return factors, log + share * (self.force_log + 2.0 * f * np.log(forces))
+
+    def white(self, errors: np.ndarray, size: float, forces: float) -> np.ndarray:
+        """Errors as independent numbers, (windows, rows); arguments as of `at`."""
+        factors, _ = self.at(size, forces)
+        return factors * (self.basis @ errors[:, :, None])[:, :, 0]

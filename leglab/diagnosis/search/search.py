@@ -22,6 +22,7 @@ from leglab.diagnosis.thresholds import (
     COARSE,
     DEFAULT,
     EACH_WAY,
+    FINE,
     FIRST_FITS,
     FRUITLESS,
     FURTHER_FITS,
@@ -85,14 +86,15 @@ def search(
     at = Errors(problem, u, thinned(looked_at, windows))
     fitter = Fitter(at, priors or Priors(), fixed)
     log(f"tangents and trials of {len(u)} unknowns")
-    first = at.columns(Hypothesis(), step=COARSE)
-    as_it_is, clear = fitter.level(first.errors), fitter.clear(first.errors)
-    # Where noise alone is left no large fault hides: that would show.
-    first = at.jumped(first, trials(u), near=clear)
+    errors = at.at(Hypothesis())
+    as_it_is, clear = fitter.level(errors), fitter.clear(errors)
+    # Where noise alone is left no large fault hides, for that would show: first order is exact.
+    first = at.columns(Hypothesis(), step=FINE if clear else COARSE)
+    first = at.jumped(replace(first, fine=clear), trials(u), near=clear)
     fits: list[Fit] = []
     if clear:
         spread, weight = fitter.own_spread(first.errors), np.ones(len(first.errors))
-        fits.append(fitter.fit(first, {}, (), spread, weight, kappa))
+        fits.append(fitter.fit(first, {}, (), spread, weight, kappa, renewals=0))
     evidence, ranked, kappa = _annealed(fitter, fits[0].columns if clear else first, kappa)
     wanted = {_names(u, one): one for one in _wanted(evidence, ranked)}
 

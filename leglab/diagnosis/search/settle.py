@@ -103,7 +103,6 @@ class Fitter:
         tolerances, spread = STIFF
         self._stiff = replace(priors, spreads=(spread,), tolerances=tolerances, covariance=None)
         self._sensors = at.problem.noise.whitening[at.chosen]
-        self._roots: tuple[Evidence, int, np.ndarray] | None = None
 
     def level(self, errors: np.ndarray) -> float:
         """Median error of windows in noise levels of the sensors."""
@@ -113,9 +112,7 @@ class Fitter:
         """Whether noise, or errors as the healthy specimen has them, are left."""
         if self.fixed is None:
             return fit.level <= DEFAULT.explained
-        roots, _ = self.fixed.whiteners(self.at, 1.0, 1.0)
-        n = self.at.size
-        white = np.einsum("wij,wj->wi", roots[:, :n, :n], fit.columns.errors[:, :n])
+        white = self.fixed.whitening(self.at).white(fit.columns.errors, 1.0, 1.0)[:, : self.at.size]
         return float(np.median(np.mean(white**2, axis=1))) <= DEFAULT.explained**2
 
     def clear(self, errors: np.ndarray) -> bool:
@@ -314,11 +311,7 @@ class Fitter:
 
     def _square(self, evidence: Evidence, score: Score, errors: np.ndarray) -> float:
         """Square of errors at a score's size, as much as it counts."""
-        if self._roots is None or self._roots[0] is not evidence or self._roots[1] != score.size:
-            size = evidence.priors.sizes[score.size]
-            found, _ = evidence.spread.whiteners(self.at, size, evidence.force_size(score.size))
-            self._roots = evidence, score.size, found
-        white = (self._roots[2] @ errors[:, :, None])[:, :, 0]
+        white = evidence.white(errors, score)
         return evidence.kappa * float((evidence.weight[:, None] * white**2).sum())
 
     def _shapes(self, members: Sequence[int]) -> list[int]:

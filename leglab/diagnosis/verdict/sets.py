@@ -13,7 +13,7 @@ from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.columns import Columns, Errors
 from leglab.diagnosis.likelihood.evidence import Evidence, Score
 from leglab.diagnosis.likelihood.unknowns import Unknowns
-from leglab.diagnosis.replay.residual import thinned
+from leglab.diagnosis.replay.residual import inverse_roots, thinned
 from leglab.diagnosis.search.rank import both_ways
 from leglab.diagnosis.search.search import Found
 from leglab.diagnosis.thresholds import BLOWN, DEFAULT, LAW, NEAR, NO_FAULT, SLACK, WINDOWS
@@ -98,7 +98,7 @@ class Sets:
     def _whiteners(self, at: Errors) -> np.ndarray:
         """Inverse roots of covariances in noise, or errors as healthy, (windows, size, size)."""
         if self.fitter.fixed:
-            return self.fitter.fixed.whiteners(at, 1.0, 1.0)[0][:, : at.size, : at.size]
+            return inverse_roots(at.covariance + self.fitter.fixed.replays[at.recording])
         return at.problem.noise.whitening[at.chosen]
 
     def shown_elsewhere(self, row: Row, key: Key) -> tuple[np.ndarray, np.ndarray] | None:
@@ -148,8 +148,6 @@ class Sets:
         """
         evidence, score, columns = row.evidence, row.score, row.evidence.columns
         u, n = self.unknowns, self.unknowns.single
-        size = evidence.priors.sizes[score.size]
-        roots, _ = evidence.spread.whiteners(self.at, size, evidence.force_size(score.size))
         precision, _ = evidence.priors.precision(u, evidence.priors.spreads[score.spread])
         stays = columns.x[:n].copy()
         for q, value in zip(score.unknowns, score.values, strict=True):
@@ -157,7 +155,7 @@ class Sets:
         moves = columns.x[:n] + score.shift
 
         def square(errors: np.ndarray) -> np.ndarray:
-            return np.asarray((np.einsum("wij,wj->wi", roots, errors, optimize=True) ** 2).sum(1))
+            return np.asarray((evidence.white(errors, score) ** 2).sum(axis=1))
 
         promised, tries = square(row.left), []
         led = self.at.at(row.hypothesis)
@@ -272,9 +270,10 @@ class Sets:
         if members:
             tangents = columns.tangents[:, :, members]
             size = self.fitter.priors.sizes[row.score.size]
-            roots, _ = row.evidence.spread.whiteners(self.at, size, 1.0)
-            white = roots @ np.concatenate([errors[:, :, None], tangents], axis=2)
-            white = white * np.sqrt(self.best.weight)[:, None, None]
+            whitening = row.evidence.spread.whitening(self.at)
+            factors = whitening.at(size, 1.0)[0] * np.sqrt(self.best.weight)[:, None]
+            both = np.concatenate([errors[:, :, None], tangents], axis=2)
+            white = factors[:, :, None] * (whitening.basis @ both)
             flat = white.reshape(-1, 1 + len(members))
             step = np.linalg.lstsq(flat[:, 1:], -flat[:, 0], rcond=None)[0]
             errors = errors + tangents @ step
