@@ -127,33 +127,34 @@ class Evidence:
         self.unknowns, self.spread, self.weight = at.unknowns, spread, weight
         self.places = tuple(range(len(priors.sizes)) if places is None else places)
         self.part = parts_of(at.recording)
-        gram, log = self._products(np.zeros(self.part.size, dtype=int))
-        self.gram, self.log_covariance = gram[:, 0], log[:, 0]
+        self.gram, self.log_covariance = self._products(np.ones(self.part.size, dtype=bool))
 
     @property
     def _sizes(self) -> range:
         return range(len(self.places))
 
-    def _white(self, sizes: Iterable[int]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Errors, tangents and jumps whitened at sizes, and log determinants of windows."""
+    def _white(
+        self, sizes: Iterable[int], own: np.ndarray
+    ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Columns of some windows whitened at sizes, and log determinants of the windows."""
         columns, whitening = self.columns, self.spread.whitening(self.at)
-        stacked = [columns.errors[:, :, None], columns.tangents, columns.changes]
-        turned = whitening.basis @ np.concatenate(stacked, axis=2)
+        stacked = [columns.errors[own][:, :, None], columns.tangents[own], columns.changes[own]]
+        turned = whitening.basis[own] @ np.concatenate(stacked, axis=2)
         for k in sizes:
             place = self.places[k]
             factors, log = whitening.at(self.priors.sizes[place], self.force_size(place))
-            factors *= np.sqrt(self.weight)[:, None]
-            yield factors[:, :, None] * turned, self.weight * log
+            weight = self.weight[own]
+            factors = factors[own] * np.sqrt(weight)[:, None]
+            yield factors[:, :, None] * turned, weight * log[own]
 
-    def _products(self, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Inner products of all columns, (sizes, parts, columns, columns), and determinants."""
-        every = int(part.max()) + 1
+    def _products(self, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of some windows: inner products of columns, (sizes, columns, columns), determinants."""
         gram, logs = [], []
-        for white, log in self._white(self._sizes):
-            flat = (white[part == r].reshape(-1, white.shape[2]) for r in range(every))
-            gram.append(np.stack([f.T @ f for f in flat]))
-            logs.append(np.bincount(part, log, every))
-        return np.stack(gram), np.stack(logs)
+        for white, log in self._white(self._sizes, own):
+            flat = white.reshape(-1, white.shape[2])
+            gram.append(flat.T @ flat)
+            logs.append(log.sum())
+        return np.stack(gram), np.array(logs)
 
     def white(self, errors: np.ndarray, score: Score) -> np.ndarray:
         """Errors as independent numbers at the size of a score, (windows, rows)."""
@@ -231,10 +232,12 @@ class Evidence:
 
     def apart(self, members: Sequence[Member]) -> list[Score]:
         """Evidence of a set without each part of the recordings in turn."""
-        gram, log = self._products(self.part)
-        without = self.gram[:, None] - gram, self.log_covariance[:, None] - log
-        every = range(without[0].shape[1])
-        return [self.score(members, self._reduced(*(w[:, r] for w in without))) for r in every]
+        found = []
+        for r in range(int(self.part.max()) + 1):
+            gram, log = self._products(self.part == r)
+            rest = self._reduced(self.gram - gram, self.log_covariance - log)
+            found.append(self.score(members, rest))
+        return found
 
     @cached_property
     def whole(self) -> _Reduced:
@@ -465,7 +468,7 @@ class Evidence:
         full[0] = 1.0
         full[1 : 1 + n] += score.shift
         np.add.at(full, index, score.coefficients)
-        white, _ = next(self._white([k]))
+        white, _ = next(self._white([k], np.ones(self.part.size, dtype=bool)))
         slope = np.einsum("wrc,wr->wc", white[:, :, use], white @ full)
         count = int(self.part.max()) + 1
         if count < 2:

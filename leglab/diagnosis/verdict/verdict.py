@@ -42,7 +42,16 @@ from leglab.diagnosis.result import (
 from leglab.diagnosis.search.onset import begun
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, Searched, searched
 from leglab.diagnosis.search.settle import Fit, Fitter
-from leglab.diagnosis.thresholds import ABSENT, BEST_SETS, DEFAULT, LAW, NAMED, ROOM, VISIBLE
+from leglab.diagnosis.thresholds import (
+    ABSENT,
+    BEST_SETS,
+    DEFAULT,
+    LAW,
+    NAMED,
+    RENEWALS,
+    ROOM,
+    VISIBLE,
+)
 from leglab.diagnosis.verdict.confidence import Judgement, as_before, judged
 from leglab.diagnosis.verdict.experiment import propose
 from leglab.diagnosis.verdict.sets import Row, Sets
@@ -66,6 +75,8 @@ class Outcome:
         baseline: Nothing missing, all parameters within what machines differ by.
         final: The told set, all parameters as fitted beside it.
         written: What an improved model carries: the told effects, and what has a tolerance.
+        about: The problem with its noise model about the told set: start states are as uncertain
+            as that makes them.
         named: Effects that are told, named or in a confusion set.
         onsets: Of effects that begin during a recording, the earliest and the latest time [s] at
             which they can have begun, (recordings, 2), nan where an effect begins in none.
@@ -79,6 +90,7 @@ class Outcome:
     baseline: Hypothesis
     final: Hypothesis
     written: Hypothesis
+    about: Problem
     named: tuple[Key, ...]
     onsets: Mapping[Key, np.ndarray]
     result: Diagnosis = field(init=False)
@@ -148,7 +160,7 @@ def diagnose(
 
 def _lacks_nothing(outcome: Outcome) -> bool:
     """Whether noise is left without what is told, which hardly lessens it where nobody fitted."""
-    problem = outcome.problem.about(outcome.final)
+    problem = outcome.about
     if not problem.held.any():
         return False
     less = outcome.final.without(*outcome.named) if outcome.named else Hypothesis()
@@ -184,6 +196,7 @@ def _judged(found: Searched, judgement: Judgement) -> Outcome:
         return min(both, key=lambda h: fitter.level(fitter.at.at(h)))
 
     final, spread = hypothesis(row), _scatter(row.evidence, row.score)
+    about = found.problem.about(final)
     named = tuple(
         key
         for name, element in (judgement.named or judgement.confusion[:1])
@@ -196,7 +209,7 @@ def _judged(found: Searched, judgement: Judgement) -> Outcome:
     else:
         values = zip(row.score.unknowns, row.score.values, strict=True)
         kept = {q: float(v) for q, v in values if u.library_keys(q) <= set(named)}
-        lean, scatter = _lean(found, row, kept, final)
+        lean, scatter = _lean(Errors(about, u, fitter.at.chosen), fitter, row, kept)
         written = lean.columns.base
         if lean.level <= (1.0 + found.problem.thresholds.smaller_share) * row.level:
             final, spread = written, scatter
@@ -212,24 +225,28 @@ def _judged(found: Searched, judgement: Judgement) -> Outcome:
         baseline=hypothesis(nothing) if nothing is not None else Hypothesis(),
         final=final,
         written=written,
+        about=about,
         named=named,
     )
 
 
 def _lean(
-    found: Searched, row: Row, values: Mapping[int, float], final: Hypothesis
+    at: Errors, fitter: Fitter, row: Row, values: Mapping[int, float]
 ) -> tuple[Fit, np.ndarray]:
     """Some members where the rest of the machine is as its model, but for tolerances.
 
-    What else departs a little takes a part of each effect's size with it. The noise model is that
-    about the final hypothesis.
+    What else departs a little takes a part of each effect's size with it.
+
+    Args:
+        at: Windows, with the noise model about the told set.
+        fitter: Of the search.
+        row: The told set.
+        values: Departures of the members that are told.
 
     Returns:
         The fit, and the covariance of all single unknowns there.
     """
-    fitter, old = found.found.fitter, row.evidence.columns
-    u = row.evidence.unknowns
-    at = Errors(found.problem.about(final), u, fitter.at.chosen)
+    u, old = at.unknowns, row.evidence.columns
     columns = replace(old, errors=at.at(old.base))
     goal = np.zeros(u.single)
     for q, value in values.items():
@@ -240,7 +257,16 @@ def _lean(
     start = {i: float(d) for i, d in enumerate(goal - old.x[: u.single])}
     lean = Fitter(at, replace(fitter.priors, spreads=(ABSENT,)))
     weight, kappa = row.evidence.weight, row.evidence.kappa
-    fit = lean.fit(columns, start, tuple(values), row.evidence.spread, weight, kappa, beside=True)
+    fit = lean.fit(
+        columns,
+        start,
+        tuple(values),
+        row.evidence.spread,
+        weight,
+        kappa,
+        renewals=RENEWALS if values else 0,
+        beside=True,
+    )
     evidence = lean.evidence(fit.columns, fit.spread, fit.weight, kappa)
     return fit, _scatter(evidence, evidence.score([(q, None) for q in values]))
 
@@ -269,8 +295,7 @@ def _scatter(evidence: Evidence, score: Score) -> np.ndarray:
 def assemble(outcome: Outcome, *, seconds: float) -> Diagnosis:
     """Builds the verdict of a judged search."""
     found, judged, final = outcome.searched, outcome.judged, outcome.final
-    # Start states are as uncertain as the told model makes them.
-    problem = found.problem.about(final)
+    problem = outcome.about
     models = {"before": Hypothesis(), "baseline": outcome.baseline, "after": final}
     if outcome.named:
         models["unnamed"] = final.without(*outcome.named)
