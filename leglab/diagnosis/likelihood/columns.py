@@ -1,11 +1,12 @@
 """Errors about a hypothesis and what moves them: tangents of all unknowns, and finite jumps."""
 
+import signal
 from collections import deque
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from copy import copy
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
+from multiprocessing import current_process, get_context
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,6 @@ from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.plant.model import Change
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.thresholds import BLOWN, DEFAULT, LOUDER
-from leglab.machine.plugin import quiet
 
 # An unknown, and by how much it moves at once, in trials.
 Jump = tuple[int, float]
@@ -65,31 +65,30 @@ class Errors:
         self.problem, self.unknowns, self.chosen = problem, unknowns, chosen
         self.recording = problem.replay.recording[chosen]
         self.size = len(problem.channels) * problem.replay.bins
-        self._helpers: list[Errors] = []
+        self._workers: ProcessPoolExecutor | None = None
         # Of the patterns of errors that were used last; a fit takes one again and again.
         self.whitenings: deque[tuple[object, Any]] = deque(maxlen=2)
 
     def each(self, hypotheses: Sequence[Hypothesis]) -> list[np.ndarray]:
-        """Errors of several hypotheses, on several threads: a replay is half Python."""
-        threads = min(self.problem.threads, len(hypotheses))
-        if threads < 2:
+        """Errors of several hypotheses, in several processes: half of a replay is Python."""
+        count = min(self.problem.threads, len(hypotheses))
+        if count < 2 or current_process().daemon:  # a worker of Dask may have no children
             return [self.at(h) for h in hypotheses]
-        while len(self._helpers) < threads:
-            helper = copy(self)
-            helper.problem, helper._helpers = self.problem.alone(), []
-            self._helpers.append(helper)
-
-        def share(k: int) -> list[np.ndarray]:
-            return [self._helpers[k].at(h) for h in hypotheses[k::threads]]
-
-        out: list[np.ndarray] = [np.empty(0)] * len(hypotheses)
-        with quiet(), ThreadPoolExecutor(threads) as pool:
-            for k, found in enumerate(pool.map(share, range(threads))):
-                out[k::threads] = found
-        for helper in self._helpers:
-            self.problem.replay.rollouts += helper.problem.replay.rollouts
-            helper.problem.replay.rollouts = 0.0
-        return out
+        if self._workers is None:
+            # Each begins with all that is known here: nothing is sent, and memory is shared.
+            _ = self._own
+            self._workers = ProcessPoolExecutor(
+                self.problem.threads, get_context("fork"), _begin, (self,)
+            )
+        portion = max(1, len(hypotheses) // (4 * count))
+        try:
+            made = list(self._workers.map(_errors, hypotheses, chunksize=portion))
+        except BaseException:
+            self._workers.shutdown(wait=False, cancel_futures=True)
+            self._workers = None
+            raise
+        self.problem.replay.rollouts += sum(replays for _, replays in made)
+        return [errors for errors, _ in made]
 
     def at(self, hypothesis: Hypothesis, louder: str | None = None) -> np.ndarray:
         """Errors of a hypothesis, (windows, rows).
@@ -239,6 +238,23 @@ class Errors:
         which = [i for i in range(u.single) if not u.shape[i] or u.keys[i] in there]
         tangents = self.tangents(base, errors, which, step, known)
         return Columns(base, x, errors, tangents, (), np.zeros((*errors.shape, 0)))
+
+
+# In a process of `Errors.each`, that for which it works.
+_own: list[Errors] = []
+
+
+def _begin(at: Errors) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the user interrupts the process that waits
+    at.problem.replay.use_one_thread()
+    _own.append(at)
+
+
+def _errors(hypothesis: Hypothesis) -> tuple[np.ndarray, float]:
+    """Errors in a process of `Errors.each`, and how many replays they took."""
+    replay = _own[0].problem.replay
+    before = replay.rollouts
+    return _own[0].at(hypothesis), replay.rollouts - before
 
 
 def _size(pushed: np.ndarray) -> np.ndarray:

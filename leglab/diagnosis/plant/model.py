@@ -2,7 +2,6 @@
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from copy import copy
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Lock
@@ -126,12 +125,6 @@ class Machine:
     def at_timestep(self, timestep: float) -> "Machine":
         """The same machine with another time step [s]."""
         return Machine(self.path, timestep=timestep)
-
-    def alone(self) -> "Machine":
-        """The same machine for another thread: it compiles its own variants."""
-        other = copy(self)
-        other._variants = OrderedDict()
-        return other
 
     def spec(self) -> mujoco.MjSpec:
         """A fresh copy of the model's specification, as in the file."""

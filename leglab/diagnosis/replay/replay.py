@@ -159,12 +159,11 @@ class Replay:
         other.substeps = max(1, round(self._period / machine.timestep))
         return other
 
-    def alone(self) -> "Replay":
-        """The same windows for another thread: nothing is kept together."""
-        other = self.on(self.machine.alone())
-        other._threads, other._pool = 1, rollout.Rollout(nthread=0)
-        other.cuts = [cut.alone() for cut in self.cuts]
-        return other
+    def use_one_thread(self) -> None:
+        """Replays go on without the threads of the process from which this one was forked."""
+        # Those do not exist here, and the end of their pool would wait for them.
+        self._abandoned, self._threads = self._pool, 1
+        self._pool, self._datas = rollout.Rollout(nthread=0), {}
 
     def error(
         self,

@@ -154,13 +154,6 @@ class Problem:
         """The replay with a share of its time step."""
         return self.replay.on(self.machine.at_timestep(share * self.machine.timestep))
 
-    def alone(self) -> "Problem":
-        """The same problem for another thread: its replays share nothing with these."""
-        other = copy(self)
-        other.replay = self.replay.alone()
-        other.machine = other.replay.machine
-        return other
-
     def about(self, hypothesis: Hypothesis) -> "Problem":
         """The same problem with its noise model taken about a hypothesis."""
         errors, _ = self._errors(self.replay, hypothesis, None)

@@ -1,7 +1,7 @@
 """Channels of the recordings, their smoothing, and the windows cut from them."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 
 import mujoco
@@ -209,10 +209,6 @@ class Cut:
     driven: list[tuple[dict[str, np.ndarray], dict[str, Driven]]] = field(default_factory=list)
     known: dict[str, list[tuple[np.ndarray, np.ndarray, np.ndarray]]] = field(default_factory=dict)
     lately: Lately = field(default_factory=Lately)
-
-    def alone(self) -> "Cut":
-        """The same windows for another thread: nothing is kept together."""
-        return replace(self, driven=[], known={}, lately=Lately())
 
     def filtered(self, channel: Channel, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Smoothed samples of a channel, as a hypothesis corrects them, and their derivative.
