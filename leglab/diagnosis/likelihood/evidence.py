@@ -376,6 +376,14 @@ class Evidence:
                 best[member] = max(best.get(member, -np.inf), value)
         return sorted(((g, m) for m, g in best.items() if np.isfinite(g)), key=lambda e: -e[0])
 
+    def likeness(self, score: Score) -> np.ndarray:
+        """Inner products of jumps beside all that machines differ in, (jumps, jumps).
+
+        At the size and spread of a score.
+        """
+        inner = self.whole.inner[self.places.index(score.size), score.spread]
+        return inner[self._jump(0) :, self._jump(0) :]
+
     def left(self, score: Score) -> np.ndarray:
         """Errors that the fit of a score leaves, to first order, (windows, rows)."""
         columns, n = self.columns, self.unknowns.single

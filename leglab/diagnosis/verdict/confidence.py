@@ -230,15 +230,13 @@ def impostors(sets: Sets) -> tuple[float, float]:
     """Mean and standard deviation of the logit of the share that the best impostor explains."""
     u, first, best = sets.unknowns, sets.found.first, sets.best
     evidence = sets.fitter.evidence(first, best.spread, best.weight, best.kappa, places=[sets.size])
-    inner = evidence.whole.inner[0, sets.found.ranks[0].score.spread]
-    jumps = [1 + len(u) + j for j in range(len(first.jumps))]
-    product = inner[np.ix_(jumps, jumps)]
+    product = evidence.likeness(sets.found.ranks[0].score)
     size = np.maximum(np.diag(product), 1e-12)
     group = {e.name: e.group for e in all_effects()}
     keys = [u.keys[q] for q, _ in first.jumps]
     kinds = np.array([group[k[0]] for k in keys])
     best_of: dict[Key, tuple[float, float]] = {}
-    for b in range(len(jumps)):
+    for b in range(len(keys)):
         others = kinds != kinds[b]
         if size[b] < VISIBLE or not others.any():
             continue
