@@ -66,7 +66,6 @@ class Score:
         deviations: Their standard deviations.
         shift: Change of all single unknowns beside the members, (single,).
         coefficients: Of the members' columns.
-        grid: Log evidence by size and spread.
     """
 
     members: tuple[Member, ...]
@@ -78,7 +77,6 @@ class Score:
     deviations: np.ndarray
     shift: np.ndarray
     coefficients: np.ndarray
-    grid: np.ndarray
 
     @property
     def unknowns(self) -> tuple[int, ...]:
@@ -321,28 +319,20 @@ class Evidence:
             deviations=deviations[k, o],
             shift=self.follow(own, int(k), int(o), along),
             coefficients=step,
-            grid=grid,
         )
 
-    def additions(
-        self, score: Score, *, also: Sequence[Member] | None = None
-    ) -> list[tuple[float, Member]]:
-        """Members to add by the log evidence they gain to first order, best first.
+    def additions(self, score: Score) -> list[tuple[float, Member]]:
+        """Members to add to a set by the log evidence they gain to first order, best first.
 
         At the best size and spread of the score, and at each smaller size: the model's own error,
         estimated while something is missing, has that one's shape and hides it.
-
-        Args:
-            score: What they are added to.
-            also: Which to look at; None for all jumps and tangents.
         """
         u = self.unknowns
         on = set(score.unknowns)
         there = {u.keys[q] for q in on}
-        if also is None:
-            also = [(q, j) for j, (q, _) in enumerate(self.columns.jumps) if u.nameable[q]]
-            also += [(q, None) for q in range(len(u)) if u.nameable[q]]
-        also = [m for m in also if m[0] not in on]
+        both: list[Member] = [(q, j) for j, (q, _) in enumerate(self.columns.jumps)]
+        both += [(q, None) for q in range(len(u))]
+        also = [m for m in both if u.nameable[m[0]] and m[0] not in on]
         if not also:
             return []
         index, unit, lower, upper = self._columns_of(also)

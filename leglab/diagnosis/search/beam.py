@@ -8,13 +8,8 @@ from leglab.diagnosis.likelihood.evidence import Evidence, Member, Score
 from leglab.diagnosis.thresholds import BEST_SETS, DEPTH, SCORED
 
 
-def beam(evidence: Evidence, start: Iterable[tuple[Member, ...]] = ((),)) -> list[Score]:
-    """Sets by evidence, best first; of every set of unknowns the best jumps.
-
-    Args:
-        evidence: At one linearisation.
-        start: Sets to begin with.
-    """
+def beam(evidence: Evidence) -> list[Score]:
+    """Sets by evidence, best first; of every set of unknowns the best jumps."""
     seen: dict[frozenset[Member], Score] = {}
 
     def score(members: Iterable[Member]) -> Score:
@@ -25,7 +20,7 @@ def beam(evidence: Evidence, start: Iterable[tuple[Member, ...]] = ((),)) -> lis
             )
         return seen[key]
 
-    current = [score(members) for members in start]
+    current = [score(())]
     for depth in range(DEPTH):
         found: dict[frozenset[int], Score] = {}
         for one in current:

@@ -165,12 +165,7 @@ def _effect(
     alone = min(float(parts[sound].sum(axis=0).min()) for _, parts in ways)
     possible = max(float(parts[there].sum(axis=0).max()) for _, parts in ways)
     first = rows[int(np.argmax(np.where(has, logs, -np.inf)))]
-    share = _explained(
-        sets, sets.at, sets.blocks(first.left), sets.blocks(sets.without(first, key))
-    )
-    elsewhere = sets.shown_elsewhere(first, key)
-    if elsewhere is not None and sets.elsewhere is not None:
-        share = min(share, _explained(sets, sets.elsewhere, *elsewhere))
+    share = min(_explained(sets, *shown) for shown in sets.shown(first, key))
     inside = _inside(share, impostor, max(2.0 * math.log(sets.found.level), 1.0))
     inside *= _claimed(first, key)
     sure = min(whole, alone) * inside

@@ -4,7 +4,7 @@ Among them are those that lack an effect where it stands: each effect of every g
 by a replay. So every name has a rival at its own place.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -101,18 +101,22 @@ class Sets:
             return inverse_roots(at.covariance + self.fitter.fixed.replays[at.recording])
         return at.problem.noise.whitening[at.chosen]
 
-    def shown_elsewhere(self, row: Row, key: Key) -> tuple[np.ndarray, np.ndarray] | None:
-        """Blocks of recordings that nobody fitted, with an effect of a set and without it."""
+    def shown(self, row: Row, key: Key) -> Iterator[tuple[Errors, np.ndarray, np.ndarray]]:
+        """Windows, and their blocks with an effect of a set and without it.
+
+        Of the recordings that are fitted, and of those that nobody fitted.
+        """
         at, u = self.elsewhere, self.unknowns
+        yield self.at, self.blocks(row.left), self.blocks(self.without(row, key))
         if at is None:
-            return None
+            return
         places = row.places(key)
         gone = {row.score.unknowns[i]: -float(row.score.values[i]) for i in places}
         roots, found = self._whiteners(at), []
         for hypothesis in (row.hypothesis, u.moved(row.hypothesis, gone)):
             errors = np.clip(at.at(hypothesis), -BLOWN, BLOWN)
             found.append(_middles(self._squares(roots, errors), at.recording))
-        return found[0], found[1]
+        yield at, found[0], found[1]
 
     def channel_squares(self, errors: np.ndarray) -> np.ndarray:
         """Mean squares by window and channel, in noise or errors as healthy."""
