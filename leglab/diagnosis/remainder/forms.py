@@ -8,7 +8,7 @@ from scipy.linalg import block_diag
 from scipy.optimize import minimize_scalar
 
 from leglab.diagnosis.balance.balances import Balance
-from leglab.diagnosis.remainder.part import Period
+from leglab.diagnosis.remainder.part import Part, Period
 from leglab.diagnosis.remainder.splines import Blocks, Spline, basis, nearest, roughness
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
@@ -39,16 +39,6 @@ class Term:
     def count(self) -> int:
         """Number of unknowns."""
         return self.columns.shape[1]
-
-    @property
-    def harmonics(self) -> int:
-        """Number of harmonics; 0 of what does not repeat."""
-        return 0 if self.shape is None else (self.count - 1) // 2
-
-    def spline(self, values: np.ndarray) -> Spline:
-        """The term with values of its unknowns."""
-        coefficients = values if self.shape is None else self.shape @ values
-        return Spline(knots=self.knots, coefficients=coefficients)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,22 +73,27 @@ class Form:
         both = np.outer(scale, scale)
         return np.asarray(np.linalg.pinv(self.precision * both, rcond=1e-12, hermitian=True) * both)
 
-    def splines(self, values: np.ndarray) -> dict[str, Spline]:
-        """Splines by variable from values of the unknowns."""
-        parts = np.split(values, np.cumsum([term.count for term in self.terms])[:-1])
-        pairs = zip(self.terms, parts, strict=True)
-        return {term.variable: term.spline(own) for term, own in pairs}
-
-    def repeats(self, values: np.ndarray) -> Period | None:
-        """What repeats over the position, from values of the unknowns."""
-        if self.period is None:
-            return None
-        length, half = self.period + values[-1], 1.96 * np.sqrt(self.covariance[-1, -1])
-        waves = values[-1 - 2 * self.terms[-1].harmonics : -1].reshape(-1, 2)
-        return Period(
-            length=float(length),
-            interval=(float(length - half), float(length + half)),
-            amplitudes=tuple(np.hypot(*waves.T).tolist()),
+    def part(self, values: np.ndarray) -> Part:
+        """The part that it is with values of its unknowns."""
+        splines, period = {}, None
+        pieces = np.split(values, np.cumsum([term.count for term in self.terms])[:-1])
+        for term, own in zip(self.terms, pieces, strict=True):
+            coefficients = own if term.shape is None else term.shape @ own
+            splines[term.variable] = Spline(knots=term.knots, coefficients=coefficients)
+        if self.period is not None:
+            length, half = self.period + values[-1], 1.96 * np.sqrt(self.covariance[-1, -1])
+            period = Period(
+                length=float(length),
+                interval=(float(length - half), float(length + half)),
+                amplitudes=tuple(np.hypot(*pieces[-1][1:-1].reshape(-1, 2).T).tolist()),
+            )
+        return Part(
+            element=self.balance.element,
+            joint=self.balance.joint,
+            actuator=self.balance.actuator,
+            oil=self.balance.oil,
+            terms=splines,
+            period=period,
         )
 
 
@@ -115,8 +110,6 @@ def choose_form(
     if len(balance.lacking) < limits.learned_windows:
         return None
     candidates = _candidates(balance, driven_by_oil)
-    if not candidates:
-        return None
     fits = _Fits(balance, candidates)
     null = left = fits.errors(())
     chosen: tuple[Term, ...] = ()
@@ -124,7 +117,7 @@ def choose_form(
         known = [term.variable for term in chosen]
         tried = [fits.smoothed(chosen, term) for term in candidates if term.variable not in known]
         terms, errors = min(tried, key=lambda t: float(t[1].sum()))
-        if not _pays(left - errors, left, limits):
+        if not worthwhile(left - errors, float(left.sum()), limits):
             break
         chosen, left = terms, errors
     if not chosen:
@@ -133,11 +126,6 @@ def choose_form(
     if "position" in [term.variable for term in chosen] and not balance.oil:
         chosen, period = _periodic(fits, chosen, left, limits)
     return fits.estimated(chosen, period, gain=1.0 - float(left.sum()) / float(null.sum()))
-
-
-def usable(balance: Balance, fitted: Sequence[int]) -> np.ndarray:
-    """Windows of fitted recordings in which the joint moves, (windows,)."""
-    return balance.moving & np.isin(balance.recording, list(fitted))
 
 
 def _candidates(balance: Balance, driven_by_oil: bool) -> list[Term]:
@@ -171,8 +159,8 @@ def _knots(variable: str, x: np.ndarray) -> np.ndarray | None:
     if variable not in ("velocity", "command") or not low < 0.0 < high:
         return np.linspace(low, high, count)
     width = 0.1 * max(-low, high)
-    ends = np.arcsinh(np.array([low, high]) / width)
-    knots = width * np.sinh(np.linspace(float(ends[0]), float(ends[-1]), count))
+    first, last = np.arcsinh(np.array([low, high]) / width).tolist()
+    knots = width * np.sinh(np.linspace(first, last, count))
     knots[[0, -1]] = low, high
     return np.asarray(knots)
 
@@ -182,11 +170,15 @@ def _mean(balance: Balance, functions: np.ndarray) -> np.ndarray:
     return np.asarray((functions * balance.gain[:, :, None]).mean(axis=1))
 
 
-def _pays(saved: np.ndarray, left: np.ndarray, limits: Thresholds) -> bool:
-    """Whether errors that are saved in blocks, (blocks,), are worthwhile and beyond chance."""
-    spread = float(saved.std(ddof=1)) * np.sqrt(saved.size)
+def worthwhile(saved: np.ndarray, misfit: float, limits: Thresholds) -> bool:
+    """Whether what blocks or windows save is beyond chance, and in all a share of the misfit."""
     total = float(saved.sum())
-    return total > limits.beyond_chance * spread and total > limits.worthwhile * float(left.sum())
+    return total > limits.beyond_chance * _chance(saved) and total > limits.worthwhile * misfit
+
+
+def _chance(values: np.ndarray) -> float:
+    """Standard error of a sum."""
+    return float(values.std(ddof=1)) * np.sqrt(values.size)
 
 
 class _Fits:
@@ -228,7 +220,7 @@ class _Fits:
 
     def sums(self, terms: Sequence[Term]) -> Blocks:
         """Sums of the terms by block."""
-        return Blocks.of(self.design(terms), self.target, self.weight, self.block)
+        return Blocks(self.design(terms), self.target, self.weight, self.block)
 
     def solved(self, terms: Sequence[Term]) -> np.ndarray:
         """Values of the unknowns."""
@@ -247,13 +239,8 @@ class _Fits:
             terms = (*chosen, replace(new, smoothing=smoothing))
             tried.append((terms, sums.validated(self.penalty(terms))))
         best = min(tried, key=lambda t: float(t[1].sum()))[1]
-
-        def as_good(errors: np.ndarray) -> bool:
-            lost = errors - best
-            return bool(lost.sum() <= float(lost.std(ddof=1)) * np.sqrt(lost.size))
-
         # The smoothest within one standard error of the best (Breiman et al. 1984).
-        return next(t for t in reversed(tried) if as_good(t[1]))
+        return next(t for t in reversed(tried) if (t[1] - best).sum() <= _chance(t[1] - best))
 
     def sines(
         self, own: Term, period: float, harmonics: int, amplitudes: np.ndarray | None = None
@@ -289,7 +276,8 @@ class _Fits:
         variance *= (1.0 + memory) / max(1.0 - memory, 0.1)
         if period is not None:
             *others, own = terms
-            terms = (*others, self.sines(own, period, own.harmonics, values[-own.count :]))
+            harmonics, waves = (own.count - 1) // 2, values[-own.count :]
+            terms = (*others, self.sines(own, period, harmonics, waves))
             values = np.append(values, 0.0)
         design = self.design(terms)
         precision = (design * self.weight[:, None]).T @ design + self.penalty(terms)

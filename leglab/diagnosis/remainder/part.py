@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import mujoco
 import numpy as np
 
 from leglab.diagnosis.effects.hypothesis import Key, Library
 from leglab.diagnosis.effects.joints import insert
-from leglab.diagnosis.plant.model import Change, Machine, Measured, Start, Variant
+from leglab.diagnosis.plant.model import Change, Machine, Measured, Variant
 from leglab.diagnosis.plant.moments import commands_at, forces_at, states_at
 from leglab.diagnosis.remainder.splines import Spline
 from leglab.machine.parameters import RESIDUAL, RESIDUAL_VARIABLES
@@ -22,7 +23,7 @@ class Period:
 
     Attributes:
         length: rad or m.
-        interval: 95 % interval of the length.
+        interval: 95 %.
         amplitudes: Of the harmonics, the first that of the whole period.
     """
 
@@ -88,7 +89,7 @@ class Part:
             for number, value in enumerate(spline.coefficients.tolist()):
                 change.set_parameter(self.name, f"{variable}_{number}", value)
         if "load" in self.terms and not self.oil:
-            change.start(self.name, "load", _load_at_start(change.machine, self.joint))
+            change.start(self.name, "load", partial(_load, change.machine, self.joint))
 
     def write(self, spec: mujoco.MjSpec) -> None:
         """Adds its plugin instance to a specification."""
@@ -99,16 +100,14 @@ def _numbers(values: np.ndarray) -> str:
     return " ".join(f"{value:.9g}" for value in values.tolist())
 
 
-def _load_at_start(machine: Machine, joint: str) -> Start:
-    """Actuator force on a joint at window starts."""
-
-    def load(measured: Measured, variant: Variant, plugin: np.ndarray) -> np.ndarray:
-        model, k = variant.model, measured.samples
-        states = states_at(machine, model, measured, k, plugin)
-        found = forces_at(model, states, commands_at(machine, measured, k))
-        return found.load[:, int(model.joint(joint).dofadr[0])]
-
-    return load
+def _load(
+    machine: Machine, joint: str, measured: Measured, variant: Variant, plugin: np.ndarray
+) -> np.ndarray:
+    """Actuator force on a joint at window starts, (windows,)."""
+    model, k = variant.model, measured.samples
+    states = states_at(machine, model, measured, k, plugin)
+    found = forces_at(model, states, commands_at(machine, measured, k))
+    return found.load[:, int(model.joint(joint).dofadr[0])]
 
 
 class LearnedLibrary(Library):
