@@ -81,32 +81,26 @@ def summary_tables(result: Diagnosis) -> list[Table]:
     nominal = "model" if result.calibration is None else result.nominal_words
     for name in ("effect", "parameter", "value", "95 % interval", nominal):
         head.add_column(name, no_wrap=name != "effect")
-    rows = [(e, "") for e in result.effects] + [(e, "smaller: ") for e in result.smaller]
-    for effect, word in rows:
+    for effect, smaller in result.all_effects:
         for i, p in enumerate(effect.parameters):
             head.add_row(
-                "" if i else f"{word}[bold]{effect.name}[/bold] at {effect.element}",
+                ""
+                if i
+                else f"{'smaller: ' * smaller}[bold]{effect.name}[/bold] at {effect.element}",
                 f"{p.name} \\[{p.unit}]",
                 f"{p.value:.4g}",
                 f"{p.interval[0]:.4g} … {p.interval[1]:.4g}",
                 f"{p.nominal:.4g}",
             )
-    gaps = Table(title="normalised replay error (noise alone gives 1)", title_justify="left")
-    for name in ("recording", "before", "recalibrated", "after", ""):
-        gaps.add_column(name)
+    columns, title = ("recording", "before", "recalibrated", "after", ""), "normalised replay error"
+    gaps = Table(*columns, title=f"{title} (noise alone gives 1)", title_justify="left")
     for row in result.recordings:
-        gaps.add_row(
-            row.name,
-            f"{row.before:.2f}",
-            f"{row.baseline:.2f}",
-            f"{row.after:.2f}",
-            "held out" if row.held_out else "",
-        )
+        errors = (f"{error:.2f}" for error in (row.before, row.baseline, row.after))
+        gaps.add_row(row.name, *errors, "held out" if row.held_out else "")
     horizon = f"{result.remaining[0].horizon:.3g} s " if result.remaining else ""
     title = f"error {horizon}after a measured start, held-out recordings"
     left = Table(title=title, title_justify="left")
-    told = any(one.learned is not None for one in result.remaining)
-    learned = ["learned"] if told else []
+    learned = ["learned"] if any(one.learned is not None for one in result.remaining) else []
     for name in ("measured", "before", "after", *learned, "sensor noise"):
         left.add_column(name, justify="left" if name == "measured" else "right")
     for one in result.remaining:

@@ -65,11 +65,8 @@ def whole_recording(problem: Problem, final: Hypothesis) -> WholeRecording | Non
     driven = [(joints[0], actuator) for actuator, joints in machine.driven.items() if joints]
     if before is None or after is None or not driven:
         return None
-    noise = {
-        c.joint: float(problem.sensor_noise[recording, k])
-        for k, c in enumerate(problem.channels)
-        if not c.chamber
-    }
+    sigma = problem.sensor_noise[recording].tolist()
+    noise = {c.joint: s for c, s in zip(problem.channels, sigma, strict=True) if not c.chamber}
     joint, actuator = max(driven, key=lambda pair: before.deviation(pair[0]) / noise[pair[0]])
     spread = float(np.std(problem.series[recording].columns[f"{actuator}_command"])) or 1.0
     measured = before.measured[joint]
