@@ -1,6 +1,7 @@
 """A better model from recordings: effects that are sure, and a learned remainder."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from leglab.diagnosis.remainder.learning import (
     pays,
 )
 from leglab.diagnosis.replay.residual import Problem, robust_cost
-from leglab.diagnosis.result import closed
+from leglab.diagnosis.result import NamedEffect, closed
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.verdict.output import write_model
 from leglab.diagnosis.verdict.verdict import Outcome, diagnose
@@ -128,10 +129,10 @@ def improved_model(
     much is left. None where the held-out recordings are not met better than by the model as it was.
     """
     limits, result = found.problem.thresholds, found.result
-    told = {(e.name, e.element) for e in (*result.effects, *result.smaller)}
-    named = tuple(key for key in found.named if key in told and result.verdict == "named")
-    problem, final = found.problem, _recalibrated(found, named)
-    remainder, better = None, problem
+    told = (*result.effects, *result.smaller)
+    named, final = _recalibrated(found, told if result.verdict == "named" else ())
+    problem = better = found.problem
+    remainder = None
     much = result.gap.after > limits.explained
     much &= (result.gap.explained or 0.0) < 1.0 - limits.smaller_share
     if result.verdict != "nothing_missing" and much:
@@ -144,9 +145,13 @@ def improved_model(
     return ImprovedModel(problem=problem, hypothesis=final, remainder=remainder)
 
 
-def _recalibrated(found: Outcome, named: Sequence[Key]) -> Hypothesis:
-    """The model with some of the named effects, and what has a tolerance where it fits best."""
-    return found.written.without(*(key for key in found.named if key not in named))
+def _recalibrated(
+    found: Outcome, kept: Iterable[NamedEffect]
+) -> tuple[tuple[Key, ...], Hypothesis]:
+    """Some effects, and the model with them and with what has a tolerance where it fits best."""
+    told = {(e.name, e.element) for e in kept}
+    named = tuple(key for key in found.named if key in told)
+    return named, found.written.without(*(set(found.named) - set(named)))
 
 
 @one_blas_thread()
@@ -185,16 +190,16 @@ def improve(
         result, found = diagnose(
             model, recordings, held_out=held_out, settings=settings, progress=progress
         )
-        certain = {(e.name, e.element) for e in result.effects if e.confidence >= limits.sure}
-        sure = tuple(key for key in found.named if key in certain)
-        problem, final = found.problem, _recalibrated(found, sure)
+        problem = found.problem
+        kept = (e for e in result.effects if e.confidence >= limits.sure)
+        sure, final = _recalibrated(found, kept)
     else:
         problem, final = set_up(model, recordings, held_out, settings), Hypothesis()
     remainder = learn_remainder(problem, final, named=sure, progress=progress)
     if remainder:
         final = remainder.hypothesis
-    before = problem.about(final)
-    after = remainder.problem if remainder else before
+    after = remainder.problem if remainder else problem.about(final)
+    before = copy(problem)
     before.noise = after.noise
     pairs = [(before, before.library.neutral()), (after, final)]
     squares = [p.noise_levels(h) for p, h in pairs]

@@ -115,13 +115,12 @@ class Calibration:
 
 @dataclass(frozen=True, kw_only=True)
 class Where:
-    """Where simulation and data disagree.
+    """Where simulation and data disagree, and in which region most.
 
     Attributes:
         residual: "mechanical" (pressures to motion), "hydraulic" (command and motion to
             pressures) or "motion" (command to motion) where there are no pressures.
         level: RMS in noise levels, of the model as it was.
-        region: Where it is worst, in words.
     """
 
     residual: str
@@ -135,7 +134,6 @@ class RecordingGap:
     """Normalised replay error of one recording: RMS of whitened errors; noise alone gives 1.
 
     Attributes:
-        held_out: Whether it was kept from all fits.
         before: Of the model as it was.
         baseline: With nuisances refitted within their tolerance.
         after: With the named effects.
@@ -153,12 +151,10 @@ class Gap:
     """Gap on the held-out recordings, as in `RecordingGap`.
 
     Attributes:
-        noise_floor: What noise alone gives.
         healthy: Error that the calibrated specimen had in its healthy recordings; None without any.
         unnamed: Error of the final fit without the named effects; NaN where there are none.
         compared: As `shown`, over all recordings where those held out hardly show what is named;
             None for `unnamed`, `after` and what `healthy` or noise gives.
-        held_out: Names of the recordings.
     """
 
     metric: str = "normalised replay error"
@@ -307,8 +303,7 @@ class Proposal:
     """The experiment that would separate the rivals best.
 
     Attributes:
-        description: What to command.
-        separation: Expected chi-square between them there.
+        separation: Expected chi-square between them.
         separation_now: The same in the present recordings.
     """
 
@@ -328,11 +323,8 @@ class Diagnosis:
         where: Worst first.
         ranking: All effects that were tried, best first.
         nuisances: Parameters that were refitted within their tolerance.
-        next_experiment: Where rivals remain.
         notes: What the reader should know: repairs, missing pressures, bounds that were hit.
         smaller: Effects that close less than a tenth of the gap each: differences, not the cause.
-        whole: A held-out recording; None where it cannot be simulated.
-        calibration: Where healthy recordings were given.
         model: File of the improved model; empty before it is written, or where nothing improves.
         learned: What the improved model has learned beside the effects, in words.
         rollouts: Replays of all windows that it took.

@@ -18,7 +18,6 @@ class Term:
     """Additive term of one variable before its size is known.
 
     Attributes:
-        variable: "position", "velocity", "load" or "command".
         knots: Of its spline, shape (knots,).
         columns: What its unknowns add to the means over windows, (windows, unknowns).
         penalty: Roughness, (unknowns, unknowns).
@@ -46,7 +45,6 @@ class Form:
     """Form of one balance's remainder, with a first estimate.
 
     Attributes:
-        balance: The windows it was fitted to.
         terms: In the order in which they were chosen, sines last; unknowns follow one another.
         values: Estimate, (unknowns,).
         precision: Inverse covariance of it, (unknowns, unknowns), smoothness included.
@@ -63,7 +61,7 @@ class Form:
 
     @property
     def variables(self) -> tuple[str, ...]:
-        """Variables of the terms."""
+        """Of the terms."""
         return tuple(term.variable for term in self.terms)
 
     @property
@@ -113,13 +111,13 @@ def choose_form(
     fits = _Fits(balance, candidates)
     null = left = fits.errors(())
     chosen: tuple[Term, ...] = ()
-    while len(chosen) < len(candidates):
-        known = [term.variable for term in chosen]
-        tried = [fits.smoothed(chosen, term) for term in candidates if term.variable not in known]
+    while candidates:
+        tried = [fits.smoothed(chosen, term) for term in candidates]
         terms, errors = min(tried, key=lambda t: float(t[1].sum()))
         if not worthwhile(left - errors, float(left.sum()), limits):
             break
         chosen, left = terms, errors
+        candidates = [t for t in candidates if t.variable != terms[-1].variable]
     if not chosen:
         return None
     period = None
@@ -137,17 +135,15 @@ def _candidates(balance: Balance, driven_by_oil: bool) -> list[Term]:
             same = load.std() * x.std() > 0.0 and np.corrcoef(x.flat, load.flat)[0, 1] ** 2 > 0.998
             if driven_by_oil or same:
                 continue
-        knots = _knots(variable, x.ravel())
+        knots = _knots(variable, x)
         if knots is not None:
-            columns = _mean(balance, basis(knots, x.ravel()).reshape(*x.shape, -1))
-            found.append(
-                Term(variable=variable, knots=knots, columns=columns, penalty=roughness(knots))
-            )
+            columns, rough = _mean(balance, basis(knots, x)), roughness(knots)
+            found.append(Term(variable=variable, knots=knots, columns=columns, penalty=rough))
     return found
 
 
 def _knots(variable: str, x: np.ndarray) -> np.ndarray | None:
-    """Knots between the ends of the data: as many as what may depend on the variable needs.
+    """Knots between the ends of the data, as many as the variable needs; None where it rests.
 
     Friction and valves change about zero, where knots of the velocity and command lie dense: in
     steps of a tenth of the largest at first, exponentially wider beyond.
@@ -184,9 +180,7 @@ def _chance(values: np.ndarray) -> float:
 class _Fits:
     """Robustly weighted fits of terms to one balance, and their errors in cross-validation.
 
-    Args:
-        balance: The windows.
-        candidates: All terms, whose sum says which windows are outliers.
+    The sum of all candidates says which windows are outliers.
     """
 
     def __init__(self, balance: Balance, candidates: Sequence[Term]) -> None:
@@ -303,11 +297,7 @@ def _periodic(
 ) -> tuple[tuple[Term, ...], float | None]:
     """The terms with sines of the position where these do as well as its spline, and the period.
 
-    Args:
-        fits: Of the balance.
-        chosen: Terms with a spline of the position.
-        left: Errors of blocks in cross-validation with that spline.
-        limits: Say what is as good.
+    With that spline, errors of blocks in cross-validation are `left`.
     """
     others = tuple(term for term in chosen if term.variable != "position")
     (own,) = (term for term in chosen if term.variable == "position")

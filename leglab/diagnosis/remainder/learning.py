@@ -75,21 +75,17 @@ def learn_remainder(
     named: Collection[Key] | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Remainder | None:
-    """Learns a static remainder beside a hypothesis.
+    """Learns a static remainder beside a hypothesis; None where no gain was proved.
 
     Additive splines are fitted to the balances of forces and oil along the measured motion, and
     refined by replays together with the nuisances. What does not pay on held-out recordings is
     left out.
 
     Args:
-        problem: Recordings and machine; without held-out windows nothing can be proved.
+        problem: Without held-out windows nothing can be proved.
         hypothesis: Named effects and nuisances.
-        named: Effects of it that were named, whose values stay; None for all that are not
-            nuisances.
+        named: Effects whose values stay; None for all that are not nuisances.
         progress: Called with what is being done.
-
-    Returns:
-        None where no gain was proved.
     """
     held, sites = problem.held, problem.library.sites
     if not held.any():
@@ -184,11 +180,10 @@ def pays(before: np.ndarray, after: np.ndarray, limits: Thresholds) -> bool:
 
 
 def has_memory(problem: Problem, hypothesis: Hypothesis) -> bool:
-    """Whether what a hypothesis leaves is far from noise, lasting, and no function of the moment.
+    """Whether what a hypothesis leaves lasts and is no function of the moment.
 
-    Whitened errors of a right model do not depend on each other; what lasts makes neighbouring bins
-    err alike. If static functions explain little of the balances, then what is missing depends on
-    what was before.
+    Whitened errors of a right model are independent; what lasts makes neighbouring bins err alike.
+    If static functions explain little of the balances, what is missing depends on the past.
     """
     residual = problem.residual(hypothesis).reshape(problem.replay.windows, -1, problem.replay.bins)
     own = residual / (np.sqrt(np.mean(residual**2, axis=(1, 2), keepdims=True)) + 1e-300)

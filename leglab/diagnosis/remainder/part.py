@@ -37,10 +37,9 @@ class Part:
     """A learned static force on a joint, or command offset of a cylinder.
 
     Attributes:
-        element: Joint or cylinder.
         joint: Whose motion it goes with.
         actuator: Whose command it depends on; empty for none.
-        oil: Whether it is a command offset of a cylinder.
+        oil: Whether it is a command offset.
         terms: Splines by variable; their sum counts.
         period: Of the position, where there is one.
         bound: Largest magnitude of the sum.
@@ -69,12 +68,11 @@ class Part:
         out: dict[str, float | str] = {"cylinder" if self.oil else "joint": self.element}
         if "command" in self.terms and not self.oil:
             out["actuator"] = self.actuator
-        for variable in RESIDUAL_VARIABLES:
-            if variable in self.terms:
-                spline = self.terms[variable]
-                weights = np.zeros_like(spline.coefficients) if neutral else spline.coefficients
-                out[f"{variable}_knots"] = _numbers(spline.knots)
-                out[f"{variable}_coefficients"] = _numbers(weights)
+        for variable in [v for v in RESIDUAL_VARIABLES if v in self.terms]:
+            spline = self.terms[variable]
+            weights = np.zeros_like(spline.coefficients) if neutral else spline.coefficients
+            out[f"{variable}_knots"] = _numbers(spline.knots)
+            out[f"{variable}_coefficients"] = _numbers(weights)
         if not neutral and self.bound < _NO_BOUND:
             out["bound"] = float(f"{self.bound:.6g}")
         return out

@@ -14,10 +14,7 @@ from leglab.diagnosis.replay.residual import Problem, robust_cost, robust_weight
 
 
 def directions(form: Form, most: int) -> np.ndarray:
-    """Principal directions in which a balance leaves its form's unknowns most open.
-
-    Shape (unknowns, directions), in standard deviations.
-    """
+    """Where a balance leaves unknowns most open, in standard deviations, (unknowns, directions)."""
     scale = np.sqrt(np.maximum(np.diag(form.covariance), 1e-300))
     values, vectors = np.linalg.eigh(form.covariance / np.outer(scale, scale))
     order = np.argsort(-values)[:most]
@@ -37,13 +34,9 @@ def refine(
     forms: Sequence[Form],
     fixed: frozenset[Key],
 ) -> tuple[tuple[Part, ...], Hypothesis]:
-    """Fits directions of the forms and nuisances to replays.
+    """Fits principal directions of the forms, and nuisances from a hypothesis on, to replays.
 
-    Args:
-        problem: With its noise model.
-        hypothesis: Where nuisances start.
-        forms: First estimates by the balances.
-        fixed: Effects whose values stay as they are.
+    Effects in `fixed` stay as they are.
 
     Returns:
         The parts, in the order of the forms, each with a bound a little above what it reaches on

@@ -32,9 +32,9 @@ def clamped(knots: np.ndarray) -> np.ndarray:
 
 
 def basis(knots: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """All B-splines at clamped inputs of shape (n,): (n, knots + 2); rows sum to one."""
-    inside = np.clip(x, knots[0], knots[-1])
-    return np.asarray(BSpline.design_matrix(inside, clamped(knots), DEGREE).toarray())
+    """All B-splines at clamped inputs of any shape, (..., knots + 2): their sum is one."""
+    inside = np.clip(x.ravel(), knots[0], knots[-1])
+    return BSpline.design_matrix(inside, clamped(knots), DEGREE).toarray().reshape(*x.shape, -1)
 
 
 def roughness(knots: np.ndarray) -> np.ndarray:

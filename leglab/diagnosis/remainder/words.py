@@ -22,7 +22,6 @@ class Shape:
     """Shape of one additive term.
 
     Attributes:
-        variable: "position", "velocity", "load" or "command".
         size: Half the difference of its largest and smallest value on the data [N m, N or 1].
         interval: Range of the data [unit of the variable].
         parity: Of a curve through zero input; None for positions and where one sign is missing.
@@ -61,13 +60,7 @@ class Described:
 
 
 def describe(part: Part, inputs: Mapping[str, np.ndarray], unit: str) -> Described:
-    """Words for a part.
-
-    Args:
-        part: Learned.
-        inputs: Data that it was learned from, by variable.
-        unit: Of the joint's position, "rad" or "m".
-    """
+    """Words for a part, with the data that it was learned from and the unit of the joint."""
     shapes, constant = [], 0.0
     for variable, spline in part.terms.items():
         x = inputs[variable].ravel()
@@ -97,8 +90,7 @@ def _shape(variable: str, spline: Spline, low: float, high: float, period: Perio
     reach = min(-low, high)
     if variable != "position" and reach > _HARDLY * max(-low, high):
         arm = np.linspace(0.0, reach, 201)
-        zero = float(spline(np.zeros(1))[0])
-        forth, back = spline(arm) - zero, spline(-arm) - zero
+        forth, back = (side - side[0] for side in (spline(arm), spline(-arm)))
         odd = _share((forth - back) ** 2, (forth + back) ** 2)
         ahead = _share(np.abs(forth), np.abs(back))
         parity = "odd" if odd > 1.0 - _HARDLY else "even" if odd < _HARDLY else "mixed"

@@ -27,13 +27,9 @@ def write_diagnosis(result: Diagnosis, folder: Path) -> Path:
 def write_model(
     problem: Problem, hypothesis: Hypothesis, folder: Path, parts: Sequence[Part] = ()
 ) -> Path:
-    """Writes DIR/improved.xml: the model under a hypothesis, checked by loading it.
+    """Writes DIR/improved.xml: the model under a hypothesis, with learned parts; it loads.
 
-    Args:
-        problem: Whose machine and library are meant; learned parts of its own do not count.
-        hypothesis: Effects and nuisances.
-        folder: Existing.
-        parts: Learned.
+    Learned parts of the problem's own do not count.
 
     Raises:
         LeglabError: MuJoCo refuses the patched model.
