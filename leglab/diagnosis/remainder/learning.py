@@ -1,6 +1,7 @@
 """Learns what no effect explains: a static remainder from the balances, refined by replay."""
 
 from collections.abc import Callable, Collection
+from copy import copy
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -135,22 +136,16 @@ def _proved(
     problem: Problem, without: Hypothesis, beside: Hypothesis, learned: list[tuple[Part, Form]]
 ) -> Remainder | None:
     """What pays on held-out recordings, beside a hypothesis and against one without it."""
-    held, limits = problem.held, problem.thresholds
+    problem, held, limits = copy(problem), problem.held, problem.thresholds
 
     def joined(some: list[tuple[Part, Form]]) -> Problem:
         return with_parts(problem, [part for part, _ in some])
 
-    noise = joined(learned).about(beside).noise
-
-    def squares(some: list[tuple[Part, Form]], under: Hypothesis) -> np.ndarray:
-        there = joined(some)
-        there.noise = noise
-        return there.noise_levels(under)
-
-    before, after = squares([], without), squares(learned, beside)
+    problem.noise = joined(learned).about(beside).noise
+    before, after = problem.noise_levels(without), joined(learned).noise_levels(beside)
     for one in [*learned] if len(learned) > 1 else ():
         others = [other for other in learned if other is not one]
-        alone = squares(others, beside)
+        alone = joined(others).noise_levels(beside)
         if not pays(alone[held], after[held], limits):
             learned, after = others, alone
     rms = [float(np.sqrt(np.mean(s[held]))) for s in (before, after)]

@@ -42,7 +42,7 @@ def refine(
         The parts, in the order of the forms, each with a bound a little above what it reaches on
         its data, and the hypothesis with the nuisances beside them.
     """
-    limits = problem.thresholds
+    problem, limits = copy(problem), problem.thresholds
     chosen = thinned(problem.fitted, limits.learned_windows)
     each = max(3, limits.learned_directions // len(forms))
     along = [directions(form, each) for form in forms]
@@ -64,9 +64,7 @@ def refine(
         return *new, np.concatenate([new[0], eta])
 
     def errors(z: np.ndarray, base: Hypothesis) -> np.ndarray:
-        replayed = with_parts(problem, parts(z))
-        replayed.noise = noise
-        return replayed.residual(base, chosen)
+        return with_parts(problem, parts(z)).residual(base, chosen)
 
     def cost(residual: np.ndarray, departed: np.ndarray, scale: float) -> float:
         squares = np.mean(residual**2, axis=1) / scale**2
@@ -76,7 +74,7 @@ def refine(
     for iteration in range(4):
         # The noise model of a base without its parts tells little of start states.
         if iteration < 2:
-            noise = with_parts(problem, parts(z)).about(base).noise
+            problem.noise = with_parts(problem, parts(z)).about(base).noise
         residual, (_, _, offset) = errors(z, base), moved(np.zeros(count + len(loose)))
         # Differences over half a standard deviation of what balances, or good machines, leave open.
         probes = (moved(0.5 * row)[:2] for row in np.eye(offset.size))

@@ -62,34 +62,28 @@ def write_model(
 
 def _absolute_files(spec: mujoco.MjSpec, folder: Path) -> None:
     """Makes mesh and texture folders absolute: the patched model lies elsewhere."""
-    if not spec.meshes and not spec.textures:
-        return
-    for attribute in ("meshdir", "texturedir"):
-        holder = spec.compiler if hasattr(spec.compiler, attribute) else spec
-        place = str(getattr(holder, attribute))
+    for attribute in ("meshdir", "texturedir") if spec.meshes or spec.textures else ():
+        place = str(getattr(spec.compiler, attribute))
         if not os.path.isabs(place):
-            setattr(holder, attribute, str((folder / place).resolve()))
+            setattr(spec.compiler, attribute, str((folder / place).resolve()))
 
 
 def summary_tables(result: Diagnosis) -> list[Table]:
     """Verdict, effects and gaps for the terminal."""
     head = Table(title=f"verdict: {result.verdict}", title_justify="left")
-    nominal = "model" if result.calibration is None else result.nominal_words
-    for name in ("effect", "parameter", "value", "95 % interval", nominal):
+    before = "model" if result.calibration is None else result.nominal_words
+    for name in ("effect", "parameter", "value", "95 % interval", before):
         head.add_column(name, no_wrap=name != "effect")
     for effect, smaller in result.all_effects:
-        for i, p in enumerate(effect.parameters):
-            head.add_row(
-                ""
-                if i
-                else f"{'smaller: ' * smaller}[bold]{effect.name}[/bold] at {effect.element}",
-                f"{p.name} \\[{p.unit}]",
-                f"{p.value:.4g}",
-                f"{p.interval[0]:.4g} … {p.interval[1]:.4g}",
-                f"{p.nominal:.4g}",
-            )
-    columns, title = ("recording", "before", "recalibrated", "after", ""), "normalised replay error"
-    gaps = Table(*columns, title=f"{title} (noise alone gives 1)", title_justify="left")
+        name = f"{'smaller: ' * smaller}[bold]{effect.name}[/bold] at {effect.element}"
+        for p in effect.parameters:
+            interval = "{:.4g} … {:.4g}".format(*p.interval)
+            value, nominal = f"{p.value:.4g}", f"{p.nominal:.4g}"
+            head.add_row(name, f"{p.name} \\[{p.unit}]", value, interval, nominal)
+            name = ""
+    columns = ("recording", "before", "recalibrated", "after", "")
+    title = "normalised replay error (noise alone gives 1)"
+    gaps = Table(*columns, title=title, title_justify="left")
     for row in result.recordings:
         errors = (f"{error:.2f}" for error in (row.before, row.baseline, row.after))
         gaps.add_row(row.name, *errors, "held out" if row.held_out else "")
@@ -101,8 +95,8 @@ def summary_tables(result: Diagnosis) -> list[Table]:
         left.add_column(name, justify="left" if name == "measured" else "right")
     for one in result.remaining:
         factor, unit = shown_unit(one.unit)
-        shown = [one.before, one.after, *([] if one.learned is None else [one.learned]), one.noise]
-        left.add_row(one.channel, *(f"{factor * v:.3g} {unit}" for v in shown))
+        values = (one.before, one.after, one.learned, one.noise)
+        left.add_row(one.channel, *(f"{factor * v:.3g} {unit}" for v in values if v is not None))
     return [table for table in (head, left, gaps) if table.row_count]
 
 
