@@ -115,8 +115,7 @@ def follow(
     with headless(model):
         for k in range(count - 1):
             last, error = error, measured[k] - simulated[k]
-            rate = (error - last) / course.period if k else 0.0 * error
-            correction[k] = gains[0] @ error + gains[1] @ rate
+            correction[k] = gains[0] @ error + gains[1] @ ((error - last) / course.period)
             for control in course.controls[k * steps : (k + 1) * steps]:
                 data.ctrl[:] = control + correction[k]
                 mujoco.mj_step(model, data)
