@@ -13,10 +13,10 @@ from leglab.base.threads import one_blas_thread
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.intake.recordings import split_held_out
 from leglab.diagnosis.remainder.learning import (
+    MEMORY_WORDS,
     Remainder,
     has_memory,
     learn_remainder,
-    memory_words,
     pays,
 )
 from leglab.diagnosis.replay.residual import Problem, robust_cost
@@ -241,7 +241,7 @@ def _words(problem: Problem, final: Hypothesis, cost: float, *, improved: bool) 
     if not improved:
         text = "Nothing improves the model on held-out recordings"
         text += "." if much else ": it explains them."
-    return f"{text} {memory_words()}." if much and has_memory(problem, final) else text
+    return f"{text} {MEMORY_WORDS}." if much and has_memory(problem, final) else text
 
 
 def _errors(

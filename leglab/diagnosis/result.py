@@ -1,4 +1,8 @@
-"""The verdict of a diagnosis, with all that a report or a page shows; immutable."""
+"""The verdict of a diagnosis, with all that a report or a page shows; immutable.
+
+What is told `before` is of the model as it was, `baseline` of that with nuisances refitted within
+their tolerance, and `after` with the named effects.
+"""
 
 import math
 from collections.abc import Sequence
@@ -85,8 +89,6 @@ class Remaining:
         channel: Column of the recordings.
         unit: "rad", "m" or "Pa".
         horizon: Time from the measured start of a replay to its end [s].
-        before: Of the model as it was.
-        after: With what was named.
         noise: Standard deviation of the sensor's samples.
         learned: Of the improved model, where something was learned for it; else None.
     """
@@ -131,13 +133,7 @@ class Where:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingGap:
-    """Normalised replay error of one recording: RMS of whitened errors; noise alone gives 1.
-
-    Attributes:
-        before: Of the model as it was.
-        baseline: With nuisances refitted within their tolerance.
-        after: With the named effects.
-    """
+    """Normalised replay error of one recording: RMS of whitened errors; noise alone gives 1."""
 
     name: str
     held_out: bool
@@ -230,8 +226,7 @@ class ResidualTrace:
         time: s.
         position: Of the channel's joint [rad or m], with its velocity.
         pressure: Pressure difference across the piston [Pa]; None where not measured.
-        before: Measured less predicted by the model as it was.
-        after: The same with the named effects.
+        before: Measured less predicted, as is `after`.
         measured: The channel itself.
         bins: Number of bins of a window; windows lie behind each other.
     """
@@ -259,11 +254,9 @@ class WholeRecording:
         actuator: Whose command the loop corrects.
         time: s.
         measured: Position of the joint.
-        before: As simulated by the model as it was; NaN from where that blew up.
-        after: With the named effects.
-        correction_before: What the loop added to the command, as a share of that command's
-            standard deviation, for the model as it was.
-        correction_after: The same with the named effects.
+        before: As simulated, as is `after`; NaN from where that blew up.
+        correction_before: What the loop added to the command, in standard deviations of that
+            command, as is `correction_after`.
     """
 
     recording: str

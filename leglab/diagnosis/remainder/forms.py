@@ -60,11 +60,6 @@ class Form:
     period: float | None = None
 
     @property
-    def variables(self) -> tuple[str, ...]:
-        """Of the terms."""
-        return tuple(term.variable for term in self.terms)
-
-    @property
     def covariance(self) -> np.ndarray:
         """Of the estimate, (unknowns, unknowns)."""
         scale = 1.0 / np.sqrt(np.maximum(np.diag(self.precision), 1e-300))
@@ -100,10 +95,7 @@ def choose_form(
 ) -> Form | None:
     """Forward selection of variables by cross-validation over blocks; None where nothing helps.
 
-    Args:
-        balance: Windows that may be used.
-        driven_by_oil: Whether a cylinder moves the joint: its command is no force.
-        limits: Say what is worthwhile.
+    The command of a joint that is driven by oil is no force, and no variable.
     """
     if len(balance.lacking) < limits.learned_windows:
         return None

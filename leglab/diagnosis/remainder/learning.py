@@ -19,6 +19,9 @@ from leglab.diagnosis.replay.residual import Problem, robust_cost
 from leglab.diagnosis.result import closed
 from leglab.diagnosis.thresholds import ALIKE, Thresholds
 
+# What is said where the rest is large and no static function of the moment.
+MEMORY_WORDS = "What is left has a memory: delay, play or flexibility are suspects"
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Remainder:
@@ -27,7 +30,6 @@ class Remainder:
     Attributes:
         parts: Forces of joints and command offsets of cylinders.
         hypothesis: Replaces the one beside which it was learned, nuisances refitted.
-        described: The parts in words.
         problem: With the parts in every hypothesis, noise model about the end.
         closed_fraction: (before - after) / (before - 1) of the held-out RMS in noise levels.
         memory: Whether what is left has a memory.
@@ -49,7 +51,7 @@ class Remainder:
     def words(self) -> str:
         """One or two sentences."""
         text = "; ".join(d.text for d in self.described)
-        return f"{text}. {memory_words()}" if self.memory else text
+        return f"{text}. {MEMORY_WORDS}" if self.memory else text
 
     def to_json(self) -> dict[str, Any]:
         """What improvement.json tells of it."""
@@ -62,11 +64,6 @@ class Remainder:
                 for d, part in zip(self.described, self.parts, strict=True)
             ],
         }
-
-
-def memory_words() -> str:
-    """What is said where the rest is large and no static function of the moment."""
-    return "What is left has a memory: delay, play or flexibility are suspects"
 
 
 def learn_remainder(

@@ -59,11 +59,7 @@ def nearest(knots: np.ndarray, x: np.ndarray, functions: np.ndarray) -> np.ndarr
 class Blocks:
     """Weighted least squares by blocks of neighbouring samples, for cross-validation.
 
-    Args:
-        design: Shape (n, p).
-        target: Shape (n,).
-        weight: Shape (n,).
-        block: Number of each sample's block, (n,).
+    Of a design (n, p), with target, weight and number of the block of each sample, each (n,).
     """
 
     def __init__(
