@@ -116,7 +116,7 @@ FAULTS = {
         "test_the_less_of_it_the_less_sure_is_a_name",
     ),
     "improved.xml carries what has no name": (
-        "diagnosis.improve", 'if key in told and result.verdict == "named")', ")",
+        "diagnosis.improve", 'told if result.verdict == "named" else ()', "told",
         "test_the_improved_model_carries_no_effect_without_a_name",
     ),
     "any name in doubt is doubt": (

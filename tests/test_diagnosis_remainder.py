@@ -17,10 +17,10 @@ from leglab.diagnosis.balance.balances import Balance, balances
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.improve import improve
 from leglab.diagnosis.plant.model import Change, Machine
-from leglab.diagnosis.remainder import Period, learn_remainder
+from leglab.diagnosis.remainder import learn_remainder
 from leglab.diagnosis.remainder.forms import choose_form
 from leglab.diagnosis.remainder.learning import pays
-from leglab.diagnosis.remainder.part import Part
+from leglab.diagnosis.remainder.part import Part, Period
 from leglab.diagnosis.remainder.splines import Spline, basis, clamped, nearest, roughness
 from leglab.diagnosis.remainder.words import describe
 from leglab.diagnosis.result import closed
@@ -87,7 +87,7 @@ def made_up(force, *, noise=0.05, seed=0, oil=False):
 )
 def test_the_variables_that_count_are_found_and_no_others(force, variables):
     form = choose_form(made_up(force), driven_by_oil=False)
-    assert set(form.variables) == variables
+    assert {term.variable for term in form.terms} == variables
     assert form.gain > 0.9
 
 
@@ -106,10 +106,11 @@ def test_a_period_is_found_from_a_fifth_of_the_range_to_all_of_it(share):
 
     form = choose_form(made_up(force), driven_by_oil=False)
     assert form.period == pytest.approx(period, rel=0.01)
-    assert len(form.repeats(form.values).amplitudes) == 1
+    part = form.part(form.values)
+    assert len(part.period.amplitudes) == 1
     # Its spline is the wave.
-    spline = form.splines(form.values)["position"]
-    x = spline.grid()
+    spline = part.terms["position"]
+    x = np.linspace(*spline.knots[[0, -1]], 400)
     wave = 2.0 * np.sin(2 * np.pi * x / period + 1.1)
     assert np.abs(spline(x) - spline(x).mean() - wave + wave.mean()).max() < 0.15
 
@@ -120,7 +121,7 @@ def test_a_wave_with_an_overtone_keeps_its_own_period():
         return np.sin(angle) + 0.6 * np.sin(2 * angle + 0.4)
 
     form = choose_form(made_up(force), driven_by_oil=False)
-    assert len(form.repeats(form.values).amplitudes) == 2
+    assert len(form.part(form.values).period.amplitudes) == 2
     assert form.period == pytest.approx(0.5, rel=0.01)
 
 
@@ -136,7 +137,7 @@ def test_a_wave_with_an_overtone_keeps_its_own_period():
 )
 def test_what_does_not_repeat_is_not_called_periodic(force):
     form = choose_form(made_up(force), driven_by_oil=False)
-    assert form.variables == ("position",)
+    assert [term.variable for term in form.terms] == ["position"]
     assert form.period is None
 
 
@@ -180,7 +181,7 @@ def test_a_period_is_told_in_the_words_of_a_rig():
     assert wave.text == "a torque that repeats every 0.449 rad of the knee, 6 N m"
     one = told(lambda x: np.sin(x), "position", -0.25, 0.25, period=period)
     assert "the recordings show 1.1 of it" in one.text
-    assert wave.to_json()["shapes"][0]["period"]["length"] == 0.4486
+    assert wave.shapes[0].period.length == 0.4486
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """A better model from recordings: effects that are sure, and a learned remainder."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -12,14 +13,14 @@ from leglab.base.threads import one_blas_thread
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.intake.recordings import split_held_out
 from leglab.diagnosis.remainder.learning import (
+    MEMORY_WORDS,
     Remainder,
     has_memory,
     learn_remainder,
-    memory_words,
     pays,
 )
 from leglab.diagnosis.replay.residual import Problem, robust_cost
-from leglab.diagnosis.result import closed
+from leglab.diagnosis.result import NamedEffect, closed
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.verdict.output import write_model
 from leglab.diagnosis.verdict.verdict import Outcome, diagnose
@@ -30,7 +31,6 @@ class ReplayError:
     """Replay errors of one recording, before and after.
 
     Attributes:
-        recording: Its name.
         held_out: Whether no fit has seen it.
         noise_levels: RMS of whitened errors; noise alone gives 1.
         at_horizon: RMS error at the end of the windows by channel [rad, m or Pa].
@@ -53,7 +53,6 @@ class Improvement:
         remainder: As `Remainder.to_json`; None for none.
         closed_fraction: (before - after) / (before - 1) of the held-out RMS in noise levels.
         horizon: Length of the replayed windows [s].
-        recordings: Errors.
         units: Of the channels.
         model: File name of the improved model; None where there is none.
     """
@@ -69,7 +68,7 @@ class Improvement:
     model: str | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """Returns the content of improvement.json."""
+        """The content of improvement.json."""
         return asdict(self)
 
 
@@ -78,9 +77,9 @@ class ImprovedModel:
     """What the improved model is made of.
 
     Attributes:
-        problem: Recordings and machine.
+        problem: Without what was learned.
         hypothesis: Effects and refitted nuisances.
-        remainder: Learned; None for none.
+        remainder: What was learned; None for nothing.
     """
 
     problem: Problem
@@ -97,10 +96,7 @@ class ImprovedModel:
 
     @property
     def errors(self) -> tuple[float, ...]:
-        """RMS error at the end of held-out windows by channel [rad, m or Pa].
-
-        With what was learned; empty where nothing was.
-        """
+        """RMS at the end of held-out windows by channel, SI; empty where nothing is learned."""
         if self.remainder is None:
             return ()
         problem = self.remainder.problem
@@ -133,15 +129,14 @@ def improved_model(
     much is left. None where the held-out recordings are not met better than by the model as it was.
     """
     limits, result = found.problem.thresholds, found.result
-    told = {(e.name, e.element) for e in (*result.effects, *result.smaller)}
-    named = tuple(key for key in found.named if key in told and result.verdict == "named")
-    problem, final = found.problem, _recalibrated(found, named)
+    told = (*result.effects, *result.smaller)
+    named, final = _recalibrated(found, told if result.verdict == "named" else ())
+    problem = better = found.problem
     remainder = None
     much = result.gap.after > limits.explained
     much &= (result.gap.explained or 0.0) < 1.0 - limits.smaller_share
     if result.verdict != "nothing_missing" and much:
         remainder = learn_remainder(problem, final, named=named, progress=progress)
-    better = problem
     if remainder:
         final, better = remainder.hypothesis, remainder.problem
     before, after = problem.noise_levels(problem.library.neutral()), better.noise_levels(final)
@@ -150,9 +145,13 @@ def improved_model(
     return ImprovedModel(problem=problem, hypothesis=final, remainder=remainder)
 
 
-def _recalibrated(found: Outcome, named: Sequence[Key]) -> Hypothesis:
-    """The model with some of the named effects, and what has a tolerance where it fits best."""
-    return found.written.without(*(key for key in found.named if key not in named))
+def _recalibrated(
+    found: Outcome, kept: Iterable[NamedEffect]
+) -> tuple[tuple[Key, ...], Hypothesis]:
+    """Some effects, and the model with them and with what has a tolerance where it fits best."""
+    told = {(e.name, e.element) for e in kept}
+    named = tuple(key for key in found.named if key in told)
+    return named, found.written.without(*(set(found.named) - set(named)))
 
 
 @one_blas_thread()
@@ -170,15 +169,13 @@ def improve(
     Args:
         model: MJCF file, or the name of a model that ships with leglab.
         recordings: By name.
-        held_out: Names of those on which the gain is proved; None for the choice of
-            `split_held_out`.
+        held_out: Names of those that prove the gain; None for the choice of `split_held_out`.
         effects: Whether effects are looked for first; those of confidence 0.8 are kept.
         settings: Of the diagnosis.
         progress: Called with a line on what is being done.
 
     Returns:
-        What was reached, and the improved model; None where nothing improves on held-out
-        recordings.
+        What was reached, and the improved model; None where nothing improves.
 
     Raises:
         LeglabError: Model or recordings cannot be used.
@@ -193,19 +190,19 @@ def improve(
         result, found = diagnose(
             model, recordings, held_out=held_out, settings=settings, progress=progress
         )
-        certain = {(e.name, e.element) for e in result.effects if e.confidence >= limits.sure}
-        sure = tuple(key for key in found.named if key in certain)
-        problem, final = found.problem, _recalibrated(found, sure)
+        problem = found.problem
+        kept = (e for e in result.effects if e.confidence >= limits.sure)
+        sure, final = _recalibrated(found, kept)
     else:
         problem, final = set_up(model, recordings, held_out, settings), Hypothesis()
     remainder = learn_remainder(problem, final, named=sure, progress=progress)
     if remainder:
         final = remainder.hypothesis
-    before = problem.about(final)
-    after = remainder.problem if remainder else before
+    after = remainder.problem if remainder else problem.about(final)
+    before = copy(problem)
     before.noise = after.noise
     pairs = [(before, before.library.neutral()), (after, final)]
-    squares = [np.mean(p.residual(h) ** 2, axis=1) for p, h in pairs]
+    squares = [p.noise_levels(h) for p, h in pairs]
     held = problem.held
     costs = [robust_cost(s[held], limits.robust_limit) for s in squares]
     improved = (
@@ -213,18 +210,18 @@ def improve(
         and float(costs[0].mean()) >= limits.explained
         and pays(squares[0][held], squares[1][held], limits)
     )
-    words = _words(
-        pairs[improved], remainder, sure, float(costs[improved].mean()), improved=improved
-    )
+    added = [f"{name} at {element}" for name, element in sure]
+    added += [remainder.words] if remainder else []
+    words = "Added: " + "; ".join(added) + "."
+    if not (improved and added):
+        words = _words(*pairs[improved], float(costs[improved].mean()), improved=improved)
     if not improved:
         remainder, sure, pairs[1], squares[1] = None, (), pairs[0], squares[0]
     rms = [float(np.sqrt(s[held].mean())) for s in squares]
     outcome = Improvement(
         improved=improved,
         words=words,
-        effects={
-            f"{key[0]} at {key[1]}": problem.library.sites[key].named(final[key]) for key in sure
-        },
+        effects={" at ".join(key): problem.library.sites[key].named(final[key]) for key in sure},
         remainder=remainder.to_json() if remainder else None,
         closed_fraction=closed(*rms) or 0.0,
         horizon=problem.replay.window,
@@ -237,25 +234,14 @@ def improve(
     return outcome, better if improved else None
 
 
-def _words(
-    final: tuple[Problem, Hypothesis],
-    remainder: Remainder | None,
-    sure: tuple[Key, ...],
-    cost: float,
-    *,
-    improved: bool,
-) -> str:
-    """What was added, or why nothing was; `cost` is what the held-out recordings are left with."""
-    parts = [f"{name} at {element}" for name, element in sure]
-    parts += [remainder.words] if remainder else []
-    if improved and parts:
-        return "Added: " + "; ".join(parts) + "."
-    much = cost > final[0].thresholds.explained
+def _words(problem: Problem, final: Hypothesis, cost: float, *, improved: bool) -> str:
+    """Why nothing was added; `cost` is what the held-out recordings are left with."""
+    much = cost > problem.thresholds.explained
     text = "Recalibrated within tolerances; no further static force improves it."
     if not improved:
         text = "Nothing improves the model on held-out recordings"
         text += "." if much else ": it explains them."
-    return f"{text} {memory_words()}." if much and has_memory(*final) else text
+    return f"{text} {MEMORY_WORDS}." if much and has_memory(problem, final) else text
 
 
 def _errors(
@@ -269,16 +255,14 @@ def _errors(
         if not own.any():
             continue
         before, after = (float(np.sqrt(s[own].mean())) for s in squares)
-        at_end = np.sqrt([np.mean(e[own] ** 2, axis=0) for e in ends]).T.tolist()
+        first, last = (np.sqrt(np.mean(e[own] ** 2, axis=0)).tolist() for e in ends)
         columns = [channel.column for channel in problem.channels]
         out.append(
             ReplayError(
                 recording=series.name,
                 held_out=bool(problem.held[own].any()),
                 noise_levels=(before, after),
-                at_horizon={
-                    c: (first, last) for c, (first, last) in zip(columns, at_end, strict=True)
-                },
+                at_horizon=dict(zip(columns, zip(first, last, strict=True), strict=True)),
             )
         )
     return tuple(out)

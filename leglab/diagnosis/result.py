@@ -1,4 +1,8 @@
-"""The verdict of a diagnosis, with all that a report or a page shows; immutable."""
+"""The verdict of a diagnosis, with all that a report or a page shows; immutable.
+
+What is told `before` is of the model as it was, `baseline` of that with nuisances refitted within
+their tolerance, and `after` with the named effects.
+"""
 
 import math
 from collections.abc import Sequence
@@ -33,20 +37,15 @@ class NamedEffect:
     """An effect that the simulation lacks.
 
     Attributes:
-        element: Where it sits.
-        group: Heading.
-        physics: One sentence.
-        onset: Recording and time [s] at which it begins, for every recording in which it does;
-            empty where it is there throughout.
-        onset_interval: Recording, earliest and latest time [s] at which it can have begun: it
-            shows in no motion between them.
-        differences: By how much the directions differ where the effect says that they do; surer
-            than each alone.
+        onset: Recording and time [s] at which it begins, where it is not there throughout.
         confidence: Probability of the name among all sets of effects that were fitted, the least
             of several, and against causes that no effect describes, in [0, 1].
         contribution: Share of the gap that it closes when it is added last.
         indistinguishable_from: Effects that explain these recordings as well.
         without: Normalised replay error on the held-out recordings where it alone is taken out.
+        onset_interval: Recording, earliest and latest time [s] of an onset: in between it shows in
+            no motion.
+        differences: By how much directions differ that the effect says do; surer than each alone.
     """
 
     name: str
@@ -70,14 +69,11 @@ class NamedEffect:
     def begins(self) -> tuple[str, ...]:
         """When it begins in each recording: a time, or from when to when it may have been."""
         wide = {
-            name: (low, high) for name, low, high in self.onset_interval if high - low >= ONSET_WIDE
+            name: f"between {low:.2f} and {high:.2f} s of {name}"
+            for name, low, high in self.onset_interval
+            if high - low >= ONSET_WIDE
         }
-        return tuple(
-            f"between {wide[name][0]:.2f} and {wide[name][1]:.2f} s of {name}"
-            if name in wide
-            else f"at {time:.2f} s of {name}"
-            for name, time in self.onset
-        )
+        return tuple(wide.get(name, f"at {time:.2f} s of {name}") for name, time in self.onset)
 
     def told(self) -> str:
         """The effect with its element and parameters in a few words."""
@@ -87,16 +83,14 @@ class NamedEffect:
 
 @dataclass(frozen=True, kw_only=True)
 class Remaining:
-    """Error at the end of a replay window, on the held-out recordings, in one channel.
+    """RMS error at the end of a replay window, on the held-out recordings, in one channel.
 
     Attributes:
         channel: Column of the recordings.
         unit: "rad", "m" or "Pa".
         horizon: Time from the measured start of a replay to its end [s].
-        before: Root mean square error of the model as it was.
-        after: The same with what was named.
         noise: Standard deviation of the sensor's samples.
-        learned: As after, of the improved model, where something was learned for it; else None.
+        learned: Of the improved model, where something was learned for it; else None.
     """
 
     channel: str
@@ -113,9 +107,8 @@ class Calibration:
     """A specimen as its healthy recordings show it.
 
     Attributes:
-        recordings: Names, normalised error of the model as it was, and of the calibrated one.
-        estimates: Strengths that departed by a share of what is barely noticeable, with effect and
-            element, largest departure first.
+        recordings: Name, normalised error of the model as it was, and of the calibrated one.
+        estimates: Effect, element and strength that departed, largest departure first.
     """
 
     recordings: tuple[tuple[str, float, float], ...]
@@ -124,14 +117,12 @@ class Calibration:
 
 @dataclass(frozen=True, kw_only=True)
 class Where:
-    """Where simulation and data disagree.
+    """Where simulation and data disagree, and in which region most.
 
     Attributes:
         residual: "mechanical" (pressures to motion), "hydraulic" (command and motion to
             pressures) or "motion" (command to motion) where there are no pressures.
-        element: Joint or actuator.
-        level: Root mean square in noise levels, of the model as it was.
-        region: Where it is worst, in words.
+        level: RMS in noise levels, of the model as it was.
     """
 
     residual: str
@@ -142,14 +133,7 @@ class Where:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingGap:
-    """Normalised replay error of one recording: RMS of whitened errors; noise alone gives 1.
-
-    Attributes:
-        held_out: Whether it was kept from all fits.
-        before: Of the model as it was.
-        baseline: With nuisance parameters refitted within their tolerance.
-        after: With the named effects.
-    """
+    """Normalised replay error of one recording: RMS of whitened errors; noise alone gives 1."""
 
     name: str
     held_out: bool
@@ -163,13 +147,10 @@ class Gap:
     """Gap on the held-out recordings, as in `RecordingGap`.
 
     Attributes:
-        noise_floor: What noise alone gives.
         healthy: Error that the calibrated specimen had in its healthy recordings; None without any.
         unnamed: Error of the final fit without the named effects; NaN where there are none.
-        compared: What `explained` is taken from: error without the named effects,
-            with them, and what is no part of the gap; where held out, or over all recordings where
-            those hardly show what is named. None for `unnamed`, `after` and the floor.
-        held_out: Names of the recordings.
+        compared: As `shown`, over all recordings where those held out hardly show what is named;
+            None for `unnamed`, `after` and what `healthy` or noise gives.
     """
 
     metric: str = "normalised replay error"
@@ -213,8 +194,7 @@ class Rank:
     """One effect that was tried.
 
     Attributes:
-        gain: Log of the factor by which it alone makes the recordings more probable, to first
-            order.
+        gain: Log of the factor by which it alone makes the recordings more probable, first order.
     """
 
     name: str
@@ -227,8 +207,8 @@ class Rivals:
     """Sets of effects that were fitted to the end.
 
     Attributes:
-        names: Effects of each set, with " + " between them, or "nothing"; most probable first.
-        cost: Mean square error of each, noise alone gives about 1.
+        names: Effects of each set, joined by " + ", or "nothing"; most probable first.
+        cost: Mean square error of each; noise alone gives about 1.
         preference: [i, j] is the probability of set i against set j.
     """
 
@@ -242,15 +222,12 @@ class ResidualTrace:
     """Replay errors of one channel over one recording, a point a bin; arrays of shape (bins,).
 
     Attributes:
-        channel: Column.
-        unit: Of the errors.
+        unit: Of the channel and its errors.
         time: s.
-        position: Of the channel's joint [rad or m].
-        velocity: Of the joint.
+        position: Of the channel's joint [rad or m], with its velocity.
         pressure: Pressure difference across the piston [Pa]; None where not measured.
-        before: Measured less predicted by the model as it was.
-        after: The same with the named effects.
-        measured: The channel itself [unit].
+        before: Measured less predicted, as is `after`.
+        measured: The channel itself.
         bins: Number of bins of a window; windows lie behind each other.
     """
 
@@ -272,17 +249,14 @@ class WholeRecording:
     """A recording simulated in one go, in closed loop; arrays (samples,).
 
     Attributes:
-        recording: Name.
         joint: Whose position strays most.
-        unit: "rad" or "m".
+        unit: "rad" or "m", of the positions.
         actuator: Whose command the loop corrects.
         time: s.
-        measured: Position of the joint [unit].
-        before: The same as simulated by the model as it was; NaN from where that blew up.
-        after: With the named effects.
-        correction_before: What the loop added to the command, as a share of that command's
-            standard deviation, for the model as it was.
-        correction_after: The same with the named effects.
+        measured: Position of the joint.
+        before: As simulated, as is `after`; NaN from where that blew up.
+        correction_before: What the loop added to the command, in standard deviations of that
+            command, as is `correction_after`.
     """
 
     recording: str
@@ -298,19 +272,14 @@ class WholeRecording:
 
     def to_json(self) -> dict[str, Any]:
         """Names, and root mean squares over the recording; None where a simulation blew up."""
-        return {
-            "recording": self.recording,
-            "joint": self.joint,
-            "unit": self.unit,
-            "before": _rms(self.before - self.measured),
-            "after": _rms(self.after - self.measured),
-            "correction_before": _rms(self.correction_before),
-            "correction_after": _rms(self.correction_after),
+        errors = {
+            "before": self.before - self.measured,
+            "after": self.after - self.measured,
+            "correction_before": self.correction_before,
+            "correction_after": self.correction_after,
         }
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+        names = {name: getattr(self, name) for name in ("recording", "joint", "unit")}
+        return names | {name: float(np.sqrt(np.mean(e**2))) for name, e in errors.items()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -327,9 +296,7 @@ class Proposal:
     """The experiment that would separate the rivals best.
 
     Attributes:
-        name: Of the catalogue.
-        description: What to command.
-        separation: Expected chi-square between them there.
+        separation: Expected chi-square between them.
         separation_now: The same in the present recordings.
     """
 
@@ -346,20 +313,12 @@ class Diagnosis:
 
     Attributes:
         effects: Ordered by what each contributes.
-        where: Where simulation and data disagree, worst first.
-        not_testable: Effects on which the recordings say nothing.
+        where: Worst first.
         ranking: All effects that were tried, best first.
-        rivals: The most probable sets of effects.
-        traces: Residual series.
-        nuisances: Refitted parameters within their tolerance.
-        next_experiment: Where rivals remain.
-        smaller: Effects that are there and close less than a tenth of the gap each: differences,
-            not the cause.
-        remaining: Errors that are left, in units of the channels.
-        whole: A held-out recording simulated in closed loop; None where that cannot be.
-        calibration: Of the specimen, where healthy recordings were given.
+        nuisances: Parameters that were refitted within their tolerance.
         notes: What the reader should know: repairs, missing pressures, bounds that were hit.
-        model: Path of the improved model; empty before it is written, or where nothing improves.
+        smaller: Effects that close less than a tenth of the gap each: differences, not the cause.
+        model: File of the improved model; empty before it is written, or where nothing improves.
         learned: What the improved model has learned beside the effects, in words.
         rollouts: Replays of all windows that it took.
         seconds: Wall time.
@@ -397,17 +356,23 @@ class Diagnosis:
         """Where the nominal values of effects were: healthy recordings tell the specimen's own."""
         return "in the model" if self.calibration is None else "before"
 
+    @property
+    def all_effects(self) -> list[tuple[NamedEffect, bool]]:
+        """All effects, each with whether it is one of the smaller."""
+        return [(e, False) for e in self.effects] + [(e, True) for e in self.smaller]
+
     def _repr_html_(self) -> str:
-        rows = []
-        for kind, effects in (("", self.effects), ("smaller", self.smaller)):
-            for effect in effects:
-                first = (effect.name, effect.element, kind, f"{effect.confidence:.0%}")
-                for i, p in enumerate(effect.parameters):
-                    low, high = p.interval
-                    cells = (p.name, f"{p.value:.4g}", p.unit, f"{low:.4g} to {high:.4g}")
-                    rows.append((*(first if i == 0 else ("",) * 4), *cells, f"{p.nominal:.4g}"))
-                if not effect.parameters:
-                    rows.append((*first, "", "", "", "", ""))
+        rows: list[tuple[str, ...]] = []
+        for effect, smaller in self.all_effects:
+            first = (effect.name, effect.element, "smaller" * smaller, f"{effect.confidence:.0%}")
+            for p in effect.parameters:
+                interval = "{:.4g} to {:.4g}".format(*p.interval)
+                rows.append(
+                    (*first, p.name, f"{p.value:.4g}", p.unit, interval, f"{p.nominal:.4g}")
+                )
+                first = ("",) * 4
+            if not effect.parameters:
+                rows.append((*first, *("",) * 5))
         names = ("effect", "element", "", "confidence", "parameter", "value", "unit")
         return html_table(repr(self), (*names, "95 % interval", self.nominal_words), rows)
 
@@ -419,9 +384,9 @@ class Diagnosis:
         """
         axes = panels(1, height=1.0 + 0.5 * len(self.recordings))
         places = np.arange(len(self.recordings))
-        for i, name in enumerate(("before", "baseline", "after")):
+        labels = {"before": "before", "baseline": "recalibrated", "after": "with the effects"}
+        for i, (name, label) in enumerate(labels.items()):
             values = [getattr(recording, name) for recording in self.recordings]
-            label = {"baseline": "recalibrated", "after": "with the effects"}.get(name, name)
             axes[0].barh(places + 0.25 * i, values, height=0.22, label=label)
         names = [f"{r.name}{' (held out)' * r.held_out}" for r in self.recordings]
         axes[0].set_yticks(places + 0.25, names)
@@ -438,21 +403,18 @@ class Diagnosis:
             LeglabError: pandas is missing.
         """
         names = ("effect", "element", "smaller", "confidence", "parameter", "value", "unit")
-        rows = [
-            (e.name, e.element, smaller, e.confidence, p.name, p.value, p.unit, *ends, p.nominal)
-            for smaller, effects in ((False, self.effects), (True, self.smaller))
-            for e in effects
-            for p, ends in ((p, p.interval) for p in e.parameters)
-        ]
+        rows: list[tuple[Any, ...]] = []
+        for e, smaller in self.all_effects:
+            first = (e.name, e.element, smaller, e.confidence)
+            rows += [
+                (*first, p.name, p.value, p.unit, *p.interval, p.nominal) for p in e.parameters
+            ]
         return data_frame(rows, columns=[*names, "lower", "upper", "in_the_model"])
 
     def with_model(self, name: str, learned: str = "", errors: Sequence[float] = ()) -> "Diagnosis":
-        """The same with the name of the improved model's file, and what was learned for it.
+        """The same with an improved model's file, what it has learned and the errors it leaves.
 
-        Args:
-            name: Of the file.
-            learned: In words; empty for nothing.
-            errors: What it leaves, in the order of `remaining`, where something was learned.
+        The errors are in the order of `remaining`; empty where nothing was learned.
         """
         remaining = self.remaining
         if errors:
@@ -499,9 +461,8 @@ class Diagnosis:
 
 def shown_unit(unit: str) -> tuple[float, str]:
     """Factor and name of the unit in which errors are shown: mrad, mm, bar."""
-    if unit == "Pa":
-        return 1e-5, "bar"
-    return {"rad": (1e3, "mrad"), "m": (1e3, "mm")}.get(unit, (1.0, unit))
+    shown = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "Pa": (1e-5, "bar")}
+    return shown.get(unit, (1.0, unit))
 
 
 def _effect(effect: NamedEffect) -> dict[str, Any]:

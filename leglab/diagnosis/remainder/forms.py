@@ -8,7 +8,7 @@ from scipy.linalg import block_diag
 from scipy.optimize import minimize_scalar
 
 from leglab.diagnosis.balance.balances import Balance
-from leglab.diagnosis.remainder.part import Period
+from leglab.diagnosis.remainder.part import Part, Period
 from leglab.diagnosis.remainder.splines import Blocks, Spline, basis, nearest, roughness
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
@@ -18,7 +18,6 @@ class Term:
     """Additive term of one variable before its size is known.
 
     Attributes:
-        variable: "position", "velocity", "load" or "command".
         knots: Of its spline, shape (knots,).
         columns: What its unknowns add to the means over windows, (windows, unknowns).
         penalty: Roughness, (unknowns, unknowns).
@@ -40,23 +39,12 @@ class Term:
         """Number of unknowns."""
         return self.columns.shape[1]
 
-    @property
-    def harmonics(self) -> int:
-        """Number of harmonics; 0 of what does not repeat."""
-        return 0 if self.shape is None else (self.count - 1) // 2
-
-    def spline(self, values: np.ndarray) -> Spline:
-        """The term with values of its unknowns."""
-        coefficients = values if self.shape is None else self.shape @ values
-        return Spline(knots=self.knots, coefficients=coefficients)
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Form:
     """Form of one balance's remainder, with a first estimate.
 
     Attributes:
-        balance: The windows it was fitted to.
         terms: In the order in which they were chosen, sines last; unknowns follow one another.
         values: Estimate, (unknowns,).
         precision: Inverse covariance of it, (unknowns, unknowns), smoothness included.
@@ -72,33 +60,33 @@ class Form:
     period: float | None = None
 
     @property
-    def variables(self) -> tuple[str, ...]:
-        """Variables of the terms."""
-        return tuple(term.variable for term in self.terms)
-
-    @property
     def covariance(self) -> np.ndarray:
         """Of the estimate, (unknowns, unknowns)."""
         scale = 1.0 / np.sqrt(np.maximum(np.diag(self.precision), 1e-300))
         both = np.outer(scale, scale)
         return np.asarray(np.linalg.pinv(self.precision * both, rcond=1e-12, hermitian=True) * both)
 
-    def splines(self, values: np.ndarray) -> dict[str, Spline]:
-        """Splines by variable from values of the unknowns."""
-        parts = np.split(values, np.cumsum([term.count for term in self.terms])[:-1])
-        pairs = zip(self.terms, parts, strict=True)
-        return {term.variable: term.spline(own) for term, own in pairs}
-
-    def repeats(self, values: np.ndarray) -> Period | None:
-        """What repeats over the position, from values of the unknowns."""
-        if self.period is None:
-            return None
-        length, half = self.period + values[-1], 1.96 * np.sqrt(self.covariance[-1, -1])
-        waves = values[-1 - 2 * self.terms[-1].harmonics : -1].reshape(-1, 2)
-        return Period(
-            length=float(length),
-            interval=(float(length - half), float(length + half)),
-            amplitudes=tuple(np.hypot(*waves.T).tolist()),
+    def part(self, values: np.ndarray) -> Part:
+        """The part that it is with values of its unknowns."""
+        splines, period = {}, None
+        pieces = np.split(values, np.cumsum([term.count for term in self.terms])[:-1])
+        for term, own in zip(self.terms, pieces, strict=True):
+            coefficients = own if term.shape is None else term.shape @ own
+            splines[term.variable] = Spline(knots=term.knots, coefficients=coefficients)
+        if self.period is not None:
+            length, half = self.period + values[-1], 1.96 * np.sqrt(self.covariance[-1, -1])
+            period = Period(
+                length=float(length),
+                interval=(float(length - half), float(length + half)),
+                amplitudes=tuple(np.hypot(*pieces[-1][1:-1].reshape(-1, 2).T).tolist()),
+            )
+        return Part(
+            element=self.balance.element,
+            joint=self.balance.joint,
+            actuator=self.balance.actuator,
+            oil=self.balance.oil,
+            terms=splines,
+            period=period,
         )
 
 
@@ -107,37 +95,27 @@ def choose_form(
 ) -> Form | None:
     """Forward selection of variables by cross-validation over blocks; None where nothing helps.
 
-    Args:
-        balance: Windows that may be used.
-        driven_by_oil: Whether a cylinder moves the joint: its command is no force.
-        limits: Say what is worthwhile.
+    The command of a joint that is driven by oil is no force, and no variable.
     """
     if len(balance.lacking) < limits.learned_windows:
         return None
     candidates = _candidates(balance, driven_by_oil)
-    if not candidates:
-        return None
     fits = _Fits(balance, candidates)
     null = left = fits.errors(())
     chosen: tuple[Term, ...] = ()
-    while len(chosen) < len(candidates):
-        known = [term.variable for term in chosen]
-        tried = [fits.smoothed(chosen, term) for term in candidates if term.variable not in known]
+    while candidates:
+        tried = [fits.smoothed(chosen, term) for term in candidates]
         terms, errors = min(tried, key=lambda t: float(t[1].sum()))
-        if not _pays(left - errors, left, limits):
+        if not worthwhile(left - errors, float(left.sum()), limits):
             break
         chosen, left = terms, errors
+        candidates = [t for t in candidates if t.variable != terms[-1].variable]
     if not chosen:
         return None
     period = None
     if "position" in [term.variable for term in chosen] and not balance.oil:
         chosen, period = _periodic(fits, chosen, left, limits)
     return fits.estimated(chosen, period, gain=1.0 - float(left.sum()) / float(null.sum()))
-
-
-def usable(balance: Balance, fitted: Sequence[int]) -> np.ndarray:
-    """Windows of fitted recordings in which the joint moves, (windows,)."""
-    return balance.moving & np.isin(balance.recording, list(fitted))
 
 
 def _candidates(balance: Balance, driven_by_oil: bool) -> list[Term]:
@@ -149,17 +127,15 @@ def _candidates(balance: Balance, driven_by_oil: bool) -> list[Term]:
             same = load.std() * x.std() > 0.0 and np.corrcoef(x.flat, load.flat)[0, 1] ** 2 > 0.998
             if driven_by_oil or same:
                 continue
-        knots = _knots(variable, x.ravel())
+        knots = _knots(variable, x)
         if knots is not None:
-            columns = _mean(balance, basis(knots, x.ravel()).reshape(*x.shape, -1))
-            found.append(
-                Term(variable=variable, knots=knots, columns=columns, penalty=roughness(knots))
-            )
+            columns, rough = _mean(balance, basis(knots, x)), roughness(knots)
+            found.append(Term(variable=variable, knots=knots, columns=columns, penalty=rough))
     return found
 
 
 def _knots(variable: str, x: np.ndarray) -> np.ndarray | None:
-    """Knots between the ends of the data: as many as what may depend on the variable needs.
+    """Knots between the ends of the data, as many as the variable needs; None where it rests.
 
     Friction and valves change about zero, where knots of the velocity and command lie dense: in
     steps of a tenth of the largest at first, exponentially wider beyond.
@@ -171,8 +147,8 @@ def _knots(variable: str, x: np.ndarray) -> np.ndarray | None:
     if variable not in ("velocity", "command") or not low < 0.0 < high:
         return np.linspace(low, high, count)
     width = 0.1 * max(-low, high)
-    ends = np.arcsinh(np.array([low, high]) / width)
-    knots = width * np.sinh(np.linspace(float(ends[0]), float(ends[-1]), count))
+    first, last = np.arcsinh(np.array([low, high]) / width).tolist()
+    knots = width * np.sinh(np.linspace(first, last, count))
     knots[[0, -1]] = low, high
     return np.asarray(knots)
 
@@ -182,19 +158,21 @@ def _mean(balance: Balance, functions: np.ndarray) -> np.ndarray:
     return np.asarray((functions * balance.gain[:, :, None]).mean(axis=1))
 
 
-def _pays(saved: np.ndarray, left: np.ndarray, limits: Thresholds) -> bool:
-    """Whether errors that are saved in blocks, (blocks,), are worthwhile and beyond chance."""
-    spread = float(saved.std(ddof=1)) * np.sqrt(saved.size)
+def worthwhile(saved: np.ndarray, misfit: float, limits: Thresholds) -> bool:
+    """Whether what blocks or windows save is beyond chance, and in all a share of the misfit."""
     total = float(saved.sum())
-    return total > limits.beyond_chance * spread and total > limits.worthwhile * float(left.sum())
+    return total > limits.beyond_chance * _chance(saved) and total > limits.worthwhile * misfit
+
+
+def _chance(values: np.ndarray) -> float:
+    """Standard error of a sum."""
+    return float(values.std(ddof=1)) * np.sqrt(values.size)
 
 
 class _Fits:
     """Robustly weighted fits of terms to one balance, and their errors in cross-validation.
 
-    Args:
-        balance: The windows.
-        candidates: All terms, whose sum says which windows are outliers.
+    The sum of all candidates says which windows are outliers.
     """
 
     def __init__(self, balance: Balance, candidates: Sequence[Term]) -> None:
@@ -228,7 +206,7 @@ class _Fits:
 
     def sums(self, terms: Sequence[Term]) -> Blocks:
         """Sums of the terms by block."""
-        return Blocks.of(self.design(terms), self.target, self.weight, self.block)
+        return Blocks(self.design(terms), self.target, self.weight, self.block)
 
     def solved(self, terms: Sequence[Term]) -> np.ndarray:
         """Values of the unknowns."""
@@ -247,13 +225,8 @@ class _Fits:
             terms = (*chosen, replace(new, smoothing=smoothing))
             tried.append((terms, sums.validated(self.penalty(terms))))
         best = min(tried, key=lambda t: float(t[1].sum()))[1]
-
-        def as_good(errors: np.ndarray) -> bool:
-            lost = errors - best
-            return bool(lost.sum() <= float(lost.std(ddof=1)) * np.sqrt(lost.size))
-
         # The smoothest within one standard error of the best (Breiman et al. 1984).
-        return next(t for t in reversed(tried) if as_good(t[1]))
+        return next(t for t in reversed(tried) if (t[1] - best).sum() <= _chance(t[1] - best))
 
     def sines(
         self, own: Term, period: float, harmonics: int, amplitudes: np.ndarray | None = None
@@ -289,7 +262,8 @@ class _Fits:
         variance *= (1.0 + memory) / max(1.0 - memory, 0.1)
         if period is not None:
             *others, own = terms
-            terms = (*others, self.sines(own, period, own.harmonics, values[-own.count :]))
+            harmonics, waves = (own.count - 1) // 2, values[-own.count :]
+            terms = (*others, self.sines(own, period, harmonics, waves))
             values = np.append(values, 0.0)
         design = self.design(terms)
         precision = (design * self.weight[:, None]).T @ design + self.penalty(terms)
@@ -315,11 +289,7 @@ def _periodic(
 ) -> tuple[tuple[Term, ...], float | None]:
     """The terms with sines of the position where these do as well as its spline, and the period.
 
-    Args:
-        fits: Of the balance.
-        chosen: Terms with a spline of the position.
-        left: Errors of blocks in cross-validation with that spline.
-        limits: Say what is as good.
+    With that spline, errors of blocks in cross-validation are `left`.
     """
     others = tuple(term for term in chosen if term.variable != "position")
     (own,) = (term for term in chosen if term.variable == "position")

@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import mujoco
 import numpy as np
 
 from leglab.diagnosis.effects.hypothesis import Key, Library
 from leglab.diagnosis.effects.joints import insert
-from leglab.diagnosis.plant.model import Change, Machine, Measured, Start, Variant
+from leglab.diagnosis.plant.model import Change, Machine, Measured, Variant
 from leglab.diagnosis.plant.moments import commands_at, forces_at, states_at
 from leglab.diagnosis.remainder.splines import Spline
 from leglab.machine.parameters import RESIDUAL, RESIDUAL_VARIABLES
@@ -22,7 +23,7 @@ class Period:
 
     Attributes:
         length: rad or m.
-        interval: 95 % interval of the length.
+        interval: 95 %.
         amplitudes: Of the harmonics, the first that of the whole period.
     """
 
@@ -36,10 +37,9 @@ class Part:
     """A learned static force on a joint, or command offset of a cylinder.
 
     Attributes:
-        element: Joint or cylinder.
         joint: Whose motion it goes with.
         actuator: Whose command it depends on; empty for none.
-        oil: Whether it is a command offset of a cylinder.
+        oil: Whether it is a command offset.
         terms: Splines by variable; their sum counts.
         period: Of the position, where there is one.
         bound: Largest magnitude of the sum.
@@ -68,12 +68,11 @@ class Part:
         out: dict[str, float | str] = {"cylinder" if self.oil else "joint": self.element}
         if "command" in self.terms and not self.oil:
             out["actuator"] = self.actuator
-        for variable in RESIDUAL_VARIABLES:
-            if variable in self.terms:
-                spline = self.terms[variable]
-                weights = np.zeros_like(spline.coefficients) if neutral else spline.coefficients
-                out[f"{variable}_knots"] = _numbers(spline.knots)
-                out[f"{variable}_coefficients"] = _numbers(weights)
+        for variable in [v for v in RESIDUAL_VARIABLES if v in self.terms]:
+            spline = self.terms[variable]
+            weights = np.zeros_like(spline.coefficients) if neutral else spline.coefficients
+            out[f"{variable}_knots"] = _numbers(spline.knots)
+            out[f"{variable}_coefficients"] = _numbers(weights)
         if not neutral and self.bound < _NO_BOUND:
             out["bound"] = float(f"{self.bound:.6g}")
         return out
@@ -88,7 +87,7 @@ class Part:
             for number, value in enumerate(spline.coefficients.tolist()):
                 change.set_parameter(self.name, f"{variable}_{number}", value)
         if "load" in self.terms and not self.oil:
-            change.start(self.name, "load", _load_at_start(change.machine, self.joint))
+            change.start(self.name, "load", partial(_load, change.machine, self.joint))
 
     def write(self, spec: mujoco.MjSpec) -> None:
         """Adds its plugin instance to a specification."""
@@ -99,16 +98,14 @@ def _numbers(values: np.ndarray) -> str:
     return " ".join(f"{value:.9g}" for value in values.tolist())
 
 
-def _load_at_start(machine: Machine, joint: str) -> Start:
-    """Actuator force on a joint at window starts."""
-
-    def load(measured: Measured, variant: Variant, plugin: np.ndarray) -> np.ndarray:
-        model, k = variant.model, measured.samples
-        states = states_at(machine, model, measured, k, plugin)
-        found = forces_at(model, states, commands_at(machine, measured, k))
-        return found.load[:, int(model.joint(joint).dofadr[0])]
-
-    return load
+def _load(
+    machine: Machine, joint: str, measured: Measured, variant: Variant, plugin: np.ndarray
+) -> np.ndarray:
+    """Actuator force on a joint at window starts, (windows,)."""
+    model, k = variant.model, measured.samples
+    states = states_at(machine, model, measured, k, plugin)
+    found = forces_at(model, states, commands_at(machine, measured, k))
+    return found.load[:, int(model.joint(joint).dofadr[0])]
 
 
 class LearnedLibrary(Library):

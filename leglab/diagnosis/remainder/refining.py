@@ -10,37 +10,15 @@ from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.remainder.forms import Form
 from leglab.diagnosis.remainder.part import LearnedLibrary, Part
-from leglab.diagnosis.replay.residual import (
-    NoiseModel,
-    Problem,
-    robust_cost,
-    robust_weight,
-    thinned,
-)
+from leglab.diagnosis.replay.residual import Problem, robust_cost, robust_weight, thinned
 
 
 def directions(form: Form, most: int) -> np.ndarray:
-    """Principal directions in which a balance leaves its form's unknowns most open.
-
-    Shape (unknowns, directions), in standard deviations.
-    """
+    """Where a balance leaves unknowns most open, in standard deviations, (unknowns, directions)."""
     scale = np.sqrt(np.maximum(np.diag(form.covariance), 1e-300))
     values, vectors = np.linalg.eigh(form.covariance / np.outer(scale, scale))
     order = np.argsort(-values)[:most]
     return np.asarray(scale[:, None] * vectors[:, order] * np.sqrt(np.maximum(values[order], 0.0)))
-
-
-def part_of(form: Form, values: np.ndarray) -> Part:
-    """The part that a form is with values of its unknowns."""
-    balance = form.balance
-    return Part(
-        element=balance.element,
-        joint=balance.joint,
-        actuator=balance.actuator,
-        oil=balance.oil,
-        terms=form.splines(values),
-        period=form.repeats(values),
-    )
 
 
 def with_parts(problem: Problem, parts: Sequence[Part]) -> Problem:
@@ -54,23 +32,17 @@ def refine(
     problem: Problem,
     hypothesis: Hypothesis,
     forms: Sequence[Form],
-    *,
-    fixed: frozenset[Key] = frozenset(),
-    iterations: int = 4,
+    fixed: frozenset[Key],
 ) -> tuple[tuple[Part, ...], Hypothesis]:
-    """Fits directions of the forms and nuisances to replays.
+    """Fits principal directions of the forms, and nuisances from a hypothesis on, to replays.
 
-    Args:
-        problem: With its noise model.
-        hypothesis: Where nuisances start.
-        forms: First estimates by the balances.
-        fixed: Effects whose values stay as they are.
-        iterations: Accepted steps at most.
+    Effects in `fixed` stay as they are.
 
     Returns:
-        The parts, in the order of the forms, and the hypothesis with the nuisances beside them.
+        The parts, in the order of the forms, each with a bound a little above what it reaches on
+        its data, and the hypothesis with the nuisances beside them.
     """
-    limits = problem.thresholds
+    problem, limits = copy(problem), problem.thresholds
     chosen = thinned(problem.fitted, limits.learned_windows)
     each = max(3, limits.learned_directions // len(forms))
     along = [directions(form, each) for form in forms]
@@ -82,7 +54,7 @@ def refine(
 
     def parts(z: np.ndarray) -> tuple[Part, ...]:
         rows = zip(forms, along, np.split(z, ends[:-1]), strict=True)
-        return tuple(part_of(form, form.values + axes @ own) for form, axes, own in rows)
+        return tuple(form.part(form.values + axes @ own) for form, axes, own in rows)
 
     def moved(step: np.ndarray) -> tuple[np.ndarray, Hypothesis, np.ndarray]:
         """Place and hypothesis after a step, and its departures from the priors' means."""
@@ -91,31 +63,27 @@ def refine(
         eta = u.departures(new[1])[loose] / u.tolerance[loose]
         return *new, np.concatenate([new[0], eta])
 
-    for iteration in range(iterations):
+    def errors(z: np.ndarray, base: Hypothesis) -> np.ndarray:
+        return with_parts(problem, parts(z)).residual(base, chosen)
+
+    def cost(residual: np.ndarray, departed: np.ndarray, scale: float) -> float:
+        squares = np.mean(residual**2, axis=1) / scale**2
+        told = residual.shape[1] * robust_cost(squares, limits.robust_limit).sum()
+        return float(told + departed @ departed)
+
+    for iteration in range(4):
         # The noise model of a base without its parts tells little of start states.
         if iteration < 2:
-            noise = with_parts(problem, parts(z)).about(base).noise
-
-        def errors(z: np.ndarray, base: Hypothesis, noise: NoiseModel = noise) -> np.ndarray:
-            replayed = with_parts(problem, parts(z))
-            replayed.noise = noise
-            return replayed.residual(base, chosen)
-
+            problem.noise = with_parts(problem, parts(z)).about(base).noise
         residual, (_, _, offset) = errors(z, base), moved(np.zeros(count + len(loose)))
         # Differences over half a standard deviation of what balances, or good machines, leave open.
         probes = (moved(0.5 * row)[:2] for row in np.eye(offset.size))
         columns = [(errors(*probe) - residual) / 0.5 for probe in probes]
         step, scale = _step(residual, np.stack(columns, axis=2), offset, limits.robust_limit)
-
-        def cost(residual: np.ndarray, departed: np.ndarray, scale: float = scale) -> float:
-            squares = np.mean(residual**2, axis=1) / scale**2
-            told = residual.shape[1] * robust_cost(squares, limits.robust_limit).sum()
-            return float(told + departed @ departed)
-
-        before = cost(residual, offset)
+        before = cost(residual, offset, scale)
         for share in 0.4 ** np.arange(5):
             new_z, new_base, departed = moved(share * step)
-            after = cost(errors(new_z, new_base), departed)
+            after = cost(errors(new_z, new_base), departed, scale)
             if after < before:
                 break
         else:
@@ -123,22 +91,20 @@ def refine(
         z, base = new_z, new_base
         if before - after < 1e-2 * before:
             break
-    return parts(z), base
+    final = []
+    for part, form in zip(parts(z), forms, strict=True):
+        reach = float(np.max(np.abs(part.at(form.balance.inputs))))
+        final.append(replace(part, bound=1.05 * reach) if reach > 0.0 else part)
+    return tuple(final), base
 
 
 def _step(
     residual: np.ndarray, jacobian: np.ndarray, offset: np.ndarray, limit: float
 ) -> tuple[np.ndarray, float]:
-    """Robust step of all unknowns, and the scale of what is left.
+    """Robust step of all unknowns, in standard deviations of priors, and the scale of what is left.
 
     A model that is wrong elsewhere leaves errors of many noise levels. Their scale, the median
     window after the step, weighs replays against priors (Kennedy and O'Hagan 2001).
-
-    Args:
-        residual: Whitened errors, (windows, size).
-        jacobian: By unknown, in standard deviations of its prior, (windows, size, unknowns).
-        offset: Present departures from the priors' means, (unknowns,).
-        limit: Of the cost of a window.
     """
     matrices = jacobian.transpose(0, 2, 1) @ jacobian
     rights = np.einsum("wnk,wn->wk", jacobian, residual)
@@ -150,9 +116,3 @@ def _step(
         matrix = np.einsum("w,wij->ij", weight, matrices) + np.eye(offset.size)
         x = np.linalg.solve(matrix, -(weight @ rights + offset))
     return x, scale
-
-
-def bounded(part: Part, form: Form) -> Part:
-    """The part with a bound a little above what it reaches on its data."""
-    reach = float(np.max(np.abs(part.at(form.balance.inputs))))
-    return replace(part, bound=1.05 * reach) if reach > 0.0 else part

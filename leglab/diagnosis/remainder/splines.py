@@ -25,10 +25,6 @@ class Spline:
         inside = np.clip(x, self.knots[0], self.knots[-1])
         return BSpline(clamped(self.knots), self.coefficients, DEGREE)(inside)
 
-    def grid(self, count: int = 400) -> np.ndarray:
-        """Inputs over the whole range, shape (count,)."""
-        return np.linspace(self.knots[0], self.knots[-1], count)
-
 
 def clamped(knots: np.ndarray) -> np.ndarray:
     """Knots with the outermost four times."""
@@ -36,9 +32,9 @@ def clamped(knots: np.ndarray) -> np.ndarray:
 
 
 def basis(knots: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """All B-splines at clamped inputs of shape (n,): (n, knots + 2); rows sum to one."""
-    inside = np.clip(x, knots[0], knots[-1])
-    return np.asarray(BSpline.design_matrix(inside, clamped(knots), DEGREE).toarray())
+    """All B-splines at clamped inputs of any shape, (..., knots + 2): their sum is one."""
+    inside = np.clip(x.ravel(), knots[0], knots[-1])
+    return BSpline.design_matrix(inside, clamped(knots), DEGREE).toarray().reshape(*x.shape, -1)
 
 
 def roughness(knots: np.ndarray) -> np.ndarray:
@@ -60,48 +56,36 @@ def nearest(knots: np.ndarray, x: np.ndarray, functions: np.ndarray) -> np.ndarr
     return np.asarray(make_lsq_spline(x, functions, clamped(knots), DEGREE).c)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Blocks:
     """Weighted least squares by blocks of neighbouring samples, for cross-validation.
 
-    Attributes:
-        matrices: X'WX of each block, (blocks, p, p).
-        rights: X'Wy, (blocks, p).
-        squares: y'Wy, (blocks,).
+    Of a design (n, p), with target, weight and number of the block of each sample, each (n,).
     """
 
-    matrices: np.ndarray
-    rights: np.ndarray
-    squares: np.ndarray
-
-    @classmethod
-    def of(
-        cls, design: np.ndarray, target: np.ndarray, weight: np.ndarray, block: np.ndarray
-    ) -> "Blocks":
-        """Sums over samples: design (n, p), target, weight and number of the block (n,)."""
+    def __init__(
+        self, design: np.ndarray, target: np.ndarray, weight: np.ndarray, block: np.ndarray
+    ) -> None:
         rows = [np.flatnonzero(block == k) for k in np.unique(block)]
         weighted = design * weight[:, None]
-        return cls(
-            matrices=np.stack([weighted[r].T @ design[r] for r in rows]),
-            rights=np.stack([weighted[r].T @ target[r] for r in rows]),
-            squares=np.array([weight[r] @ target[r] ** 2 for r in rows]),
-        )
+        # X'WX, X'Wy and y'Wy of each block.
+        self._matrices = np.stack([weighted[r].T @ design[r] for r in rows])
+        self._rights = np.stack([weighted[r].T @ target[r] for r in rows])
+        self._squares = np.array([weight[r] @ target[r] ** 2 for r in rows])
 
-    def solve(self, penalty: np.ndarray, without: np.ndarray | None = None) -> np.ndarray:
-        """Penalised coefficients, (p,), from all blocks but some of a mask."""
-        keep = slice(None) if without is None else ~without
-        matrix = self.matrices[keep].sum(axis=0) + penalty
+    def solve(self, penalty: np.ndarray, keep: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Penalised coefficients, (p,), from all blocks or those of a mask."""
+        matrix = self._matrices[keep].sum(axis=0) + penalty
         ridge = 1e-10 * np.trace(matrix) / max(len(matrix), 1) + 1e-300
         matrix = matrix + ridge * np.eye(len(matrix))
-        return np.linalg.solve(matrix, self.rights[keep].sum(axis=0))
+        return np.linalg.solve(matrix, self._rights[keep].sum(axis=0))
 
-    def validated(self, penalty: np.ndarray, folds: int = 5) -> np.ndarray:
-        """Squared errors of every block under a fit to the blocks of other folds, (blocks,)."""
-        fold = np.arange(self.squares.size) % folds
-        out = self.squares.copy()
-        for k in range(min(folds, self.squares.size) if self.squares.size > 1 else 0):
+    def validated(self, penalty: np.ndarray) -> np.ndarray:
+        """Squared errors of every block under a fit to the other four fifths, (blocks,)."""
+        fold = np.arange(self._squares.size) % 5
+        out = self._squares.copy()
+        for k in range(5):
             own = fold == k
-            x = self.solve(penalty, own)
-            bent = np.einsum("i,bij,j->b", x, self.matrices[own], x)
-            out[own] += bent - 2.0 * self.rights[own] @ x
+            x = self.solve(penalty, ~own)
+            bent = np.einsum("i,bij,j->b", x, self._matrices[own], x)
+            out[own] += bent - 2.0 * self._rights[own] @ x
         return np.maximum(out, 0.0)

@@ -1,8 +1,8 @@
 """Words from the shape of what was learned."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -22,7 +22,6 @@ class Shape:
     """Shape of one additive term.
 
     Attributes:
-        variable: "position", "velocity", "load" or "command".
         size: Half the difference of its largest and smallest value on the data [N m, N or 1].
         interval: Range of the data [unit of the variable].
         parity: Of a curve through zero input; None for positions and where one sign is missing.
@@ -47,7 +46,6 @@ class Described:
     """A learned part in words.
 
     Attributes:
-        element: Joint or cylinder.
         unit: Of its sizes.
         shapes: Of its terms, the largest first.
         constant: Mean over the data.
@@ -60,21 +58,10 @@ class Described:
     constant: float
     text: str
 
-    def to_json(self) -> dict[str, Any]:
-        """Returns it as JSON can hold it."""
-        return asdict(self)
-
 
 def describe(part: Part, inputs: Mapping[str, np.ndarray], unit: str) -> Described:
-    """Words for a part.
-
-    Args:
-        part: Learned.
-        inputs: Data that it was learned from, by variable.
-        unit: Of the joint's position, "rad" or "m".
-    """
-    shapes = []
-    constant = 0.0
+    """Words for a part, with the data that it was learned from and the unit of the joint."""
+    shapes, constant = [], 0.0
     for variable, spline in part.terms.items():
         x = inputs[variable].ravel()
         constant += float(spline(x).mean())
@@ -82,12 +69,14 @@ def describe(part: Part, inputs: Mapping[str, np.ndarray], unit: str) -> Describ
         period = part.period if variable == "position" else None
         shapes.append(_shape(variable, spline, low, high, period))
     shapes.sort(key=lambda s: -s.size)
-    force = "1" if part.oil else ("N m" if unit == "rad" else "N")
-    told = [s for s in shapes if s.size >= _HARDLY * shapes[0].size]
-    flat = shapes[0].size < _HARDLY * abs(constant)
-    text = _constant(part, constant, force) if flat else ""
-    if not flat:
-        text = ", and ".join(_sentence(part, shape, force, unit) for shape in told)
+    force = "1" if part.oil else "N m" if unit == "rad" else "N"
+    kind = "torque" if force == "N m" else "force"
+    if shapes[0].size < _HARDLY * abs(constant):
+        thing = f"opening of {part.element}" if part.oil else f"{kind} on the {part.element}"
+        text = f"a constant {thing}, {_size(part, constant, force)}"
+    else:
+        told = [s for s in shapes if s.size >= _HARDLY * shapes[0].size]
+        text = ", and ".join(_sentence(part, shape, kind, force, unit) for shape in told)
     return Described(
         element=part.element, unit=force, shapes=tuple(shapes), constant=constant, text=text
     )
@@ -101,8 +90,7 @@ def _shape(variable: str, spline: Spline, low: float, high: float, period: Perio
     reach = min(-low, high)
     if variable != "position" and reach > _HARDLY * max(-low, high):
         arm = np.linspace(0.0, reach, 201)
-        zero = float(spline(np.zeros(1))[0])
-        forth, back = spline(arm) - zero, spline(-arm) - zero
+        forth, back = (side - side[0] for side in (spline(arm), spline(-arm)))
         odd = _share((forth - back) ** 2, (forth + back) ** 2)
         ahead = _share(np.abs(forth), np.abs(back))
         parity = "odd" if odd > 1.0 - _HARDLY else "even" if odd < _HARDLY else "mixed"
@@ -128,26 +116,16 @@ def _share(one: np.ndarray, other: np.ndarray) -> float:
     return float(np.sum(one) / (np.sum(one) + np.sum(other) + 1e-300))
 
 
-def _constant(part: Part, value: float, force: str) -> str:
-    thing = f"opening of {part.element}" if part.oil else f"{_kind(force)} on the {part.element}"
-    return f"a constant {thing}, {_size(part, value, force)}"
-
-
-def _kind(force: str) -> str:
-    return "torque" if force == "N m" else "force"
-
-
 def _size(part: Part, value: float, force: str, digits: int = 3) -> str:
     return f"{100 * value:.2g} % of full travel" if part.oil else f"{value:.{digits}g} {force}"
 
 
-def _sentence(part: Part, shape: Shape, force: str, unit: str) -> str:
+def _sentence(part: Part, shape: Shape, kind: str, force: str, unit: str) -> str:
     size = _size(part, shape.size, force)
-    thing = f"an opening of {part.element}" if part.oil else f"a {_kind(force)}"
+    thing = f"an opening of {part.element}" if part.oil else f"a {kind}"
     where = "" if part.oil else f" of the {part.element}"
     low, high = shape.interval
-    if shape.period is not None:
-        period = shape.period
+    if (period := shape.period) is not None:
         size = _size(part, period.amplitudes[0], force, digits=2)
         if len(period.amplitudes) > 1:
             size += f" with {len(period.amplitudes) - 1} overtones"
@@ -159,12 +137,12 @@ def _sentence(part: Part, shape: Shape, force: str, unit: str) -> str:
         return f"{thing} that depends on the position{where} {way}, {size}"
     if shape.variable == "velocity" and not part.oil:
         if shape.parity == "odd":
-            lacks = "friction that the model lacks"
-            more = "less friction than the model has" if shape.rising else lacks
+            than = "less friction than the model has"
+            what = than if shape.rising else "friction that the model lacks"
             form = "like dry friction" if shape.saturating else "growing with speed"
-            return f"{more}, {form}{where}, {size}"
+            return f"{what}, {form}{where}, {size}"
         if shape.one_sided:
-            side = {"positive": "forward", "negative": "backward"}[shape.one_sided]
+            side = "forward" if shape.one_sided == "positive" else "backward"
             return f"{thing} that acts in {side} motion only{where}, {size}"
         if shape.parity == "even":
             return f"{thing} that depends on speed in either direction alike{where}, {size}"

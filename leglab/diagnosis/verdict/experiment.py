@@ -21,13 +21,13 @@ def catalogue(samples: int, period: float) -> dict[str, np.ndarray]:
 
 
 def propose(problem: Problem, rivals: dict[str, Hypothesis]) -> Proposal | None:
-    """T-optimal choice (Atkinson and Fedorov 1975) between the first two rivals.
+    """T-optimal choice (Atkinson and Fedorov 1975) between two rivals.
 
     Both rivals, with the parameters that fit the present recordings, answer every excitation of
     the catalogue from a calm moment of those recordings; the one in which they differ most, in
     noise levels, is proposed; None where no excitation separates them.
     """
-    (one, first), (other, second) = list(rivals.items())[:2]
+    (one, first), (other, second) = rivals.items()
     replay, period = problem.replay, problem.series[0].period
     names = [f"{actuator}_command" for actuator in problem.machine.actuators]
     rows = [np.stack([s.columns[name] for name in names], axis=1) for s in problem.series]
@@ -40,7 +40,7 @@ def propose(problem: Problem, rivals: dict[str, Hypothesis]) -> Proposal | None:
     series = [middle + amplitude * reach * waves[name][:, None] for name, amplitude in tried]
     speeds = replay.measured()[:, 0, :10]
     calm = int(np.argmin(np.abs(speeds[:, -1] - speeds[:, 0])))
-    noise = np.median(problem.sensor_noise, axis=0)[None, :, None]
+    noise = np.median(problem.sensor_noise, axis=0)[:, None]
     answers = [
         replay.respond(problem.library.change(h, problem.machine), calm, np.stack(series))
         for h in (first, second)

@@ -27,13 +27,9 @@ def write_diagnosis(result: Diagnosis, folder: Path) -> Path:
 def write_model(
     problem: Problem, hypothesis: Hypothesis, folder: Path, parts: Sequence[Part] = ()
 ) -> Path:
-    """Writes DIR/improved.xml: the model under a hypothesis, checked by loading it.
+    """Writes DIR/improved.xml: the model under a hypothesis, with learned parts; it loads.
 
-    Args:
-        problem: Whose machine and library are meant; learned parts of its own do not count.
-        hypothesis: Effects and nuisances.
-        folder: Existing.
-        parts: Learned.
+    Learned parts of the problem's own do not count.
 
     Raises:
         LeglabError: MuJoCo refuses the patched model.
@@ -66,53 +62,41 @@ def write_model(
 
 def _absolute_files(spec: mujoco.MjSpec, folder: Path) -> None:
     """Makes mesh and texture folders absolute: the patched model lies elsewhere."""
-    if not spec.meshes and not spec.textures:
-        return
-    for attribute in ("meshdir", "texturedir"):
-        holder = spec.compiler if hasattr(spec.compiler, attribute) else spec
-        place = str(getattr(holder, attribute))
+    for attribute in ("meshdir", "texturedir") if spec.meshes or spec.textures else ():
+        place = str(getattr(spec.compiler, attribute))
         if not os.path.isabs(place):
-            setattr(holder, attribute, str((folder / place).resolve()))
+            setattr(spec.compiler, attribute, str((folder / place).resolve()))
 
 
 def summary_tables(result: Diagnosis) -> list[Table]:
     """Verdict, effects and gaps for the terminal."""
     head = Table(title=f"verdict: {result.verdict}", title_justify="left")
-    nominal = "model" if result.calibration is None else result.nominal_words
-    for name in ("effect", "parameter", "value", "95 % interval", nominal):
+    before = "model" if result.calibration is None else result.nominal_words
+    for name in ("effect", "parameter", "value", "95 % interval", before):
         head.add_column(name, no_wrap=name != "effect")
-    rows = [(e, "") for e in result.effects] + [(e, "smaller: ") for e in result.smaller]
-    for effect, word in rows:
-        for i, p in enumerate(effect.parameters):
-            head.add_row(
-                "" if i else f"{word}[bold]{effect.name}[/bold] at {effect.element}",
-                f"{p.name} \\[{p.unit}]",
-                f"{p.value:.4g}",
-                f"{p.interval[0]:.4g} … {p.interval[1]:.4g}",
-                f"{p.nominal:.4g}",
-            )
-    gaps = Table(title="normalised replay error (noise alone gives 1)", title_justify="left")
-    for name in ("recording", "before", "recalibrated", "after", ""):
-        gaps.add_column(name)
+    for effect, smaller in result.all_effects:
+        name = f"{'smaller: ' * smaller}[bold]{effect.name}[/bold] at {effect.element}"
+        for p in effect.parameters:
+            interval = "{:.4g} … {:.4g}".format(*p.interval)
+            value, nominal = f"{p.value:.4g}", f"{p.nominal:.4g}"
+            head.add_row(name, f"{p.name} \\[{p.unit}]", value, interval, nominal)
+            name = ""
+    columns = ("recording", "before", "recalibrated", "after", "")
+    title = "normalised replay error (noise alone gives 1)"
+    gaps = Table(*columns, title=title, title_justify="left")
     for row in result.recordings:
-        gaps.add_row(
-            row.name,
-            f"{row.before:.2f}",
-            f"{row.baseline:.2f}",
-            f"{row.after:.2f}",
-            "held out" if row.held_out else "",
-        )
+        errors = (f"{error:.2f}" for error in (row.before, row.baseline, row.after))
+        gaps.add_row(row.name, *errors, "held out" if row.held_out else "")
     horizon = f"{result.remaining[0].horizon:.3g} s " if result.remaining else ""
     title = f"error {horizon}after a measured start, held-out recordings"
     left = Table(title=title, title_justify="left")
-    told = any(one.learned is not None for one in result.remaining)
-    learned = ["learned"] if told else []
+    learned = ["learned"] if any(one.learned is not None for one in result.remaining) else []
     for name in ("measured", "before", "after", *learned, "sensor noise"):
         left.add_column(name, justify="left" if name == "measured" else "right")
     for one in result.remaining:
         factor, unit = shown_unit(one.unit)
-        shown = [one.before, one.after, *([] if one.learned is None else [one.learned]), one.noise]
-        left.add_row(one.channel, *(f"{factor * v:.3g} {unit}" for v in shown))
+        values = (one.before, one.after, one.learned, one.noise)
+        left.add_row(one.channel, *(f"{factor * v:.3g} {unit}" for v in values if v is not None))
     return [table for table in (head, left, gaps) if table.row_count]
 
 

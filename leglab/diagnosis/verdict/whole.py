@@ -21,14 +21,13 @@ from leglab.machine.plugin import headless
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Followed:
-    """A simulation of a whole recording; arrays over its samples.
+    """A simulation of a whole recording; arrays over its samples, (samples,).
 
     Attributes:
-        time: Of the recording [s], (samples,).
-        measured: Positions by joint [rad or m], each (samples,), smoothed, as the
-            hypothesis corrects them.
-        simulated: The same as simulated; NaN from where the simulation blew up.
-        correction: What the loop added to the commands by actuator, each (samples,).
+        time: Of the recording [s].
+        measured: Positions by joint [rad or m], smoothed, as the hypothesis corrects them.
+        simulated: NaN from where the simulation blew up.
+        correction: What the loop added to the commands, by actuator.
     """
 
     time: np.ndarray
@@ -37,7 +36,7 @@ class Followed:
     correction: dict[str, np.ndarray]
 
     def deviation(self, joint: str) -> float:
-        """Root mean square of simulated less measured; infinite where the simulation blew up."""
+        """RMS of simulated less measured; infinite where the simulation blew up."""
         error = self.simulated[joint] - self.measured[joint]
         return float(np.sqrt(np.mean(error**2))) if np.isfinite(error).all() else float("inf")
 
@@ -45,14 +44,8 @@ class Followed:
 def whole_recording(problem: Problem, final: Hypothesis) -> WholeRecording | None:
     """The judged recording that the model as it was misses most, before and after.
 
-    Of several joints the one that strays most is told, in noise levels of its sensor.
-
-    Args:
-        problem: Recordings and machine.
-        final: The model with the named effects.
-
-    Returns:
-        None where no window lies after the onsets of the named effects, or nothing is driven.
+    Of several joints the one that strays most is told, in noise levels of its sensor. None where no
+    window lies after the onsets of the final effects, or nothing is driven.
     """
     owner, levels = problem.replay.recording, problem.noise_levels(Hypothesis())
     judged = np.unique(owner[problem.judged]).tolist()
@@ -65,11 +58,8 @@ def whole_recording(problem: Problem, final: Hypothesis) -> WholeRecording | Non
     driven = [(joints[0], actuator) for actuator, joints in machine.driven.items() if joints]
     if before is None or after is None or not driven:
         return None
-    noise = {
-        c.joint: float(problem.sensor_noise[recording, k])
-        for k, c in enumerate(problem.channels)
-        if not c.chamber
-    }
+    sigma = problem.sensor_noise[recording].tolist()
+    noise = {c.joint: s for c, s in zip(problem.channels, sigma, strict=True) if not c.chamber}
     joint, actuator = max(driven, key=lambda pair: before.deviation(pair[0]) / noise[pair[0]])
     spread = float(np.std(problem.series[recording].columns[f"{actuator}_command"])) or 1.0
     measured = before.measured[joint]
@@ -96,18 +86,15 @@ def follow(
     loop: float = 1.0,
     after: float = -np.inf,
 ) -> Followed | None:
-    """Simulates a recording from its first window on, to its end or its first gap.
+    """Simulates a recording from a window on to its end or first gap; None without that window.
 
     Args:
         problem: Recordings and machine.
-        hypothesis: What is simulated, throughout.
-        recording: Which one.
+        hypothesis: Holds throughout.
+        recording: Its number.
         loop: Share of an error that the loop takes off in the length of a window: all of it, in
             0.3 s softer than the loops that legs and axes are run with; 0 for none.
-        after: The first window starts at this time or later [s].
-
-    Returns:
-        None where there is no such window.
+        after: The window is the first that starts at this time or later [s].
     """
     change = problem.library.change(hypothesis, problem.machine)
     course = problem.replay.course(change, recording, after)
@@ -128,8 +115,7 @@ def follow(
     with headless(model):
         for k in range(count - 1):
             last, error = error, measured[k] - simulated[k]
-            rate = (error - last) / course.period if k else 0.0 * error
-            correction[k] = gains[0] @ error + gains[1] @ rate
+            correction[k] = gains[0] @ error + gains[1] @ ((error - last) / course.period)
             for control in course.controls[k * steps : (k + 1) * steps]:
                 data.ctrl[:] = control + correction[k]
                 mujoco.mj_step(model, data)
