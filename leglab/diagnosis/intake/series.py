@@ -243,13 +243,13 @@ def quantum(samples: np.ndarray) -> float:
     # Differences of differences: a fast signal may never move by a single count.
     apart = np.diff(moves)
     apart = np.sort(apart[apart > max(_FLOAT * largest, 1e-6 * moves[-1])])
-    found = 0.0
-    for pool in (moves, apart):
-        for share in (0.0, 0.01, 0.03, 0.1, 0.25, 0.5):
-            if pool.size:
-                guess = float(pool[int(share * (pool.size - 1))])
-                found = max(found, _fitted_step(moves, guess, largest, rests=rests))
-    return found
+    guesses = [
+        float(pool[int(share * (pool.size - 1))])
+        for pool in (moves, apart)
+        if pool.size
+        for share in (0.0, 0.01, 0.03, 0.1, 0.25, 0.5)
+    ]
+    return max(_fitted_step(moves, guess, largest, rests=rests) for guess in guesses)
 
 
 def _fitted_step(moves: np.ndarray, step: float, largest: float, *, rests: bool) -> float:
