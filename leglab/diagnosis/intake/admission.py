@@ -125,15 +125,7 @@ def _pressures(usable: Mapping[str, "_Entry"], held: tuple[str, ...]) -> frozens
 
 
 class _Entry:
-    """One recording at the gate.
-
-    Attributes:
-        recording: Columns that the model may use, positions unwrapped.
-        fault: Why it cannot be used at all; None where it can.
-        pressures: Pressure columns that can be used.
-        lost: Why the others cannot, by column.
-        remarks: On what was done to it.
-    """
+    """One recording at the gate: its `recording` has columns that may be used, unwrapped."""
 
     def __init__(
         self, machine: Machine, name: str, recording: Recording, limits: Thresholds
@@ -148,12 +140,13 @@ class _Entry:
         own = recording.select(c for c in (*machine.columns, *known) if c in recording)
         self.machine, self.name, self.recording, self.limits = machine, name, own, limits
         self.remarks: list[Remark] = []
-        self.lost: dict[str, str] = {}
+        self.lost: dict[str, str] = {}  # why pressures cannot be used, by column
         for column, cylinder in known.items():
             why = self._pressure_fault(column, cylinder) if column in own else reasons.get(column)
             if why:
                 self.lost[column] = why
         self.pressures = frozenset(c for c in known if c in own and c not in self.lost)
+        # Why the recording cannot be used at all.
         self.fault = self._missing(recording, reasons) or self._unwrap()
         for joint in machine.joints:
             self.fault = self.fault or self._position_fault(joint)

@@ -276,20 +276,14 @@ def _fitted_step(moves: np.ndarray, step: float, largest: float, *, rests: bool)
 class _Log:
     """One column as it was logged, without its missing samples, and the grid that it is put on.
 
-    Attributes:
-        times: From the recording's first stamp [s], shape (n,).
-        samples: Shape (n,).
-        own: Usual interval of the recording [s].
-        grid: From the recording's first stamp [s], shape (count,).
-        period: Of the grid [s].
-        limits: Say what a gap is.
+    Times are told from the recording's first stamp on [s].
     """
 
-    times: np.ndarray
-    samples: np.ndarray
-    own: float
-    grid: np.ndarray
-    period: float
+    times: np.ndarray  # (n,)
+    samples: np.ndarray  # (n,)
+    own: float  # usual interval of the recording [s]
+    grid: np.ndarray  # (count,)
+    period: float  # of the grid [s]
     limits: Thresholds
 
     @cached_property
@@ -391,26 +385,15 @@ class _Log:
 
 
 class _Parabolas:
-    """Parabolas through the neighbours of each place of a log's grid, by least squares.
-
-    Attributes:
-        value: At the place, shape (count,).
-        slope: Derivative there, shape (count,).
-        bend: Half the second derivative, shape (count,).
-        misfit: Standard deviation of the neighbours about it, shape (count,).
-        leverage: Share of a sample's noise that it follows near the centre.
-        neighbours: Samples that it rests on, shape (count, size).
-        weights: How much each of them gives to value, slope and bend, shape (count, 3, size).
-    """
+    """Parabolas through the `size` neighbours of each of `count` places of a log's grid."""
 
     def __init__(self, log: _Log) -> None:
         reach = max(1.5 * log.period, 0.5 * DEFAULT.neighbours * log.spacing)
         size = max(DEFAULT.neighbours, 2 * int(np.ceil(1.5 * log.period / log.spacing)) + 1)
         size = min(size, log.times.size)
-        # The nearest samples on both sides, as many as there are.
+        # The nearest samples on both sides, as many as there are, (count, size).
         first = np.searchsorted(log.times, log.grid) - size // 2
-        first = first.clip(0, log.times.size - size)
-        self.neighbours = first[:, None] + np.arange(size)
+        self.neighbours = first.clip(0, log.times.size - size)[:, None] + np.arange(size)
         away = (log.times[self.neighbours] - log.grid[:, None]) / reach
         # Beyond a gap lies another motion.
         trust = np.where(np.abs(away) <= 1.5, 1.0, 1e-6)
@@ -423,7 +406,11 @@ class _Parabolas:
         a, b, c = np.einsum("kpn,kn->pk", rows, samples - level[:, None])
         curve = a[:, None] + b[:, None] * away + c[:, None] * away**2
         rest = (samples - level[:, None] - curve) ** 2 * trust
+        # Standard deviation of the neighbours about the parabola, (count,).
         self.misfit = np.sqrt(rest.sum(axis=1) / np.maximum(trust.sum(axis=1) - 3.0, 1.0))
+        # Value, slope and half the second derivative at the place, each (count,), and how much each
+        # neighbour gives to them, (count, 3, size).
         self.value, self.slope, self.bend = a + level, b / reach, c / reach**2
-        self.leverage = min(2.25 / size, 0.9)
         self.weights = rows / np.array([1.0, reach, reach**2])[:, None]
+        # Share of a sample's noise that the parabola follows near its centre.
+        self.leverage = min(2.25 / size, 0.9)
