@@ -63,7 +63,7 @@ def admit(
             # A factor would save all pressures that no recording has in our unit.
             if _UNIT in why and not any(column in e.pressures for e in usable.values()):
                 raise LeglabError(f"{name}: {why}")
-    periods = {name: Clock.of(e.recording.time, name).period for name, e in usable.items()}
+    periods = {name: Clock.of(e.recording.time).period for name, e in usable.items()}
     fastest = min(periods.values())
     for name, period in periods.items():
         # Where others have two samples in a bin, all have one in two bins at least.
@@ -86,7 +86,7 @@ def admit(
     needed = [*machine.columns, *sorted(columns)]
     admitted = {name: entry.recording.select(needed) for name, entry in usable.items()}
     for name, recording in admitted.items():
-        remarks += _doubts(machine, name, recording, thresholds)
+        remarks += usable[name].doubts(recording)
     return Admitted(
         recordings=admitted,
         held_out=tuple(name for name in held if name in admitted),
@@ -237,6 +237,39 @@ class _Entry:
             return f"{why}; is the sensor connected?"
         return None
 
+    def doubts(self, recording: Recording) -> Iterator[Remark]:
+        """Remarks on the columns that are used, those of `recording`."""
+        for column, values in recording.columns.items():
+            known = values[np.isfinite(values)]
+            if known.size < values.size:
+                text = "samples without a number"
+                yield Remark(text, self.name, f"{column!r} {values.size - known.size}")
+            if not column.endswith("_command") and known.size > 1 and np.ptp(known) == 0.0:
+                text = "the same in every row, at rest or a sensor that is not connected"
+                yield Remark(text, self.name, f"{column!r} {known[0]:.6g}")
+        for actuator in self.machine.actuators:
+            entry = self.machine.base.model.actuator(actuator)
+            low, high = entry.ctrlrange.tolist()
+            values = recording[f"{actuator}_command"]
+            outside = int(((values < low) | (values > high)).sum())
+            if entry.ctrllimited[0] and outside:
+                text = "a command leaves its range, the model clips it"
+                place = f"'{actuator}_command' beyond [{low:g}, {high:g}] in {outside} samples"
+                yield Remark(text, self.name, place)
+        for column, values in recording.columns.items():
+            if column.endswith("_command"):
+                continue
+            low, high = np.nanmin(values), np.nanmax(values)
+            # What rests elsewhere as long is no saturated sensor.
+            inside = (values[1:] != low) & (values[1:] != high)
+            resting = _longest_run((np.diff(values) == 0.0) & inside)
+            for limit, word in ((low, "smallest"), (high, "largest")):
+                run = _longest_run(values == limit)
+                if max(self.limits.saturated_samples, 2 * resting) <= run < 0.9 * values.size:
+                    text = "an extreme value holds, is the sensor saturated?"
+                    place = f"{column!r} {word} {limit:.6g} for {run} samples"
+                    yield Remark(text, self.name, place)
+
 
 def _range(machine: Machine, joint: str) -> tuple[float, float] | None:
     """Where a joint can be, None where it has no limit. A piston has a stroke, whatever is said."""
@@ -283,40 +316,6 @@ def _in_degrees(machine: Machine, recording: Recording, joint: str) -> bool:
     return left[1] < 0.5 * min(left[0], 1.0)
 
 
-def _doubts(
-    machine: Machine, name: str, recording: Recording, limits: Thresholds
-) -> Iterator[Remark]:
-    """Remarks on columns that are used."""
-    for column, values in recording.columns.items():
-        known = values[np.isfinite(values)]
-        if known.size < values.size:
-            text = "samples without a number"
-            yield Remark(text, name, f"{column!r} {values.size - known.size}")
-        if not column.endswith("_command") and known.size > 1 and np.ptp(known) == 0.0:
-            text = "the same in every row, at rest or a sensor that is not connected"
-            yield Remark(text, name, f"{column!r} {known[0]:.6g}")
-    for actuator in machine.actuators:
-        entry = machine.base.model.actuator(actuator)
-        low, high = entry.ctrlrange.tolist()
-        values = recording[f"{actuator}_command"]
-        outside = int(((values < low) | (values > high)).sum())
-        if entry.ctrllimited[0] and outside:
-            place = f"'{actuator}_command' beyond [{low:g}, {high:g}] in {outside} samples"
-            yield Remark("a command leaves its range, the model clips it", name, place)
-    for column, values in recording.columns.items():
-        if column.endswith("_command"):
-            continue
-        low, high = np.nanmin(values), np.nanmax(values)
-        # What rests elsewhere as long is no saturated sensor.
-        inside = (values[1:] != low) & (values[1:] != high)
-        resting = _longest_run((np.diff(values) == 0.0) & inside)
-        for limit, word in ((low, "smallest"), (high, "largest")):
-            run = _longest_run(values == limit)
-            if max(limits.saturated_samples, 2 * resting) <= run < 0.9 * values.size:
-                text = "an extreme value holds, is the sensor saturated?"
-                yield Remark(text, name, f"{column!r} {word} {limit:.6g} for {run} samples")
-
-
 def _longest_run(mask: np.ndarray) -> int:
     edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
     return int((edges[1::2] - edges[::2]).max(initial=0))
@@ -325,7 +324,7 @@ def _longest_run(mask: np.ndarray) -> int:
 def _clock_notes(recordings: Mapping[str, Recording], limits: Thresholds) -> tuple[str, ...]:
     """What is done to the clocks of recordings that are not all on one uniform grid."""
     period = common_period(recordings, limits)
-    clocks = {name: Clock.of(r.time, name) for name, r in recordings.items()}
+    clocks = {name: Clock.of(r.time) for name, r in recordings.items()}
     lines, remarks, rates, drifting = [], [], [], []
     for name, clock in clocks.items():
         own, rows = clock.period, len(recordings[name])

@@ -23,19 +23,18 @@ def read_recordings(paths: Sequence[Path], columns: Path | None = None) -> dict[
     Raises:
         LeglabError: A file cannot be read, or is given twice, or the map is wrong.
     """
-    column_map = data.read_column_map(columns) if columns else None
     plain = Counter(path.name for path in paths)
     found: dict[str, Recording] = {}
     for path in paths:
         # Every `leglab run` calls its recording the same, in a folder of its own.
-        whole = path.resolve()
-        name = path.name if plain[path.name] == 1 else f"{whole.parent.name}/{path.name}"
+        folder = "" if plain[path.name] == 1 else f"{path.resolve().parent.name}/"
+        name = folder + path.name
         if name in found:
             raise LeglabError(
                 f"two recordings are called {name!r}; allowed: different names, or names of "
                 "their folders"
             )
-        found[name] = data.read(path, columns=column_map, partial=True)
+        found[name] = data.read(path, columns=columns, partial=True)
     return found
 
 

@@ -15,7 +15,6 @@ from statistics import median_high
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
@@ -27,7 +26,7 @@ _FLOAT = float(np.sqrt(np.finfo(float).eps))
 _UNCLEAR = DEFAULT.certain * DEFAULT.same
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class UniformSeries:
     """One recording, ready for replay.
 
@@ -65,11 +64,8 @@ class UniformSeries:
         """Puts the needed columns of a recording on a uniform grid of a period [s].
 
         Columns that end with "_command" are held between samples; NaN are missing samples.
-
-        Raises:
-            LeglabError: The recording is too short to have a period.
         """
-        clock = Clock.of(recording.time, name)
+        clock = Clock.of(recording.time)
         stamps = clock.stamps - clock.stamps[0]
         grid = period * np.arange(int(np.floor(stamps[-1] / period + _ON_GRID)) + 1)
         ticks = np.rint(stamps / period).astype(np.int64)
@@ -90,16 +86,8 @@ class UniformSeries:
                 if not native or good.sum() <= (1.0 - thresholds.same) * grid.size:
                     noise[column] = white
             valid &= known
-        return cls(
-            name=name,
-            period=period,
-            time=recording.time[0] + grid,
-            columns=columns,
-            valid=valid,
-            steps=steps,
-            noise=noise,
-            command_lead=recording.command_lead,
-        )
+        time, lead = recording.time[0] + grid, recording.command_lead
+        return cls(name, period, time, columns, valid, steps, noise, lead)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,14 +111,8 @@ class Clock:
     clear: bool
 
     @classmethod
-    def of(cls, time: np.ndarray, name: str = "the recording") -> "Clock":
-        """Finds period, rounding and jitter of time stamps.
-
-        Raises:
-            LeglabError: They are too few.
-        """
-        if time.size < 3:
-            raise LeglabError(f"{name}: {time.size} samples are too few to replay")
+    def of(cls, time: np.ndarray) -> "Clock":
+        """Finds period, rounding and jitter of three time stamps or more [s]."""
         stamps, rounding = time, 0.0
         line, step = _line(np.arange(time.size), time), quantum(time - time[0])
         off, mean = float(np.abs(time - line).max()), float(line[1] - line[0])
@@ -204,11 +186,8 @@ def common_period(recordings: Mapping[str, Recording], thresholds: Thresholds = 
     """Period of the grid for all recordings [s]: that of the slowest.
 
     Of recordings whose periods are the same up to their clocks, the one in the middle counts.
-
-    Raises:
-        LeglabError: A recording is too short to have a period.
     """
-    clocks = [Clock.of(r.time, name) for name, r in recordings.items()]
+    clocks = [Clock.of(recording.time) for recording in recordings.values()]
     clear = [c for c in clocks if c.clear] or clocks
     slowest = max(c.period for c in clear)
     for clock in clocks:

@@ -72,7 +72,6 @@ class Machine:
         timestep: Of the replays [s]; None for the file's own.
 
     Attributes:
-        timestep: Of the replays [s].
         base: The model as it is.
         joints: Names of the hinge and slide joints.
         actuators: Names of the actuators.
@@ -251,13 +250,9 @@ class Measured:
 
 @dataclass(frozen=True)
 class ForceLeft:
-    """Force on a joint that the measured motion leaves over, at some moments; all (moments,).
+    """A joint's motion at some moments, and the force on it that it leaves over; all (moments,).
 
-    Attributes:
-        position: Of the joint.
-        velocity: Of the joint.
-        acceleration: Of the joint.
-        force: M a + bias less all forces of the model [N m or N].
+    The force is M a + bias less all forces of the model [N m or N].
     """
 
     position: np.ndarray
