@@ -6,7 +6,7 @@ replayed model and applied to commands and measured columns, as hypothetical fau
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import mujoco
 import numpy as np
@@ -43,9 +43,8 @@ def take_out(spec: mujoco.MjSpec) -> tuple[dict[str, list[CommandPath]], dict[st
     """
     commands: dict[str, list[CommandPath]] = {}
     for actuator in spec.actuators:
-        delay = float(actuator.delay)
-        if delay > 0.0:
-            commands.setdefault(actuator.name, []).append(late(delay))
+        if float(actuator.delay) > 0.0:
+            commands.setdefault(actuator.name, []).extend(_functions({"delay": actuator.delay}))
             actuator.delay, actuator.nsample = 0.0, 0
     for plugin in spec.plugins:
         if plugin.plugin_name == COMMAND_PATH:
@@ -93,14 +92,14 @@ def number_of(spec: mujoco.MjSpec, name: str, otherwise: float) -> float:
     return otherwise if numeric is None else float(numeric.data[0])
 
 
-def _functions(config: dict[str, str]) -> list[CommandPath]:
+def _functions(config: Mapping[str, str | float]) -> list[CommandPath]:
     """Functions that a `leglab.command_path` applies to held commands, in its order."""
     names = ("delay", "bias", "hysteresis", "dead_band", "time_constant")
     delay, bias, width, half_width, time_constant = (float(config.get(n, 0.0)) for n in names)
     gain = float(config.get("gain", 1.0))
     found: list[CommandPath] = []
     if delay:
-        found.append(late(delay))
+        found.append(lambda samples, period: delayed(samples, delay, period))
     if gain != 1.0 or bias:
         found.append(lambda samples, period: gain * samples + bias)
     if width:
@@ -110,11 +109,6 @@ def _functions(config: dict[str, str]) -> list[CommandPath]:
     if time_constant:
         found.append(lambda samples, period: lagged(samples, time_constant, period))
     return found
-
-
-def late(delay: float) -> CommandPath:
-    """A delay [s] of held commands."""
-    return lambda samples, period: delayed(samples, delay, period)
 
 
 def delayed(samples: np.ndarray, delay: float, period: float) -> np.ndarray:
