@@ -163,7 +163,6 @@ def test_clock_notes_say_whose_clock_differs(slide):
 
 
 def series_of(log, period=None):
-    period = period or Clock.of(log.time).period
     return UniformSeries.from_recording(log, "log", AXIS, period=period)
 
 

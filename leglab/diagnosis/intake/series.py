@@ -59,13 +59,14 @@ class UniformSeries:
         needed: tuple[str, ...],
         thresholds: Thresholds = DEFAULT,
         *,
-        period: float,
+        period: float | None = None,
     ) -> "UniformSeries":
-        """Puts the needed columns of a recording on a uniform grid of a period [s].
+        """Puts the needed columns of a recording on a uniform grid of a period [s], or of its own.
 
         Columns that end with "_command" are held between samples; NaN are missing samples.
         """
         clock = Clock.of(recording.time)
+        period = period or clock.period
         stamps = clock.stamps - clock.stamps[0]
         grid = period * np.arange(int(np.floor(stamps[-1] / period + _ON_GRID)) + 1)
         ticks = np.rint(stamps / period).astype(np.int64)
