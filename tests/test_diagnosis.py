@@ -12,6 +12,7 @@ from leglab import data
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.cli import main
+from leglab.diagnosis.balance.forces import forces_left
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
 from leglab.diagnosis.improve import improved_model
 from leglab.diagnosis.intake.admission import admit
@@ -309,3 +310,5 @@ def test_without_pressures_a_late_command_and_a_late_sensor_are_one():
     assert twins(unseen, ("sensor_delay", "knee")) == (DELAY,)
     assert twins(unseen, ("payload", "shank")) == ()
     assert twins(seen, DELAY) == ()
+    assert set(forces_left(seen, Hypothesis())) == {"knee"}
+    assert forces_left(unseen, Hypothesis()) == {}

@@ -149,7 +149,7 @@ def test_command_paths_of_a_file_are_taken_out_in_their_order():
     Machine("knee_bench")  # registers the plugins
     spec = mujoco.MjSpec.from_string(xml)
     samples = np.array([0.0, 1.0, 1.0, -1.0, -1.0, -1.0])
-    for function in take_out(spec).commands["drive"]:
+    for function in take_out(spec)[0]["drive"]:
         samples = function(samples, 1e-3)
     np.testing.assert_allclose(samples, [0.0, 0.0, 0.0, 1.8, 1.8, -1.6])
     (plugin,) = spec.plugins

@@ -5,7 +5,7 @@ forces, and the pressure gained against the modelled flows. Nothing is different
 length of a window, so that noise of sensors hardly counts.
 """
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,12 +14,11 @@ import numpy as np
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.plant.model import CHAMBERS, CYLINDER, Change, Measured
 from leglab.diagnosis.plant.moments import plugin_offset
-from leglab.diagnosis.replay.lacking import balanced_joints, lacking_forces
+from leglab.diagnosis.replay.lacking import lacking_forces
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.replay.starts import measure, start_states
 from leglab.diagnosis.replay.windows import Cut
 from leglab.machine.cylinder import Cylinder
-from leglab.machine.parameters import RESIDUAL_VARIABLES, State
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,19 +77,15 @@ def balances(problem: Problem, hypothesis: Hypothesis) -> tuple[Balance, ...]:
 
     Cylinders without measured pressures, and the joints that they move, have none.
     """
-    machine = problem.machine
-    change = problem.library.change(hypothesis, machine)
-    known = balanced_joints(machine, problem.channels)
+    change = problem.library.change(hypothesis, problem.machine)
     found: dict[tuple[str, bool], list[Balance]] = {}
     for number, cut in enumerate(problem.replay.cuts):
-        for one in _of_series(problem, change, cut, number, known):
+        for one in _of_series(problem, change, cut, number):
             found.setdefault((one.element, one.oil), []).append(one)
     return tuple(_combined(parts, np.concatenate) for parts in found.values())
 
 
-def _of_series(
-    problem: Problem, change: Change, cut: Cut, number: int, known: Collection[str]
-) -> Iterator[Balance]:
+def _of_series(problem: Problem, change: Change, cut: Cut, number: int) -> Iterator[Balance]:
     machine, limits = problem.machine, problem.thresholds
     model = change.variant.model
     # Samples lie half a stride to both sides of an odd number of periods apart, two of them in a
@@ -105,26 +100,21 @@ def _of_series(
     rows = rows[gaps[rows[:, -1] + margin] == gaps[np.maximum(rows[:, 0] - margin, 0)]]
     if not rows.size:
         return
-    measured, _ = measure(cut, problem.channels, change)
-    flat = replace(measured, samples=rows.ravel())
-    states = start_states(cut, change, flat, problem.channels, problem.replay.rest_time)
-    found = lacking_forces(change, flat, states, half)
-    shape = rows.shape
-    common = {
+    measured = replace(measure(cut, problem.channels, change)[0], samples=rows.ravel())
+    states = start_states(cut, change, measured, problem.channels, problem.replay.rest_time)
+    found = lacking_forces(change, measured, states, half)
+    common: dict[str, Any] = {
         "recording": np.full(len(rows), number),
         "time": cut.series.time[rows].mean(axis=1),
     }
-    for joint in machine.joints:
-        if joint not in known:
-            continue
-        dof = int(model.joint(joint).dofadr[0])
-        v = measured.velocity[joint]
+    for joint in problem.balanced:
+        dof, v = int(model.joint(joint).dofadr[0]), measured.velocity[joint]
         slow = limits.resting_speed * float(np.sqrt(np.mean(v**2)))
         drive = next((a for a in machine.actuators if joint in machine.driven[a]), "")
         inputs = {
             "position": measured.position[joint][rows],
             "velocity": v[rows],
-            "load": found.load[:, dof].reshape(shape),
+            "load": found.load[:, dof].reshape(rows.shape),
         }
         if drive:
             inputs["command"] = measured.command[drive][rows]
@@ -133,32 +123,31 @@ def _of_series(
             joint=joint,
             actuator=drive,
             oil=False,
-            lacking=found.lacking[:, dof].reshape(shape),
-            gain=np.ones(shape),
+            lacking=found.lacking[:, dof].reshape(rows.shape),
+            gain=np.ones(rows.shape),
             inputs=inputs,
             moving=(np.abs(v[rows]) > slow).all(axis=1),
             **common,
         )
     for cylinder in machine.instances(CYLINDER):
-        joint = machine.driven[cylinder][0]
-        if joint not in known:
+        joint, index = machine.driven[cylinder][0], model.actuator(cylinder).id
+        if joint not in problem.balanced:
             continue
-        index = model.actuator(cylinder).id
         values = {
             "position": found.length[:, index],
             "velocity": found.speed[:, index],
             "load": found.pull[:, index],
-            "command": np.clip(measured.command[cylinder][flat.samples], -1.0, 1.0),
+            "command": np.clip(measured.command[cylinder][measured.samples], -1.0, 1.0),
         }
-        lacking, gain = _oil(change, flat, states, cylinder, values, half)
+        lacking, gain = _oil(change, measured, states, cylinder, values, half)
         yield Balance(
             element=cylinder,
             joint=joint,
             actuator=cylinder,
             oil=True,
-            lacking=lacking.reshape(shape),
-            gain=gain.reshape(shape),
-            inputs={name: values[name].reshape(shape) for name in RESIDUAL_VARIABLES},
+            lacking=lacking.reshape(rows.shape),
+            gain=gain.reshape(rows.shape),
+            inputs={name: x.reshape(rows.shape) for name, x in values.items()},
             moving=np.ones(len(rows), dtype=bool),
             **common,
         )
@@ -173,14 +162,13 @@ def _oil(
     half: int,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rate of pressure A less B beyond the modelled one, and its gain by the spool, (samples,)."""
-    joint = change.machine.driven[cylinder][0]
-    table = change.variant.elements[cylinder][1].parameters
-    names = [name for name, entry in table.items() if not isinstance(entry, State)]
-    values = {name: change.parameter(cylinder, name) for name in names}
+    variant, joint = change.variant, change.machine.driven[cylinder][0]
+    table = variant.elements[cylinder][1].parameters
+    values = {name: change.parameter(cylinder, name) for name in table}
     model, k = Cylinder(values), measured.samples
     a, b = (measured.pressure[f"{joint}_{chamber}"] for chamber in CHAMBERS)
     rate = ((a - b)[k + half] - (a - b)[k - half]) / (2 * half * measured.period)
-    slot = plugin_offset(change.variant.model) + change.variant.slot(cylinder, "spool_position")
+    slot = plugin_offset(variant.model) + variant.slot(cylinder, "spool_position")
     # A step of one per cent, for the gain: nothing but the curvature of an edge depends on it.
     step = 0.01
     modelled = np.empty((3, k.size))

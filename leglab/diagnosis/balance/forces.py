@@ -14,6 +14,8 @@ def forces_left(problem: Problem, hypothesis: Hypothesis) -> dict[str, ForceLeft
     Joints of cylinders whose pressures are not measured are left out: nobody knows their force.
     """
     replay, joints = problem.replay, problem.balanced
+    if not joints:
+        return {}
     change = problem.library.change(hypothesis, replay.machine)
     dofs = [int(change.variant.model.joint(joint).dofadr[0]) for joint in joints]
     tables = []
@@ -22,5 +24,5 @@ def forces_left(problem: Problem, hypothesis: Hypothesis) -> dict[str, ForceLeft
         v = np.stack([at.velocity[joint][at.samples] for joint in joints], axis=1)
         found = lacking_forces(change, at, states, replay.half).lacking[:, dofs]
         tables.append((q, v, accelerations(change, at, replay.half)[:, dofs], found))
-    joined = [np.concatenate(parts) for parts in zip(*tables, strict=True)] if joints else []
+    joined = [np.concatenate(parts) for parts in zip(*tables, strict=True)]
     return {joint: ForceLeft(*(x[:, i] for x in joined)) for i, joint in enumerate(joints)}

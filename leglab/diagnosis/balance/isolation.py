@@ -44,29 +44,26 @@ def _of_balance(problem: Problem, balance: Balance) -> Where:
 
 def _motion(problem: Problem) -> list[Where]:
     """Errors of the replayed motion of every joint, of the model as it was."""
-    replay = problem.replay
-    errors = problem.raw_errors(Hypothesis())
-    places = sample_places(problem)
-    limit = problem.thresholds.clip
+    replay, limit = problem.replay, problem.thresholds.clip
+    errors, every = problem.raw_errors(Hypothesis()), np.ones(replay.windows, dtype=bool)
     found = []
     for k, channel in enumerate(problem.channels):
         if channel.chamber:
             continue
-        length = problem.machine.unit(channel.joint)
-        rows = []
-        for i, series in enumerate(problem.series):
+        parts = []
+        for series, index in zip(problem.series, sample_places(problem), strict=True):
             q = series.columns[f"{channel.joint}_position"]
-            velocity = np.gradient(q, series.period)[places[i]]
-            rows.append((errors[replay.recording == i, k].ravel(), q[places[i]], velocity))
-        error, position, velocity = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+            parts.append((q[index], np.gradient(q, series.period)[index]))
+        position, velocity = (np.concatenate(part) for part in zip(*parts, strict=True))
+        length = problem.machine.unit(channel.joint)
         states = {"position": (position, length), "velocity": (velocity, f"{length}/s")}
+        region = worst_region(errors[:, k].ravel(), states)
         # In the noise levels of the gap, with what the start states carry on, whatever the other
         # joints do.
         block = slice(k * replay.bins, (k + 1) * replay.bins)
-        roots = inverse_roots(problem.noise.covariance(np.ones(replay.windows, dtype=bool), block))
+        roots = inverse_roots(problem.noise.covariance(every, block))
         white = np.clip(whitened(roots, errors[:, k]), -limit, limit)
         level = float(np.sqrt(np.mean(white**2)))
-        region = worst_region(error, states)
         found.append(Where(residual="motion", element=channel.joint, level=level, region=region))
     return found
 

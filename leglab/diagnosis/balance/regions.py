@@ -7,34 +7,29 @@ import numpy as np
 EVERYWHERE = "everywhere alike"
 
 
-def equally_filled(state: np.ndarray, bins: int = 20) -> list[np.ndarray]:
-    """Indices of the points of every bin, along the state; few points have fewer bins, or none.
+def equally_filled(state: np.ndarray) -> list[np.ndarray]:
+    """Indices of the points of each of twenty bins along the state, fewer where points are few.
 
     A bin of fewer than eight points says nothing.
     """
-    count = min(bins, state.size // 8)
+    count = min(20, state.size // 8)
     return np.array_split(np.argsort(state, kind="stable"), count) if count else []
 
 
 def worst_region(error: np.ndarray, states: Mapping[str, tuple[np.ndarray, str]]) -> str:
     """Where an error is largest, in words.
 
-    A region counts where the error exceeds the mean by a third, and reaches as far as half of that.
-
-    Args:
-        error: Shape (samples,).
-        states: Values of the state, shape (samples,), and unit by name.
+    A region counts where the error, (samples,), exceeds the mean by a third, and reaches as far as
+    half of that. States by name are values, (samples,), and unit.
     """
     finite = np.isfinite([error, *(values for values, _ in states.values())]).all(axis=0)
     error = error[finite]
     overall = float(np.mean(np.abs(error))) if error.size else 0.0
     if overall <= 0.0:
         return EVERYWHERE
-    if "position" in states:
-        values, unit = states["position"]
-        period = _period(error, values[finite])
-        if period is not None:
-            return f"repeating every {period:.3g} {unit} of the position"
+    values, unit = states["position"]
+    if (period := _period(error, values[finite])) is not None:
+        return f"repeating every {period:.3g} {unit} of the position"
     best, text = 4.0 / 3.0, EVERYWHERE
     for name, (values, unit) in states.items():
         values = values[finite]

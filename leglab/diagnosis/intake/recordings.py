@@ -17,28 +17,24 @@ from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 def read_recordings(paths: Sequence[Path], columns: Path | None = None) -> dict[str, Recording]:
     """Reads recordings by file name, or by folder and file name where file names are the same.
 
-    Columns that cannot be read are left out: only the model says whether they are needed.
-
-    Args:
-        paths: Of the files.
-        columns: A column map for all of them, see `leglab.data.read_column_map`.
+    Columns that cannot be read are left out: only the model says whether they are needed. `columns`
+    is the file of a column map for all of them, see `leglab.data.read_column_map`.
 
     Raises:
         LeglabError: A file cannot be read, or is given twice, or the map is wrong.
     """
-    column_map = data.read_column_map(columns) if columns else None
     plain = Counter(path.name for path in paths)
     found: dict[str, Recording] = {}
     for path in paths:
         # Every `leglab run` calls its recording the same, in a folder of its own.
-        whole = path.resolve()
-        name = path.name if plain[path.name] == 1 else f"{whole.parent.name}/{path.name}"
+        folder = "" if plain[path.name] == 1 else f"{path.resolve().parent.name}/"
+        name = folder + path.name
         if name in found:
             raise LeglabError(
                 f"two recordings are called {name!r}; allowed: different names, or names of "
                 "their folders"
             )
-        found[name] = data.read(path, columns=column_map, partial=True)
+        found[name] = data.read(path, columns=columns, partial=True)
     return found
 
 
@@ -75,14 +71,11 @@ def split_held_out(
     if len(usable) > 1:
         return recordings, held_out_choice(usable, machine)
     (name,) = usable
-    whole = recordings.pop(name)
+    whole, tail = recordings.pop(name), f"{name} (end)"
     cut = whole.time[0] + (1.0 - thresholds.held_out_share) * whole.duration
-    tail = f"{name} (end)"
-    parts = {
-        name: whole.between(whole.time[0], cut),
-        tail: whole.between(cut, whole.time[-1] + 1.0),
-    }
-    return {**recordings, **parts}, (tail,)
+    recordings[name] = whole.between(whole.time[0], cut)
+    recordings[tail] = whole.between(cut, whole.time[-1] + 1.0)
+    return recordings, (tail,)
 
 
 def _names(entry: str, name: str) -> bool:
@@ -93,20 +86,16 @@ def _names(entry: str, name: str) -> bool:
 
 
 def held_out_choice(recordings: Mapping[str, Recording], machine: Machine) -> tuple[str, ...]:
-    """Recording to hold out: that which lies most within the ranges of the others.
+    """Of two recordings or more, that to hold out: most within the ranges of the others.
 
     A model is judged by another excitation than it was fitted to, yet not by extrapolation. Among
     equals the one with the fastest motion says most.
     """
-    if len(recordings) < 2:
-        return ()
-
-    def features(recording: Recording) -> np.ndarray:
+    tables = {}
+    for name, recording in recordings.items():
         rows = [recording[c] for c in machine.columns]
         rows += [np.gradient(recording[f"{j}_position"], recording.time) for j in machine.joints]
-        return np.stack(rows)[:, :: max(1, len(recording) // 2000)]
-
-    tables = {name: features(recording) for name, recording in recordings.items()}
+        tables[name] = np.stack(rows)[:, :: max(1, len(recording) // 2000)]
     scores = {}
     for name, table in tables.items():
         others = np.concatenate([t for n, t in tables.items() if n != name], axis=1)

@@ -1,11 +1,10 @@
 """Remarks on recordings, each said once for all columns and recordings that it is true of."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 
-@dataclass(frozen=True, kw_only=True)
-class Remark:
+class Remark(NamedTuple):
     """One remark on a recording.
 
     Attributes:
@@ -19,27 +18,24 @@ class Remark:
     place: str = ""
 
 
-def merged(remarks: Iterable[Remark], recordings: Iterable[str] = ()) -> tuple[str, ...]:
-    """One line for each text, with the recordings and their columns.
+def merged(remarks: Iterable[Remark], recordings: Iterable[str]) -> tuple[str, ...]:
+    """One line for each text, with the recordings and their columns, in order of first mention.
 
-    Args:
-        remarks: In any order; lines come in the order of first mention.
-        recordings: All of them: what is the same for each is said once.
+    What is the same for each of all the `recordings` is said once.
     """
     found: dict[str, dict[str, list[str]]] = {}
-    for remark in remarks:
-        places = found.setdefault(remark.text, {}).setdefault(remark.recording, [])
-        if remark.place and remark.place not in places:
-            places.append(remark.place)
+    for text, recording, place in remarks:
+        places = found.setdefault(text, {}).setdefault(recording, [])
+        if place and place not in places:
+            places.append(place)
     whole = set(recordings)
     lines = []
     for text, where in found.items():
-        same = len({tuple(places) for places in where.values()}) == 1
-        named = "all recordings" if len(whole) > 1 and set(where) == whole else ", ".join(where)
-        if same:
+        if all(places == next(iter(where.values())) for places in where.values()):
             listed = ", ".join(next(iter(where.values())))
+            named = "all recordings" if len(whole) > 1 and set(where) == whole else ", ".join(where)
             lines.append(f"{named}: {text}{f': {listed}' if listed else ''}")
-            continue
-        listed = "; ".join(f"{name} ({', '.join(p)})" if p else name for name, p in where.items())
-        lines.append(f"{text}: {listed}")
+        else:
+            told = (f"{name} ({', '.join(p)})" if p else name for name, p in where.items())
+            lines.append(f"{text}: {'; '.join(told)}")
     return tuple(lines)

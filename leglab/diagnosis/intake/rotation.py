@@ -1,6 +1,6 @@
 """Encoders that begin anew after a turn: their jumps are found and taken out."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,8 +9,7 @@ from leglab.diagnosis.thresholds import DEFAULT
 _TURN = 2.0 * np.pi
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Unwrapped:
+class Unwrapped(NamedTuple):
     """A position without jumps.
 
     Attributes:

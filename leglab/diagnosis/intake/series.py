@@ -8,13 +8,13 @@ between its stamps; on the grid it is its mean over the period that it acts in: 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from statistics import median_high
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
@@ -26,7 +26,7 @@ _FLOAT = float(np.sqrt(np.finfo(float).eps))
 _UNCLEAR = DEFAULT.certain * DEFAULT.same
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class UniformSeries:
     """One recording, ready for replay.
 
@@ -47,9 +47,9 @@ class UniformSeries:
     time: np.ndarray
     columns: dict[str, np.ndarray]
     valid: np.ndarray
-    steps: dict[str, float] = field(default_factory=dict)
-    noise: dict[str, float] = field(default_factory=dict)
-    command_lead: float = 0.0
+    steps: dict[str, float]
+    noise: dict[str, float]
+    command_lead: float
 
     @classmethod
     def from_recording(
@@ -61,61 +61,37 @@ class UniformSeries:
         *,
         period: float | None = None,
     ) -> "UniformSeries":
-        """Puts the needed columns of a recording on a uniform grid.
+        """Puts the needed columns of a recording on a uniform grid of a period [s], or of its own.
 
-        Args:
-            recording: With NaN where a sample is missing.
-            name: Of its file.
-            needed: Columns; those that end with "_command" are held between samples.
-            thresholds: Say what a gap is.
-            period: Of the grid [s]; None for the recording's own.
-
-        Raises:
-            LeglabError: The recording is too short to have a period.
+        Columns that end with "_command" are held between samples; NaN are missing samples.
         """
-        clock = Clock.of(recording.time, name)
+        clock = Clock.of(recording.time)
         period = period or clock.period
         stamps = clock.stamps - clock.stamps[0]
-        count = int(np.floor(stamps[-1] / period + _ON_GRID)) + 1
+        grid = period * np.arange(int(np.floor(stamps[-1] / period + _ON_GRID)) + 1)
         ticks = np.rint(stamps / period).astype(np.int64)
         native = bool((np.abs(stamps - period * ticks) <= _ON_GRID * period).all())
-        # Lost rows cost noise of their own, see `_Log.averaged`.
-        native = native and ticks.size > (1.0 - thresholds.same) * count
-        valid = np.ones(count, dtype=bool)
+        valid = np.ones(grid.size, dtype=bool)
         columns, steps, noise = {}, {}, {}
         for column in needed:
             samples = recording[column]
             good = np.isfinite(samples)
-            if good.sum() < 2:
-                raise LeglabError(f"{name}: column {column!r} holds no numbers")
-            steps[column] = quantum(samples[good])
-            log = _Log(
-                times=stamps[good],
-                samples=samples[good],
-                own=clock.period,
-                lossy=clock.lost > 0 or not good.all(),
-                step=steps[column],
-            )
+            log = _Log(stamps[good], samples[good], clock.period, grid, period, thresholds)
+            steps[column] = log.step
             if column.endswith("_command"):
-                columns[column], known = log.held(period, count, thresholds)
+                lossy = clock.lost > 0 or not good.all()
+                columns[column], known = log.held(lossy=lossy)
             else:
-                columns[column], known, white = log.averaged(period, count, thresholds)
-                if not native or good.sum() <= (1.0 - thresholds.same) * count:
+                columns[column], known, white = log.averaged()
+                # Lost rows cost noise of their own.
+                if not native or good.sum() <= (1.0 - thresholds.same) * grid.size:
                     noise[column] = white
             valid &= known
-        return cls(
-            name=name,
-            period=period,
-            time=recording.time[0] + period * np.arange(count),
-            columns=columns,
-            valid=valid,
-            steps=steps,
-            noise=noise,
-            command_lead=recording.command_lead,
-        )
+        time, lead = recording.time[0] + grid, recording.command_lead
+        return cls(name, period, time, columns, valid, steps, noise, lead)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Clock:
     """The stamps of a recording, as its logger's clock meant them.
 
@@ -136,14 +112,8 @@ class Clock:
     clear: bool
 
     @classmethod
-    def of(cls, time: np.ndarray, name: str = "the recording") -> "Clock":
-        """Finds period, rounding and jitter of time stamps.
-
-        Raises:
-            LeglabError: They are too few.
-        """
-        if time.size < 3:
-            raise LeglabError(f"{name}: {time.size} samples are too few to replay")
+    def of(cls, time: np.ndarray) -> "Clock":
+        """Finds period, rounding and jitter of three time stamps or more [s]."""
         stamps, rounding = time, 0.0
         line, step = _line(np.arange(time.size), time), quantum(time - time[0])
         off, mean = float(np.abs(time - line).max()), float(line[1] - line[0])
@@ -151,22 +121,17 @@ class Clock:
         if _ON_GRID * mean < off <= 0.75 * step < 2.0 * mean:
             stamps, rounding = line, step
         period = usual_interval(stamps)
-        intervals = np.diff(stamps)
-        jitter, ticks = _jitter(intervals, period)
-        lost = max(0, round(float(stamps[-1] - stamps[0]) / period) + 1 - stamps.size)
+        jitter, ticks, lost = _ticks(stamps, period)
         clear = jitter < _UNCLEAR or not lost
         if not clear and (beat := _beat(stamps, period)) is not None:
             period, clear = beat, True
-            jitter, ticks = _jitter(intervals, period)
-            lost = max(0, round(float(stamps[-1] - stamps[0]) / period) + 1 - stamps.size)
+            jitter, ticks, lost = _ticks(stamps, period)
         if lost and jitter > _ON_GRID:
             line = _line(ticks, time)
             if 0.0 < step < 2.0 * period and np.abs(time - line).max() <= 0.75 * step:
                 period = float(line[-1] - line[0]) / float(ticks[-1])
                 stamps, rounding, jitter = line, step, 0.0
-        return cls(
-            period=period, stamps=stamps, rounding=rounding, jitter=jitter, lost=lost, clear=clear
-        )
+        return cls(period, stamps, rounding, jitter, lost, clear)
 
 
 def _line(ticks: np.ndarray, time: np.ndarray) -> np.ndarray:
@@ -176,13 +141,14 @@ def _line(ticks: np.ndarray, time: np.ndarray) -> np.ndarray:
     return time[0] + level + slope * centred
 
 
-def _jitter(intervals: np.ndarray, period: float) -> tuple[float, np.ndarray]:
-    """RMS of the departures from whole periods, in periods, and the number of each tick."""
-    passed = np.maximum(np.rint(intervals / period), 1.0)
-    close = passed < 5
-    departure = intervals[close] / period - passed[close]
-    jitter = float(np.sqrt(np.mean(departure**2))) if close.any() else 0.0
-    return jitter, np.concatenate([[0.0], np.cumsum(passed)])
+def _ticks(stamps: np.ndarray, period: float) -> tuple[float, np.ndarray, int]:
+    """Jitter of stamps as that of a `Clock`, the number of each one's tick, and lost rows."""
+    passed = np.diff(stamps) / period
+    whole = np.maximum(np.rint(passed), 1.0)
+    close = whole < 5
+    jitter = float(np.sqrt(np.mean((passed - whole)[close] ** 2))) if close.any() else 0.0
+    lost = max(0, round(float(stamps[-1] - stamps[0]) / period) + 1 - stamps.size)
+    return jitter, np.append(0.0, np.cumsum(whole)), lost
 
 
 def _beat(time: np.ndarray, guess: float) -> float | None:
@@ -194,12 +160,9 @@ def _beat(time: np.ndarray, guess: float) -> float | None:
     strength = np.abs(np.fft.rfft(count - count.mean(), size)) / some.size
     rate = np.fft.rfftfreq(size, place)
     near = np.abs(rate * guess - 1.0) < 1.5 * _UNCLEAR
-    if not near.any():
-        return None
     best = int(np.argmax(np.where(near, strength, 0.0)))
-    return (
-        float(1.0 / rate[best]) if strength[best] > DEFAULT.certain / np.sqrt(some.size) else None
-    )
+    clear = near.any() and strength[best] > DEFAULT.certain / np.sqrt(some.size)
+    return float(1.0 / rate[best]) if clear else None
 
 
 def usual_interval(time: np.ndarray) -> float:
@@ -224,11 +187,8 @@ def common_period(recordings: Mapping[str, Recording], thresholds: Thresholds = 
     """Period of the grid for all recordings [s]: that of the slowest.
 
     Of recordings whose periods are the same up to their clocks, the one in the middle counts.
-
-    Raises:
-        LeglabError: A recording is too short to have a period.
     """
-    clocks = [Clock.of(r.time, name) for name, r in recordings.items()]
+    clocks = [Clock.of(recording.time) for recording in recordings.values()]
     clear = [c for c in clocks if c.clear] or clocks
     slowest = max(c.period for c in clear)
     for clock in clocks:
@@ -263,13 +223,13 @@ def quantum(samples: np.ndarray) -> float:
     # Differences of differences: a fast signal may never move by a single count.
     apart = np.diff(moves)
     apart = np.sort(apart[apart > max(_FLOAT * largest, 1e-6 * moves[-1])])
-    found = 0.0
-    for pool in (moves, apart):
-        for share in (0.0, 0.01, 0.03, 0.1, 0.25, 0.5):
-            if pool.size:
-                guess = float(pool[int(share * (pool.size - 1))])
-                found = max(found, _fitted_step(moves, guess, largest, rests=rests))
-    return found
+    guesses = [
+        float(pool[int(share * (pool.size - 1))])
+        for pool in (moves, apart)
+        if pool.size
+        for share in (0.0, 0.01, 0.03, 0.1, 0.25, 0.5)
+    ]
+    return max(_fitted_step(moves, guess, largest, rests=rests) for guess in guesses)
 
 
 def _fitted_step(moves: np.ndarray, step: float, largest: float, *, rests: bool) -> float:
@@ -292,61 +252,55 @@ def _fitted_step(moves: np.ndarray, step: float, largest: float, *, rests: bool)
     return step if whole and varied else 0.0
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class _Log:
-    """One column as it was logged, without its missing samples.
+    """One column as it was logged, without its missing samples, and the grid that it is put on.
 
-    Attributes:
-        times: From the recording's first stamp [s], shape (n,).
-        samples: Shape (n,).
-        own: Usual interval of the recording [s].
-        lossy: Whether samples are missing; else a long interval is jitter.
-        step: Least step of the column.
+    Times are told from the recording's first stamp on [s].
     """
 
-    times: np.ndarray
-    samples: np.ndarray
-    own: float
-    lossy: bool
-    step: float
+    times: np.ndarray  # (n,)
+    samples: np.ndarray  # (n,)
+    own: float  # usual interval of the recording [s]
+    grid: np.ndarray  # (count,)
+    period: float  # of the grid [s]
+    limits: Thresholds
 
-    @property
+    @cached_property
+    def step(self) -> float:
+        """Least step of the column."""
+        return quantum(self.samples)
+
+    @cached_property
     def spacing(self) -> float:
         """Usual interval of this column [s]: some are logged less often than the rows."""
         if self.times.size < 3:
             return self.own
         return min(max(usual_interval(self.times), self.own), 5.0 * self.own)
 
-    def around(self, period: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+    def _around(self) -> tuple[np.ndarray, np.ndarray]:
         """Sample after each place of the grid, and the time between its neighbours, (count,)."""
-        grid = period * np.arange(count)
-        after = np.searchsorted(self.times, grid - _ON_GRID * period).clip(1, self.times.size - 1)
-        width = self.times[after] - self.times[after - 1]
-        on_stamp = np.minimum(
-            np.abs(grid - self.times[after - 1]), np.abs(self.times[after] - grid)
-        )
-        outside = (grid < self.times[0]) | (grid > self.times[-1])
-        width = np.where(outside, np.inf, width)
-        near = on_stamp <= np.where(outside, 0.5 * max(period, self.spacing), _ON_GRID * period)
-        return after, np.where(near, 0.0, width)
+        times, grid, near = self.times, self.grid, _ON_GRID * self.period
+        after = np.searchsorted(times, grid - near).clip(1, times.size - 1)
+        on_stamp = np.minimum(np.abs(grid - times[after - 1]), np.abs(times[after] - grid))
+        outside = (grid < times[0]) | (grid > times[-1])
+        width = np.where(outside, np.inf, times[after] - times[after - 1])
+        reach = np.where(outside, 0.5 * max(self.period, self.spacing), near)
+        return after, np.where(on_stamp <= reach, 0.0, width)
 
-    def _known(
-        self, width: np.ndarray, smooth: np.ndarray, period: float, limits: Thresholds
-    ) -> np.ndarray:
+    def _known(self, width: np.ndarray, smooth: np.ndarray) -> np.ndarray:
         """Where values between neighbours `width` apart are known; `smooth` where they agree."""
-        spacing = self.spacing
-        near = width <= max(0.5 * limits.neighbours * spacing, 1.5 * period)
-        reach = max((limits.neighbours - 0.5) * spacing, limits.bin)
-        return near | (smooth & (width <= reach))
+        neighbours = self.limits.neighbours
+        near = max(0.5 * neighbours * self.spacing, 1.5 * self.period)
+        reach = max((neighbours - 0.5) * self.spacing, self.limits.bin)
+        return (width <= near) | (smooth & (width <= reach))
 
-    def averaged(
-        self, period: float, count: int, limits: Thresholds
-    ) -> tuple[np.ndarray, np.ndarray, float]:
+    def averaged(self) -> tuple[np.ndarray, np.ndarray, float]:
         """Samples averaged about each place of the grid, where they are known, and their noise.
 
         One that lies on the grid alone stays as it is.
         """
-        grid = period * np.arange(count)
+        grid, period, count = self.grid, self.period, self.grid.size
         place = np.floor(self.times / period + 0.5 - 1e-9).astype(np.int64).clip(0, count - 1)
         inside = np.abs(self.times - grid[place]) <= 0.5 * period * (1.0 + 1e-6)
         place, times, samples = place[inside], self.times[inside], self.samples[inside]
@@ -356,19 +310,19 @@ class _Log:
         away[np.abs(away) <= _ON_GRID * period] = 0.0
         if (number == 1).all() and not away.any():  # Long logs take no time and memory then.
             return samples, np.ones(count, dtype=bool), 0.0
-        fit = self._parabola(grid, period)
-        early = np.bincount(place, weights=away, minlength=count) / held
-        spread = np.bincount(place, weights=away**2, minlength=count) / held
-        value = np.bincount(place, weights=samples, minlength=count) / held
+        fit = _Parabolas(self)
+        early, spread, value = (
+            np.bincount(place, weights=x, minlength=count) / held for x in (away, away**2, samples)
+        )
         value -= fit.slope * early + fit.bend * spread
         value = np.where(number > 0, value, fit.value)
         rest = samples - fit.value[place] - fit.slope[place] * away - fit.bend[place] * away**2
-        shown = readings_change(samples, fit.neighbours.shape[1])
-        scatter = _robust(rest[shown]) / np.sqrt(1.0 - fit.leverage)
+        shown = np.abs(rest[readings_change(samples, fit.neighbours.shape[1])])
+        deviation = 1.4826 * float(np.median(shown)) if shown.size else 0.0
+        scatter = deviation / np.sqrt(1.0 - fit.leverage)
         least = max(scatter, self.step / np.sqrt(12.0), DEFAULT.negligible * float(np.std(samples)))
-        smooth = fit.misfit <= limits.certain * least
-        _, width = self.around(period, count)
-        known = self._known(np.where(number > 0, 0.0, width), smooth, period, limits)
+        smooth = fit.misfit <= self.limits.certain * least
+        known = self._known(np.where(number > 0, 0.0, self._around()[1]), smooth)
         # Filters reach into gaps: what stands there must be tame.
         value = np.where(known, value, np.interp(grid, self.times, self.samples))
         # A mean over many places weighs each sample by what it gave to all of them.
@@ -381,92 +335,62 @@ class _Log:
         noise = scatter * float(np.sqrt((weight**2).sum() / max(int(known.sum()), 1)))
         return value, known, noise
 
-    def held(self, period: float, count: int, limits: Thresholds) -> tuple[np.ndarray, np.ndarray]:
+    def held(self, *, lossy: bool) -> tuple[np.ndarray, np.ndarray]:
         """A held command's mean from each place of the grid to the next, and where it is known.
 
-        Where ticks were lost it may have changed at each of them: they take what lies between.
+        Where ticks were lost it may have changed at each of them: they take what lies between. A
+        long interval of a log that is not `lossy` is jitter.
         """
-        spacing = self.spacing
-        intervals = np.diff(self.times)
+        grid, period, near = self.grid, self.period, _ON_GRID * self.period
+        intervals, change = np.diff(self.times), np.diff(self.samples)
         ticks = np.ones(intervals.size, dtype=np.int64)
-        if self.lossy:
-            ticks = np.rint(intervals / spacing).clip(1.0, 100.0).astype(np.int64)
+        if lossy:
+            ticks = np.rint(intervals / self.spacing).clip(1.0, 100.0).astype(np.int64)
         first = np.repeat(np.arange(ticks.size), ticks)
         share = (np.arange(first.size) - np.repeat(np.cumsum(ticks) - ticks, ticks)) / ticks[first]
         times = np.append(self.times[first] + share * intervals[first], self.times[-1])
-        change = np.diff(self.samples)
         values = np.append(self.samples[first] + share * change[first], self.samples[-1])
-        end = max(times[-1], period * count) + period
+        end = max(times[-1], period * grid.size) + period
         times = np.concatenate([[min(0.0, times[0])], times[1:], [end]])
-        impulse = np.concatenate([[0.0], np.cumsum(values * np.diff(times))])
-        mean = np.diff(np.interp(period * np.arange(count + 1), times, impulse)) / period
+        impulse = np.append(0.0, np.cumsum(values * np.diff(times)))
+        mean = np.diff(np.interp(period * np.arange(grid.size + 1), times, impulse)) / period
         # Differences of a long integral: a command on the grid keeps its value to the last bit.
-        on_grid = period * np.arange(count)
-        at = np.searchsorted(times, on_grid + _ON_GRID * period, side="right") - 1
-        whole = (np.abs(times[at] - on_grid) <= _ON_GRID * period) & (
-            times[np.minimum(at + 1, times.size - 1)] >= on_grid + (1.0 - _ON_GRID) * period
-        )
-        mean = np.where(whole, values[np.minimum(at, values.size - 1)], mean)
-        after, width = self.around(period, count)
-        usual = np.quantile(np.abs(change) / ticks, 0.95) if change.size else 0.0
+        at = np.searchsorted(times, grid + near, side="right") - 1
+        stays = times[at + 1] >= grid + (1.0 - _ON_GRID) * period
+        whole = stays & (np.abs(times[at] - grid) <= near)
+        after, width = self._around()
+        usual = np.quantile(np.abs(change) / ticks, 0.95)
         smooth = (np.abs(change) <= 3.0 * usual * ticks)[after - 1]
-        return mean, self._known(width, smooth, period, limits)
+        return np.where(whole, values[at], mean), self._known(width, smooth)
 
-    def _parabola(self, centres: np.ndarray, period: float) -> "_Parabola":
-        """Parabolas through the neighbours of some times, by least squares."""
-        reach = max(1.5 * period, 0.5 * DEFAULT.neighbours * self.spacing)
-        size = max(DEFAULT.neighbours, 2 * int(np.ceil(1.5 * period / self.spacing)) + 1)
-        size = min(size, self.times.size)
-        # The nearest samples on both sides, as many as there are.
-        first = np.searchsorted(self.times, centres) - size // 2
-        first = first.clip(0, self.times.size - size)
-        neighbours = first[:, None] + np.arange(size)
-        away = (self.times[neighbours] - centres[:, None]) / reach
+
+class _Parabolas:
+    """Parabolas through the `size` neighbours of each of `count` places of a log's grid."""
+
+    def __init__(self, log: _Log) -> None:
+        reach = max(1.5 * log.period, 0.5 * DEFAULT.neighbours * log.spacing)
+        size = max(DEFAULT.neighbours, 2 * int(np.ceil(1.5 * log.period / log.spacing)) + 1)
+        size = min(size, log.times.size)
+        # The nearest samples on both sides, as many as there are, (count, size).
+        first = np.searchsorted(log.times, log.grid) - size // 2
+        self.neighbours = first.clip(0, log.times.size - size)[:, None] + np.arange(size)
+        away = (log.times[self.neighbours] - log.grid[:, None]) / reach
         # Beyond a gap lies another motion.
         trust = np.where(np.abs(away) <= 1.5, 1.0, 1e-6)
         design = np.stack([np.ones_like(away), away, away**2], axis=2)
         weighted = design * trust[:, :, None]
         normal = np.einsum("knp,knq->kpq", weighted, design) + 1e-9 * np.eye(3)
-        rows = np.linalg.solve(normal, weighted.transpose(0, 2, 1))  # (k, 3, size)
-        samples = self.samples[neighbours]
+        rows = np.linalg.solve(normal, weighted.transpose(0, 2, 1))
+        samples = log.samples[self.neighbours]
         level = samples.mean(axis=1)
         a, b, c = np.einsum("kpn,kn->pk", rows, samples - level[:, None])
         curve = a[:, None] + b[:, None] * away + c[:, None] * away**2
         rest = (samples - level[:, None] - curve) ** 2 * trust
-        freedom = np.maximum(trust.sum(axis=1) - 3.0, 1.0)
-        return _Parabola(
-            value=a + level,
-            slope=b / reach,
-            bend=c / reach**2,
-            misfit=np.sqrt(rest.sum(axis=1) / freedom),
-            leverage=min(2.25 / size, 0.9),
-            neighbours=neighbours,
-            weights=rows / np.array([1.0, reach, reach**2])[:, None],
-        )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Parabola:
-    """Parabolas about centres; arrays of shape (centres,).
-
-    Attributes:
-        value: At the centre.
-        slope: Its derivative there.
-        bend: Half its second derivative.
-        misfit: Standard deviation of the neighbours about it.
-        leverage: Share of a sample's noise that it follows near the centre.
-        neighbours: Samples that it rests on, shape (centres, size).
-        weights: How much each of them gives to value, slope and bend, shape (centres, 3, size).
-    """
-
-    value: np.ndarray
-    slope: np.ndarray
-    bend: np.ndarray
-    misfit: np.ndarray
-    leverage: float
-    neighbours: np.ndarray
-    weights: np.ndarray
-
-
-def _robust(rest: np.ndarray) -> float:
-    return float(1.4826 * np.median(np.abs(rest))) if rest.size else 0.0
+        # Standard deviation of the neighbours about the parabola, (count,).
+        self.misfit = np.sqrt(rest.sum(axis=1) / np.maximum(trust.sum(axis=1) - 3.0, 1.0))
+        # Value, slope and half the second derivative at the place, each (count,), and how much each
+        # neighbour gives to them, (count, 3, size).
+        self.value, self.slope, self.bend = a + level, b / reach, c / reach**2
+        self.weights = rows / np.array([1.0, reach, reach**2])[:, None]
+        # Share of a sample's noise that the parabola follows near its centre.
+        self.leverage = min(2.25 / size, 0.9)

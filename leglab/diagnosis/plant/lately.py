@@ -12,11 +12,7 @@ def alike(one: np.ndarray, other: np.ndarray) -> bool:
 
 
 class Lately:
-    """The last few results of each name, by all that they follow from.
-
-    Attributes:
-        found: By name: inputs, what followed them, and the result; the one used last at the end.
-    """
+    """The last few results of each name, by all that they follow from: `found`, in order of use."""
 
     def __init__(self) -> None:
         self.found: defaultdict[str, deque[tuple[tuple[np.ndarray, ...], object, np.ndarray]]]
@@ -30,14 +26,10 @@ class Lately:
         *,
         by: object = None,
     ) -> np.ndarray:
-        """What `follow` gives; it is called only where the inputs are new.
+        """What `follow` gives; it is called only where the inputs, or the model, are new.
 
-        Args:
-            name: Of what is followed.
-            inputs: All arrays that the result depends on. Neither they nor the result may be
-                written to later.
-            follow: Computes the result.
-            by: The model that it depends on, the same object for the same model.
+        The result may depend on nothing but the inputs and the model `by` which it was found, the
+        same object for the same model. Neither inputs nor result may be written to later.
         """
         known = self.found[name]
         for place, one in enumerate(known):

@@ -24,7 +24,8 @@ SPRING = "leglab.spring_damper"
 SUPPLY = "leglab.supply"
 
 Edit = tuple[Hashable, Callable[[mujoco.MjSpec], None]]
-_SIMPLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+_HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+_OFF = mujoco.mjtDisableBit
 _CACHED_VARIANTS = 64
 # Models are compiled one at a time.
 _COMPILING = Lock()
@@ -32,7 +33,7 @@ _COMPILING = Lock()
 ROUNDING = 1e-9
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Variant:
     """A compiled model and what is needed to start it.
 
@@ -70,12 +71,12 @@ class Machine:
         timestep: Of the replays [s]; None for the file's own.
 
     Attributes:
-        timestep: Of the replays [s].
         base: The model as it is.
         joints: Names of the hinge and slide joints.
         actuators: Names of the actuators.
         driven: Joints that each actuator moves, by actuator: those of its moment near qpos0.
-        carried: Faults of command and sensor paths in the file; variants are free of them.
+        carried: Command paths and sensor corrections in the file, see `take_out`; variants are
+            free of them.
 
     Raises:
         LeglabError: If the model cannot be loaded or has another kind of joint.
@@ -94,13 +95,13 @@ class Machine:
         self._variants: OrderedDict[Hashable, Variant] = OrderedDict()
         self.base = self.variant(())
         model = self.base.model
-        for i in range(model.njnt):
-            if model.jnt_type[i] not in _SIMPLE:
-                raise LeglabError(
-                    f"{self.path.name}: joint {model.joint(i).name!r} is neither hinge nor slide; "
-                    "only those can be replayed"
-                )
         self.joints = tuple(model.joint(i).name for i in range(model.njnt))
+        for joint, kind in zip(self.joints, model.jnt_type, strict=True):
+            if kind not in (_HINGE, _SLIDE):
+                raise LeglabError(
+                    f"{self.path.name}: joint {joint!r} is neither hinge nor slide; only those can "
+                    "be replayed"
+                )
         self.actuators = tuple(model.actuator(i).name for i in range(model.nu))
         data = mujoco.MjData(model)
         # A singular qpos0 (a straight linkage) must not hide a moment.
@@ -119,8 +120,7 @@ class Machine:
 
     def unit(self, joint: str) -> str:
         """Unit of a joint's position: "rad" of a hinge, "m" of a slide."""
-        hinge = self.base.model.joint(joint).type[0] == int(mujoco.mjtJoint.mjJNT_HINGE)
-        return "rad" if hinge else "m"
+        return "rad" if self.base.model.joint(joint).type[0] == _HINGE else "m"
 
     def at_timestep(self, timestep: float) -> "Machine":
         """The same machine with another time step [s]."""
@@ -145,17 +145,9 @@ class Machine:
         return float(self.base.plugin_state[self.base.slot(element, name)])
 
     def instance_on(self, plugin: str, attribute: str, target: str) -> str | None:
-        """Name of a plugin's first instance on a target.
-
-        Args:
-            plugin: Name of the plugin.
-            attribute: Of its instances, "joint" or "actuator".
-            target: Name of the joint or actuator.
-        """
-        for one in self._spec.plugins:
-            if one.plugin_name == plugin and one.config.get(attribute) == target:
-                return str(one.name)
-        return None
+        """Name of a plugin's first instance on a target, a "joint" or "actuator" by `attribute`."""
+        of_it = (one for one in self._spec.plugins if one.plugin_name == plugin)
+        return next((str(one.name) for one in of_it if one.config.get(attribute) == target), None)
 
     def spring_of(self, joint: str) -> str | None:
         """Name of the spring-damper instance that acts on a joint."""
@@ -179,47 +171,37 @@ class Machine:
         take_out(spec)
         spec.option.timestep = self.timestep
         spec.compiler.discardvisual = True
-        spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-        spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+        spec.option.disableflags |= int(_OFF.mjDSBL_AUTORESET) | int(_OFF.mjDSBL_SENSOR)
         try:
             for _, edit in edits:
                 edit(spec)
             model = spec.compile()
             if not (model.geom_contype.any() or model.geom_conaffinity.any() or model.npair):
                 # Nothing can touch: a fifth of the time of a replay is saved by not looking.
-                model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+                model.opt.disableflags |= int(_OFF.mjDSBL_CONTACT)
             plugin_state = mujoco.MjData(model).plugin_state.copy()
         except (ValueError, mujoco.FatalError) as error:
             raise leglab.machine.plugin.load_error(error, self.path.name, spec) from error
         elements = leglab.machine.plugin.elements(model)
         fed = {a.name: a.plugin.config.get("supply") for a in spec.actuators if a.name in elements}
-        variant = Variant(
-            model=model,
-            elements=elements,
-            joint_of={
-                plugin.name: plugin.config["joint"]
-                for plugin in spec.plugins
-                if plugin.name and "joint" in plugin.config
-            },
-            drawn_by={
-                name: tuple(cylinder for cylinder, source in fed.items() if source == name)
-                for name, (_, table) in elements.items()
-                if table.plugin == SUPPLY
-            },
-            plugin_state=plugin_state,
-        )
-        self._variants[key] = variant
+        drawn_by = {
+            name: tuple(cylinder for cylinder, source in fed.items() if source == name)
+            for name, (_, table) in elements.items()
+            if table.plugin == SUPPLY
+        }
+        joint_of = {p.name: p.config["joint"] for p in spec.plugins if "joint" in p.config}
+        self._variants[key] = Variant(model, elements, joint_of, drawn_by, plugin_state)
         if len(self._variants) > _CACHED_VARIANTS:
             self._variants.popitem(last=False)
-        return variant
+        return self._variants[key]
 
 
 def moved(moments: np.ndarray) -> np.ndarray:
     """Degrees of freedom that an actuator moves, from its moments on all, shape (nv,).
 
-    A tendon's moments are differences of lengths of the machine's size, so that joints which it
-    does not cross keep rounding errors: 1e-16 of the largest moment, or 1e-13 where a lever is a
-    thousandth of the machine. A joint that is moved has a share that somebody built.
+    A tendon's moments are differences of lengths of the machine's size: joints that it does not
+    cross keep rounding errors, 1e-16 of the largest moment, or 1e-13 where a lever is a thousandth
+    of the machine.
     """
     size = np.abs(moments)
     return np.flatnonzero(size > ROUNDING * size.max())
@@ -261,13 +243,9 @@ class Measured:
 
 @dataclass(frozen=True)
 class ForceLeft:
-    """Force on a joint that the measured motion leaves over, at some moments; all (moments,).
+    """A joint's motion at some moments, and the force on it that it leaves over; all (moments,).
 
-    Attributes:
-        position: Of the joint.
-        velocity: Of the joint.
-        acceleration: Of the joint.
-        force: M a + bias less all forces of the model [N m or N].
+    The force is M a + bias less all forces of the model [N m or N].
     """
 
     position: np.ndarray
@@ -288,8 +266,9 @@ class Change:
         self.edits: list[Edit] = []
         self.parameters: dict[tuple[str, str], float] = {}
         # What the model file says of these paths comes first.
-        self.commands = {a: list(paths) for a, paths in machine.carried.commands.items()}
-        self.corrections = {c: list(undone) for c, undone in machine.carried.corrections.items()}
+        commands, corrections = machine.carried
+        self.commands = {actuator: list(paths) for actuator, paths in commands.items()}
+        self.corrections = {column: list(undone) for column, undone in corrections.items()}
         self.starts: dict[tuple[str, str], Start] = {}
 
     @property
@@ -314,14 +293,13 @@ class Change:
         """Adds to a plugin parameter, so that effects on the same one compose.
 
         Two effects that lower the same one together end at the least that the plugin takes; where
-        that is more than zero, but any more, at a share of what the model has.
+        the least is excluded, at a share beyond it of what the model has.
         """
         value = self.parameter(element, name) + difference
         if element in self.machine.base.elements:  # else it was inserted by the effect itself
             row = self.machine.base.elements[element][1].parameters[name]
             low = row.minimum
             if not row.minimum_allowed:
-                # A small share of what the model has beyond it.
                 low += 0.05 * (self.machine.parameter(element, name) - low)
             value = min(max(value, low), row.maximum)
         self.set_parameter(element, name, value)
@@ -330,8 +308,8 @@ class Change:
         """Edits the specification: inserts an element, or changes a native attribute.
 
         Models are compiled once per set of keys, so the key holds every value that `function`
-        writes. An element that is inserted with its parameters at neutral values, which are then
-        set by `set_parameter`, is compiled once for all.
+        writes. An element that is inserted with neutral parameters, set by `set_parameter` then, is
+        compiled once for all.
         """
         if key not in [known for known, _ in self.edits]:
             self.edits.append((key, function))
@@ -345,20 +323,14 @@ class Change:
     def correct(self, column: str, function: Correction, *, noise_gain: float = 1.0) -> None:
         """Undoes a sensor fault in a measured column, before states are reconstructed from it.
 
-        Predictions are compared in corrected units.
-
-        Args:
-            column: Of the recording, for instance "knee_position".
-            function: Measured to corrected samples.
-            noise_gain: Factor by which it multiplies sensor noise (1/scale of a gain fault), so
-                that a fit cannot gain by shrinking the noise.
+        Predictions are compared in corrected units. `noise_gain` is the factor by which `function`
+        multiplies sensor noise (1/scale of a gain fault): no fit gains by shrinking the noise.
         """
         self.corrections.setdefault(column, []).append((function, noise_gain))
 
     def start(self, element: str, state: str, function: Start) -> None:
         """Says how a hidden plugin state follows from the measured series at window starts.
 
-        Needed only where the general rules of `leglab.diagnosis.replay.starts` do not know the
-        plugin.
+        Needed only of plugins that `leglab.diagnosis.replay.starts` has no general rule for.
         """
         self.starts[element, state] = function

@@ -44,7 +44,7 @@ def forces_at(
     """Forces of a model at some moments, each for itself.
 
     Args:
-        model: Compiled model.
+        model: Compiled.
         states: Full physics states, (moments, nstate).
         commands: Controls, (moments, nu).
         accelerations: Of the motion, (moments, nv), NaN where a joint moves as the model has it;
@@ -78,15 +78,10 @@ def states_at(
     *,
     without: Collection[int] = (),
 ) -> np.ndarray:
-    """Full physics states of a measured motion, (samples, nstate).
+    """Full physics states of a measured motion at some samples, (samples, nstate).
 
-    Args:
-        machine: The unmodified machine.
-        model: Compiled model.
-        measured: Smoothed series.
-        samples: To look at, (samples,).
-        plugin: Parameters and states of the plugins, (samples, npluginstate) or (npluginstate,).
-        without: Places in the plugin state that are set to zero.
+    `plugin` holds the plugins' parameters and states, (samples, npluginstate) or (npluginstate,);
+    those in the places `without` are set to zero.
     """
     states = np.zeros((samples.size, mujoco.mj_stateSize(model, STATE)))
     states[:, 1 : 1 + model.nq] = model.qpos0

@@ -6,8 +6,7 @@ replayed model and applied to commands and measured columns, as hypothetical fau
 """
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 
 import mujoco
 import numpy as np
@@ -32,28 +31,20 @@ _TAPS, _KAISER = 16, 6.0
 CommandPath = Callable[[np.ndarray, float], np.ndarray]
 # What the sensor would have shown without its fault: samples (n,) and period to samples (n,).
 Correction = Callable[[np.ndarray, float], np.ndarray]
+# Corrections of a column in order, each with its factor on the noise.
+Corrections = list[tuple[Correction, float]]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Carried:
-    """Path faults that a model file carries.
+def take_out(spec: mujoco.MjSpec) -> tuple[dict[str, list[CommandPath]], dict[str, Corrections]]:
+    """Makes command and sensor paths of a specification neutral, in place.
 
-    Attributes:
-        commands: What commands meet, by actuator, in order.
-        corrections: What undoes faults of a column, with the factor on its noise, in order.
+    Returns:
+        What commands met, by actuator, in order, and what undoes the faults of a column.
     """
-
-    commands: dict[str, list[CommandPath]]
-    corrections: dict[str, list[tuple[Correction, float]]]
-
-
-def take_out(spec: mujoco.MjSpec) -> Carried:
-    """Makes command paths of a specification neutral, in place, and returns what they did."""
     commands: dict[str, list[CommandPath]] = {}
     for actuator in spec.actuators:
-        delay = float(actuator.delay)
-        if delay > 0.0:
-            commands.setdefault(actuator.name, []).append(late(delay))
+        if float(actuator.delay) > 0.0:
+            commands.setdefault(actuator.name, []).extend(_functions({"delay": actuator.delay}))
             actuator.delay, actuator.nsample = 0.0, 0
     for plugin in spec.plugins:
         if plugin.plugin_name == COMMAND_PATH:
@@ -62,34 +53,28 @@ def take_out(spec: mujoco.MjSpec) -> Carried:
             # What acts beside the command is no function of it, and stays.
             kept = ("actuator", "actuator_gain", "servo_dead_band", "max_delay")
             plugin.config = {k: v for k, v in config.items() if k in kept}
-    corrections: dict[str, list[tuple[Correction, float]]] = {}
+    corrections: dict[str, Corrections] = {}
     for joint in spec.joints:
-        found = _undone(
-            spec, ENCODER_OFFSET.format(joint=joint.name), ENCODER_SCALE.format(joint=joint.name)
-        )
-        for chamber in CHAMBERS:
-            place = {"joint": joint.name, "chamber": chamber}
-            offset, scale = PRESSURE_OFFSET.format(**place), PRESSURE_SCALE.format(**place)
-            if undone := _undone(spec, offset, scale):
-                corrections[f"{joint.name}_{chamber}"] = undone
-        sensor = spec.sensor(delayed_sensor(joint.name))
-        if sensor is not None and float(sensor.delay) > 0.0:
-            found.append((undo_delay(float(sensor.delay)), 1.0))
-            sensor.delay, sensor.nsample = 0.0, 0
-        if found:
-            corrections[f"{joint.name}_position"] = found
-    return Carried(commands=commands, corrections=corrections)
-
-
-def _undone(spec: mujoco.MjSpec, offset: str, scale: str) -> list[tuple[Correction, float]]:
-    """What undoes two custom numerics of a sensor, measured = scale x true + offset."""
-    found: list[tuple[Correction, float]] = []
-    shift, factor = number_of(spec, offset, 0.0), number_of(spec, scale, 1.0)
-    if shift != 0.0:
-        found.append((undo_offset(shift), 1.0))
-    if factor != 1.0:
-        found.append((undo_scale(factor), 1.0 / factor))
-    return found
+        for sensor, offset, scale in (
+            *((chamber, PRESSURE_OFFSET, PRESSURE_SCALE) for chamber in CHAMBERS),
+            ("position", ENCODER_OFFSET, ENCODER_SCALE),
+        ):
+            place = {"joint": joint.name, "chamber": sensor}
+            shift = number_of(spec, offset.format(**place), 0.0)
+            factor = number_of(spec, scale.format(**place), 1.0)
+            undone: Corrections = []
+            if shift != 0.0:
+                undone.append((undo_offset(shift), 1.0))
+            if factor != 1.0:
+                undone.append((undo_scale(factor), 1.0 / factor))
+            if undone:
+                corrections[f"{joint.name}_{sensor}"] = undone
+        shown = spec.sensor(delayed_sensor(joint.name))
+        if shown is not None and float(shown.delay) > 0.0:
+            undone = corrections.setdefault(f"{joint.name}_position", [])
+            undone.append((undo_delay(float(shown.delay)), 1.0))
+            shown.delay, shown.nsample = 0.0, 0
+    return commands, corrections
 
 
 def set_number(spec: mujoco.MjSpec, name: str, value: float) -> None:
@@ -107,38 +92,29 @@ def number_of(spec: mujoco.MjSpec, name: str, otherwise: float) -> float:
     return otherwise if numeric is None else float(numeric.data[0])
 
 
-def _functions(config: dict[str, str]) -> list[CommandPath]:
+def _functions(config: Mapping[str, str | float]) -> list[CommandPath]:
     """Functions that a `leglab.command_path` applies to held commands, in its order."""
-
-    def get(name: str, neutral: float = 0.0) -> float:
-        return float(config.get(name, neutral))
-
+    names = ("delay", "bias", "hysteresis", "dead_band", "time_constant")
+    delay, bias, width, half_width, time_constant = (float(config.get(n, 0.0)) for n in names)
+    gain = float(config.get("gain", 1.0))
     found: list[CommandPath] = []
-    if get("delay"):
-        found.append(late(get("delay")))
-    if get("gain", 1.0) != 1.0 or get("bias"):
-        found.append(lambda samples, period: get("gain", 1.0) * samples + get("bias"))
-    if get("hysteresis"):
-        found.append(lambda samples, period: play(samples, get("hysteresis")))
-    if get("dead_band"):
-        found.append(lambda samples, period: dead_band(samples, get("dead_band")))
-    if get("time_constant"):
-        found.append(lambda samples, period: lagged(samples, get("time_constant"), period))
+    if delay:
+        found.append(lambda samples, period: delayed(samples, delay, period))
+    if gain != 1.0 or bias:
+        found.append(lambda samples, period: gain * samples + bias)
+    if width:
+        found.append(lambda samples, period: play(samples, width))
+    if half_width:
+        found.append(lambda samples, period: dead_band(samples, half_width))
+    if time_constant:
+        found.append(lambda samples, period: lagged(samples, time_constant, period))
     return found
-
-
-def late(delay: float) -> CommandPath:
-    """A delay [s] of held commands."""
-    return lambda samples, period: delayed(samples, delay, period)
 
 
 def delayed(samples: np.ndarray, delay: float, period: float) -> np.ndarray:
     """Held samples, shape (n,), that arrive later; between samples by their share of the period.
 
-    Args:
-        samples: Held from their instant to the next.
-        delay: s, not negative.
-        period: Sampling period [s].
+    The delay is not negative; it and the sampling period are in s.
     """
     whole, share = divmod(delay / period, 1.0)
     padded = np.concatenate([np.full(int(whole) + 1, samples[0]), samples])
@@ -186,15 +162,14 @@ def undo_delay(delay: float) -> Correction:
     Between samples by a windowed sinc (Kaiser 1974): straight lines would average neighbours, and a
     fit could take their noise away by a delay.
     """
-    return lambda samples, period: _forward(samples, delay / period)
 
+    def forward(samples: np.ndarray, period: float) -> np.ndarray:
+        whole, share = divmod(delay / period, 1.0)
+        taps = np.arange(1 - _TAPS, _TAPS + 1)
+        inside = np.sqrt(np.maximum(1.0 - ((taps - share) / _TAPS) ** 2, 0.0))
+        weights = np.sinc(taps - share) * np.i0(_KAISER * inside)
+        padded = np.pad(samples, (_TAPS - 1, int(whole) + _TAPS), "edge")
+        out = np.correlate(padded, weights / weights.sum(), "valid")
+        return out[int(whole) :][: samples.size]
 
-def _forward(samples: np.ndarray, by: float) -> np.ndarray:
-    """Samples, shape (n,), by so many later; the last one stays."""
-    whole, share = divmod(by, 1.0)
-    taps = np.arange(1 - _TAPS, _TAPS + 1)
-    inside = np.sqrt(np.maximum(1.0 - ((taps - share) / _TAPS) ** 2, 0.0))
-    weights = np.sinc(taps - share) * np.i0(_KAISER * inside)
-    padded = np.pad(samples, (_TAPS - 1, int(whole) + _TAPS), "edge")
-    out = np.correlate(padded, weights / weights.sum(), "valid")
-    return out[int(whole) :][: samples.size]
+    return forward
