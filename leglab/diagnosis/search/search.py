@@ -202,7 +202,7 @@ def search(
         then = None if done else proposal(fitter, ranks, tried, removed)
         if then is None:
             best = ranks[0].fit
-            rivals = _challenges(fitter, likeness, first.jumps, best, removed, tried)
+            rivals = _challenges(fitter, likeness, evidence.columns.jumps, best, removed, tried)
             then = next(rivals, None)
             if then is not None:
                 tried.add(_names(u, then))
