@@ -64,12 +64,17 @@ class Compared:
     def evidence(self, at: Fit, spread: Spread, by: Fit, kappa: float) -> Evidence:
         """At the point of a fit, with a pattern of errors and the weights of another fit."""
         key = at.columns, spread, by
-        if key not in self._made:
+        made = self._made.pop(key, None)
+        if made is None:
             made = self.fitter.evidence(at.columns, spread, by.weight, kappa)
-            self._made[key] = made
-            while len(self._made) * made.gram.nbytes > _MEMORY:
-                self._made.pop(next(iter(self._made)))
-        return self._made[key].with_kappa(kappa)
+        elif made.kappa != kappa:
+            made = made.with_kappa(kappa)
+        self._made[key] = made
+        # Each with its products at all sizes, and those beside priors of each spread.
+        each = made.gram.nbytes * (1 + len(made.priors.spreads))
+        while len(self._made) * each > _MEMORY:
+            self._made.pop(next(iter(self._made)))
+        return made
 
     def score(self, fit: Fit, at: Fit, spread: Spread, by: Fit, kappa: float) -> Score:
         """Of a set at the point of a fit; other arguments as of `evidence`."""
