@@ -238,24 +238,13 @@ without_warnings, _without_clock = _Suspension(_swap_warnings), _Suspension(_swa
 
 
 @contextlib.contextmanager
-def quiet() -> Iterator[None]:
-    """Holds MuJoCo's warnings and clock back, for all threads.
-
-    Whoever steps models on several threads of Python holds it throughout: leglab's compiled loops
-    save and restore both by themselves, each as it finds them.
-    """
-    with without_warnings(), _without_clock():
-        yield
-
-
-@contextlib.contextmanager
 def headless(model: mujoco.MjModel) -> Iterator[None]:
     """Steps a model without warnings, its sensors and the times that MuJoCo takes of itself.
 
     The motion is the same, to the bit, in about four fifths of the time.
     """
     flags = model.opt.disableflags
-    with quiet():
+    with without_warnings(), _without_clock():
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
         try:
             yield

@@ -34,7 +34,7 @@ class DiagnosisSettings:
     Attributes:
         effects: Names of the effects to consider; None for all.
         excluded: Names of effects to leave out.
-        threads: Of the rollouts; by default OMP_NUM_THREADS, or one a core where that is not set.
+        threads: Cores that replay; by default OMP_NUM_THREADS, or all where that is not set.
             Results do not depend on it.
         thresholds: Of all steps.
     """
