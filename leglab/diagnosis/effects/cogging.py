@@ -58,8 +58,9 @@ class Cogging(JointEffect):
         return (*amplitudes, period, *second)
 
     def guesses(self, machine: Machine, element: str, left: ForceLeft) -> tuple[Values, ...]:
-        """The highest peaks in the spectrum of the force left over along the position."""
-        return tuple(waves(left))
+        """The highest peak in the spectrum of the force left over along the position."""
+        found = wave(left)
+        return () if found is None else (found,)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts a spring-damper that has nothing but the ripple."""
@@ -76,16 +77,18 @@ class Cogging(JointEffect):
         insert_spring(change, element, "cogging", ripple)
 
 
-def waves(left: ForceLeft, peaks: int = 2) -> list[Values]:
-    """Parameters of the waves at the highest peaks of the spectrum, the best one first.
+def wave(left: ForceLeft) -> Values | None:
+    """Parameters of the wave at the highest peak of the spectrum, where there is one.
 
     Least-squares spectrum over uneven positions (Lomb 1976) beside what other effects explain:
     a cubic of the position, friction and inertia.
     """
     q, v, a = left.position, left.velocity, left.acceleration
     reach = float(np.ptp(np.quantile(q, [0.01, 0.99])))
-    if not reach > 0.0:
-        return []
+    # Of fewer moments a wave has too few samples.
+    grid = np.arange(_FEWEST_CYCLES, min(_MOST_CYCLES, 0.02 * q.size), _SPACING)
+    if not (reach > 0.0 and grid.size):
+        return None
     y, speed = (q - q.mean()) / reach, max(float(np.abs(v).mean()), 1e-12)
     sliding = np.tanh(v / (0.02 * speed))
     other = np.stack([np.ones(q.size), y, y**2, y**3, v, sliding, np.abs(v), a], axis=1)
@@ -108,18 +111,16 @@ def waves(left: ForceLeft, peaks: int = 2) -> list[Values]:
         amplitudes = np.linalg.solve(inner, columns.T @ rest)
         return float(amplitudes @ (columns.T @ rest)), amplitudes
 
-    # Of fewer moments a wave has too few samples.
-    grid = np.arange(_FEWEST_CYCLES, min(_MOST_CYCLES, 0.02 * q.size), _SPACING)
-    power = np.array([fitted(cycles)[0] for cycles in grid.tolist()])
-    tops = [i for i in range(grid.size) if power[i] >= power[max(i - 3, 0) : i + 4].max()]
-    found: list[Values] = []
-    for i in sorted(tops, key=lambda i: -power[i])[:peaks]:
-        near = np.linspace(grid[i] - _SPACING, grid[i] + _SPACING, 21).tolist()
-        cycles = max(near, key=lambda cycles: fitted(cycles, 2)[0])
-        sine, cosine, *second = fitted(cycles, 2)[1].tolist()
-        size = max(math.hypot(sine, cosine), 1e-300)
-        shares = np.clip(np.array(second) / size, -1.0, 1.0).tolist()
-        values = (sine, cosine, reach / cycles, *shares)
-        names = ("sine", "cosine", "period", "second_sine", "second_cosine")
-        found.append(dict(zip(names, values, strict=True)))
-    return found
+    top = max(grid.tolist(), key=lambda cycles: fitted(cycles)[0])
+    near = np.linspace(top - _SPACING, top + _SPACING, 21).tolist()
+    cycles = max(near, key=lambda cycles: fitted(cycles, 2)[0])
+    sine, cosine, *second = fitted(cycles, 2)[1].tolist()
+    size = max(math.hypot(sine, cosine), 1e-300)
+    second_sine, second_cosine = np.clip(np.array(second) / size, -1.0, 1.0).tolist()
+    return {
+        "sine": sine,
+        "cosine": cosine,
+        "period": reach / cycles,
+        "second_sine": second_sine,
+        "second_cosine": second_cosine,
+    }

@@ -25,12 +25,7 @@ def write_command_path(spec: mujoco.MjSpec, actuator: str, values: Mapping[str, 
         if plugin.plugin_name == COMMAND_PATH and plugin.config.get("actuator") == actuator:
             plugin.config = {**plugin.config, **{k: repr(float(v)) for k, v in values.items()}}
             return
-    joints.insert(spec, COMMAND_PATH, path_of(actuator), {"actuator": actuator, **values})
-
-
-def path_of(actuator: str) -> str:
-    """Name of the `leglab.command_path` that is inserted for an actuator."""
-    return f"{actuator}_path"
+    joints.insert(spec, COMMAND_PATH, f"{actuator}_path", {"actuator": actuator, **values})
 
 
 def position_servos(machine: Machine) -> tuple[str, ...]:
@@ -175,13 +170,10 @@ class ServoDeadband(Effect):
             return
         if name := change.machine.instance_on(COMMAND_PATH, "actuator", element):
             change.add_parameter(name, _SERVO_BAND, band)
-            return
-
-        def insert(spec: mujoco.MjSpec) -> None:
-            write_command_path(spec, element, {})
-
-        change.edit(("insert", COMMAND_PATH, element), insert)
-        change.set_parameter(path_of(element), _SERVO_BAND, band)
+        else:
+            key = ("insert", COMMAND_PATH, element)
+            change.edit(key, lambda spec: write_command_path(spec, element, {}))
+            change.set_parameter(f"{element}_path", _SERVO_BAND, band)
 
 
 @register_effect

@@ -33,6 +33,10 @@ class JointViscousFriction(FrictionEffect):
     excitation = "fast motion"
     rows = (JointRow("damping", "{force} s/{length}", (0.02, 0.15), upper=10.0, field="damping"),)
 
+    def apply(self, change: Change, element: str, values: Values) -> None:
+        """Sets MuJoCo's damping."""
+        joints.set_native(change, element, "damping", values["damping"])
+
 
 def insert_friction(change: Change, joint: str, effect: str, values: Values) -> None:
     """Inserts a `leglab.joint_friction` that has nothing but some parameters."""

@@ -2,7 +2,7 @@
 
 import mujoco
 
-from leglab.diagnosis.effects.base import Effect, EffectParameter, Values, register_effect
+from leglab.diagnosis.effects.base import EffectParameter, TableEffect, Values, register_effect
 from leglab.diagnosis.plant.model import CHAMBERS, CYLINDER, Change, Machine
 from leglab.diagnosis.plant.paths import number_of, set_number, undo_offset, undo_scale
 from leglab.machine.sensors import PRESSURE_OFFSET, PRESSURE_SCALE
@@ -13,7 +13,7 @@ _TOLERANCE = 5e4
 _SIDES = tuple(zip(("a", "b"), CHAMBERS, strict=True))
 
 
-class PressureSensorEffect(Effect):
+class PressureSensorEffect(TableEffect):
     """Base of effects on the two pressure sensors of a cylinder."""
 
     group = "sensing"
@@ -31,15 +31,12 @@ class PressureSensorOffset(PressureSensorEffect):
     physics = "measured = true + offset, of each chamber's sensor"
     source = "zero drift of industrial transmitters: 0.1 to 0.5 % of 250 bar a year, 1 bar"
     excitation = "pressures of both chambers under different loads and openings"
-
-    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """The offsets of both sensors."""
-        return tuple(
-            EffectParameter(
-                f"offset_{side}", "Pa", lower=-4e6, upper=4e6, trials=(2e5,), tolerance=_TOLERANCE
-            )
-            for side, _ in _SIDES
+    rows = tuple(
+        EffectParameter(
+            f"offset_{side}", "Pa", lower=-4e6, upper=4e6, trials=(2e5,), tolerance=_TOLERANCE
         )
+        for side, _ in _SIDES
+    )
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Subtracts the offsets from what was measured."""
@@ -66,13 +63,10 @@ class PressureSensorScale(PressureSensorEffect):
     physics = "measured = scale x true, of each chamber's sensor"
     source = "span error of transmitters 0.25 to 1 %; a wrong range or shunt far more"
     excitation = "pressures over a wide range in both chambers"
-
-    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """The factors of both sensors."""
-        return tuple(
-            EffectParameter(f"scale_{side}", "1", nominal=1.0, lower=0.3, upper=3.0, trials=(1.04,))
-            for side, _ in _SIDES
-        )
+    rows = tuple(
+        EffectParameter(f"scale_{side}", "1", nominal=1.0, lower=0.3, upper=3.0, trials=(1.04,))
+        for side, _ in _SIDES
+    )
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Divides what was measured by the factors."""
