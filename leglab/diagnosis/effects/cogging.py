@@ -6,7 +6,7 @@ import numpy as np
 
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import EffectParameter, Values, register_effect
-from leglab.diagnosis.effects.joints import JointEffect
+from leglab.diagnosis.effects.joints import JointEffect, JointRow
 from leglab.diagnosis.effects.spring import insert_spring
 from leglab.diagnosis.plant.model import Change, ForceLeft, Machine
 
@@ -17,6 +17,20 @@ _MOST_CYCLES = 200
 _SPACING = 0.2
 # Forces count up to this many median deviations: stick-slip and impacts are no cogging.
 _CLIP = 6.0
+
+
+def _period(machine: Machine, joint: str) -> EffectParameter:
+    """The period; steps are a share of the distance from nominal, that is near the shortest."""
+    travel = joints.travel(machine, joint)
+    return EffectParameter(
+        "period",
+        machine.unit(joint),
+        nominal=0.02 * travel,
+        lower=0.002 * travel,
+        upper=4.0 * math.pi * travel,
+        trials=(0.021 * travel,),
+        role="shape",
+    )
 
 
 @register_effect
@@ -32,30 +46,13 @@ class Cogging(JointEffect):
     source = "Hanselman 2003: cogging to 10 % of a motor's torque; gear eccentricity ISO 1328"
     excitation = "slow motion over at least one period in both directions"
     contains = ("force_offset", "spring_stiffness", "spring_hardening", "spring_offset")
-
-    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """Both amplitudes, the period, and the second harmonic as shares of the amplitude."""
-        size, travel = joints.force_scale(machine, element), joints.travel(machine, element)
-        unit = joints.unit_of(machine, element, "{force}")
-        amplitudes = tuple(
-            EffectParameter(name, unit, lower=-2.0 * size, upper=2.0 * size, trials=(0.03 * size,))
-            for name in ("sine", "cosine")
-        )
-        # Steps are a share of the distance from nominal: that is near the shortest period.
-        period = EffectParameter(
-            "period",
-            machine.unit(element),
-            nominal=0.02 * travel,
-            lower=0.002 * travel,
-            upper=4.0 * math.pi * travel,
-            trials=(0.021 * travel,),
-            role="shape",
-        )
-        second = tuple(
-            EffectParameter(name, "1", lower=-1.0, upper=1.0, trials=(0.3,), role="shape")
-            for name in ("second_sine", "second_cosine")
-        )
-        return (*amplitudes, period, *second)
+    rows = (
+        JointRow("sine", "{force}", (0.03,), lower=-2.0, upper=2.0),
+        JointRow("cosine", "{force}", (0.03,), lower=-2.0, upper=2.0),
+        _period,
+        EffectParameter("second_sine", "1", lower=-1.0, upper=1.0, trials=(0.3,), role="shape"),
+        EffectParameter("second_cosine", "1", lower=-1.0, upper=1.0, trials=(0.3,), role="shape"),
+    )
 
     def guesses(self, machine: Machine, element: str, left: ForceLeft) -> tuple[Values, ...]:
         """The highest peak in the spectrum of the force left over along the position."""
@@ -64,17 +61,15 @@ class Cogging(JointEffect):
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts a spring-damper that has nothing but the ripple."""
-        size = math.hypot(values["sine"], values["cosine"])
-        if not size:
-            return
-        ripple = {
-            "ripple_period": values["period"],
-            "ripple_sine": values["sine"],
-            "ripple_cosine": values["cosine"],
-            "ripple_sine_2": size * values["second_sine"],
-            "ripple_cosine_2": size * values["second_cosine"],
-        }
-        insert_spring(change, element, "cogging", ripple)
+        if size := math.hypot(values["sine"], values["cosine"]):
+            ripple = {
+                "ripple_period": values["period"],
+                "ripple_sine": values["sine"],
+                "ripple_cosine": values["cosine"],
+                "ripple_sine_2": size * values["second_sine"],
+                "ripple_cosine_2": size * values["second_cosine"],
+            }
+            insert_spring(change, element, "cogging", ripple)
 
 
 def wave(left: ForceLeft) -> Values | None:

@@ -1,6 +1,7 @@
 """Effects on hydraulic cylinders, their oil and valves: a table of changed parameters."""
 
 from dataclasses import KW_ONLY, dataclass
+from functools import partial
 from typing import Literal
 
 from leglab.diagnosis.effects.base import (
@@ -82,38 +83,38 @@ def define(name: str, *rows: CylinderRow, **attributes: str | bool) -> None:
     register_effect(type(kind, (CylinderEffect,), own | attributes))
 
 
-define(
+_oil = partial(define, group="oil and seals")
+_friction = partial(define, group="friction")
+_valve = partial(define, group="valve and command")
+
+_oil(
     "internal_leakage",
     CylinderRow("internal_leakage", (3.0, 10.0, 35.0), tolerance=0.15, upper=300.0, faults="above"),
-    group="oil and seals",
     physics="Flow past the piston seal, C_i (p_A - p_B); grows with the cube of the clearance.",
     source=f"{HYQ}; seal wear up to x50",
     excitation="a pressure difference across the piston while the valve opens little",
 )
 
-define(
+_oil(
     "external_leakage",
     CylinderRow("external_leakage_a", (2e-13, 1.5e-12), upper=3e-11, relative=False),
     CylinderRow("external_leakage_b", (2e-13, 1.5e-12), upper=3e-11, relative=False),
-    group="oil and seals",
     physics="Flow from the chambers to the outside, C_e p: rod seal, fittings, hoses.",
     source="ASME FPMC 2014: detectable at 0.07 to 0.25 l/min",
     excitation="chamber pressures well above the tank's",
 )
 
-define(
+_oil(
     "entrained_air",
     CylinderRow("entrained_air", (0.3, 3.0, 10.0), tolerance=0.2, upper=40.0, faults="above"),
-    group="oil and seals",
     physics="Air in the oil makes it soft at low pressure: beta = (g + l)/(g/(n p) + l/beta_l).",
     source="docs/physics.md; 0.5 % is normal, foaming oil holds several per cent",
     excitation="pressures that change quickly",
 )
 
-define(
+_oil(
     "supply_pressure",
     CylinderRow("supply_pressure", (0.8, 0.94, 1.1), tolerance=0.01, lower=0.2, upper=1.6),
-    group="oil and seals",
     physics="The supply holds another pressure than the model says.",
     source="HyQ class machines run at 160 bar; relief valves drift by some per cent",
     excitation="valve openings in both directions",
@@ -150,30 +151,27 @@ class OilViscosity(CylinderEffect):
         change.set_parameter(element, "oil_temperature", values["oil_temperature"])
 
 
-define(
+_friction(
     "viscous_friction",
     CylinderRow("viscous", (0.3, 2.0, 5.0), tolerance=0.06, upper=30.0),
-    group="friction",
     physics="b v, of the oil film under the seals.",
     source=HYQ,
     excitation="fast sliding",
 )
 
-define(
+_friction(
     "coulomb_friction",
     CylinderRow("coulomb", (0.3, 2.0, 4.0), tolerance=0.06, upper=30.0),
-    group="friction",
     physics="F_c sgn(v); breakaway friction moves along with it.",
     source=HYQ,
     excitation="sliding in both directions",
 )
 
-define(
+_friction(
     "stiction",
     CylinderRow("static", (1.6, 3.0, 5.0), lower=0.67, upper=30.0),
     CylinderRow("stribeck_velocity", (), lower=0.25, upper=4.0, role="shape"),
     CylinderRow("stribeck_exponent", (), lower=0.25, upper=2.0, role="shape"),
-    group="friction",
     physics="(F_s - F_c) exp(-|v/v_s|^n): breakaway above Coulomb friction.",
     source=f"{HYQ}; exponents from 0.5 to above 2 (Armstrong-Helouvry et al. 1994, sect. 2.1.3)",
     excitation="slow motion and standstill",
@@ -239,26 +237,23 @@ define(
     gradual=False,
 )
 
-define(
+_friction(
     "pressure_dependent_friction",
     CylinderRow("pressure_coefficient", (2e-6, 1e-5, 3e-5), upper=1e-3, relative=False),
-    group="friction",
     physics="k_p (p_A + p_B): seals that are pressed on by the oil.",
     source="lip and step seals",
     excitation="sliding at different pressures",
 )
 
-
-define(
+_valve(
     "valve_deadband",
     CylinderRow("lap", (-0.03, 0.012, 0.04, 0.09), lower=-0.2, upper=0.4, relative=False),
-    group="valve and command",
     physics="Overlap of the metering edges: no flow while |x_s| < lap.",
     source=f"{VALVE}; overlapped spools up to 10 %",
     excitation="commands through zero",
 )
 
-define(
+_valve(
     "valve_bias",
     CylinderRow(
         "null_bias",
@@ -268,28 +263,24 @@ define(
         upper=0.3,
         relative=False,
     ),
-    group="valve and command",
     physics="Null shift: the spool stands at u + bias.",
     source=f"{VALVE}: null shift within 2 %",
     excitation="any motion; small openings show it best",
 )
 
-define(
+_valve(
     "valve_gain",
     CylinderRow("rated_flow", (0.6, 0.85, 1.15, 1.5), tolerance=0.02, lower=0.2, upper=3.0),
-    group="valve and command",
     physics="Another flow at the same opening, in both directions: Q_n of the orifice equation.",
     source=f"{VALVE}: flow within 10 %",
     excitation="large openings",
 )
 
-
-define(
+_valve(
     "valve_null_leakage",
     CylinderRow(
         "edge_rounding", (0.5, 2.0, 4.0), tolerance=0.1, lower=0.02, upper=20.0, faults="above"
     ),
-    group="valve and command",
     physics="Worn metering edges: rounding eps of each, so that at its lap it is open by eps/2.",
     source=(
         "null leakage of servovalves: a few per cent of the rated flow, several times that when "
@@ -326,10 +317,9 @@ class ValveGainAsymmetry(CylinderEffect):
         change.set_parameter(element, "flow_asymmetry", 0.5 * (positive - negative) / mean)
 
 
-define(
+_valve(
     "valve_hysteresis",
     CylinderRow("hysteresis", (0.008, 0.03, 0.08), upper=0.5, relative=False),
-    group="valve and command",
     physics=(
         "Play of full width h between command and spool: friction of the spool, magnet of the "
         "motor."
@@ -368,21 +358,19 @@ class ValveBandwidth(CylinderEffect):
 
 # Shapes of laws in which good machines differ: calibrated, never named.
 
-define(
+_valve(
     "metering_edges",
     CylinderRow("edge_exponent", (-0.8, 1.0), lower=1.02, upper=12.0, relative=False),
-    group="valve and command",
     physics="How an edge shuts behind its lap: exponent n of its rounding.",
     source="docs/physics.md",
     excitation="small openings of the valve",
     nameable=False,
 )
 
-define(
+_friction(
     "friction_curve",
     CylinderRow("stribeck_velocity", (0.5, 2.0), lower=0.1, upper=8.0),
     CylinderRow("stribeck_exponent", (-0.7, 1.0), lower=0.3, upper=4.0, relative=False),
-    group="friction",
     physics="How friction falls from breakaway to sliding: Stribeck velocity v_s and exponent n.",
     source="docs/physics.md; exponents from 0.5 to above 2 (Armstrong-Helouvry et al. 1994)",
     excitation="slow motion and reversals",

@@ -148,14 +148,11 @@ class AsymmetricFriction(JointEffect):
         ("viscous_forward", "viscous_backward"),
         ("coulomb_forward", "coulomb_backward"),
     )
-
-    rows = tuple(
-        JointRow(f"{kind}_{side}", unit, trials, upper=upper)
-        for kind, unit, trials, upper in (
-            ("viscous", "{force} s/{length}", (0.02, 0.1), 10.0),
-            ("coulomb", "{force}", (0.01, 0.05), 1.0),
-        )
-        for side in ("forward", "backward")
+    rows = (
+        JointRow("viscous_forward", "{force} s/{length}", (0.02, 0.1), upper=10.0),
+        JointRow("viscous_backward", "{force} s/{length}", (0.02, 0.1), upper=10.0),
+        JointRow("coulomb_forward", "{force}", (0.01, 0.05), upper=1.0),
+        JointRow("coulomb_backward", "{force}", (0.01, 0.05), upper=1.0),
     )
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:

@@ -27,10 +27,8 @@ class SupplyDroop(TableEffect):
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """One for the machine, where no cylinder names a supply of its own."""
-        cylinders = machine.instances(CYLINDER)
-        spec = machine.spec()
-        named = any(spec.actuator(c).plugin.config.get("supply") for c in cylinders)
-        return () if named or not cylinders else ("supply",)
+        named = any(machine.base.drawn_by.values())
+        return ("supply",) if machine.instances(CYLINDER) and not named else ()
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts a supply unit that all cylinders draw from."""
