@@ -93,8 +93,8 @@ class EffectParameter:
 class Effect(ABC):
     """A physical cause that a simulation may lack.
 
-    Subclasses keep no state. Effects on cylinders, joints and commands have bases:
-    `CylinderEffect`, `JointEffect`, `CommandEffect`.
+    Subclasses keep no state. Those with a table of parameters start from `TableEffect`, on
+    cylinders, joints and commands from `CylinderEffect`, `JointEffect` and `CommandEffect`.
 
     Attributes:
         name: As reports print it; variants (on a cylinder, on a plain joint) may share it, as long

@@ -114,10 +114,8 @@ class LoadDependentFriction(JointEffect):
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """Shares of the actuator's force and of gravity, Coriolis and centrifugal force."""
-        return tuple(
-            EffectParameter(name, "1", upper=1.0, trials=(0.03, 0.15))
-            for name in _loads(machine, element)
-        )
+        loads = _loads(machine, element)
+        return tuple(EffectParameter(n, "1", upper=1.0, trials=(0.03, 0.15)) for n in loads)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts joint friction that has a load coefficient only."""
