@@ -64,7 +64,7 @@ def _shift(change: Change, cylinder: str, name: str, difference: float) -> None:
 
 
 class CylinderEffect(TableEffect):
-    """Base of effects that set plugin parameters of a cylinder; rows give which and how far."""
+    """Base of effects on cylinders, mostly on plugin parameters; rows give which and how far."""
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """All cylinders."""
