@@ -271,7 +271,7 @@ def test_a_stiff_gear_is_twisted_by_its_torque_times_its_compliance(machines, co
     )
     with warnings.catch_warnings(action="error"):
         twist = change.starts["hinge_flexibility", "offset"](measured, change.variant, none)
-    torque = drive_torque(measured, change.variant.model, "hinge")
+    torque = drive_torque(measured, change.variant.model, "hinge")(np.arange(1000), none, none)
     assert np.abs(torque).max() > 0.5
     np.testing.assert_allclose(twist, compliance * torque, atol=0.01 * compliance)
 

@@ -2,26 +2,17 @@
 
 import mujoco
 
-from leglab.diagnosis.effects.base import Effect, EffectParameter, Values, register_effect
+from leglab.diagnosis.effects.base import EffectParameter, TableEffect, Values, register_effect
 from leglab.diagnosis.effects.joints import JointEffect, JointRow
 from leglab.diagnosis.effects.spring import insert_spring
 from leglab.diagnosis.plant.model import Change, Machine
 
-_GAIN = EffectParameter(
-    "gain",
-    "1",
-    nominal=1.0,
-    lower=0.05,
-    upper=5.0,
-    trials=(0.5, 0.9, 0.98, 1.02, 1.1, 1.5),
-    tolerance=0.02,
-)
 _LINEAR_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
 _LINEAR_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
 
 
 @register_effect
-class ActuatorGain(Effect):
+class ActuatorGain(TableEffect):
     """An actuator that is stronger or weaker than the model says."""
 
     name = "actuator_gain"
@@ -29,21 +20,26 @@ class ActuatorGain(Effect):
     physics = "gain x force: torque constant, gear efficiency, current calibration."
     source = "torque constants of servo motors: 2 % between good ones, 10 % on data sheets"
     excitation = "forces of different size"
+    rows = (
+        EffectParameter(
+            "gain",
+            "1",
+            nominal=1.0,
+            lower=0.05,
+            upper=5.0,
+            trials=(0.5, 0.9, 0.98, 1.02, 1.1, 1.5),
+            tolerance=0.02,
+        ),
+    )
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """Native actuators with fixed or affine gain and bias."""
-        model = machine.base.model
+        actuators = {name: machine.base.model.actuator(name) for name in machine.native_actuators()}
         return tuple(
             name
-            for i, name in enumerate(machine.actuators)
-            if model.actuator_plugin[i] < 0
-            and model.actuator_gaintype[i] in _LINEAR_GAINS
-            and model.actuator_biastype[i] in _LINEAR_BIASES
+            for name, actuator in actuators.items()
+            if actuator.gaintype[0] in _LINEAR_GAINS and actuator.biastype[0] in _LINEAR_BIASES
         )
-
-    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """The factor."""
-        return (_GAIN,)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Scales gain and bias of the actuator."""

@@ -10,7 +10,7 @@ from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import Effect, EffectParameter, Values, register_effect
 from leglab.diagnosis.plant.model import Change, Machine, Measured, Variant
 
-BACKLASH = "leglab.backlash"
+_BACKLASH = "leglab.backlash"
 _JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
 # A flank in contact swings at this frequency with the motor alone: rigid against a recording.
@@ -80,16 +80,8 @@ MotorStates = Callable[[Measured, Variant], tuple[np.ndarray, np.ndarray]]
 
 
 def insert_play(change: Change, name: str, joint: str, values: Values, states: MotorStates) -> None:
-    """Inserts a play between motor and joint.
-
-    Args:
-        change: To write to.
-        name: Of the plugin instance.
-        joint: Whose motor it is.
-        values: Of the plugin's parameters.
-        states: Called once for each recording.
-    """
-    joints.insert_on_joint(change, BACKLASH, name, joint, {"motor_inertia": 1.0}, values)
+    """Inserts a play between motor and joint; `states` is called once for each recording."""
+    joints.insert_on_joint(change, _BACKLASH, name, joint, {"motor_inertia": 1.0}, values)
     latest: list[tuple[Measured, tuple[np.ndarray, np.ndarray]]] = []
 
     def state(measured: Measured, variant: Variant, index: int) -> np.ndarray:
@@ -107,29 +99,15 @@ def motor_states(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where the motor is in the play, and its velocity, at window starts; both (windows,).
 
-    The joint moves as measured, the motor as its torque drives it between rigid flanks.
-
-    Args:
-        measured: Series of one recording.
-        model: Compiled, with the joint's actuators.
-        joint: Name.
-        width: Of the play.
-        inertia: Of the motor side.
+    The joint moves as measured, the motor as its torque drives it between rigid flanks; `inertia`
+    is the motor's.
     """
     h, half = measured.period, 0.5 * width
     velocity = measured.velocity[joint]
     acceleration = np.gradient(velocity, h)
     index = (measured.samples[:, None] + np.arange(-round(_HISTORY / h), 1)).clip(0)
-    drives = [(model.actuator(i).name, _force(model, i)) for i in _drives(model, joint)]
-
-    def torque(k: np.ndarray, offset: np.ndarray, slip: np.ndarray) -> np.ndarray:
-        theta = measured.position[joint][k] + offset
-        omega = velocity[k] + slip
-        forces = (drive(measured.command[name][k], theta, omega) for name, drive in drives)
-        return sum(forces, np.zeros(k.size))
-
-    k = index[:, 0]
-    zero = np.zeros(k.size)
+    torque = drive_torque(measured, model, joint)
+    k, zero = index[:, 0], np.zeros(index.shape[0])
     # At first on the flank that a rigid gear would load.
     offset = half * np.sign(torque(k, zero, zero) - inertia * acceleration[k])
     slip = zero  # motor velocity less the joint's
@@ -147,29 +125,30 @@ def motor_states(
     return offset, velocity[k] - 0.5 * model.opt.timestep * acceleration[k] + slip - lag
 
 
-def drive_torque(measured: Measured, model: mujoco.MjModel, joint: str) -> np.ndarray:
-    """Torque of a joint's actuators along a recording, (n,); servos see the joint's own motion."""
+# Torque at samples, and where the motor is ahead of the joint there and how fast; all (k,).
+Torque = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+
+def drive_torque(measured: Measured, model: mujoco.MjModel, joint: str) -> Torque:
+    """Torque of a joint's actuators along a recording; activations as if they had settled."""
     q, v = measured.position[joint], measured.velocity[joint]
-    drives = ((model.actuator(i).name, _force(model, i)) for i in _drives(model, joint))
-    return sum((drive(measured.command[name], q, v) for name, drive in drives), np.zeros(q.size))
+    drives = []
+    for i in _drives(model, joint):
+        gear, gain = float(model.actuator_gear[i, 0]), float(model.actuator_gainprm[i, 0])
+        limited = model.actuator_forcelimited[i]
+        low, high = model.actuator_forcerange[i] if limited else (-np.inf, np.inf)
+        command, bias = measured.command[model.actuator(i).name], model.actuator_biasprm[i, :3]
+        drives.append((command, gear, gain, bias, low, high))
 
+    def torque(k: np.ndarray, offset: np.ndarray, slip: np.ndarray) -> np.ndarray:
+        theta, omega = q[k] + offset, v[k] + slip
+        total = np.zeros(k.size)
+        for command, gear, gain, bias, low, high in drives:
+            force = gain * command[k] + bias[0] + gear * (bias[1] * theta + bias[2] * omega)
+            total += gear * np.clip(force, low, high)
+        return total
 
-# Force of an actuator on its joint from command, motor position and motor velocity.
-Drive = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-
-
-def _force(model: mujoco.MjModel, i: int) -> Drive:
-    """Force of an actuator; that of one with activation as if it had settled."""
-    gear, gain = float(model.actuator_gear[i, 0]), float(model.actuator_gainprm[i, 0])
-    bias = model.actuator_biasprm[i, :3].copy()
-    limited = model.actuator_forcelimited[i]
-    low, high = model.actuator_forcerange[i] if limited else (-np.inf, np.inf)
-
-    def drive(command: np.ndarray, theta: np.ndarray, omega: np.ndarray) -> np.ndarray:
-        force = gain * command + bias[0] + gear * (bias[1] * theta + bias[2] * omega)
-        return gear * np.clip(force, low, high)
-
-    return drive
+    return torque
 
 
 def _drives(model: mujoco.MjModel, joint: str) -> list[int]:
@@ -179,7 +158,7 @@ def _drives(model: mujoco.MjModel, joint: str) -> list[int]:
 
 
 def _followed(model: mujoco.MjModel, i: int) -> bool:
-    """Whether `_force` gives the force of an actuator."""
+    """Whether `drive_torque` gives the force of an actuator."""
     return (
         model.actuator_plugin[i] < 0
         and model.actuator_gaintype[i] == int(mujoco.mjtGain.mjGAIN_FIXED)

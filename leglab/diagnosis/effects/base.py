@@ -1,7 +1,7 @@
 """Effects: physical causes with parameters that change a simulation, and their registry."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
 from typing import ClassVar, Literal
 
@@ -24,19 +24,17 @@ class EffectParameter:
 
     Attributes:
         name: As the report prints it.
-        unit: SI unit.
+        unit: SI unit of all values.
         nominal: Value at which the effect changes nothing, or, of a shape, where fits start.
-        lower: Smallest value that makes sense, same unit.
-        upper: Largest value that makes sense, same unit.
-        trials: Values that screening tries; a few, from barely noticeable to severe, on each side
-            that is possible. Those of a shape are not tried, they say by what steps it matters.
-        tolerance: Standard deviation that is normal between two good machines, same unit. Above
-            zero the baseline refits the parameter under this prior, and only a change beyond it
-            is named. 0: anything that can be told from noise is named.
+        lower: Smallest value that makes sense.
+        upper: Largest value that makes sense.
+        trials: Values to screen, a few from barely noticeable to severe on each possible side;
+            those of a shape are not tried, they say by what steps it matters.
+        tolerance: Standard deviation between good machines. Above zero the baseline refits the
+            parameter under this prior, and only a change beyond it is named.
         role: A "strength" at its nominal value switches the effect off; a "shape" means nothing
             while all strengths are nominal.
-        faults: On which side of the nominal value they lie. Beyond it on the other side is a
-            better part than the model's: edges do not get sharper as they wear.
+        faults: On which side of the nominal value they lie; the other is a better part's.
     """
 
     name: str
@@ -81,8 +79,8 @@ class EffectParameter:
     def departure(self, value: float, nominal: float) -> float:
         """How severe a value is: 1 for a barely noticeable distance from `nominal`, more beyond.
 
-        Distance over the smallest trial's, or the trials that it passes where these are more: a
-        bandwidth can fall by no more than itself.
+        In smallest trials, or in trials passed where these are more: a bandwidth can fall by no
+        more than itself.
         """
         distance = abs(value - nominal)
         side = sorted(
@@ -95,9 +93,8 @@ class EffectParameter:
 class Effect(ABC):
     """A physical cause that a simulation may lack.
 
-    Subclasses set the class attributes, say on which elements of a machine they can sit, with
-    which parameters, and apply values to a `Change`. They keep no state of their own. Effects
-    on cylinders, joints and commands have bases: `CylinderEffect`, `JointEffect`, `CommandEffect`.
+    Subclasses keep no state. Those with a table of parameters start from `TableEffect`, on
+    cylinders, joints and commands from `CylinderEffect`, `JointEffect` and `CommandEffect`.
 
     Attributes:
         name: As reports print it; variants (on a cylinder, on a plain joint) may share it, as long
@@ -106,16 +103,14 @@ class Effect(ABC):
         physics: One sentence: what happens, with the equation.
         source: Where equation and bounds come from.
         excitation: Motion that a recording must contain to show it.
-        order: Effects are applied by rising order, then by name: one that builds on parameters
-            which others change comes later.
-        gradual: Whether a little of it changes little. A little of an effect that inserts a moving
-            part does: no fit of something else can let it follow.
+        order: Effects are applied by rising order, then by name.
+        gradual: Whether a little of it changes little; not so where it inserts a moving part.
         nameable: Whether a diagnosis looks for it. What is not, the shape of a law in which good
             machines differ, is fitted on machines that differ from their model everywhere.
-        contains: Names of simpler effects that are special cases of it. Where one of them at the
-            same joint does as well, it is that one.
-        by_direction: Pairs of parameters, one a direction, that it says depart differently. On a
-            machine whose laws are not the model's it has its name only where they do.
+        contains: Simpler effects that are special cases of it: named instead of it where one at
+            the same joint does as well.
+        by_direction: Pairs of parameters, one a direction. On a machine whose laws are not the
+            model's it is named only where they depart differently.
     """
 
     name: ClassVar[str]
@@ -142,20 +137,34 @@ class Effect(ABC):
         """Records in `change` what these values do; nominal values must change nothing."""
 
     def guesses(self, machine: Machine, element: str, left: ForceLeft) -> tuple[Values, ...]:
-        """Values to screen instead of the trials, from the force left over on the element's joint.
+        """Where to fit shapes from that a few trials cannot find, by the force left on the joint.
 
-        Only an effect whose shape a few trials cannot find (a period) needs to override this.
+        Only the first is used.
         """
-        del machine, element, left
         return ()
 
     def write(self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Values) -> None:
-        """Writes what `apply` does beside spec edits and plugin parameters into a patched model.
+        """Writes into a patched model what `apply` does to the command or sensor path.
 
-        Those two are written for every effect. Only an effect on the command or sensor path needs
-        to override this.
+        Spec edits and plugin parameters are written for every effect.
         """
-        del spec, machine, element, values
+        return
+
+
+class TableEffect(Effect):
+    """Base of effects with a table of parameters.
+
+    Attributes:
+        rows: What is the same on every element, or a function of machine and element that gives it.
+    """
+
+    rows: ClassVar[tuple[EffectParameter | Callable[[Machine, str], EffectParameter], ...]] = ()
+
+    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
+        """The rows on an element."""
+        return tuple(
+            row if isinstance(row, EffectParameter) else row(machine, element) for row in self.rows
+        )
 
 
 _REGISTRY: dict[tuple[str, str], Effect] = {}

@@ -6,7 +6,7 @@ import numpy as np
 
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import EffectParameter, Values, register_effect
-from leglab.diagnosis.effects.joints import JointEffect
+from leglab.diagnosis.effects.joints import JointEffect, JointRow
 from leglab.diagnosis.effects.spring import insert_spring
 from leglab.diagnosis.plant.model import Change, ForceLeft, Machine
 
@@ -17,6 +17,20 @@ _MOST_CYCLES = 200
 _SPACING = 0.2
 # Forces count up to this many median deviations: stick-slip and impacts are no cogging.
 _CLIP = 6.0
+
+
+def _period(machine: Machine, joint: str) -> EffectParameter:
+    """The period; steps are a share of the distance from nominal, that is near the shortest."""
+    travel = joints.travel(machine, joint)
+    return EffectParameter(
+        "period",
+        machine.unit(joint),
+        nominal=0.02 * travel,
+        lower=0.002 * travel,
+        upper=4.0 * math.pi * travel,
+        trials=(0.021 * travel,),
+        role="shape",
+    )
 
 
 @register_effect
@@ -32,60 +46,44 @@ class Cogging(JointEffect):
     source = "Hanselman 2003: cogging to 10 % of a motor's torque; gear eccentricity ISO 1328"
     excitation = "slow motion over at least one period in both directions"
     contains = ("force_offset", "spring_stiffness", "spring_hardening", "spring_offset")
-
-    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """Both amplitudes, the period, and the second harmonic as shares of the amplitude."""
-        size, travel = joints.force_scale(machine, element), joints.travel(machine, element)
-        unit = joints.unit_of(machine, element, "{force}")
-        amplitudes = tuple(
-            EffectParameter(name, unit, lower=-2.0 * size, upper=2.0 * size, trials=(0.03 * size,))
-            for name in ("sine", "cosine")
-        )
-        # Steps are a share of the distance from nominal: that is near the shortest period.
-        period = EffectParameter(
-            "period",
-            machine.unit(element),
-            nominal=0.02 * travel,
-            lower=0.002 * travel,
-            upper=4.0 * math.pi * travel,
-            trials=(0.021 * travel,),
-            role="shape",
-        )
-        second = tuple(
-            EffectParameter(name, "1", lower=-1.0, upper=1.0, trials=(0.3,), role="shape")
-            for name in ("second_sine", "second_cosine")
-        )
-        return (*amplitudes, period, *second)
+    rows = (
+        JointRow("sine", "{force}", (0.03,), lower=-2.0, upper=2.0),
+        JointRow("cosine", "{force}", (0.03,), lower=-2.0, upper=2.0),
+        _period,
+        EffectParameter("second_sine", "1", lower=-1.0, upper=1.0, trials=(0.3,), role="shape"),
+        EffectParameter("second_cosine", "1", lower=-1.0, upper=1.0, trials=(0.3,), role="shape"),
+    )
 
     def guesses(self, machine: Machine, element: str, left: ForceLeft) -> tuple[Values, ...]:
-        """The highest peaks in the spectrum of the force left over along the position."""
-        return tuple(waves(left))
+        """The highest peak in the spectrum of the force left over along the position."""
+        found = wave(left)
+        return () if found is None else (found,)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts a spring-damper that has nothing but the ripple."""
-        size = math.hypot(values["sine"], values["cosine"])
-        if not size:
-            return
-        ripple = {
-            "ripple_period": values["period"],
-            "ripple_sine": values["sine"],
-            "ripple_cosine": values["cosine"],
-            "ripple_sine_2": size * values["second_sine"],
-            "ripple_cosine_2": size * values["second_cosine"],
-        }
-        insert_spring(change, element, "cogging", ripple)
+        if size := math.hypot(values["sine"], values["cosine"]):
+            ripple = {
+                "ripple_period": values["period"],
+                "ripple_sine": values["sine"],
+                "ripple_cosine": values["cosine"],
+                "ripple_sine_2": size * values["second_sine"],
+                "ripple_cosine_2": size * values["second_cosine"],
+            }
+            insert_spring(change, element, "cogging", ripple)
 
 
-def waves(left: ForceLeft, peaks: int = 2) -> list[Values]:
-    """Parameters of the waves at the highest peaks of the spectrum, the best one first.
+def wave(left: ForceLeft) -> Values | None:
+    """Parameters of the wave at the highest peak of the spectrum, where there is one.
 
     Least-squares spectrum over uneven positions (Lomb 1976) beside what other effects explain:
     a cubic of the position, friction and inertia.
     """
     q, v, a = left.position, left.velocity, left.acceleration
     reach = float(np.ptp(np.quantile(q, [0.01, 0.99])))
-    if not reach > 0.0:
-        return []
+    # Of fewer moments a wave has too few samples.
+    grid = np.arange(_FEWEST_CYCLES, min(_MOST_CYCLES, 0.02 * q.size), _SPACING)
+    if not (reach > 0.0 and grid.size):
+        return None
     y, speed = (q - q.mean()) / reach, max(float(np.abs(v).mean()), 1e-12)
     sliding = np.tanh(v / (0.02 * speed))
     other = np.stack([np.ones(q.size), y, y**2, y**3, v, sliding, np.abs(v), a], axis=1)
@@ -108,18 +106,16 @@ def waves(left: ForceLeft, peaks: int = 2) -> list[Values]:
         amplitudes = np.linalg.solve(inner, columns.T @ rest)
         return float(amplitudes @ (columns.T @ rest)), amplitudes
 
-    # Of fewer moments a wave has too few samples.
-    grid = np.arange(_FEWEST_CYCLES, min(_MOST_CYCLES, 0.02 * q.size), _SPACING)
-    power = np.array([fitted(cycles)[0] for cycles in grid.tolist()])
-    tops = [i for i in range(grid.size) if power[i] >= power[max(i - 3, 0) : i + 4].max()]
-    found: list[Values] = []
-    for i in sorted(tops, key=lambda i: -power[i])[:peaks]:
-        near = np.linspace(grid[i] - _SPACING, grid[i] + _SPACING, 21).tolist()
-        cycles = max(near, key=lambda cycles: fitted(cycles, 2)[0])
-        sine, cosine, *second = fitted(cycles, 2)[1].tolist()
-        size = max(math.hypot(sine, cosine), 1e-300)
-        shares = np.clip(np.array(second) / size, -1.0, 1.0).tolist()
-        values = (sine, cosine, reach / cycles, *shares)
-        names = ("sine", "cosine", "period", "second_sine", "second_cosine")
-        found.append(dict(zip(names, values, strict=True)))
-    return found
+    top = max(grid.tolist(), key=lambda cycles: fitted(cycles)[0])
+    near = np.linspace(top - _SPACING, top + _SPACING, 21).tolist()
+    cycles = max(near, key=lambda cycles: fitted(cycles, 2)[0])
+    sine, cosine, *second = fitted(cycles, 2)[1].tolist()
+    size = max(math.hypot(sine, cosine), 1e-300)
+    second_sine, second_cosine = np.clip(np.array(second) / size, -1.0, 1.0).tolist()
+    return {
+        "sine": sine,
+        "cosine": cosine,
+        "period": reach / cycles,
+        "second_sine": second_sine,
+        "second_cosine": second_cosine,
+    }

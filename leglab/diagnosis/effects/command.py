@@ -1,14 +1,13 @@
 """Faults of a command on its way to an actuator: delay, dead band, play, lag, bias."""
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping
 from typing import ClassVar
 
 import mujoco
 import numpy as np
 
 from leglab.diagnosis.effects import joints
-from leglab.diagnosis.effects.base import Effect, EffectParameter, Values, register_effect
+from leglab.diagnosis.effects.base import EffectParameter, TableEffect, Values, register_effect
 from leglab.diagnosis.plant.model import Change, Machine
 from leglab.diagnosis.plant.paths import COMMAND_PATH, dead_band, delayed, lagged, play
 
@@ -25,12 +24,7 @@ def write_command_path(spec: mujoco.MjSpec, actuator: str, values: Mapping[str, 
         if plugin.plugin_name == COMMAND_PATH and plugin.config.get("actuator") == actuator:
             plugin.config = {**plugin.config, **{k: repr(float(v)) for k, v in values.items()}}
             return
-    joints.insert(spec, COMMAND_PATH, path_of(actuator), {"actuator": actuator, **values})
-
-
-def path_of(actuator: str) -> str:
-    """Name of the `leglab.command_path` that is inserted for an actuator."""
-    return f"{actuator}_path"
+    joints.insert(spec, COMMAND_PATH, f"{actuator}_path", {"actuator": actuator, **values})
 
 
 def position_servos(machine: Machine) -> tuple[str, ...]:
@@ -62,39 +56,43 @@ def command_size(machine: Machine, element: str) -> float:
     return 0.5 * float(np.ptp(actuator.ctrlrange)) if actuator.ctrllimited[0] else 1.0
 
 
-class CommandEffect(Effect):
+def command_row(
+    name: str, trials: tuple[float, ...], *, lower: float = 0.0, upper: float
+) -> Callable[[Machine, str], EffectParameter]:
+    """A parameter in the unit of commands; trials and bounds are shares of `command_size`."""
+
+    def row(machine: Machine, actuator: str) -> EffectParameter:
+        size = command_size(machine, actuator)
+        sized = tuple(trial * size for trial in trials)
+        return EffectParameter(name, "ctrl", lower=lower * size, upper=upper * size, trials=sized)
+
+    return row
+
+
+class CommandEffect(TableEffect):
     """Base of effects that one parameter of `leglab.command_path` describes.
 
     Attributes:
-        parameter: Of the plugin. If its unit is "ctrl", trials and bounds are shares of the
-            actuator's `command_size`.
         arrives: What the actuator gets, (n,): of commands (n,), a value of the parameter and the
             sampling period [s].
     """
 
     group = "valve and command"
-    parameter: ClassVar[EffectParameter]
     arrives: ClassVar["staticmethod[[np.ndarray, float, float], np.ndarray]"]
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """Native actuators."""
         return machine.native_actuators()
 
-    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """The one parameter, scaled to the actuator's commands."""
-        one = self.parameter
-        size = command_size(machine, element) if one.unit == "ctrl" else 1.0
-        trials = tuple(trial * size for trial in one.trials)
-        return (replace(one, lower=one.lower * size, upper=one.upper * size, trials=trials),)
-
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Passes the measured command through the path."""
-        if value := values[self.parameter.name]:
+        (value,) = values.values()
+        if value:
             change.command(element, lambda samples, period: self.arrives(samples, value, period))
 
     def write(self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Values) -> None:
         """Writes the parameter into the actuator's command path."""
-        if values[self.parameter.name]:
+        if any(values.values()):
             write_command_path(spec, element, values)
 
 
@@ -106,7 +104,7 @@ class CommandDelay(CommandEffect):
     physics = "u_actuator(t) = u(t - delay)"
     source = "fieldbus and controller cycles: 1 to 40 ms"
     excitation = "commands that change faster than the delay lasts"
-    parameter = EffectParameter("delay", "s", upper=0.06, trials=(0.001, 0.004, 0.012, 0.03))
+    rows = (EffectParameter("delay", "s", upper=0.06, trials=(0.001, 0.004, 0.012, 0.03)),)
     arrives = staticmethod(delayed)
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
@@ -139,7 +137,7 @@ class CommandDeadband(CommandEffect):
     )
     source = "Tao and Kokotovic 1996"
     excitation = "commands through zero"
-    parameter = EffectParameter("dead_band", "ctrl", upper=0.5, trials=(0.01, 0.05, 0.2))
+    rows = (command_row("dead_band", (0.01, 0.05, 0.2), upper=0.5),)
     arrives = staticmethod(lambda samples, value, _: dead_band(samples, value))
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
@@ -149,7 +147,7 @@ class CommandDeadband(CommandEffect):
 
 
 @register_effect
-class ServoDeadband(Effect):
+class ServoDeadband(TableEffect):
     """A position servo does nothing about small errors of its position."""
 
     name = "command_deadband"
@@ -157,16 +155,12 @@ class ServoDeadband(Effect):
     physics = "kp (e - d sgn(e)) beyond |e| = d, nothing below, of the position error e = u - q."
     source = "dead bands and compliance margins of position servos: 1 to 20 mrad"
     excitation = "rest and slow motion under small loads"
+    # Half the width of the dead band.
+    rows = (command_row("dead_band", (0.02, 0.08, 0.3), upper=2.0),)
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """Position servos."""
         return position_servos(machine)
-
-    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """Half the width of the dead band."""
-        size = command_size(machine, element)
-        trials = (0.02 * size, 0.08 * size, 0.3 * size)
-        return (EffectParameter("dead_band", "ctrl", upper=2.0 * size, trials=trials),)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Sets the dead band of the servo's command path; inserts one if there is none."""
@@ -175,13 +169,10 @@ class ServoDeadband(Effect):
             return
         if name := change.machine.instance_on(COMMAND_PATH, "actuator", element):
             change.add_parameter(name, _SERVO_BAND, band)
-            return
-
-        def insert(spec: mujoco.MjSpec) -> None:
-            write_command_path(spec, element, {})
-
-        change.edit(("insert", COMMAND_PATH, element), insert)
-        change.set_parameter(path_of(element), _SERVO_BAND, band)
+        else:
+            key = ("insert", COMMAND_PATH, element)
+            change.edit(key, lambda spec: write_command_path(spec, element, {}))
+            change.set_parameter(f"{element}_path", _SERVO_BAND, band)
 
 
 @register_effect
@@ -192,7 +183,7 @@ class CommandHysteresis(CommandEffect):
     physics = "play of full width h between command and what arrives"
     source = "Krasnosel'skii and Pokrovskii 1989"
     excitation = "commands that reverse"
-    parameter = EffectParameter("hysteresis", "ctrl", upper=1.0, trials=(0.02, 0.1, 0.3))
+    rows = (command_row("hysteresis", (0.02, 0.1, 0.3), upper=1.0),)
     arrives = staticmethod(lambda samples, value, _: play(samples, value))
 
 
@@ -204,7 +195,7 @@ class CommandBandwidth(CommandEffect):
     physics = "first-order lag of time constant T; bandwidth 1/(2 pi T)"
     source = "current loops of drives: 100 to 1000 Hz"
     excitation = "commands that change within the time constant"
-    parameter = EffectParameter("time_constant", "s", upper=0.5, trials=(0.003, 0.015, 0.06))
+    rows = (EffectParameter("time_constant", "s", upper=0.5, trials=(0.003, 0.015, 0.06)),)
     arrives = staticmethod(lagged)
 
 
@@ -216,9 +207,7 @@ class CommandBias(CommandEffect):
     physics = "u + bias; of a stateless actuator with fixed gain this is a force offset, named so"
     source = "offsets of analogue command inputs: within 1 % of full scale"
     excitation = "motion under different loads"
-    parameter = EffectParameter(
-        "bias", "ctrl", lower=-0.5, upper=0.5, trials=(-0.1, -0.02, 0.02, 0.1)
-    )
+    rows = (command_row("bias", (-0.1, -0.02, 0.02, 0.1), lower=-0.5, upper=0.5),)
     arrives = staticmethod(lambda samples, value, _: samples + value)
 
     def elements(self, machine: Machine) -> tuple[str, ...]:

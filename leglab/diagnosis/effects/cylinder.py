@@ -1,13 +1,13 @@
 """Effects on hydraulic cylinders, their oil and valves: a table of changed parameters."""
 
 from dataclasses import KW_ONLY, dataclass
-from typing import ClassVar, Literal
+from functools import partial
+from typing import Literal
 
 from leglab.diagnosis.effects.base import (
-    Effect,
     EffectParameter,
-    Group,
     Side,
+    TableEffect,
     Values,
     register_effect,
 )
@@ -21,16 +21,11 @@ VALVE = "tolerances of small servovalves (type 30 data sheets)"
 class CylinderRow:
     """One parameter of `leglab.cylinder` as an effect's parameter.
 
+    Other attributes are as in `EffectParameter`.
+
     Attributes:
-        name: Of the plugin parameter.
-        trials: To screen; factors of the nominal value where `relative`, else values to add.
-        tolerance: Standard deviation between good machines, in the same terms.
-        lower: Smallest value, as a factor or as the value itself.
-        upper: Largest value, likewise.
-        relative: Whether trials, tolerance and bounds are factors of the nominal value.
-        follows: Parameters that are shifted by the same difference (stiction stays above Coulomb).
-        role: As in `EffectParameter`.
-        faults: Likewise.
+        relative: Whether trials, tolerance and bounds are factors of the nominal value; else
+            trials are added to it.
     """
 
     name: str
@@ -40,12 +35,11 @@ class CylinderRow:
     lower: float = 0.0
     upper: float
     relative: bool = True
-    follows: tuple[str, ...] = ()
     role: Literal["strength", "shape"] = "strength"
     faults: Side = "either"
 
-    def parameter(self, machine: Machine, cylinder: str) -> EffectParameter:
-        """The effect's parameter on a cylinder, within the bounds of the plugin's own."""
+    def __call__(self, machine: Machine, cylinder: str) -> EffectParameter:
+        """The parameter on a cylinder, within the bounds of the plugin's own."""
         nominal = machine.parameter(cylinder, self.name)
         table = machine.base.elements[cylinder][1].parameters[self.name]
         unit = nominal if self.relative else 1.0
@@ -62,88 +56,68 @@ class CylinderRow:
         )
 
 
-class CylinderEffect(Effect):
-    """Base of effects that set plugin parameters of a cylinder; rows give which and how far."""
+def _shift(change: Change, cylinder: str, name: str, difference: float) -> None:
+    """Adds to a parameter; breakaway friction moves along with Coulomb's, to stay above it."""
+    change.add_parameter(cylinder, name, difference)
+    if name == "coulomb":
+        change.add_parameter(cylinder, "static", difference)
 
-    rows: ClassVar[tuple[CylinderRow, ...]] = ()
+
+class CylinderEffect(TableEffect):
+    """Base of effects on cylinders, mostly on plugin parameters; rows give which and how far."""
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """All cylinders."""
         return machine.instances(CYLINDER)
 
-    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """The rows about the element's nominal values."""
-        return tuple(row.parameter(machine, element) for row in self.rows)
-
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Shifts the plugin parameters by the difference from nominal."""
-        for row in self.rows:
-            difference = values[row.name] - change.machine.parameter(element, row.name)
-            for name in (row.name, *row.follows):
-                change.add_parameter(element, name, difference)
+        for name, value in values.items():
+            _shift(change, element, name, value - change.machine.parameter(element, name))
 
 
-def define(
-    name: str,
-    group: Group,
-    physics: str,
-    source: str,
-    excitation: str,
-    *rows: CylinderRow,
-    nameable: bool = True,
-    gradual: bool = True,
-) -> None:
-    """Registers an effect that changes parameters of cylinders; arguments as in `Effect`."""
-    body = {
-        "name": name,
-        "group": group,
-        "physics": physics,
-        "source": source,
-        "excitation": excitation,
-        "rows": rows,
-        "nameable": nameable,
-        "gradual": gradual,
-        "__doc__": physics,
-        "__module__": __name__,
-    }
-    register_effect(type("Cylinder" + name.title().replace("_", ""), (CylinderEffect,), body))
+def define(name: str, *rows: CylinderRow, **attributes: str | bool) -> None:
+    """Registers an effect that changes parameters of cylinders; attributes as in `Effect`."""
+    own = {"name": name, "rows": rows, "__doc__": attributes["physics"], "__module__": __name__}
+    kind = "Cylinder" + name.title().replace("_", "")
+    register_effect(type(kind, (CylinderEffect,), own | attributes))
 
 
-define(
+_oil = partial(define, group="oil and seals")
+_friction = partial(define, group="friction")
+_valve = partial(define, group="valve and command")
+
+_oil(
     "internal_leakage",
-    "oil and seals",
-    "Flow past the piston seal, C_i (p_A - p_B); grows with the cube of the clearance.",
-    f"{HYQ}; seal wear up to x50",
-    "a pressure difference across the piston while the valve opens little",
     CylinderRow("internal_leakage", (3.0, 10.0, 35.0), tolerance=0.15, upper=300.0, faults="above"),
+    physics="Flow past the piston seal, C_i (p_A - p_B); grows with the cube of the clearance.",
+    source=f"{HYQ}; seal wear up to x50",
+    excitation="a pressure difference across the piston while the valve opens little",
 )
 
-define(
+_oil(
     "external_leakage",
-    "oil and seals",
-    "Flow from the chambers to the outside, C_e p: rod seal, fittings, hoses.",
-    "ASME FPMC 2014: detectable at 0.07 to 0.25 l/min",
-    "chamber pressures well above the tank's",
     CylinderRow("external_leakage_a", (2e-13, 1.5e-12), upper=3e-11, relative=False),
     CylinderRow("external_leakage_b", (2e-13, 1.5e-12), upper=3e-11, relative=False),
+    physics="Flow from the chambers to the outside, C_e p: rod seal, fittings, hoses.",
+    source="ASME FPMC 2014: detectable at 0.07 to 0.25 l/min",
+    excitation="chamber pressures well above the tank's",
 )
 
-define(
+_oil(
     "entrained_air",
-    "oil and seals",
-    "Air in the oil makes it soft at low pressure: beta = (g + l)/(g/(n p) + l/beta_l).",
-    "docs/physics.md; 0.5 % is normal, foaming oil holds several per cent",
-    "pressures that change quickly",
     CylinderRow("entrained_air", (0.3, 3.0, 10.0), tolerance=0.2, upper=40.0, faults="above"),
+    physics="Air in the oil makes it soft at low pressure: beta = (g + l)/(g/(n p) + l/beta_l).",
+    source="docs/physics.md; 0.5 % is normal, foaming oil holds several per cent",
+    excitation="pressures that change quickly",
 )
 
-define(
+_oil(
     "supply_pressure",
-    "oil and seals",
-    "The supply holds another pressure than the model says.",
-    "HyQ class machines run at 160 bar; relief valves drift by some per cent",
-    "valve openings in both directions",
     CylinderRow("supply_pressure", (0.8, 0.94, 1.1), tolerance=0.01, lower=0.2, upper=1.6),
+    physics="The supply holds another pressure than the model says.",
+    source="HyQ class machines run at 160 bar; relief valves drift by some per cent",
+    excitation="valve openings in both directions",
 )
 
 
@@ -177,33 +151,30 @@ class OilViscosity(CylinderEffect):
         change.set_parameter(element, "oil_temperature", values["oil_temperature"])
 
 
-define(
+_friction(
     "viscous_friction",
-    "friction",
-    "b v, of the oil film under the seals.",
-    HYQ,
-    "fast sliding",
     CylinderRow("viscous", (0.3, 2.0, 5.0), tolerance=0.06, upper=30.0),
+    physics="b v, of the oil film under the seals.",
+    source=HYQ,
+    excitation="fast sliding",
 )
 
-define(
+_friction(
     "coulomb_friction",
-    "friction",
-    "F_c sgn(v); breakaway friction moves along with it.",
-    HYQ,
-    "sliding in both directions",
-    CylinderRow("coulomb", (0.3, 2.0, 4.0), tolerance=0.06, upper=30.0, follows=("static",)),
+    CylinderRow("coulomb", (0.3, 2.0, 4.0), tolerance=0.06, upper=30.0),
+    physics="F_c sgn(v); breakaway friction moves along with it.",
+    source=HYQ,
+    excitation="sliding in both directions",
 )
 
-define(
+_friction(
     "stiction",
-    "friction",
-    "(F_s - F_c) exp(-|v/v_s|^n): breakaway above Coulomb friction.",
-    f"{HYQ}; exponents from 0.5 to above 2 (Armstrong-Helouvry et al. 1994, sect. 2.1.3)",
-    "slow motion and standstill",
     CylinderRow("static", (1.6, 3.0, 5.0), lower=0.67, upper=30.0),
     CylinderRow("stribeck_velocity", (), lower=0.25, upper=4.0, role="shape"),
     CylinderRow("stribeck_exponent", (), lower=0.25, upper=2.0, role="shape"),
+    physics="(F_s - F_c) exp(-|v/v_s|^n): breakaway above Coulomb friction.",
+    source=f"{HYQ}; exponents from 0.5 to above 2 (Armstrong-Helouvry et al. 1994, sect. 2.1.3)",
+    excitation="slow motion and standstill",
 )
 
 
@@ -225,14 +196,10 @@ class AsymmetricSealFriction(CylinderEffect):
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """Friction of each direction; where the model has none, trials take 2 % of the stall."""
-        stall = (
-            machine.parameter(element, "supply_pressure") * machine.parameter(element, "bore") ** 2
-        )
+        pressure, bore = (machine.parameter(element, n) for n in ("supply_pressure", "bore"))
         found = []
-        for name, unit, least in (
-            ("viscous", "N s/m", 0.02 * stall),
-            ("coulomb", "N", 0.01 * stall),
-        ):
+        for name, unit, share in (("viscous", "N s/m", 0.02), ("coulomb", "N", 0.01)):
+            least = share * (pressure * bore**2)
             half = 0.5 * machine.parameter(element, f"{name}_difference")
             for side, sign in (("extending", 1.0), ("retracting", -1.0)):
                 own = machine.parameter(element, name) + sign * half
@@ -252,50 +219,42 @@ class AsymmetricSealFriction(CylinderEffect):
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Shifts mean and difference of the plugin's friction."""
         machine = change.machine
-        for name, follows in (("viscous", ()), ("coulomb", ("static",))):
-            extending, retracting = (values[f"{name}_{s}"] for s in ("extending", "retracting"))
-            mean = 0.5 * (extending + retracting) - machine.parameter(element, name)
-            for one in (name, *follows):
-                change.add_parameter(element, one, mean)
+        for name in ("viscous", "coulomb"):
+            extending, retracting = values[f"{name}_extending"], values[f"{name}_retracting"]
+            mean = 0.5 * (extending + retracting)
+            _shift(change, element, name, mean - machine.parameter(element, name))
             own = machine.parameter(element, f"{name}_difference")
             change.add_parameter(element, f"{name}_difference", extending - retracting - own)
 
 
 define(
     "backlash",
-    "mechanics",
-    "Play between rod end and pin: within it the piston moves and the joint does not.",
-    "pins of mobile hydraulics: 0.1 to 0.5 mm, worn ones more",
-    "forces of the cylinder that change their sign, reversals",
     CylinderRow("play", (1e-4, 6e-4), upper=1e-2, relative=False),
+    group="mechanics",
+    physics="Play between rod end and pin: within it the piston moves and the joint does not.",
+    source="pins of mobile hydraulics: 0.1 to 0.5 mm, worn ones more",
+    excitation="forces of the cylinder that change their sign, reversals",
     gradual=False,
 )
 
-define(
+_friction(
     "pressure_dependent_friction",
-    "friction",
-    "k_p (p_A + p_B): seals that are pressed on by the oil.",
-    "lip and step seals",
-    "sliding at different pressures",
     CylinderRow("pressure_coefficient", (2e-6, 1e-5, 3e-5), upper=1e-3, relative=False),
+    physics="k_p (p_A + p_B): seals that are pressed on by the oil.",
+    source="lip and step seals",
+    excitation="sliding at different pressures",
 )
 
-
-define(
+_valve(
     "valve_deadband",
-    "valve and command",
-    "Overlap of the metering edges: no flow while |x_s| < lap.",
-    f"{VALVE}; overlapped spools up to 10 %",
-    "commands through zero",
     CylinderRow("lap", (-0.03, 0.012, 0.04, 0.09), lower=-0.2, upper=0.4, relative=False),
+    physics="Overlap of the metering edges: no flow while |x_s| < lap.",
+    source=f"{VALVE}; overlapped spools up to 10 %",
+    excitation="commands through zero",
 )
 
-define(
+_valve(
     "valve_bias",
-    "valve and command",
-    "Null shift: the spool stands at u + bias.",
-    f"{VALVE}: null shift within 2 %",
-    "any motion; small openings show it best",
     CylinderRow(
         "null_bias",
         (-0.04, -0.012, 0.012, 0.04),
@@ -304,27 +263,30 @@ define(
         upper=0.3,
         relative=False,
     ),
+    physics="Null shift: the spool stands at u + bias.",
+    source=f"{VALVE}: null shift within 2 %",
+    excitation="any motion; small openings show it best",
 )
 
-define(
+_valve(
     "valve_gain",
-    "valve and command",
-    "Another flow at the same opening, in both directions: Q_n of the orifice equation.",
-    f"{VALVE}: flow within 10 %",
-    "large openings",
     CylinderRow("rated_flow", (0.6, 0.85, 1.15, 1.5), tolerance=0.02, lower=0.2, upper=3.0),
+    physics="Another flow at the same opening, in both directions: Q_n of the orifice equation.",
+    source=f"{VALVE}: flow within 10 %",
+    excitation="large openings",
 )
 
-
-define(
+_valve(
     "valve_null_leakage",
-    "valve and command",
-    "Worn metering edges: rounding eps of each, so that at its lap it is open by eps/2.",
-    "null leakage of servovalves: a few per cent of the rated flow, several times that when worn",
-    "small openings under load, standstill",
     CylinderRow(
         "edge_rounding", (0.5, 2.0, 4.0), tolerance=0.1, lower=0.02, upper=20.0, faults="above"
     ),
+    physics="Worn metering edges: rounding eps of each, so that at its lap it is open by eps/2.",
+    source=(
+        "null leakage of servovalves: a few per cent of the rated flow, several times that when "
+        "worn"
+    ),
+    excitation="small openings under load, standstill",
 )
 
 
@@ -338,33 +300,32 @@ class ValveGainAsymmetry(CylinderEffect):
     source = f"{VALVE}: symmetry of flow within 10 %; one worn or clogged pair of edges"
     excitation = "large openings in both directions"
     contains = ("valve_gain",)
-
-    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """Factors on the flow gain of both directions."""
-        return tuple(
-            EffectParameter(name, "1", nominal=1.0, lower=0.2, upper=3.0, trials=(0.9, 1.1))
-            for name in ("gain_positive", "gain_negative")
-        )
+    rows = tuple(
+        EffectParameter(name, "1", nominal=1.0, lower=0.2, upper=3.0, trials=(0.9, 1.1))
+        for name in ("gain_positive", "gain_negative")
+    )
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Sets rated flow and asymmetry, which give K (1 + a) and K (1 - a)."""
+        if values["gain_positive"] == values["gain_negative"] == 1.0:
+            return
         asymmetry = change.parameter(element, "flow_asymmetry")
         positive = (1.0 + asymmetry) * values["gain_positive"]
         negative = (1.0 - asymmetry) * values["gain_negative"]
-        if values["gain_positive"] == values["gain_negative"] == 1.0:
-            return
         mean = 0.5 * (positive + negative)
         change.set_parameter(element, "rated_flow", mean * change.parameter(element, "rated_flow"))
         change.set_parameter(element, "flow_asymmetry", 0.5 * (positive - negative) / mean)
 
 
-define(
+_valve(
     "valve_hysteresis",
-    "valve and command",
-    "Play of full width h between command and spool: friction of the spool, magnet of the motor.",
-    f"{VALVE}: hysteresis below 3 %",
-    "commands that reverse",
     CylinderRow("hysteresis", (0.008, 0.03, 0.08), upper=0.5, relative=False),
+    physics=(
+        "Play of full width h between command and spool: friction of the spool, magnet of the "
+        "motor."
+    ),
+    source=f"{VALVE}: hysteresis below 3 %",
+    excitation="commands that reverse",
 )
 
 
@@ -397,23 +358,21 @@ class ValveBandwidth(CylinderEffect):
 
 # Shapes of laws in which good machines differ: calibrated, never named.
 
-define(
+_valve(
     "metering_edges",
-    "valve and command",
-    "How an edge shuts behind its lap: exponent n of its rounding.",
-    "docs/physics.md",
-    "small openings of the valve",
     CylinderRow("edge_exponent", (-0.8, 1.0), lower=1.02, upper=12.0, relative=False),
+    physics="How an edge shuts behind its lap: exponent n of its rounding.",
+    source="docs/physics.md",
+    excitation="small openings of the valve",
     nameable=False,
 )
 
-define(
+_friction(
     "friction_curve",
-    "friction",
-    "How friction falls from breakaway to sliding: Stribeck velocity v_s and exponent n.",
-    "docs/physics.md; exponents from 0.5 to above 2 (Armstrong-Helouvry et al. 1994)",
-    "slow motion and reversals",
     CylinderRow("stribeck_velocity", (0.5, 2.0), lower=0.1, upper=8.0),
     CylinderRow("stribeck_exponent", (-0.7, 1.0), lower=0.3, upper=4.0, relative=False),
+    physics="How friction falls from breakaway to sliding: Stribeck velocity v_s and exponent n.",
+    source="docs/physics.md; exponents from 0.5 to above 2 (Armstrong-Helouvry et al. 1994)",
+    excitation="slow motion and reversals",
     nameable=False,
 )

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 from leglab.diagnosis.effects import joints
-from leglab.diagnosis.effects.base import Values, register_effect
+from leglab.diagnosis.effects.base import EffectParameter, Values, register_effect
 from leglab.diagnosis.effects.joints import JointEffect, JointRow
 from leglab.diagnosis.plant.model import Change, Machine
 from leglab.diagnosis.plant.paths import number_of, set_number, undo_delay, undo_offset, undo_scale
@@ -53,14 +53,8 @@ class EncoderScale(JointEffect):
     source = "gear ratio, magnet or potentiometer nonlinearity: some per cent"
     excitation = "large and fast motion"
     rows = (
-        JointRow(
-            "scale",
-            "1",
-            (-0.1, -0.02, 0.02, 0.1),
-            nominal=1.0,
-            lower=0.5,
-            upper=1.0,
-            size=joints.one,
+        EffectParameter(
+            "scale", "1", nominal=1.0, lower=0.5, upper=2.0, trials=(0.9, 0.98, 1.02, 1.1)
         ),
     )
 
@@ -85,7 +79,7 @@ class SensorDelay(JointEffect):
     physics = "measured(t) = true(t - delay); commands and pressures are on time"
     source = "fieldbus cycles and filters of encoders: 1 to 20 ms"
     excitation = "fast motion"
-    rows = (JointRow("delay", "s", (0.001, 0.004, 0.016), upper=0.06, size=joints.one),)
+    rows = (EffectParameter("delay", "s", upper=0.06, trials=(0.001, 0.004, 0.016)),)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Brings the measured positions forward, interpolating between samples."""

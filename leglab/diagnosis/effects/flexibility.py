@@ -57,7 +57,8 @@ class JointFlexibility(Backlash):
         def twist(measured: Measured, variant: Variant) -> tuple[np.ndarray, np.ndarray]:
             h, velocity = measured.period, measured.velocity[element]
             acceleration = np.gradient(velocity, h)
-            torque = drive_torque(measured, variant.model, element)
+            every, zero = np.arange(velocity.size), np.zeros(velocity.size)
+            torque = drive_torque(measured, variant.model, element)(every, zero, zero)
             # J o'' + c o' + k o = tau - J q'' of the twist o, along the measured joint. Filtered is
             # the torque k o, whose gain is 1: that of o is as small as the compliance.
             excess = torque - motor * acceleration

@@ -33,6 +33,10 @@ class JointViscousFriction(FrictionEffect):
     excitation = "fast motion"
     rows = (JointRow("damping", "{force} s/{length}", (0.02, 0.15), upper=10.0, field="damping"),)
 
+    def apply(self, change: Change, element: str, values: Values) -> None:
+        """Sets MuJoCo's damping."""
+        joints.set_native(change, element, "damping", values["damping"])
+
 
 def insert_friction(change: Change, joint: str, effect: str, values: Values) -> None:
     """Inserts a `leglab.joint_friction` that has nothing but some parameters."""
@@ -110,10 +114,8 @@ class LoadDependentFriction(JointEffect):
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """Shares of the actuator's force and of gravity, Coriolis and centrifugal force."""
-        return tuple(
-            EffectParameter(name, "1", upper=1.0, trials=(0.03, 0.15))
-            for name in _loads(machine, element)
-        )
+        loads = _loads(machine, element)
+        return tuple(EffectParameter(n, "1", upper=1.0, trials=(0.03, 0.15)) for n in loads)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts joint friction that has a load coefficient only."""
@@ -144,14 +146,11 @@ class AsymmetricFriction(JointEffect):
         ("viscous_forward", "viscous_backward"),
         ("coulomb_forward", "coulomb_backward"),
     )
-
-    rows = tuple(
-        JointRow(f"{kind}_{side}", unit, trials, upper=upper)
-        for kind, unit, trials, upper in (
-            ("viscous", "{force} s/{length}", (0.02, 0.1), 10.0),
-            ("coulomb", "{force}", (0.01, 0.05), 1.0),
-        )
-        for side in ("forward", "backward")
+    rows = (
+        JointRow("viscous_forward", "{force} s/{length}", (0.02, 0.1), upper=10.0),
+        JointRow("viscous_backward", "{force} s/{length}", (0.02, 0.1), upper=10.0),
+        JointRow("coulomb_forward", "{force}", (0.01, 0.05), upper=1.0),
+        JointRow("coulomb_backward", "{force}", (0.01, 0.05), upper=1.0),
     )
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:

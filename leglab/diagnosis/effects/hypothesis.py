@@ -1,6 +1,6 @@
 """Hypotheses: which effects are there, with which values."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ from leglab.diagnosis.plant.model import Change, Machine
 Key = tuple[str, str]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Site:
     """An effect on one element of a machine, with its parameters there.
 
@@ -26,11 +26,6 @@ class Site:
     element: str
     parameters: tuple[EffectParameter, ...]
     own: np.ndarray | None = None
-
-    @property
-    def key(self) -> Key:
-        """Name of the effect and element."""
-        return self.effect.name, self.element
 
     @property
     def nominal(self) -> np.ndarray:
@@ -54,34 +49,15 @@ class Site:
 
     @property
     def differences(self) -> np.ndarray:
-        """Differences between directions, first less second, as sums of parameters.
-
-        Shape (differences, parameters): 1 and -1 where the effect says that directions differ.
-        """
-        place = {p.name: i for i, p in enumerate(self.parameters)}
-        rows = np.zeros((len(self.effect.by_direction), len(place)))
-        for row, (first, second) in zip(rows, self.effect.by_direction, strict=True):
-            row[place[first]], row[place[second]] = 1.0, -1.0
-        return rows
+        """Weights of first less second direction, (pairs `by_direction`, parameters)."""
+        names = [p.name for p in self.parameters]
+        pairs = self.effect.by_direction
+        rows = [[(n == first) - (n == second) for n in names] for first, second in pairs]
+        return np.array(rows, dtype=float).reshape(len(pairs), len(names))
 
     def named(self, values: np.ndarray) -> dict[str, float]:
         """Values, shape (parameters,), by the names of the parameters."""
         return {p.name: float(v) for p, v in zip(self.parameters, values, strict=True)}
-
-    def trials(self) -> list[np.ndarray]:
-        """Values to screen, each (parameters,): one strength off its nominal value."""
-        found = []
-        for i, parameter in enumerate(self.parameters):
-            for trial in parameter.trials if parameter.role == "strength" else ():
-                values = self.nominal
-                now = values[i]
-                # As far from the specimen's value as from the model's.
-                values[i] = np.clip(
-                    now + trial - parameter.nominal, parameter.lower, parameter.upper
-                )
-                if values[i] != now:
-                    found.append(values)
-        return found
 
 
 class Hypothesis(Mapping[Key, np.ndarray]):
@@ -116,20 +92,13 @@ class Hypothesis(Mapping[Key, np.ndarray]):
 
     def with_onset(self, key: Key, onset: np.ndarray | None) -> "Hypothesis":
         """The same with an effect that begins at times, or throughout for None."""
-        others = {k: v for k, v in self.onsets.items() if k != key}
-        onsets = others if onset is None else {**others, key: onset}
+        onsets = {k: v for k, v in {**self.onsets, key: onset}.items() if v is not None}
         return Hypothesis(self._values, onsets)
 
     def only(self, keys: Iterable[Key]) -> "Hypothesis":
         """The same with nothing but some effects."""
         wanted = set(keys)
-        values = {k: v for k, v in self._values.items() if k in wanted}
-        return Hypothesis(values, self.onsets)
-
-    def not_begun(self, *keys: Key) -> "Hypothesis":
-        """The same as it is until some effects begin."""
-        values = {k: v for k, v in self._values.items() if k not in keys}
-        return Hypothesis(values, {k: v for k, v in self.onsets.items() if k not in keys})
+        return Hypothesis({k: v for k, v in self.items() if k in wanted}, self.onsets)
 
     def without(self, *keys: Key) -> "Hypothesis":
         """The same with effects absent."""
@@ -143,12 +112,11 @@ class Library:
         machine: The unmodified machine.
         names: Effects to use; None for all.
         excluded: Effects to leave out.
-        specimen: Values of the specimen at hand; what it does not say is as in the model.
+        specimen: Values of the specimen at hand; others are the model's.
         shortest: Time [s] that the recordings can tell; delays and lags are tried from there on.
 
     Attributes:
-        sites: By effect and element: the effects to use, and those that tell of the specimen.
-            Those that no diagnosis names are always there.
+        sites: Effects to use, those of the specimen and all that no diagnosis names.
         searched: Those to use.
         too_fast: Those that would be used, were they not over within a shorter time.
         specimen: As given.
@@ -158,28 +126,24 @@ class Library:
         self,
         machine: Machine,
         *,
-        names: Iterable[str] | None = None,
-        excluded: Iterable[str] = (),
+        names: Collection[str] | None = None,
+        excluded: Collection[str] = (),
         specimen: Mapping[Key, np.ndarray] | None = None,
         shortest: float = 0.0,
     ) -> None:
-        wanted = None if names is None else set(names)
-        barred = set(excluded)
         self._driven = machine.driven
         self.specimen = dict(specimen or {})
         self.sites: dict[Key, Site] = {}
         searched: set[Key] = set()
         for effect in all_effects():
-            used = effect.name not in barred and (wanted is None or effect.name in wanted)
-            used = used and effect.nameable
+            wanted = names is None or effect.name in names
+            used = wanted and effect.nameable and effect.name not in excluded
             for element in effect.elements(machine):
                 key = effect.name, element
                 if used or key in self.specimen or not effect.nameable:
                     given = effect.parameters(machine, element)
-                    own = tuple(p.stretched(shortest) for p in given)
-                    self.sites[key] = Site(
-                        effect=effect, element=element, parameters=own, own=self.specimen.get(key)
-                    )
+                    parameters = tuple(p.stretched(shortest) for p in given)
+                    self.sites[key] = Site(effect, element, parameters, self.specimen.get(key))
                 if used:
                     searched.add(key)
         self.too_fast = frozenset(

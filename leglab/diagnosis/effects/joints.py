@@ -4,12 +4,11 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass
 from functools import lru_cache
-from typing import ClassVar
 
 import mujoco
 import numpy as np
 
-from leglab.diagnosis.effects.base import Effect, EffectParameter, Values
+from leglab.diagnosis.effects.base import EffectParameter, TableEffect, Values
 from leglab.diagnosis.plant.model import CYLINDER, Change, Machine
 from leglab.machine.simulation import actuator_moments
 
@@ -24,14 +23,10 @@ def unit_of(machine: Machine, joint: str, pattern: str) -> str:
     return pattern.format(force="N", inertia="kg", length="m")
 
 
-def dof(machine: Machine, joint: str) -> int:
-    """Degree of freedom of a joint."""
-    return int(machine.base.model.joint(joint).dofadr[0])
-
-
 def inertia(machine: Machine, joint: str) -> float:
     """Effective inertia of a joint at qpos0 [kg m^2 or kg]: 1/(M^-1)_ii."""
-    return 1.0 / float(machine.base.model.dof_invweight0[dof(machine, joint)])
+    model = machine.base.model
+    return 1.0 / float(model.dof_invweight0[model.joint(joint).dofadr[0]])
 
 
 def force_scale(machine: Machine, joint: str) -> float:
@@ -44,30 +39,27 @@ def gravity(machine: Machine, joint: str) -> float:
     """Largest force of gravity on a joint over its positions [N m or N]."""
     model = machine.base.model
     data = mujoco.MjData(model)
-    index = dof(machine, joint)
-    address = int(model.joint(joint).qposadr[0])
-    worst = 0.0
     reach = 2.0 * math.pi if machine.unit(joint) == "rad" else 1.0
+    found = []
     for share in np.arange(12) / 12.0:
         data.qpos[:] = model.qpos0
-        data.qpos[address] += share * reach
+        data.joint(joint).qpos[0] += share * reach
         mujoco.mj_forward(model, data)
-        worst = max(worst, abs(float(data.qfrc_bias[index])))
-    return worst
+        found.append(abs(float(data.joint(joint).qfrc_bias[0])))
+    return max(found)
 
 
 @lru_cache(maxsize=256)
 def drive_damping(machine: Machine, joint: str) -> float:
     """Viscous friction that acts on a joint [N m s/rad or N s/m]: its own and its cylinders'."""
     model = machine.base.model
-    index = dof(machine, joint)
-    total = native(machine, joint, "damping")
     data = mujoco.MjData(model)
     data.qpos[:] = model.qpos0 + 0.1
     mujoco.mj_forward(model, data)
-    moment = actuator_moments(model, data)
+    levers = actuator_moments(model, data)[:, model.joint(joint).dofadr[0]]
+    total = native(machine, joint, "damping")
     for cylinder in machine.instances(CYLINDER):
-        lever = float(moment[model.actuator(cylinder).id, index])
+        lever = float(levers[model.actuator(cylinder).id])
         total += machine.parameter(cylinder, "viscous") * lever**2
     return total
 
@@ -75,11 +67,6 @@ def drive_damping(machine: Machine, joint: str) -> float:
 def travel(machine: Machine, joint: str) -> float:
     """Displacement that matters at a joint: 1 rad, or 0.2 m of a slide."""
     return 1.0 if machine.unit(joint) == "rad" else 0.2
-
-
-def one(machine: Machine, joint: str) -> float:
-    """1 at every joint: the size of trials that count as they are."""
-    return 1.0
 
 
 def native(machine: Machine, joint: str, field: str) -> float:
@@ -110,10 +97,7 @@ def insert(spec: mujoco.MjSpec, plugin: str, name: str, config: Mapping[str, flo
 def insert_on_joint(
     change: Change, plugin: str, name: str, joint: str, config: Mapping[str, float], values: Values
 ) -> None:
-    """Lets a change insert a plugin instance on a joint and set values of its parameters.
-
-    Compiled is what is neutral, with `config`: once for all values.
-    """
+    """Lets a change insert a plugin instance with `config` on a joint, then set `values`."""
     full: dict[str, float | str] = {"joint": joint, **config}
     key = ("insert", plugin, name, *sorted(full.items(), key=str))
     change.edit(key, lambda spec: insert(spec, plugin, name, full))
@@ -128,15 +112,13 @@ class JointRow:
     Attributes:
         name: Of the parameter.
         unit: SI unit, as a pattern of `unit_of`.
-        trials: To screen; shares of the size, added to the joint's own value. Half of that value is
-            tried too if the row has a `field` and the value is above `half_above` sizes.
+        trials: To screen; shares of the size, added to the joint's own value.
         lower: Smallest value in sizes, absolute.
         upper: Largest value in sizes, added to the joint's own value.
-        size: Of a joint; `force_scale`, `inertia`, `travel` or `one`.
-        slide: Factor on the size for slide joints, which move decimetres instead of radians.
-        field: MuJoCo's own field that holds the value, see `native`; empty where there is none.
-        nominal: The joint's own value where there is no field.
-        half_above: See `trials`.
+        size: Of a joint.
+        field: MuJoCo's own field that holds the value, see `native`. Half of it is tried too.
+        half_above: Only where the value is above so many sizes.
+        own: Of a joint, its own value where there is no field.
     """
 
     name: str
@@ -146,16 +128,14 @@ class JointRow:
     lower: float = 0.0
     upper: float
     size: Callable[[Machine, str], float] = force_scale
-    slide: float = 1.0
     field: str = ""
-    nominal: float = 0.0
     half_above: float = 0.0
+    own: Callable[[Machine, str], float] = lambda machine, joint: 0.0
 
-    def parameter(self, machine: Machine, joint: str, own: float) -> EffectParameter:
-        """The parameter on a joint that has a value of its own, 0 where it has none."""
+    def __call__(self, machine: Machine, joint: str) -> EffectParameter:
+        """The parameter on a joint."""
         size = self.size(machine, joint)
-        if machine.unit(joint) == "m":
-            size *= self.slide
+        own = native(machine, joint, self.field) if self.field else self.own(machine, joint)
         half = (0.5 * own,) if self.field and own > self.half_above * size else ()
         return EffectParameter(
             self.name,
@@ -168,29 +148,9 @@ class JointRow:
         )
 
 
-class JointEffect(Effect):
-    """Base of effects on joints; rows give parameters and how far they go.
-
-    Rows with a `field` set it; effects with other rows override `apply`.
-    """
-
-    rows: ClassVar[tuple[JointRow, ...]] = ()
+class JointEffect(TableEffect):
+    """Base of effects on joints."""
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """All joints."""
         return machine.joints
-
-    def own(self, machine: Machine, joint: str, row: JointRow) -> float:
-        """Value of a row's parameter that the joint has in the unmodified model."""
-        return native(machine, joint, row.field) if row.field else row.nominal
-
-    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """The rows about the joint's own values."""
-        return tuple(
-            row.parameter(machine, element, self.own(machine, element, row)) for row in self.rows
-        )
-
-    def apply(self, change: Change, element: str, values: Values) -> None:
-        """Sets MuJoCo's own fields."""
-        for row in self.rows:
-            set_native(change, element, row.field, values[row.name])

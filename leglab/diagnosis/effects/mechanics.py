@@ -36,6 +36,10 @@ class Armature(JointEffect):
         ),
     )
 
+    def apply(self, change: Change, element: str, values: Values) -> None:
+        """Sets MuJoCo's armature."""
+        joints.set_native(change, element, "armature", values["inertia"])
+
 
 @register_effect
 class BaseTilt(Effect):
@@ -62,40 +66,33 @@ class BaseTilt(Effect):
         """Turns the gravity vector."""
         if not any(values.values()):
             return
-        turned = change.machine.base.model.opt.gravity.copy()
+        turned = change.machine.base.model.opt.gravity
         for axis, angle in values.items():
-            turned = _turn(turned, axis, angle)
+            # By Rodrigues.
+            k, sine, cosine = np.array(_AXES[axis]), math.sin(angle), math.cos(angle)
+            along = k * (k @ turned) * (1.0 - cosine)
+            turned = turned * cosine + np.cross(k, turned) * sine + along
 
         def edit(spec: mujoco.MjSpec) -> None:
             spec.option.gravity = turned
 
         change.edit(("gravity", *turned.tolist()), edit)
 
-    def _axes(self, machine: Machine) -> tuple[str, ...]:
+    def _axes(self, machine: Machine) -> list[str]:
         """Axes about which a small tilt changes a joint force, differently at different positions.
 
         Where it changes it by a constant, as on a level slide, that is a force offset.
         """
-        model, zero = machine.base.model, np.zeros(3)
-        data, gravity = mujoco.MjData(model), model.opt.gravity
+        model = machine.base.model
+        data, lever = mujoco.MjData(model), np.zeros((3, model.nv))
         scale = np.array([joints.force_scale(machine, joint) for joint in machine.joints])
-        forces: dict[str, list[np.ndarray]] = {axis: [] for axis in _AXES}
+        # Per rad of a small tilt, by axis; linear in gravity.
+        turns = np.cross(list(_AXES.values()), model.opt.gravity)
+        forces = []
         for shift in (0.0, 0.4, -0.7):
             data.qpos[:] = model.qpos0 + shift
             mujoco.mj_fwdPosition(model, data)
-            for axis, found in forces.items():
-                # Per rad of a small tilt; linear in gravity, and the model itself stays as it is.
-                turn = np.cross(_AXES[axis], gravity)
-                force = np.zeros(model.nv)
-                for body in range(1, model.nbody):
-                    weight = model.body_mass[body] * turn
-                    mujoco.mj_applyFT(model, data, weight, zero, data.xipos[body], body, force)
-                found.append(force / scale)
-        return tuple(axis for axis, found in forces.items() if np.ptp(found, axis=0).max() > _SEEN)
-
-
-def _turn(vector: np.ndarray, axis: str, angle: float) -> np.ndarray:
-    """Rotates a vector (3,) about a world axis (Rodrigues)."""
-    k = np.array(_AXES[axis])
-    sine, cosine = math.sin(angle), math.cos(angle)
-    return vector * cosine + np.cross(k, vector) * sine + k * (k @ vector) * (1.0 - cosine)
+            mujoco.mj_jacSubtreeCom(model, data, lever, 0)
+            forces.append(turns @ lever * model.body_subtreemass[0] / scale)
+        seen = np.ptp(forces, axis=0).max(axis=1) > _SEEN
+        return [axis for axis, matters in zip(_AXES, seen, strict=True) if matters]

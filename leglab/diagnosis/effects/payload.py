@@ -44,7 +44,7 @@ class Payload(Effect):
             return
         centre = change.machine.base.model.body(element).ipos
         reach = float((centre @ centre) ** 0.5)
-        position = centre * (distance / reach) if reach > 0.0 else centre.copy()
+        position = centre * (distance / reach) if reach > 0.0 else centre
 
         def add(spec: mujoco.MjSpec) -> None:
             load = spec.body(element).add_body(name=f"{element}_payload", pos=position)

@@ -2,44 +2,34 @@
 
 import mujoco
 
-from leglab.diagnosis.effects.base import Effect, EffectParameter, Values, register_effect
-from leglab.diagnosis.plant.model import CHAMBERS, CYLINDER, Change, Machine
+from leglab.diagnosis.effects.base import EffectParameter, Values, register_effect
+from leglab.diagnosis.effects.cylinder import CylinderEffect
+from leglab.diagnosis.plant.model import CHAMBERS, Change, Machine
 from leglab.diagnosis.plant.paths import number_of, set_number, undo_offset, undo_scale
 from leglab.machine.sensors import PRESSURE_OFFSET, PRESSURE_SCALE
 
 # Good sensors differ by so much [Pa]. Their gains get no tolerance: two more tangents in every
 # linearisation cost a diagnosis 8 % of its time, and 0.5 % of 80 bar is less than this.
 _TOLERANCE = 5e4
+# Sensors are called after the first joint that a cylinder drives.
 _SIDES = tuple(zip(("a", "b"), CHAMBERS, strict=True))
 
 
-class PressureSensorEffect(Effect):
-    """Base of effects on the two pressure sensors of a cylinder."""
-
-    group = "sensing"
-
-    def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Cylinders; sensors are called after the first joint that a cylinder drives."""
-        return machine.instances(CYLINDER)
-
-
 @register_effect
-class PressureSensorOffset(PressureSensorEffect):
+class PressureSensorOffset(CylinderEffect):
     """The zero of a pressure sensor has shifted."""
 
     name = "pressure_sensor_offset"
+    group = "sensing"
     physics = "measured = true + offset, of each chamber's sensor"
     source = "zero drift of industrial transmitters: 0.1 to 0.5 % of 250 bar a year, 1 bar"
     excitation = "pressures of both chambers under different loads and openings"
-
-    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """The offsets of both sensors."""
-        return tuple(
-            EffectParameter(
-                f"offset_{side}", "Pa", lower=-4e6, upper=4e6, trials=(2e5,), tolerance=_TOLERANCE
-            )
-            for side, _ in _SIDES
+    rows = tuple(
+        EffectParameter(
+            f"offset_{side}", "Pa", lower=-4e6, upper=4e6, trials=(2e5,), tolerance=_TOLERANCE
         )
+        for side, _ in _SIDES
+    )
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Subtracts the offsets from what was measured."""
@@ -59,20 +49,18 @@ class PressureSensorOffset(PressureSensorEffect):
 
 
 @register_effect
-class PressureSensorScale(PressureSensorEffect):
+class PressureSensorScale(CylinderEffect):
     """A pressure sensor shows too much or too little."""
 
     name = "pressure_sensor_scale"
+    group = "sensing"
     physics = "measured = scale x true, of each chamber's sensor"
     source = "span error of transmitters 0.25 to 1 %; a wrong range or shunt far more"
     excitation = "pressures over a wide range in both chambers"
-
-    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """The factors of both sensors."""
-        return tuple(
-            EffectParameter(f"scale_{side}", "1", nominal=1.0, lower=0.3, upper=3.0, trials=(1.04,))
-            for side, _ in _SIDES
-        )
+    rows = tuple(
+        EffectParameter(f"scale_{side}", "1", nominal=1.0, lower=0.3, upper=3.0, trials=(1.04,))
+        for side, _ in _SIDES
+    )
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Divides what was measured by the factors."""

@@ -19,11 +19,13 @@ def _of_spring(machine: Machine, joint: str, parameter: str) -> float:
     return machine.parameter(spring, parameter) if spring else 0.0
 
 
-def set_spring(change: Change, joint: str, effect: str, parameter: str, value: float) -> None:
-    """Shifts a parameter of a joint's spring-damper, or sets that of a new one for the effect.
+def _size(machine: Machine, joint: str, slide: float) -> float:
+    """Force that matters, times a factor for slides: they move decimetres instead of radians."""
+    return joints.force_scale(machine, joint) * (1.0 if machine.unit(joint) == "rad" else slide)
 
-    A new one is inserted only for a value other than 0, and is neutral in all else.
-    """
+
+def set_spring(change: Change, joint: str, effect: str, parameter: str, value: float) -> None:
+    """Shifts a parameter of a joint's spring-damper; inserts one for a value other than 0."""
     machine = change.machine
     if spring := machine.spring_of(joint):
         change.add_parameter(spring, parameter, value - machine.parameter(spring, parameter))
@@ -86,9 +88,7 @@ class SpringHardening(JointEffect):
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """The coefficient of the cubic part: k2 of the element that is there, else a new k3."""
         own = _of_spring(machine, element, "k2")
-        size = joints.force_scale(machine, element)
-        if machine.unit(element) == "m":
-            size *= 100.0  # a slide moves some decimetres
+        size = _size(machine, element, 100.0)
         return (
             EffectParameter(
                 "k2" if machine.spring_of(element) else "k3",
@@ -158,12 +158,15 @@ class QuadraticDamping(JointEffect):
     source = "turbulent flow (Bernoulli); Folgheraiter's damper, docs/physics.md"
     excitation = "slow and fast motion, which tell it from viscous friction"
     rows = (
-        JointRow("damping", "{force} s^2/{length}^2", (0.01, 0.06, 0.3), upper=10.0, slide=10.0),
+        JointRow(
+            "damping",
+            "{force} s^2/{length}^2",
+            (0.01, 0.06, 0.3),
+            upper=10.0,
+            size=lambda machine, joint: _size(machine, joint, 10.0),
+            own=lambda machine, joint: _of_spring(machine, joint, "quadratic_damping"),
+        ),
     )
-
-    def own(self, machine: Machine, joint: str, row: JointRow) -> float:
-        """The coefficient of the spring-damper element that is there."""
-        return _of_spring(machine, joint, "quadratic_damping")
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Sets the coefficient of the element that is there, or of a new one."""

@@ -3,12 +3,12 @@
 import mujoco
 
 from leglab.diagnosis.effects import joints
-from leglab.diagnosis.effects.base import Effect, EffectParameter, Values, register_effect
+from leglab.diagnosis.effects.base import EffectParameter, TableEffect, Values, register_effect
 from leglab.diagnosis.plant.model import CYLINDER, SUPPLY, Change, Machine
 
 
 @register_effect
-class SupplyDroop(Effect):
+class SupplyDroop(TableEffect):
     """Supply pressure falls with the flow that the valves draw."""
 
     name = "supply_droop"
@@ -17,26 +17,22 @@ class SupplyDroop(Effect):
     source = "HyQ leg parameters (Ledezma 2016): accumulator 0.04 l, 100 bar gas, n = 1.4"
     excitation = "large flows: fast motion, large openings"
     order = 1  # takes over the supply pressure of the cylinders
+    rows = (
+        EffectParameter("droop", "Pa s/m^3", upper=3e12, trials=(1e10, 1e11, 5e11)),
+        # Gas of the accumulator at its precharge.
+        EffectParameter(
+            "accumulator_volume", "m^3", nominal=4e-5, lower=1e-6, upper=1e-3, role="shape"
+        ),
+    )
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """One for the machine, where no cylinder names a supply of its own."""
-        cylinders = machine.instances(CYLINDER)
-        spec = machine.spec()
-        named = any(spec.actuator(c).plugin.config.get("supply") for c in cylinders)
-        return () if named or not cylinders else ("supply",)
-
-    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """Droop, and gas volume of the accumulator at its precharge."""
-        droop = EffectParameter("droop", "Pa s/m^3", upper=3e12, trials=(1e10, 1e11, 5e11))
-        volume = EffectParameter(
-            "accumulator_volume", "m^3", nominal=4e-5, lower=1e-6, upper=1e-3, role="shape"
-        )
-        return droop, volume
+        named = any(machine.base.drawn_by.values())
+        return ("supply",) if machine.instances(CYLINDER) and not named else ()
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts a supply unit that all cylinders draw from."""
-        droop, volume = values["droop"], values["accumulator_volume"]
-        if droop <= 0.0:
+        if values["droop"] <= 0.0:
             return
         cylinders = change.machine.instances(CYLINDER)
         pressure = change.parameter(cylinders[0], "supply_pressure")
@@ -49,6 +45,6 @@ class SupplyDroop(Effect):
 
         change.edit(("supply", element), insert)
         change.set_parameter(element, "supply_pressure", pressure)
-        change.set_parameter(element, "accumulator_volume", volume)
-        change.set_parameter(element, "compensator_gain", 1.0 / droop)
+        change.set_parameter(element, "accumulator_volume", values["accumulator_volume"])
+        change.set_parameter(element, "compensator_gain", 1.0 / values["droop"])
         change.set_parameter(element, "pump_flow", 0.1)  # the compensator limits, not the pump

@@ -270,7 +270,7 @@ class Problem:
         for code in np.unique(codes[chosen]):
             group = chosen & (codes == code)
             absent = [k for i, k in enumerate(keys) if not code >> i & 1]
-            change = self.library.change(hypothesis.not_begun(*absent), replay.machine)
+            change = self.library.change(hypothesis.without(*absent), replay.machine)
             out[group] = replay.error(change, chosen=group).normalised
         return out[chosen], certain[chosen].astype(float)
 
