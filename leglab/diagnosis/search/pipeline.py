@@ -1,6 +1,7 @@
 """From recordings to fitted sets of effects: the problem, the specimen, the onset, the search."""
 
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -108,10 +109,8 @@ def at_replay_step(machine: Machine, period: float) -> Machine:
     own = machine.file_timestep
     fewest, most = (max(1, int(np.ceil(period / h - 1e-9))) for h in (2.0 * own, own))
     for steps in range(fewest, most):
-        try:
+        with suppress(LeglabError):
             return machine.at_timestep(period / steps)
-        except LeglabError:
-            continue
     return machine.at_timestep(period / most)
 
 
