@@ -33,6 +33,7 @@ MODULES = {
     "leglab.diagnosis.likelihood.evidence": _VERDICT,
     "leglab.diagnosis.likelihood.priors": _VERDICT,
     "leglab.diagnosis.verdict.confidence": _VERDICT,
+    "leglab.diagnosis.verdict.outcome": _VERDICT,
     "leglab.diagnosis.verdict.verdict": _VERDICT,
 }
 PATIENCE = 400.0  # s
@@ -83,12 +84,12 @@ FAULTS = {
         "if False:", "test_of_two_causes_the_one_that_is_not_told_apart_takes_no_name",
     ),
     "intervals are a fifth as wide": (
-        "diagnosis.verdict.verdict", "half[key] = np.hypot(", "half[key] = 0.2 * np.hypot(",
+        "diagnosis.verdict.verdict", "half = np.hypot(", "half = 0.2 * np.hypot(",
         "test_intervals_hold_the_truth_whatever_the_noise",
     ),
     "what was so before is part of the gap": (
-        "diagnosis.verdict.verdict",
-        "return levels[np.array(nearest)[problem.replay.recording]] ** 2",
+        "diagnosis.verdict.outcome",
+        "return self.specimen.levels[nearest[problem.replay.recording], 1] ** 2",
         "return np.ones(problem.replay.windows)",
         "test_what_a_machine_has_had_before_is_no_part_of_the_gap",
     ),
@@ -101,7 +102,8 @@ FAULTS = {
         "looked_at = problem.fitted | problem.held", "test_held_out_recordings_are_not_fitted",
     ),
     "an onset is told late": (
-        "diagnosis.search.onset", "times[i] = ends[i].mean()", "times[i] = ends[i].mean() + 0.3",
+        "diagnosis.search.onset", "with_onset(key, ends.mean(axis=1))",
+        "with_onset(key, ends.mean(axis=1) + 0.3)",
         "test_what_begins_during_a_recording_is_told_with_its_time",
     ),
     "every machine is exact": (

@@ -11,7 +11,8 @@ from leglab.diagnosis.intake.recordings import read_recordings, split_held_out
 from leglab.diagnosis.plant.model import Machine, moved
 from leglab.diagnosis.replay.windows import channels
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, at_replay_step, set_up
-from leglab.diagnosis.verdict.verdict import diagnose, notes, touching_share
+from leglab.diagnosis.verdict.notes import notes, touching_share
+from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.runs.preparation import RunSettings
 from leglab.runs.run import run_scenario
 

@@ -21,7 +21,7 @@ from leglab.diagnosis.replay.starts import bristle, spool
 from leglab.diagnosis.replay.windows import Channel, Cut, derivative, noise_level, smoothed
 from leglab.diagnosis.result import Gap
 from leglab.diagnosis.search.pipeline import set_up
-from leglab.diagnosis.verdict.verdict import at_limits
+from leglab.diagnosis.verdict.notes import at_limits
 from leglab.studies.blind.faulty_bench import FAULTS, FaultyBench, detuned, references
 from leglab.studies.blind.selftest import Case, Outcome, cases, make, score_table, scores
 from tests.rigs import PENDULUM

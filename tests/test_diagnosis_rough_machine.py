@@ -65,7 +65,7 @@ def test_what_changed_since_a_rough_machine_was_healthy_is_named(ill):
     assert result.effects[0].confidence > 0.8
     (force,) = result.effects[0].parameters
     # The effect departs from what the specimen was, and says so.
-    assert force.nominal == found.searched.specimen.values[OFFSET][0]
+    assert force.nominal == found.specimen.values[OFFSET][0]
     assert force.value - force.nominal == pytest.approx(0.4, rel=0.1)
     low, high = force.interval
     assert low - force.nominal < 0.4 < high - force.nominal
@@ -97,7 +97,7 @@ def test_the_gap_is_that_of_the_held_out_recordings(ill):
     for name, hypothesis in told.items():
         assert getattr(result.gap, name) == pytest.approx(level(hypothesis, held)), name
         assert getattr(result.gap, name) != pytest.approx(level(hypothesis, ~held), rel=2e-3), name
-    specimen = found.searched.specimen
+    specimen = found.specimen
     by_name = dict(zip(("multisine", "stairs"), specimen.levels, strict=True))
     assert result.gap.healthy == pytest.approx(by_name["multisine"][1])
     assert result.gap.healthy > 5.0  # far from noise alone, and what it is no part of what is open
@@ -111,14 +111,14 @@ def test_no_fit_sees_the_held_out_recordings(ill, well):
         problem = found.problem
         held = np.array([problem.series[i].name == HELD_OUT for i in problem.replay.recording])
         np.testing.assert_array_equal(problem.held, held)
-        chosen = found.searched.found.fitter.at.chosen
+        chosen = found.found.fitter.at.chosen
         assert chosen.any()
         assert not (chosen & held).any()
 
 
 def test_the_nearest_healthy_recording_is_that_of_the_same_motion(ill):
-    specimen, problem = ill[1].searched.specimen, ill[1].problem
-    assert [s.name for s in ill[1].searched.healthy.series] == ["multisine", "stairs"]
+    specimen, problem = ill[1].specimen, ill[1].problem
+    assert [s.name for s in specimen.problem.series] == ["multisine", "stairs"]
     nearest = dict(zip([s.name for s in problem.series], specimen.nearest(problem), strict=True))
     assert nearest["multisine"] == 0
     assert nearest["stairs"] == 1
@@ -168,7 +168,7 @@ def test_the_improved_model_carries_no_effect_without_a_name(ill, unlearned, sai
     model = improve.improved_model(found)
     if model is not None:  # recalibration alone may pay
         offset = model.problem.library.whole(model.hypothesis)[OFFSET]
-        assert abs(offset - found.searched.specimen.values[OFFSET]) < 0.1
+        assert abs(offset - found.specimen.values[OFFSET]) < 0.1
         assert not model.hypothesis.only(found.named)
 
 

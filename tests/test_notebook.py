@@ -19,7 +19,7 @@ from leglab import (
 )
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
-from leglab.diagnosis.verdict.verdict import Outcome
+from leglab.diagnosis.verdict.outcome import Outcome
 from leglab.runs.comparison import run_all
 from tests.made_up_diagnosis import diagnosis
 from tests.report_folders import Elements

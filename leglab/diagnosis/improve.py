@@ -22,8 +22,9 @@ from leglab.diagnosis.remainder.learning import (
 from leglab.diagnosis.replay.residual import Problem, robust_cost
 from leglab.diagnosis.result import NamedEffect, closed
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
+from leglab.diagnosis.verdict.outcome import Outcome
 from leglab.diagnosis.verdict.output import write_model
-from leglab.diagnosis.verdict.verdict import Outcome, diagnose
+from leglab.diagnosis.verdict.verdict import diagnose
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,33 +29,31 @@ class Specimen:
     """A machine as its healthy recordings show it.
 
     Attributes:
+        problem: Healthy recordings and machine.
         values: Of all strengths.
         priors: Of the same machine on another day.
         spread: Pattern of the error that the calibrated model leaves, by healthy recording.
         kappa: 1/design effect.
-        motions: How far and how fast each healthy recording goes, (recordings, 2 columns).
-        levels: Error of each healthy recording in noise levels, before and after calibration.
+        levels: Error of each healthy recording in noise levels, before and after calibration,
+            (recordings, 2).
     """
 
+    problem: Problem
     values: Hypothesis
     priors: Priors
     spread: Spread
     kappa: float
-    motions: np.ndarray
-    levels: tuple[tuple[float, float], ...]
-
-    def spread_of(self, problem: Problem) -> Spread:
-        """The pattern to expect in other recordings: that of the most similar motion each."""
-        return self.spread.of_recordings(self.nearest(problem))
+    levels: np.ndarray
 
     def nearest(self, problem: Problem) -> list[int]:
         """The healthy recording of the most similar motion to each of others."""
         columns = problem.machine.columns
-        away = [((self.motions - motion(s, columns)) ** 2).sum(axis=1) for s in problem.series]
-        return [int(np.argmin(a)) for a in away]
+        own = np.stack([_motion(s, columns) for s in self.problem.series])
+        other = np.stack([_motion(s, columns) for s in problem.series])
+        return np.argmin(((other[:, None] - own) ** 2).sum(axis=2), axis=1).tolist()
 
 
-def motion(series: UniformSeries, columns: Sequence[str]) -> np.ndarray:
+def _motion(series: UniformSeries, columns: Sequence[str]) -> np.ndarray:
     """How far and how fast a recording goes: logarithms of spreads and rates, (2 columns,)."""
     values = np.stack([series.columns[column] for column in columns])
     spread = np.std(values, axis=1)
@@ -63,7 +61,7 @@ def motion(series: UniformSeries, columns: Sequence[str]) -> np.ndarray:
     return np.log(np.concatenate([spread, rate]) + 1e-9)
 
 
-def calibrate(problem: Problem, log: Callable[[str], None] = lambda _: None) -> Specimen:
+def calibrate(problem: Problem, log: Callable[[str], None]) -> Specimen:
     """Fits all strengths to healthy recordings, under the priors of machines as they are built."""
     unknowns = Unknowns.of(problem.library)
     at = Errors(problem, unknowns, thinned(problem.fitted, 3 * WINDOWS // 2))
@@ -90,13 +88,7 @@ def calibrate(problem: Problem, log: Callable[[str], None] = lambda _: None) -> 
         sizes=DAY_SIZES,
         log_sizes=-0.5 * (np.log(DAY_SIZES) / DAY_FACTOR) ** 2,
     )
-    motions = np.stack([motion(s, problem.machine.columns) for s in problem.series])
-    levels = zip(_levels(problem, Hypothesis()), _levels(problem, values), strict=True)
-    return Specimen(values, priors, evidence.spread, kappa, motions, tuple(levels))
-
-
-def _levels(problem: Problem, hypothesis: Hypothesis) -> list[float]:
-    """Root mean square of every recording in noise levels."""
-    squares = problem.noise_levels(hypothesis)
-    windows = (problem.replay.recording == i for i in range(len(problem.series)))
-    return [float(np.sqrt(squares[own].mean())) for own in windows]
+    squares = [problem.noise_levels(h) for h in (Hypothesis(), values)]
+    windows = [problem.replay.recording == i for i in range(len(problem.series))]
+    levels = np.sqrt([[square[own].mean() for square in squares] for own in windows])
+    return Specimen(problem, values, priors, evidence.spread, kappa, levels)

@@ -34,10 +34,9 @@ def onset_of(problem: Problem) -> np.ndarray | None:
     replay = problem.replay
     if noise_alone(problem.noise_levels(Hypothesis()), replay.recording):
         return None
-    first = np.array([series.time[0] for series in problem.series])
-    last = np.array([series.time[-1] for series in problem.series])
-    limit = (first + EARLY_SHARE * (last - first))[replay.recording]
-    early = problem.fitted & (replay.start + replay.window < limit)
+    ends = np.array([series.time[[0, -1]] for series in problem.series])
+    limit = ends[:, 0] + EARLY_SHARE * np.ptp(ends, axis=1)
+    early = problem.fitted & (replay.start + replay.window < limit[replay.recording])
     if early.sum() < FEWEST_WINDOWS:
         return None
     some = thinned(early, WINDOWS // 2)
@@ -52,15 +51,15 @@ def onset_of(problem: Problem) -> np.ndarray | None:
     base = fit.columns.base
     cost = problem.window_cost(base)
     windows = [np.flatnonzero(replay.recording == i) for i in range(len(problem.series))]
-    changes = [change_point(np.log(cost[own])) for own in windows]
-    if all(change is None for change in changes):
+    rises = (_change_point(np.log(cost[own])) for own in windows)
+    changes = {i: change for i, change in enumerate(rises) if change is not None}
+    if not changes:
         return None
     errors = problem.raw_errors(base)
     onsets = np.full(len(windows), np.inf)
-    for i, (own, change) in enumerate(zip(windows, changes, strict=True)):
-        if change is not None:
-            coarse = float(replay.start[own[change]] + 0.5 * replay.window)
-            onsets[i] = _refined(problem, errors, own, coarse)
+    for i, change in changes.items():
+        coarse = float(replay.start[windows[i][change]] + 0.5 * replay.window)
+        onsets[i] = _refined(problem, errors, windows[i], coarse)
     return onsets
 
 
@@ -76,21 +75,20 @@ def begun(
 
     Returns:
         The hypothesis, and by effect the earliest and the latest onset [s] that the recordings
-        allow, (recordings, 2), nan where it begins in none.
+        allow, (recordings, 2), inf where it begins in none.
     """
     begin, length = problem.replay.start, problem.replay.window
     between: dict[Key, np.ndarray] = {}
     for key in named:
-        later = final.with_onset(key, onsets)
         present = problem.window_cost(final)
-        if problem.size * (present - problem.window_cost(later)).sum() < 2.0 * BEHIND * NEAR:
+        later = problem.window_cost(final.with_onset(key, onsets))
+        if problem.size * (present - later).sum() < 2.0 * BEHIND * NEAR:
             continue
         absent = problem.window_cost(final.without(key))
         evidence = problem.size * (absent - present)
-        times = onsets.copy()
-        ends = np.where(np.isfinite(times), times, np.nan)[:, None].repeat(2, axis=1)
-        for i in np.flatnonzero(np.isfinite(times)):
-            seen, here = times[i], problem.replay.recording == i
+        ends = np.stack([onsets, onsets], axis=1)
+        for i in np.flatnonzero(np.isfinite(onsets)):
+            seen, here = onsets[i], problem.replay.recording == i
             after = present[here & (begin > seen)]
             if not after.size:
                 continue
@@ -104,22 +102,19 @@ def begun(
             clear = here & (evidence > ONSET_TOLD) & met & (begin > last) & (begin + length < seen)
             seen = min([seen, *begin[clear]])
             ends[i] = min(seen, last + length), seen
-            times[i] = ends[i].mean()
-        final, between[key] = final.with_onset(key, times), ends
+        final, between[key] = final.with_onset(key, ends.mean(axis=1)), ends
     return final, between
 
 
-def change_point(values: np.ndarray) -> int | None:
+def _change_point(values: np.ndarray) -> int | None:
     """First index after the most likely rise of the mean (Page 1954), None where there is none."""
     count = values.size
-    best, where = 0.0, None
-    for k in range(FEWEST_WINDOWS, count - FEWEST_WINDOWS + 1):
-        rise = float(values[k:].mean() - values[:k].mean())
-        gain = rise**2 * k * (count - k) / count
-        if rise > np.log(ONSET_RISE) and gain > best:
-            best, where = gain, k
-    if where is None:
+    places = np.arange(FEWEST_WINDOWS, count - FEWEST_WINDOWS + 1)
+    rise = np.array([values[k:].mean() - values[:k].mean() for k in places])
+    gain = np.where(rise > np.log(ONSET_RISE), rise**2 * places * (count - places) / count, 0.0)
+    if not gain.any():
         return None
+    where = int(places[np.argmax(gain)])
     before, after = values[:where], values[where:]
     # Windows before a true onset are noise: their costs hardly vary.
     return where if before.std() < 0.5 * (after.mean() - before.mean()) else None

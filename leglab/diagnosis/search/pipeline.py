@@ -1,6 +1,7 @@
 """From recordings to fitted sets of effects: the problem, the specimen, the onset, the search."""
 
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -23,8 +24,6 @@ from leglab.diagnosis.search.healthy import Specimen, calibrate
 from leglab.diagnosis.search.onset import onset_of
 from leglab.diagnosis.search.search import Found, search
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
-
-Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,15 +69,12 @@ def set_up(
     machine, limits = Machine(model), settings.thresholds
     admitted = admit(machine, recordings, held_out, limits)
     recordings = admitted.recordings
-    together = {**recordings}
-    if beside:
-        others = admit(machine, beside, (), limits).recordings
-        together |= {f"beside {name}": recording for name, recording in others.items()}
+    others = admit(machine, beside, (), limits).recordings if beside else {}
+    together = {**recordings, **{f"beside {name}": other for name, other in others.items()}}
     found = channels(machine, together, limits)
     period = common_period(together, limits)
     machine = at_replay_step(machine, period)
     needed = tuple(dict.fromkeys([*(c.column for c in found), *machine.columns]))
-    held = set(admitted.held_out)
     return Problem(
         machine,
         Library(
@@ -95,7 +91,7 @@ def set_up(
             for name, r in recordings.items()
         ],
         found,
-        [i for i, name in enumerate(recordings) if name not in held],
+        [i for i, name in enumerate(recordings) if name not in admitted.held_out],
         threads=settings.threads,
         thresholds=limits,
     )
@@ -111,33 +107,11 @@ def at_replay_step(machine: Machine, period: float) -> Machine:
         LeglabError: The model refuses its own step as well.
     """
     own = machine.file_timestep
-    fewest = max(1, int(np.ceil(period / (2.0 * own) - 1e-9)))
-    most = max(fewest, int(np.ceil(period / own - 1e-9)))
+    fewest, most = (max(1, int(np.ceil(period / h - 1e-9))) for h in (2.0 * own, own))
     for steps in range(fewest, most):
-        try:
+        with suppress(LeglabError):
             return machine.at_timestep(period / steps)
-        except LeglabError:
-            continue
     return machine.at_timestep(period / most)
-
-
-@dataclass(frozen=True, eq=False)
-class Searched:
-    """A finished search.
-
-    Attributes:
-        problem: Recordings and machine about the specimen, sizes as recorded.
-        found: All fitted sets.
-        specimen: What healthy recordings said; None without any.
-        healthy: Healthy recordings and machine; None without any.
-        onsets: Time at which what is missing begins [s], (recordings,); None where throughout.
-    """
-
-    problem: Problem
-    found: Found
-    specimen: Specimen | None = None
-    healthy: Problem | None = None
-    onsets: np.ndarray | None = None
 
 
 def searched(
@@ -146,54 +120,42 @@ def searched(
     held_out: Iterable[str],
     healthy: Mapping[str, Recording] | None,
     settings: DiagnosisSettings,
-    progress: Progress,
-) -> Searched:
-    """Searches recordings for what a model lacks.
+    progress: Callable[[str], None],
+) -> tuple[Found, Specimen | None]:
+    """Searches recordings for what a model lacks; arguments as of `diagnose`.
 
-    Args:
-        model: MJCF file, or the name of a model that ships with leglab.
-        recordings: By name.
-        held_out: Names of those that no fit sees.
-        healthy: Recordings of the same specimen before it changed; None without any.
-        settings: How.
-        progress: Called with what is being done.
+    Returns:
+        All fitted sets, and what healthy recordings said; None without any.
     """
     if not healthy:
         problem = set_up(model, recordings, held_out, settings)
         problem = _sized(problem, shown(problem))
         progress("looking for an onset")
-        onsets = onset_of(problem)
-        return Searched(problem, search(problem, onsets=onsets, log=progress), onsets=onsets)
+        return search(problem, onsets=onset_of(problem), log=progress), None
     # A specimen differs in more than the effects that the user asks for.
-    whole = DiagnosisSettings(threads=settings.threads, thresholds=settings.thresholds)
+    whole = replace(settings, effects=None, excluded=())
     before = set_up(model, healthy, (), whole, beside=recordings)
-    seen = Shown.largest(
-        [shown(before), shown(set_up(model, recordings, held_out, whole, beside=healthy))]
-    )
-    before = _sized(before, seen)
+    later = set_up(model, recordings, held_out, whole, beside=healthy)
+    seen = Shown.largest([shown(before), shown(later)])
     progress("calibration of the specimen")
-    specimen = calibrate(before, progress)
+    specimen = calibrate(_sized(before, seen), progress)
     problem = set_up(
         model, recordings, held_out, settings, specimen=specimen.values, beside=healthy
     )
     problem = _sized(problem, seen)
-    found = search(
-        problem, specimen.priors, specimen.spread_of(problem), specimen.kappa, log=progress
-    )
-    return Searched(problem, found, specimen, before)
+    spread = specimen.spread.of_recordings(specimen.nearest(problem))
+    return search(problem, specimen.priors, spread, specimen.kappa, log=progress), specimen
 
 
 def _sized(problem: Problem, seen: Shown) -> Problem:
     """The problem with sizes of parameters as recorded, and shapes as the forces left suggest."""
-    other = copy(problem)
     sites = dict(sized(problem.library, problem.machine, seen).sites)
-    guessing = [k for k, s in sites.items() if type(s.effect).guesses is not Effect.guesses]
+    guessing = {k: s for k, s in sites.items() if type(s.effect).guesses is not Effect.guesses}
     left = forces_left(problem, Hypothesis()) if guessing else {}
-    for key in guessing:
-        site = sites[key]
-        if site.element not in left:
-            continue
-        for values in site.effect.guesses(problem.machine, site.element, left[site.element])[:1]:
+    for key, site in guessing.items():
+        force = left.get(site.element)
+        guesses = site.effect.guesses(problem.machine, site.element, force) if force else ()
+        for values in guesses[:1]:
             parameters = tuple(
                 replace(p, nominal=float(np.clip(values[p.name], p.lower, p.upper)))
                 if p.role == "shape"
@@ -201,5 +163,6 @@ def _sized(problem: Problem, seen: Shown) -> Problem:
                 for p in site.parameters
             )
             sites[key] = replace(site, parameters=parameters)
+    other = copy(problem)
     other.library = problem.library.with_sites(sites)
     return other

@@ -1,0 +1,76 @@
+"""What a reader of a verdict should know of the recordings and the fit, a line each."""
+
+from collections.abc import Mapping, Sequence
+
+import mujoco
+import numpy as np
+
+from leglab.diagnosis.effects.hypothesis import Key, Library
+from leglab.diagnosis.intake.remarks import Remark, merged
+from leglab.diagnosis.intake.series import UniformSeries
+from leglab.diagnosis.plant.model import CYLINDER, Machine
+from leglab.diagnosis.replay.residual import Problem
+from leglab.diagnosis.thresholds import DEFAULT
+
+
+def notes(problem: Problem) -> tuple[str, ...]:
+    """Remarks on missing pressures and samples, and on contacts."""
+    found = []
+    touching = touching_share(problem.machine, problem.series)
+    if touching:
+        found.append(
+            f"the machine touches something {100 * touching:.0f} % of the time and no sensor tells "
+            "with what force: a friction or a force that is named may be the contact's"
+        )
+    if problem.machine.instances(CYLINDER) and not any(c.chamber for c in problem.channels):
+        found.append(
+            "no chamber pressures: they were replayed from the commands; faults of mechanism and "
+            "hydraulics are told apart by the motion alone, with wider intervals"
+        )
+    text = "windows over gaps are skipped"
+    lost = {series.name: int((~series.valid).sum()) for series in problem.series}
+    gaps = [
+        Remark(text=text, recording=name, place=f"{count} samples")
+        for name, count in lost.items()
+        if count
+    ]
+    return (*found, *merged(gaps, lost))
+
+
+def at_limits(library: Library, values: Mapping[Key, np.ndarray]) -> tuple[str, ...]:
+    """A line for every parameter whose fit ended at the smallest or largest value of its effect.
+
+    Args:
+        library: Effects.
+        values: Of the effects that were fitted, each (parameters,).
+    """
+    lines = []
+    for key, fitted in values.items():
+        site = library.sites[key]
+        for p, value, nominal in zip(site.parameters, fitted, site.nominal, strict=True):
+            room = DEFAULT.negligible * (p.upper - p.lower)
+            suffix = "" if p.unit == "1" else f" {p.unit}"
+            ends = (("smallest", p.lower, value - p.lower), ("largest", p.upper, p.upper - value))
+            lines += [
+                f"{key[0]} at {key[1]}: {p.name} ended at {end:.4g}{suffix}, the {word} that is "
+                "tried: the true value may lie beyond, and its other parameters are less sure"
+                for word, end, left in ends
+                if left <= room < abs(value - nominal)
+            ]
+    return tuple(lines)
+
+
+def touching_share(machine: Machine, series: Sequence[UniformSeries]) -> float:
+    """Share of the measured poses in which bodies of the model touch."""
+    model = machine.base.model
+    data = mujoco.MjData(model)
+    places = [int(model.joint(joint).qposadr[0]) for joint in machine.joints]
+    touched = []
+    for one in series:
+        poses = np.stack([one.columns[f"{joint}_position"] for joint in machine.joints], axis=1)
+        # So many poses tell a share.
+        for pose in poses[np.linspace(0, one.time.size - 1, 50).astype(int)]:
+            data.qpos[places] = pose
+            mujoco.mj_fwdPosition(model, data)
+            touched.append(data.ncon > 0)
+    return float(np.mean(touched))

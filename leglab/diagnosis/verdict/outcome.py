@@ -1,0 +1,179 @@
+"""A judged search: which hypotheses are told, and how sure their parameters are."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
+from leglab.diagnosis.likelihood.columns import Errors
+from leglab.diagnosis.likelihood.evidence import Evidence, Score
+from leglab.diagnosis.likelihood.unknowns import EVERY
+from leglab.diagnosis.replay.residual import Problem
+from leglab.diagnosis.result import Diagnosis
+from leglab.diagnosis.search.healthy import Specimen
+from leglab.diagnosis.search.onset import begun
+from leglab.diagnosis.search.search import Found
+from leglab.diagnosis.search.settle import Fit, Fitter
+from leglab.diagnosis.thresholds import ABSENT, RENEWALS
+from leglab.diagnosis.verdict.confidence import Judgement
+from leglab.diagnosis.verdict.sets import Row
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Outcome:
+    """A judged search.
+
+    Attributes:
+        judged: Names and confidence.
+        specimen: What healthy recordings said; None without any.
+        row: The set whose values are told.
+        spread: Covariance of all single unknowns there, in trials, (single, single).
+        baseline: Nothing missing, all parameters within what machines differ by.
+        final: The told set, all parameters as fitted beside it.
+        written: What an improved model carries: the told effects, and what has a tolerance.
+        about: The problem with its noise model about the told set: start states are as uncertain
+            as that makes them.
+        named: Effects that are told, named or in a confusion set.
+        onsets: Of effects that begin during a recording, the earliest and the latest time [s] at
+            which they can have begun, (recordings, 2), inf where an effect begins in none.
+        result: The verdict as it is told.
+    """
+
+    judged: Judgement
+    specimen: Specimen | None
+    row: Row
+    spread: np.ndarray
+    baseline: Hypothesis
+    final: Hypothesis
+    written: Hypothesis
+    about: Problem
+    named: tuple[Key, ...]
+    onsets: Mapping[Key, np.ndarray]
+    result: Diagnosis = field(init=False)
+
+    @property
+    def found(self) -> Found:
+        """The search."""
+        return self.judged.sets.found
+
+    @property
+    def problem(self) -> Problem:
+        """Recordings and machine."""
+        return self.judged.sets.at.problem
+
+    def __repr__(self) -> str:
+        named = ", ".join(f"{name} at {element}" for name, element in self.named) or "nothing"
+        return f"Outcome({self.judged.verdict}: {named})"
+
+    @property
+    def unnamed(self) -> Hypothesis:
+        """What is left of the told set without the told effects; nothing where none is told."""
+        return self.final.without(*self.named) if self.named else Hypothesis()
+
+    def floors(self) -> np.ndarray:
+        """Mean square that noise, or the healthy specimen, gives in each window, (windows,)."""
+        problem = self.problem
+        if self.specimen is None:
+            return np.ones(problem.replay.windows)
+        nearest = np.array(self.specimen.nearest(problem))
+        return self.specimen.levels[nearest[problem.replay.recording], 1] ** 2
+
+
+def outcome_of(judgement: Judgement, specimen: Specimen | None) -> Outcome:
+    """What is told of a judged search; its result is still to be set."""
+    names, rows = judgement.named or judgement.confusion[:1], judgement.rows
+    nothing = next(r for r in rows if not r.keys)
+    row = next((r for r in rows if r.keys.issuperset(names) and not r.renamed), rows[0])
+    if judgement.verdict == "nothing_missing":
+        row = nothing
+    fitter, onsets = judgement.sets.fitter, judgement.sets.found.onsets
+    problem, final = fitter.at.problem, _fitted(fitter, row)
+    about, spread = problem.about(final), _scatter(row.evidence, row.score)
+    named = tuple(
+        key
+        for name, element in names
+        for key in sorted(problem.library.sites)
+        if key[0] == name and element in (key[1], EVERY)
+    )
+    if specimen is not None:
+        written = final.only(named)
+        final = final if named or judgement.verdict != "nothing_missing" else written
+    else:
+        lean, beside = _lean(about, fitter, row, named)
+        written = lean.columns.base
+        if lean.level <= (1.0 + problem.thresholds.smaller_share) * row.level:
+            final, spread = written, beside
+    between: dict[Key, np.ndarray] = {}
+    if onsets is not None:
+        final, between = begun(problem, final, named, onsets)
+    return Outcome(
+        judged=judgement,
+        specimen=specimen,
+        row=row,
+        spread=spread,
+        baseline=_fitted(fitter, nothing),
+        final=final,
+        written=written,
+        about=about,
+        named=named,
+        onsets=between,
+    )
+
+
+def _fitted(fitter: Fitter, row: Row) -> Hypothesis:
+    """Where first order leads a set, or where its own fit stands if that errs less."""
+    both = (row.hypothesis, row.evidence.columns.base) if row.fitted else (row.hypothesis,)
+    return min(both, key=lambda h: fitter.level(fitter.at.at(h)))
+
+
+def _lean(
+    about: Problem, fitter: Fitter, row: Row, named: tuple[Key, ...]
+) -> tuple[Fit, np.ndarray]:
+    """The told members where the rest of the machine is as its model, but for tolerances.
+
+    What else departs a little takes a part of each effect's size with it. Beside the fit, the
+    covariance of all single unknowns there.
+    """
+    at = Errors(about, fitter.at.unknowns, fitter.at.chosen)
+    lean = Fitter(at, replace(fitter.priors, spreads=(ABSENT,)))
+    u, old, kappa = at.unknowns, row.evidence.columns, row.evidence.kappa
+    values = zip(row.score.unknowns, row.score.values.tolist(), strict=True)
+    kept = {q: value for q, value in values if u.library_keys(q) <= set(named)}
+    # Shapes stay as they were found.
+    goal = np.where(u.shape, old.x, 0.0)[: u.single]
+    for q, value in kept.items():
+        goal[list(u.singles(q))] += value
+    fit = lean.fit(
+        replace(old, errors=at.at(old.base)),
+        dict(enumerate((goal - old.x[: u.single]).tolist())),
+        tuple(kept),
+        row.evidence.spread,
+        row.evidence.weight,
+        kappa,
+        renewals=RENEWALS if kept else 0,
+        beside=True,
+    )
+    evidence = lean.evidence(fit.columns, fit.spread, fit.weight, kappa)
+    return fit, _scatter(evidence, evidence.score([(q, None) for q in kept]))
+
+
+def _scatter(evidence: Evidence, score: Score) -> np.ndarray:
+    """Covariance of all single unknowns, (single, single): posterior, or between parts.
+
+    What all windows of a recording share no posterior sees: of the members the larger of it and a
+    jackknife over parts of the recordings.
+    """
+    spread, u = evidence.posterior(score), evidence.unknowns
+    parts = int(evidence.part.max()) + 1
+    if not score.members or parts < 2:
+        return spread
+    without = np.array([one.values for one in evidence.apart(score.members)])
+    away = without - without.mean(axis=0)
+    for i, q in enumerate(score.unknowns):
+        jack = (parts - 1) / parts * float(away[:, i] @ away[:, i])
+        for k in u.singles(q):
+            widened = np.sqrt(max(1.0, jack / max(spread[k, k], 1e-300)))
+            spread[k] *= widened
+            spread[:, k] *= widened
+    return spread
