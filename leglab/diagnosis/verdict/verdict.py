@@ -283,7 +283,7 @@ def _ranking(found: Found) -> tuple[Rank, ...]:
     """What each effect would explain alone at the first linearisation, in nats."""
     fitter, best = found.fitter, found.ranks[0].evidence
     evidence = fitter.evidence(found.first, best.spread, best.weight, best.kappa)
-    gains = dict.fromkeys(fitter.at.problem.library.searched, 0.0)
+    gains = dict.fromkeys(sorted(fitter.at.problem.library.searched), 0.0)
     nothing = evidence.score(())
     for _, member in evidence.additions(nothing):
         key = evidence.unknowns.keys[member[0]]
