@@ -232,7 +232,8 @@ class Problem:
                 full = machine.parameter(cylinder, "static") / stiffness
                 size = limits.bristle_share * full
                 nudge = Nudge(element=cylinder, quantity="bristle", size=size)
-                touched = replay.touched(machine.driven[cylinder][0])
+                joint = machine.driven[cylinder][0]
+                touched = replay.at_starts([cut.touched[joint] for cut in replay.cuts])
                 found.append((nudge, np.where(touched, full, size)))
         return found
 
