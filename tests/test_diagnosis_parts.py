@@ -115,7 +115,8 @@ def test_a_channel_is_filtered_once_for_all_hypotheses_that_correct_it_alike(mon
 
     monkeypatch.setattr(windows, "smoothed", counting)
     channel = Channel(column="q", joint="hinge")
-    cut = Cut(series=SimpleNamespace(period=1e-3), firsts=np.arange(3), levers={})
+    recorded = SimpleNamespace(period=1e-3)
+    cut = Cut(series=recorded, firsts=np.arange(3), levers={}, touched={}, pushes=None)
     rng = np.random.default_rng(0)
     series = [np.concatenate([[k], rng.standard_normal(99)]) for k in range(5)]
     for k in (0, 1, 0, 2, 0, 3, 0, 1):

@@ -6,7 +6,6 @@ motion that they make by themselves is added as far as the filters take it away.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -18,35 +17,27 @@ from leglab.diagnosis.plant.model import Machine
 from leglab.machine.simulation import actuator_moments
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Pushes:
     """Accelerations of the joints by the commands of native actuators, along a recording.
 
     Attributes:
         actuators: Those that act at once by a fixed gain.
-        response: d(acceleration)/d(command), (actuators, n, joints).
-        limits: Lowest and highest command, (actuators, 2).
-        decay: Rate at which dampers and servos slow each joint [1/s], (joints,).
         dofs: Degrees of freedom of the model.
     """
 
-    actuators: tuple[str, ...]
-    response: np.ndarray
-    limits: np.ndarray
-    decay: np.ndarray
-    dofs: int
-
-    @classmethod
-    def of(cls, machine: Machine, series: UniformSeries) -> "Pushes | None":
-        """Those of a machine; None where no actuator of MuJoCo's acts so."""
+    def __init__(self, machine: Machine, series: UniformSeries) -> None:
         model = machine.base.model
         at_once = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_NONE
         fixed = model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED
         acting = np.flatnonzero(at_once & fixed & (model.actuator_plugin < 0))
+        self.actuators, self.dofs = tuple(machine.actuators[i] for i in acting), model.nv
         if not acting.size:
-            return None
+            return
+        limited = model.actuator_ctrllimited[acting].astype(bool)[:, None]
+        self._limits = np.where(limited, model.actuator_ctrlrange[acting], [-np.inf, np.inf])
         dofs = [int(model.joint(j).dofadr[0]) for j in machine.joints]
-        response = np.zeros((acting.size, series.time.size, len(dofs)))
+        # d(acceleration)/d(command), and the rate [1/s] at which dampers and servos slow a joint.
+        self._response = np.zeros((acting.size, series.time.size, len(dofs)))
         decay = np.zeros(len(dofs))
         gain = model.actuator_gainprm[acting, 0]
         affine = model.actuator_biastype[acting] == mujoco.mjtBias.mjBIAS_AFFINE
@@ -55,17 +46,10 @@ class Pushes:
         for k, data in enumerate(poses(machine, series)):
             moment = actuator_moments(model, data)[acting]
             mujoco.mj_solveM(model, data, inverse, np.eye(model.nv))
-            response[:, k] = ((inverse @ moment.T)[dofs] * gain).T
+            self._response[:, k] = ((inverse @ moment.T)[dofs] * gain).T
             slowing = model.dof_damping + damping @ moment**2
             decay += np.maximum(slowing[dofs], 0.0) * inverse[dofs, dofs]
-        limited = model.actuator_ctrllimited[acting].astype(bool)[:, None]
-        return cls(
-            actuators=tuple(machine.actuators[i] for i in acting),
-            response=response,
-            limits=np.where(limited, model.actuator_ctrlrange[acting], [-np.inf, np.inf]),
-            decay=decay / series.time.size,
-            dofs=model.nv,
-        )
+        self._decay = decay / series.time.size
 
     def moved(
         self, commands: Mapping[str, np.ndarray], period: float
@@ -75,11 +59,10 @@ class Pushes:
         Commands hold for a sampling period [s].
         """
         held = np.stack([commands[name] for name in self.actuators])
-        held = np.clip(held, self.limits[:, :1], self.limits[:, 1:])
-        pushed = (self.response * held[:, :, None]).sum(axis=0)
-        kept = np.exp(-self.decay * period)
-        rate = np.where(self.decay > 0.0, self.decay, 1.0)
-        gained = np.where(self.decay > 0.0, -np.expm1(-self.decay * period) / rate, period)
+        held = np.clip(held, self._limits[:, :1], self._limits[:, 1:])
+        pushed, decay = (self._response * held[:, :, None]).sum(axis=0), self._decay
+        kept, rate = np.exp(-decay * period), np.where(decay > 0.0, decay, 1.0)
+        gained = np.where(decay > 0.0, -np.expm1(-decay * period) / rate, period)
         each = zip(gained, kept, pushed.T, strict=True)
         velocity = np.stack([lfilter([0.0, g], [1.0, -k], a) for g, k, a in each])
         # Exact for a velocity that is straight between samples.

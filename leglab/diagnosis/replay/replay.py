@@ -245,7 +245,8 @@ class Replay:
         for cut, measured, states in self._along(change, parts, blocks):
             found.append(left(cut, measured, states))
             if native:
-                loud = {a: commanded(cut, change, a, LOUDER) for a in native}
+                sent = {a: LOUDER * cut.series.columns[f"{a}_command"] for a in native}
+                loud = {a: commanded(change, a, u, self._period) for a, u in sent.items()}
                 louder = replace(measured, command={**measured.command, **loud})
                 pushed.append(left(cut, louder, states) - found[-1])
             else:
@@ -267,8 +268,8 @@ class Replay:
         start = self._starts(change, parts)
         faulty = commands.copy()
         for i, actuator in enumerate(self.machine.actuators):
-            for path in change.commands.get(actuator, ()):
-                faulty[:, :, i] = [path(row, self._period) for row in faulty[:, :, i]]
+            rows = commands[:, :, i]
+            faulty[:, :, i] = [commanded(change, actuator, row, self._period) for row in rows]
         controls = np.repeat(faulty, self.substeps, axis=1)
         return self._predicted(change.variant, np.repeat(start, len(commands), axis=0), controls)
 

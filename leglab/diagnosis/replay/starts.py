@@ -24,7 +24,6 @@ from leglab.diagnosis.plant.model import (
 )
 from leglab.diagnosis.plant.moments import commands_at, forces_at, plugin_offset, states_at
 from leglab.diagnosis.plant.paths import play
-from leglab.diagnosis.replay.pushes import Pushes
 from leglab.diagnosis.replay.windows import Channel, Cut, smoothed
 from leglab.diagnosis.thresholds import FLANK, PRESSED
 
@@ -33,12 +32,9 @@ _BREAKAWAY = np.finfo(float).tiny
 
 
 class Nudge(NamedTuple):
-    """Departure from the reconstructed start states, to see how predictions depend on them.
+    """Departure from the reconstructed start states, by a size [rad, rad/s, Pa or m].
 
-    Attributes:
-        element: Joint or cylinder.
-        quantity: As `place` has it.
-        size: rad, rad/s, Pa or m.
+    Of an element and a quantity as `place` has them.
     """
 
     element: str
@@ -344,7 +340,8 @@ def measure(
 ) -> tuple[Measured, dict[str, np.ndarray]]:
     """Smoothed series under the sensor and command faults of a change, and corrected columns."""
     machine, series, period = change.machine, cut.series, cut.series.period
-    command = {a: commanded(cut, change, a) for a in machine.actuators}
+    sent = {a: series.columns[f"{a}_command"] for a in machine.actuators}
+    command = {a: commanded(change, a, samples, period) for a, samples in sent.items()}
     corrected, position, velocity, pressure = {}, {}, {}, {}
     for channel in channels:
         samples = series.columns[channel.column]
@@ -358,10 +355,8 @@ def measure(
             position[channel.joint], velocity[channel.joint] = level, slope
     pushed: dict[str, np.ndarray] = {}
     # A body that a hypothesis puts between motor and joint takes the pushes.
-    if cut.pushes is not None and cut.pushes.dofs == change.variant.model.nv:
-        filters = {c.joint: c.filter for c in channels if not c.chamber}
-        driven = _driven(cut, cut.pushes, [filters[joint] for joint in machine.joints], command)
-        for joint, (beyond, faster, whole) in zip(machine.joints, driven, strict=True):
+    if cut.pushes.actuators and cut.pushes.dofs == change.variant.model.nv:
+        for joint, (beyond, faster, whole) in _driven(cut, channels, machine, command).items():
             position[joint] = position[joint] + beyond
             velocity[joint] = velocity[joint] + faster
             pushed[joint] = whole
@@ -386,28 +381,34 @@ def measure(
 
 
 def _driven(
-    cut: Cut, pushes: Pushes, filters: list[tuple[int, int]], command: dict[str, np.ndarray]
-) -> np.ndarray:
-    """Motion by commands of native actuators, (joints, 3, n).
+    cut: Cut,
+    channels: tuple[Channel, ...],
+    machine: Machine,
+    command: dict[str, np.ndarray],
+) -> dict[str, np.ndarray]:
+    """Motion by commands of native actuators, by joint, each (3, n).
 
     What filters take away of its position and velocity, and its velocity from rest.
     """
-    period = cut.series.period
+    period, filters = cut.series.period, {c.joint: c.filter for c in channels if not c.chamber}
 
     def followed() -> np.ndarray:
-        rows = zip(filters, *pushes.moved(command, period), strict=True)
-        return np.stack([[q - smoothed(q, f), v - smoothed(q, f, period), v] for f, q, v in rows])
+        rows = zip(machine.joints, *cut.pushes.moved(command, period), strict=True)
+        return np.stack(
+            [
+                [q - smoothed(q, filters[joint]), v - smoothed(q, filters[joint], period), v]
+                for joint, q, v in rows
+            ]
+        )
 
-    return cut.lately.get("pushes", [command[name] for name in pushes.actuators], followed)
+    found = cut.lately.get("pushes", [command[name] for name in cut.pushes.actuators], followed)
+    return dict(zip(machine.joints, found, strict=True))
 
 
-def commanded(cut: Cut, change: Change, actuator: str, factor: float = 1.0) -> np.ndarray:
-    """What reaches an actuator of a factor on its measured commands, (n,)."""
-    samples = cut.series.columns[f"{actuator}_command"]
-    if factor != 1.0:
-        samples = factor * samples
+def commanded(change: Change, actuator: str, samples: np.ndarray, period: float) -> np.ndarray:
+    """What reaches an actuator of commands at a sampling period [s], (n,)."""
     for path in change.commands.get(actuator, ()):
-        samples = path(samples, cut.series.period)
+        samples = path(samples, period)
     return samples
 
 

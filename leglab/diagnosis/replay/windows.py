@@ -169,15 +169,15 @@ class Cut:
         firsts: Samples at which windows start, shape (windows,).
         levers: d(actuator length)/d(joint position) of the cylinders, each (n,).
         touched: Whether something touches what a joint carries, (n,) by joint.
-        pushes: What commands of native actuators do at once; None where there are none.
+        pushes: What commands of native actuators do at once.
         lately: What was followed along the series lately.
     """
 
     series: UniformSeries
     firsts: np.ndarray
     levers: dict[str, np.ndarray]
-    touched: dict[str, np.ndarray] = field(default_factory=dict)
-    pushes: Pushes | None = None
+    touched: dict[str, np.ndarray]
+    pushes: Pushes
     lately: Lately = field(default_factory=Lately)
 
     def filtered(self, channel: Channel, samples: np.ndarray) -> np.ndarray:
@@ -289,7 +289,7 @@ def _cut(
     for command in commands:
         held &= np.ptp(command[inside], axis=1) <= thresholds.still_command * np.ptp(command)
     levers, touched = _along(machine, series, max(1, round(thresholds.bin / series.period)))
-    pushes = Pushes.of(machine, series)
+    pushes = Pushes(machine, series)
     cut = Cut(series=series, firsts=firsts, levers=levers, touched=touched, pushes=pushes)
     return cut, travel, held
 
