@@ -1,5 +1,6 @@
 """Replay of measured commands over short windows that start from measured states."""
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -133,7 +134,7 @@ class Replay:
         self._threads = max(1, threads)
         self._pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
         self._datas: dict[int, tuple[Variant, list[mujoco.MjData]]] = {}
-        self._buffers: dict[tuple[int, ...], np.ndarray] = {}
+        self._room = np.empty(0)  # for states
         self.rollouts = 0.0
 
     @property
@@ -145,7 +146,7 @@ class Replay:
         """The same windows replayed by another model."""
         other = copy(self)
         other.machine, other.rollouts = machine, 0.0
-        other._datas, other._buffers = {}, {}
+        other._datas, other._room = {}, np.empty(0)
         other.substeps = max(1, round(self._period / machine.timestep))
         return other
 
@@ -163,11 +164,11 @@ class Replay:
         nudge: Nudge | None = None,
         blocks: int = 0,
     ) -> ReplayErrors:
-        """Measured less predicted in the chosen windows.
+        """Measured less predicted under a change, of all windows or those in a mask, (windows,).
 
         Args:
             change: What the hypothesis changes.
-            chosen: Mask of the windows to replay, shape (windows,); None for all.
+            chosen: Mask of the windows.
             nudge: Departure from the start states.
             blocks: Into which a window is divided for the forces that it leaves over; 0 for none.
         """
@@ -195,11 +196,6 @@ class Replay:
         self, change: Change, chosen: np.ndarray | None, blocks: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """Forces that the measured motion leaves over, averaged over blocks of a window.
-
-        Args:
-            change: What the hypothesis changes.
-            chosen: Mask of the windows, shape (windows,); None for all.
-            blocks: Into which a window is divided.
 
         Returns:
             Shape (chosen windows, joints whose forces can be known, blocks) [N m or N], as
@@ -254,15 +250,9 @@ class Replay:
         return np.concatenate(found), np.concatenate(pushed)
 
     def respond(self, change: Change, window: int, commands: np.ndarray) -> np.ndarray:
-        """Predictions from the start of one window under other commands.
+        """Predictions from the start of a window under other commands than those measured.
 
-        Args:
-            change: What the hypothesis changes.
-            window: Whose start state is taken.
-            commands: Measured commands, shape (series, samples, actuators).
-
-        Returns:
-            Shape (series, channels, samples).
+        These have the shape (series, samples, actuators), predictions (series, channels, samples).
         """
         parts = list(self._parts(change, np.arange(self.windows) == window))
         start = self._starts(change, parts)
@@ -276,8 +266,7 @@ class Replay:
     def course(self, change: Change, recording: int, after: float) -> Course | None:
         """A recording from its first window that starts after a time [s], to its end or a gap.
 
-        Returns:
-            None where there is no such window.
+        None where there is no such window.
         """
         cut = self.cuts[recording]
         cut = replace(cut, firsts=cut.firsts[cut.series.time[cut.firsts] >= after])
@@ -300,9 +289,8 @@ class Replay:
                 gone = self._roll(change.variant, starts, moved, late, places) - there
                 moves[:, i] = np.nan_to_num(np.median(gone, axis=0)) / step
         first = int(cut.firsts[0])
-        gaps = np.flatnonzero(~cut.series.valid[first:])
-        count = int(gaps[0]) if gaps.size else cut.series.time.size - first
-        inside = first + np.arange(count)
+        valid = np.append(cut.series.valid[first:], False)
+        inside = first + np.arange(int(np.argmin(valid)))
         return Course(
             period=self._period,
             time=cut.series.time[inside],
@@ -390,39 +378,29 @@ class Replay:
         """
         model = variant.model
         # Data carry their own plugin instances, so every variant has its own.
-        key = id(variant)
-        if key not in self._datas:
-            self._datas[key] = variant, [mujoco.MjData(model) for _ in range(self._threads)]
-            while len(self._datas) > _CACHED_VARIANTS:
+        if id(variant) not in self._datas:
+            made = [mujoco.MjData(model) for _ in range(self._threads)]
+            self._datas[id(variant)] = variant, made
+            if len(self._datas) > _CACHED_VARIANTS:
                 self._datas.pop(next(iter(self._datas)))
+        datas = self._datas[id(variant)][1]
         windows, count = controls.shape[:2]
         most = max(self._threads, _MEMORY // (8 * count * starts.shape[1]))
         found = np.empty((windows, steps.size, places.size))
         for first in range(0, windows, most):
             part = slice(first, min(first + most, windows))
-            size = part.stop - part.start
-            states = self._buffer((size, count, starts.shape[1]))
-            sensors = np.empty((size, count, model.nsensordata))  # else made every time
+            shape = part.stop - part.start, count, starts.shape[1]
+            if self._room.size < math.prod(shape):
+                self._room = np.empty(math.prod(shape))
+            states = self._room[: math.prod(shape)].reshape(shape)
+            sensors = np.empty((*shape[:2], model.nsensordata))  # else made every time
             with headless(model):
                 self._pool.rollout(
-                    model,
-                    self._datas[key][1],
-                    starts[part],
-                    controls[part],
-                    state=states,
-                    sensordata=sensors,
+                    model, datas, starts[part], controls[part], state=states, sensordata=sensors
                 )
             found[part] = states[:, steps[:, None], places]
         self.rollouts += windows / self.windows
         return found
-
-    def _buffer(self, shape: tuple[int, ...]) -> np.ndarray:
-        """Room for states; those of the last shapes are kept."""
-        if shape not in self._buffers:
-            if len(self._buffers) > 1:
-                self._buffers.clear()
-            self._buffers[shape] = np.empty(shape)
-        return self._buffers[shape]
 
     def _predicted(self, variant: Variant, starts: np.ndarray, controls: np.ndarray) -> np.ndarray:
         """Predictions at the samples of windows, shape (windows, channels, samples)."""

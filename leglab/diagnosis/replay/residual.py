@@ -245,7 +245,7 @@ class Problem:
             change = self.library.change(hypothesis, replay.machine)
             errors = replay.error(change, chosen=chosen).normalised
             return errors, np.ones(len(errors))
-        chosen = np.ones(replay.windows, dtype=bool) if chosen is None else chosen
+        chosen = np.full(replay.windows, True) if chosen is None else chosen
         keys = sorted(hypothesis.onsets)
         begins = np.stack([hypothesis.onsets[k][replay.recording] for k in keys])
         active = begins <= replay.start
@@ -266,9 +266,7 @@ class Problem:
 def noise_alone(squares: np.ndarray, recording: np.ndarray) -> bool:
     """Whether each recording is left noise, but for a few of its windows.
 
-    Args:
-        squares: Mean squares of the windows in noise levels, (windows,).
-        recording: Of each window.
+    By mean squares of the windows in noise levels, and their recordings, each (windows,).
     """
     share, limit = 1.0 - DEFAULT.smaller_share, DEFAULT.explained**2
     own = (squares[recording == r] for r in np.unique(recording))
@@ -289,11 +287,8 @@ def extrapolation(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     position is of first order for those of the velocity (damping, Coriolis, servos). Two halvings
     tell both parts (Romberg): the limit is (2 first + 8 second)/3 away, 4/3 of the first halving
     for the second order and 2 for the first. The middle of all windows counts, since beside jumps
-    and stick-slip differences have no order.
-
-    Args:
-        first: What half the step changes in the errors, shape (windows, channels, bins).
-        second: What a quarter changes beyond that.
+    and stick-slip differences have no order. `first` is what half the step changes in the errors,
+    (windows, channels, bins), and `second` what a quarter changes beyond that.
     """
     limit = (2.0 * first + 8.0 * second) / 3.0
     square = (first**2).sum(axis=2)
