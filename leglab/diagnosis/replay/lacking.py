@@ -36,13 +36,10 @@ def balanced_joints(machine: Machine, channels: Sequence[Channel]) -> tuple[str,
 def lacking_forces(
     change: Change, measured: Measured, states: np.ndarray, half: int
 ) -> MomentForces:
-    """Forces that the measured motion needs beyond the modelled ones.
+    """Forces that the measured motion needs beyond the modelled ones under a change.
 
-    Args:
-        change: Changes under the hypothesis.
-        measured: Smoothed series; its samples are looked at.
-        states: Full physics states at the samples, (samples, nstate).
-        half: Accelerations are the mean over so many samples to both sides.
+    At the samples of `measured`, with full physics states `states` there, (samples, nstate).
+    Accelerations are the mean over `half` samples to both sides.
     """
     machine, model, k = change.machine, change.variant.model, measured.samples
     start = plugin_offset(model)

@@ -218,7 +218,7 @@ class Replay:
     def _along(
         self, change: Change, parts: Iterable[Part], blocks: int
     ) -> Iterator[tuple[Cut, Measured, np.ndarray]]:
-        # As many samples in each block.
+        """As `along`; as many samples in each block."""
         inside = np.arange(self.half, self.samples - self.half + 1, 2 * self.half)
         inside = inside[: inside.size // blocks * blocks]
         for cut, measured, _ in parts:
@@ -228,6 +228,7 @@ class Replay:
     def _left(
         self, change: Change, parts: Iterable[Part], blocks: int
     ) -> tuple[np.ndarray, np.ndarray]:
+        """As `lacking`."""
         joints = balanced_joints(self.machine, self.channels)
         native = self.machine.native_actuators()
 
@@ -239,14 +240,12 @@ class Replay:
 
         found, pushed = [], []
         for cut, measured, states in self._along(change, parts, blocks):
-            found.append(left(cut, measured, states))
-            if native:
-                sent = {a: LOUDER * cut.series.columns[f"{a}_command"] for a in native}
-                loud = {a: commanded(change, a, u, self._period) for a, u in sent.items()}
-                louder = replace(measured, command={**measured.command, **loud})
-                pushed.append(left(cut, louder, states) - found[-1])
-            else:
-                pushed.append(np.zeros_like(found[-1]))
+            own = left(cut, measured, states)
+            sent = {a: LOUDER * cut.series.columns[f"{a}_command"] for a in native}
+            loud = {a: commanded(change, a, u, self._period) for a, u in sent.items()}
+            louder = replace(measured, command={**measured.command, **loud})
+            found.append(own)
+            pushed.append(left(cut, louder, states) - own if native else np.zeros_like(own))
         return np.concatenate(found), np.concatenate(pushed)
 
     def respond(self, change: Change, window: int, commands: np.ndarray) -> np.ndarray:

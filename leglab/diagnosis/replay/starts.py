@@ -100,6 +100,10 @@ class Instances:
         known = self.measured.pressure
         return {c: known[f"{joint}_{c}"] for c in CHAMBERS if f"{joint}_{c}" in known}
 
+    def chambers(self, cylinder: str) -> list[np.ndarray]:
+        """Measured pressures of a cylinder's chambers, each (n,)."""
+        return [*self.pressures(self.machine.driven[cylinder][0]).values()]
+
     def reconstruct(self) -> None:
         """Sets the hidden states of cylinders, joint friction and supplies: they follow the motion.
 
@@ -132,8 +136,8 @@ class Instances:
         self.put(element, "spool_position", np.clip(position[samples], -1.0, 1.0))
         self.put(element, "spool_velocity", speed[samples])
         velocity = measured.piston_velocity[element]
-        pressures = self.pressures(self.machine.driven[element][0]).values()
-        level = self._slide(element, velocity, sum(pressures, np.zeros(velocity.size)))
+        carried = sum(self.chambers(element), np.zeros(velocity.size))
+        level = self._slide(element, velocity, carried)
         if self.value(element, "play") > 0.0:
             self._seat(element, velocity, level)
 
@@ -143,7 +147,7 @@ class Instances:
         It crosses the play within milliseconds, and rests in it only while friction holds it.
         """
         samples, play = self.measured.samples, self.value(element, "play")
-        pressures = [*self.pressures(self.machine.driven[element][0]).values()]
+        pressures = self.chambers(element)
         if len(pressures) < len(CHAMBERS):
             return
         bore, rod = self.value(element, "bore"), self.value(element, "rod")
@@ -154,19 +158,17 @@ class Instances:
         sure = np.abs(pressed) > PRESSED * level
         last = np.maximum.accumulate(np.where(sure, np.arange(sure.size), -1))
         side = np.where(last >= 0, np.sign(pressed[last]), np.sign(force[0]))
-        given = pressed / self.value(element, "play_stiffness")
-        least = FLANK / self.value(element, "play_stiffness")
-        reach = 0.5 * play + np.maximum(np.abs(given), least)
+        stiffness = self.value(element, "play_stiffness")
+        reach = 0.5 * play + np.maximum(np.abs(pressed / stiffness), FLANK / stiffness)
         self.put(element, "play_offset", (side * reach)[samples])
-        lag = 0.5 * self.machine.timestep
-        slope = np.gradient(velocity, self.measured.period)
+        before = 0.5 * self.machine.timestep * np.gradient(velocity, self.measured.period)
         self.put(element, "pin_load", -pressed[samples])
-        self.put(element, "piston_velocity", (velocity - lag * slope)[samples])
+        self.put(element, "piston_velocity", (velocity - before)[samples])
         self.put(element, "seated_play", np.full(samples.size, play))
 
     def _supply(self, element: str, cylinders: tuple[str, ...]) -> None:
         """Sets a supply's pressure, which falls with what its cylinders draw."""
-        chambers = [[*self.pressures(self.machine.driven[c][0]).values()] for c in cylinders]
+        chambers = [self.chambers(cylinder) for cylinder in cylinders]
         if not cylinders or any(len(pair) < len(CHAMBERS) for pair in chambers):
             return
         period, samples = self.measured.period, self.measured.samples
@@ -356,7 +358,8 @@ def measure(
     pushed: dict[str, np.ndarray] = {}
     # A body that a hypothesis puts between motor and joint takes the pushes.
     if cut.pushes.actuators and cut.pushes.dofs == change.variant.model.nv:
-        for joint, (beyond, faster, whole) in _driven(cut, channels, machine, command).items():
+        driven = _driven(cut, channels, command)
+        for joint, (beyond, faster, whole) in zip(machine.joints, driven, strict=True):
             position[joint] = position[joint] + beyond
             velocity[joint] = velocity[joint] + faster
             pushed[joint] = whole
@@ -380,29 +383,18 @@ def measure(
     return measured, corrected
 
 
-def _driven(
-    cut: Cut,
-    channels: tuple[Channel, ...],
-    machine: Machine,
-    command: dict[str, np.ndarray],
-) -> dict[str, np.ndarray]:
-    """Motion by commands of native actuators, by joint, each (3, n).
+def _driven(cut: Cut, channels: tuple[Channel, ...], command: dict[str, np.ndarray]) -> np.ndarray:
+    """Motion by commands of native actuators, (joints, 3, n).
 
     What filters take away of its position and velocity, and its velocity from rest.
     """
-    period, filters = cut.series.period, {c.joint: c.filter for c in channels if not c.chamber}
+    period, filters = cut.series.period, [c.filter for c in channels if not c.chamber]
 
     def followed() -> np.ndarray:
-        rows = zip(machine.joints, *cut.pushes.moved(command, period), strict=True)
-        return np.stack(
-            [
-                [q - smoothed(q, filters[joint]), v - smoothed(q, filters[joint], period), v]
-                for joint, q, v in rows
-            ]
-        )
+        rows = zip(filters, *cut.pushes.moved(command, period), strict=True)
+        return np.stack([[q - smoothed(q, f), v - smoothed(q, f, period), v] for f, q, v in rows])
 
-    found = cut.lately.get("pushes", [command[name] for name in cut.pushes.actuators], followed)
-    return dict(zip(machine.joints, found, strict=True))
+    return cut.lately.get("pushes", [command[name] for name in cut.pushes.actuators], followed)
 
 
 def commanded(change: Change, actuator: str, samples: np.ndarray, period: float) -> np.ndarray:
@@ -420,15 +412,11 @@ def start_states(
     rest_time: float,
     pressures: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Full physics states at window starts, shape (windows, nstate).
+    """Full physics states at window starts under a change, shape (windows, nstate).
 
-    Args:
-        cut: Windows.
-        change: Changes under the hypothesis.
-        measured: Smoothed series; its samples say where windows start.
-        channels: Measured outputs.
-        rest_time: A bristle that slid less than twice its deflection in this time [s] rests.
-        pressures: Values of `hidden_slots` where pressures are not measured, (windows, slots).
+    The samples of `measured` say where windows start. A bristle that slid less than twice its
+    deflection in `rest_time` [s] rests. `pressures` are values of `hidden_slots`, (windows, slots),
+    where pressures are not measured.
     """
     machine, variant, firsts = change.machine, change.variant, measured.samples
     plugin = np.tile(variant.plugin_state, (firsts.size, 1))

@@ -79,14 +79,8 @@ def noise_level(samples: np.ndarray, window: tuple[int, int]) -> float:
 
     The filter keeps its centre coefficient c of each sample, so that white noise of variance s^2
     leaves s^2 (1 - c). The median makes jumps of the signal count little (Rousseeuw and
-    Croux 1993). Where a signal rests on one reading it shows no noise, and does not count.
-
-    Args:
-        samples: Shape (n,).
-        window: Length and order of the Savitzky-Golay filter.
-
-    Returns:
-        0 where the signal never changes, or is shorter than the filter.
+    Croux 1993). Where a signal rests on one reading it shows no noise, and does not count: 0 where
+    it never changes, or is shorter than the filter. `window` is the filter's length and order.
     """
     if samples.size < window[0]:
         return 0.0
