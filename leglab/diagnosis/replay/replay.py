@@ -121,9 +121,8 @@ class Replay:
         self.cuts = cut_all(
             machine, series, channels, self.sensor_noise, self.samples, self._lead, thresholds
         )
-        self.recording = np.concatenate(
-            [np.full(c.firsts.size, i) for i, c in enumerate(self.cuts)]
-        )
+        counts = [cut.firsts.size for cut in self.cuts]
+        self.recording = np.repeat(np.arange(len(self.cuts)), counts)
         self.start = np.concatenate([c.series.time[c.firsts] for c in self.cuts])
         if not self.start.size:
             longest = max(float(s.time[-1] - s.time[0]) for s in series)
@@ -255,11 +254,9 @@ class Replay:
         """
         parts = list(self._parts(change, np.arange(self.windows) == window))
         start = self._starts(change, parts)
-        faulty = commands.copy()
-        for i, actuator in enumerate(self.machine.actuators):
-            rows = commands[:, :, i]
-            faulty[:, :, i] = [commanded(change, actuator, row, self._period) for row in rows]
-        controls = np.repeat(faulty, self.substeps, axis=1)
+        each = zip(self.machine.actuators, np.moveaxis(commands, 2, 0), strict=True)
+        faulty = [[commanded(change, a, row, self._period) for row in rows] for a, rows in each]
+        controls = np.repeat(np.stack(faulty, axis=2), self.substeps, axis=1)
         return self._predicted(change.variant, np.repeat(start, len(commands), axis=0), controls)
 
     def course(self, change: Change, recording: int, after: float) -> Course | None:

@@ -152,8 +152,7 @@ class Problem:
 
     def about(self, hypothesis: Hypothesis) -> "Problem":
         """The same problem with its noise model taken about a hypothesis."""
-        errors, _ = self._errors(self.replay, hypothesis, None)
-        fine, _ = self._errors(self._fine, hypothesis, None)
+        errors, fine = (self._errors(r, hypothesis, None)[0] for r in (self.replay, self._fine))
         change = self.library.change(hypothesis, self.machine)
         other = copy(self)
         other.noise = self._noise_model(change, self.replay.error(change).values, fine - errors)

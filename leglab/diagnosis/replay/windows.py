@@ -59,11 +59,10 @@ def channels(
     found = [Channel(column=f"{j}_position", joint=j, filter=position) for j in machine.joints]
     for cylinder in machine.instances(CYLINDER):
         joint = machine.driven[cylinder][0]
-        columns = {f"{joint}_{chamber}": chamber for chamber in CHAMBERS}
         found += [
             Channel(column=name, joint=joint, cylinder=cylinder, chamber=chamber, filter=pressure)
-            for name, chamber in columns.items()
-            if name in shared
+            for chamber in CHAMBERS
+            if (name := f"{joint}_{chamber}") in shared
         ]
     return tuple(found)
 
