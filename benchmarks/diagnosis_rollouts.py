@@ -35,7 +35,7 @@ def trajectories(problem, windows):
 
     replay, change = problem.replay, Change(problem.machine)
     states, controls, sensors = [], [], []
-    for cut in replay._cuts:
+    for cut in replay.cuts:
         measured, _ = measure(cut, replay.channels, change)
         rest = replay.rest_time
         starts = start_states(cut, change, measured, replay.channels, rest)

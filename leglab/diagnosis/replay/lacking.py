@@ -36,32 +36,22 @@ def balanced_joints(machine: Machine, channels: Sequence[Channel]) -> tuple[str,
 def lacking_forces(
     change: Change, measured: Measured, states: np.ndarray, half: int
 ) -> MomentForces:
-    """Forces that the measured motion needs beyond the modelled ones.
+    """Forces that the measured motion needs beyond the modelled ones under a change.
 
-    Args:
-        change: Changes under the hypothesis.
-        measured: Smoothed series; its samples are looked at.
-        states: Full physics states at the samples, (samples, nstate).
-        half: Accelerations are the mean over so many samples to both sides.
+    At the samples of `measured`, with full physics states `states` there, (samples, nstate).
+    Accelerations are the mean over `half` samples to both sides.
     """
     machine, model, k = change.machine, change.variant.model, measured.samples
-    states = states.copy()
-    velocity = states[:, 1 + model.nq : 1 + model.nq + model.nv]
-    velocity[:] = 0.0
-    for joint in machine.joints:
-        velocity[:, int(model.joint(joint).dofadr[0])] = measured.velocity[joint][k]
-    # Held commands change at samples: about one, the mean of both sides acts.
-    native = machine.native_actuators()
-    command = np.stack(
-        [
-            0.5 * (u[k] + u[k - 1]) if a in native else u[k]
-            for a, u in ((a, measured.command[a]) for a in machine.actuators)
-        ],
-        axis=1,
-    )
     start = plugin_offset(model)
-    states[:, [start + place for place in plays(machine, change.variant)]] = 0.0
-    return forces_at(model, states, command, accelerations(change, measured, half))
+    plugin = states[:, start : start + model.npluginstate]
+    closed = plays(machine, change.variant)
+    moments = states_at(machine, model, measured, k, plugin, without=closed)
+    moments[:, 0] = states[:, 0]
+    # Held commands change at samples: about one, the mean of both sides acts.
+    now, before = (commands_at(machine, measured, samples) for samples in (k, k - 1))
+    native = np.isin(machine.actuators, machine.native_actuators())
+    command = np.where(native, 0.5 * (now + before), now)
+    return forces_at(model, moments, command, accelerations(change, measured, half))
 
 
 def accelerations(change: Change, measured: Measured, half: int) -> np.ndarray:
@@ -76,10 +66,7 @@ def accelerations(change: Change, measured: Measured, half: int) -> np.ndarray:
 
 
 def comparable_forces(
-    change: Change,
-    measured: Measured,
-    found: MomentForces,
-    joints: Sequence[str],
+    change: Change, measured: Measured, found: MomentForces, joints: Sequence[str]
 ) -> np.ndarray:
     """Forces left over as hypotheses can be compared by them, (samples, joints) [N m or N].
 
@@ -88,31 +75,22 @@ def comparable_forces(
     by the acceleration that it makes, as the sensor tells it, and that by the force it takes on
     the unmodified machine: M_0 M^-1 f for a force f and joint-space inertias M_0 and M. (The
     density of a measured acceleration under normal forces of an unknown size has M as its
-    Jacobian.)
-
-    Args:
-        change: Changes under the hypothesis.
-        measured: Smoothed series; its samples are looked at.
-        found: What the hypothesis leaves over there.
-        joints: Whose forces can be known.
+    Jacobian.) `found` is what the hypothesis leaves over, and `joints` those that can be known.
     """
     machine, base, k = change.machine, change.machine.base, measured.samples
+
+    def nominal() -> np.ndarray:
+        states = states_at(machine, base.model, measured, k, base.plugin_state)
+        return forces_at(base.model, states, commands_at(machine, measured, k)).inertia
 
     def block(inertia: np.ndarray, model: mujoco.MjModel) -> np.ndarray:
         dofs = [int(model.joint(joint).dofadr[0]) for joint in joints]
         return inertia[:, dofs][:, :, dofs]
 
-    states = states_at(machine, base.model, measured, k, base.plugin_state)
-    positions = states[:, 1 : 1 + base.model.nq]
-    nominal = measured.lately.get(
-        "inertia",
-        (k, positions),
-        lambda: forces_at(base.model, states, commands_at(machine, measured, k)).inertia,
-        by=base,
-    )
-    model = change.variant.model
+    model, given = change.variant.model, (k, *measured.position.values())
+    unmodified = block(measured.lately.get("inertia", given, nominal, by=base), base.model)
     left = found.lacking[:, [int(model.joint(joint).dofadr[0]) for joint in joints]]
     gained = np.linalg.solve(block(found.inertia, model), left[:, :, None])
-    told = (block(nominal, base.model) @ gained)[:, :, 0]
     undone = (change.corrections.get(f"{joint}_position", ()) for joint in joints)
-    return told / np.array([np.prod([gain for _, gain in one]) for one in undone])
+    gains = np.array([np.prod([gain for _, gain in one]) for one in undone])
+    return (unmodified @ gained)[:, :, 0] / gains

@@ -5,11 +5,11 @@ velocity from sample to sample. Smoothed positions do not show that, but the com
 motion that they make by themselves is added as far as the filters take it away.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 
 import mujoco
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.signal import lfilter
 
 from leglab.diagnosis.intake.series import UniformSeries
@@ -17,68 +17,39 @@ from leglab.diagnosis.plant.model import Machine
 from leglab.machine.simulation import actuator_moments
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Pushes:
     """Accelerations of the joints by the commands of native actuators, along a recording.
 
     Attributes:
-        joints: Of the machine.
-        response: d(acceleration)/d(command), by actuator, each (n, joints).
-        limits: Lowest and highest command, by actuator.
-        decay: Rate at which dampers and servos slow each joint [1/s], (joints,).
+        actuators: Those that act at once by a fixed gain.
         dofs: Degrees of freedom of the model.
     """
 
-    joints: tuple[str, ...]
-    response: dict[str, np.ndarray]
-    limits: dict[str, tuple[float, float]]
-    decay: np.ndarray
-    dofs: int
-
-    @classmethod
-    def of(cls, machine: Machine, series: UniformSeries) -> "Pushes | None":
-        """Those of a machine; None where no actuator of MuJoCo's acts at once by a fixed gain."""
+    def __init__(self, machine: Machine, series: UniformSeries) -> None:
         model = machine.base.model
-        acting = [
-            name
-            for name in machine.native_actuators()
-            if model.actuator(name).dyntype[0] == mujoco.mjtDyn.mjDYN_NONE
-            and model.actuator(name).gaintype[0] == mujoco.mjtGain.mjGAIN_FIXED
-        ]
-        if not acting:
-            return None
-        data = mujoco.MjData(model)
-        numbers = [model.actuator(name).id for name in acting]
-        places = [int(model.joint(j).qposadr[0]) for j in machine.joints]
+        at_once = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_NONE
+        fixed = model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED
+        acting = np.flatnonzero(at_once & fixed & (model.actuator_plugin < 0))
+        self.actuators, self.dofs = tuple(machine.actuators[i] for i in acting), model.nv
+        if not acting.size:
+            return
+        limited = model.actuator_ctrllimited[acting].astype(bool)[:, None]
+        self._limits = np.where(limited, model.actuator_ctrlrange[acting], [-np.inf, np.inf])
         dofs = [int(model.joint(j).dofadr[0]) for j in machine.joints]
-        position = np.stack([series.columns[f"{j}_position"] for j in machine.joints], axis=1)
-        response = np.zeros((len(position), len(dofs), len(acting)))
+        # d(acceleration)/d(command), and the rate [1/s] at which dampers and servos slow a joint.
+        self._response = np.zeros((acting.size, series.time.size, len(dofs)))
         decay = np.zeros(len(dofs))
-        gain = model.actuator_gainprm[numbers, 0]
-        affine = model.actuator_biastype[numbers] == mujoco.mjtBias.mjBIAS_AFFINE
-        damping = np.where(affine, -model.actuator_biasprm[numbers, 2], 0.0)
+        gain = model.actuator_gainprm[acting, 0]
+        affine = model.actuator_biastype[acting] == mujoco.mjtBias.mjBIAS_AFFINE
+        damping = np.where(affine, -model.actuator_biasprm[acting, 2], 0.0)
         inverse = np.zeros((model.nv, model.nv))
-        for k, q in enumerate(position):
-            data.qpos[places] = q
-            mujoco.mj_fwdPosition(model, data)
-            moment = actuator_moments(model, data)[numbers]
+        for k, data in enumerate(poses(machine, series)):
+            moment = actuator_moments(model, data)[acting]
             mujoco.mj_solveM(model, data, inverse, np.eye(model.nv))
-            response[k] = (inverse @ moment.T)[dofs] * gain
+            self._response[:, k] = ((inverse @ moment.T)[dofs] * gain).T
             slowing = model.dof_damping + damping @ moment**2
             decay += np.maximum(slowing[dofs], 0.0) * inverse[dofs, dofs]
-        limits = {
-            name: tuple(model.actuator(name).ctrlrange.tolist())
-            if model.actuator(name).ctrllimited[0]
-            else (-np.inf, np.inf)
-            for name in acting
-        }
-        return cls(
-            joints=machine.joints,
-            response={name: response[:, :, i] for i, name in enumerate(acting)},
-            limits=limits,
-            decay=decay / len(position),
-            dofs=model.nv,
-        )
+        self._decay = decay / series.time.size
 
     def moved(
         self, commands: Mapping[str, np.ndarray], period: float
@@ -87,20 +58,24 @@ class Pushes:
 
         Commands hold for a sampling period [s].
         """
-        pushed = sum(
-            response * np.clip(commands[name], *self.limits[name])[:, None]
-            for name, response in self.response.items()
-        )
-        kept = np.exp(-self.decay * period)
-        rate = np.where(self.decay > 0.0, self.decay, 1.0)
-        gained = np.where(self.decay > 0.0, -np.expm1(-self.decay * period) / rate, period)
-        velocity = np.stack(
-            [
-                lfilter([0.0, g], [1.0, -k], a)
-                for g, k, a in zip(gained, kept, np.asarray(pushed).T, strict=True)
-            ]
-        )
-        # Trapezia, exact for a velocity that is straight between samples.
-        steps = 0.5 * period * (velocity[:, 1:] + velocity[:, :-1])
-        position = np.concatenate([np.zeros((len(velocity), 1)), np.cumsum(steps, axis=1)], axis=1)
-        return position, velocity
+        held = np.stack([commands[name] for name in self.actuators])
+        held = np.clip(held, self._limits[:, :1], self._limits[:, 1:])
+        pushed, decay = (self._response * held[:, :, None]).sum(axis=0), self._decay
+        kept, rate = np.exp(-decay * period), np.where(decay > 0.0, decay, 1.0)
+        gained = np.where(decay > 0.0, -np.expm1(-decay * period) / rate, period)
+        each = zip(gained, kept, pushed.T, strict=True)
+        velocity = np.stack([lfilter([0.0, g], [1.0, -k], a) for g, k, a in each])
+        # Exact for a velocity that is straight between samples.
+        return cumulative_trapezoid(velocity, dx=period, initial=0.0), velocity
+
+
+def poses(machine: Machine, series: UniformSeries, stride: int = 1) -> Iterator[mujoco.MjData]:
+    """The machine at measured positions, one sample in a stride after the other."""
+    model = machine.base.model
+    data = mujoco.MjData(model)
+    places = [int(model.joint(name).qposadr[0]) for name in machine.joints]
+    positions = np.stack([series.columns[f"{name}_position"] for name in machine.joints], axis=1)
+    for row in positions[::stride]:
+        data.qpos[places] = row
+        mujoco.mj_fwdPosition(model, data)
+        yield data

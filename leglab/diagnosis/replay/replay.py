@@ -1,6 +1,7 @@
 """Replay of measured commands over short windows that start from measured states."""
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -9,6 +10,7 @@ import numpy as np
 from mujoco import rollout
 
 from leglab.base.errors import LeglabError
+from leglab.diagnosis.intake.series import UniformSeries
 from leglab.diagnosis.plant.model import CYLINDER, Change, Machine, Measured, Variant
 from leglab.diagnosis.plant.moments import plugin_offset
 from leglab.diagnosis.replay.lacking import balanced_joints, comparable_forces, lacking_forces
@@ -17,16 +19,10 @@ from leglab.diagnosis.replay.starts import (
     commanded,
     hidden_slots,
     measure,
+    place,
     start_states,
 )
-from leglab.diagnosis.replay.windows import (
-    Channel,
-    Cut,
-    UniformSeries,
-    cut_all,
-    sensor_noise,
-    window_length,
-)
+from leglab.diagnosis.replay.windows import Channel, Cut, cut_all, sensor_noise, window_length
 from leglab.diagnosis.thresholds import DEFAULT, LOUDER, Thresholds
 from leglab.machine.plugin import headless
 
@@ -44,20 +40,15 @@ class ReplayErrors:
 
     Attributes:
         values: Averaged over bins, in corrected units, shape (windows, channels, bins).
-        noise_gain: Factor by which corrections multiply each channel's noise, (channels,).
+        normalised: With the sensors' own noise, which corrections multiply, same shape.
         left: As `Replay.lacking` has it, where it was asked for.
         pushed: What louder commands change in it, same shape.
     """
 
     values: np.ndarray
-    noise_gain: np.ndarray
-    left: np.ndarray | None = None
-    pushed: np.ndarray | None = None
-
-    @property
-    def normalised(self) -> np.ndarray:
-        """The errors with the sensors' own noise, shape (windows, channels, bins)."""
-        return self.values / self.noise_gain[:, None]
+    normalised: np.ndarray
+    left: np.ndarray | None
+    pushed: np.ndarray | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -130,9 +121,8 @@ class Replay:
         self.cuts = cut_all(
             machine, series, channels, self.sensor_noise, self.samples, self._lead, thresholds
         )
-        self.recording = np.concatenate(
-            [np.full(c.firsts.size, i) for i, c in enumerate(self.cuts)]
-        )
+        counts = [cut.firsts.size for cut in self.cuts]
+        self.recording = np.repeat(np.arange(len(self.cuts)), counts)
         self.start = np.concatenate([c.series.time[c.firsts] for c in self.cuts])
         if not self.start.size:
             longest = max(float(s.time[-1] - s.time[0]) for s in series)
@@ -143,7 +133,7 @@ class Replay:
         self._threads = max(1, threads)
         self._pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
         self._datas: dict[int, tuple[Variant, list[mujoco.MjData]]] = {}
-        self._buffers: dict[tuple[int, ...], np.ndarray] = {}
+        self._room = np.empty(0)  # for states
         self.rollouts = 0.0
 
     @property
@@ -155,7 +145,7 @@ class Replay:
         """The same windows replayed by another model."""
         other = copy(self)
         other.machine, other.rollouts = machine, 0.0
-        other._datas, other._buffers = {}, {}
+        other._datas, other._room = {}, np.empty(0)
         other.substeps = max(1, round(self._period / machine.timestep))
         return other
 
@@ -173,22 +163,19 @@ class Replay:
         nudge: Nudge | None = None,
         blocks: int = 0,
     ) -> ReplayErrors:
-        """Measured less predicted in the chosen windows.
+        """Measured less predicted under a change, of all windows or those in a mask, (windows,).
 
         Args:
             change: What the hypothesis changes.
-            chosen: Mask of the windows to replay, shape (windows,); None for all.
+            chosen: Mask of the windows.
             nudge: Departure from the start states.
             blocks: Into which a window is divided for the forces that it leaves over; 0 for none.
         """
         parts = list(self._parts(change, chosen))
-        left = pushed = None
-        if blocks and not self.blind and nudge is None:
-            starts, left, pushed = self._starts_and_left(change, parts, blocks)
-        else:
-            starts = self._starts(change, parts, nudge)
-            if blocks:
-                left, pushed = self.lacking(change, chosen, blocks)
+        left, pushed = self._left(change, parts, blocks) if blocks else (None, None)
+        starts = self._starts(change, parts)
+        if nudge is not None:
+            starts[:, place(change.variant, nudge.element, nudge.quantity)] += nudge.size
         controls, targets = [], []
         for cut, measured, corrected in parts:
             index = cut.firsts[:, None] + np.arange(self.samples)
@@ -197,12 +184,11 @@ class Replay:
         predicted = self._predicted(change.variant, starts, np.concatenate(controls))
         errors = np.concatenate(targets) - predicted
         binned = errors.reshape((*errors.shape[:2], self.bins, -1)).mean(axis=3)
+        values = np.nan_to_num(binned, nan=1e12, posinf=1e12, neginf=-1e12)
         undone = [change.corrections.get(c.column, ()) for c in self.channels]
+        gain = np.array([np.prod([gain for _, gain in found]) for found in undone])
         return ReplayErrors(
-            values=np.nan_to_num(binned, nan=1e12, posinf=1e12, neginf=-1e12),
-            noise_gain=np.array([np.prod([gain for _, gain in found]) for found in undone]),
-            left=left,
-            pushed=pushed,
+            values=values, normalised=values / gain[:, None], left=left, pushed=pushed
         )
 
     def lacking(
@@ -210,105 +196,73 @@ class Replay:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Forces that the measured motion leaves over, averaged over blocks of a window.
 
-        Args:
-            change: What the hypothesis changes.
-            chosen: Mask of the windows, shape (windows,); None for all.
-            blocks: Into which a window is divided.
-
         Returns:
             Shape (chosen windows, joints whose forces can be known, blocks) [N m or N], as
             `comparable_forces` has them; and what commands of native actuators that are `LOUDER`
             change in them.
         """
-        rows = [
-            self._left(cut, change, at, states, blocks)
-            for cut, at, states in self.along(change, chosen, blocks)
-        ]
-        left, pushed = zip(*rows, strict=True)
-        return np.concatenate(left), np.concatenate(pushed)
+        return self._left(change, self._parts(change, chosen), blocks)
 
     def along(
         self, change: Change, chosen: np.ndarray | None, blocks: int = DEFAULT.force_blocks
     ) -> Iterator[tuple[Cut, Measured, np.ndarray]]:
         """Samples inside the chosen windows of every recording, and full physics states there."""
-        inside = self._inside(blocks)
-        for cut, measured, _ in self._parts(change, chosen):
-            at = replace(measured, samples=(cut.firsts[:, None] + inside).ravel())
-            yield cut, at, start_states(cut, change, at, self.channels, self.rest_time)
+        return self._along(change, self._parts(change, chosen), blocks)
 
     @property
     def half(self) -> int:
         """Samples to both sides over which accelerations are taken: a bin's."""
         return self.samples // self.bins
 
-    def _inside(self, blocks: int) -> np.ndarray:
-        """Samples after a window's start at which forces are looked at, as many in each block."""
-        half = self.samples // self.bins
-        inside = np.arange(half, self.samples - half + 1, 2 * half)
-        return inside[: inside.size // blocks * blocks]
+    def _along(
+        self, change: Change, parts: Iterable[Part], blocks: int
+    ) -> Iterator[tuple[Cut, Measured, np.ndarray]]:
+        """As `along`; as many samples in each block."""
+        inside = np.arange(self.half, self.samples - self.half + 1, 2 * self.half)
+        inside = inside[: inside.size // blocks * blocks]
+        for cut, measured, _ in parts:
+            at = replace(measured, samples=(cut.firsts[:, None] + inside).ravel())
+            yield cut, at, start_states(cut, change, at, self.channels, self.rest_time)
 
     def _left(
-        self, cut: Cut, change: Change, measured: Measured, states: np.ndarray, blocks: int
+        self, change: Change, parts: Iterable[Part], blocks: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """At the samples of windows, as `lacking` has them."""
+        """As `lacking`."""
         joints = balanced_joints(self.machine, self.channels)
-        inside = self._inside(blocks).size
+        native = self.machine.native_actuators()
 
-        def left(measured: Measured) -> np.ndarray:
+        def left(cut: Cut, measured: Measured, states: np.ndarray) -> np.ndarray:
             found = lacking_forces(change, measured, states, self.half)
             rows = comparable_forces(change, measured, found, joints)
-            rows = rows.reshape(-1, blocks, inside // blocks, len(joints)).mean(axis=2)
+            rows = rows.reshape(cut.firsts.size, blocks, -1, len(joints)).mean(axis=2)
             return np.nan_to_num(rows.transpose(0, 2, 1), nan=1e12, posinf=1e12, neginf=-1e12)
 
-        own, native = left(measured), self.machine.native_actuators()
-        if not native:
-            return own, np.zeros_like(own)
-        loud = {a: commanded(cut, change, a, LOUDER) for a in native}
-        return own, left(replace(measured, command={**measured.command, **loud})) - own
-
-    def _starts_and_left(
-        self, change: Change, parts: list[Part], blocks: int
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Full physics states at window starts, and what `lacking` gives, in one go.
-
-        Most of the work is to follow spools, seals and supplies along the recordings.
-        """
-        starts, rows = [], []
-        for cut, measured, _ in parts:
-            inside = (cut.firsts[:, None] + self._inside(blocks)).ravel()
-            both = replace(measured, samples=np.concatenate([cut.firsts, inside]))
-            states = start_states(cut, change, both, self.channels, self.rest_time)
-            starts.append(states[: cut.firsts.size])
-            at = replace(measured, samples=inside)
-            rows.append(self._left(cut, change, at, states[cut.firsts.size :], blocks))
-        left, pushed = zip(*rows, strict=True)
-        return np.concatenate(starts), np.concatenate(left), np.concatenate(pushed)
+        found, pushed = [], []
+        for cut, measured, states in self._along(change, parts, blocks):
+            own = left(cut, measured, states)
+            sent = {a: LOUDER * cut.series.columns[f"{a}_command"] for a in native}
+            loud = {a: commanded(change, a, u, self._period) for a, u in sent.items()}
+            louder = replace(measured, command={**measured.command, **loud})
+            found.append(own)
+            pushed.append(left(cut, louder, states) - own if native else np.zeros_like(own))
+        return np.concatenate(found), np.concatenate(pushed)
 
     def respond(self, change: Change, window: int, commands: np.ndarray) -> np.ndarray:
-        """Predictions from the start of one window under other commands.
+        """Predictions from the start of a window under other commands than those measured.
 
-        Args:
-            change: What the hypothesis changes.
-            window: Whose start state is taken.
-            commands: Measured commands, shape (series, samples, actuators).
-
-        Returns:
-            Shape (series, channels, samples).
+        These have the shape (series, samples, actuators), predictions (series, channels, samples).
         """
         parts = list(self._parts(change, np.arange(self.windows) == window))
         start = self._starts(change, parts)
-        faulty = commands.copy()
-        for i, actuator in enumerate(self.machine.actuators):
-            for path in change.commands.get(actuator, ()):
-                faulty[:, :, i] = [path(row, self._period) for row in faulty[:, :, i]]
-        controls = np.repeat(faulty, self.substeps, axis=1)
+        each = zip(self.machine.actuators, np.moveaxis(commands, 2, 0), strict=True)
+        faulty = [[commanded(change, a, row, self._period) for row in rows] for a, rows in each]
+        controls = np.repeat(np.stack(faulty, axis=2), self.substeps, axis=1)
         return self._predicted(change.variant, np.repeat(start, len(commands), axis=0), controls)
 
     def course(self, change: Change, recording: int, after: float) -> Course | None:
         """A recording from its first window that starts after a time [s], to its end or a gap.
 
-        Returns:
-            None where there is no such window.
+        None where there is no such window.
         """
         cut = self.cuts[recording]
         cut = replace(cut, firsts=cut.firsts[cut.series.time[cut.firsts] >= after])
@@ -319,8 +273,7 @@ class Replay:
         index = cut.firsts[:, None] + np.arange(self.samples)
         controls = self._controls(cut, measured, index)
         moves = np.zeros((2, len(self.machine.actuators), len(self.machine.joints)))
-        model = change.variant.model
-        places = np.array([1 + int(model.joint(j).qposadr[0]) for j in self.machine.joints])
+        places = np.array([place(change.variant, j, "position") for j in self.machine.joints])
         late = np.array([controls.shape[1] // 2, controls.shape[1]]) - 1
         there = self._roll(change.variant, starts, controls, late, places)
         for i, actuator in enumerate(self.machine.actuators):
@@ -332,9 +285,8 @@ class Replay:
                 gone = self._roll(change.variant, starts, moved, late, places) - there
                 moves[:, i] = np.nan_to_num(np.median(gone, axis=0)) / step
         first = int(cut.firsts[0])
-        gaps = np.flatnonzero(~cut.series.valid[first:])
-        count = int(gaps[0]) if gaps.size else cut.series.time.size - first
-        inside = first + np.arange(count)
+        valid = np.append(cut.series.valid[first:], False)
+        inside = first + np.arange(int(np.argmin(valid)))
         return Course(
             period=self._period,
             time=cut.series.time[inside],
@@ -356,12 +308,6 @@ class Replay:
         """Values at window starts, shape (windows,), from one array of shape (n,) a recording."""
         return np.concatenate([v[c.firsts] for v, c in zip(values, self.cuts, strict=True)])
 
-    def touched(self, joint: str) -> np.ndarray:
-        """Mask of the windows at whose start something touches what a joint carries, (windows,)."""
-        none = (np.zeros(c.series.time.size, dtype=bool) for c in self.cuts)
-        found = (c.touched.get(joint, absent) for c, absent in zip(self.cuts, none, strict=True))
-        return self.at_starts(list(found))
-
     def _parts(self, change: Change, chosen: np.ndarray | None) -> Iterator[Part]:
         """The chosen windows of every recording that has some, as measured under a change."""
         for number, cut in enumerate(self.cuts):
@@ -370,35 +316,30 @@ class Replay:
             if cut.firsts.size:
                 yield cut, *measure(cut, self.channels, change)
 
-    def _starts(self, change: Change, parts: list[Part], nudge: Nudge | None = None) -> np.ndarray:
+    def _starts(self, change: Change, parts: list[Part]) -> np.ndarray:
         """Full physics states at window starts, (windows, nstate)."""
-        rest = self.rest_time
 
-        def states(
-            earlier: int, nudge: Nudge | None, pressures: Sequence[np.ndarray | None]
-        ) -> np.ndarray:
+        def states(earlier: int, pressures: Sequence[np.ndarray | None]) -> np.ndarray:
             then = [(cut, replace(m, samples=m.samples - earlier)) for cut, m, _ in parts]
             rows = [
-                start_states(cut, change, m, self.channels, rest, pressures=known, nudge=nudge)
+                start_states(cut, change, m, self.channels, self.rest_time, known)
                 for (cut, m), known in zip(then, pressures, strict=True)
             ]
             return np.concatenate(rows)
 
         unknown = [None] * len(parts)
         if not self.blind:
-            return states(0, nudge, unknown)
+            return states(0, unknown)
         # Pressures at window starts come from a replay before them.
         controls = [
             self._controls(cut, m, cut.firsts[:, None] - self._lead + np.arange(self._lead))
             for cut, m, _ in parts
         ]
-        before = states(self._lead, None, unknown)
+        given, before = np.concatenate(controls), states(self._lead, unknown)
         slots = plugin_offset(change.variant.model) + hidden_slots(change)
-        given = np.concatenate(controls)
-        last = np.array([given.shape[1] - 1])
-        warm = self._roll(change.variant, before, given, last, slots)
+        warm = self._roll(change.variant, before, given, np.array([given.shape[1] - 1]), slots)
         counts = np.cumsum([cut.firsts.size for cut, _, _ in parts])[:-1]
-        return states(0, nudge, np.split(warm[:, 0], counts))
+        return states(0, np.split(warm[:, 0], counts))
 
     def _controls(self, cut: Cut, measured: Measured, index: np.ndarray) -> np.ndarray:
         """Controls at the steps of windows, (windows, steps, actuators); `index` their samples."""
@@ -433,49 +374,34 @@ class Replay:
         """
         model = variant.model
         # Data carry their own plugin instances, so every variant has its own.
-        key = id(variant)
-        if key not in self._datas or self._datas[key][0] is not variant:
-            self._datas[key] = variant, [mujoco.MjData(model) for _ in range(self._threads)]
-            while len(self._datas) > _CACHED_VARIANTS:
+        if id(variant) not in self._datas:
+            made = [mujoco.MjData(model) for _ in range(self._threads)]
+            self._datas[id(variant)] = variant, made
+            if len(self._datas) > _CACHED_VARIANTS:
                 self._datas.pop(next(iter(self._datas)))
+        datas = self._datas[id(variant)][1]
         windows, count = controls.shape[:2]
         most = max(self._threads, _MEMORY // (8 * count * starts.shape[1]))
         found = np.empty((windows, steps.size, places.size))
         for first in range(0, windows, most):
             part = slice(first, min(first + most, windows))
-            size = part.stop - part.start
-            states = self._buffer((size, count, starts.shape[1]))
-            sensors = np.empty((size, count, model.nsensordata))  # else made every time
+            shape = part.stop - part.start, count, starts.shape[1]
+            if self._room.size < math.prod(shape):
+                self._room = np.empty(math.prod(shape))
+            states = self._room[: math.prod(shape)].reshape(shape)
+            sensors = np.empty((*shape[:2], model.nsensordata))  # else made every time
             with headless(model):
                 self._pool.rollout(
-                    model,
-                    self._datas[key][1],
-                    starts[part],
-                    controls[part],
-                    state=states,
-                    sensordata=sensors,
+                    model, datas, starts[part], controls[part], state=states, sensordata=sensors
                 )
             found[part] = states[:, steps[:, None], places]
         self.rollouts += windows / self.windows
         return found
 
-    def _buffer(self, shape: tuple[int, ...]) -> np.ndarray:
-        """Room for states; those of the last shapes are kept."""
-        if shape not in self._buffers:
-            if len(self._buffers) > 1:
-                self._buffers.clear()
-            self._buffers[shape] = np.empty(shape)
-        return self._buffers[shape]
-
     def _predicted(self, variant: Variant, starts: np.ndarray, controls: np.ndarray) -> np.ndarray:
         """Predictions at the samples of windows, shape (windows, channels, samples)."""
-        model = variant.model
-        plugin = plugin_offset(model)
         places = [
-            plugin + variant.slot(c.cylinder, c.chamber)
-            if c.chamber and c.cylinder
-            else 1 + int(model.joint(c.joint).qposadr[0])
-            for c in self.channels
+            place(variant, c.cylinder or c.joint, c.chamber or "position") for c in self.channels
         ]
         steps = np.arange(self.substeps - 1, controls.shape[1], self.substeps)
         seen = self._roll(variant, starts, controls, steps, np.array(places))

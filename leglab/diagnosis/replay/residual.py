@@ -9,11 +9,12 @@ from scipy.linalg.lapack import dtrtri
 from scipy.signal import savgol_coeffs
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
+from leglab.diagnosis.intake.series import UniformSeries
 from leglab.diagnosis.plant.model import CHAMBERS, CYLINDER, Change, Machine
 from leglab.diagnosis.replay.lacking import balanced_joints
 from leglab.diagnosis.replay.replay import Replay
 from leglab.diagnosis.replay.starts import Nudge
-from leglab.diagnosis.replay.windows import Channel, UniformSeries, filter_difference
+from leglab.diagnosis.replay.windows import Channel, filter_difference
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
 # Share of a variance that rounding may take.
@@ -65,14 +66,10 @@ def inverse_roots(covariance: np.ndarray) -> np.ndarray:
 
     Errors far above noise have few shapes; their covariance is positive but for rounding.
     """
-    diagonal = np.arange(covariance.shape[1])
-    factors = np.empty_like(covariance)
-    for one, factor in zip(covariance, factors, strict=True):
-        widened = one.copy()
-        widened[diagonal, diagonal] *= 1.0 + _ROUNDING
-        # A third of the work of a general inverse.
-        factor[:] = dtrtri(np.linalg.cholesky(widened), lower=1)[0]
-    return factors
+    widened = covariance * (1.0 + _ROUNDING * np.eye(covariance.shape[1]))
+    # A third of the work of a general inverse.
+    factors = [dtrtri(root, lower=1)[0] for root in np.linalg.cholesky(widened)]
+    return np.stack(factors, out=widened)
 
 
 def robust_cost(mean_square: np.ndarray, limit: float = DEFAULT.robust_limit) -> np.ndarray:
@@ -128,17 +125,16 @@ class Problem:
         self.fitted = np.isin(self.replay.recording, list(fit))
         self.held = ~self.fitted
         self.sensor_noise = self.replay.sensor_noise
-        change = library.change(Hypothesis(), machine)
-        errors, half = (
-            replay.error(library.change(Hypothesis(), replay.machine)).values
-            for replay in (self.replay, self._fine)
-        )
         some = np.zeros(self.replay.windows, dtype=bool)
         some[:: max(1, self.replay.windows // thresholds.order_windows)] = True
-        finest = self._at(0.25)
-        quarter = finest.error(library.change(Hypothesis(), finest.machine), chosen=some).values
-        self._beyond_half = extrapolation((half - errors)[some], quarter - half[some])
-        self.noise = self._noise_model(change, errors, half - errors)
+
+        def errors(replay: Replay, chosen: np.ndarray | None = None) -> np.ndarray:
+            change = library.change(Hypothesis(), replay.machine)
+            return replay.error(change, chosen=chosen).values
+
+        whole, half, quarter = errors(self.replay), errors(self._fine), errors(self._at(0.25), some)
+        self._beyond_half = extrapolation((half - whole)[some], quarter - half[some])
+        self.noise = self._noise_model(library.change(Hypothesis(), machine), whole, half - whole)
 
     @property
     def size(self) -> int:
@@ -156,8 +152,7 @@ class Problem:
 
     def about(self, hypothesis: Hypothesis) -> "Problem":
         """The same problem with its noise model taken about a hypothesis."""
-        errors, _ = self._errors(self.replay, hypothesis, None)
-        fine, _ = self._errors(self._fine, hypothesis, None)
+        errors, fine = (self._errors(r, hypothesis, None)[0] for r in (self.replay, self._fine))
         change = self.library.change(hypothesis, self.machine)
         other = copy(self)
         other.noise = self._noise_model(change, self.replay.error(change).values, fine - errors)
@@ -174,66 +169,56 @@ class Problem:
         errors under the change, shape (windows, channels, bins), and `finer` is what half the
         time step changes in them.
         """
-        replay, limits = self.replay, self.thresholds
+        replay, limits, size = self.replay, self.thresholds, self.size
         per_bin = replay.samples // replay.bins
         sigma = self.sensor_noise[replay.recording]  # (windows, channels)
         measured = replay.measured()
         binned = measured[:, :, 1:].reshape(*measured.shape[:2], replay.bins, per_bin).mean(axis=3)
-        change_over_bin = np.abs(np.gradient(binned, axis=2)) if replay.bins > 1 else 0.0 * binned
         timing = np.array([limits.timing_share[bool(c.chamber)] for c in self.channels])[:, None]
-        variance = (sigma**2 / per_bin)[:, :, None] + (timing * change_over_bin) ** 2
+        moving = timing * np.abs(np.gradient(binned, axis=2))
+        variance = (sigma**2 / per_bin)[:, :, None] + moving**2
         for chamber in [k for k, c in enumerate(self.channels) if c.chamber]:
             lowest = np.minimum.accumulate(binned[:, chamber], axis=1)
-            vapour = lowest < limits.vapour_pressure
-            variance[np.broadcast_to(vapour[:, None], variance.shape)] *= 1e8
-        size = len(self.channels) * replay.bins
-        covariance = np.zeros((replay.windows, size, size))
-        diagonal = np.arange(size)
-        covariance[:, diagonal, diagonal] = variance.reshape(replay.windows, size)
+            variance *= np.where(lowest < limits.vapour_pressure, 1e8, 1.0)[:, None]
         defect = finer * self._beyond_half[:, None]
-        directions = [defect.reshape(replay.windows, size)]
+        directions = [defect.reshape(-1, size)]
         for nudge, spread in self._nudges():
             moved = replay.error(change, nudge=nudge).values - reference
-            shares = (spread / nudge.size)[:, None]
-            directions.append(moved.reshape(replay.windows, size) * shares)
+            directions.append(moved.reshape(-1, size) * (spread / nudge.size)[:, None])
         together = np.stack(directions, axis=2)
-        covariance += together @ together.transpose(0, 2, 1)
+        covariance = together @ together.transpose(0, 2, 1)
+        covariance[:, range(size), range(size)] += variance.reshape(-1, size)
         return NoiseModel(defect=defect, whitening=inverse_roots(covariance))
 
     def _nudges(self) -> list[tuple[Nudge, np.ndarray]]:
         """Nudges and the spread of each start state, shape (windows,)."""
         found: list[tuple[Nudge, np.ndarray]] = []
         replay, machine, limits = self.replay, self.machine, self.thresholds
-
-        def spread(k: int, channel: Channel, derivative: float | None) -> np.ndarray:
-            rule = {} if derivative is None else {"deriv": 1, "delta": derivative}
-            kernel = float(np.sqrt((savgol_coeffs(*channel.filter, **rule) ** 2).sum()))
-            # What another filter makes of the same samples tells where smoothing is biased.
-            samples = (s.columns[channel.column] for s in self.series)
-            rough = [filter_difference(x, channel.filter, derivative) for x in samples]
-            sigma = self.sensor_noise[replay.recording, k]
-            return limits.start_spread * np.hypot(kernel * sigma, replay.at_starts(rough))
-
         for k, channel in enumerate(self.channels):
-            if channel.chamber and channel.cylinder:
-                nudge = Nudge(element=channel.cylinder, quantity=channel.chamber, size=2e4)
-                found.append((nudge, spread(k, channel, None)))
-                continue
-            for quantity, derivative in (("position", None), ("velocity", self.series[0].period)):
-                free = spread(k, channel, derivative)
-                size = float(np.median(free))
-                found.append((Nudge(element=channel.joint, quantity=quantity, size=size), free))
+            known: dict[str, float | None] = {"position": None, "velocity": self.series[0].period}
+            if channel.chamber:
+                known = {channel.chamber: None}
+            for quantity, period in known.items():
+                rule = {"deriv": int(period is not None), "delta": period or 1.0}
+                kernel = float(np.sqrt((savgol_coeffs(*channel.filter, **rule) ** 2).sum()))
+                # What another filter makes of the same samples tells where smoothing is biased.
+                samples = (s.columns[channel.column] for s in self.series)
+                rough = [filter_difference(x, channel.filter, period) for x in samples]
+                sigma = kernel * self.sensor_noise[replay.recording, k]
+                spread = limits.start_spread * np.hypot(sigma, replay.at_starts(rough))
+                size = 2e4 if channel.chamber else float(np.median(spread))
+                found.append((Nudge(channel.cylinder or channel.joint, quantity, size), spread))
         for cylinder in machine.instances(CYLINDER):
             for chamber in CHAMBERS if replay.blind else ():
-                nudge = Nudge(element=cylinder, quantity=chamber, size=1e5)
-                found.append((nudge, np.full(replay.windows, limits.unseen_pressure)))
+                spread = np.full(replay.windows, limits.unseen_pressure)
+                found.append((Nudge(cylinder, chamber, 1e5), spread))
             stiffness = machine.parameter(cylinder, "sigma_0")
             if stiffness > 0.0:
                 full = machine.parameter(cylinder, "static") / stiffness
                 size = limits.bristle_share * full
-                nudge = Nudge(element=cylinder, quantity="bristle", size=size)
-                touched = replay.touched(machine.driven[cylinder][0])
-                found.append((nudge, np.where(touched, full, size)))
+                joint = machine.driven[cylinder][0]
+                touched = replay.at_starts([cut.touched[joint] for cut in replay.cuts])
+                found.append((Nudge(cylinder, "bristle", size), np.where(touched, full, size)))
         return found
 
     def residual(self, hypothesis: Hypothesis, chosen: np.ndarray | None = None) -> np.ndarray:
@@ -259,33 +244,35 @@ class Problem:
             change = self.library.change(hypothesis, replay.machine)
             errors = replay.error(change, chosen=chosen).normalised
             return errors, np.ones(len(errors))
-        chosen = np.ones(replay.windows, dtype=bool) if chosen is None else chosen
+        chosen = np.full(replay.windows, True) if chosen is None else chosen
         keys = sorted(hypothesis.onsets)
         begins = np.stack([hypothesis.onsets[k][replay.recording] for k in keys])
         active = begins <= replay.start
-        begun = (begins > replay.start) & (begins < replay.start + replay.window)
-        certain = np.asarray(~begun.any(axis=0))
-        codes = (active * (1 << np.arange(len(keys)))[:, None]).sum(axis=0)
+        certain = np.all(active | (begins >= replay.start + replay.window), axis=0)
         out = np.zeros((replay.windows, len(self.channels), replay.bins))
+<<<<<<< HEAD
         for code in np.unique(codes[chosen]):
             group = chosen & (codes == code)
             absent = [k for i, k in enumerate(keys) if not code >> i & 1]
             change = self.library.change(hypothesis.without(*absent), replay.machine)
+=======
+        for present in np.unique(active[:, chosen], axis=1).T:
+            group = chosen & (active == present[:, None]).all(axis=0)
+            absent = [k for k, there in zip(keys, present, strict=True) if not there]
+            change = self.library.change(hypothesis.not_begun(*absent), replay.machine)
+>>>>>>> lines4
             out[group] = replay.error(change, chosen=group).normalised
         return out[chosen], certain[chosen].astype(float)
 
     def window_cost(self, hypothesis: Hypothesis) -> np.ndarray:
         """Robust mean square of all windows, fitted and held out, shape (windows,)."""
-        squares = np.mean(self.residual(hypothesis) ** 2, axis=1)
-        return robust_cost(squares, self.thresholds.robust_limit)
+        return robust_cost(self.noise_levels(hypothesis), self.thresholds.robust_limit)
 
 
 def noise_alone(squares: np.ndarray, recording: np.ndarray) -> bool:
     """Whether each recording is left noise, but for a few of its windows.
 
-    Args:
-        squares: Mean squares of the windows in noise levels, (windows,).
-        recording: Of each window.
+    By mean squares of the windows in noise levels, and their recordings, each (windows,).
     """
     share, limit = 1.0 - DEFAULT.smaller_share, DEFAULT.explained**2
     own = (squares[recording == r] for r in np.unique(recording))
@@ -306,11 +293,8 @@ def extrapolation(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     position is of first order for those of the velocity (damping, Coriolis, servos). Two halvings
     tell both parts (Romberg): the limit is (2 first + 8 second)/3 away, 4/3 of the first halving
     for the second order and 2 for the first. The middle of all windows counts, since beside jumps
-    and stick-slip differences have no order.
-
-    Args:
-        first: What half the step changes in the errors, shape (windows, channels, bins).
-        second: What a quarter changes beyond that.
+    and stick-slip differences have no order. `first` is what half the step changes in the errors,
+    (windows, channels, bins), and `second` what a quarter changes beyond that.
     """
     limit = (2.0 * first + 8.0 * second) / 3.0
     square = (first**2).sum(axis=2)

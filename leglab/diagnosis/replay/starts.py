@@ -8,8 +8,8 @@ they share it by their limits. What touches something keeps the deflection of it
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
-import mujoco
 import numpy as np
 
 from leglab._native import hydraulics as native
@@ -22,23 +22,19 @@ from leglab.diagnosis.plant.model import (
     Measured,
     Variant,
 )
-from leglab.diagnosis.plant.moments import STATE, commands_at, forces_at, plugin_offset, states_at
+from leglab.diagnosis.plant.moments import commands_at, forces_at, plugin_offset, states_at
 from leglab.diagnosis.plant.paths import play
-from leglab.diagnosis.replay.windows import Channel, Cut
+from leglab.diagnosis.replay.windows import Channel, Cut, smoothed
 from leglab.diagnosis.thresholds import FLANK, PRESSED
 
 # Velocity at which a bristle breaks away: the Stribeck curve is at its peak [m/s or rad/s].
 _BREAKAWAY = np.finfo(float).tiny
 
 
-@dataclass(frozen=True, kw_only=True)
-class Nudge:
-    """Departure from the reconstructed start states, to see how predictions depend on them.
+class Nudge(NamedTuple):
+    """Departure from the reconstructed start states, by a size [rad, rad/s, Pa or m].
 
-    Attributes:
-        element: Joint or cylinder.
-        quantity: "position", "velocity", "pressure_a", "pressure_b" or "bristle".
-        size: rad, rad/s, Pa or m.
+    Of an element and a quantity as `place` has them.
     """
 
     element: str
@@ -47,15 +43,10 @@ class Nudge:
 
 
 def bristle(velocity: np.ndarray, level: np.ndarray, sigma: float, period: float) -> np.ndarray:
-    """LuGre bristle that starts unloaded, shape (n,), by its exact solution between samples.
+    """LuGre bristle that starts unloaded, by its exact solution between samples; all (n,).
 
-    z' = v - sigma |v| z / g with v and g held over a sample (Canudas de Wit et al. 1995).
-
-    Args:
-        velocity: Of sliding, shape (n,).
-        level: Steady friction g, shape (n,).
-        sigma: Bristle stiffness.
-        period: s.
+    z' = v - sigma |v| z / g with v and g, the steady friction `level`, held over a sample
+    (Canudas de Wit et al. 1995).
     """
     out = np.empty(velocity.size)
     native.bristle(velocity, level, max(sigma, 0.0), period, out)
@@ -63,13 +54,9 @@ def bristle(velocity: np.ndarray, level: np.ndarray, sigma: float, period: float
 
 
 def spool(command: np.ndarray, frequency: float, damping: float, period: float) -> np.ndarray:
-    """Spool position and velocity, shape (n, 2), that follow a held command from rest.
+    """Spool position and velocity, shape (n, 2), that follow a held command (n,) from rest.
 
-    Args:
-        command: Shape (n,).
-        frequency: rad/s.
-        damping: Damping ratio.
-        period: s.
+    By an angular frequency [rad/s], a damping ratio and the sampling period [s].
     """
     out = np.empty((command.size, 2))
     native.spool(command, frequency, damping, period, out)
@@ -113,6 +100,10 @@ class Instances:
         known = self.measured.pressure
         return {c: known[f"{joint}_{c}"] for c in CHAMBERS if f"{joint}_{c}" in known}
 
+    def chambers(self, cylinder: str) -> list[np.ndarray]:
+        """Measured pressures of a cylinder's chambers, each (n,)."""
+        return [*self.pressures(self.machine.driven[cylinder][0]).values()]
+
     def reconstruct(self) -> None:
         """Sets the hidden states of cylinders, joint friction and supplies: they follow the motion.
 
@@ -128,21 +119,25 @@ class Instances:
 
     def _cylinder(self, element: str) -> None:
         measured, samples = self.measured, self.measured.samples
-        command = np.clip(measured.command[element], -1.0, 1.0)
-        behind = play(command, self.value(element, "hysteresis"))
-        moved = spool(
-            np.clip(behind + self.value(element, "null_bias"), -1.0, 1.0),
-            2.0 * np.pi * self.value(element, "bandwidth_hz"),
-            self.value(element, "damping_ratio"),
-            measured.period,
-        )
-        self.followed[element, "spool_position"] = moved[:, 0]
+        command = measured.command[element]
+        names = ("hysteresis", "null_bias", "bandwidth_hz", "damping_ratio")
+        hysteresis, bias, bandwidth, damping = given = [self.value(element, n) for n in names]
+
+        def followed() -> np.ndarray:
+            behind = play(np.clip(command, -1.0, 1.0), hysteresis)
+            shifted = np.clip(behind + bias, -1.0, 1.0)
+            moved = spool(shifted, 2.0 * np.pi * bandwidth, damping, measured.period)
+            return np.column_stack([behind, moved])
+
+        known = measured.lately.get(f"spool of {element}", (command, np.array(given)), followed)
+        behind, position, speed = known.T
+        self.followed[element, "spool_position"] = position
         self.put(element, "play_output", behind[np.maximum(samples - 1, 0)])
-        self.put(element, "spool_position", np.clip(moved[samples, 0], -1.0, 1.0))
-        self.put(element, "spool_velocity", moved[samples, 1])
+        self.put(element, "spool_position", np.clip(position[samples], -1.0, 1.0))
+        self.put(element, "spool_velocity", speed[samples])
         velocity = measured.piston_velocity[element]
-        pressures = self.pressures(self.machine.driven[element][0]).values()
-        level = self._slide(element, velocity, sum(pressures, np.zeros(velocity.size)))
+        carried = sum(self.chambers(element), np.zeros(velocity.size))
+        level = self._slide(element, velocity, carried)
         if self.value(element, "play") > 0.0:
             self._seat(element, velocity, level)
 
@@ -152,7 +147,7 @@ class Instances:
         It crosses the play within milliseconds, and rests in it only while friction holds it.
         """
         samples, play = self.measured.samples, self.value(element, "play")
-        pressures = [*self.pressures(self.machine.driven[element][0]).values()]
+        pressures = self.chambers(element)
         if len(pressures) < len(CHAMBERS):
             return
         bore, rod = self.value(element, "bore"), self.value(element, "rod")
@@ -163,19 +158,17 @@ class Instances:
         sure = np.abs(pressed) > PRESSED * level
         last = np.maximum.accumulate(np.where(sure, np.arange(sure.size), -1))
         side = np.where(last >= 0, np.sign(pressed[last]), np.sign(force[0]))
-        given = pressed / self.value(element, "play_stiffness")
-        least = FLANK / self.value(element, "play_stiffness")
-        reach = 0.5 * play + np.maximum(np.abs(given), least)
+        stiffness = self.value(element, "play_stiffness")
+        reach = 0.5 * play + np.maximum(np.abs(pressed / stiffness), FLANK / stiffness)
         self.put(element, "play_offset", (side * reach)[samples])
-        lag = 0.5 * self.machine.timestep
-        slope = np.gradient(velocity, self.measured.period)
+        before = 0.5 * self.machine.timestep * np.gradient(velocity, self.measured.period)
         self.put(element, "pin_load", -pressed[samples])
-        self.put(element, "piston_velocity", (velocity - lag * slope)[samples])
+        self.put(element, "piston_velocity", (velocity - before)[samples])
         self.put(element, "seated_play", np.full(samples.size, play))
 
     def _supply(self, element: str, cylinders: tuple[str, ...]) -> None:
         """Sets a supply's pressure, which falls with what its cylinders draw."""
-        chambers = [[*self.pressures(self.machine.driven[c][0]).values()] for c in cylinders]
+        chambers = [self.chambers(cylinder) for cylinder in cylinders]
         if not cylinders or any(len(pair) < len(CHAMBERS) for pair in chambers):
             return
         period, samples = self.measured.period, self.measured.samples
@@ -203,21 +196,18 @@ class Instances:
         return self.state[0, start : start + len(table.parameters)].copy()
 
     def _joint_friction(self, element: str) -> None:
+        """Sets the load |k_a qfrc_actuator + k_b qfrc_bias| of a joint's friction, and slides."""
         joint = self.variant.joint_of[element]
-        load = self._load(element, joint)
+        velocity = self.measured.velocity[joint]
+        names = (f"{load}_load_coefficient" for load in ("actuator", "bias"))
+        shares = np.array([self.value(element, name) for name in names])
+        load = np.zeros(velocity.size)
+        if shares.any():
+            chosen, forces = self._loads
+            force = forces[:, int(self.variant.model.joint(joint).dofadr[0])]
+            load = np.abs(np.interp(np.arange(velocity.size), chosen, force @ shares))
         self.put(element, "load", load[self.measured.samples])
-        self._slide(element, self.measured.velocity[joint], load)
-
-    def _load(self, element: str, joint: str) -> np.ndarray:
-        """|k_a qfrc_actuator + k_b qfrc_bias| of a joint's friction along the recording, (n,)."""
-        count = self.measured.velocity[joint].size
-        loads = ("actuator", "bias")
-        shares = np.array([self.value(element, f"{load}_load_coefficient") for load in loads])
-        if not shares.any():
-            return np.zeros(count)
-        chosen, forces = self._loads
-        force = forces[:, int(self.variant.model.joint(joint).dofadr[0])]
-        return np.abs(np.interp(np.arange(count), chosen, force @ shares))
+        self._slide(element, velocity, load)
 
     @cached_property
     def _loads(self) -> tuple[np.ndarray, np.ndarray]:
@@ -250,13 +240,7 @@ class Instances:
     def _sliding_friction(
         self, element: str, velocity: np.ndarray, at: np.ndarray | slice = slice(None)
     ) -> np.ndarray:
-        """Steady friction g of sliding [N or N m] by the law of the plugin, shape (samples,).
-
-        Args:
-            element: Cylinder or joint friction.
-            velocity: Of sliding, shape (samples,).
-            at: Samples of the recording.
-        """
+        """Steady friction g at a velocity of sliding, by the law of the plugin, (samples,)."""
         carried, out = self.followed[element, "carried"], np.empty(velocity.size)
         time = self.measured.start + self.measured.period * np.arange(carried.size)
         plugin, parameters = self.variant.elements[element][1].plugin, self._parameters(element)
@@ -282,19 +266,17 @@ class Instances:
 
         Joints of cylinders without measured pressures are left as they are.
         """
-        measured = self.measured
-        back = np.maximum(measured.samples - round(rest_time / measured.period), 0)
-        still: dict[str, tuple[list[Bristle], np.ndarray]] = {}
+        measured, samples = self.measured, self.measured.samples
+        back = np.maximum(samples - round(rest_time / measured.period), 0)
+        still: dict[str, tuple[list[_Bristle], np.ndarray]] = {}
         for joint in self.machine.joints:
             acting = self._bristles(joint)
             driven = any(joint in self.machine.driven[c] for c in self.machine.instances(CYLINDER))
             if not acting or (driven and len(self.pressures(joint)) < len(CHAMBERS)):
                 continue
-            position = measured.position[joint]
-            travel = np.abs(position[measured.samples] - position[back])
+            travel = np.abs(measured.position[joint][samples] - measured.position[joint][back])
             # What a contact carries at rest depends on speeds far below the noise: nobody knows it.
-            touched = measured.touched.get(joint)
-            free = True if touched is None else ~touched[measured.samples]
+            free = ~measured.touched[joint][samples]
             resting = np.stack([free & (travel < 2.0 * one.travel) for one in acting])
             if resting.any():
                 still[joint] = acting, resting
@@ -306,16 +288,13 @@ class Instances:
         rows = np.flatnonzero(np.any([resting.any(axis=0) for _, resting in still.values()], 0))
         left = self._unbalanced(rows, [*still])
         for held, (acting, resting) in zip(left.T, still.values(), strict=True):
-            limit = np.stack(
-                [np.where(held > 0, b.forward[rows], b.backward[rows]) for b in acting]
-            )
+            limit = np.stack([np.where(held > 0, *one.limits[:, rows]) for one in acting])
             limit *= resting[:, rows]
             share = held / np.maximum(limit.sum(axis=0), np.abs(held) + 1e-300)
             for one, rests, part in zip(acting, resting[:, rows], limit * share, strict=True):
-                deflection = part / (one.lever[rows] * one.stiffness)
-                self.state[rows[rests], one.slot] = deflection[rests]
+                self.state[rows[rests], one.slot] = (part / one.slope[rows])[rests]
 
-    def _bristles(self, joint: str) -> "list[Bristle]":
+    def _bristles(self, joint: str) -> "list[_Bristle]":
         """Bristles that act on a joint."""
         found = []
         for element, (_, table) in self.variant.elements.items():
@@ -327,19 +306,12 @@ class Instances:
                 continue
             samples = self.measured.samples
             lever = self.measured.lever[element][samples] if seal else np.ones(samples.size)
-            forward, backward = (
-                np.abs(lever) * self._sliding_friction(element, side * np.sign(lever), samples)
-                for side in (_BREAKAWAY, -_BREAKAWAY)
-            )
-            found.append(
-                Bristle(
-                    slot=self.variant.slot(element, "bristle"),
-                    stiffness=stiffness,
-                    lever=lever,
-                    forward=forward,
-                    backward=backward,
-                )
-            )
+            sides = np.sign(lever) * np.array([[_BREAKAWAY], [-_BREAKAWAY]])
+            friction = [self._sliding_friction(element, side, samples) for side in sides]
+            limits = np.abs(lever) * np.stack(friction)
+            travel = limits.max(axis=0) / (lever**2 * stiffness + 1e-300)
+            slot = self.variant.slot(element, "bristle")
+            found.append(_Bristle(slot, lever * stiffness, limits, travel))
         return found
 
     def _unbalanced(self, rows: np.ndarray, joints: list[str]) -> np.ndarray:
@@ -356,30 +328,13 @@ class Instances:
         return -found.lacking[:, [int(model.joint(name).dofadr[0]) for name in joints]]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Bristle:
-    """A bristle on a joint, at every window start; arrays of shape (windows,).
+class _Bristle(NamedTuple):
+    """A bristle on a joint at window starts; arrays end in (windows,)."""
 
-    Attributes:
-        slot: Place of its deflection in the plugin state.
-        stiffness: sigma_0, force a deflection.
-        lever: d(deflection)/d(joint position) while it sticks.
-        forward: Largest friction against motion towards positive joint positions, as a force on
-            the joint.
-        backward: The same for the other direction, positive.
-    """
-
-    slot: int
-    stiffness: float
-    lever: np.ndarray
-    forward: np.ndarray
-    backward: np.ndarray
-
-    @property
-    def travel(self) -> np.ndarray:
-        """Full deflection as a travel of the joint."""
-        most = np.maximum(self.forward, self.backward)
-        return most / (self.lever**2 * self.stiffness + 1e-300)
+    slot: int  # Of its deflection in the plugin state.
+    slope: np.ndarray  # Force on the joint by deflection.
+    limits: np.ndarray  # Largest friction on the joint against motion to either side, (2, windows).
+    travel: np.ndarray  # Full deflection as a travel of the joint.
 
 
 def measure(
@@ -387,23 +342,27 @@ def measure(
 ) -> tuple[Measured, dict[str, np.ndarray]]:
     """Smoothed series under the sensor and command faults of a change, and corrected columns."""
     machine, series, period = change.machine, cut.series, cut.series.period
-    command = {a: commanded(cut, change, a) for a in machine.actuators}
-    # A body that a hypothesis puts between motor and joint takes the pushes.
-    rigid = cut.pushes is not None and cut.pushes.dofs == change.variant.model.nv
-    driven = cut.pushed(channels, command) if rigid else {}
+    sent = {a: series.columns[f"{a}_command"] for a in machine.actuators}
+    command = {a: commanded(change, a, samples, period) for a, samples in sent.items()}
     corrected, position, velocity, pressure = {}, {}, {}, {}
     for channel in channels:
-        column, samples = channel.column, series.columns[channel.column]
-        for function, _ in change.corrections.get(column, ()):
+        samples = series.columns[channel.column]
+        for function, _ in change.corrections.get(channel.column, ()):
             samples = function(samples, period)
-        corrected[column], known = samples, cut.filtered(channel, samples)
+        corrected[channel.column] = samples
+        level, slope = cut.filtered(channel, samples)
         if channel.chamber:
-            pressure[column] = known[0]
+            pressure[channel.column] = level
         else:
-            position[channel.joint], velocity[channel.joint] = known
-    for joint, beyond in driven.items():
-        position[joint] = position[joint] + beyond.position
-        velocity[joint] = velocity[joint] + beyond.velocity
+            position[channel.joint], velocity[channel.joint] = level, slope
+    pushed: dict[str, np.ndarray] = {}
+    # A body that a hypothesis puts between motor and joint takes the pushes.
+    if cut.pushes.actuators and cut.pushes.dofs == change.variant.model.nv:
+        driven = _driven(cut, channels, command)
+        for joint, (beyond, faster, whole) in zip(machine.joints, driven, strict=True):
+            position[joint] = position[joint] + beyond
+            velocity[joint] = velocity[joint] + faster
+            pushed[joint] = whole
     measured = Measured(
         period=period,
         position=position,
@@ -418,19 +377,30 @@ def measure(
         samples=cut.firsts,
         start=float(series.time[0]),
         touched=cut.touched,
-        pushed={joint: beyond.whole for joint, beyond in driven.items()},
+        pushed=pushed,
         lately=cut.lately,
     )
     return measured, corrected
 
 
-def commanded(cut: Cut, change: Change, actuator: str, factor: float = 1.0) -> np.ndarray:
-    """What reaches an actuator of a factor on its measured commands, (n,)."""
-    samples = cut.series.columns[f"{actuator}_command"]
-    if factor != 1.0:
-        samples = factor * samples
+def _driven(cut: Cut, channels: tuple[Channel, ...], command: dict[str, np.ndarray]) -> np.ndarray:
+    """Motion by commands of native actuators, (joints, 3, n).
+
+    What filters take away of its position and velocity, and its velocity from rest.
+    """
+    period, filters = cut.series.period, [c.filter for c in channels if not c.chamber]
+
+    def followed() -> np.ndarray:
+        rows = zip(filters, *cut.pushes.moved(command, period), strict=True)
+        return np.stack([[q - smoothed(q, f), v - smoothed(q, f, period), v] for f, q, v in rows])
+
+    return cut.lately.get("pushes", [command[name] for name in cut.pushes.actuators], followed)
+
+
+def commanded(change: Change, actuator: str, samples: np.ndarray, period: float) -> np.ndarray:
+    """What reaches an actuator of commands at a sampling period [s], (n,)."""
     for path in change.commands.get(actuator, ()):
-        samples = path(samples, cut.series.period)
+        samples = path(samples, period)
     return samples
 
 
@@ -440,38 +410,18 @@ def start_states(
     measured: Measured,
     channels: tuple[Channel, ...],
     rest_time: float,
-    *,
     pressures: np.ndarray | None = None,
-    nudge: Nudge | None = None,
 ) -> np.ndarray:
-    """Full physics states at window starts, shape (windows, nstate).
+    """Full physics states at window starts under a change, shape (windows, nstate).
 
-    Args:
-        cut: Windows.
-        change: Changes under the hypothesis.
-        measured: Smoothed series; its samples say where windows start.
-        channels: Measured outputs.
-        rest_time: A bristle that slid less than twice its deflection in this time [s] rests.
-        pressures: Values of `hidden_slots` where pressures are not measured, (windows, slots).
-        nudge: Departure from these states.
+    The samples of `measured` say where windows start. A bristle that slid less than twice its
+    deflection in `rest_time` [s] rests. `pressures` are values of `hidden_slots`, (windows, slots),
+    where pressures are not measured.
     """
-    machine, variant = change.machine, change.variant
-    model, firsts = variant.model, measured.samples
+    machine, variant, firsts = change.machine, change.variant, measured.samples
     plugin = np.tile(variant.plugin_state, (firsts.size, 1))
     for (element, name), value in change.parameters.items():
         plugin[:, variant.slot(element, name)] = value
-    qpos = np.tile(model.qpos0, (firsts.size, 1))
-    qvel = np.zeros((firsts.size, model.nv))
-    lag = 0.5 * machine.timestep
-    for joint in machine.joints:
-        q, v = measured.position[joint], measured.velocity[joint]
-        qpos[:, model.joint(joint).qposadr[0]] = q[firsts]
-        # MuJoCo's velocity lags half a step behind its position: the slope before counts.
-        pushed = measured.pushed.get(joint, np.zeros_like(v))
-        calm = v - pushed
-        slope = (calm[firsts + 1] - calm[firsts - 1]) / (2.0 * measured.period)
-        slope += (pushed[firsts] - pushed[firsts - 1]) / measured.period
-        qvel[:, model.joint(joint).dofadr[0]] = v[firsts] - lag * slope
     for channel in channels:
         if channel.chamber and channel.cylinder:
             slot = variant.slot(channel.cylinder, channel.chamber)
@@ -483,20 +433,27 @@ def start_states(
     for (element, name), function in change.starts.items():
         plugin[:, variant.slot(element, name)] = function(measured, variant, plugin)
     instances.balance(rest_time)
-    if nudge is not None:
-        if nudge.quantity == "position":
-            qpos[:, model.joint(nudge.element).qposadr[0]] += nudge.size
-        elif nudge.quantity == "velocity":
-            qvel[:, model.joint(nudge.element).dofadr[0]] += nudge.size
-        else:
-            plugin[:, variant.slot(nudge.element, nudge.quantity)] += nudge.size
-    states = np.zeros((firsts.size, mujoco.mj_stateSize(model, STATE)))
-    start = plugin_offset(model)
+    states = states_at(machine, variant.model, measured, firsts, plugin)
     states[:, 0] = cut.series.time[firsts]
-    states[:, 1 : 1 + model.nq] = qpos
-    states[:, 1 + model.nq : 1 + model.nq + model.nv] = qvel
-    states[:, start : start + model.npluginstate] = plugin
+    for joint in machine.joints:
+        # MuJoCo's velocity lags half a step behind its position: the slope before counts.
+        v = measured.velocity[joint]
+        pushed = measured.pushed.get(joint, np.zeros_like(v))
+        calm = v - pushed
+        slope = (calm[firsts + 1] - calm[firsts - 1]) / (2.0 * measured.period)
+        slope += (pushed[firsts] - pushed[firsts - 1]) / measured.period
+        states[:, place(variant, joint, "velocity")] -= 0.5 * machine.timestep * slope
     return states
+
+
+def place(variant: Variant, element: str, quantity: str) -> int:
+    """Place in the full physics state of a joint's "position" or "velocity", else of a plugin."""
+    model = variant.model
+    if quantity == "position":
+        return 1 + int(model.joint(element).qposadr[0])
+    if quantity == "velocity":
+        return 1 + model.nq + int(model.joint(element).dofadr[0])
+    return plugin_offset(model) + variant.slot(element, quantity)
 
 
 def hidden_slots(change: Change) -> np.ndarray:

@@ -1,10 +1,9 @@
 """Channels of the recordings, their smoothing, and the windows cut from them."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 
-import mujoco
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 from scipy.signal import savgol_coeffs
@@ -12,14 +11,11 @@ from scipy.signal import savgol_coeffs
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.diagnosis.intake.series import UniformSeries, common_period, readings_change
-from leglab.diagnosis.plant.lately import Lately, alike
+from leglab.diagnosis.plant.lately import Lately
 from leglab.diagnosis.plant.model import CHAMBERS, CYLINDER, Machine
-from leglab.diagnosis.replay.pushes import Pushes
+from leglab.diagnosis.replay.pushes import Pushes, poses
 from leglab.diagnosis.thresholds import DEFAULT, UNSEEN_STEP, Thresholds
 from leglab.machine.simulation import actuator_moments
-
-# Filtered versions of a channel that are kept: the present one and those of a trial.
-_KNOWN = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,16 +59,16 @@ def channels(
     found = [Channel(column=f"{j}_position", joint=j, filter=position) for j in machine.joints]
     for cylinder in machine.instances(CYLINDER):
         joint = machine.driven[cylinder][0]
-        columns = {f"{joint}_{chamber}": chamber for chamber in CHAMBERS}
         found += [
             Channel(column=name, joint=joint, cylinder=cylinder, chamber=chamber, filter=pressure)
-            for name, chamber in columns.items()
-            if name in shared
+            for chamber in CHAMBERS
+            if (name := f"{joint}_{chamber}") in shared
         ]
     return tuple(found)
 
 
 def _filter(choice: tuple[float, int, int], period: float) -> tuple[int, int]:
+    """Length in samples and order of a filter, from its length [s], fewest samples and order."""
     duration, least, order = choice
     return max(least, 2 * round(0.5 * (duration / period - 1.0)) + 1), order
 
@@ -82,14 +78,8 @@ def noise_level(samples: np.ndarray, window: tuple[int, int]) -> float:
 
     The filter keeps its centre coefficient c of each sample, so that white noise of variance s^2
     leaves s^2 (1 - c). The median makes jumps of the signal count little (Rousseeuw and
-    Croux 1993). Where a signal rests on one reading it shows no noise, and does not count.
-
-    Args:
-        samples: Shape (n,).
-        window: Length and order of the Savitzky-Golay filter.
-
-    Returns:
-        0 where the signal never changes, or is shorter than the filter.
+    Croux 1993). Where a signal rests on one reading it shows no noise, and does not count: 0 where
+    it never changes, or is shorter than the filter. `window` is the filter's length and order.
     """
     if samples.size < window[0]:
         return 0.0
@@ -132,57 +122,35 @@ def resolution(series: Sequence[UniformSeries], column: str) -> float:
 
 
 @cache
-def _kernels(length: int, order: int, slope: bool, period: float) -> np.ndarray:
+def _kernels(length: int, order: int, period: float | None) -> np.ndarray:
     """Weights of a window's samples in the polynomial at each of its places, (length, length)."""
-    rule = {"deriv": int(slope), "delta": period, "use": "dot"}
+    rule = {"deriv": int(period is not None), "delta": period or 1.0, "use": "dot"}
     return np.stack([savgol_coeffs(length, order, pos=k, **rule) for k in range(length)])
 
 
-def _savgol(samples: np.ndarray, kernels: np.ndarray) -> np.ndarray:
-    """`scipy.signal.savgol_filter`, whose polynomials are fitted anew at every call."""
-    length = len(kernels)
-    half = length // 2
+def smoothed(
+    samples: np.ndarray, window: tuple[int, int], period: float | None = None
+) -> np.ndarray:
+    """Savitzky-Golay smoothing, or the slope by it where a sampling period [s] is given, (n,).
+
+    Series shorter than the filter stay as they are. (`scipy.signal.savgol_filter` fits its
+    polynomials anew at every call.)
+    """
+    length, half = window[0], window[0] // 2
+    if samples.size < length:
+        return samples if period is None else np.gradient(samples, period)
+    kernels = _kernels(*window, period)
     middle = np.correlate(samples, kernels[half], "valid")
     first, last = kernels[:half] @ samples[:length], kernels[half + 1 :] @ samples[-length:]
     return np.concatenate([first, middle, last])
-
-
-def smoothed(samples: np.ndarray, window: tuple[int, int]) -> np.ndarray:
-    """Savitzky-Golay smoothing; series shorter than the filter stay as they are."""
-    return _savgol(samples, _kernels(*window, False, 1.0)) if samples.size >= window[0] else samples
-
-
-def derivative(samples: np.ndarray, window: tuple[int, int], period: float) -> np.ndarray:
-    """First derivative by the same filter."""
-    if samples.size < window[0]:
-        return np.gradient(samples, period)
-    return _savgol(samples, _kernels(*window, True, period))
 
 
 def filter_difference(
     samples: np.ndarray, window: tuple[int, int], period: float | None = None
 ) -> np.ndarray:
     """Difference that a filter of the same length and two orders less makes, shape (n,)."""
-    length, order = window
-    other = (length, max(order - 2, 0 if period is None else 1))
-    if period is None:
-        return smoothed(samples, window) - smoothed(samples, other)
-    return derivative(samples, window, period) - derivative(samples, other, period)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Driven:
-    """Motion of a joint by the commands of native actuators; all (n,).
-
-    Attributes:
-        position: What a filter of positions takes away of it.
-        velocity: What the derivative of a filter takes away of it.
-        whole: Its velocity, from rest.
-    """
-
-    position: np.ndarray
-    velocity: np.ndarray
-    whole: np.ndarray
+    less = window[0], max(window[1] - 2, 0 if period is None else 1)
+    return smoothed(samples, window, period) - smoothed(samples, less, period)
 
 
 @dataclass(kw_only=True)
@@ -193,66 +161,29 @@ class Cut:
         series: The recording.
         firsts: Samples at which windows start, shape (windows,).
         levers: d(actuator length)/d(joint position) of the cylinders, each (n,).
-        touched: Whether something touches what a joint carries, (n,) by joint; none where nothing
-            can.
-        pushes: What commands of native actuators do at once; None where there are none.
-        known: By column, samples that were filtered lately and what came of them, each (n,).
-        driven: Commands lately and the motion by them, as of `pushed`.
+        touched: Whether something touches what a joint carries, (n,) by joint.
+        pushes: What commands of native actuators do at once.
         lately: What was followed along the series lately.
     """
 
     series: UniformSeries
     firsts: np.ndarray
     levers: dict[str, np.ndarray]
-    touched: dict[str, np.ndarray] = field(default_factory=dict)
-    pushes: Pushes | None = None
-    driven: list[tuple[dict[str, np.ndarray], dict[str, Driven]]] = field(default_factory=list)
-    known: dict[str, list[tuple[np.ndarray, np.ndarray, np.ndarray]]] = field(default_factory=dict)
+    touched: dict[str, np.ndarray]
+    pushes: Pushes
     lately: Lately = field(default_factory=Lately)
 
-    def filtered(self, channel: Channel, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Smoothed samples of a channel, as a hypothesis corrects them, and their derivative.
-
-        Most hypotheses of a search correct a channel alike, so the last few are kept.
-        """
-        known = self.known.setdefault(channel.column, [])
-        place = next((i for i, k in enumerate(known) if alike(k[0], samples)), None)
-        if place is None:
-            slope = derivative(samples, channel.filter, self.series.period)
-            known.append((samples, smoothed(samples, channel.filter), slope))
-            del known[:-_KNOWN]
-        else:
-            known.append(known.pop(place))
-        return known[-1][1:]
-
-    def pushed(
-        self, channels: Sequence[Channel], commands: dict[str, np.ndarray]
-    ) -> dict[str, Driven]:
-        """What filters of the positions take away of the motion by commands, by joint."""
-        if self.pushes is None:
-            return {}
-        for place, (known, found) in enumerate(self.driven):
-            if all(alike(known[name], commands[name]) for name in self.pushes.response):
-                self.driven.append(self.driven.pop(place))
-                return found
-        period = self.series.period
-        rows = zip(self.pushes.joints, *self.pushes.moved(commands, period), strict=True)
-        filters = {c.joint: c.filter for c in channels if not c.chamber}
-        found = {
-            joint: Driven(
-                position=position - smoothed(position, filters[joint]),
-                velocity=velocity - derivative(position, filters[joint], period),
-                whole=velocity,
-            )
-            for joint, position, velocity in rows
-            if joint in filters
-        }
-        self.driven.append((commands, found))
-        del self.driven[:-_KNOWN]
-        return found
+    def filtered(self, channel: Channel, samples: np.ndarray) -> np.ndarray:
+        """Smoothed samples of a channel, as a hypothesis corrects them, and their slope, (2, n)."""
+        each = (None, self.series.period)
+        return self.lately.get(
+            f"filter of {channel.column}",
+            (samples,),
+            lambda: np.stack([smoothed(samples, channel.filter, period) for period in each]),
+        )
 
 
-def window_length(period: float, thresholds: Thresholds = DEFAULT) -> tuple[int, int]:
+def window_length(period: float, thresholds: Thresholds) -> tuple[int, int]:
     """Samples in a window, and bins into which it is divided, at a sampling period [s].
 
     `thresholds.window` and `bin` as far as the samples allow. Forces are told in
@@ -280,31 +211,28 @@ def cut_all(
 
     Of windows in which nothing moves one in a few is kept, for the others say the same. Whatever
     holds a machine at rest explains them, too much friction as well as the right one: of those, and
-    of windows in which next to nothing moves, no more are kept than one for so many others. Each
-    recording keeps at least one of its own.
-
-    Args:
-        machine: That was recorded.
-        series: The recordings.
-        channels: What is predicted.
-        noise: As `sensor_noise` has it, (recordings, channels).
-        samples: In a window.
-        lead: Before a window that are replayed as well.
-        thresholds: Of windows.
+    of windows in which next to nothing moves of what moves in all of them, no more are kept than
+    one for so many others. Each recording keeps at least one of its own. `noise` is as
+    `sensor_noise` has it.
     """
-    cuts = [
+    made = [
         _cut(machine, one, channels, own, samples, lead, thresholds)
         for one, own in zip(series, noise, strict=True)
     ]
-    masks = resting(machine, cuts, channels, noise, samples, thresholds)
-    few = thresholds.still_every
-    kept = [_one_in(few, still) for still, _ in masks]
-    calm = [calm & keep for keep, (_, calm) in zip(kept, masks, strict=True)]
-    moving = sum(int((~calm).sum()) for _, calm in masks)
-    every = -(-few * sum(int(c.sum()) for c in calm) // moving) if moving else 1
-    for cut, keep, rests in zip(cuts, kept, calm, strict=True):
-        cut.firsts = cut.firsts[keep & _one_in(max(1, every), rests)]
-    return cuts
+    rows = np.concatenate([travel for _, travel, _ in made])
+    usual = np.sqrt((rows**2).sum(axis=0) / max(1, len(rows)))
+    few, moving, masks = thresholds.still_every, 0, []
+    for (_, travel, held), own in zip(made, noise, strict=True):
+        least = thresholds.still_noise * own
+        next_to = np.maximum(least, thresholds.still_motion * usual)
+        still, calm = (held & (travel <= room).all(axis=1) for room in (least, next_to))
+        keep = _one_in(few, still)
+        masks.append((keep, calm & keep))
+        moving += int((~calm).sum())
+    every = -(-few * sum(int(calm.sum()) for _, calm in masks) // moving) if moving else 1
+    for (cut, *_), (keep, calm) in zip(made, masks, strict=True):
+        cut.firsts = cut.firsts[keep & _one_in(max(1, every), calm)]
+    return [cut for cut, *_ in made]
 
 
 def _one_in(every: int, mask: np.ndarray) -> np.ndarray:
@@ -320,148 +248,64 @@ def _cut(
     samples: int,
     lead: int,
     thresholds: Thresholds,
-) -> Cut:
-    """Cuts one recording, `noise` its (channels,), as `cut_all` does."""
+) -> tuple[Cut, np.ndarray, np.ndarray]:
+    """All windows of one recording, `noise` its (channels,).
+
+    And what each channel moves in them, (windows, channels), and whether no command moves. A joint
+    that sticks under a command that grows does not rest: that says what holds it.
+    """
+    commands = [series.columns[f"{actuator}_command"] for actuator in machine.actuators]
     reach = max(channel.filter[0] for channel in channels)
     margin = reach // 2 + thresholds.margin_samples
+    # Windows start where two filters agree, in noise levels, and no command jumps.
+    unrest = np.zeros(series.time.size)
+    for channel, own in zip(channels, noise, strict=True):
+        unrest += (filter_difference(series.columns[channel.column], (reach, 4)) / own) ** 2
+    for command in commands:
+        unrest += (10.0 * (np.abs(np.gradient(command)) / (command.std() or 1.0))) ** 2
+    unrest = maximum_filter1d(unrest, 2 * margin + 1)
     last = series.time.size - samples - margin - 1
-    unrest = _unrest(machine, series, channels, noise, reach, margin)
     room = round(thresholds.start_room * samples)
     grid = np.arange(max(margin, lead), last + 1, samples)
-    calm = [g + int(np.argmin(unrest[g : min(g + room, last) + 1])) for g in grid.tolist()]
-    firsts = np.array(calm, dtype=np.int64)
+    best = [g + int(np.argmin(unrest[g : min(g + room, last) + 1])) for g in grid.tolist()]
+    firsts = np.array(best, dtype=np.int64)
     missing = np.concatenate([[0], np.cumsum(~series.valid)])
     keep = missing[firsts + samples + 1] == missing[firsts - lead]
-    for channel in channels:
+    levels = [smoothed(series.columns[c.column], c.filter) for c in channels]
+    for channel, level in zip(channels, levels, strict=True):
         if channel.chamber:
-            level = smoothed(series.columns[channel.column], channel.filter)
             keep &= level[firsts] > thresholds.vapour_pressure
     firsts = firsts[keep]
-    stride = max(1, round(thresholds.bin / series.period))
-    return Cut(
-        series=series,
-        firsts=firsts,
-        levers={c: _lever(machine, series, c, stride) for c in machine.instances(CYLINDER)},
-        touched=_touched(machine, series, stride),
-        pushes=Pushes.of(machine, series),
-    )
+    inside = firsts[:, None] + np.arange(samples + 1)
+    travel = np.stack([np.ptp(level[inside], axis=1) for level in levels], axis=1)
+    held = np.ones(firsts.size, dtype=bool)
+    for command in commands:
+        held &= np.ptp(command[inside], axis=1) <= thresholds.still_command * np.ptp(command)
+    levers, touched = _along(machine, series, max(1, round(thresholds.bin / series.period)))
+    pushes = Pushes(machine, series)
+    cut = Cut(series=series, firsts=firsts, levers=levers, touched=touched, pushes=pushes)
+    return cut, travel, held
 
 
-def resting(
-    machine: Machine,
-    cuts: Sequence[Cut],
-    channels: tuple[Channel, ...],
-    noise: np.ndarray,
-    samples: int,
-    thresholds: Thresholds,
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Masks of the windows in which nothing moves, and in which next to nothing does.
-
-    No command moves, and every channel moves by a few noise levels; or by next to nothing of what
-    it moves in all windows together. A joint that sticks under a command that grows does not rest:
-    that says what holds it.
-
-    Args:
-        machine: As all others as `cut_all` has it.
-        cuts: All windows.
-        channels: What is predicted.
-        noise: Of each channel.
-        samples: In a window.
-        thresholds: Say what rests.
-
-    Returns:
-        By recording; the second holds the first.
-    """
-
-    def moved(cut: Cut, values: np.ndarray) -> np.ndarray:
-        return np.ptp(values[cut.firsts[:, None] + np.arange(samples + 1)], axis=1)
-
-    rows = []
-    for cut in cuts:
-        columns = cut.series.columns
-        own = (moved(cut, smoothed(columns[c.column], c.filter)) for c in channels)
-        rows.append(np.stack(list(own), axis=1))
-    usual = np.sqrt((np.concatenate(rows) ** 2).sum(axis=0) / max(1, sum(map(len, rows))))
-    found = []
-    for cut, travel, own in zip(cuts, rows, noise, strict=True):
-        held = np.ones(len(travel), dtype=bool)
-        for actuator in machine.actuators:
-            command = cut.series.columns[f"{actuator}_command"]
-            held &= moved(cut, command) <= thresholds.still_command * np.ptp(command)
-        least = thresholds.still_noise * own
-        next_to = np.maximum(least, thresholds.still_motion * usual)
-        found.append(tuple(held & (travel <= room).all(axis=1) for room in (least, next_to)))
-    return found
-
-
-def _unrest(
-    machine: Machine,
-    series: UniformSeries,
-    channels: tuple[Channel, ...],
-    noise: np.ndarray,
-    reach: int,
-    margin: int,
-) -> np.ndarray:
-    """Unrest around each sample, (n,): windows start where it is least.
-
-    Disagreement of two smoothing filters of length `reach`, in noise levels, and jumps of the
-    commands; the most within `margin` samples.
-    """
-    total = np.zeros(series.time.size)
-    for channel, own in zip(channels, noise, strict=True):
-        samples = series.columns[channel.column]
-        total += (filter_difference(samples, (reach, 4)) / own) ** 2
-    for actuator in machine.actuators:
-        command = series.columns[f"{actuator}_command"]
-        jump = np.abs(np.gradient(command)) / (command.std() or 1.0)
-        total += (10.0 * jump) ** 2
-    return maximum_filter1d(total, 2 * margin + 1)
-
-
-def _lever(machine: Machine, series: UniformSeries, cylinder: str, stride: int) -> np.ndarray:
-    """d(actuator length)/d(joint position) over a series, shape (n,), one in a stride exact."""
-    model = machine.base.model
-    actuator = model.actuator(cylinder).id
-    dof = int(model.joint(machine.driven[cylinder][0]).dofadr[0])
-    chosen = np.arange(0, series.time.size, stride)
-    poses = _poses(machine, series, chosen)
-    lever = np.array([actuator_moments(model, data)[actuator, dof] for data in poses])
-    return np.interp(np.arange(series.time.size), chosen, lever)
-
-
-def _touched(machine: Machine, series: UniformSeries, stride: int) -> dict[str, np.ndarray]:
-    """Whether something touches what a joint carries, as `Cut` has it, one in a stride exact."""
-    model = machine.base.model
-    if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CONTACT):
-        return {}
-    first = int(mujoco.mjtConstraint.mjCNSTR_CONTACT_FRICTIONLESS)
-    chosen = np.arange(0, series.time.size, stride)
-    found = np.zeros((chosen.size, model.nv), dtype=bool)
-    for row, data in zip(found, _poses(machine, series, chosen), strict=True):
-        for contact in data.contact[: data.ncon]:
-            if contact.efc_address >= 0 and data.efc_type[contact.efc_address] >= first:
-                for geom in contact.geom:
-                    _carry(model, int(model.geom_bodyid[geom]), row)
-    dofs = {joint: int(model.joint(joint).dofadr[0]) for joint in machine.joints}
-    every = np.repeat(found, stride, axis=0)[: series.time.size]
-    return {joint: every[:, dof] for joint, dof in dofs.items()}
-
-
-def _carry(model: mujoco.MjModel, body: int, row: np.ndarray) -> None:
-    """Marks the degrees of freedom that move a body, (nv,)."""
-    while body:
+def _along(
+    machine: Machine, series: UniformSeries, stride: int
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Levers and what is touched, as `Cut` has them, at one sample in a stride exact."""
+    model, count = machine.base.model, series.time.size
+    moves = np.zeros((model.nbody, model.nv), dtype=bool)  # degrees of freedom that move a body
+    for body in range(1, model.nbody):
         first = int(model.body_dofadr[body])
-        row[first : first + int(model.body_dofnum[body])] = True
-        body = int(model.body_parentid[body])
-
-
-def _poses(machine: Machine, series: UniformSeries, chosen: np.ndarray) -> Iterator[mujoco.MjData]:
-    """The machine at measured positions, one after the other."""
-    model = machine.base.model
-    data = mujoco.MjData(model)
-    addresses = [int(model.joint(name).qposadr[0]) for name in machine.joints]
-    positions = np.stack([series.columns[f"{name}_position"] for name in machine.joints], 1)
-    for row in positions[chosen]:
-        data.qpos[addresses] = row
-        mujoco.mj_fwdPosition(model, data)
-        yield data
+        moves[body] = moves[model.body_parentid[body]]
+        moves[body, first : first + int(model.body_dofnum[body])] = True
+    moments, touched = [], []
+    for data in poses(machine, series, stride):
+        moments.append(actuator_moments(model, data))
+        pairs = data.contact.geom[data.contact.efc_address >= 0]
+        touched.append(moves[model.geom_bodyid[pairs]].any(axis=(0, 1)))
+    dofs = {joint: int(model.joint(joint).dofadr[0]) for joint in machine.joints}
+    lever, there = np.stack(moments), np.repeat(touched, stride, axis=0)[:count]
+    levers = {}
+    for cylinder in machine.instances(CYLINDER):
+        own = lever[:, model.actuator(cylinder).id, dofs[machine.driven[cylinder][0]]]
+        levers[cylinder] = np.interp(np.arange(count), np.arange(0, count, stride), own)
+    return levers, {joint: there[:, dof] for joint, dof in dofs.items()}
