@@ -250,17 +250,10 @@ class Problem:
         active = begins <= replay.start
         certain = np.all(active | (begins >= replay.start + replay.window), axis=0)
         out = np.zeros((replay.windows, len(self.channels), replay.bins))
-<<<<<<< HEAD
-        for code in np.unique(codes[chosen]):
-            group = chosen & (codes == code)
-            absent = [k for i, k in enumerate(keys) if not code >> i & 1]
-            change = self.library.change(hypothesis.without(*absent), replay.machine)
-=======
         for present in np.unique(active[:, chosen], axis=1).T:
             group = chosen & (active == present[:, None]).all(axis=0)
             absent = [k for k, there in zip(keys, present, strict=True) if not there]
-            change = self.library.change(hypothesis.not_begun(*absent), replay.machine)
->>>>>>> lines4
+            change = self.library.change(hypothesis.without(*absent), replay.machine)
             out[group] = replay.error(change, chosen=group).normalised
         return out[chosen], certain[chosen].astype(float)
 
