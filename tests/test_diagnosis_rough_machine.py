@@ -80,7 +80,7 @@ def test_a_rough_machine_that_is_as_healthy_as_before_gets_no_name(well):
 
 def test_the_gap_is_that_of_the_held_out_recordings(ill):
     result, found = ill
-    problem, final = found.problem, found.final
+    problem, final = found.about, found.final
 
     def level(hypothesis, windows):
         return np.sqrt(problem.noise_levels(hypothesis)[windows].mean())

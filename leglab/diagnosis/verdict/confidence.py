@@ -165,7 +165,9 @@ def _effect(
     alone = min(float(parts[sound].sum(axis=0).min()) for _, parts in ways)
     possible = max(float(parts[there].sum(axis=0).max()) for _, parts in ways)
     first = rows[int(np.argmax(np.where(has, logs, -np.inf)))]
-    share = min(_explained(sets, *shown) for shown in sets.shown(first, key))
+    (share, _), *elsewhere = (_explained(sets, *shown) for shown in sets.shown(first, key))
+    for explains, acts in elsewhere:
+        share -= acts * max(share - explains, 0.0)
     inside = _inside(share, impostor, max(2.0 * math.log(sets.found.level), 1.0))
     inside *= _claimed(first, key)
     sure = min(whole, alone) * inside
@@ -249,14 +251,20 @@ def _logit(share: float) -> float:
     return float(np.log((share + 1e-3) / (1.0 - share + 1e-3)))
 
 
-def _explained(sets: Sets, at: Errors, with_: np.ndarray, without: np.ndarray) -> float:
-    """Share of the errors beyond noise that an effect explains in some windows, where it acts."""
+def _explained(sets: Sets, at: Errors, blocks: np.ndarray) -> tuple[float, float]:
+    """Share of the errors beyond noise that an effect explains where it acts; how far it does.
+
+    It acts by what it changes, beside what is left with it: where it changes much and explains
+    little it is wrong, where it changes little nothing is known.
+    """
+    with_, without, change = blocks
     count = np.array([(at.recording == r).sum() for r in np.unique(at.recording)])
-    grain = np.sqrt(2.0 / (at.size // sets.channels * count))[:, None]
+    left = np.maximum(with_ - 1.0, 0.0)
+    left = left + np.sqrt(2.0 / (at.size // sets.channels * count))[:, None]
     gain = np.maximum(without - with_, 0.0)
-    share = gain / (gain + np.maximum(with_ - 1.0, 0.0) + grain)
-    act = gain / np.maximum(without, 1e-9)
-    return float((share * act).sum() / max(float(act.sum()), 1e-9))
+    act = change / (change + left)
+    share = gain / (gain + left)
+    return float((share * act).sum() / max(float(act.sum()), 1e-9)), float(act.mean())
 
 
 def _inside(share: float, impostor: tuple[float, float], top: float) -> float:

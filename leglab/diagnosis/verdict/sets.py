@@ -101,22 +101,23 @@ class Sets:
             return inverse_roots(at.covariance + self.fitter.fixed.replays[at.recording])
         return at.problem.noise.whitening[at.chosen]
 
-    def shown(self, row: Row, key: Key) -> Iterator[tuple[Errors, np.ndarray, np.ndarray]]:
-        """Windows, and their blocks with an effect of a set and without it.
+    def shown(self, row: Row, key: Key) -> Iterator[tuple[Errors, np.ndarray]]:
+        """Windows, and blocks of their errors with an effect of a set, without it, and of both's
+        difference, (3, recordings, channels).
 
         Of the recordings that are fitted, and of those that nobody fitted.
         """
         at, u = self.elsewhere, self.unknowns
-        yield self.at, self.blocks(row.left), self.blocks(self.without(row, key))
+        with_, without = row.left, self.without(row, key)
+        yield self.at, np.stack([self.blocks(e) for e in (with_, without, without - with_)])
         if at is None:
             return
         places = row.places(key)
         gone = {row.score.unknowns[i]: -float(row.score.values[i]) for i in places}
-        roots, found = self._whiteners(at), []
-        for hypothesis in (row.hypothesis, u.moved(row.hypothesis, gone)):
-            errors = np.clip(at.at(hypothesis), -BLOWN, BLOWN)
-            found.append(_middles(self._squares(roots, errors), at.recording))
-        yield at, found[0], found[1]
+        both = (row.hypothesis, u.moved(row.hypothesis, gone))
+        with_, without = (np.clip(at.at(h), -BLOWN, BLOWN) for h in both)
+        squares = (self._squares(self._whiteners(at), e) for e in (with_, without, without - with_))
+        yield at, np.stack([_middles(square, at.recording) for square in squares])
 
     def channel_squares(self, errors: np.ndarray) -> np.ndarray:
         """Mean squares by window and channel, in noise or errors as healthy."""
