@@ -102,10 +102,10 @@ class Sets:
         return at.problem.noise.whitening[at.chosen]
 
     def shown(self, row: Row, key: Key) -> Iterator[tuple[Errors, np.ndarray]]:
-        """Windows, and blocks of their errors with an effect of a set, without it, and of both's
-        difference, (3, recordings, channels).
+        """Windows, and blocks of their errors with an effect, without, and of the difference.
 
-        Of the recordings that are fitted, and of those that nobody fitted.
+        Of the recordings that are fitted, and of those that nobody fitted; (3, recordings,
+        channels).
         """
         at, u = self.elsewhere, self.unknowns
         with_, without = row.left, self.without(row, key)
