@@ -498,7 +498,6 @@ def test_a_weak_drive_is_a_joint_that_resists_more_unless_it_lifts_a_weight():
         assert gain.value == pytest.approx(0.6, rel=0.05)
 
 
-@pytest.mark.slow("five seconds")
 def test_what_held_out_motion_hardly_shows_is_told_by_all_recordings():
     """It crawls there, and what crawling shows of friction is less than the machine is off."""
     result = told("hardly shown")
