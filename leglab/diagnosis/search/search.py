@@ -165,8 +165,8 @@ def search(
         # Near noise first order is exact: what is behind nothing stays there.
         if clear and not ranks[0].fit.members:
             break
-        # What may lead is fitted to its end; what nearly leads, and is more probable where another
-        # set was fitted, also from there.
+        # What may lead is fitted to its end; what is more probable where another set was fitted
+        # also from there.
         top = ranks[0].score.log
         behind = BEHIND * NEAR
         if not fitter.explains(least_left.fit):
@@ -189,7 +189,7 @@ def search(
             fits.remove(begun)
             continue
         points = {id(f.columns): f for f in fits}
-        pairs = ((r.fit, points[id(r.evidence.columns)]) for r in near if r.score.log > top - NEAR)
+        pairs = ((r.fit, points[id(r.evidence.columns)]) for r in near)
         moved = ((f, p) for f, p in pairs if f is not p and (f.keys, p.keys) not in again)
         late, point = next(moved, (None, None))
         if late is not None and point is not None:
