@@ -174,7 +174,7 @@ def test_the_improved_model_carries_no_effect_without_a_name(ill, unlearned, sai
 
 def test_no_model_is_written_that_errs_more_where_held_out(ill, unlearned):
     worse = told(ill[1])
-    object.__setattr__(worse, "final", worse.final.with_values(OFFSET, np.array([-0.4])))
+    object.__setattr__(worse, "written", worse.written.with_values(OFFSET, np.array([-0.4])))
     assert improve.improved_model(worse) is None
 
 
