@@ -86,13 +86,15 @@ class Score:
 
 @dataclass(frozen=True, eq=False)
 class _Reduced:
-    """Inner products of all columns with the single unknowns integrated out.
+    """Inner products of columns with the single unknowns integrated out.
 
-    inner: (sizes, spreads, columns, columns): errors, tangents, jumps.
+    place: Of each column among those that are held, (columns,).
+    inner: (sizes, spreads, held, held): errors, tangents, jumps.
     base: Log evidence of no member, but for the errors' square, (sizes, spreads).
     gram: As they are, (sizes, columns, columns).
     """
 
+    place: np.ndarray
     inner: np.ndarray
     base: np.ndarray
     gram: np.ndarray
@@ -198,29 +200,31 @@ class Evidence:
         matrix[np.diag_indices(n)] *= 1.0 + ROUNDING
         return whole, cross, np.linalg.cholesky(matrix)
 
-    def _reduced(self, gram: np.ndarray, log: np.ndarray) -> _Reduced:
+    def _reduced(self, gram: np.ndarray, log: np.ndarray, held: np.ndarray) -> _Reduced:
         """With the single unknowns integrated out.
 
         Args:
             gram: Inner products of all columns, (sizes, columns, columns).
             log: Log determinants, (sizes,).
+            held: Columns whose products are wanted.
         """
-        width = gram.shape[1]
+        place = np.zeros(gram.shape[1], dtype=int)
+        place[held] = np.arange(held.size)
         shape = len(self.places), len(self.priors.spreads)
-        inner, base = np.zeros((*shape, width, width)), np.zeros(shape)
+        inner, base = np.zeros((*shape, held.size, held.size)), np.zeros(shape)
         for o, deviation in enumerate(self.priors.spreads):
             precision, log_prior = self.priors.precision(self.unknowns, deviation)
             for k in self._sizes:
                 whole, cross, root = self._joint(gram[k], precision)
-                half = dtrtrs(root.T, cross, lower=0, trans=1)[0]
-                inner[k, o] = whole - half.T @ half
+                half = dtrtrs(root.T, cross[:, held], lower=0, trans=1)[0]
+                inner[k, o] = whole[np.ix_(held, held)] - half.T @ half
                 base[k, o] = (
                     0.5 * log_prior
                     - np.log(np.diag(root)).sum()
                     - 0.5 * self.kappa * log[k]
                     + self.priors.log_sizes[self.places[k]]
                 )
-        return _Reduced(inner, base, gram)
+        return _Reduced(place, inner, base, gram)
 
     def follow(self, reduced: _Reduced, k: int, o: int, along: np.ndarray) -> np.ndarray:
         """How single unknowns follow a step along the columns, at a size and spread, (single,)."""
@@ -230,17 +234,17 @@ class Evidence:
 
     def apart(self, members: Sequence[Member]) -> list[Score]:
         """Evidence of a set without each part of the recordings in turn."""
-        found = []
+        found, held = [], np.unique([0, *self._columns_of(members)[0]])
         for r in range(int(self.part.max()) + 1):
             gram, log = self._products(self.part == r)
-            rest = self._reduced(self.gram - gram, self.log_covariance - log)
+            rest = self._reduced(self.gram - gram, self.log_covariance - log, held)
             found.append(self.score(members, rest))
         return found
 
     @cached_property
     def whole(self) -> _Reduced:
         """With all parts."""
-        return self._reduced(self.gram, self.log_covariance)
+        return self._reduced(self.gram, self.log_covariance, np.arange(self.gram.shape[1]))
 
     def _columns_of(
         self, members: Sequence[Member]
@@ -287,9 +291,10 @@ class Evidence:
         deviations = np.zeros((*square.shape, m))
         steps = np.zeros((*square.shape, m))
         if m:
-            matrix = inner[:, :, index[:, None], index]
+            place = own.place[index]
+            matrix = inner[:, :, place[:, None], place]
             matrix = matrix + (1e-9 * np.einsum("koii->koi", matrix) + 1e-12)[..., None] * np.eye(m)
-            gradient = first[:, :, index]
+            gradient = first[:, :, place]
             steps = _bounded(matrix, gradient, lower, upper)
             square = square + 2.0 * (gradient * steps).sum(axis=2)
             square = square + np.einsum("koi,koij,koj->ko", steps, matrix, steps)
@@ -306,7 +311,7 @@ class Evidence:
         grid = own.base - 0.5 * square + log_members + self._odds([q for q, _ in members])
         k, o = np.unravel_index(int(np.argmax(grid)), grid.shape)
         step = steps[k, o]
-        along = np.zeros(inner.shape[2])
+        along = np.zeros(own.place.size)
         along[0] = 1.0
         np.add.at(along, index, step)
         return Score(
