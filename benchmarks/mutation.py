@@ -78,6 +78,11 @@ FAULTS = {
         "diagnosis.verdict.sets", "return np.where(blown, lost.min(), lost)", "return 0.0 * lost",
         "test_a_set_that_turns_the_drive_down_loses_in_units_of_the_drive",
     ),
+    "what hardly acts where held out is refuted": (
+        "diagnosis.verdict.confidence", "share -= acts * max(share - explains, 0.0)",
+        "share = min(share, explains)",
+        "test_what_held_out_motion_hardly_shows_is_told_by_all_recordings",
+    ),
     "a name stands while most is left": (
         "diagnosis.verdict.verdict",
         'if verdict in ("named", "confusion_set") and explained < limits.explanation_share:',
