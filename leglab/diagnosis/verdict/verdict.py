@@ -108,9 +108,13 @@ def _lacks_nothing(outcome: Outcome) -> bool:
 
 
 def _clear_elsewhere(outcome: Outcome) -> bool:
-    """Whether the model errs as little as it may where nobody fitted."""
+    """Whether the model errs as little as it may where nobody fitted.
+
+    The specimen as it was; without one, a machine of the kind within what machines differ by.
+    """
     problem, recording = outcome.problem, outcome.problem.replay.recording
-    levels = np.sqrt(problem.noise_levels(Hypothesis()) / outcome.floors())
+    machine = Hypothesis() if outcome.specimen else outcome.baseline
+    levels = np.sqrt(problem.noise_levels(machine) / outcome.floors())
     each = [np.median(levels[recording == r]) for r in np.unique(recording[problem.held])]
     if not each:
         return True
