@@ -345,7 +345,7 @@ def _next_experiment(outcome: Outcome) -> Proposal | None:
     for key in outcome.judged.confusion:
         if key[0] not in rivals:
             rivals[key[0]] = next(r for r in outcome.judged.rows if key in r.keys).hypothesis
-    return propose(outcome.problem, rivals) if len(rivals) > 1 else None
+    return propose(outcome.problem, dict([*rivals.items()][:2])) if len(rivals) > 1 else None
 
 
 def _not_testable(outcome: Outcome) -> tuple[NotTestable, ...]:
