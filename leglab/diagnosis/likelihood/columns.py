@@ -4,6 +4,7 @@ import signal
 from collections import deque
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from functools import cached_property
 from multiprocessing import current_process, get_context
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from leglab.base.errors import LeglabError
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.twins import twins
 from leglab.diagnosis.likelihood.unknowns import Unknowns
@@ -83,6 +85,11 @@ class Errors:
         portion = max(1, len(hypotheses) // (4 * count))
         try:
             made = list(self._workers.map(_errors, hypotheses, chunksize=portion))
+        except BrokenProcessPool as error:
+            raise LeglabError(
+                "a process that replays was killed, perhaps for want of memory; with "
+                "OMP_NUM_THREADS=1 there is one process alone"
+            ) from error
         except BaseException:
             self._workers.shutdown(wait=False, cancel_futures=True)
             self._workers = None
@@ -241,20 +248,20 @@ class Errors:
 
 
 # In a process of `Errors.each`, that for which it works.
-_own: list[Errors] = []
+_served: list[Errors] = []
 
 
 def _begin(at: Errors) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the user interrupts the process that waits
     at.problem.replay.use_one_thread()
-    _own.append(at)
+    _served.append(at)
 
 
 def _errors(hypothesis: Hypothesis) -> tuple[np.ndarray, float]:
     """Errors in a process of `Errors.each`, and how many replays they took."""
-    replay = _own[0].problem.replay
+    replay = _served[0].problem.replay
     before = replay.rollouts
-    return _own[0].at(hypothesis), replay.rollouts - before
+    return _served[0].at(hypothesis), replay.rollouts - before
 
 
 def _size(pushed: np.ndarray) -> np.ndarray:
