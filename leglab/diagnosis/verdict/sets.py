@@ -116,7 +116,8 @@ class Sets:
         gone = {row.score.unknowns[i]: -float(row.score.values[i]) for i in places}
         both = (row.hypothesis, u.moved(row.hypothesis, gone))
         with_, without = (np.clip(at.at(h), -BLOWN, BLOWN) for h in both)
-        squares = (self._squares(self._whiteners(at), e) for e in (with_, without, without - with_))
+        roots = self._whiteners(at)
+        squares = (self._squares(roots, e) for e in (with_, without, without - with_))
         yield at, np.stack([_middles(square, at.recording) for square in squares])
 
     def channel_squares(self, errors: np.ndarray) -> np.ndarray:
