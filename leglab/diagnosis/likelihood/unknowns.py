@@ -8,6 +8,7 @@ import numpy as np
 
 from leglab.diagnosis.effects.base import Effect
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key, Library
+from leglab.diagnosis.thresholds import FINE
 
 # A parameter of the library: effect and element, and its place among the parameters there.
 Place = tuple[Key, int]
@@ -124,7 +125,11 @@ class Unknowns:
         return x
 
     def moved(self, hypothesis: Hypothesis, by: Mapping[int, float]) -> Hypothesis:
-        """The hypothesis with unknowns moved by departures, within the bounds of the parameters."""
+        """The hypothesis with unknowns moved by departures, within the bounds of the parameters.
+
+        A moving part is there or is not: of less than half of the least step that is looked at,
+        which a step along all unknowns may leave of it, it is not.
+        """
         new: dict[Key, np.ndarray] = {}
         for u, departure in by.items():
             for key, i in self.places[u]:
@@ -133,6 +138,10 @@ class Unknowns:
                 values[i] += departure * site.parameters[i].scale
         for key, values in new.items():
             site = self.library.sites[key]
+            if not site.effect.gradual:
+                for i, p in enumerate(site.parameters):
+                    if p.role == "strength" and abs(values[i] - site.nominal[i]) < 0.5 * FINE[0] * p.scale:
+                        values[i] = site.nominal[i]
             hypothesis = hypothesis.with_values(key, np.clip(values, site.lower, site.upper))
         return hypothesis
 

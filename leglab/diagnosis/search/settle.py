@@ -20,7 +20,6 @@ from leglab.diagnosis.likelihood.priors import Priors
 from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.replay.residual import noise_alone
 from leglab.diagnosis.thresholds import (
-    ABSENT,
     COARSE,
     DEFAULT,
     ENOUGH,
@@ -279,8 +278,6 @@ class Fitter:
             goal = new_spikes.copy()
             for q, value in zip(members, new_values, strict=True):
                 goal[list(u.singles(q))] += value
-            # A moving part is there or is not.
-            goal = np.where(u.gradual[: u.single] | (np.abs(goal) > ABSENT), goal, 0.0)
             by = {i: float(d) for i, d in enumerate(goal - point.x[: u.single]) if d != 0.0}
             moved = u.moved(point.hypothesis, by)
             errors = self.at.at(moved)
