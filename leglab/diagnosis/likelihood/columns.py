@@ -171,6 +171,7 @@ class Errors:
         which: Iterable[int],
         step: tuple[float, float],
         known: np.ndarray | None = None,
+        most: np.ndarray | None = None,
     ) -> np.ndarray:
         """Tangents by differences over a step, (windows, rows, unknowns).
 
@@ -180,6 +181,7 @@ class Errors:
             which: Unknowns to take; tied ones are sums of the single ones.
             step: In trials, and as a share of a large departure.
             known: Of the others; None for 0.
+            most: Largest steps, (single,), but of moving parts; None for any.
         """
         u = self.unknowns
         out = np.zeros((*errors.shape, len(u))) if known is None else known.copy()
@@ -189,6 +191,8 @@ class Errors:
             if i >= u.single:
                 continue
             h = max(step[0], step[1] * abs(x[i]))
+            if most is not None and u.gradual[i]:
+                h = min(h, float(most[i]))
             if x[i] + h > u.upper[i]:
                 h = -h
             out[:, :, i] = 0.0

@@ -399,6 +399,15 @@ class Evidence:
         data = np.diag(self.gram[k])[1 : 1 + n]
         return np.asarray(data * np.diag(np.linalg.inv(precision)) > DEFAULT.smaller_share)
 
+    def visible(self, score: Score) -> np.ndarray:
+        """By how much single unknowns change errors by as much as they scatter, (single,).
+
+        Over longer steps a tangent may miss more than scatter hides.
+        """
+        k, n = self.places.index(score.size), self.unknowns.single
+        rows = float(self.weight.sum()) * self.columns.errors.shape[1]
+        return np.sqrt(rows / np.maximum(np.diag(self.gram[k])[1 : 1 + n], ROUNDING))
+
     def _free(self, score: Score) -> np.ndarray:
         """Mask of the single unknowns that move: those that tell, and the members' own."""
         free = self.telling(score)
@@ -415,11 +424,19 @@ class Evidence:
         gram = self.gram[k][1 : 1 + n, 1 : 1 + n]
         return np.asarray(np.linalg.inv(self.kappa * gram + precision))
 
-    def step(self, score: Score) -> tuple[np.ndarray, np.ndarray]:
+    def step(
+        self, score: Score, values: np.ndarray, damping: float
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Most probable values of members and spikes within their bounds.
 
         At the size and spread of a score; members by their tangents. What the data tell nothing
         of stays where it is: it would gain less than half a nat, and what is built takes time.
+
+        Args:
+            score: The set.
+            values: Departures of the members where the linearisation is, (members,).
+            damping: By this share each unknown's own curvature is larger: where errors bend,
+                unknowns that make up for each other stay (Marquardt 1963).
 
         Returns:
             Departures of the members, (members,), and of single unknowns beside them, (single,).
@@ -439,15 +456,20 @@ class Evidence:
             FAULT_SIZE**2 + size**2
         )
         gradient[:n] += precision @ now
-        matrix[np.diag_indices_from(matrix)] *= 1.0 + ROUNDING
         lower = np.concatenate([u.lower[:n] - now, low])
         upper = np.concatenate([u.upper[:n] - now, high])
         parts = [i for q in score.unknowns for i in u.singles(q)]
         lower[parts], upper[parts] = -np.inf, np.inf
+        begin = np.concatenate([np.zeros(n), values])
+        for q, value in zip(score.unknowns, values, strict=True):
+            begin[list(u.singles(q))] -= value
+        gradient, lower, upper = gradient + matrix @ begin, lower - begin, upper - begin
+        matrix[np.diag_indices_from(matrix)] *= 1.0 + ROUNDING + damping
         free = np.concatenate([self._free(score), np.ones(index.size, dtype=bool)])
-        found = np.zeros(free.size)
-        found[free] = _bounded(matrix[np.ix_(free, free)], gradient[free], lower[free], upper[free])
-        return found[n:], now + found[:n]
+        begin[free] += _bounded(
+            matrix[np.ix_(free, free)], gradient[free], lower[free], upper[free]
+        )
+        return begin[n:], now + begin[:n]
 
     def departures(self, score: Score) -> dict[int, float]:
         """By how much all unknowns move from the linearisation, to the fit of a score."""

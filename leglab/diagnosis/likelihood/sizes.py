@@ -173,7 +173,9 @@ def _sized(p: EffectParameter, size: float, seen: Shown) -> EffectParameter:
     """A strength with trials on the sides that it had, and bounds as far as it is large."""
     if p.role == "shape" or size <= 0.0 or not p.trials:
         return p
-    least = max(TRIALS[0] * size, seen.period / np.sqrt(12.0) if p.unit == "s" else 0.0)
+    # When within a sampling period a command acts or a sensor is read, no log says.
+    period = seen.period if p.unit == "s" else 0.0
+    least = max(TRIALS[0] * size, period)
     steps = [least * t / TRIALS[0] for t in TRIALS]
     far = size
     if p.unit == "s":
@@ -190,4 +192,7 @@ def _sized(p: EffectParameter, size: float, seen: Shown) -> EffectParameter:
         if abs(0.5 * p.nominal) < least:
             trials.pop()
     trials = sorted(t for t in trials if lower <= t <= upper and t != p.nominal)
-    return replace(p, lower=lower, upper=upper, trials=tuple(trials)) if trials else p
+    if not trials:
+        return p
+    tolerance = max(p.tolerance, period / np.sqrt(12.0))
+    return replace(p, lower=lower, upper=upper, trials=tuple(trials), tolerance=tolerance)

@@ -21,6 +21,7 @@ from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.replay.residual import noise_alone
 from leglab.diagnosis.thresholds import (
     COARSE,
+    DAMPINGS,
     DEFAULT,
     ENOUGH,
     FAULT_SIZE,
@@ -183,7 +184,8 @@ class Fitter:
         missed, off = 0.0, _beyond(columns, point)
         slow = given_up = finished = False
         fine = columns.fine
-        telling, renewed = None, 0
+        telling = most = None
+        renewed = 0
         for turn in range(TURNS):
             first, fresh = turn < stiff_turns, False
             if not first and missed > ENOUGH and (slow or renewed == 0 < renewals):
@@ -191,11 +193,12 @@ class Fitter:
                     break
                 if telling is None:
                     begun = self.evidence(point.columns, spread, weight, kappa)
-                    telling = begun.telling(begun.score([(q, None) for q in members]))
-                point = self._all_tangents(point, members, telling)
+                    here = begun.score([(q, None) for q in members])
+                    telling, most = begun.telling(here), begun.visible(here)
+                point = self._all_tangents(point, members, telling, most)
                 fresh, fine, renewed, missed = True, True, renewed + 1, 0.0
             else:
-                point = self._own_tangents(point, members, first)
+                point = self._own_tangents(point, members, first, most)
             priors = self._stiff if first else self.priors
             evidence = self.evidence(point.columns, spread, weight, kappa, priors)
             score = evidence.score([(q, None) for q in members])
@@ -204,18 +207,20 @@ class Fitter:
                 point = other
                 evidence = self.evidence(point.columns, spread, weight, kappa, priors)
                 score = evidence.score([(q, None) for q in members])
-            telling = telling if first else evidence.telling(score)
-            then = self._stepped(evidence, score, point, members)
+            if not first:
+                telling, most = evidence.telling(score), evidence.visible(score)
+            promise, then = self._stepped(evidence, score, point, members)
             if then is None:
                 if first:
                     stiff_turns = turn + 1
                     continue
-                if fresh or (fine and missed < ENOUGH):
+                # Tangents that promise what no step keeps are wrong.
+                if fresh or (fine and missed + promise < ENOUGH):
                     finished = True
                     break
                 slow, missed, off = True, np.inf, 0.0 * off
                 continue
-            share, gain, off, point = then
+            damping, gain, off, point = then
             spread = self.own_spread(point.errors)
             weight = self.weights(point.errors, spread, score.size)
             if not first:
@@ -229,7 +234,7 @@ class Fitter:
                     finished = True
                     break
                 missed = np.inf
-            slow = share < 1.0 or gain < NEAR
+            slow = damping > 0.0 or gain < NEAR
         evidence = self.evidence(point.columns, spread, weight, kappa)
         score = evidence.score([(q, None) for q in members])
         return Fit(
@@ -264,32 +269,38 @@ class Fitter:
 
     def _stepped(
         self, evidence: Evidence, score: Score, point: Point, members: Sequence[int]
-    ) -> tuple[float, float, np.ndarray, Point] | None:
-        """The share of a step that lowers the cost, and where it leads.
+    ) -> tuple[float, tuple[float, float, np.ndarray, Point] | None]:
+        """What a step promises to lower the cost by [nats], and what it does where it lowers it.
 
-        Beside the share its gain [nats], and what it changed beyond the tangents.
+        That is the damping with which it does, its gain [nats], what it changed beyond the
+        tangents, and where it leads.
         """
         u = self.at.unknowns
-        values, spikes = evidence.step(score)
         before = self._cost(evidence, score, point.errors, point.values, point.spikes)
-        for share in (1.0, 0.5, 0.2, 0.05):  # what shorter ones gain is not worth a replay
-            new_values = point.values + share * (values - point.values)
-            new_spikes = point.spikes + share * (spikes - point.spikes)
-            goal = new_spikes.copy()
-            for q, value in zip(members, new_values, strict=True):
+        promise = 0.0
+        for damping in DAMPINGS:
+            values, spikes = evidence.step(score, point.values, damping)
+            goal = spikes.copy()
+            for q, value in zip(members, values, strict=True):
                 goal[list(u.singles(q))] += value
-            by = {i: float(d) for i, d in enumerate(goal - point.x[: u.single]) if d != 0.0}
-            moved = u.moved(point.hypothesis, by)
+            by = goal - point.x[: u.single]
+            if damping == 0.0:
+                errors = point.errors + point.tangents[:, :, : u.single] @ by
+                after = self._cost(evidence, score, errors, values, spikes)
+                promise = 0.5 * (before - after)
+                if promise < ENOUGH:
+                    break
+            moved = u.moved(point.hypothesis, {i: float(d) for i, d in enumerate(by) if d != 0.0})
             errors = self.at.at(moved)
-            after = self._cost(evidence, score, errors, new_values, new_spikes)
+            after = self._cost(evidence, score, errors, values, spikes)
             if after < before:
                 x = u.departures(moved)
                 tangents, off = _broyden(
                     point.tangents, errors - point.errors, x - point.x, members, u.single
                 )
-                new = Point(moved, errors, x, new_values, new_spikes, tangents)
-                return share, 0.5 * (before - after), off, new
-        return None
+                new = Point(moved, errors, x, values, spikes, tangents)
+                return promise, (damping, 0.5 * (before - after), off, new)
+        return promise, None
 
     def _cost(
         self,
@@ -317,12 +328,14 @@ class Fitter:
         keys = frozenset[Key]().union(*(u.library_keys(q) for q in members))
         return [i for i in range(u.single) if u.shape[i] and u.keys[i] in keys]
 
-    def _own_tangents(self, point: Point, members: Sequence[int], coarse: bool) -> Point:
+    def _own_tangents(
+        self, point: Point, members: Sequence[int], coarse: bool, most: np.ndarray | None = None
+    ) -> Point:
         """With the tangents of the members and their shapes taken anew."""
         at, u = self.at, self.at.unknowns
         which = [q for q in members if q < u.single] + self._shapes(members)
         step = COARSE if coarse else FINE
-        out = at.tangents(point.hypothesis, point.errors, which, step, point.tangents)
+        out = at.tangents(point.hypothesis, point.errors, which, step, point.tangents, most)
         for q in members:
             if q >= u.single:
                 h = max(step[0], step[1] * abs(float(np.mean(point.x[list(u.singles(q))]))))
@@ -330,7 +343,9 @@ class Fitter:
                 out[:, :, q] = change(point.errors, moved) / h
         return replace(point, tangents=out)
 
-    def _all_tangents(self, point: Point, members: Sequence[int], telling: np.ndarray) -> Point:
+    def _all_tangents(
+        self, point: Point, members: Sequence[int], telling: np.ndarray, most: np.ndarray | None
+    ) -> Point:
         """With all tangents taken anew, but of unknowns of which the data hardly tell anything."""
         u = self.at.unknowns
         own = {i for q in members for i in u.singles(q)} | set(self._shapes(members))
@@ -341,7 +356,7 @@ class Fitter:
         ]
         known = point.tangents.copy()
         known[:, :, : u.single][:, :, u.shape[: u.single]] = 0.0
-        out = self.at.tangents(point.hypothesis, point.errors, which, FINE, known)
+        out = self.at.tangents(point.hypothesis, point.errors, which, FINE, known, most)
         return replace(point, tangents=out)
 
     def _on_ladder(

@@ -159,28 +159,39 @@ def _effect(
     # what ended is not even possible.
     sound = has & ~np.array([bool(r.ended) for r in rows])
     there = has & ~np.array([key in r.ended for r in rows])
-    ways = [(_shares(logs + d), _shares(apart + np.expand_dims(d, 1))) for d in (0 * drive, drive)]
-    evidence = float(ways[0][0][has].sum())
-    whole = min(float(share[sound].sum()) for share, _ in ways)
-    alone = min(float(parts[sound].sum(axis=0).min()) for _, parts in ways)
-    possible = max(float(parts[there].sum(axis=0).max()) for _, parts in ways)
-    first = rows[int(np.argmax(np.where(has, logs, -np.inf)))]
-    (share, _), *elsewhere = (_explained(sets, *shown) for shown in sets.shown(first, key))
+    first, *best = (int(np.argmax(np.where(has, logs + d, -np.inf))) for d in (0 * drive, drive))
+    judged = {n: _share(sets, rows[n], key, impostor) for n in {first, *best}}
+    sure, possible = 1.0, 0.0
+    for n, lost in ((first, 0 * drive), (*best, drive)):
+        share, parts = _shares(logs + lost), _shares(apart + lost[:, None])
+        inside = judged[n][1]
+        least = min(float(share[sound].sum()), float(parts[sound].sum(axis=0).min()))
+        sure = min(sure, least * inside)
+        possible = max(possible, least * inside, float(parts[there].sum(axis=0).max()) * inside)
+    ties = _ties(rows, rows[first], key) if sure > NAMED else ()
+    told = Judged(
+        confidence=sure / (1 + len(ties)),
+        possible=possible,
+        evidence=float(_shares(logs)[has].sum()),
+        apart=float(_shares(apart)[sound].sum(axis=0).min()),
+        share=judged[first][0],
+        size=rows[first].size(key),
+    )
+    return told, ties
+
+
+def _share(
+    sets: Sets, row: Row, key: Key, impostor: tuple[float, float]
+) -> tuple[float, float]:
+    """The share of what is left without it that an effect of a set explains.
+
+    And the probability that it stands for itself and claims what is so.
+    """
+    (share, _), *elsewhere = (_explained(sets, *shown) for shown in sets.shown(row, key))
     for explains, acts in elsewhere:
         share -= acts * max(share - explains, 0.0)
     inside = _inside(share, impostor, max(2.0 * math.log(sets.found.level), 1.0))
-    inside *= _claimed(first, key)
-    sure = min(whole, alone) * inside
-    ties = _ties(rows, first, key) if sure > NAMED else ()
-    told = Judged(
-        confidence=sure / (1 + len(ties)),
-        possible=max(possible, whole) * inside,
-        evidence=evidence,
-        apart=alone,
-        share=share,
-        size=first.size(key),
-    )
-    return told, ties
+    return share, inside * _claimed(row, key)
 
 
 def _ties(rows: Sequence[Row], first: Row, key: Key) -> tuple[frozenset[Key], ...]:
