@@ -29,8 +29,8 @@ class Row:
         score: Where the set is most probable.
         evidence: Linearisation there.
         apart: Log evidence without each part of the recordings in turn, (parts,).
-        left: Errors that it leaves, (windows, rows): by first order where it was fitted, else by a
-            replay.
+        left: Errors that it leaves, (windows, rows).
+        hypothesis: Where it leaves them.
         level: Median of these in noise levels.
         fitted: Whether the linearisation is where the set itself was fitted by replays.
         renamed: Effects that go by the name of a twin.
@@ -43,6 +43,7 @@ class Row:
     evidence: Evidence
     apart: np.ndarray
     left: np.ndarray
+    hypothesis: Hypothesis
     level: float
     fitted: bool = False
     renamed: Mapping[Key, Key] = field(default_factory=dict)
@@ -57,13 +58,6 @@ class Row:
     def size(self, key: Key) -> float:
         """How far an effect departs at most, in trials."""
         return float(np.abs(self.score.values[self.places(key)]).max(initial=0.0))
-
-    @property
-    def hypothesis(self) -> Hypothesis:
-        """Where first order leads from the linearisation."""
-        evidence = self.evidence
-        by = evidence.departures(self.score)
-        return evidence.unknowns.moved(evidence.columns.base, by)
 
 
 class Sets:
@@ -143,11 +137,12 @@ class Sets:
             evidence=evidence.with_kappa(evidence.kappa),  # what it has worked out is large
             apart=np.array([one.log for one in evidence.apart(chosen)]),
             left=left,
+            hypothesis=self.unknowns.moved(evidence.columns.base, evidence.departures(score)),
             level=self.fitter.level(left),
         )
 
     def _replayed(self, row: Row) -> Row | None:
-        """A set that was not fitted to its end by what replays show.
+        """A set by what replays show.
 
         Where first order leads, or where the linearisation stands: what these err beyond first
         order counts against the set. None where the first blows up and the second is another set's.
@@ -166,19 +161,20 @@ class Sets:
         promised, tries = square(row.left), []
         led = self.at.at(row.hypothesis)
         if np.abs(led).max() <= BLOWN:
-            tries.append((led, 0.0))
+            tries.append((row.hypothesis, led, 0.0))
         if row.fitted:
             pull = 0.5 * float(stays @ precision @ stays - moves @ precision @ moves)
-            tries.append((columns.errors, max(pull, 0.0)))
+            tries.append((columns.base, columns.errors, max(pull, 0.0)))
         rows = []
-        for errors, cost in tries:
+        for there, errors, cost in tries:
             beyond = 0.5 * evidence.kappa * evidence.weight * (square(errors) - promised)
             by_part = np.array([beyond[evidence.part == r].sum() for r in range(row.apart.size)])
             lost = max(float(by_part.sum()) + cost, 0.0)
             apart = row.apart - np.maximum(by_part.sum() + cost - by_part, 0.0)
             new = replace(score, log=score.log - lost, fit=score.fit - lost)
             level = self.fitter.level(errors)
-            rows.append(replace(row, score=new, apart=apart, left=errors, level=level))
+            tried = replace(row, score=new, apart=apart, left=errors, level=level)
+            rows.append(replace(tried, hypothesis=there))
         return max(rows, key=lambda r: r.score.log, default=None)
 
     def _all(self) -> list[Row]:
@@ -202,8 +198,7 @@ class Sets:
             if own.columns is not fit.columns:  # more probable where another set was fitted
                 enter(self._replayed(self._row(own, fit.members, ended)))
                 own = self.fitter.evidence(fit.columns, own.spread, best.weight, best.kappa)
-            row = replace(self._row(own, fit.members, ended), fitted=True)
-            enter(row if fit.finished else self._replayed(row))
+            enter(self._replayed(replace(self._row(own, fit.members, ended), fitted=True)))
         top = max(row.score.log for row in rows.values())
         for r in self.found.ranks:
             for key in r.fit.keys if r.score.log > top - NEAR else ():
