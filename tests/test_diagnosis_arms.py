@@ -167,9 +167,13 @@ def test_joints_that_feel_each_other_at_some_pose_only_are_coupled(tmp_path):
 
 
 @pytest.mark.slow("whole diagnoses of an arm with all effects")
-def test_a_payload_that_a_servo_joint_feels_as_a_weak_drive_is_not_called_for_sure():
+@pytest.mark.parametrize(
+    ("hidden", "truth"),
+    [({"payload": (0.4, 0.35)}, "payload"), ({"gain": (0.8, 1.0)}, "actuator_gain")],
+)
+def test_a_payload_and_a_weak_drive_of_a_servo_joint_are_not_taken_for_each_other(hidden, truth):
     """Weight and damping of a stiff servo scale alike; inertia hardly counts at these speeds."""
-    result, _ = verdict(SERVO_JOINT, {"payload": (0.4, 0.35)})
+    result, _ = verdict(SERVO_JOINT, hidden)
     (effect,) = result.effects
-    assert {effect.name, *effect.indistinguishable_from} == {"payload", "actuator_gain"}
-    assert effect.confidence <= 0.5
+    assert truth in (effect.name, *effect.indistinguishable_from)
+    assert effect.name == truth or effect.confidence <= 0.5

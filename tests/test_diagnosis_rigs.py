@@ -93,10 +93,7 @@ def test_a_soft_gear_of_a_pendulum_is_named():
     ("rig", "size", "period", "second"),
     [
         (SLIDE_AXIS, 2.0, 0.031, 0.0),
-        pytest.param(
-            *(PENDULUM, 0.2, 0.9, 0.35),
-            marks=pytest.mark.xfail(strict=True, reason="a second harmonic is left unexplained"),
-        ),
+        (PENDULUM, 0.2, 0.9, 0.35),
     ],
 )
 def test_a_force_that_repeats_with_the_position_is_named_with_its_period(rig, size, period, second):

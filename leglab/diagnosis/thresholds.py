@@ -135,7 +135,7 @@ DEFAULT = Thresholds()
 # Recordings: sizes of parameters by what was recorded.
 # Trials are these shares of what is recorded: good models leave 2 to 7 % of the forces of a good
 # machine unexplained, so that less than 3 % is no fault that a user would notice.
-TRIALS = (0.03, 0.1, 0.3)
+TRIALS = (0.02, 0.08, 0.3)
 # Largest values are quantiles: one bad sample is no size.
 TOP_QUANTILE = 0.99
 # Delays and lags are shares of the time in which commands change by their own size, up to that in

@@ -19,7 +19,7 @@ from scipy.linalg.lapack import dtrtrs
 from scipy.special import logsumexp
 
 from leglab.diagnosis.likelihood.columns import Columns, Errors
-from leglab.diagnosis.likelihood.priors import Priors, log_fault, log_set
+from leglab.diagnosis.likelihood.priors import Priors, log_fault, log_set, slab_curvature
 from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.replay.residual import robust_weight
 from leglab.diagnosis.thresholds import DEFAULT, FAULT_ODDS, FAULT_SIZE, FEW_RECORDINGS, SECANT
@@ -299,9 +299,11 @@ class Evidence:
             square = square + 2.0 * (gradient * steps).sum(axis=2)
             square = square + np.einsum("koi,koij,koj->ko", steps, matrix, steps)
             values = steps * unit
-            inverse = np.linalg.inv(matrix)
+            # Members that make up for each other are held by what faults are like alone.
+            held = matrix + (slab_curvature(values) * unit**2)[..., None] * np.eye(m)
+            inverse = np.linalg.inv(held)
             deviations = np.sqrt(np.einsum("koii->koi", inverse)) * np.abs(unit)
-            _, log_matrix = np.linalg.slogdet(matrix)
+            _, log_matrix = np.linalg.slogdet(held)
             log_members = (
                 0.5 * m * np.log(2.0 * np.pi)
                 - 0.5 * log_matrix
@@ -362,7 +364,8 @@ class Evidence:
             step = np.clip(-slope / safe, lower, upper)
             gain = -slope * step - 0.5 * safe * step**2
             which = np.array([q for q, _ in also])
-            gain = gain + 0.5 * np.log(2.0 * np.pi / safe) + np.log(np.abs(unit))
+            held = safe + slab_curvature(step * unit) * unit**2
+            gain = gain + 0.5 * np.log(2.0 * np.pi / held) + np.log(np.abs(unit))
             gain = gain + log_fault(u, which, step * unit)
             known = np.array([u.keys[q] in there for q in which.tolist()])
             gain = gain + np.where(known, np.log(FAULT_ODDS), np.log(FAULT_ODDS / max(u.sites, 1)))
@@ -452,9 +455,7 @@ class Evidence:
         # The Cauchy prior of a fault's size, by its weight at the present one.
         now = self.columns.x[:n]
         size = np.array([now[list(u.singles(q))].mean() for q in score.unknowns])
-        matrix[range(n, n + index.size), range(n, n + index.size)] += 2.0 / (
-            FAULT_SIZE**2 + size**2
-        )
+        matrix[range(n, n + index.size), range(n, n + index.size)] += slab_curvature(size)
         gradient[:n] += precision @ now
         lower = np.concatenate([u.lower[:n] - now, low])
         upper = np.concatenate([u.upper[:n] - now, high])

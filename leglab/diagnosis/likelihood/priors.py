@@ -73,6 +73,11 @@ def log_fault(unknowns: Unknowns, which: np.ndarray, x: np.ndarray) -> np.ndarra
     return np.asarray(hole - np.log(density))
 
 
+def slab_curvature(x: np.ndarray) -> np.ndarray:
+    """Curvature of the Cauchy density of faults' sizes x, by its weight there: never negative."""
+    return np.asarray(2.0 / (FAULT_SIZE**2 + x**2))
+
+
 def log_set(unknowns: Unknowns, members: tuple[int, ...]) -> float:
     """Log prior odds of a set of faulty parameters over none."""
     keys = {unknowns.keys[u] for u in members}

@@ -140,7 +140,10 @@ class Unknowns:
             site = self.library.sites[key]
             if not site.effect.gradual:
                 for i, p in enumerate(site.parameters):
-                    if p.role == "strength" and abs(values[i] - site.nominal[i]) < 0.5 * FINE[0] * p.scale:
+                    if (
+                        p.role == "strength"
+                        and abs(values[i] - site.nominal[i]) < 0.5 * FINE[0] * p.scale
+                    ):
                         values[i] = site.nominal[i]
             hypothesis = hypothesis.with_values(key, np.clip(values, site.lower, site.upper))
         return hypothesis

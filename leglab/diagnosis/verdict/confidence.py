@@ -180,9 +180,7 @@ def _effect(
     return told, ties
 
 
-def _share(
-    sets: Sets, row: Row, key: Key, impostor: tuple[float, float]
-) -> tuple[float, float]:
+def _share(sets: Sets, row: Row, key: Key, impostor: tuple[float, float]) -> tuple[float, float]:
     """The share of what is left without it that an effect of a set explains.
 
     And the probability that it stands for itself and claims what is so.
