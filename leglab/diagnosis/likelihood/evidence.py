@@ -22,7 +22,7 @@ from leglab.diagnosis.likelihood.columns import Columns, Errors
 from leglab.diagnosis.likelihood.priors import Priors, log_fault, log_set, slab_curvature
 from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.replay.residual import robust_weight
-from leglab.diagnosis.thresholds import DEFAULT, FAULT_ODDS, FAULT_SIZE, FEW_RECORDINGS, SECANT
+from leglab.diagnosis.thresholds import DEFAULT, FAULT_ODDS, FEW_RECORDINGS, SECANT
 
 # An unknown, and the place of its jump among the columns' jumps; None for its tangent.
 Member = tuple[int, int | None]

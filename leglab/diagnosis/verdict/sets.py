@@ -151,8 +151,8 @@ class Sets:
         u, n = self.unknowns, self.unknowns.single
         precision, _ = evidence.priors.precision(u, evidence.priors.spreads[score.spread])
         stays = columns.x[:n].copy()
-        for q, value in zip(score.unknowns, score.values, strict=True):
-            stays[list(u.singles(q))] -= value
+        for q in score.unknowns:  # members depart as far as the fit did
+            stays[list(u.singles(q))] -= stays[list(u.singles(q))].mean()
         moves = columns.x[:n] + score.shift
 
         def square(errors: np.ndarray) -> np.ndarray:
