@@ -45,12 +45,14 @@ FAULTS = {
         "test_a_cause_that_no_effect_describes_gives_no_sure_name",
     ),
     "rivals that fit as well are no ties": (
-        "diagnosis.verdict.confidence", "_ties(rows, first, key) if sure > NAMED else ()", "()",
+        "diagnosis.verdict.confidence",
+        "_ties(rows, rows[first], key) if sure > NAMED else ()", "()",
         "test_a_weak_drive_of_a_joint_without_a_weight_is_a_joint_that_resists_more",
     ),
     "a name may lack a part of the recordings": (
-        "diagnosis.verdict.confidence", "sure = min(whole, alone) * inside",
-        "sure = whole * inside", "test_what_a_single_recording_shows_has_no_name",
+        "diagnosis.verdict.confidence",
+        "float(share[sound].sum()), float(parts[sound].sum(axis=0).min())",
+        "(float(share[sound].sum()),)", "test_what_a_single_recording_shows_has_no_name",
     ),
     "directions need not differ": (
         "diagnosis.verdict.confidence", "return max(claims, default=1.0)", "return 1.0",
@@ -115,12 +117,12 @@ FAULTS = {
         "diagnosis.likelihood.evidence",
         "self.places = tuple(range(len(priors.sizes)) if places is None else places)",
         "self.places = (0,) if places is None else tuple(places)",
-        "test_nothing_is_named_where_nothing_that_is_looked_for_is_there",
+        "test_a_command_that_moved_nothing_is_no_weak_drive",
     ),
     "neighbouring errors are independent": (
         "diagnosis.likelihood.evidence",
         "return float((z**2).sum() * count / (count - 1) / keep.sum())", "return 1.0",
-        "test_the_less_of_it_the_less_sure_is_a_name",
+        "test_errors_of_a_rough_machine_are_worth_fewer_numbers_than_they_are",
     ),
     "improved.xml carries what has no name": (
         "diagnosis.improve", 'told if result.verdict == "named" else ()', "told",

@@ -482,6 +482,12 @@ def test_friction_by_direction_is_named_only_where_directions_differ():
     assert difference.interval[0] < 0.3 < difference.interval[1]
 
 
+def test_errors_of_a_rough_machine_are_worth_fewer_numbers_than_they_are():
+    """What it lacks bends neighbouring windows alike; an exact machine is left with noise."""
+    worth = {n: diagnosed(CASES[n])[1].judged.rows[0].evidence.kappa for n in ("rough", "nothing")}
+    assert worth["rough"] < 0.5 < worth["nothing"]
+
+
 def test_a_weak_drive_of_a_joint_without_a_weight_is_a_joint_that_resists_more():
     result = told("weak, weightless")
     assert result.verdict == "confusion_set"

@@ -159,10 +159,12 @@ def _effect(
     # what ended is not even possible.
     sound = has & ~np.array([bool(r.ended) for r in rows])
     there = has & ~np.array([key in r.ended for r in rows])
-    first, *best = (int(np.argmax(np.where(has, logs + d, -np.inf))) for d in (0 * drive, drive))
-    judged = {n: _share(sets, rows[n], key, impostor) for n in {first, *best}}
+    ways = (0.0 * drive, drive)
+    best = [int(np.argmax(np.where(has, logs + d, -np.inf))) for d in ways]
+    judged = {n: _share(sets, rows[n], key, impostor) for n in set(best)}
+    first = best[0]
     sure, possible = 1.0, 0.0
-    for n, lost in ((first, 0 * drive), (*best, drive)):
+    for n, lost in zip(best, ways, strict=True):
         share, parts = _shares(logs + lost), _shares(apart + lost[:, None])
         inside = judged[n][1]
         least = min(float(share[sound].sum()), float(parts[sound].sum(axis=0).min()))
