@@ -1,12 +1,12 @@
 """The search: a linearisation, a beam over sets, fits by replays, all sets under each other."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
-from leglab.diagnosis.likelihood.columns import Columns, Errors, Jump, trials
+from leglab.diagnosis.likelihood.columns import Columns, Errors, trials
 from leglab.diagnosis.likelihood.evidence import Evidence, Score
 from leglab.diagnosis.likelihood.priors import Priors
 from leglab.diagnosis.likelihood.spread import Spread
@@ -154,7 +154,6 @@ def search(
     removed: dict[tuple[Fit, Key], Columns | None] = {}
     simpler = set[tuple[Fit, Key]]()
     compared, erring = Compared(fitter), fits[0]
-    likeness = evidence.likeness(ranked[0])
     while True:
         ranks = rank(compared, fits, kappa)
         least_left = min(ranks, key=lambda r: r.fit.level)
@@ -202,12 +201,6 @@ def search(
         then = None if done else proposal(fitter, ranks, tried, removed)
         if then is None:
             best = ranks[0].fit
-            rivals = _challenges(fitter, likeness, evidence.columns.jumps, best, removed, tried)
-            then = next(rivals, None)
-            if then is not None:
-                tried.add(_names(u, then))
-                run(then, beside=True)
-                continue
             # What does without an effect of the best set is fitted from there.
             out = next((k for k in sorted(best.keys) if (best, k) not in simpler), None)
             if out is None or len(best.keys) < 2:
@@ -272,54 +265,6 @@ def _wanted(evidence: Evidence, ranked: Sequence[Score]) -> list[Proposal]:
         score = evidence.score((member,))
         picked.setdefault(keys(score), score)
     return [_of(evidence, score) for names, score in picked.items() if names]
-
-
-def _challenges(
-    fitter: Fitter,
-    likeness: np.ndarray,
-    jumps: Sequence[Jump],
-    fit: Fit,
-    removed: dict[tuple[Fit, Key], Columns | None],
-    tried: set[frozenset[Key]],
-) -> Iterator[Proposal]:
-    """Sets in which another effect that does nearly the same stands for a member.
-
-    By what jumps of the first linearisation do, which are as large as faults: tangents know little
-    of large delays, lags and dead bands.
-
-    Args:
-        fitter: Of the sets.
-        likeness: Inner products of jumps.
-        jumps: Of the first linearisation.
-        fit: The set.
-        removed: Linearisations without an effect, by fit and effect, as far as they are made.
-        tried: Effects of all sets that have been.
-    """
-    u, size = fitter.at.unknowns, np.maximum(np.diag(likeness), 1e-12)
-    effects = np.array([u.keys[q][0] for q, _ in jumps])
-    for q, value in zip(fit.members, fit.score.values.tolist(), strict=True):
-        own = [j for j, (p, by) in enumerate(jumps) if p == q and by * value > 0.0]
-        if not own:
-            continue
-        j = min(own, key=lambda j: abs(np.log(jumps[j][1] / value)))
-        share = np.maximum(likeness[:, j], 0.0) ** 2 / (size * size[j])
-        share[effects == effects[j]] = 0.0
-        key, rest = u.keys[q], [p for p in fit.members if u.keys[p] != u.keys[q]]
-        rivals: dict[Key, int] = {}
-        for k in np.argsort(-share):
-            if share[k] >= DEFAULT.explanation_share and len(rivals) < EACH_WAY:
-                rivals.setdefault(u.keys[jumps[k][0]], int(k))
-        for other, k in rivals.items():
-            p, by = jumps[k]
-            if frozenset({other, *(u.keys[m] for m in rest)}) in tried or other in fit.keys:
-                continue
-            if (fit, key) not in removed:
-                removed[fit, key] = fitter.at.without(fit.columns, fit.members, key)
-            columns = removed[fit, key]
-            if columns is not None:
-                start = by * likeness[k, j] / size[k] * value / jumps[j][1]
-                start = float(np.clip(start, u.lower[p], u.upper[p]))
-                yield Proposal((*rest, p), {p: start}, columns, fit.spread, fit.weight)
 
 
 def _names(u: Unknowns, one: Proposal) -> frozenset[Key]:
