@@ -134,7 +134,8 @@ DEFAULT = Thresholds()
 
 # Recordings: sizes of parameters by what was recorded.
 # Trials are these shares of what is recorded: good models leave 2 to 7 % of the forces of a good
-# machine unexplained, so that less than 3 % is no fault that a user would notice.
+# machine unexplained, so that less than 2 % is no fault that a user would notice. The others are
+# each some four times as large: a secant holds to twice its jump and down to 0.4 of it.
 TRIALS = (0.02, 0.08, 0.3)
 # Largest values are quantiles: one bad sample is no size.
 TOP_QUANTILE = 0.99
