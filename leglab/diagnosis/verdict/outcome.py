@@ -88,7 +88,7 @@ def outcome_of(judgement: Judgement, specimen: Specimen | None) -> Outcome:
     if judgement.verdict == "nothing_missing":
         row = nothing
     fitter, onsets = judgement.sets.fitter, judgement.sets.found.onsets
-    problem, final = fitter.at.problem, _fitted(fitter, row)
+    problem, final = fitter.at.problem, row.hypothesis
     about, spread = problem.about(final), _scatter(row.evidence, row.score)
     named = tuple(
         key
@@ -112,19 +112,13 @@ def outcome_of(judgement: Judgement, specimen: Specimen | None) -> Outcome:
         specimen=specimen,
         row=row,
         spread=spread,
-        baseline=_fitted(fitter, nothing),
+        baseline=nothing.hypothesis,
         final=final,
         written=written,
         about=about,
         named=named,
         onsets=between,
     )
-
-
-def _fitted(fitter: Fitter, row: Row) -> Hypothesis:
-    """Where first order leads a set, or where its own fit stands if that errs less."""
-    both = (row.hypothesis, row.evidence.columns.base) if row.fitted else (row.hypothesis,)
-    return min(both, key=lambda h: fitter.level(fitter.at.at(h)))
 
 
 def _lean(
