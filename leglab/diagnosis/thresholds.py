@@ -163,8 +163,8 @@ NO_FAULT = 0.5
 # and of a further parameter of an effect that is there.
 FAULT_ODDS = 0.3
 # Good machines depart from their model by such standard deviations, in smallest trials: nobody
-# knows which, from what nobody notices to what somebody may.
-SPREADS = (0.1, 0.25, 0.6)
+# knows which, from what nobody notices to where one good part in eighty has what is noticed.
+SPREADS = (0.1, 0.2, 0.4)
 # The model's own error has such sizes beside what a set leaves: 0 is an exact model.
 SIZES = (0.0, 0.03, 0.1, 0.2, 0.35, 0.6, 1.0, 1.5)
 # Where a tolerance is known it holds at the least spread of all else, and grows with it from half
@@ -203,7 +203,7 @@ FEW_RECORDINGS = 4
 # A fit is broken off after so many turns: each takes replays, and what still gains then creeps.
 TURNS = 16
 # All tangents are taken anew so often at most: each time takes a replay of every unknown.
-RENEWALS = 3
+RENEWALS = 6
 # In so many first turns machines are built almost as their model, by these shares of tolerances and
 # of smallest trials: beside a gross fault the rest would move to where it does not belong.
 STIFF_TURNS, STIFF = 3, (0.05, 0.02)
@@ -212,6 +212,9 @@ ENOUGH = 2.0
 # A step that does not lower the cost is damped by these shares of each unknown's own curvature:
 # what stronger ones gain is not worth a replay.
 DAMPINGS = (0.0, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
+# So many steps meet the bend that the one before showed: each takes a replay, tangents of all
+# unknowns take some fifty.
+BENDS = 2
 # A fit at so many times the level of the best set, or of noise, is given up: what it lacks is more
 # than what it explains.
 HOPELESS = 10.0

@@ -57,9 +57,32 @@ class EffectParameter:
 
     @property
     def scale(self) -> float:
-        """Distance from nominal that matters: what finite differences and fits step by."""
-        steps = [abs(trial - self.nominal) for trial in self.trials if trial != self.nominal]
+        """Distance from nominal that matters: what finite differences and fits step by.
+
+        As `from_nominal` has it: in 1/unit of what acts by its inverse.
+        """
+        steps = [abs(self.from_nominal(t)) for t in self.trials if t != self.nominal]
         return min(steps) if steps else 0.1 * (self.upper - self.lower)
+
+    @property
+    def _inverse(self) -> bool:
+        """Whether motion departs in proportion to 1/value: a bandwidth acts by its lag."""
+        return self.unit == "Hz"
+
+    def from_nominal(self, value: float, nominal: float | None = None) -> float:
+        """How far a value stands above the nominal one, in what acts in proportion."""
+        own = self.nominal if nominal is None else nominal
+        return 1.0 / own - 1.0 / value if self._inverse else value - own
+
+    def moved(self, value: float, by: float) -> float:
+        """A value moved up by so many smallest trials."""
+        if not self._inverse:
+            return value + by * self.scale
+        return 1.0 / min(max(1.0 / value - by * self.scale, 1.0 / self.upper), 1.0 / self.lower)
+
+    def step(self, value: float) -> float:
+        """Change of the value by one smallest trial, at a value."""
+        return self.scale * value**2 if self._inverse else self.scale
 
     @property
     def slowest(self) -> float:
@@ -82,9 +105,11 @@ class EffectParameter:
         In smallest trials, or in trials passed where these are more: a bandwidth can fall by no
         more than itself.
         """
-        distance = abs(value - nominal)
+        distance = abs(self.from_nominal(value, nominal))
         side = sorted(
-            abs(t - self.nominal) for t in self.trials if (t - self.nominal) * (value - nominal) > 0
+            abs(self.from_nominal(t))
+            for t in self.trials
+            if (t - self.nominal) * (value - nominal) > 0
         )
         passed = np.interp(distance, [0.0, *side], range(len(side) + 1)) if side else 0.0
         return max(distance / self.scale, float(passed))

@@ -295,7 +295,7 @@ def trials(unknowns: Unknowns) -> list[Jump]:
         sizes = []
         for key, i in unknowns.places[u]:
             p = sites[key].parameters[i]
-            sizes.append(sorted(round((t - p.nominal) / p.scale, 6) for t in p.trials))
+            sizes.append(sorted(round(p.from_nominal(t) / p.scale, 6) for t in p.trials))
         # What like parts share goes by the first one's trials.
         found += [
             (u, float(by))

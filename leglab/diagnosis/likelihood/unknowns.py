@@ -28,7 +28,7 @@ class Unknowns:
         library: The effects.
         places: Parameters that each unknown moves.
         keys: Effect and element of each; the element is `EVERY` for tied ones.
-        scale: Smallest trial in the parameter's unit; 1 for tied ones.
+        scale: Smallest trial, as the parameter's `from_nominal` has it; 1 for tied ones.
         tolerance: Standard deviation between good machines, in trials; 0 where none is known.
         lower: Least departure, in trials.
         upper: Largest departure, in trials.
@@ -59,13 +59,13 @@ class Unknowns:
         for key, site in sorted(library.sites.items()):
             can_be = site.effect.nameable and key in library.searched
             for i, (p, own) in enumerate(zip(site.parameters, site.nominal, strict=True)):
-                down, up = (p.lower - own) / p.scale, (p.upper - own) / p.scale
+                down, up = (p.from_nominal(end, own) / p.scale for end in (p.lower, p.upper))
                 rows.append(
                     {
                         "places": ((key, i),),
                         "keys": key,
                         "scale": p.scale,
-                        "tolerance": p.tolerance / p.scale,
+                        "tolerance": p.tolerance / p.step(own),
                         "lower": down,
                         "upper": up,
                         "shape": p.role == "shape",
@@ -120,8 +120,9 @@ class Unknowns:
         for u in range(self.single):
             ((key, i),) = self.places[u]
             if key in hypothesis:
-                own = self.library.sites[key].nominal[i]
-                x[u] = (hypothesis[key][i] - own) / self.scale[u]
+                site = self.library.sites[key]
+                away = site.parameters[i].from_nominal(hypothesis[key][i], site.nominal[i])
+                x[u] = away / self.scale[u]
         return x
 
     def moved(self, hypothesis: Hypothesis, by: Mapping[int, float]) -> Hypothesis:
@@ -135,7 +136,7 @@ class Unknowns:
             for key, i in self.places[u]:
                 site = self.library.sites[key]
                 values = new.setdefault(key, hypothesis.get(key, site.nominal).copy())
-                values[i] += departure * site.parameters[i].scale
+                values[i] = site.parameters[i].moved(values[i], departure)
         for key, values in new.items():
             site = self.library.sites[key]
             if not site.effect.gradual:

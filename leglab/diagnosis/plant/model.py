@@ -13,6 +13,7 @@ import leglab.machine.plugin
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.diagnosis.plant.lately import Lately
 from leglab.diagnosis.plant.paths import CommandPath, Correction, take_out
+from leglab.diagnosis.thresholds import DEFAULT
 from leglab.machine.library import model_path
 from leglab.machine.parameters import PluginTable
 from leglab.machine.sensors import CHAMBERS as CHAMBERS
@@ -300,7 +301,7 @@ class Change:
             row = self.machine.base.elements[element][1].parameters[name]
             low = row.minimum
             if not row.minimum_allowed:
-                low += 0.05 * (self.machine.parameter(element, name) - low)
+                low += DEFAULT.negligible * (self.machine.parameter(element, name) - low)
             value = min(max(value, low), row.maximum)
         self.set_parameter(element, name, value)
 

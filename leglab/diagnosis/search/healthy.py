@@ -67,7 +67,7 @@ def calibrate(problem: Problem, log: Callable[[str], None]) -> Specimen:
     at = Errors(problem, unknowns, thinned(problem.fitted, 3 * WINDOWS // 2))
     fitter = Fitter(at, Priors())
     first = at.columns(Hypothesis(), step=COARSE)
-    spread, weight = fitter.own_spread(first.errors), np.ones(len(first.errors))
+    spread, weight = fitter.about(first.errors)
     kappa = KAPPA
     for _ in range(2):
         fit = fitter.fit(first, {}, (), spread, weight, kappa)

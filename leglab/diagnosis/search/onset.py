@@ -43,7 +43,7 @@ def onset_of(problem: Problem) -> np.ndarray | None:
     fitter = Fitter(Errors(problem, Unknowns.of(problem.library), some), Priors())
     columns = fitter.at.columns(Hypothesis(), step=COARSE)
     # Most recordings show at once that no onset is to be looked for.
-    spread, weight = fitter.own_spread(columns.errors), np.ones(len(columns.errors))
+    spread, weight = fitter.about(columns.errors)
     hopeless = HOPELESS * DEFAULT.explained
     fit = fitter.fit(columns, {}, (), spread, weight, KAPPA, give_up=hopeless, renewals=0)
     if fit.level > DEFAULT.explained:

@@ -25,11 +25,13 @@ class Ranked:
         fit: The fit.
         evidence: At its own linearisation, or at another's.
         score: Of the set there.
+        gain: By how much it is more probable there than at its own linearisation [nats].
     """
 
     fit: Fit
     evidence: Evidence
     score: Score
+    gain: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +110,8 @@ def rank(compared: Compared, fits: Sequence[Fit], kappa: float) -> list[Ranked]:
         scores = [compared.score(fit, *there, near[0], kappa) for there in tries]
         place = int(np.argmax([score.log for score in scores]))
         evidence = compared.evidence(*tries[place], near[0], kappa)
-        rows.append(Ranked(fit, evidence, scores[place]))
+        own = max(score.log for score in scores[: len(spreads)])
+        rows.append(Ranked(fit, evidence, scores[place], scores[place].log - own))
     best: dict[frozenset[Key], Ranked] = {}
     for row in sorted(rows, key=lambda r: -r.score.log):
         best.setdefault(row.fit.keys, row)

@@ -93,13 +93,13 @@ def search(
     first = at.jumped(replace(first, fine=clear), trials(u), near=clear)
     fits: list[Fit] = []
     if clear:
-        spread, weight = fitter.own_spread(first.errors), np.ones(len(first.errors))
+        spread, weight = fitter.about(first.errors)
         fits.append(fitter.fit(first, {}, (), spread, weight, kappa, renewals=0))
     evidence, ranked, kappa = _annealed(fitter, fits[0].columns if clear else first, kappa)
     wanted = {_names(u, one): one for one in _wanted(evidence, ranked)}
 
     def begins(one: Proposal) -> float:
-        return fitter.level(at.at(u.moved(first.base, one.start)))
+        return fitter.level(at.at(u.moved(one.columns.base, one.start)))
 
     log("balance of forces")
     for seed in [] if clear else _seeds(evidence, balanced_sets(at, trials(u))):
@@ -184,16 +184,19 @@ def search(
         begun = next((f for f in open_ if f.keys not in ended), None)
         if begun is not None:
             ended.add(begun.keys)
-            run(_from(u, begun, begun), beside=True, renewals=RENEWALS)
+            # From where it is, or from where what leaves least is: whichever leaves less.
+            points = [begun, *([least_left.fit] if least_left.fit.finished else [])]
+            starts = (_from(fitter, begun, point, kappa) for point in points)
+            run(min(starts, key=begins), beside=True, renewals=RENEWALS)
             fits.remove(begun)
             continue
         points = {id(f.columns): f for f in fits}
-        pairs = ((r.fit, points[id(r.evidence.columns)]) for r in near)
-        moved = ((f, p) for f, p in pairs if f is not p and (f.keys, p.keys) not in again)
+        pairs = ((r.fit, points[id(r.evidence.columns)]) for r in near if r.gain > NEAR)
+        moved = ((f, p) for f, p in pairs if (f.keys, p.keys) not in again)
         late, point = next(moved, (None, None))
         if late is not None and point is not None:
             again.add((late.keys, point.keys))
-            run(_from(u, late, point), beside=True, renewals=RENEWALS)
+            run(_from(fitter, late, point, kappa), beside=True, renewals=RENEWALS)
             continue
         # What was proposed last is a rival now, or was in vain.
         vain = 0 if last in {r.fit.keys for r in near if r.score.log > top - NEAR} else vain + 1
@@ -222,7 +225,7 @@ def search(
 
 def _annealed(fitter: Fitter, first: Columns, kappa: float) -> tuple[Evidence, list[Score], float]:
     """Sets by the first linearisation, with the pattern of errors that the best of them leaves."""
-    spread, weight = fitter.own_spread(first.errors), np.ones(len(first.errors))
+    spread, weight = fitter.about(first.errors)
     last = None
     for _ in range(ANNEALINGS):
         evidence = fitter.evidence(first, spread, weight, kappa)
@@ -303,13 +306,12 @@ def _seeds(evidence: Evidence, found: dict[str, list[Balanced]]) -> list[Proposa
     ]
 
 
-def _from(u: Unknowns, fit: Fit, point: Fit) -> Proposal:
-    """A fitted set once more, the rest of the machine where another one has it."""
-    x = point.columns.x
-    start = {i: -float(x[i]) for q in point.members for i in u.singles(q)}
-    for q, value in zip(fit.members, fit.score.values, strict=True):
-        for i in u.singles(q):
-            start[i] = start.get(i, -float(x[i])) + float(value)
+def _from(fitter: Fitter, fit: Fit, point: Fit, kappa: float) -> Proposal:
+    """A fitted set once more, from where the tangents at another one's point have it."""
+    start: dict[int, float] = {}
+    if fit is not point:
+        evidence = fitter.evidence(point.columns, point.spread, point.weight, kappa)
+        start = evidence.departures(evidence.score([(q, None) for q in fit.members]))
     return Proposal(fit.members, start, point.columns, point.spread, point.weight)
 
 

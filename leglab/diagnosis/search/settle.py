@@ -20,6 +20,8 @@ from leglab.diagnosis.likelihood.priors import Priors
 from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.replay.residual import noise_alone
 from leglab.diagnosis.thresholds import (
+    BENDS,
+    BLOWN,
     COARSE,
     DAMPINGS,
     DEFAULT,
@@ -138,6 +140,11 @@ class Fitter:
         """Pattern of the model's own error: what healthy recordings say, else these errors."""
         return self.fixed or Spread.of(self.at, errors)
 
+    def about(self, errors: np.ndarray) -> tuple[Spread, np.ndarray]:
+        """Pattern of the model's own error about a point, and weights where it has that size."""
+        spread = self.own_spread(errors)
+        return spread, self.weights(errors, spread, self.priors.sizes.index(1.0))
+
     def weights(self, errors: np.ndarray, spread: Spread, place: int) -> np.ndarray:
         """Robust weights of windows, at a size of the model's own error by its place."""
         size = self.priors.sizes[place]
@@ -178,24 +185,29 @@ class Fitter:
             errors = self.at.at(moved)
             if members or beside or self.level(errors) < self.level(point.errors):
                 point = self._point(moved, errors, columns.tangents, members)
-                spread, weight = self.own_spread(errors), np.ones(len(errors))
+                spread, weight = self.about(errors)
         stiff_turns = 0 if beside or not members else STIFF_TURNS
         # By so much tangents have missed what replays showed since they were taken [nats].
         missed, off = 0.0, _beyond(columns, point)
         slow = given_up = finished = False
         fine = columns.fine
         telling = most = None
-        renewed = 0
+        renewed, taken = 0, columns.x
         for turn in range(TURNS):
             first, fresh = turn < stiff_turns, False
-            if not first and missed > ENOUGH and (slow or renewed == 0 < renewals):
+            if not first and missed > ENOUGH and (slow or renewed < renewals):
                 if renewed == renewals:
                     break
-                if telling is None:
-                    begun = self.evidence(point.columns, spread, weight, kappa)
-                    here = begun.score([(q, None) for q in members])
-                    telling, most = begun.telling(here), begun.visible(here)
-                point = self._all_tangents(point, members, telling, most)
+                begun = self.evidence(point.columns, spread, weight, kappa)
+                here = begun.score([(q, None) for q in members])
+                telling, most = begun.telling(here), begun.visible(here)
+                which = telling
+                if renewed:
+                    # What hardly moves takes no step from its tangents, and errs by none.
+                    step = self._by(members, *begun.step(here, point.values, 0.0), point)
+                    gone = np.maximum(np.abs(step), np.abs(point.x - taken)[: step.size])
+                    which = telling & (gone > FINE[0] * most)
+                point, taken = self._all_tangents(point, members, which, most), point.x
                 fresh, fine, renewed, missed = True, True, renewed + 1, 0.0
             else:
                 point = self._own_tangents(point, members, first, most)
@@ -209,7 +221,7 @@ class Fitter:
                 score = evidence.score([(q, None) for q in members])
             if not first:
                 telling, most = evidence.telling(score), evidence.visible(score)
-            promise, then = self._stepped(evidence, score, point, members)
+            promise, then = self._stepped(evidence, score, point, members, lower=first)
             if then is None:
                 if first:
                     stiff_turns = turn + 1
@@ -268,39 +280,87 @@ class Fitter:
         return Point(hypothesis, errors, x, values, spikes, tangents)
 
     def _stepped(
-        self, evidence: Evidence, score: Score, point: Point, members: Sequence[int]
+        self,
+        evidence: Evidence,
+        score: Score,
+        point: Point,
+        members: Sequence[int],
+        *,
+        lower: bool,
     ) -> tuple[float, tuple[float, float, np.ndarray, Point] | None]:
         """What a step promises to lower the cost by [nats], and what it does where it lowers it.
 
         That is the damping with which it does, its gain [nats], what it changed beyond the
         tangents, and where it leads.
+
+        Args:
+            evidence: There.
+            score: Of the set there.
+            point: There.
+            members: Of the set.
+            lower: Whether errors may not grow beside the sensors' noise either: while a gross
+                fault is there, its own shape is in the pattern of errors, and the cost is low
+                wherever that is left.
         """
-        u = self.at.unknowns
+        highest = self.level(point.errors) if lower else np.inf
         before = self._cost(evidence, score, point.errors, point.values, point.spikes)
-        promise = 0.0
+        promise, single = 0.0, self.at.unknowns.single
         for damping in DAMPINGS:
             values, spikes = evidence.step(score, point.values, damping)
-            goal = spikes.copy()
-            for q, value in zip(members, values, strict=True):
-                goal[list(u.singles(q))] += value
-            by = goal - point.x[: u.single]
+            by = self._by(members, values, spikes, point)
             if damping == 0.0:
-                errors = point.errors + point.tangents[:, :, : u.single] @ by
-                after = self._cost(evidence, score, errors, values, spikes)
-                promise = 0.5 * (before - after)
+                errors = point.errors + point.tangents[:, :, :single] @ by
+                promise = 0.5 * (before - self._cost(evidence, score, errors, values, spikes))
                 if promise < ENOUGH:
                     break
-            moved = u.moved(point.hypothesis, {i: float(d) for i, d in enumerate(by) if d != 0.0})
-            errors = self.at.at(moved)
-            after = self._cost(evidence, score, errors, values, spikes)
-            if after < before:
-                x = u.departures(moved)
+            best = None
+            for _ in range(1 + BENDS):
+                moved = self._moved(point, by)
+                errors = self.at.at(moved)
+                after = self._cost(evidence, score, errors, values, spikes)
+                if self.level(errors) > highest:
+                    after = np.inf
+                if best is None or after < best[0]:
+                    best = after, moved, errors, values, spikes
+                if before - after > promise:
+                    break
+                # What a step showed beyond the tangents, its bend, is there at its end: the next
+                # one meets it (second-order correction; Fletcher 1982).
+                bend = errors - point.errors - point.tangents[:, :, :single] @ by
+                bend[np.abs(errors).max(axis=1) > BLOWN] = 0.0
+                bent = self.evidence(
+                    replace(point.columns, errors=point.errors + bend),
+                    evidence.spread,
+                    evidence.weight,
+                    evidence.kappa,
+                    evidence.priors,
+                    evidence.places,
+                )
+                values, spikes = bent.step(score, point.values, damping)
+                by = self._by(members, values, spikes, point)
+            if best is not None and best[0] < before:
+                after, moved, errors, values, spikes = best
+                x = self.at.unknowns.departures(moved)
                 tangents, off = _broyden(
-                    point.tangents, errors - point.errors, x - point.x, members, u.single
+                    point.tangents, errors - point.errors, x - point.x, members, single
                 )
                 new = Point(moved, errors, x, values, spikes, tangents)
                 return promise, (damping, 0.5 * (before - after), off, new)
         return promise, None
+
+    def _by(
+        self, members: Sequence[int], values: np.ndarray, spikes: np.ndarray, point: Point
+    ) -> np.ndarray:
+        """By how much single unknowns move to members' values and spikes, (single,)."""
+        u = self.at.unknowns
+        goal = spikes.copy()
+        for q, value in zip(members, values, strict=True):
+            goal[list(u.singles(q))] += value
+        return goal - point.x[: u.single]
+
+    def _moved(self, point: Point, by: np.ndarray) -> Hypothesis:
+        u = self.at.unknowns
+        return u.moved(point.hypothesis, {i: float(d) for i, d in enumerate(by) if d != 0.0})
 
     def _cost(
         self,

@@ -257,7 +257,8 @@ def _estimates(outcome: Outcome, key: Key) -> tuple[Estimate, ...]:
     u, parameters = evidence.unknowns, site.parameters
     own = [u.places.index(((key, i),)) for i in range(len(parameters))]
     told = np.concatenate([np.eye(len(parameters)), site.differences])
-    scaled = told * np.array([p.scale for p in parameters])
+    values = outcome.final[key].tolist()
+    scaled = told * np.array([p.step(v) for p, v in zip(parameters, values, strict=True)])
     spread = np.diag(scaled @ outcome.spread[np.ix_(own, own)] @ scaled.T)
     # Few parts say how errors scatter.
     width = float(student.ppf(0.975, max(int(evidence.part.max()), 1)))
