@@ -303,7 +303,7 @@ def test_a_fit_that_ended_at_a_limit_of_its_effect_is_told():
 def test_effects_that_lower_the_same_parameter_end_where_the_plugin_does():
     machine = Machine("knee_bench")
     for name, most, least in (
-        ("stribeck_velocity", 10.0, 0.05),  # must be more than zero
+        ("stribeck_velocity", 10.0, 0.001),  # must be more than zero
         ("stribeck_exponent", 20.0, 0.0),
         ("viscous", 1e6, 0.0),
     ):
@@ -335,14 +335,16 @@ def test_explained_is_the_share_of_what_the_healthy_machine_did_not_show():
     assert a_gap(after=4.0).explained is None
 
 
-def test_a_tenth_of_the_bandwidth_is_as_severe_as_the_trials_that_it_passes():
-    bandwidth = EffectParameter("f", "Hz", nominal=250.0, upper=500.0, trials=(12.5, 30.0, 87.5))
-    assert bandwidth.departure(250.0, 250.0) == 0.0
-    assert bandwidth.departure(168.75, 250.0) == pytest.approx(0.5)
-    assert bandwidth.departure(30.0, 250.0) == pytest.approx(2.0)
-    assert bandwidth.departure(12.5, 250.0) == pytest.approx(3.0)
-    # A long way in smallest trials counts as such, on a side without trials as well.
-    assert bandwidth.departure(500.0, 250.0) == pytest.approx(250.0 / 162.5)
+def test_a_bandwidth_counts_by_its_lag():
+    trials = (12.5, 50.0, 125.0)
+    bandwidth = EffectParameter("f", "Hz", nominal=250.0, lower=5.0, upper=500.0, trials=trials)
+    # Lags of 1/f: 4 ms, and 8, 20 and 80 ms.
+    assert [bandwidth.departure(f, 250.0) for f in trials] == pytest.approx([19.0, 4.0, 1.0])
+    assert bandwidth.departure(500.0, 250.0) == pytest.approx(0.5)
+    assert bandwidth.moved(250.0, -4.0) == pytest.approx(50.0)
+    assert bandwidth.moved(50.0, 3.0) == pytest.approx(125.0)
+    assert (bandwidth.moved(50.0, 90.0), bandwidth.moved(50.0, -90.0)) == (500.0, 5.0)
+    assert bandwidth.step(50.0) == pytest.approx(bandwidth.moved(50.0, 1e-6) * 1e6 - 50e6, rel=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -100,19 +100,8 @@ class EffectParameter:
         return replace(self, upper=factor * self.upper, trials=trials)
 
     def departure(self, value: float, nominal: float) -> float:
-        """How severe a value is: 1 for a barely noticeable distance from `nominal`, more beyond.
-
-        In smallest trials, or in trials passed where these are more: a bandwidth can fall by no
-        more than itself.
-        """
-        distance = abs(self.from_nominal(value, nominal))
-        side = sorted(
-            abs(self.from_nominal(t))
-            for t in self.trials
-            if (t - self.nominal) * (value - nominal) > 0
-        )
-        passed = np.interp(distance, [0.0, *side], range(len(side) + 1)) if side else 0.0
-        return max(distance / self.scale, float(passed))
+        """How severe a value is, in smallest trials from `nominal`."""
+        return abs(self.from_nominal(value, nominal)) / self.scale
 
 
 class Effect(ABC):
