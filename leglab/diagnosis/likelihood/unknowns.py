@@ -55,7 +55,7 @@ class Unknowns:
     @classmethod
     def of(cls, library: Library) -> "Unknowns":
         """All unknowns of a library."""
-        rows = []
+        rows: list[dict] = []
         for key, site in sorted(library.sites.items()):
             can_be = site.effect.nameable and key in library.searched
             for i, (p, own) in enumerate(zip(site.parameters, site.nominal, strict=True)):

@@ -185,8 +185,8 @@ def search(
         if begun is not None:
             ended.add(begun.keys)
             # From where it is, or from where what leaves least is: whichever leaves less.
-            points = [begun, *([least_left.fit] if least_left.fit.finished else [])]
-            starts = (_from(fitter, begun, point, kappa) for point in points)
+            where = [begun, *([least_left.fit] if least_left.fit.finished else [])]
+            starts = (_from(fitter, begun, point, kappa) for point in where)
             run(min(starts, key=begins), beside=True, renewals=RENEWALS)
             fits.remove(begun)
             continue
