@@ -173,9 +173,10 @@ def _sized(p: EffectParameter, size: float, seen: Shown) -> EffectParameter:
     """A strength with trials on the sides that it had, and bounds as far as it is large."""
     if p.role == "shape" or size <= 0.0 or not p.trials:
         return p
-    # A controller computes for up to a period and holds for another: no log says for how long.
-    periods = 2.0 * seen.period if p.unit == "s" else 0.0
-    least = max(TRIALS[0] * size, periods)
+    # A controller computes for up to a period and holds for another: less is no fault. When within
+    # a period a command acts or a sensor is read, no log says.
+    period = seen.period if p.unit == "s" else 0.0
+    least = max(TRIALS[0] * size, 2.0 * period)
     steps = [least * t / TRIALS[0] for t in TRIALS]
     far = size
     if p.unit == "s":
@@ -194,5 +195,5 @@ def _sized(p: EffectParameter, size: float, seen: Shown) -> EffectParameter:
     trials = sorted(t for t in trials if lower <= t <= upper and t != p.nominal)
     if not trials:
         return p
-    tolerance = max(p.tolerance, periods / np.sqrt(12.0))
+    tolerance = max(p.tolerance, period / np.sqrt(12.0))
     return replace(p, lower=lower, upper=upper, trials=tuple(trials), tolerance=tolerance)

@@ -241,8 +241,8 @@ class Fitter:
             if turn + 1 >= STIFF_TURNS and self.level(point.errors) > give_up:
                 given_up = True
                 break
-            if not first and gain < ENOUGH and (fresh or missed < ENOUGH):
-                if fresh or fine:
+            if not first and gain < ENOUGH:
+                if fresh or (fine and missed + promise - gain < ENOUGH):
                     finished = True
                     break
                 missed = np.inf
