@@ -1,7 +1,7 @@
 """Fitted sets under each other: their evidence, and which set to fit next."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -108,12 +108,15 @@ def rank(compared: Compared, fits: Sequence[Fit], kappa: float) -> list[Ranked]:
             and all(np.abs(other.columns.tangents[:, :, q]).max() > 0 for q in fit.members)
         ]
         scores = [compared.score(fit, *there, near[0], kappa) for there in tries]
+        # Where a fit has ended, what tangents promised and no replay kept does not count.
+        for n, score in enumerate(scores[: len(spreads)]):
+            scores[n] = replace(score, log=score.log - fit.unkept)
         place = int(np.argmax([score.log for score in scores]))
         evidence = compared.evidence(*tries[place], near[0], kappa)
         own = max(score.log for score in scores[: len(spreads)])
         rows.append(Ranked(fit, evidence, scores[place], scores[place].log - own))
     best: dict[frozenset[Key], Ranked] = {}
-    for row in sorted(rows, key=lambda r: -r.score.log):
+    for row in sorted(rows, key=lambda r: (-r.score.log, r.fit.level)):
         best.setdefault(row.fit.keys, row)
     return list(best.values())
 

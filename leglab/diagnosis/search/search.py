@@ -196,7 +196,8 @@ def search(
         late, point = next(moved, (None, None))
         if late is not None and point is not None:
             again.add((late.keys, point.keys))
-            run(_from(fitter, late, point, kappa), beside=True, renewals=RENEWALS)
+            there = Proposal(late.members, {}, point.columns, point.spread, point.weight)
+            run(there, beside=True, renewals=RENEWALS)
             continue
         # What was proposed last is a rival now, or was in vain.
         vain = 0 if last in {r.fit.keys for r in near if r.score.log > top - NEAR} else vain + 1

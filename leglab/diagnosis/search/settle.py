@@ -51,6 +51,7 @@ class Fit:
         level: Median error in noise levels of the sensors.
         ended: Members that ended at a bound.
         finished: Whether another turn would gain nothing.
+        unkept: What tangents promise where it ended, and no replay keeps [nats].
     """
 
     members: tuple[int, ...]
@@ -62,6 +63,7 @@ class Fit:
     level: float
     ended: tuple[int, ...]
     finished: bool
+    unkept: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,6 +192,7 @@ class Fitter:
         # By so much tangents have missed what replays showed since they were taken [nats].
         missed, off = 0.0, _beyond(columns, point)
         slow = given_up = finished = False
+        unkept = 0.0
         fine = columns.fine
         telling = most = None
         renewed, taken = 0, columns.x
@@ -228,7 +231,7 @@ class Fitter:
                     continue
                 # Tangents that promise what no step keeps are wrong.
                 if fresh or (fine and missed + promise < ENOUGH):
-                    finished = True
+                    finished, unkept = True, promise
                     break
                 slow, missed, off = True, np.inf, 0.0 * off
                 continue
@@ -243,7 +246,7 @@ class Fitter:
                 break
             if not first and gain < ENOUGH:
                 if fresh or (fine and missed + promise - gain < ENOUGH):
-                    finished = True
+                    finished, unkept = True, promise - gain
                     break
                 missed = np.inf
             slow = damping > 0.0 or gain < NEAR
@@ -259,6 +262,7 @@ class Fitter:
             level=self.level(point.errors),
             ended=self._ended(members, point.x, score.values),
             finished=finished or given_up,
+            unkept=max(unkept, 0.0),
         )
 
     def _point(
