@@ -143,7 +143,7 @@ CASES = {
     "turned": Case("encoder_offset base_tilt", log=TURNED),
     # What nothing that is looked for can be.
     "unknown gear": Case("viscous_friction", truth=Truth(gear_loss=0.15), kinds=(HELD_OUT, "fast")),
-    "short": Case("encoder_scale force_offset", log=SHORT, kinds=(HELD_OUT, "fast")),
+    "short": Case("encoder_scale force_offset", log=SHORT),
     "other command": Case("actuator_gain", log=OTHERS, kinds=(HELD_OUT, "slow")),
     "fast alone": Case(
         "viscous_friction force_offset",
@@ -357,7 +357,7 @@ def test_a_cause_that_no_effect_describes_gives_no_sure_name():
     """What a gear takes goes with the speed as well, but viscous friction leaves much."""
     result = told("unknown gear")
     assert result.gap.after > 20.0
-    assert all(e.confidence < 0.9 for e in result.effects)
+    assert all(e.confidence < 0.8 for e in result.effects)
     assert told("gear").effects[0].confidence > 0.95
 
 
