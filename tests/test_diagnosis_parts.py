@@ -338,7 +338,7 @@ def test_explained_is_the_share_of_what_the_healthy_machine_did_not_show():
 def test_a_bandwidth_counts_by_its_lag():
     trials = (12.5, 50.0, 125.0)
     bandwidth = EffectParameter("f", "Hz", nominal=250.0, lower=5.0, upper=500.0, trials=trials)
-    # Lags of 1/f: 4 ms, and 8, 20 and 80 ms.
+    # 1/f is 4 ms as built, and 80, 20 and 8 ms.
     assert [bandwidth.departure(f, 250.0) for f in trials] == pytest.approx([19.0, 4.0, 1.0])
     assert bandwidth.departure(500.0, 250.0) == pytest.approx(0.5)
     assert bandwidth.moved(250.0, -4.0) == pytest.approx(50.0)
