@@ -2,8 +2,11 @@
 
 from collections import defaultdict, deque
 from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
+
+T = TypeVar("T")
 
 
 def alike(one: np.ndarray, other: np.ndarray) -> bool:
@@ -12,20 +15,24 @@ def alike(one: np.ndarray, other: np.ndarray) -> bool:
 
 
 class Lately:
-    """The last few results of each name, by all that they follow from: `found`, in order of use."""
+    """The last few results of each name, by all that they follow from: `found`, in order of use.
+
+    Arrays that are returned again are the same objects, so that what follows from them is soon
+    known as well.
+    """
 
     def __init__(self) -> None:
-        self.found: defaultdict[str, deque[tuple[tuple[np.ndarray, ...], object, np.ndarray]]]
+        self.found: defaultdict[str, deque[tuple[tuple[np.ndarray, ...], object, Any]]]
         self.found = defaultdict(lambda: deque(maxlen=3))
 
     def get(
         self,
         name: str,
         inputs: Sequence[np.ndarray],
-        follow: Callable[[], np.ndarray],
+        follow: Callable[[], T],
         *,
         by: object = None,
-    ) -> np.ndarray:
+    ) -> T:
         """What `follow` gives; it is called only where the inputs, or the model, are new.
 
         The result may depend on nothing but the inputs and the model `by` which it was found, the

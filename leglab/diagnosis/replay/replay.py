@@ -32,6 +32,8 @@ _MEMORY = 50_000_000
 
 # Windows of one recording, its measured series, and its corrected columns.
 Part = tuple[Cut, Measured, dict[str, np.ndarray]]
+# The same with samples of its windows, and full physics states there.
+Along = tuple[Cut, Measured, np.ndarray]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -172,8 +174,20 @@ class Replay:
             blocks: Into which a window is divided for the forces that it leaves over; 0 for none.
         """
         parts = list(self._parts(change, chosen))
-        left, pushed = self._left(change, parts, blocks) if blocks else (None, None)
-        starts = self._starts(change, parts)
+        if blocks and not self.blind:
+            # What holds at starts and inside windows follows from the same series, at once.
+            along = list(self._along(change, parts, blocks, starts=True))
+            starts = np.concatenate([states[: cut.firsts.size] for cut, _, states in along])
+            inside = [
+                (cut, replace(at, samples=at.samples[n:]), states[n:])
+                for cut, at, states in along
+                for n in [cut.firsts.size]
+            ]
+            left, pushed = self._left(change, inside, blocks)
+        else:
+            along = self._along(change, parts, blocks) if blocks else []
+            left, pushed = self._left(change, along, blocks) if blocks else (None, None)
+            starts = self._starts(change, parts)
         if nudge is not None:
             starts[:, place(change.variant, nudge.element, nudge.quantity)] += nudge.size
         controls, targets = [], []
@@ -201,11 +215,11 @@ class Replay:
             `comparable_forces` has them; and what commands of native actuators that are `LOUDER`
             change in them.
         """
-        return self._left(change, self._parts(change, chosen), blocks)
+        return self._left(change, self.along(change, chosen, blocks), blocks)
 
     def along(
         self, change: Change, chosen: np.ndarray | None, blocks: int = DEFAULT.force_blocks
-    ) -> Iterator[tuple[Cut, Measured, np.ndarray]]:
+    ) -> Iterator[Along]:
         """Samples inside the chosen windows of every recording, and full physics states there."""
         return self._along(change, self._parts(change, chosen), blocks)
 
@@ -215,17 +229,20 @@ class Replay:
         return self.samples // self.bins
 
     def _along(
-        self, change: Change, parts: Iterable[Part], blocks: int
-    ) -> Iterator[tuple[Cut, Measured, np.ndarray]]:
-        """As `along`; as many samples in each block."""
+        self, change: Change, parts: Iterable[Part], blocks: int, *, starts: bool = False
+    ) -> Iterator[Along]:
+        """As `along`, after window starts if wanted; as many samples in each block."""
         inside = np.arange(self.half, self.samples - self.half + 1, 2 * self.half)
         inside = inside[: inside.size // blocks * blocks]
         for cut, measured, _ in parts:
-            at = replace(measured, samples=(cut.firsts[:, None] + inside).ravel())
+            samples = (cut.firsts[:, None] + inside).ravel()
+            if starts:
+                samples = np.concatenate([cut.firsts, samples])
+            at = replace(measured, samples=samples)
             yield cut, at, start_states(cut, change, at, self.channels, self.rest_time)
 
     def _left(
-        self, change: Change, parts: Iterable[Part], blocks: int
+        self, change: Change, along: Iterable[Along], blocks: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """As `lacking`."""
         joints = balanced_joints(self.machine, self.channels)
@@ -238,7 +255,7 @@ class Replay:
             return np.nan_to_num(rows.transpose(0, 2, 1), nan=1e12, posinf=1e12, neginf=-1e12)
 
         found, pushed = [], []
-        for cut, measured, states in self._along(change, parts, blocks):
+        for cut, measured, states in along:
             own = left(cut, measured, states)
             sent = {a: LOUDER * cut.series.columns[f"{a}_command"] for a in native}
             loud = {a: commanded(change, a, u, self._period) for a, u in sent.items()}

@@ -123,14 +123,14 @@ class Instances:
         names = ("hysteresis", "null_bias", "bandwidth_hz", "damping_ratio")
         hysteresis, bias, bandwidth, damping = given = [self.value(element, n) for n in names]
 
-        def followed() -> np.ndarray:
+        def followed() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             behind = play(np.clip(command, -1.0, 1.0), hysteresis)
             shifted = np.clip(behind + bias, -1.0, 1.0)
             moved = spool(shifted, 2.0 * np.pi * bandwidth, damping, measured.period)
-            return np.column_stack([behind, moved])
+            return behind, moved[:, 0], moved[:, 1]
 
         known = measured.lately.get(f"spool of {element}", (command, np.array(given)), followed)
-        behind, position, speed = known.T
+        behind, position, speed = known
         self.followed[element, "spool_position"] = position
         self.put(element, "play_output", behind[np.maximum(samples - 1, 0)])
         self.put(element, "spool_position", np.clip(position[samples], -1.0, 1.0))
@@ -251,9 +251,9 @@ class Instances:
         """Sets a bristle that slides all along, and returns the steady friction; all (n,)."""
         self.followed[element, "carried"] = carried
 
-        def slid() -> np.ndarray:
+        def slid() -> tuple[np.ndarray, np.ndarray]:
             level, sigma = self._sliding_friction(element, velocity), self.value(element, "sigma_0")
-            return np.stack([level, bristle(velocity, level, sigma, self.measured.period)])
+            return level, bristle(velocity, level, sigma, self.measured.period)
 
         given = self._parameters(element), velocity, carried
         level, deflection = self.measured.lately.get(f"slide of {element}", given, slid)
@@ -358,19 +358,20 @@ def measure(
     pushed: dict[str, np.ndarray] = {}
     # A body that a hypothesis puts between motor and joint takes the pushes.
     if cut.pushes.actuators and cut.pushes.dofs == change.variant.model.nv:
-        driven = _driven(cut, channels, command)
-        for joint, (beyond, faster, whole) in zip(machine.joints, driven, strict=True):
-            position[joint] = position[joint] + beyond
-            velocity[joint] = velocity[joint] + faster
-            pushed[joint] = whole
+        driven = _driven(cut, channels, command, position, velocity)
+        for joint, own in zip(machine.joints, driven, strict=True):
+            position[joint], velocity[joint], pushed[joint] = own
+
+    def of_piston(cylinder: str) -> np.ndarray:
+        moved = velocity[machine.driven[cylinder][0]]
+        name = f"piston of {cylinder}"
+        return cut.lately.get(name, (moved,), lambda: cut.levers[cylinder] * moved)
+
     measured = Measured(
         period=period,
         position=position,
         velocity=velocity,
-        piston_velocity={
-            cylinder: lever * velocity[machine.driven[cylinder][0]]
-            for cylinder, lever in cut.levers.items()
-        },
+        piston_velocity={cylinder: of_piston(cylinder) for cylinder in cut.levers},
         lever=cut.levers,
         command=command,
         pressure=pressure,
@@ -383,18 +384,30 @@ def measure(
     return measured, corrected
 
 
-def _driven(cut: Cut, channels: tuple[Channel, ...], command: dict[str, np.ndarray]) -> np.ndarray:
-    """Motion by commands of native actuators, (joints, 3, n).
+def _driven(
+    cut: Cut,
+    channels: tuple[Channel, ...],
+    command: dict[str, np.ndarray],
+    position: dict[str, np.ndarray],
+    velocity: dict[str, np.ndarray],
+) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Smoothed motion with what filters take away of that by commands of native actuators.
 
-    What filters take away of its position and velocity, and its velocity from rest.
+    Position, velocity and the part of the velocity by commands, each (n,), by joint.
     """
     period, filters = cut.series.period, [c.filter for c in channels if not c.chamber]
+    given = [command[name] for name in cut.pushes.actuators]
 
-    def followed() -> np.ndarray:
+    def followed() -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         rows = zip(filters, *cut.pushes.moved(command, period), strict=True)
-        return np.stack([[q - smoothed(q, f), v - smoothed(q, f, period), v] for f, q, v in rows])
+        return [(q - smoothed(q, f), v - smoothed(q, f, period), v) for f, q, v in rows]
 
-    return cut.lately.get("pushes", [command[name] for name in cut.pushes.actuators], followed)
+    def added() -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        beyond = cut.lately.get("pushes", given, followed)
+        smooth = zip(beyond, position.values(), velocity.values(), strict=True)
+        return [(q + level, v + slope, whole) for (level, slope, whole), q, v in smooth]
+
+    return cut.lately.get("pushed", (*given, *position.values(), *velocity.values()), added)
 
 
 def commanded(change: Change, actuator: str, samples: np.ndarray, period: float) -> np.ndarray:

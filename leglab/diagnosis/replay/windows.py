@@ -173,14 +173,14 @@ class Cut:
     pushes: Pushes
     lately: Lately = field(default_factory=Lately)
 
-    def filtered(self, channel: Channel, samples: np.ndarray) -> np.ndarray:
-        """Smoothed samples of a channel, as a hypothesis corrects them, and their slope, (2, n)."""
-        each = (None, self.series.period)
-        return self.lately.get(
-            f"filter of {channel.column}",
-            (samples,),
-            lambda: np.stack([smoothed(samples, channel.filter, period) for period in each]),
-        )
+    def filtered(self, channel: Channel, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Smoothed samples of a channel, as a hypothesis corrects them, and their slope, (n,)."""
+
+        def both() -> tuple[np.ndarray, np.ndarray]:
+            level = smoothed(samples, channel.filter)
+            return level, smoothed(samples, channel.filter, self.series.period)
+
+        return self.lately.get(f"filter of {channel.column}", (samples,), both)
 
 
 def window_length(period: float, thresholds: Thresholds) -> tuple[int, int]:
