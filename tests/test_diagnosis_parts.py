@@ -108,7 +108,7 @@ def test_an_effect_without_physics_is_refused():
 def test_a_channel_is_filtered_once_for_all_hypotheses_that_correct_it_alike(monkeypatch):
     counted = []
 
-    def counting(samples, window, period):
+    def counting(samples, window, period=None):
         if period is None:
             counted.append(samples[0])
         return smoothed(samples, window, period)
@@ -337,7 +337,9 @@ def test_explained_is_the_share_of_what_the_healthy_machine_did_not_show():
 
 def test_a_bandwidth_counts_by_its_lag():
     trials = (12.5, 50.0, 125.0)
-    bandwidth = EffectParameter("f", "Hz", nominal=250.0, lower=5.0, upper=500.0, trials=trials)
+    bandwidth = EffectParameter(
+        "f", "Hz", nominal=250.0, lower=5.0, upper=500.0, trials=trials, inverse=True
+    )
     # 1/f is 4 ms as built, and 80, 20 and 8 ms.
     assert [bandwidth.departure(f, 250.0) for f in trials] == pytest.approx([19.0, 4.0, 1.0])
     assert bandwidth.departure(500.0, 250.0) == pytest.approx(0.5)

@@ -163,8 +163,9 @@ NO_FAULT = 0.5
 # and of a further parameter of an effect that is there.
 FAULT_ODDS = 0.3
 # Good machines depart from their model by such standard deviations, in smallest trials: nobody
-# knows which, from what nobody notices to where one good part in eighty has what is noticed.
-SPREADS = (0.1, 0.2, 0.4)
+# knows which. What is noticed is five times what the roughest of them differ by: wider ones take a
+# fault for many small departures.
+SPREADS = (0.05, 0.1, 0.2)
 # The model's own error has such sizes beside what a set leaves: 0 is an exact model.
 SIZES = (0.0, 0.03, 0.1, 0.2, 0.35, 0.6, 1.0, 1.5)
 # Where a tolerance is known it holds at the least spread of all else, and grows with it from half

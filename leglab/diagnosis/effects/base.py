@@ -35,6 +35,8 @@ class EffectParameter:
         role: A "strength" at its nominal value switches the effect off; a "shape" means nothing
             while all strengths are nominal.
         faults: On which side of the nominal value they lie; the other is a better part's.
+        inverse: Whether motion departs in proportion to 1/value: a bandwidth acts by its lag, a
+            stiffness by how far it gives way.
     """
 
     name: str
@@ -47,6 +49,7 @@ class EffectParameter:
     tolerance: float = 0.0
     role: Literal["strength", "shape"] = "strength"
     faults: Side = "either"
+    inverse: bool = False
 
     def __post_init__(self) -> None:
         if not self.lower <= self.nominal <= self.upper:
@@ -59,30 +62,25 @@ class EffectParameter:
     def scale(self) -> float:
         """Distance from nominal that matters: what finite differences and fits step by.
 
-        As `from_nominal` has it: in 1/unit of what acts by its inverse.
+        In 1/unit of what acts by its inverse.
         """
         steps = [abs(self.from_nominal(t)) for t in self.trials if t != self.nominal]
         return min(steps) if steps else 0.1 * (self.upper - self.lower)
 
-    @property
-    def _inverse(self) -> bool:
-        """Whether motion departs in proportion to 1/value: a bandwidth acts by its lag."""
-        return self.unit == "Hz"
-
     def from_nominal(self, value: float, nominal: float | None = None) -> float:
         """How far a value stands above the nominal one, in what acts in proportion."""
         own = self.nominal if nominal is None else nominal
-        return 1.0 / own - 1.0 / value if self._inverse else value - own
+        return 1.0 / own - 1.0 / value if self.inverse else value - own
 
     def moved(self, value: float, by: float) -> float:
         """A value moved up by so many smallest trials."""
-        if not self._inverse:
+        if not self.inverse:
             return value + by * self.scale
         return 1.0 / min(max(1.0 / value - by * self.scale, 1.0 / self.upper), 1.0 / self.lower)
 
     def step(self, value: float) -> float:
         """Change of the value by one smallest trial, at a value."""
-        return self.scale * value**2 if self._inverse else self.scale
+        return self.scale * value**2 if self.inverse else self.scale
 
     @property
     def slowest(self) -> float:

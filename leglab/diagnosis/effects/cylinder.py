@@ -37,6 +37,7 @@ class CylinderRow:
     relative: bool = True
     role: Literal["strength", "shape"] = "strength"
     faults: Side = "either"
+    inverse: bool = False
 
     def __call__(self, machine: Machine, cylinder: str) -> EffectParameter:
         """The parameter on a cylinder, within the bounds of the plugin's own."""
@@ -53,6 +54,7 @@ class CylinderRow:
             tolerance=self.tolerance * unit,
             role=self.role,
             faults=self.faults,
+            inverse=self.inverse,
         )
 
 
@@ -349,7 +351,14 @@ class ValveBandwidth(CylinderEffect):
     source = "servovalves of the E024 class: 250 Hz; clogged first stages fall to a tenth"
     excitation = "commands that change within some hundredths of a second"
     rows = (
-        CylinderRow("bandwidth_hz", (0.05, 0.12, 0.35), lower=0.015, upper=2.0, faults="below"),
+        CylinderRow(
+            "bandwidth_hz",
+            (0.05, 0.12, 0.35),
+            lower=0.015,
+            upper=2.0,
+            faults="below",
+            inverse=True,
+        ),
         # A large one is a lag of first order.
         CylinderRow("damping_ratio", (), lower=0.5, upper=8.0, role="shape"),
     )
@@ -382,8 +391,16 @@ _friction(
     CylinderRow(
         "stribeck_exponent", (-0.7, 1.0), tolerance=0.7, lower=0.3, upper=4.0, relative=False
     ),
-    physics="How friction falls from breakaway to sliding: Stribeck velocity v_s and exponent n.",
-    source="docs/physics.md; exponents from 0.5 to above 2 (Armstrong-Helouvry et al. 1994)",
+    # Twenty times as stiff is rigid, beside whatever is driven.
+    CylinderRow("sigma_0", (0.5, 2.0), tolerance=0.5, lower=0.1, upper=20.0, inverse=True),
+    physics=(
+        "How friction falls from breakaway to sliding, Stribeck velocity v_s and exponent n, and "
+        "how far its bristle gives way before, 1/sigma_0."
+    ),
+    source=(
+        "docs/physics.md; exponents from 0.5 to above 2 (Armstrong-Helouvry et al. 1994); seals "
+        "creep, stick or give way by tens of um"
+    ),
     excitation="slow motion and reversals",
     nameable=False,
 )

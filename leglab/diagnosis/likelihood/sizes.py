@@ -195,5 +195,6 @@ def _sized(p: EffectParameter, size: float, seen: Shown) -> EffectParameter:
     trials = sorted(t for t in trials if lower <= t <= upper and t != p.nominal)
     if not trials:
         return p
-    tolerance = max(p.tolerance, period / np.sqrt(12.0))
+    # Loops compute and hold, which models have at once: half a period each, nobody knows where.
+    tolerance = max(p.tolerance, period)
     return replace(p, lower=lower, upper=upper, trials=tuple(trials), tolerance=tolerance)
