@@ -9,7 +9,10 @@ import pytest
 from leglab.diagnosis import improve
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.search.pipeline import DiagnosisSettings
+from leglab.diagnosis.thresholds import DEFAULT
 from leglab.diagnosis.verdict.verdict import diagnose
+from leglab.studies.blind.rough_bench import exact_specimen, references
+from leglab.studies.blind.rough_bench import record as record_bench
 from tests.rigs import PENDULUM, Truth, record
 
 # Of this regime `test_diagnosis_verdicts.py` has smaller ones.
@@ -100,7 +103,7 @@ def test_the_gap_is_that_of_the_held_out_recordings(ill):
     specimen = found.specimen
     by_name = dict(zip(("multisine", "stairs"), specimen.levels, strict=True))
     assert result.gap.healthy == pytest.approx(by_name["multisine"][1])
-    assert result.gap.healthy > 5.0  # far from noise alone, and what it is no part of what is open
+    assert result.gap.healthy > 3.0  # far from noise alone, and what it is no part of what is open
     assert result.gap.explained > 0.9
     wanted = [level(h, held) for h in (unnamed, final)]
     assert result.gap.compared[:2] == pytest.approx(wanted)
@@ -189,3 +192,16 @@ def test_no_model_is_written_where_only_fitted_recordings_gain(ill, unlearned, m
 
     monkeypatch.setattr(type(problem), "noise_levels", only_fitted)
     assert improve.improved_model(found) is None
+
+
+def test_seals_of_another_law_are_no_friction_by_direction():
+    """They creep where the model's bristles hold: a friction of the joint had stood in for that."""
+    seals = exact_specimen(3).changed(friction_law=1.0, tanh_speed=0.001, viscous=1400.0)
+    bench = replace(seals, position_noise=6e-5, pressure_noise=5e4)
+    rng = np.random.default_rng(22)
+    recorded = record_bench(bench, None, references(rng, 6.0), rng)
+    settings = DiagnosisSettings(threads=1)
+    result, _ = diagnose("knee_bench", recorded, held_out=(HELD_OUT,), settings=settings)
+    surely = {e.name: e for e in result.effects if e.confidence > DEFAULT.sure}
+    assert set(surely) == {"viscous_friction"}
+    assert surely["viscous_friction"].parameters[0].value == pytest.approx(1400.0, rel=0.1)

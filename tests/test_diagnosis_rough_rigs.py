@@ -36,9 +36,6 @@ def test_every_fault_moves_the_machine_and_no_two_machines_are_alike(name):
         assert moved > 3e-4 or driven > 3e-3 * rig.torque[-1]
 
 
-@pytest.mark.xfail(
-    strict=True, reason="1.2 smallest trials: what good machines may have of it explains all"
-)
 @pytest.mark.slow("whole diagnosis of a rough rig")
 def test_the_dead_band_of_a_servo_is_one_of_its_error():
     """Found from recordings of the independent simulator, and no command of zero is special."""
