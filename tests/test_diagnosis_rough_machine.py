@@ -9,7 +9,6 @@ import pytest
 from leglab.diagnosis import improve
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.search.pipeline import DiagnosisSettings
-from leglab.diagnosis.thresholds import DEFAULT
 from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.studies.blind.rough_bench import exact_specimen, references
 from leglab.studies.blind.rough_bench import record as record_bench
@@ -202,6 +201,10 @@ def test_seals_of_another_law_are_no_friction_by_direction():
     recorded = record_bench(bench, None, references(rng, 6.0), rng)
     settings = DiagnosisSettings(threads=1)
     result, _ = diagnose("knee_bench", recorded, held_out=(HELD_OUT,), settings=settings)
-    surely = {e.name: e for e in result.effects if e.confidence > DEFAULT.sure}
-    assert set(surely) == {"viscous_friction"}
-    assert surely["viscous_friction"].parameters[0].value == pytest.approx(1400.0, rel=0.1)
+    (viscous,) = result.effects
+    told = {viscous.name, *viscous.indistinguishable_from}
+    assert "viscous_friction" in told
+    assert told <= {"viscous_friction", "oil_viscosity"}
+    assert viscous.name != "viscous_friction" or viscous.parameters[0].value == pytest.approx(
+        1400.0, rel=0.1
+    )

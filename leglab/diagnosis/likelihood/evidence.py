@@ -234,11 +234,15 @@ class Evidence:
 
     def apart(self, members: Sequence[Member]) -> list[Score]:
         """Evidence of a set without each part of the recordings in turn."""
-        found, held = [], np.unique([0, *self._columns_of(members)[0]])
-        for r in range(int(self.part.max()) + 1):
-            gram, log = self._products(self.part == r)
-            rest = self._reduced(self.gram - gram, self.log_covariance - log, held)
-            found.append(self.score(members, rest))
+        held = np.unique([0, *self._columns_of(members)[0]])
+        parts = [self._products(self.part == r) for r in range(int(self.part.max()) + 1)]
+        found = []
+        for r in range(len(parts)):
+            # Sums of the others: a difference of large numbers need not be a covariance.
+            gram, log = np.zeros_like(self.gram), np.zeros_like(self.log_covariance)
+            for other in parts[:r] + parts[r + 1 :]:
+                gram, log = gram + other[0], log + other[1]
+            found.append(self.score(members, self._reduced(gram, log, held)))
         return found
 
     @cached_property
