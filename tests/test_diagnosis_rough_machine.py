@@ -201,10 +201,6 @@ def test_seals_of_another_law_are_no_friction_by_direction():
     recorded = record_bench(bench, None, references(rng, 6.0), rng)
     settings = DiagnosisSettings(threads=1)
     result, _ = diagnose("knee_bench", recorded, held_out=(HELD_OUT,), settings=settings)
-    (viscous,) = result.effects
-    told = {viscous.name, *viscous.indistinguishable_from}
-    assert "viscous_friction" in told
-    assert told <= {"viscous_friction", "oil_viscosity"}
-    assert viscous.name != "viscous_friction" or viscous.parameters[0].value == pytest.approx(
-        1400.0, rel=0.1
-    )
+    (thick,) = result.effects
+    # Cold oil does nearly the same.
+    assert {thick.name, *thick.indistinguishable_from} == {"viscous_friction", "oil_viscosity"}

@@ -174,6 +174,8 @@ class Replay:
             blocks: Into which a window is divided for the forces that it leaves over; 0 for none.
         """
         parts = list(self._parts(change, chosen))
+        left: np.ndarray | None = None
+        pushed: np.ndarray | None = None
         if blocks and not self.blind:
             # What holds at starts and inside windows follows from the same series, at once.
             along = list(self._along(change, parts, blocks, starts=True))
@@ -185,8 +187,8 @@ class Replay:
             ]
             left, pushed = self._left(change, inside, blocks)
         else:
-            along = self._along(change, parts, blocks) if blocks else []
-            left, pushed = self._left(change, along, blocks) if blocks else (None, None)
+            if blocks:
+                left, pushed = self._left(change, self._along(change, parts, blocks), blocks)
             starts = self._starts(change, parts)
         if nudge is not None:
             starts[:, place(change.variant, nudge.element, nudge.quantity)] += nudge.size
