@@ -129,8 +129,8 @@ class Instances:
             moved = spool(shifted, 2.0 * np.pi * bandwidth, damping, measured.period)
             return behind, moved[:, 0], moved[:, 1]
 
-        known = measured.lately.get(f"spool of {element}", (command, np.array(given)), followed)
-        behind, position, speed = known
+        by = command, np.array(given)
+        behind, position, speed = measured.lately.get(f"spool of {element}", by, followed)
         self.followed[element, "spool_position"] = position
         self.put(element, "play_output", behind[np.maximum(samples - 1, 0)])
         self.put(element, "spool_position", np.clip(position[samples], -1.0, 1.0))
