@@ -19,6 +19,14 @@ def _of_spring(machine: Machine, joint: str, parameter: str) -> float:
     return machine.parameter(spring, parameter) if spring else 0.0
 
 
+def rest_position(machine: Machine, joint: str) -> float:
+    """Where the spring of a joint rests, or one that it lacks would [rad or m]."""
+    if spring := machine.spring_of(joint):
+        return machine.parameter(spring, "rest_position")
+    model = machine.base.model
+    return float(model.qpos_spring[model.joint(joint).qposadr[0]])
+
+
 def _size(machine: Machine, joint: str, slide: float) -> float:
     """Force that matters, times a factor for slides: they move decimetres instead of radians."""
     return joints.force_scale(machine, joint) * (1.0 if machine.unit(joint) == "rad" else slide)
@@ -35,8 +43,7 @@ def set_spring(change: Change, joint: str, effect: str, parameter: str, value: f
 
 def insert_spring(change: Change, joint: str, effect: str, values: Values) -> None:
     """Inserts a spring-damper that has nothing but some parameters."""
-    model = change.machine.base.model
-    reference = {"rest_position": float(model.qpos_spring[model.joint(joint).qposadr[0]])}
+    reference = {"rest_position": rest_position(change.machine, joint)}
     joints.insert_on_joint(change, SPRING, f"{joint}_{effect}", joint, reference, values)
 
 

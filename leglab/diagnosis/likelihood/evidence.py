@@ -84,20 +84,74 @@ class Score:
         return tuple(u for u, _ in self.members)
 
 
-@dataclass(frozen=True, eq=False)
 class _Reduced:
     """Inner products of columns with the single unknowns integrated out.
 
-    place: Of each column among those that are held, (columns,).
-    inner: (sizes, spreads, held, held): errors, tangents, jumps.
-    base: Log evidence of no member, but for the errors' square, (sizes, spreads).
-    gram: As they are, (sizes, columns, columns).
+    Args:
+        evidence: Of which linearisation.
+        gram: Inner products of all columns, (sizes, columns, columns).
+        log: Log determinants of the windows, (sizes,).
+
+    Attributes:
+        base: Log evidence of no member, but for the errors' square, (sizes, spreads).
     """
 
-    place: np.ndarray
-    inner: np.ndarray
-    base: np.ndarray
-    gram: np.ndarray
+    def __init__(self, evidence: "Evidence", gram: np.ndarray, log: np.ndarray) -> None:
+        priors, n = evidence.priors, evidence.unknowns.single
+        self.gram, self._kappa = gram, evidence.kappa
+        self._now = evidence.columns.x[:n]
+        self.base = np.zeros((len(evidence.places), len(priors.spreads)))
+        self._precisions = []
+        self._roots: dict[tuple[int, int], np.ndarray] = {}
+        self._every: dict[tuple[int, int], np.ndarray] = {}
+        for o, deviation in enumerate(priors.spreads):
+            precision, log_prior = priors.precision(evidence.unknowns, deviation)
+            self._precisions.append(precision)
+            for k, place in enumerate(evidence.places):
+                matrix = self._kappa * gram[k, 1 : 1 + n, 1 : 1 + n] + precision
+                # Rounding alone: more would hold a spike where it stands.
+                matrix[np.diag_indices(n)] *= 1.0 + ROUNDING
+                root = np.linalg.cholesky(matrix)
+                self._roots[k, o] = root
+                self.base[k, o] = (
+                    0.5 * log_prior
+                    - np.log(np.diag(root)).sum()
+                    - 0.5 * self._kappa * log[k]
+                    + priors.log_sizes[place]
+                )
+
+    def _beside_priors(self, k: int, o: int, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Products of some columns, (held, held), and with single unknowns, (single, held)."""
+        gram, n = self._kappa * self.gram[k][:, held], self._now.size
+        whole, cross = gram[held], gram[1 : 1 + n]
+        if held.size and held[0] == 0:
+            pulled = self._precisions[o] @ self._now
+            whole[0, 0] += self._now @ pulled
+            cross[:, 0] += pulled
+        return whole, cross
+
+    def inner(self, k: int, o: int, held: np.ndarray) -> np.ndarray:
+        """Of some columns, in order, at a size and spread, (held, held)."""
+        whole, cross = self._beside_priors(k, o, held)
+        half = dtrtrs(self._roots[k, o].T, cross, lower=0, trans=1)[0]
+        return np.asarray(whole - half.T @ half)
+
+    def several(self, held: np.ndarray) -> np.ndarray:
+        """Of some columns, (sizes, spreads, held, held)."""
+        sizes, spreads = self.base.shape
+        return np.array([[self.inner(k, o, held) for o in range(spreads)] for k in range(sizes)])
+
+    def every(self, k: int, o: int) -> np.ndarray:
+        """Of all columns at a size and spread, (columns, columns)."""
+        if (k, o) not in self._every:
+            self._every[k, o] = self.inner(k, o, np.arange(self.gram.shape[1]))
+        return self._every[k, o]
+
+    def follow(self, k: int, o: int, along: np.ndarray) -> np.ndarray:
+        """How single unknowns follow a step along the columns, at a size and spread, (single,)."""
+        used = np.flatnonzero(along)
+        _, cross = self._beside_priors(k, o, used)
+        return np.asarray(-cho_solve((self._roots[k, o], True), cross @ along[used]))
 
 
 class Evidence:
@@ -161,6 +215,15 @@ class Evidence:
         size, forces = self.priors.sizes[score.size], self.force_size(score.size)
         return self.spread.whitening(self.at).white(errors, size, forces)
 
+    def _against(self, errors: np.ndarray, score: Score) -> np.ndarray:
+        """Inner products of all tangents with errors, (unknowns,)."""
+        size, forces = self.priors.sizes[score.size], self.force_size(score.size)
+        whitening = self.spread.whitening(self.at)
+        factors, _ = whitening.at(size, forces)
+        scaled = self.weight[:, None] * factors * whitening.white(errors, size, forces)
+        back = (scaled[:, None, :] @ whitening.basis)[:, 0]
+        return np.asarray(np.einsum("wr,wru->u", back, self.columns.tangents, optimize=True))
+
     def with_kappa(self, kappa: float) -> "Evidence":
         """The same where another share of the log likelihood counts; nothing else is kept."""
         other = copy(self)
@@ -179,62 +242,8 @@ class Evidence:
     def _jump(self, place: int) -> int:
         return 1 + len(self.unknowns) + place
 
-    def _joint(
-        self, gram: np.ndarray, precision: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Products of columns beside priors, those with single unknowns, and a Cholesky factor.
-
-        Args:
-            gram: At one size, (columns, columns).
-            precision: Prior precision of the single unknowns.
-        """
-        n, kappa = self.unknowns.single, self.kappa
-        now = self.columns.x[:n]
-        pulled = precision @ now
-        whole = kappa * gram
-        whole[0, 0] += now @ pulled
-        cross = kappa * gram[1 : 1 + n]
-        cross[:, 0] += pulled
-        matrix = kappa * gram[1 : 1 + n, 1 : 1 + n] + precision
-        # Rounding alone: more would hold a spike where it stands.
-        matrix[np.diag_indices(n)] *= 1.0 + ROUNDING
-        return whole, cross, np.linalg.cholesky(matrix)
-
-    def _reduced(self, gram: np.ndarray, log: np.ndarray, held: np.ndarray) -> _Reduced:
-        """With the single unknowns integrated out.
-
-        Args:
-            gram: Inner products of all columns, (sizes, columns, columns).
-            log: Log determinants, (sizes,).
-            held: Columns whose products are wanted.
-        """
-        place = np.zeros(gram.shape[1], dtype=int)
-        place[held] = np.arange(held.size)
-        shape = len(self.places), len(self.priors.spreads)
-        inner, base = np.zeros((*shape, held.size, held.size)), np.zeros(shape)
-        for o, deviation in enumerate(self.priors.spreads):
-            precision, log_prior = self.priors.precision(self.unknowns, deviation)
-            for k in self._sizes:
-                whole, cross, root = self._joint(gram[k], precision)
-                half = dtrtrs(root.T, cross[:, held], lower=0, trans=1)[0]
-                inner[k, o] = whole[np.ix_(held, held)] - half.T @ half
-                base[k, o] = (
-                    0.5 * log_prior
-                    - np.log(np.diag(root)).sum()
-                    - 0.5 * self.kappa * log[k]
-                    + self.priors.log_sizes[self.places[k]]
-                )
-        return _Reduced(place, inner, base, gram)
-
-    def follow(self, reduced: _Reduced, k: int, o: int, along: np.ndarray) -> np.ndarray:
-        """How single unknowns follow a step along the columns, at a size and spread, (single,)."""
-        precision, _ = self.priors.precision(self.unknowns, self.priors.spreads[o])
-        _, cross, root = self._joint(reduced.gram[k], precision)
-        return np.asarray(-cho_solve((root, True), cross @ along))
-
     def apart(self, members: Sequence[Member]) -> list[Score]:
         """Evidence of a set without each part of the recordings in turn."""
-        held = np.unique([0, *self._columns_of(members)[0]])
         parts = [self._products(self.part == r) for r in range(int(self.part.max()) + 1)]
         found = []
         for r in range(len(parts)):
@@ -242,13 +251,13 @@ class Evidence:
             gram, log = np.zeros_like(self.gram), np.zeros_like(self.log_covariance)
             for other in parts[:r] + parts[r + 1 :]:
                 gram, log = gram + other[0], log + other[1]
-            found.append(self.score(members, self._reduced(gram, log, held)))
+            found.append(self.score(members, _Reduced(self, gram, log)))
         return found
 
     @cached_property
     def whole(self) -> _Reduced:
         """With all parts."""
-        return self._reduced(self.gram, self.log_covariance, np.arange(self.gram.shape[1]))
+        return _Reduced(self, self.gram, self.log_covariance)
 
     def _columns_of(
         self, members: Sequence[Member]
@@ -287,7 +296,9 @@ class Evidence:
         own = reduced or self.whole
         u = self.unknowns
         index, unit, lower, upper = self._columns_of(members)
-        inner, first = own.inner, own.inner[:, :, :, 0]
+        held = np.unique([0, *index])
+        inner = own.several(held)
+        first = inner[:, :, :, 0]
         square = first[:, :, 0]
         m = len(members)
         log_members = np.zeros(square.shape)
@@ -295,7 +306,7 @@ class Evidence:
         deviations = np.zeros((*square.shape, m))
         steps = np.zeros((*square.shape, m))
         if m:
-            place = own.place[index]
+            place = np.searchsorted(held, index)
             matrix = inner[:, :, place[:, None], place]
             matrix = matrix + (1e-9 * np.einsum("koii->koi", matrix) + 1e-12)[..., None] * np.eye(m)
             gradient = first[:, :, place]
@@ -317,7 +328,7 @@ class Evidence:
         grid = own.base - 0.5 * square + log_members + self._odds([q for q, _ in members])
         k, o = np.unravel_index(int(np.argmax(grid)), grid.shape)
         step = steps[k, o]
-        along = np.zeros(own.place.size)
+        along = np.zeros(self.gram.shape[1])
         along[0] = 1.0
         np.add.at(along, index, step)
         return Score(
@@ -328,7 +339,7 @@ class Evidence:
             spread=int(o),
             values=values[k, o],
             deviations=deviations[k, o],
-            shift=self.follow(own, int(k), int(o), along),
+            shift=own.follow(int(k), int(o), along),
             coefficients=step,
         )
 
@@ -352,7 +363,7 @@ class Evidence:
         best: dict[Member, float] = {}
         here = self.places.index(score.size)
         for k in range(here + 1):
-            inner = own.inner[k, score.spread]
+            inner = own.every(k, score.spread)
             first = inner[:, 0]
             first = first + (inner[:, inside] @ score.coefficients if inside.size else 0.0)
             slope, curve = first[index], inner[index, index].copy()
@@ -383,7 +394,7 @@ class Evidence:
 
         At the size and spread of a score.
         """
-        inner = self.whole.inner[self.places.index(score.size), score.spread]
+        inner = self.whole.every(self.places.index(score.size), score.spread)
         return inner[self._jump(0) :, self._jump(0) :]
 
     def left(self, score: Score) -> np.ndarray:
@@ -432,7 +443,11 @@ class Evidence:
         return np.asarray(np.linalg.inv(self.kappa * gram + precision))
 
     def step(
-        self, score: Score, values: np.ndarray, damping: float
+        self,
+        score: Score,
+        values: np.ndarray,
+        damping: float,
+        beyond: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Most probable values of members and spikes within their bounds.
 
@@ -444,6 +459,7 @@ class Evidence:
             values: Departures of the members where the linearisation is, (members,).
             damping: By this share each unknown's own curvature is larger: where errors bend,
                 unknowns that make up for each other stay (Marquardt 1963).
+            beyond: What a replay showed beyond the tangents, (windows, rows); None for nothing.
 
         Returns:
             Departures of the members, (members,), and of single unknowns beside them, (single,).
@@ -461,6 +477,8 @@ class Evidence:
         size = np.array([now[list(u.singles(q))].mean() for q in score.unknowns])
         matrix[range(n, n + index.size), range(n, n + index.size)] += slab_curvature(size)
         gradient[:n] += precision @ now
+        if beyond is not None:
+            gradient += self.kappa * self._against(beyond, score)[use - 1]
         lower = np.concatenate([u.lower[:n] - now, low])
         upper = np.concatenate([u.upper[:n] - now, high])
         parts = [i for q in score.unknowns for i in u.singles(q)]

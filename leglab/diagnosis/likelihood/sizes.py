@@ -11,6 +11,7 @@ import numpy as np
 
 from leglab.diagnosis.effects.base import EffectParameter
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
+from leglab.diagnosis.effects.spring import rest_position
 from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.plant.moments import commands_at, forces_at
 from leglab.diagnosis.replay.lacking import accelerations
@@ -24,19 +25,22 @@ class Motion:
 
     Attributes:
         position: Half its range [rad or m].
+        deflection: From where its spring rests, or a spring that it lacks would [rad or m].
         velocity: Per second.
         acceleration: Per second squared.
         force: Of the drive, of gravity and the like, or of inertia [N m or N].
     """
 
     position: float
+    deflection: float
     velocity: float
     acceleration: float
     force: float
 
     def of_unit(self, unit: str) -> float:
         """Size of a quantity in a unit; 0 where its dimension says nothing."""
-        q, v, a = (max(s, 1e-12) for s in (self.position, self.velocity, self.acceleration))
+        all_ = (self.position, self.deflection, self.velocity, self.acceleration)
+        q, y, v, a = (max(s, 1e-12) for s in all_)
         f = self.force
         return {
             "N m": f,
@@ -47,10 +51,10 @@ class Motion:
             "N s^2/m^2": f / v**2,
             "kg m^2": f / a,
             "kg": f / a,
-            "N m/rad": f / q,
-            "N/m": f / q,
-            "N m/rad^3": f / q**3,
-            "N/m^3": f / q**3,
+            "N m/rad": f / y,
+            "N/m": f / y,
+            "N m/rad^3": f / y**3,
+            "N/m^3": f / y**3,
             "rad": q,
             "m": q,
             "rad/s": v,
@@ -82,7 +86,7 @@ class Shown:
     def largest(cls, several: Sequence["Shown"]) -> "Shown":
         """The largest of what several sets of recordings show."""
         first = several[0]
-        fields = ("position", "velocity", "acceleration", "force")
+        fields = ("position", "deflection", "velocity", "acceleration", "force")
         joints = {
             j: Motion(*(max(getattr(s.joints[j], f) for s in several) for f in fields))
             for j in first.joints
@@ -111,7 +115,8 @@ def shown(problem: Problem) -> Shown:
             q, v = measured.position[j][samples], measured.velocity[j][samples]
             force = np.maximum(np.abs(found.load[:, d]), np.abs(found.bias[:, d]))
             force = np.maximum(force, inertia[:, d])
-            rows[j].append(np.stack([q, v, slope[:, d], force], axis=1))
+            bent = q - rest_position(machine, j)
+            rows[j].append(np.stack([q, bent, v, slope[:, d], force], axis=1))
         for a in machine.actuators:
             commands[a].append(measured.command[a])
             longest = max(longest, correlation_time(measured.command[a], measured.period))
@@ -119,7 +124,7 @@ def shown(problem: Problem) -> Shown:
     for j, parts in rows.items():
         x = np.concatenate(parts)
         ends = np.quantile(x[:, 0], [1.0 - TOP_QUANTILE, TOP_QUANTILE])
-        tops = (float(np.quantile(np.abs(x[:, k]), TOP_QUANTILE)) for k in (1, 2, 3))
+        tops = (float(np.quantile(np.abs(x[:, k]), TOP_QUANTILE)) for k in (1, 2, 3, 4))
         joints[j] = Motion(0.5 * float(np.ptp(ends)), *tops)
     half = {
         a: 0.5 * float(np.ptp(np.quantile(np.concatenate(c), [1.0 - TOP_QUANTILE, TOP_QUANTILE])))

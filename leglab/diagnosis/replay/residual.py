@@ -1,6 +1,6 @@
 """Recordings and machine as a least-squares problem: whitened errors, noise model and priors."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, field
 
@@ -15,7 +15,7 @@ from leglab.diagnosis.replay.lacking import balanced_joints
 from leglab.diagnosis.replay.replay import Replay
 from leglab.diagnosis.replay.starts import Nudge
 from leglab.diagnosis.replay.windows import Channel, filter_difference
-from leglab.diagnosis.thresholds import DEFAULT, Thresholds
+from leglab.diagnosis.thresholds import DEFAULT, ROOM, Thresholds
 
 # Share of a variance that rounding may take.
 _ROUNDING = 1e-9
@@ -61,15 +61,18 @@ def whitened(roots: np.ndarray, errors: np.ndarray) -> np.ndarray:
     return (roots @ errors.reshape(len(errors), -1, 1))[:, :, 0]
 
 
-def inverse_roots(covariance: np.ndarray) -> np.ndarray:
-    """Inverse Cholesky factors of covariances, shape (windows, size, size).
+def inverse_roots(covariances: Iterable[np.ndarray]) -> np.ndarray:
+    """Inverse Cholesky factors of covariances (size, size), shape (count, size, size).
 
-    Errors far above noise have few shapes; their covariance is positive but for rounding.
+    Errors far above noise have few shapes; their covariance is positive but for rounding. A third
+    of the work of a general inverse.
     """
-    widened = covariance * (1.0 + _ROUNDING * np.eye(covariance.shape[1]))
-    # A third of the work of a general inverse.
-    factors = [dtrtri(root, lower=1)[0] for root in np.linalg.cholesky(widened)]
-    return np.stack(factors, out=widened)
+
+    def factor(one: np.ndarray) -> np.ndarray:
+        root = np.linalg.cholesky(one * (1.0 + _ROUNDING * np.eye(len(one))))
+        return np.asarray(dtrtri(root, lower=1)[0])
+
+    return np.stack([factor(one) for one in covariances])
 
 
 def robust_cost(mean_square: np.ndarray, limit: float = DEFAULT.robust_limit) -> np.ndarray:
@@ -185,10 +188,10 @@ class Problem:
         for nudge, spread in self._nudges():
             moved = replay.error(change, nudge=nudge).values - reference
             directions.append(moved.reshape(-1, size) * (spread / nudge.size)[:, None])
-        together = np.stack(directions, axis=2)
-        covariance = together @ together.transpose(0, 2, 1)
-        covariance[:, range(size), range(size)] += variance.reshape(-1, size)
-        return NoiseModel(defect=defect, whitening=inverse_roots(covariance))
+        together = zip(np.stack(directions, axis=2), variance.reshape(-1, size), strict=True)
+        # One at a time: those of all windows take hundreds of megabytes.
+        whitening = inverse_roots(moves @ moves.T + np.diag(own) for moves, own in together)
+        return NoiseModel(defect=defect, whitening=whitening)
 
     def _nudges(self) -> list[tuple[Nudge, np.ndarray]]:
         """Nudges and the spread of each start state, shape (windows,)."""
@@ -270,6 +273,14 @@ def noise_alone(squares: np.ndarray, recording: np.ndarray) -> bool:
     share, limit = 1.0 - DEFAULT.smaller_share, DEFAULT.explained**2
     own = (squares[recording == r] for r in np.unique(recording))
     return all(float(np.quantile(one, share)) <= limit for one in own)
+
+
+def lessens(before: float, after: float) -> bool:
+    """Whether errors near noise become smaller by as much as an explanation makes them.
+
+    Both in noise levels, which 1 is for a model that lacks nothing.
+    """
+    return before - after >= DEFAULT.explanation_share * max(before - 1.0, ROOM)
 
 
 def thinned(mask: np.ndarray, count: int) -> np.ndarray:

@@ -14,7 +14,7 @@ from leglab.diagnosis.search.settle import Fit, Fitter
 from leglab.diagnosis.thresholds import BEHIND, BEST_SETS, LARGEST_SET, NEAR, PATTERNS, SCORED
 
 # Memory for products of linearisations that are kept [bytes]: a small part of any computer's.
-_MEMORY = 5e8
+_MEMORY = 2e8
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,8 @@ def rank(compared: Compared, fits: Sequence[Fit], kappa: float) -> list[Ranked]:
     fixed = compared.fitter.fixed
     rows = []
     for fit in fits:
-        spreads = [fixed] if fixed else [fit.spread, *(f.spread for f in near if f is not fit)]
+        own, others = fixed or fit.spread, [] if fixed else [f.spread for f in near]
+        spreads = list(dict.fromkeys([own, *others]))
         tries = [(fit, spread) for spread in spreads]
         tries += [
             (other, fixed or other.spread)
@@ -113,8 +114,8 @@ def rank(compared: Compared, fits: Sequence[Fit], kappa: float) -> list[Ranked]:
             scores[n] = replace(score, log=score.log - fit.unkept)
         place = int(np.argmax([score.log for score in scores]))
         evidence = compared.evidence(*tries[place], near[0], kappa)
-        own = max(score.log for score in scores[: len(spreads)])
-        rows.append(Ranked(fit, evidence, scores[place], scores[place].log - own))
+        here = max(score.log for score in scores[: len(spreads)])
+        rows.append(Ranked(fit, evidence, scores[place], scores[place].log - here))
     best: dict[frozenset[Key], Ranked] = {}
     for row in sorted(rows, key=lambda r: (-r.score.log, r.fit.level)):
         best.setdefault(row.fit.keys, row)

@@ -11,7 +11,7 @@ from leglab.diagnosis.likelihood.evidence import Evidence, Score
 from leglab.diagnosis.likelihood.priors import Priors
 from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.likelihood.unknowns import Unknowns
-from leglab.diagnosis.replay.residual import Problem, thinned
+from leglab.diagnosis.replay.residual import Problem, lessens, thinned
 from leglab.diagnosis.search.beam import beam, without_idle
 from leglab.diagnosis.search.rank import Compared, Proposal, Ranked, proposal, rank
 from leglab.diagnosis.search.regression import Balanced, balanced_sets
@@ -161,8 +161,9 @@ def search(
             erring = least_left.fit
             kappa = 1.0 / max(least_left.evidence.design_effect(least_left.score), 1.0)
             ranks = rank(compared, fits, kappa)
-        # Near noise first order is exact: what is behind nothing stays there.
-        if clear and not ranks[0].fit.members:
+        # Near noise first order is exact: what is behind nothing stays there. What is before it but
+        # hardly lessens the errors is not told.
+        if clear and not (ranks[0].fit.members and lessens(as_it_is, least_left.fit.level)):
             break
         # What may lead is fitted to its end; what is more probable where another set was fitted
         # also from there.
@@ -263,7 +264,7 @@ def _wanted(evidence: Evidence, ranked: Sequence[Score]) -> list[Proposal]:
     # What leads where the model is exact: its own error, as estimated while something is missing,
     # has that one's shape and hides it.
     widest = len(evidence.priors.spreads) - 1
-    shift = evidence.follow(evidence.whole, 0, widest, np.eye(1, evidence.gram.shape[1])[0])
+    shift = evidence.whole.follow(0, widest, np.eye(1, evidence.gram.shape[1])[0])
     exact = replace(evidence.score(()), size=evidence.places[0], spread=widest, shift=shift)
     for _, member in evidence.additions(exact)[:EACH_WAY]:
         score = evidence.score((member,))

@@ -107,6 +107,7 @@ class Fitter:
         tolerances, spread = STIFF
         self._stiff = replace(priors, spreads=(spread,), tolerances=tolerances, covariance=None)
         self._sensors = at.problem.noise.whitening[at.chosen]
+        self._of_noise: Spread | None = None
 
     def level(self, errors: np.ndarray) -> float:
         """Median error of windows in noise levels of the sensors."""
@@ -139,8 +140,14 @@ class Fitter:
         return Evidence(self.at, columns, spread, weight, kappa, priors or self.priors, places)
 
     def own_spread(self, errors: np.ndarray) -> Spread:
-        """Pattern of the model's own error: what healthy recordings say, else these errors."""
-        return self.fixed or Spread.of(self.at, errors)
+        """Pattern of the model's own error: what healthy recordings say, else these errors.
+
+        Where noise alone is left the first such pattern is as good as any later one.
+        """
+        if self.fixed or not self.clear(errors):
+            return self.fixed or Spread.of(self.at, errors)
+        self._of_noise = self._of_noise or Spread.of(self.at, errors)
+        return self._of_noise
 
     def about(self, errors: np.ndarray) -> tuple[Spread, np.ndarray]:
         """Pattern of the model's own error about a point, and weights where it has that size."""
@@ -332,15 +339,7 @@ class Fitter:
                 # one meets it (second-order correction; Fletcher 1982).
                 bend = errors - point.errors - point.tangents[:, :, :single] @ by
                 bend[np.abs(errors).max(axis=1) > BLOWN] = 0.0
-                bent = self.evidence(
-                    replace(point.columns, errors=point.errors + bend),
-                    evidence.spread,
-                    evidence.weight,
-                    evidence.kappa,
-                    evidence.priors,
-                    evidence.places,
-                )
-                values, spikes = bent.step(score, point.values, damping)
+                values, spikes = evidence.step(score, point.values, damping, bend)
                 by = self._by(members, values, spikes, point)
             if best is not None and best[0] < before:
                 after, moved, errors, values, spikes = best

@@ -17,7 +17,7 @@ from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.intake.admission import admit
 from leglab.diagnosis.intake.recordings import split_held_out
 from leglab.diagnosis.likelihood.unknowns import EVERY
-from leglab.diagnosis.replay.residual import Problem, noise_alone, whitened
+from leglab.diagnosis.replay.residual import Problem, lessens, noise_alone, whitened
 from leglab.diagnosis.result import (
     Calibration,
     Diagnosis,
@@ -36,7 +36,7 @@ from leglab.diagnosis.result import (
 from leglab.diagnosis.search.healthy import Specimen
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, searched
 from leglab.diagnosis.search.search import Found
-from leglab.diagnosis.thresholds import BEST_SETS, DEFAULT, LAW, NAMED, ROOM, VISIBLE
+from leglab.diagnosis.thresholds import BEST_SETS, DEFAULT, LAW, NAMED, VISIBLE
 from leglab.diagnosis.verdict.confidence import as_before, judged
 from leglab.diagnosis.verdict.experiment import propose
 from leglab.diagnosis.verdict.notes import at_limits, notes
@@ -103,8 +103,7 @@ def _lacks_nothing(outcome: Outcome) -> bool:
         return False
     with_it, without = (problem.noise_levels(h) for h in (outcome.final, outcome.unnamed))
     after, before = (rms(squares[problem.held]) for squares in (with_it, without))
-    lessens = before - after >= problem.thresholds.explanation_share * max(before - 1.0, ROOM)
-    return not lessens and noise_alone(without, problem.replay.recording)
+    return not lessens(before, after) and noise_alone(without, problem.replay.recording)
 
 
 def _clear_elsewhere(outcome: Outcome) -> bool:
@@ -356,7 +355,7 @@ def _not_testable(outcome: Outcome) -> tuple[NotTestable, ...]:
     evidence = found.fitter.evidence(
         first, found.ranks[0].evidence.spread, np.ones(len(first.errors)), 1.0, places=[0]
     )
-    shown = np.diag(evidence.whole.inner[0, 0]).tolist()
+    shown = np.diag(evidence.whole.every(0, 0)).tolist()
     columns = [(q, 1 + q) for q in range(len(u)) if u.nameable[q]]
     columns += [(q, 1 + len(u) + j) for j, (q, _) in enumerate(first.jumps)]
     seen: dict[Key, float] = {}
