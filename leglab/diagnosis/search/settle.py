@@ -199,7 +199,7 @@ class Fitter:
         # By so much tangents have missed what replays showed since they were taken [nats].
         missed, off = 0.0, _beyond(columns, point)
         slow = given_up = finished = False
-        unkept = 0.0
+        unkept = damping = 0.0
         fine = columns.fine
         telling = most = None
         renewed, taken = 0, columns.x
@@ -231,7 +231,10 @@ class Fitter:
                 score = evidence.score([(q, None) for q in members])
             if not first:
                 telling, most = evidence.telling(score), evidence.visible(score)
-            promise, then = self._stepped(evidence, score, point, members, lower=first)
+            # What damped the step before by one less, the first time and for members alone nothing.
+            begin = 0 if first or fresh else max(DAMPINGS.index(damping) - 1, 0)
+            dampings = DAMPINGS[:1] if first else DAMPINGS[begin:]
+            promise, then = self._stepped(evidence, score, point, members, dampings, lower=first)
             if then is None:
                 if first:
                     stiff_turns = turn + 1
@@ -296,6 +299,7 @@ class Fitter:
         score: Score,
         point: Point,
         members: Sequence[int],
+        dampings: Sequence[float],
         *,
         lower: bool,
     ) -> tuple[float, tuple[float, float, np.ndarray, Point] | None]:
@@ -309,21 +313,22 @@ class Fitter:
             score: Of the set there.
             point: There.
             members: Of the set.
+            dampings: That are tried, in order.
             lower: Whether errors may not grow beside the sensors' noise either: while a gross
                 fault is there, its own shape is in the pattern of errors, and the cost is low
                 wherever that is left.
         """
         highest = self.level(point.errors) if lower else np.inf
         before = self._cost(evidence, score, point.errors, point.values, point.spikes)
-        promise, single = 0.0, self.at.unknowns.single
-        for damping in DAMPINGS:
-            values, spikes = evidence.step(score, point.values, damping)
-            by = self._by(members, values, spikes, point)
-            if damping == 0.0:
-                errors = point.errors + point.tangents[:, :, :single] @ by
-                promise = 0.5 * (before - self._cost(evidence, score, errors, values, spikes))
-                if promise < ENOUGH:
-                    break
+        single = self.at.unknowns.single
+        values, spikes = evidence.step(score, point.values, 0.0)
+        by = self._by(members, values, spikes, point)
+        errors = point.errors + point.tangents[:, :, :single] @ by
+        promise = 0.5 * (before - self._cost(evidence, score, errors, values, spikes))
+        for damping in dampings if promise >= ENOUGH else ():
+            if damping > 0.0:
+                values, spikes = evidence.step(score, point.values, damping)
+                by = self._by(members, values, spikes, point)
             best = None
             for _ in range(1 + BENDS):
                 moved = self._moved(point, by)
