@@ -58,6 +58,13 @@ class EffectParameter:
                 f"[{self.lower:g}, {self.upper:g}] {self.unit}"
             )
 
+    @classmethod
+    def shape(
+        cls, name: str, unit: str, nominal: float, lower: float, upper: float
+    ) -> "EffectParameter":
+        """A shape, of which no values are tried."""
+        return cls(name, unit, nominal=nominal, lower=lower, upper=upper, role="shape")
+
     @property
     def scale(self) -> float:
         """Distance from nominal that matters: what finite differences and fits step by.

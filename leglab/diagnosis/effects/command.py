@@ -1,7 +1,7 @@
-"""Faults of a command on its way to an actuator: delay, dead band, play, lag, bias."""
+"""Native actuators: their gain, and what happens to a command on its way to any."""
 
 from collections.abc import Callable, Mapping
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
@@ -11,6 +11,9 @@ from leglab.diagnosis.effects.base import EffectParameter, TableEffect, Values, 
 from leglab.diagnosis.plant.model import Change, Machine
 from leglab.diagnosis.plant.paths import COMMAND_PATH, dead_band, delayed, lagged, play
 
+_FIXED, _AFFINE = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE)
+_NO_BIAS, _AFFINE_BIAS = int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)
+_INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
 # A command path keeps at least this much history.
 _SHORTEST_HISTORY = 0.05  # s
 _SERVO_BAND = "servo_dead_band"
@@ -27,20 +30,26 @@ def write_command_path(spec: mujoco.MjSpec, actuator: str, values: Mapping[str, 
     joints.insert(spec, COMMAND_PATH, f"{actuator}_path", {"actuator": actuator, **values})
 
 
+def natives(machine: Machine, wanted: Callable[[Any], bool]) -> tuple[str, ...]:
+    """Native actuators that something is true of, told by MuJoCo's view of each."""
+    model = machine.base.model
+    return tuple(name for name in machine.native_actuators() if wanted(model.actuator(name)))
+
+
 def position_servos(machine: Machine) -> tuple[str, ...]:
     """Native actuators whose force is a gain times the error of a position, and damping."""
-    model = machine.base.model
-    return tuple(
-        name
-        for i, name in enumerate(machine.actuators)
-        if model.actuator_plugin[i] < 0
-        and model.actuator_gaintype[i] == int(mujoco.mjtGain.mjGAIN_FIXED)
-        and model.actuator_biastype[i] == int(mujoco.mjtBias.mjBIAS_AFFINE)
-        and model.actuator_dyntype[i] != int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
-        and model.actuator_biasprm[i, 0] == 0.0
-        and model.actuator_biasprm[i, 1] == -model.actuator_gainprm[i, 0] != 0.0
-        and machine.driven[name]
-    )
+
+    def serves(actuator: Any) -> bool:
+        return (
+            actuator.gaintype[0] == _FIXED
+            and actuator.biastype[0] == _AFFINE_BIAS
+            and actuator.dyntype[0] != _INTEGRATOR
+            and actuator.biasprm[0] == 0.0
+            and actuator.biasprm[1] == -actuator.gainprm[0] != 0.0
+            and bool(machine.driven[actuator.name])
+        )
+
+    return natives(machine, serves)
 
 
 def command_size(machine: Machine, element: str) -> float:
@@ -212,10 +221,43 @@ class CommandBias(CommandEffect):
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """Native actuators whose bias is not a constant force."""
-        integrator, affine = int(mujoco.mjtDyn.mjDYN_INTEGRATOR), int(mujoco.mjtGain.mjGAIN_AFFINE)
-        actuators = {name: machine.base.model.actuator(name) for name in machine.native_actuators()}
-        return tuple(
-            name
-            for name, actuator in actuators.items()
-            if actuator.dyntype[0] == integrator or actuator.gaintype[0] == affine
-        )
+        return natives(machine, lambda a: a.dyntype[0] == _INTEGRATOR or a.gaintype[0] == _AFFINE)
+
+
+@register_effect
+class ActuatorGain(TableEffect):
+    """An actuator that is stronger or weaker than the model says."""
+
+    name = "actuator_gain"
+    group = "sensing"
+    physics = "gain x force: torque constant, gear efficiency, current calibration."
+    source = "torque constants of servo motors: 2 % between good ones, 10 % on data sheets"
+    excitation = "forces of different size"
+    rows = (
+        EffectParameter(
+            "gain",
+            "1",
+            nominal=1.0,
+            lower=0.05,
+            upper=5.0,
+            trials=(0.5, 0.9, 0.98, 1.02, 1.1, 1.5),
+            tolerance=0.02,
+        ),
+    )
+
+    def elements(self, machine: Machine) -> tuple[str, ...]:
+        """Native actuators with fixed or affine gain and bias."""
+        gains, biases = (_FIXED, _AFFINE), (_NO_BIAS, _AFFINE_BIAS)
+        return natives(machine, lambda a: a.gaintype[0] in gains and a.biastype[0] in biases)
+
+    def apply(self, change: Change, element: str, values: Values) -> None:
+        """Scales gain and bias of the actuator."""
+        gain = values["gain"]
+
+        def edit(spec: mujoco.MjSpec) -> None:
+            actuator = spec.actuator(element)
+            actuator.gainprm = actuator.gainprm * gain
+            actuator.biasprm = actuator.biasprm * gain
+
+        if gain != 1.0:
+            change.edit(("actuator_gain", element, gain), edit)

@@ -1,4 +1,4 @@
-"""Springs and dampers beside a joint: a spring-damper element, or MuJoCo's own."""
+"""Springs, dampers and forces beside a joint: a spring-damper element, or MuJoCo's own."""
 
 import math
 
@@ -171,3 +171,20 @@ class QuadraticDamping(JointEffect):
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Sets the coefficient of the element that is there, or of a new one."""
         set_spring(change, element, "quadratic_damper", "quadratic_damping", values["damping"])
+
+
+@register_effect
+class ForceOffset(JointEffect):
+    """A constant force on a joint: a cable, a counterweight, a current offset."""
+
+    name = "force_offset"
+    group = "sensing"
+    physics = "constant generalised force"
+    source = "offset of a torque loop, pull of a cable or hose"
+    excitation = "any motion; rest under little friction"
+    rows = (JointRow("force", "{force}", (-0.1, -0.02, 0.02, 0.1), lower=-2.0, upper=2.0),)
+
+    def apply(self, change: Change, element: str, values: Values) -> None:
+        """Inserts a spring-damper that has nothing but the constant force."""
+        if values["force"]:
+            insert_spring(change, element, "force", {"force_offset": values["force"]})

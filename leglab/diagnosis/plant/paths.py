@@ -6,6 +6,7 @@ replayed model and applied to commands and measured columns, as hypothetical fau
 """
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 
 import mujoco
@@ -41,40 +42,40 @@ def take_out(spec: mujoco.MjSpec) -> tuple[dict[str, list[CommandPath]], dict[st
     Returns:
         What commands met, by actuator, in order, and what undoes the faults of a column.
     """
-    commands: dict[str, list[CommandPath]] = {}
+    commands: defaultdict[str, list[CommandPath]] = defaultdict(list)
     for actuator in spec.actuators:
         if float(actuator.delay) > 0.0:
-            commands.setdefault(actuator.name, []).extend(_functions({"delay": actuator.delay}))
+            commands[actuator.name] += _functions({"delay": actuator.delay})
             actuator.delay, actuator.nsample = 0.0, 0
     for plugin in spec.plugins:
         if plugin.plugin_name == COMMAND_PATH:
             config = dict(plugin.config)
-            commands.setdefault(config["actuator"], []).extend(_functions(config))
+            commands[config["actuator"]] += _functions(config)
             # What acts beside the command is no function of it, and stays.
             kept = ("actuator", "actuator_gain", "servo_dead_band", "max_delay")
             plugin.config = {k: v for k, v in config.items() if k in kept}
-    corrections: dict[str, Corrections] = {}
+    corrections: defaultdict[str, Corrections] = defaultdict(list)
     for joint in spec.joints:
-        for sensor, offset, scale in (
-            *((chamber, PRESSURE_OFFSET, PRESSURE_SCALE) for chamber in CHAMBERS),
-            ("position", ENCODER_OFFSET, ENCODER_SCALE),
-        ):
-            place = {"joint": joint.name, "chamber": sensor}
-            shift = number_of(spec, offset.format(**place), 0.0)
-            factor = number_of(spec, scale.format(**place), 1.0)
-            undone: Corrections = []
-            if shift != 0.0:
-                undone.append((undo_offset(shift), 1.0))
-            if factor != 1.0:
-                undone.append((undo_scale(factor), 1.0 / factor))
-            if undone:
-                corrections[f"{joint.name}_{sensor}"] = undone
+        for sensor in (*CHAMBERS, "position"):
+            offset, scale = numerics(joint.name, sensor)
+            if shift := number_of(spec, offset, 0.0):
+                corrections[f"{joint.name}_{sensor}"].append((undo_offset(shift), 1.0))
+            if (factor := number_of(spec, scale, 1.0)) != 1.0:
+                corrections[f"{joint.name}_{sensor}"].append((undo_scale(factor), 1.0 / factor))
         shown = spec.sensor(delayed_sensor(joint.name))
         if shown is not None and float(shown.delay) > 0.0:
-            undone = corrections.setdefault(f"{joint.name}_position", [])
-            undone.append((undo_delay(float(shown.delay)), 1.0))
+            undone = undo_delay(float(shown.delay))
+            corrections[f"{joint.name}_position"].append((undone, 1.0))
             shown.delay, shown.nsample = 0.0, 0
-    return commands, corrections
+    return dict(commands), dict(corrections)
+
+
+def numerics(joint: str, sensor: str) -> tuple[str, str]:
+    """Names of a sensor's offset and scale: of a joint's "position", or of a chamber."""
+    place = {"joint": joint, "chamber": sensor}
+    if sensor == "position":
+        return ENCODER_OFFSET.format(**place), ENCODER_SCALE.format(**place)
+    return PRESSURE_OFFSET.format(**place), PRESSURE_SCALE.format(**place)
 
 
 def set_number(spec: mujoco.MjSpec, name: str, value: float) -> None:
