@@ -170,14 +170,18 @@ class Effect(ABC):
         return
 
 
+# A parameter of an effect, of machine and element.
+Row = Callable[[Machine, str], EffectParameter]
+
+
 class TableEffect(Effect):
     """Base of effects with a table of parameters.
 
     Attributes:
-        rows: What is the same on every element, or a function of machine and element that gives it.
+        rows: Each the same on every element, or a function of it.
     """
 
-    rows: ClassVar[tuple[EffectParameter | Callable[[Machine, str], EffectParameter], ...]] = ()
+    rows: ClassVar[tuple[EffectParameter | Row, ...]] = ()
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """The rows on an element."""

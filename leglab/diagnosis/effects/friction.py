@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 from leglab.diagnosis.effects import joints
-from leglab.diagnosis.effects.base import EffectParameter, Values, register_effect
+from leglab.diagnosis.effects.base import EffectParameter, Row, Values, register_effect
 from leglab.diagnosis.effects.joints import JointEffect, JointRow
 from leglab.diagnosis.plant.model import CYLINDER, FRICTION, Change, Machine
 
@@ -68,6 +68,12 @@ class JointCoulombFriction(FrictionEffect):
             insert_friction(change, element, self.name, {"coulomb": more, "static": more})
 
 
+def _stribeck_velocity(machine: Machine, joint: str) -> EffectParameter:
+    limits = (0.05, 0.005, 1.0) if machine.unit(joint) == "rad" else (0.01, 0.001, 0.2)
+    unit = joints.unit_of(machine, joint, "{length}/s")
+    return EffectParameter.shape("stribeck_velocity", unit, *limits)
+
+
 @register_effect
 class JointStiction(FrictionEffect):
     """Breakaway friction above the Coulomb friction of a joint."""
@@ -76,20 +82,11 @@ class JointStiction(FrictionEffect):
     physics = "(F_s - F_c) exp(-|v/v_s|^n) sgn(v), LuGre bristle before sliding."
     source = "Canudas de Wit et al. 1995; n by Armstrong-Helouvry et al. 1994, sect. 2.1.3"
     excitation = "slow motion, reversals and rest"
-    rows = (JointRow("breakaway", "{force}", (0.02, 0.1), upper=1.0),)
-
-    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """Breakaway above Coulomb friction; Stribeck velocity and exponent."""
-        hinge = machine.unit(element) == "rad"
-        nominal, lower, upper = (0.05, 0.005, 1.0) if hinge else (0.01, 0.001, 0.2)
-        unit = joints.unit_of(machine, element, "{length}/s")
-        stribeck = EffectParameter(
-            "stribeck_velocity", unit, nominal=nominal, lower=lower, upper=upper, role="shape"
-        )
-        exponent = EffectParameter(
-            "stribeck_exponent", "1", nominal=2.0, lower=0.5, upper=4.0, role="shape"
-        )
-        return (*super().parameters(machine, element), stribeck, exponent)
+    rows = (
+        JointRow("breakaway", "{force}", (0.02, 0.1), upper=1.0),
+        _stribeck_velocity,
+        EffectParameter.shape("stribeck_exponent", "1", 2.0, 0.5, 4.0),
+    )
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts joint friction that has a breakaway level only."""
@@ -131,6 +128,14 @@ def _loads(machine: Machine, joint: str) -> tuple[str, ...]:
     return ("actuator",) * driven + ("bias",) * heavy
 
 
+def _viscous(name: str) -> Row:
+    """Viscous friction that is added, or takes off most of the drive's."""
+    row = JointRow(name, "{force} s/{length}", (0.02, 0.1), upper=10.0)
+    return lambda machine, joint: replace(
+        row(machine, joint), lower=-0.8 * joints.drive_damping(machine, joint)
+    )
+
+
 @register_effect
 class AsymmetricFriction(JointEffect):
     """Friction that differs by direction."""
@@ -147,19 +152,11 @@ class AsymmetricFriction(JointEffect):
         ("coulomb_forward", "coulomb_backward"),
     )
     rows = (
-        JointRow("viscous_forward", "{force} s/{length}", (0.02, 0.1), upper=10.0),
-        JointRow("viscous_backward", "{force} s/{length}", (0.02, 0.1), upper=10.0),
+        _viscous("viscous_forward"),
+        _viscous("viscous_backward"),
         JointRow("coulomb_forward", "{force}", (0.01, 0.05), upper=1.0),
         JointRow("coulomb_backward", "{force}", (0.01, 0.05), upper=1.0),
     )
-
-    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """Added friction of each direction; the viscous one may take off most of the drive's."""
-        least = -0.8 * joints.drive_damping(machine, element)
-        return tuple(
-            replace(parameter, lower=least) if parameter.name.startswith("viscous") else parameter
-            for parameter in super().parameters(machine, element)
-        )
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts joint friction with a mean and a difference."""
