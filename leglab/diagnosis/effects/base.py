@@ -112,8 +112,7 @@ class EffectParameter:
 class Effect(ABC):
     """A physical cause that a simulation may lack.
 
-    Subclasses keep no state. Those with a table of parameters start from `TableEffect`, on
-    cylinders, joints and commands from `CylinderEffect`, `JointEffect` and `CommandEffect`.
+    Subclasses keep no state. Those with a table of parameters start from `TableEffect`.
 
     Attributes:
         name: As reports print it; variants (on a cylinder, on a plain joint) may share it, as long
@@ -178,16 +177,14 @@ class TableEffect(Effect):
     """Base of effects with a table of parameters.
 
     Attributes:
-        rows: Each the same on every element, or a function of it.
+        rows: Each the same on every element, or a function of machine and element.
     """
 
     rows: ClassVar[tuple[EffectParameter | Row, ...]] = ()
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """The rows on an element."""
-        return tuple(
-            row if isinstance(row, EffectParameter) else row(machine, element) for row in self.rows
-        )
+        return tuple(row(machine, element) if callable(row) else row for row in self.rows)
 
 
 _REGISTRY: dict[tuple[str, str], Effect] = {}

@@ -1,15 +1,15 @@
 """Native actuators: their gain, and what happens to a command on its way to any."""
 
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from leglab.diagnosis.effects import joints
-from leglab.diagnosis.effects.base import EffectParameter, TableEffect, Values, register_effect
+from leglab.diagnosis.effects.base import EffectParameter, Row, TableEffect, Values, register_effect
 from leglab.diagnosis.plant.model import Change, Machine
-from leglab.diagnosis.plant.paths import COMMAND_PATH, dead_band, delayed, lagged, play
+from leglab.diagnosis.plant.paths import COMMAND_PATH, command_path
 
 _FIXED, _AFFINE = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE)
 _NO_BIAS, _AFFINE_BIAS = int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)
@@ -53,10 +53,10 @@ def position_servos(machine: Machine) -> tuple[str, ...]:
 
 
 def command_size(machine: Machine, element: str) -> float:
-    """Command that matters at a native actuator, in the unit of its commands.
+    """Command that matters at a native actuator: half its range; 1 where it has none.
 
-    Half its range; 1 where it has none. Of a position servo a fifth of what its joint may travel:
-    its range says where it can go, not how well it gets there.
+    Of a position servo a fifth of what its joint may travel: its range says where it can go, not
+    how well it gets there.
     """
     actuator = machine.base.model.actuator(element)
     if element in position_servos(machine):
@@ -65,9 +65,7 @@ def command_size(machine: Machine, element: str) -> float:
     return 0.5 * float(np.ptp(actuator.ctrlrange)) if actuator.ctrllimited[0] else 1.0
 
 
-def command_row(
-    name: str, trials: tuple[float, ...], *, lower: float = 0.0, upper: float
-) -> Callable[[Machine, str], EffectParameter]:
+def command_row(name: str, trials: tuple[float, ...], *, lower: float = 0.0, upper: float) -> Row:
     """A parameter in the unit of commands; trials and bounds are shares of `command_size`."""
 
     def row(machine: Machine, actuator: str) -> EffectParameter:
@@ -79,15 +77,9 @@ def command_row(
 
 
 class CommandEffect(TableEffect):
-    """Base of effects that one parameter of `leglab.command_path` describes.
-
-    Attributes:
-        arrives: What the actuator gets, (n,): of commands (n,), a value of the parameter and the
-            sampling period [s].
-    """
+    """Base of effects that one parameter of `leglab.command_path` describes."""
 
     group = "valve and command"
-    arrives: ClassVar["staticmethod[[np.ndarray, float, float], np.ndarray]"]
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """Native actuators."""
@@ -95,9 +87,8 @@ class CommandEffect(TableEffect):
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Passes the measured command through the path."""
-        (value,) = values.values()
-        if value:
-            change.command(element, lambda samples, period: self.arrives(samples, value, period))
+        for function in command_path(values):
+            change.command(element, function)
 
     def write(self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Values) -> None:
         """Writes the parameter into the actuator's command path."""
@@ -114,7 +105,6 @@ class CommandDelay(CommandEffect):
     source = "fieldbus and controller cycles: 1 to 40 ms"
     excitation = "commands that change faster than the delay lasts"
     rows = (EffectParameter("delay", "s", upper=0.06, trials=(0.001, 0.004, 0.012, 0.03)),)
-    arrives = staticmethod(delayed)
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """All actuators."""
@@ -147,12 +137,11 @@ class CommandDeadband(CommandEffect):
     source = "Tao and Kokotovic 1996"
     excitation = "commands through zero"
     rows = (command_row("dead_band", (0.01, 0.05, 0.2), upper=0.5),)
-    arrives = staticmethod(lambda samples, value, _: dead_band(samples, value))
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """Native actuators but position servos."""
         servos = position_servos(machine)
-        return tuple(a for a in super().elements(machine) if a not in servos)
+        return tuple(name for name in machine.native_actuators() if name not in servos)
 
 
 @register_effect
@@ -164,7 +153,7 @@ class ServoDeadband(TableEffect):
     physics = "kp (e - d sgn(e)) beyond |e| = d, nothing below, of the position error e = u - q."
     source = "dead bands and compliance margins of position servos: 1 to 20 mrad"
     excitation = "rest and slow motion under small loads"
-    # Half the width of the dead band.
+    # Half the width.
     rows = (command_row("dead_band", (0.02, 0.08, 0.3), upper=2.0),)
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
@@ -193,7 +182,6 @@ class CommandHysteresis(CommandEffect):
     source = "Krasnosel'skii and Pokrovskii 1989"
     excitation = "commands that reverse"
     rows = (command_row("hysteresis", (0.02, 0.1, 0.3), upper=1.0),)
-    arrives = staticmethod(lambda samples, value, _: play(samples, value))
 
 
 @register_effect
@@ -205,7 +193,6 @@ class CommandBandwidth(CommandEffect):
     source = "current loops of drives: 100 to 1000 Hz"
     excitation = "commands that change within the time constant"
     rows = (EffectParameter("time_constant", "s", upper=0.5, trials=(0.003, 0.015, 0.06)),)
-    arrives = staticmethod(lagged)
 
 
 @register_effect
@@ -217,7 +204,6 @@ class CommandBias(CommandEffect):
     source = "offsets of analogue command inputs: within 1 % of full scale"
     excitation = "motion under different loads"
     rows = (command_row("bias", (-0.1, -0.02, 0.02, 0.1), lower=-0.5, upper=0.5),)
-    arrives = staticmethod(lambda samples, value, _: samples + value)
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """Native actuators whose bias is not a constant force."""

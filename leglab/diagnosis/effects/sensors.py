@@ -30,11 +30,8 @@ class SensorFault(TableEffect):
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Subtracts offsets from what was measured, or divides it by scales."""
         for joint, sensor, offset, scale in self._faults(change.machine, element, values):
-            if offset:
-                change.correct(f"{joint}_{sensor}", paths.undo_offset(offset))
-            elif scale != 1.0:
-                undo = paths.undo_scale(scale)
-                change.correct(f"{joint}_{sensor}", undo, noise_gain=1.0 / scale)
+            for undo, gain in paths.undo(offset, scale):
+                change.correct(f"{joint}_{sensor}", undo, noise_gain=gain)
 
     def write(self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Values) -> None:
         """Adds numerics to those that are there: s (scale x true + offset) + o, s and o the old."""

@@ -45,12 +45,12 @@ def take_out(spec: mujoco.MjSpec) -> tuple[dict[str, list[CommandPath]], dict[st
     commands: defaultdict[str, list[CommandPath]] = defaultdict(list)
     for actuator in spec.actuators:
         if float(actuator.delay) > 0.0:
-            commands[actuator.name] += _functions({"delay": actuator.delay})
+            commands[actuator.name] += command_path({"delay": actuator.delay})
             actuator.delay, actuator.nsample = 0.0, 0
     for plugin in spec.plugins:
         if plugin.plugin_name == COMMAND_PATH:
             config = dict(plugin.config)
-            commands[config["actuator"]] += _functions(config)
+            commands[config["actuator"]] += command_path(config)
             # What acts beside the command is no function of it, and stays.
             kept = ("actuator", "actuator_gain", "servo_dead_band", "max_delay")
             plugin.config = {k: v for k, v in config.items() if k in kept}
@@ -58,16 +58,13 @@ def take_out(spec: mujoco.MjSpec) -> tuple[dict[str, list[CommandPath]], dict[st
     for joint in spec.joints:
         for sensor in (*CHAMBERS, "position"):
             offset, scale = numerics(joint.name, sensor)
-            if shift := number_of(spec, offset, 0.0):
-                corrections[f"{joint.name}_{sensor}"].append((undo_offset(shift), 1.0))
-            if (factor := number_of(spec, scale, 1.0)) != 1.0:
-                corrections[f"{joint.name}_{sensor}"].append((undo_scale(factor), 1.0 / factor))
+            undone = undo(number_of(spec, offset, 0.0), number_of(spec, scale, 1.0))
+            corrections[f"{joint.name}_{sensor}"] += undone
         shown = spec.sensor(delayed_sensor(joint.name))
         if shown is not None and float(shown.delay) > 0.0:
-            undone = undo_delay(float(shown.delay))
-            corrections[f"{joint.name}_position"].append((undone, 1.0))
+            corrections[f"{joint.name}_position"].append((undo_delay(float(shown.delay)), 1.0))
             shown.delay, shown.nsample = 0.0, 0
-    return dict(commands), dict(corrections)
+    return dict(commands), {column: undone for column, undone in corrections.items() if undone}
 
 
 def numerics(joint: str, sensor: str) -> tuple[str, str]:
@@ -93,7 +90,7 @@ def number_of(spec: mujoco.MjSpec, name: str, otherwise: float) -> float:
     return otherwise if numeric is None else float(numeric.data[0])
 
 
-def _functions(config: Mapping[str, str | float]) -> list[CommandPath]:
+def command_path(config: Mapping[str, str | float]) -> list[CommandPath]:
     """Functions that a `leglab.command_path` applies to held commands, in its order."""
     names = ("delay", "bias", "hysteresis", "dead_band", "time_constant")
     delay, bias, width, half_width, time_constant = (float(config.get(n, 0.0)) for n in names)
@@ -147,14 +144,14 @@ def lagged(samples: np.ndarray, time_constant: float, period: float) -> np.ndarr
     return samples + (before - samples) * (1.0 - decay) * time_constant / period
 
 
-def undo_offset(offset: float) -> Correction:
-    """Takes an offset off measured samples."""
-    return lambda samples, period: samples - offset
-
-
-def undo_scale(scale: float) -> Correction:
-    """Divides measured samples by a factor."""
-    return lambda samples, period: samples / scale
+def undo(offset: float, scale: float) -> Corrections:
+    """Takes an offset off measured samples, then divides them by a scale; nothing for 0 and 1."""
+    undone: Corrections = []
+    if offset != 0.0:
+        undone.append((lambda samples, period: samples - offset, 1.0))
+    if scale != 1.0:
+        undone.append((lambda samples, period: samples / scale, 1.0 / scale))
+    return undone
 
 
 def undo_delay(delay: float) -> Correction:
