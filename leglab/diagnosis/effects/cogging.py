@@ -38,7 +38,6 @@ class Cogging(JointEffect):
     """A force that repeats with the position of the joint."""
 
     name = "cogging"
-    group = "mechanics"
     physics = (
         "A sin(x) + B cos(x) and a second harmonic, x = 2 pi q/P: cogging of motors, eccentric "
         "gears, screws."

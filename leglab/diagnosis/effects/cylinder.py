@@ -51,13 +51,6 @@ def relative(
 absolute = partial(relative, added=True)
 
 
-def _shift(change: Change, cylinder: str, name: str, difference: float) -> None:
-    """Adds to a parameter; breakaway friction moves along with Coulomb's, to stay above it."""
-    change.add_parameter(cylinder, name, difference)
-    if name == "coulomb":
-        change.add_parameter(cylinder, "static", difference)
-
-
 class CylinderEffect(TableEffect):
     """Base of effects on cylinders, mostly on plugin parameters; rows give which and how far."""
 
@@ -68,7 +61,10 @@ class CylinderEffect(TableEffect):
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Shifts the plugin parameters by the difference from nominal."""
         for name, value in values.items():
-            _shift(change, element, name, value - change.machine.parameter(element, name))
+            difference = value - change.machine.parameter(element, name)
+            change.add_parameter(element, name, difference)
+            if name == "coulomb":  # breakaway friction moves along, to stay above it
+                change.add_parameter(element, "static", difference)
 
 
 def define(name: str, *rows: Row, **attributes: str | bool) -> None:
@@ -213,13 +209,7 @@ class AsymmetricSealFriction(CylinderEffect):
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Shifts mean and difference of the plugin's friction."""
-        machine = change.machine
-        for name in ("viscous", "coulomb"):
-            extending, retracting = values[f"{name}_extending"], values[f"{name}_retracting"]
-            mean = 0.5 * (extending + retracting)
-            _shift(change, element, name, mean - machine.parameter(element, name))
-            own = machine.parameter(element, f"{name}_difference")
-            change.add_parameter(element, f"{name}_difference", extending - retracting - own)
+        super().apply(change, element, joints.mean_and_difference(self.by_direction, values))
 
 
 define(

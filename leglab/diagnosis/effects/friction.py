@@ -160,11 +160,6 @@ class AsymmetricFriction(JointEffect):
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts joint friction with a mean and a difference."""
-        if not any(values.values()):
-            return
-        found = {}
-        for kind in ("viscous", "coulomb"):
-            forward, backward = values[f"{kind}_forward"], values[f"{kind}_backward"]
-            found[kind] = 0.5 * (forward + backward)
-            found[f"{kind}_difference"] = forward - backward
-        insert_friction(change, element, self.name, {**found, "static": found["coulomb"]})
+        if any(values.values()):
+            found = joints.mean_and_difference(self.by_direction, values)
+            insert_friction(change, element, self.name, {**found, "static": found["coulomb"]})

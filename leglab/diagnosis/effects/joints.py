@@ -10,7 +10,6 @@ import numpy as np
 
 from leglab.diagnosis.effects.base import EffectParameter, TableEffect, Values
 from leglab.diagnosis.plant.model import CYLINDER, Change, Machine
-from leglab.machine.simulation import actuator_moments
 
 # Standard deviation of a native field between good machines, a share of its value.
 _TOLERANCE = 0.1
@@ -49,17 +48,11 @@ def gravity(machine: Machine, joint: str) -> float:
     return max(found)
 
 
-@lru_cache(maxsize=256)
 def drive_damping(machine: Machine, joint: str) -> float:
     """Viscous friction that acts on a joint [N m s/rad or N s/m]: its own and its cylinders'."""
-    model = machine.base.model
-    data = mujoco.MjData(model)
-    data.qpos[:] = model.qpos0 + 0.1
-    mujoco.mj_forward(model, data)
-    levers = actuator_moments(model, data)[:, model.joint(joint).dofadr[0]]
-    total = native(machine, joint, "damping")
+    total, dof = native(machine, joint, "damping"), machine.base.model.joint(joint).dofadr[0]
     for cylinder in machine.instances(CYLINDER):
-        lever = float(levers[model.actuator(cylinder).id])
+        lever = float(machine.moments[machine.actuators.index(cylinder), dof])
         total += machine.parameter(cylinder, "viscous") * lever**2
     return total
 
@@ -103,6 +96,15 @@ def insert_on_joint(
     change.edit(key, lambda spec: insert(spec, plugin, name, full))
     for parameter, value in values.items():
         change.set_parameter(name, parameter, value)
+
+
+def mean_and_difference(pairs: tuple[tuple[str, str], ...], values: Values) -> dict[str, float]:
+    """Viscous and Coulomb friction as plugins take it, from pairs by direction, `by_direction`."""
+    found = {}
+    for kind, (one, other) in zip(("viscous", "coulomb"), pairs, strict=True):
+        found[kind] = 0.5 * (values[one] + values[other])
+        found[f"{kind}_difference"] = values[one] - values[other]
+    return found
 
 
 @dataclass(frozen=True)
@@ -150,6 +152,8 @@ class JointRow:
 
 class JointEffect(TableEffect):
     """Base of effects on joints."""
+
+    group = "mechanics"
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """All joints."""

@@ -20,7 +20,6 @@ class Armature(JointEffect):
     """Inertia that turns with a joint but not with its links."""
 
     name = "armature"
-    group = "mechanics"
     physics = "J q'': rotor and gears, times the ratio squared."
     source = "mechanics; rotor inertias of data sheets are good to 10 %"
     excitation = "accelerations of different size"

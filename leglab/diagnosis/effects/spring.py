@@ -45,7 +45,6 @@ class SpringStiffness(JointEffect):
     """A spring that has tired or was exchanged, or one that the model lacks."""
 
     name = "spring_stiffness"
-    group = "mechanics"
     physics = "-k (q - q_0); with a spring-damper element its k1."
     source = "Hooke; tolerance of coil springs DIN 2095 grade 2"
     excitation = "positions over a range"
@@ -80,7 +79,6 @@ class SpringHardening(JointEffect):
     """A spring that stiffens with its deflection."""
 
     name = "spring_hardening"
-    group = "mechanics"
     physics = "-k3 y^3 (Duffing), with a spring-damper element -k2 y^3 sin^2 y; y = q - q_0."
     source = "Duffing 1918; Folgheraiter, Eq. 23"
     excitation = "large positions on both sides of the rest position"
@@ -112,7 +110,6 @@ class SpringOffset(JointEffect):
     """A spring that rests elsewhere: mounted wrongly, set, or slipped."""
 
     name = "spring_offset"
-    group = "mechanics"
     physics = "-k (q - q_0 - shift)"
     source = "mounting and set of coil springs, some per cent of their travel"
     excitation = "positions over a range, so that it differs from a constant force"
@@ -153,7 +150,6 @@ class QuadraticDamping(JointEffect):
     """A damper whose force grows with the speed squared."""
 
     name = "quadratic_damping"
-    group = "mechanics"
     physics = "-d |v| v: orifice dampers, drag."
     source = "turbulent flow (Bernoulli); Folgheraiter's damper, docs/physics.md"
     excitation = "slow and fast motion, which tell it from viscous friction"
