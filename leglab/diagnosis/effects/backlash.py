@@ -40,26 +40,11 @@ def _compliance(machine: Machine, joint: str) -> EffectParameter:
     return EffectParameter("compliance", unit, upper=softness[-1], trials=tuple(softness[:-1]))
 
 
-@register_effect
-class Backlash(TableEffect):
-    """Gear play: within it motor and joint move apart."""
+class DriveEffect(TableEffect):
+    """Base of what a motor meets on its way to a joint."""
 
-    name = "backlash"
     gradual = False
     group = "mechanics"
-    physics = "J w' = tau - T; the flanks transmit T only when the play is used up."
-    source = "Nordin and Gutman 2002; gears 1 to 20 mrad, worn ones more"
-    excitation = "torque that changes its sign, reversals under small load"
-    rows = (
-        JointRow(
-            "width",
-            "{length}",
-            (0.004, 0.02, 0.08),
-            upper=0.5,
-            size=lambda machine, joint: 1.0 if machine.unit(joint) == "rad" else 0.1,
-        ),
-        _motor_inertia,
-    )
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """Joints with native motor, position or velocity actuators."""
@@ -70,6 +55,20 @@ class Backlash(TableEffect):
             if (drives := _drives(model, joint)) and all(_followed(model, i) for i in drives)
         )
 
+
+@register_effect
+class Backlash(DriveEffect):
+    """Gear play: within it motor and joint move apart."""
+
+    name = "backlash"
+    physics = "J w' = tau - T; the flanks transmit T only when the play is used up."
+    source = "Nordin and Gutman 2002; gears 1 to 20 mrad, worn ones more"
+    excitation = "torque that changes its sign, reversals under small load"
+    rows = (
+        JointRow("width", "{length}", (0.004, 0.02, 0.08), upper=0.5, size=joints.on_slide(0.1)),
+        _motor_inertia,
+    )
+
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts a play, and follows its motor through the measured motion to window starts."""
         width, motor = values["width"], values["motor_inertia"]
@@ -79,14 +78,12 @@ class Backlash(TableEffect):
         def states(measured: Measured, variant: Variant) -> tuple[np.ndarray, np.ndarray]:
             return motor_states(measured, variant.model, element, width, motor)
 
-        stiffness = motor * (2.0 * math.pi * _FLANK_HZ) ** 2
-        insert_play(
-            change, f"{element}_backlash", element, {**values, "stiffness": stiffness}, states
-        )
+        play = {**values, "stiffness": motor * (2.0 * math.pi * _FLANK_HZ) ** 2}
+        insert_play(change, f"{element}_backlash", element, play, states)
 
 
 @register_effect
-class JointFlexibility(Backlash):
+class JointFlexibility(DriveEffect):
     """A soft gear, belt, coupling or shaft: a spring and damper between motor and joint."""
 
     name = "joint_flexibility"
@@ -125,12 +122,8 @@ class JointFlexibility(Backlash):
             speed = velocity - lag * acceleration + np.gradient(offset, h)
             return offset[measured.samples], speed[measured.samples]
 
-        play = {
-            "width": _NO_PLAY,
-            "motor_inertia": motor,
-            "stiffness": 1.0 / compliance,
-            "damping_ratio": values["damping_ratio"],
-        }
+        play = {"width": _NO_PLAY, "motor_inertia": motor, "stiffness": 1.0 / compliance}
+        play["damping_ratio"] = values["damping_ratio"]
         insert_play(change, f"{element}_flexibility", element, play, twist)
 
 
@@ -190,22 +183,18 @@ Torque = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 def drive_torque(measured: Measured, model: mujoco.MjModel, joint: str) -> Torque:
     """Torque of a joint's actuators along a recording; activations as if they had settled."""
-    q, v = measured.position[joint], measured.velocity[joint]
-    drives = []
-    for i in _drives(model, joint):
-        gear, gain = float(model.actuator_gear[i, 0]), float(model.actuator_gainprm[i, 0])
-        limited = model.actuator_forcelimited[i]
-        low, high = model.actuator_forcerange[i] if limited else (-np.inf, np.inf)
-        command, bias = measured.command[model.actuator(i).name], model.actuator_biasprm[i, :3]
-        drives.append((command, gear, gain, bias, low, high))
+    q, v, drives = measured.position[joint], measured.velocity[joint], _drives(model, joint)
+    command = np.stack([measured.command[model.actuator(i).name] for i in drives])
+    # Each (drives, 1), for samples along the second axis.
+    gear, gain = model.actuator_gear[drives, :1], model.actuator_gainprm[drives, :1]
+    level, stiffness, damping = model.actuator_biasprm[drives, :3].T[:, :, None]
+    limited = model.actuator_forcelimited[drives, None] != 0
+    limits = np.where(limited, model.actuator_forcerange[drives], (-np.inf, np.inf))
 
     def torque(k: np.ndarray, offset: np.ndarray, slip: np.ndarray) -> np.ndarray:
-        theta, omega = q[k] + offset, v[k] + slip
-        total = np.zeros(k.size)
-        for command, gear, gain, bias, low, high in drives:
-            force = gain * command[k] + bias[0] + gear * (bias[1] * theta + bias[2] * omega)
-            total += gear * np.clip(force, low, high)
-        return total
+        turned = stiffness * (q[k] + offset) + damping * (v[k] + slip)
+        force = gain * command[:, k] + level + gear * turned
+        return np.sum(gear * np.clip(force, limits[:, :1], limits[:, 1:]), axis=0)
 
     return torque
 

@@ -67,10 +67,7 @@ class EffectParameter:
 
     @property
     def scale(self) -> float:
-        """Distance from nominal that matters: what finite differences and fits step by.
-
-        In 1/unit of what acts by its inverse.
-        """
+        """Smallest trial, by which differences and fits step; in 1/unit of an inverse."""
         steps = [abs(self.from_nominal(t)) for t in self.trials if t != self.nominal]
         return min(steps) if steps else 0.1 * (self.upper - self.lower)
 

@@ -112,6 +112,16 @@ _oil(
 )
 
 
+def _temperature(machine: Machine, cylinder: str) -> EffectParameter:
+    own = machine.parameter(cylinder, "oil_temperature")
+    # From 40 C: 9, 3.3, 1.5, 0.65 and 0.38 times the viscosity of ISO VG 46.
+    trials = tuple(own + by for by in (-36.0, -22.0, -8.0, 10.0, 25.0))
+    lower, upper = min(-20.0, own), max(110.0, own)
+    return EffectParameter(
+        "oil_temperature", "degC", nominal=own, lower=lower, upper=upper, trials=trials
+    )
+
+
 @register_effect
 class OilViscosity(CylinderEffect):
     """Cold or hot oil: leakage and viscous friction move together."""
@@ -122,20 +132,7 @@ class OilViscosity(CylinderEffect):
     source = "ISO VG 46: 46 cSt at 40 C, 6.8 at 100 C (ISO 3448)"
     excitation = "fast sliding for the friction, pressure at low flow for the leakage"
 
-    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """The temperature of the oil."""
-        nominal = machine.parameter(element, "oil_temperature")
-        return (
-            EffectParameter(
-                "oil_temperature",
-                "degC",
-                nominal=nominal,
-                lower=min(-20.0, nominal),
-                upper=max(110.0, nominal),
-                # From 40 C: 9, 3.3, 1.5, 0.65 and 0.38 times the viscosity of ISO VG 46.
-                trials=tuple(nominal + by for by in (-36.0, -22.0, -8.0, 10.0, 25.0)),
-            ),
-        )
+    rows = (_temperature,)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Sets the temperature."""
@@ -191,9 +188,9 @@ class AsymmetricSealFriction(CylinderEffect):
         found = []
         for name, unit, share in (("viscous", "N s/m", 0.02), ("coulomb", "N", 0.01)):
             least = share * (pressure * bore**2)
+            mean = machine.parameter(element, name)
             half = 0.5 * machine.parameter(element, f"{name}_difference")
-            for side, sign in (("extending", 1.0), ("retracting", -1.0)):
-                own = machine.parameter(element, name) + sign * half
+            for side, own in (("extending", mean + half), ("retracting", mean - half)):
                 size = max(own, least)
                 found.append(
                     EffectParameter(

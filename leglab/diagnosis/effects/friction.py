@@ -33,10 +33,6 @@ class JointViscousFriction(FrictionEffect):
     excitation = "fast motion"
     rows = (JointRow("damping", "{force} s/{length}", (0.02, 0.15), upper=10.0, field="damping"),)
 
-    def apply(self, change: Change, element: str, values: Values) -> None:
-        """Sets MuJoCo's damping."""
-        joints.set_native(change, element, "damping", values["damping"])
-
 
 def insert_friction(change: Change, joint: str, effect: str, values: Values) -> None:
     """Inserts a `leglab.joint_friction` that has nothing but some parameters."""
@@ -62,9 +58,8 @@ class JointCoulombFriction(FrictionEffect):
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Sets MuJoCo's friction loss, and inserts joint friction for what is beyond it."""
         own = joints.native(change.machine, element, "frictionloss")
-        joints.set_native(change, element, "frictionloss", min(own, values["coulomb"]))
-        more = values["coulomb"] - own
-        if more > 0.0:
+        super().apply(change, element, {"coulomb": min(own, values["coulomb"])})
+        if (more := values["coulomb"] - own) > 0.0:
             insert_friction(change, element, self.name, {"coulomb": more, "static": more})
 
 

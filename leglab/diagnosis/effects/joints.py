@@ -4,15 +4,19 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass
 from functools import lru_cache
+from typing import ClassVar
 
 import mujoco
 import numpy as np
 
-from leglab.diagnosis.effects.base import EffectParameter, TableEffect, Values
+from leglab.diagnosis.effects.base import EffectParameter, Group, TableEffect, Values
 from leglab.diagnosis.plant.model import CYLINDER, Change, Machine
 
 # Standard deviation of a native field between good machines, a share of its value.
 _TOLERANCE = 0.1
+
+# Of a joint.
+Size = Callable[[Machine, str], float]
 
 
 def unit_of(machine: Machine, joint: str, pattern: str) -> str:
@@ -57,9 +61,13 @@ def drive_damping(machine: Machine, joint: str) -> float:
     return total
 
 
-def travel(machine: Machine, joint: str) -> float:
-    """Displacement that matters at a joint: 1 rad, or 0.2 m of a slide."""
-    return 1.0 if machine.unit(joint) == "rad" else 0.2
+def on_slide(value: float) -> Size:
+    """A size that is 1 of a hinge, and another of a slide."""
+    return lambda machine, joint: 1.0 if machine.unit(joint) == "rad" else value
+
+
+# Displacement that matters at a joint [rad or m].
+travel = on_slide(0.2)
 
 
 def native(machine: Machine, joint: str, field: str) -> float:
@@ -112,7 +120,7 @@ class JointRow:
     """One parameter of an effect on joints; the joint's size decides how far it goes.
 
     Attributes:
-        name: Of the parameter.
+        name: As in `EffectParameter`.
         unit: SI unit, as a pattern of `unit_of`.
         trials: To screen; shares of the size, added to the joint's own value.
         lower: Smallest value in sizes, absolute.
@@ -129,10 +137,10 @@ class JointRow:
     _: KW_ONLY
     lower: float = 0.0
     upper: float
-    size: Callable[[Machine, str], float] = force_scale
+    size: Size = force_scale
     field: str = ""
     half_above: float = 0.0
-    own: Callable[[Machine, str], float] = lambda machine, joint: 0.0
+    own: Size = lambda machine, joint: 0.0
 
     def __call__(self, machine: Machine, joint: str) -> EffectParameter:
         """The parameter on a joint."""
@@ -153,8 +161,14 @@ class JointRow:
 class JointEffect(TableEffect):
     """Base of effects on joints."""
 
-    group = "mechanics"
+    group: ClassVar[Group] = "mechanics"
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """All joints."""
         return machine.joints
+
+    def apply(self, change: Change, element: str, values: Values) -> None:
+        """Sets MuJoCo's own fields that rows name."""
+        for row in self.rows:
+            if isinstance(row, JointRow) and row.field:
+                set_native(change, element, row.field, values[row.name])

@@ -35,10 +35,6 @@ class Armature(JointEffect):
         ),
     )
 
-    def apply(self, change: Change, element: str, values: Values) -> None:
-        """Sets MuJoCo's armature."""
-        joints.set_native(change, element, "armature", values["inertia"])
-
 
 @register_effect
 class Payload(Effect):

@@ -5,10 +5,9 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import EffectParameter, TableEffect, Values, register_effect
 from leglab.diagnosis.effects.cylinder import CylinderEffect
-from leglab.diagnosis.effects.joints import JointEffect, JointRow
+from leglab.diagnosis.effects.joints import JointEffect, JointRow, travel
 from leglab.diagnosis.plant import paths
 from leglab.diagnosis.plant.model import CHAMBERS, Change, Machine
 from leglab.machine.sensors import delayed_sensor
@@ -24,8 +23,6 @@ class SensorFault(TableEffect):
     Those of a joint sit on its encoder, those of a cylinder on the sensors of both chambers, which
     are called after the first joint that it drives.
     """
-
-    group = "sensing"
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Subtracts offsets from what was measured, or divides it by scales."""
@@ -61,18 +58,13 @@ class EncoderOffset(SensorFault, JointEffect):
     """The encoder's zero has shifted."""
 
     name = "encoder_offset"
+    group = "sensing"
     physics = "measured = true + offset"
     source = "mounting error of an encoder"
     excitation = "positions over a range in which gravity, lever or springs change"
-
     rows = (
         JointRow(
-            "offset",
-            "{length}",
-            (-0.06, -0.01, 0.01, 0.06),
-            lower=-0.5,
-            upper=0.5,
-            size=joints.travel,
+            "offset", "{length}", (-0.06, -0.01, 0.01, 0.06), lower=-0.5, upper=0.5, size=travel
         ),
     )
 
@@ -82,6 +74,7 @@ class EncoderScale(SensorFault, JointEffect):
     """The encoder counts too much or too little."""
 
     name = "encoder_scale"
+    group = "sensing"
     physics = "measured = scale x true, from the joint's zero"
     source = "gear ratio, magnet or potentiometer nonlinearity: some per cent"
     excitation = "large and fast motion"
@@ -130,6 +123,7 @@ class PressureSensorOffset(SensorFault, CylinderEffect):
     """The zero of a pressure sensor has shifted."""
 
     name = "pressure_sensor_offset"
+    group = "sensing"
     physics = "measured = true + offset, of each chamber's sensor"
     source = "zero drift of industrial transmitters: 0.1 to 0.5 % of 250 bar a year, 1 bar"
     excitation = "pressures of both chambers under different loads and openings"
@@ -144,6 +138,7 @@ class PressureSensorScale(SensorFault, CylinderEffect):
     """A pressure sensor shows too much or too little."""
 
     name = "pressure_sensor_scale"
+    group = "sensing"
     physics = "measured = scale x true, of each chamber's sensor"
     source = "span error of transmitters 0.25 to 1 %; a wrong range or shunt far more"
     excitation = "pressures over a wide range in both chambers"

@@ -21,7 +21,7 @@ def _of_spring(machine: Machine, joint: str, parameter: str) -> float:
 
 def _size(machine: Machine, joint: str, slide: float) -> float:
     """Force that matters, times a factor for slides: they move decimetres instead of radians."""
-    return joints.force_scale(machine, joint) * (1.0 if machine.unit(joint) == "rad" else slide)
+    return joints.force_scale(machine, joint) * joints.on_slide(slide)(machine, joint)
 
 
 def set_spring(change: Change, joint: str, effect: str, parameter: str, value: float) -> None:

@@ -58,8 +58,9 @@ def forces_at(
     else:
         shapes["lacking"] = joints
     out = {name: np.empty((len(states), *shape)) for name, shape in shapes.items()}
-    given = (np.ascontiguousarray(one) for one in (states, commands, accelerations))
-    leglab._native.forces.at_moments(model._address, *given, out)
+    states, commands = np.ascontiguousarray(states), np.ascontiguousarray(commands)
+    accelerations = np.ascontiguousarray(accelerations)
+    leglab._native.forces.at_moments(model._address, states, commands, accelerations, out)
     return MomentForces(**{"lacking": np.empty((0, model.nv)), **out})
 
 

@@ -110,10 +110,7 @@ def command_path(config: Mapping[str, str | float]) -> list[CommandPath]:
 
 
 def delayed(samples: np.ndarray, delay: float, period: float) -> np.ndarray:
-    """Held samples, shape (n,), that arrive later; between samples by their share of the period.
-
-    The delay is not negative; it and the sampling period are in s.
-    """
+    """Held samples, (n,), later by a delay of at least 0, by shares of a period; both in s."""
     whole, share = divmod(delay / period, 1.0)
     padded = np.concatenate([np.full(int(whole) + 1, samples[0]), samples])
     return (1.0 - share) * padded[1 : 1 + samples.size] + share * padded[: samples.size]
