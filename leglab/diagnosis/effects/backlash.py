@@ -9,7 +9,7 @@ from scipy.signal import bilinear, lfilter, lfilter_zi
 
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import EffectParameter, TableEffect, Values, register_effect
-from leglab.diagnosis.effects.joints import JointRow
+from leglab.diagnosis.effects.joints import SizedRow
 from leglab.diagnosis.plant.model import Change, Machine, Measured, Variant
 
 _BACKLASH = "leglab.backlash"
@@ -65,7 +65,7 @@ class Backlash(DriveEffect):
     source = "Nordin and Gutman 2002; gears 1 to 20 mrad, worn ones more"
     excitation = "torque that changes its sign, reversals under small load"
     rows = (
-        JointRow("width", "{length}", (0.004, 0.02, 0.08), upper=0.5, size=joints.on_slide(0.1)),
+        SizedRow("width", "{length}", (0.004, 0.02, 0.08), upper=0.5, size=joints.on_slide(0.1)),
         _motor_inertia,
     )
 

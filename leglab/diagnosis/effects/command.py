@@ -7,7 +7,8 @@ import mujoco
 import numpy as np
 
 from leglab.diagnosis.effects import joints
-from leglab.diagnosis.effects.base import EffectParameter, Row, TableEffect, Values, register_effect
+from leglab.diagnosis.effects.base import EffectParameter, TableEffect, Values, register_effect
+from leglab.diagnosis.effects.joints import SizedRow
 from leglab.diagnosis.plant.model import Change, Machine
 from leglab.diagnosis.plant.paths import COMMAND_PATH, command_path
 
@@ -63,17 +64,6 @@ def command_size(machine: Machine, element: str) -> float:
         gear = abs(float(actuator.gear[0]))
         return _SERVO_SHARE * gear * joints.travel(machine, machine.driven[element][0])
     return 0.5 * float(np.ptp(actuator.ctrlrange)) if actuator.ctrllimited[0] else 1.0
-
-
-def command_row(name: str, trials: tuple[float, ...], *, lower: float = 0.0, upper: float) -> Row:
-    """A parameter in the unit of commands; trials and bounds are shares of `command_size`."""
-
-    def row(machine: Machine, actuator: str) -> EffectParameter:
-        size = command_size(machine, actuator)
-        sized = tuple(trial * size for trial in trials)
-        return EffectParameter(name, "ctrl", lower=lower * size, upper=upper * size, trials=sized)
-
-    return row
 
 
 class CommandEffect(TableEffect):
@@ -136,7 +126,7 @@ class CommandDeadband(CommandEffect):
     )
     source = "Tao and Kokotovic 1996"
     excitation = "commands through zero"
-    rows = (command_row("dead_band", (0.01, 0.05, 0.2), upper=0.5),)
+    rows = (SizedRow("dead_band", "ctrl", (0.01, 0.05, 0.2), upper=0.5, size=command_size),)
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """Native actuators but position servos."""
@@ -154,7 +144,7 @@ class ServoDeadband(TableEffect):
     source = "dead bands and compliance margins of position servos: 1 to 20 mrad"
     excitation = "rest and slow motion under small loads"
     # Half the width.
-    rows = (command_row("dead_band", (0.02, 0.08, 0.3), upper=2.0),)
+    rows = (SizedRow("dead_band", "ctrl", (0.02, 0.08, 0.3), upper=2.0, size=command_size),)
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """Position servos."""
@@ -181,7 +171,7 @@ class CommandHysteresis(CommandEffect):
     physics = "play of full width h between command and what arrives"
     source = "Krasnosel'skii and Pokrovskii 1989"
     excitation = "commands that reverse"
-    rows = (command_row("hysteresis", (0.02, 0.1, 0.3), upper=1.0),)
+    rows = (SizedRow("hysteresis", "ctrl", (0.02, 0.1, 0.3), upper=1.0, size=command_size),)
 
 
 @register_effect
@@ -203,7 +193,11 @@ class CommandBias(CommandEffect):
     physics = "u + bias; of a stateless actuator with fixed gain this is a force offset, named so"
     source = "offsets of analogue command inputs: within 1 % of full scale"
     excitation = "motion under different loads"
-    rows = (command_row("bias", (-0.1, -0.02, 0.02, 0.1), lower=-0.5, upper=0.5),)
+    rows = (
+        SizedRow(
+            "bias", "ctrl", (-0.1, -0.02, 0.02, 0.1), lower=-0.5, upper=0.5, size=command_size
+        ),
+    )
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """Native actuators whose bias is not a constant force."""

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import EffectParameter, Row, Values, register_effect
-from leglab.diagnosis.effects.joints import JointEffect, JointRow
+from leglab.diagnosis.effects.joints import JointEffect, SizedRow
 from leglab.diagnosis.plant.model import CYLINDER, FRICTION, Change, Machine
 
 # LuGre bristle that is stiff for a joint and stable at 1 ms: 100 Hz, half damped.
@@ -31,7 +31,7 @@ class JointViscousFriction(FrictionEffect):
     physics = "b v: lubricated bearings, grease, eddy currents."
     source = "Armstrong-Helouvry et al. 1994; 10 % between good machines"
     excitation = "fast motion"
-    rows = (JointRow("damping", "{force} s/{length}", (0.02, 0.15), upper=10.0, field="damping"),)
+    rows = (SizedRow("damping", "{force} s/{length}", (0.02, 0.15), upper=10.0, field="damping"),)
 
 
 def insert_friction(change: Change, joint: str, effect: str, values: Values) -> None:
@@ -53,7 +53,7 @@ class JointCoulombFriction(FrictionEffect):
     physics = "F_c sgn(v); at rest it holds up to F_c."
     source = "Armstrong-Helouvry et al. 1994"
     excitation = "slow motion in both directions, and rest"
-    rows = (JointRow("coulomb", "{force}", (0.01, 0.08), upper=1.0, field="frictionloss"),)
+    rows = (SizedRow("coulomb", "{force}", (0.01, 0.08), upper=1.0, field="frictionloss"),)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Sets MuJoCo's friction loss, and inserts joint friction for what is beyond it."""
@@ -78,7 +78,7 @@ class JointStiction(FrictionEffect):
     source = "Canudas de Wit et al. 1995; n by Armstrong-Helouvry et al. 1994, sect. 2.1.3"
     excitation = "slow motion, reversals and rest"
     rows = (
-        JointRow("breakaway", "{force}", (0.02, 0.1), upper=1.0),
+        SizedRow("breakaway", "{force}", (0.02, 0.1), upper=1.0),
         _stribeck_velocity,
         EffectParameter.shape("stribeck_exponent", "1", 2.0, 0.5, 4.0),
     )
@@ -125,7 +125,7 @@ def _loads(machine: Machine, joint: str) -> tuple[str, ...]:
 
 def _viscous(name: str) -> Row:
     """Viscous friction that is added, or takes off most of the drive's."""
-    row = JointRow(name, "{force} s/{length}", (0.02, 0.1), upper=10.0)
+    row = SizedRow(name, "{force} s/{length}", (0.02, 0.1), upper=10.0)
     return lambda machine, joint: replace(
         row(machine, joint), lower=-0.8 * joints.drive_damping(machine, joint)
     )
@@ -149,8 +149,8 @@ class AsymmetricFriction(JointEffect):
     rows = (
         _viscous("viscous_forward"),
         _viscous("viscous_backward"),
-        JointRow("coulomb_forward", "{force}", (0.01, 0.05), upper=1.0),
-        JointRow("coulomb_backward", "{force}", (0.01, 0.05), upper=1.0),
+        SizedRow("coulomb_forward", "{force}", (0.01, 0.05), upper=1.0),
+        SizedRow("coulomb_backward", "{force}", (0.01, 0.05), upper=1.0),
     )
 
     def apply(self, change: Change, element: str, values: Values) -> None:

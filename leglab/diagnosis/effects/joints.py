@@ -15,7 +15,7 @@ from leglab.diagnosis.plant.model import CYLINDER, Change, Machine
 # Standard deviation of a native field between good machines, a share of its value.
 _TOLERANCE = 0.1
 
-# Of a joint.
+# Of a joint or actuator.
 Size = Callable[[Machine, str], float]
 
 
@@ -116,19 +116,19 @@ def mean_and_difference(pairs: tuple[tuple[str, str], ...], values: Values) -> d
 
 
 @dataclass(frozen=True)
-class JointRow:
-    """One parameter of an effect on joints; the joint's size decides how far it goes.
+class SizedRow:
+    """One parameter of an effect on joints or actuators; their size decides how far it goes.
 
     Attributes:
         name: As in `EffectParameter`.
-        unit: SI unit, as a pattern of `unit_of`.
-        trials: To screen; shares of the size, added to the joint's own value.
+        unit: As in `EffectParameter`; of a joint a pattern of `unit_of`.
+        trials: To screen; shares of the size, added to the own value.
         lower: Smallest value in sizes, absolute.
-        upper: Largest value in sizes, added to the joint's own value.
-        size: Of a joint.
-        field: MuJoCo's own field that holds the value, see `native`. Half of it is tried too.
+        upper: Largest value in sizes, added to the own value.
+        size: Of a joint or actuator.
+        field: MuJoCo's field of a joint that holds its own value, see `native`. Half is tried too.
         half_above: Only where the value is above so many sizes.
-        own: Of a joint, its own value where there is no field.
+        own: The own value where there is no field.
     """
 
     name: str
@@ -140,16 +140,16 @@ class JointRow:
     size: Size = force_scale
     field: str = ""
     half_above: float = 0.0
-    own: Size = lambda machine, joint: 0.0
+    own: Size = lambda machine, element: 0.0
 
-    def __call__(self, machine: Machine, joint: str) -> EffectParameter:
-        """The parameter on a joint."""
-        size = self.size(machine, joint)
-        own = native(machine, joint, self.field) if self.field else self.own(machine, joint)
+    def __call__(self, machine: Machine, element: str) -> EffectParameter:
+        """The parameter on a joint or actuator."""
+        size = self.size(machine, element)
+        own = native(machine, element, self.field) if self.field else self.own(machine, element)
         half = (0.5 * own,) if self.field and own > self.half_above * size else ()
         return EffectParameter(
             self.name,
-            unit_of(machine, joint, self.unit),
+            unit_of(machine, element, self.unit) if "{" in self.unit else self.unit,
             nominal=own,
             lower=self.lower * size,
             upper=own + self.upper * size,
@@ -170,5 +170,5 @@ class JointEffect(TableEffect):
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Sets MuJoCo's own fields that rows name."""
         for row in self.rows:
-            if isinstance(row, JointRow) and row.field:
+            if isinstance(row, SizedRow) and row.field:
                 set_native(change, element, row.field, values[row.name])

@@ -7,7 +7,7 @@ import numpy as np
 
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import Effect, EffectParameter, Values, register_effect
-from leglab.diagnosis.effects.joints import JointEffect, JointRow
+from leglab.diagnosis.effects.joints import JointEffect, SizedRow
 from leglab.diagnosis.plant.model import Change, Machine
 
 _AXES = {"roll": (1.0, 0.0, 0.0), "pitch": (0.0, 1.0, 0.0), "yaw": (0.0, 0.0, 1.0)}
@@ -24,7 +24,7 @@ class Armature(JointEffect):
     source = "mechanics; rotor inertias of data sheets are good to 10 %"
     excitation = "accelerations of different size"
     rows = (
-        JointRow(
+        SizedRow(
             "inertia",
             "{inertia}",
             (0.05, 0.4),

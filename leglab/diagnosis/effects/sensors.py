@@ -7,7 +7,7 @@ import numpy as np
 
 from leglab.diagnosis.effects.base import EffectParameter, TableEffect, Values, register_effect
 from leglab.diagnosis.effects.cylinder import CylinderEffect
-from leglab.diagnosis.effects.joints import JointEffect, JointRow, travel
+from leglab.diagnosis.effects.joints import JointEffect, SizedRow, travel
 from leglab.diagnosis.plant import paths
 from leglab.diagnosis.plant.model import CHAMBERS, Change, Machine
 from leglab.machine.sensors import delayed_sensor
@@ -63,7 +63,7 @@ class EncoderOffset(SensorFault, JointEffect):
     source = "mounting error of an encoder"
     excitation = "positions over a range in which gravity, lever or springs change"
     rows = (
-        JointRow(
+        SizedRow(
             "offset", "{length}", (-0.06, -0.01, 0.01, 0.06), lower=-0.5, upper=0.5, size=travel
         ),
     )

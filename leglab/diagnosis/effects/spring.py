@@ -6,7 +6,7 @@ import mujoco
 
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import EffectParameter, Values, register_effect
-from leglab.diagnosis.effects.joints import JointEffect, JointRow
+from leglab.diagnosis.effects.joints import JointEffect, SizedRow
 from leglab.diagnosis.plant.model import SPRING, Change, Machine
 
 # Good springs differ by 2 to 3 % (DIN 2095 grade 2: 5 % of the load at a given length).
@@ -114,7 +114,7 @@ class SpringOffset(JointEffect):
     source = "mounting and set of coil springs, some per cent of their travel"
     excitation = "positions over a range, so that it differs from a constant force"
     rows = (
-        JointRow(
+        SizedRow(
             "shift", "{length}", (-0.2, -0.04, 0.04, 0.2), lower=-1.0, upper=1.0, size=joints.travel
         ),
     )
@@ -154,7 +154,7 @@ class QuadraticDamping(JointEffect):
     source = "turbulent flow (Bernoulli); Folgheraiter's damper, docs/physics.md"
     excitation = "slow and fast motion, which tell it from viscous friction"
     rows = (
-        JointRow(
+        SizedRow(
             "damping",
             "{force} s^2/{length}^2",
             (0.01, 0.06, 0.3),
@@ -178,7 +178,7 @@ class ForceOffset(JointEffect):
     physics = "constant generalised force"
     source = "offset of a torque loop, pull of a cable or hose"
     excitation = "any motion; rest under little friction"
-    rows = (JointRow("force", "{force}", (-0.1, -0.02, 0.02, 0.1), lower=-2.0, upper=2.0),)
+    rows = (SizedRow("force", "{force}", (-0.1, -0.02, 0.02, 0.1), lower=-2.0, upper=2.0),)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts a spring-damper that has nothing but the constant force."""
