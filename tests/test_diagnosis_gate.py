@@ -71,10 +71,10 @@ def slide():
 @pytest.mark.parametrize("lost", [0.0, 0.3])
 def test_jumps_of_an_encoder_are_taken_out(turning, turn, lost):
     log = dropped(wrapped(turning, "hinge_position", turn), lost, np.random.default_rng(0))
-    found = unwrapped(log.time, log["hinge_position"], hinge=True)
-    assert found.turn == pytest.approx(turn, rel=1e-9)
+    samples, found, _ = unwrapped(log.time, log["hinge_position"], hinge=True)
+    assert found == pytest.approx(turn, rel=1e-9)
     truth = np.interp(log.time, turning.time, turning["hinge_position"])
-    off = found.samples - truth
+    off = samples - truth
     assert np.ptp(off) < 1e-9
     assert off[0] / turn == pytest.approx(round(off[0] / turn), abs=1e-9)
 
@@ -85,17 +85,17 @@ def test_turns_within_a_pause_are_told_by_the_speed_beside_it():
     keep = np.ones(2000, dtype=bool)
     for first in range(100, 1900, 150):
         keep[first : first + 11] = False  # 4.8 rad, more than half a turn
-    found = unwrapped(time[keep], angle[keep] % TURN, hinge=True)
-    assert np.ptp(found.samples - angle[keep]) < 1e-9
+    samples, _, _ = unwrapped(time[keep], angle[keep] % TURN, hinge=True)
+    assert np.ptp(samples - angle[keep]) < 1e-9
 
 
 def test_a_rack_begins_anew_after_what_its_jumps_agree_on():
     time = np.arange(5000) * 1e-3
     travel = 0.3 * time + 0.02 * np.sin(9.0 * time)
     noisy = (travel + 1e-5 * np.random.default_rng(0).standard_normal(5000)) % 0.0815
-    found = unwrapped(time, noisy, hinge=False)
-    assert found.turn == pytest.approx(0.0815, rel=1e-3)
-    assert np.ptp(found.samples - travel) < 5e-4
+    samples, turn, _ = unwrapped(time, noisy, hinge=False)
+    assert turn == pytest.approx(0.0815, rel=1e-3)
+    assert np.ptp(samples - travel) < 5e-4
 
 
 def test_what_is_no_turn_is_left_as_it_is(turning, sliding):

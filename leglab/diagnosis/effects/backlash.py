@@ -1,13 +1,15 @@
-"""Play between the drive and a joint."""
+"""Play and flexibility between the drive and a joint."""
 
 import math
 from collections.abc import Callable
 
 import mujoco
 import numpy as np
+from scipy.signal import bilinear, lfilter, lfilter_zi
 
 from leglab.diagnosis.effects import joints
-from leglab.diagnosis.effects.base import Effect, EffectParameter, Values, register_effect
+from leglab.diagnosis.effects.base import EffectParameter, TableEffect, Values, register_effect
+from leglab.diagnosis.effects.joints import SizedRow
 from leglab.diagnosis.plant.model import Change, Machine, Measured, Variant
 
 _BACKLASH = "leglab.backlash"
@@ -17,20 +19,32 @@ _BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
 _FLANK_HZ = 500.0
 # Share of a joint's inertia that a motor has where the model says nothing about it.
 _MOTOR_SHARE = 0.1
+# The element of a flexibility is a play with flanks; so little of it is none.
+_NO_PLAY = 1e-9
+# Of the joint on the spring with the motor held.
+_TRIALS_HZ, _SOFTEST_HZ = (30.0, 12.0), 1.5
 # The motor is followed through the play from this long before a window.
 _HISTORY = 0.4  # s
 
 
-@register_effect
-class Backlash(Effect):
-    """Gear play: within it motor and joint move apart."""
+def _motor_inertia(machine: Machine, joint: str) -> EffectParameter:
+    own = joints.native(machine, joint, "armature")
+    motor = own or _MOTOR_SHARE * joints.inertia(machine, joint)
+    unit = joints.unit_of(machine, joint, "{inertia}")
+    return EffectParameter.shape("motor_inertia", unit, motor, 0.1 * motor, own or 10.0 * motor)
 
-    name = "backlash"
+
+def _compliance(machine: Machine, joint: str) -> EffectParameter:
+    own, unit = joints.inertia(machine, joint), joints.unit_of(machine, joint, "{length}/({force})")
+    softness = [1.0 / (own * (2.0 * math.pi * f) ** 2) for f in (*_TRIALS_HZ, _SOFTEST_HZ)]
+    return EffectParameter("compliance", unit, upper=softness[-1], trials=tuple(softness[:-1]))
+
+
+class DriveEffect(TableEffect):
+    """Base of what a motor meets on its way to a joint."""
+
     gradual = False
     group = "mechanics"
-    physics = "J w' = tau - T; the flanks transmit T only when the play is used up."
-    source = "Nordin and Gutman 2002; gears 1 to 20 mrad, worn ones more"
-    excitation = "torque that changes its sign, reversals under small load"
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """Joints with native motor, position or velocity actuators."""
@@ -41,25 +55,19 @@ class Backlash(Effect):
             if (drives := _drives(model, joint)) and all(_followed(model, i) for i in drives)
         )
 
-    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """Width of the play and inertia of the motor."""
-        unit = machine.unit(element)
-        small = 1.0 if unit == "rad" else 0.1
-        own = joints.native(machine, element, "armature")
-        motor = own or _MOTOR_SHARE * joints.inertia(machine, element)
-        return (
-            EffectParameter(
-                "width", unit, upper=0.5 * small, trials=(0.004 * small, 0.02 * small, 0.08 * small)
-            ),
-            EffectParameter(
-                "motor_inertia",
-                joints.unit_of(machine, element, "{inertia}"),
-                nominal=motor,
-                lower=0.1 * motor,
-                upper=own or 10.0 * motor,
-                role="shape",
-            ),
-        )
+
+@register_effect
+class Backlash(DriveEffect):
+    """Gear play: within it motor and joint move apart."""
+
+    name = "backlash"
+    physics = "J w' = tau - T; the flanks transmit T only when the play is used up."
+    source = "Nordin and Gutman 2002; gears 1 to 20 mrad, worn ones more"
+    excitation = "torque that changes its sign, reversals under small load"
+    rows = (
+        SizedRow("width", "{length}", (0.004, 0.02, 0.08), upper=0.5, size=joints.on_slide(0.1)),
+        _motor_inertia,
+    )
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts a play, and follows its motor through the measured motion to window starts."""
@@ -70,9 +78,53 @@ class Backlash(Effect):
         def states(measured: Measured, variant: Variant) -> tuple[np.ndarray, np.ndarray]:
             return motor_states(measured, variant.model, element, width, motor)
 
-        stiffness = motor * (2.0 * math.pi * _FLANK_HZ) ** 2
-        play = {"width": width, "motor_inertia": motor, "stiffness": stiffness}
+        play = {**values, "stiffness": motor * (2.0 * math.pi * _FLANK_HZ) ** 2}
         insert_play(change, f"{element}_backlash", element, play, states)
+
+
+@register_effect
+class JointFlexibility(DriveEffect):
+    """A soft gear, belt, coupling or shaft: a spring and damper between motor and joint."""
+
+    name = "joint_flexibility"
+    physics = "J w' = tau - T, T = k (theta - q) + c (w - v); the joint feels T."
+    source = "Spong 1987; harmonic drives and belts: 1e3 to 1e5 N m/rad"
+    excitation = "torques that change quickly, fast reversals"
+    rows = (
+        _compliance,
+        _motor_inertia,
+        EffectParameter.shape("damping_ratio", "1", 0.1, 0.005, 2.0),
+    )
+
+    def apply(self, change: Change, element: str, values: Values) -> None:
+        """Inserts the spring; at window starts it is twisted as the motor swings."""
+        compliance, motor = values["compliance"], values["motor_inertia"]
+        if compliance == 0.0:
+            return
+        own = joints.native(change.machine, element, "armature")
+        link = max(joints.inertia(change.machine, element) - own, 1e-9)
+        reduced = 1.0 / (1.0 / motor + 1.0 / link)
+        damping = 2.0 * values["damping_ratio"] * math.sqrt(reduced / compliance)
+
+        def twist(measured: Measured, variant: Variant) -> tuple[np.ndarray, np.ndarray]:
+            h, velocity = measured.period, measured.velocity[element]
+            acceleration = np.gradient(velocity, h)
+            every, zero = np.arange(velocity.size), np.zeros(velocity.size)
+            torque = drive_torque(measured, variant.model, element)(every, zero, zero)
+            # J o'' + c o' + k o = tau - J q'' of the twist o, along the measured joint. Filtered is
+            # the torque k o, whose gain is 1: that of o is as small as the compliance.
+            excess = torque - motor * acceleration
+            under = [motor * compliance, damping * compliance, 1.0]
+            over, under = bilinear([1.0], under, 1.0 / h)
+            start = lfilter_zi(over, under) * excess[0]
+            offset = compliance * lfilter(over, under, excess, zi=start)[0]
+            lag = 0.5 * variant.model.opt.timestep
+            speed = velocity - lag * acceleration + np.gradient(offset, h)
+            return offset[measured.samples], speed[measured.samples]
+
+        play = {"width": _NO_PLAY, "motor_inertia": motor, "stiffness": 1.0 / compliance}
+        play["damping_ratio"] = values["damping_ratio"]
+        insert_play(change, f"{element}_flexibility", element, play, twist)
 
 
 # Where a motor is in its play, and its velocity, at window starts; both (windows,).
@@ -131,22 +183,18 @@ Torque = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 def drive_torque(measured: Measured, model: mujoco.MjModel, joint: str) -> Torque:
     """Torque of a joint's actuators along a recording; activations as if they had settled."""
-    q, v = measured.position[joint], measured.velocity[joint]
-    drives = []
-    for i in _drives(model, joint):
-        gear, gain = float(model.actuator_gear[i, 0]), float(model.actuator_gainprm[i, 0])
-        limited = model.actuator_forcelimited[i]
-        low, high = model.actuator_forcerange[i] if limited else (-np.inf, np.inf)
-        command, bias = measured.command[model.actuator(i).name], model.actuator_biasprm[i, :3]
-        drives.append((command, gear, gain, bias, low, high))
+    q, v, drives = measured.position[joint], measured.velocity[joint], _drives(model, joint)
+    command = np.stack([measured.command[model.actuator(i).name] for i in drives])
+    # Each (drives, 1), for samples along the second axis.
+    gear, gain = model.actuator_gear[drives, :1], model.actuator_gainprm[drives, :1]
+    level, stiffness, damping = model.actuator_biasprm[drives, :3].T[:, :, None]
+    limited = model.actuator_forcelimited[drives, None] != 0
+    limits = np.where(limited, model.actuator_forcerange[drives], (-np.inf, np.inf))
 
     def torque(k: np.ndarray, offset: np.ndarray, slip: np.ndarray) -> np.ndarray:
-        theta, omega = q[k] + offset, v[k] + slip
-        total = np.zeros(k.size)
-        for command, gear, gain, bias, low, high in drives:
-            force = gain * command[k] + bias[0] + gear * (bias[1] * theta + bias[2] * omega)
-            total += gear * np.clip(force, low, high)
-        return total
+        turned = stiffness * (q[k] + offset) + damping * (v[k] + slip)
+        force = gain * command[:, k] + level + gear * turned
+        return np.sum(gear * np.clip(force, limits[:, :1], limits[:, 1:]), axis=0)
 
     return torque
 

@@ -58,12 +58,16 @@ class EffectParameter:
                 f"[{self.lower:g}, {self.upper:g}] {self.unit}"
             )
 
+    @classmethod
+    def shape(
+        cls, name: str, unit: str, nominal: float, lower: float, upper: float
+    ) -> "EffectParameter":
+        """A shape, of which no values are tried."""
+        return cls(name, unit, nominal=nominal, lower=lower, upper=upper, role="shape")
+
     @property
     def scale(self) -> float:
-        """Distance from nominal that matters: what finite differences and fits step by.
-
-        In 1/unit of what acts by its inverse.
-        """
+        """Smallest trial, by which differences and fits step; in 1/unit of an inverse."""
         steps = [abs(self.from_nominal(t)) for t in self.trials if t != self.nominal]
         return min(steps) if steps else 0.1 * (self.upper - self.lower)
 
@@ -105,8 +109,7 @@ class EffectParameter:
 class Effect(ABC):
     """A physical cause that a simulation may lack.
 
-    Subclasses keep no state. Those with a table of parameters start from `TableEffect`, on
-    cylinders, joints and commands from `CylinderEffect`, `JointEffect` and `CommandEffect`.
+    Subclasses keep no state. Those with a table of parameters start from `TableEffect`.
 
     Attributes:
         name: As reports print it; variants (on a cylinder, on a plain joint) may share it, as long
@@ -163,20 +166,22 @@ class Effect(ABC):
         return
 
 
+# A parameter of an effect, of machine and element.
+Row = Callable[[Machine, str], EffectParameter]
+
+
 class TableEffect(Effect):
     """Base of effects with a table of parameters.
 
     Attributes:
-        rows: What is the same on every element, or a function of machine and element that gives it.
+        rows: Each the same on every element, or a function of machine and element.
     """
 
-    rows: ClassVar[tuple[EffectParameter | Callable[[Machine, str], EffectParameter], ...]] = ()
+    rows: ClassVar[tuple[EffectParameter | Row, ...]] = ()
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """The rows on an element."""
-        return tuple(
-            row if isinstance(row, EffectParameter) else row(machine, element) for row in self.rows
-        )
+        return tuple(row(machine, element) if callable(row) else row for row in self.rows)
 
 
 _REGISTRY: dict[tuple[str, str], Effect] = {}

@@ -6,7 +6,7 @@ import numpy as np
 
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import EffectParameter, Values, register_effect
-from leglab.diagnosis.effects.joints import JointEffect, JointRow
+from leglab.diagnosis.effects.joints import JointEffect, SizedRow
 from leglab.diagnosis.effects.spring import insert_spring
 from leglab.diagnosis.plant.model import Change, ForceLeft, Machine
 
@@ -38,7 +38,6 @@ class Cogging(JointEffect):
     """A force that repeats with the position of the joint."""
 
     name = "cogging"
-    group = "mechanics"
     physics = (
         "A sin(x) + B cos(x) and a second harmonic, x = 2 pi q/P: cogging of motors, eccentric "
         "gears, screws."
@@ -47,8 +46,8 @@ class Cogging(JointEffect):
     excitation = "slow motion over at least one period in both directions"
     contains = ("force_offset", "spring_stiffness", "spring_hardening", "spring_offset")
     rows = (
-        JointRow("sine", "{force}", (0.03,), lower=-2.0, upper=2.0),
-        JointRow("cosine", "{force}", (0.03,), lower=-2.0, upper=2.0),
+        SizedRow("sine", "{force}", (0.03,), lower=-2.0, upper=2.0),
+        SizedRow("cosine", "{force}", (0.03,), lower=-2.0, upper=2.0),
         _period,
         EffectParameter("second_sine", "1", lower=-1.0, upper=1.0, trials=(0.3,), role="shape"),
         EffectParameter("second_cosine", "1", lower=-1.0, upper=1.0, trials=(0.3,), role="shape"),

@@ -1,16 +1,20 @@
-"""Faults of a command on its way to an actuator: delay, dead band, play, lag, bias."""
+"""Native actuators: their gain, and what happens to a command on its way to any."""
 
 from collections.abc import Callable, Mapping
-from typing import ClassVar
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import EffectParameter, TableEffect, Values, register_effect
+from leglab.diagnosis.effects.joints import SizedRow
 from leglab.diagnosis.plant.model import Change, Machine
-from leglab.diagnosis.plant.paths import COMMAND_PATH, dead_band, delayed, lagged, play
+from leglab.diagnosis.plant.paths import COMMAND_PATH, command_path
 
+_FIXED, _AFFINE = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE)
+_NO_BIAS, _AFFINE_BIAS = int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)
+_INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
 # A command path keeps at least this much history.
 _SHORTEST_HISTORY = 0.05  # s
 _SERVO_BAND = "servo_dead_band"
@@ -27,27 +31,33 @@ def write_command_path(spec: mujoco.MjSpec, actuator: str, values: Mapping[str, 
     joints.insert(spec, COMMAND_PATH, f"{actuator}_path", {"actuator": actuator, **values})
 
 
+def natives(machine: Machine, wanted: Callable[[Any], bool]) -> tuple[str, ...]:
+    """Native actuators that something is true of, told by MuJoCo's view of each."""
+    model = machine.base.model
+    return tuple(name for name in machine.native_actuators() if wanted(model.actuator(name)))
+
+
 def position_servos(machine: Machine) -> tuple[str, ...]:
     """Native actuators whose force is a gain times the error of a position, and damping."""
-    model = machine.base.model
-    return tuple(
-        name
-        for i, name in enumerate(machine.actuators)
-        if model.actuator_plugin[i] < 0
-        and model.actuator_gaintype[i] == int(mujoco.mjtGain.mjGAIN_FIXED)
-        and model.actuator_biastype[i] == int(mujoco.mjtBias.mjBIAS_AFFINE)
-        and model.actuator_dyntype[i] != int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
-        and model.actuator_biasprm[i, 0] == 0.0
-        and model.actuator_biasprm[i, 1] == -model.actuator_gainprm[i, 0] != 0.0
-        and machine.driven[name]
-    )
+
+    def serves(actuator: Any) -> bool:
+        return (
+            actuator.gaintype[0] == _FIXED
+            and actuator.biastype[0] == _AFFINE_BIAS
+            and actuator.dyntype[0] != _INTEGRATOR
+            and actuator.biasprm[0] == 0.0
+            and actuator.biasprm[1] == -actuator.gainprm[0] != 0.0
+            and bool(machine.driven[actuator.name])
+        )
+
+    return natives(machine, serves)
 
 
 def command_size(machine: Machine, element: str) -> float:
-    """Command that matters at a native actuator, in the unit of its commands.
+    """Command that matters at a native actuator: half its range; 1 where it has none.
 
-    Half its range; 1 where it has none. Of a position servo a fifth of what its joint may travel:
-    its range says where it can go, not how well it gets there.
+    Of a position servo a fifth of what its joint may travel: its range says where it can go, not
+    how well it gets there.
     """
     actuator = machine.base.model.actuator(element)
     if element in position_servos(machine):
@@ -56,29 +66,10 @@ def command_size(machine: Machine, element: str) -> float:
     return 0.5 * float(np.ptp(actuator.ctrlrange)) if actuator.ctrllimited[0] else 1.0
 
 
-def command_row(
-    name: str, trials: tuple[float, ...], *, lower: float = 0.0, upper: float
-) -> Callable[[Machine, str], EffectParameter]:
-    """A parameter in the unit of commands; trials and bounds are shares of `command_size`."""
-
-    def row(machine: Machine, actuator: str) -> EffectParameter:
-        size = command_size(machine, actuator)
-        sized = tuple(trial * size for trial in trials)
-        return EffectParameter(name, "ctrl", lower=lower * size, upper=upper * size, trials=sized)
-
-    return row
-
-
 class CommandEffect(TableEffect):
-    """Base of effects that one parameter of `leglab.command_path` describes.
-
-    Attributes:
-        arrives: What the actuator gets, (n,): of commands (n,), a value of the parameter and the
-            sampling period [s].
-    """
+    """Base of effects that one parameter of `leglab.command_path` describes."""
 
     group = "valve and command"
-    arrives: ClassVar["staticmethod[[np.ndarray, float, float], np.ndarray]"]
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """Native actuators."""
@@ -86,9 +77,8 @@ class CommandEffect(TableEffect):
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Passes the measured command through the path."""
-        (value,) = values.values()
-        if value:
-            change.command(element, lambda samples, period: self.arrives(samples, value, period))
+        for function in command_path(values):
+            change.command(element, function)
 
     def write(self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Values) -> None:
         """Writes the parameter into the actuator's command path."""
@@ -105,7 +95,6 @@ class CommandDelay(CommandEffect):
     source = "fieldbus and controller cycles: 1 to 40 ms"
     excitation = "commands that change faster than the delay lasts"
     rows = (EffectParameter("delay", "s", upper=0.06, trials=(0.001, 0.004, 0.012, 0.03)),)
-    arrives = staticmethod(delayed)
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """All actuators."""
@@ -137,13 +126,12 @@ class CommandDeadband(CommandEffect):
     )
     source = "Tao and Kokotovic 1996"
     excitation = "commands through zero"
-    rows = (command_row("dead_band", (0.01, 0.05, 0.2), upper=0.5),)
-    arrives = staticmethod(lambda samples, value, _: dead_band(samples, value))
+    rows = (SizedRow("dead_band", "ctrl", (0.01, 0.05, 0.2), upper=0.5, size=command_size),)
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """Native actuators but position servos."""
         servos = position_servos(machine)
-        return tuple(a for a in super().elements(machine) if a not in servos)
+        return tuple(name for name in machine.native_actuators() if name not in servos)
 
 
 @register_effect
@@ -155,8 +143,8 @@ class ServoDeadband(TableEffect):
     physics = "kp (e - d sgn(e)) beyond |e| = d, nothing below, of the position error e = u - q."
     source = "dead bands and compliance margins of position servos: 1 to 20 mrad"
     excitation = "rest and slow motion under small loads"
-    # Half the width of the dead band.
-    rows = (command_row("dead_band", (0.02, 0.08, 0.3), upper=2.0),)
+    # Half the width.
+    rows = (SizedRow("dead_band", "ctrl", (0.02, 0.08, 0.3), upper=2.0, size=command_size),)
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """Position servos."""
@@ -183,8 +171,7 @@ class CommandHysteresis(CommandEffect):
     physics = "play of full width h between command and what arrives"
     source = "Krasnosel'skii and Pokrovskii 1989"
     excitation = "commands that reverse"
-    rows = (command_row("hysteresis", (0.02, 0.1, 0.3), upper=1.0),)
-    arrives = staticmethod(lambda samples, value, _: play(samples, value))
+    rows = (SizedRow("hysteresis", "ctrl", (0.02, 0.1, 0.3), upper=1.0, size=command_size),)
 
 
 @register_effect
@@ -196,7 +183,6 @@ class CommandBandwidth(CommandEffect):
     source = "current loops of drives: 100 to 1000 Hz"
     excitation = "commands that change within the time constant"
     rows = (EffectParameter("time_constant", "s", upper=0.5, trials=(0.003, 0.015, 0.06)),)
-    arrives = staticmethod(lagged)
 
 
 @register_effect
@@ -207,15 +193,51 @@ class CommandBias(CommandEffect):
     physics = "u + bias; of a stateless actuator with fixed gain this is a force offset, named so"
     source = "offsets of analogue command inputs: within 1 % of full scale"
     excitation = "motion under different loads"
-    rows = (command_row("bias", (-0.1, -0.02, 0.02, 0.1), lower=-0.5, upper=0.5),)
-    arrives = staticmethod(lambda samples, value, _: samples + value)
+    rows = (
+        SizedRow(
+            "bias", "ctrl", (-0.1, -0.02, 0.02, 0.1), lower=-0.5, upper=0.5, size=command_size
+        ),
+    )
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """Native actuators whose bias is not a constant force."""
-        integrator, affine = int(mujoco.mjtDyn.mjDYN_INTEGRATOR), int(mujoco.mjtGain.mjGAIN_AFFINE)
-        actuators = {name: machine.base.model.actuator(name) for name in machine.native_actuators()}
-        return tuple(
-            name
-            for name, actuator in actuators.items()
-            if actuator.dyntype[0] == integrator or actuator.gaintype[0] == affine
-        )
+        return natives(machine, lambda a: a.dyntype[0] == _INTEGRATOR or a.gaintype[0] == _AFFINE)
+
+
+@register_effect
+class ActuatorGain(TableEffect):
+    """An actuator that is stronger or weaker than the model says."""
+
+    name = "actuator_gain"
+    group = "sensing"
+    physics = "gain x force: torque constant, gear efficiency, current calibration."
+    source = "torque constants of servo motors: 2 % between good ones, 10 % on data sheets"
+    excitation = "forces of different size"
+    rows = (
+        EffectParameter(
+            "gain",
+            "1",
+            nominal=1.0,
+            lower=0.05,
+            upper=5.0,
+            trials=(0.5, 0.9, 0.98, 1.02, 1.1, 1.5),
+            tolerance=0.02,
+        ),
+    )
+
+    def elements(self, machine: Machine) -> tuple[str, ...]:
+        """Native actuators with fixed or affine gain and bias."""
+        gains, biases = (_FIXED, _AFFINE), (_NO_BIAS, _AFFINE_BIAS)
+        return natives(machine, lambda a: a.gaintype[0] in gains and a.biastype[0] in biases)
+
+    def apply(self, change: Change, element: str, values: Values) -> None:
+        """Scales gain and bias of the actuator."""
+        gain = values["gain"]
+
+        def edit(spec: mujoco.MjSpec) -> None:
+            actuator = spec.actuator(element)
+            actuator.gainprm = actuator.gainprm * gain
+            actuator.biasprm = actuator.biasprm * gain
+
+        if gain != 1.0:
+            change.edit(("actuator_gain", element, gain), edit)

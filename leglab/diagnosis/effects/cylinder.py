@@ -1,68 +1,54 @@
-"""Effects on hydraulic cylinders, their oil and valves: a table of changed parameters."""
+"""Effects on hydraulic cylinders, their oil, valves and supply: a table of their parameters."""
 
-from dataclasses import KW_ONLY, dataclass
 from functools import partial
-from typing import Literal
+from typing import Any
 
-from leglab.diagnosis.effects.base import (
-    EffectParameter,
-    Side,
-    TableEffect,
-    Values,
-    register_effect,
-)
-from leglab.diagnosis.plant.model import CYLINDER, Change, Machine
+import mujoco
+
+from leglab.diagnosis.effects import joints
+from leglab.diagnosis.effects.base import EffectParameter, Row, TableEffect, Values, register_effect
+from leglab.diagnosis.plant.model import CYLINDER, SUPPLY, Change, Machine
 
 HYQ = "HyQ leg parameters (Ledezma 2016)"
 VALVE = "tolerances of small servovalves (type 30 data sheets)"
 
 
-@dataclass(frozen=True)
-class CylinderRow:
-    """One parameter of `leglab.cylinder` as an effect's parameter.
+def relative(
+    name: str,
+    trials: tuple[float, ...],
+    *,
+    tolerance: float = 0.0,
+    lower: float = 0.0,
+    upper: float,
+    added: bool = False,
+    **others: Any,
+) -> Row:
+    """A parameter of `leglab.cylinder` as an effect's, within the bounds of the plugin's own.
 
-    Other attributes are as in `EffectParameter`.
-
-    Attributes:
-        relative: Whether trials, tolerance and bounds are factors of the nominal value; else
-            trials are added to it.
+    Trials, tolerance and bounds are factors of the nominal value. Where they are `added`, trials
+    are added to it, and the others absolute. `others` are as in `EffectParameter`.
     """
 
-    name: str
-    trials: tuple[float, ...]
-    _: KW_ONLY
-    tolerance: float = 0.0
-    lower: float = 0.0
-    upper: float
-    relative: bool = True
-    role: Literal["strength", "shape"] = "strength"
-    faults: Side = "either"
-    inverse: bool = False
-
-    def __call__(self, machine: Machine, cylinder: str) -> EffectParameter:
-        """The parameter on a cylinder, within the bounds of the plugin's own."""
-        nominal = machine.parameter(cylinder, self.name)
-        table = machine.base.elements[cylinder][1].parameters[self.name]
-        unit = nominal if self.relative else 1.0
+    def row(machine: Machine, cylinder: str) -> EffectParameter:
+        nominal = machine.parameter(cylinder, name)
+        own = machine.base.elements[cylinder][1].parameters[name]
+        unit = 1.0 if added else nominal
         return EffectParameter(
-            self.name,
-            table.unit,
+            name,
+            own.unit,
             nominal=nominal,
-            lower=max(self.lower * unit, table.minimum),
-            upper=min(self.upper * unit, table.maximum),
-            trials=tuple(t * nominal if self.relative else nominal + t for t in self.trials),
-            tolerance=self.tolerance * unit,
-            role=self.role,
-            faults=self.faults,
-            inverse=self.inverse,
+            lower=max(lower * unit, own.minimum),
+            upper=min(upper * unit, own.maximum),
+            trials=tuple(nominal + t if added else t * nominal for t in trials),
+            tolerance=tolerance * unit,
+            **others,
         )
 
+    return row
 
-def _shift(change: Change, cylinder: str, name: str, difference: float) -> None:
-    """Adds to a parameter; breakaway friction moves along with Coulomb's, to stay above it."""
-    change.add_parameter(cylinder, name, difference)
-    if name == "coulomb":
-        change.add_parameter(cylinder, "static", difference)
+
+# The same, of trials that are added to the nominal value.
+absolute = partial(relative, added=True)
 
 
 class CylinderEffect(TableEffect):
@@ -75,10 +61,13 @@ class CylinderEffect(TableEffect):
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Shifts the plugin parameters by the difference from nominal."""
         for name, value in values.items():
-            _shift(change, element, name, value - change.machine.parameter(element, name))
+            difference = value - change.machine.parameter(element, name)
+            change.add_parameter(element, name, difference)
+            if name == "coulomb":  # breakaway friction moves along, to stay above it
+                change.add_parameter(element, "static", difference)
 
 
-def define(name: str, *rows: CylinderRow, **attributes: str | bool) -> None:
+def define(name: str, *rows: Row, **attributes: str | bool) -> None:
     """Registers an effect that changes parameters of cylinders; attributes as in `Effect`."""
     own = {"name": name, "rows": rows, "__doc__": attributes["physics"], "__module__": __name__}
     kind = "Cylinder" + name.title().replace("_", "")
@@ -91,7 +80,7 @@ _valve = partial(define, group="valve and command")
 
 _oil(
     "internal_leakage",
-    CylinderRow("internal_leakage", (3.0, 10.0, 35.0), tolerance=0.15, upper=300.0, faults="above"),
+    relative("internal_leakage", (3.0, 10.0, 35.0), tolerance=0.15, upper=300.0, faults="above"),
     physics="Flow past the piston seal, C_i (p_A - p_B); grows with the cube of the clearance.",
     source=f"{HYQ}; seal wear up to x50",
     excitation="a pressure difference across the piston while the valve opens little",
@@ -99,8 +88,8 @@ _oil(
 
 _oil(
     "external_leakage",
-    CylinderRow("external_leakage_a", (2e-13, 1.5e-12), upper=3e-11, relative=False),
-    CylinderRow("external_leakage_b", (2e-13, 1.5e-12), upper=3e-11, relative=False),
+    absolute("external_leakage_a", (2e-13, 1.5e-12), upper=3e-11),
+    absolute("external_leakage_b", (2e-13, 1.5e-12), upper=3e-11),
     physics="Flow from the chambers to the outside, C_e p: rod seal, fittings, hoses.",
     source="ASME FPMC 2014: detectable at 0.07 to 0.25 l/min",
     excitation="chamber pressures well above the tank's",
@@ -108,7 +97,7 @@ _oil(
 
 _oil(
     "entrained_air",
-    CylinderRow("entrained_air", (0.3, 3.0, 10.0), tolerance=0.2, upper=40.0, faults="above"),
+    relative("entrained_air", (0.3, 3.0, 10.0), tolerance=0.2, upper=40.0, faults="above"),
     physics="Air in the oil makes it soft at low pressure: beta = (g + l)/(g/(n p) + l/beta_l).",
     source="docs/physics.md; 0.5 % is normal, foaming oil holds several per cent",
     excitation="pressures that change quickly",
@@ -116,11 +105,21 @@ _oil(
 
 _oil(
     "supply_pressure",
-    CylinderRow("supply_pressure", (0.8, 0.94, 1.1), tolerance=0.01, lower=0.2, upper=1.6),
+    relative("supply_pressure", (0.8, 0.94, 1.1), tolerance=0.01, lower=0.2, upper=1.6),
     physics="The supply holds another pressure than the model says.",
     source="HyQ class machines run at 160 bar; relief valves drift by some per cent",
     excitation="valve openings in both directions",
 )
+
+
+def _temperature(machine: Machine, cylinder: str) -> EffectParameter:
+    own = machine.parameter(cylinder, "oil_temperature")
+    # From 40 C: 9, 3.3, 1.5, 0.65 and 0.38 times the viscosity of ISO VG 46.
+    trials = tuple(own + by for by in (-36.0, -22.0, -8.0, 10.0, 25.0))
+    lower, upper = min(-20.0, own), max(110.0, own)
+    return EffectParameter(
+        "oil_temperature", "degC", nominal=own, lower=lower, upper=upper, trials=trials
+    )
 
 
 @register_effect
@@ -133,20 +132,7 @@ class OilViscosity(CylinderEffect):
     source = "ISO VG 46: 46 cSt at 40 C, 6.8 at 100 C (ISO 3448)"
     excitation = "fast sliding for the friction, pressure at low flow for the leakage"
 
-    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """The temperature of the oil."""
-        nominal = machine.parameter(element, "oil_temperature")
-        return (
-            EffectParameter(
-                "oil_temperature",
-                "degC",
-                nominal=nominal,
-                lower=min(-20.0, nominal),
-                upper=max(110.0, nominal),
-                # From 40 C: 9, 3.3, 1.5, 0.65 and 0.38 times the viscosity of ISO VG 46.
-                trials=tuple(nominal + by for by in (-36.0, -22.0, -8.0, 10.0, 25.0)),
-            ),
-        )
+    rows = (_temperature,)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Sets the temperature."""
@@ -155,7 +141,7 @@ class OilViscosity(CylinderEffect):
 
 _friction(
     "viscous_friction",
-    CylinderRow("viscous", (0.3, 2.0, 5.0), tolerance=0.06, upper=30.0),
+    relative("viscous", (0.3, 2.0, 5.0), tolerance=0.06, upper=30.0),
     physics="b v, of the oil film under the seals.",
     source=HYQ,
     excitation="fast sliding",
@@ -163,7 +149,7 @@ _friction(
 
 _friction(
     "coulomb_friction",
-    CylinderRow("coulomb", (0.3, 2.0, 4.0), tolerance=0.06, upper=30.0),
+    relative("coulomb", (0.3, 2.0, 4.0), tolerance=0.06, upper=30.0),
     physics="F_c sgn(v); breakaway friction moves along with it.",
     source=HYQ,
     excitation="sliding in both directions",
@@ -171,9 +157,9 @@ _friction(
 
 _friction(
     "stiction",
-    CylinderRow("static", (1.6, 3.0, 5.0), lower=0.67, upper=30.0),
-    CylinderRow("stribeck_velocity", (), lower=0.25, upper=4.0, role="shape"),
-    CylinderRow("stribeck_exponent", (), lower=0.25, upper=2.0, role="shape"),
+    relative("static", (1.6, 3.0, 5.0), lower=0.67, upper=30.0),
+    relative("stribeck_velocity", (), lower=0.25, upper=4.0, role="shape"),
+    relative("stribeck_exponent", (), lower=0.25, upper=2.0, role="shape"),
     physics="(F_s - F_c) exp(-|v/v_s|^n): breakaway above Coulomb friction.",
     source=f"{HYQ}; exponents from 0.5 to above 2 (Armstrong-Helouvry et al. 1994, sect. 2.1.3)",
     excitation="slow motion and standstill",
@@ -202,9 +188,9 @@ class AsymmetricSealFriction(CylinderEffect):
         found = []
         for name, unit, share in (("viscous", "N s/m", 0.02), ("coulomb", "N", 0.01)):
             least = share * (pressure * bore**2)
+            mean = machine.parameter(element, name)
             half = 0.5 * machine.parameter(element, f"{name}_difference")
-            for side, sign in (("extending", 1.0), ("retracting", -1.0)):
-                own = machine.parameter(element, name) + sign * half
+            for side, own in (("extending", mean + half), ("retracting", mean - half)):
                 size = max(own, least)
                 found.append(
                     EffectParameter(
@@ -220,18 +206,12 @@ class AsymmetricSealFriction(CylinderEffect):
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Shifts mean and difference of the plugin's friction."""
-        machine = change.machine
-        for name in ("viscous", "coulomb"):
-            extending, retracting = values[f"{name}_extending"], values[f"{name}_retracting"]
-            mean = 0.5 * (extending + retracting)
-            _shift(change, element, name, mean - machine.parameter(element, name))
-            own = machine.parameter(element, f"{name}_difference")
-            change.add_parameter(element, f"{name}_difference", extending - retracting - own)
+        super().apply(change, element, joints.mean_and_difference(self.by_direction, values))
 
 
 define(
     "backlash",
-    CylinderRow("play", (1e-4, 6e-4), upper=1e-2, relative=False),
+    absolute("play", (1e-4, 6e-4), upper=1e-2),
     group="mechanics",
     physics="Play between rod end and pin: within it the piston moves and the joint does not.",
     source="pins of mobile hydraulics: 0.1 to 0.5 mm, worn ones more",
@@ -241,7 +221,7 @@ define(
 
 _friction(
     "pressure_dependent_friction",
-    CylinderRow("pressure_coefficient", (2e-6, 1e-5, 3e-5), upper=1e-3, relative=False),
+    absolute("pressure_coefficient", (2e-6, 1e-5, 3e-5), upper=1e-3),
     physics="k_p (p_A + p_B): seals that are pressed on by the oil.",
     source="lip and step seals",
     excitation="sliding at different pressures",
@@ -249,14 +229,7 @@ _friction(
 
 _valve(
     "valve_deadband",
-    CylinderRow(
-        "lap",
-        (-0.03, 0.012, 0.04, 0.09),
-        tolerance=0.004,
-        lower=-0.2,
-        upper=0.4,
-        relative=False,
-    ),
+    absolute("lap", (-0.03, 0.012, 0.04, 0.09), tolerance=0.004, lower=-0.2, upper=0.4),
     physics="Overlap of the metering edges: no flow while |x_s| < lap.",
     source=f"{VALVE}; overlapped spools up to 10 %; edges are ground to 2 um of a stroke of 0.5 mm",
     excitation="commands through zero",
@@ -264,14 +237,7 @@ _valve(
 
 _valve(
     "valve_bias",
-    CylinderRow(
-        "null_bias",
-        (-0.04, -0.012, 0.012, 0.04),
-        tolerance=0.002,
-        lower=-0.3,
-        upper=0.3,
-        relative=False,
-    ),
+    absolute("null_bias", (-0.04, -0.012, 0.012, 0.04), tolerance=0.002, lower=-0.3, upper=0.3),
     physics="Null shift: the spool stands at u + bias.",
     source=f"{VALVE}: null shift within 2 %",
     excitation="any motion; small openings show it best",
@@ -279,7 +245,7 @@ _valve(
 
 _valve(
     "valve_gain",
-    CylinderRow("rated_flow", (0.6, 0.85, 1.15, 1.5), tolerance=0.02, lower=0.2, upper=3.0),
+    relative("rated_flow", (0.6, 0.85, 1.15, 1.5), tolerance=0.02, lower=0.2, upper=3.0),
     physics="Another flow at the same opening, in both directions: Q_n of the orifice equation.",
     source=f"{VALVE}: flow within 10 %",
     excitation="large openings",
@@ -287,7 +253,7 @@ _valve(
 
 _valve(
     "valve_null_leakage",
-    CylinderRow(
+    relative(
         "edge_rounding", (0.5, 2.0, 4.0), tolerance=0.1, lower=0.02, upper=20.0, faults="above"
     ),
     physics="Worn metering edges: rounding eps of each, so that at its lap it is open by eps/2.",
@@ -328,7 +294,7 @@ class ValveGainAsymmetry(CylinderEffect):
 
 _valve(
     "valve_hysteresis",
-    CylinderRow("hysteresis", (0.008, 0.03, 0.08), upper=0.5, relative=False),
+    absolute("hysteresis", (0.008, 0.03, 0.08), upper=0.5),
     physics=(
         "Play of full width h between command and spool: friction of the spool, magnet of the "
         "motor."
@@ -351,16 +317,11 @@ class ValveBandwidth(CylinderEffect):
     source = "servovalves of the E024 class: 250 Hz; clogged first stages fall to a tenth"
     excitation = "commands that change within some hundredths of a second"
     rows = (
-        CylinderRow(
-            "bandwidth_hz",
-            (0.05, 0.12, 0.35),
-            lower=0.015,
-            upper=2.0,
-            faults="below",
-            inverse=True,
+        relative(
+            "bandwidth_hz", (0.05, 0.12, 0.35), lower=0.015, upper=2.0, faults="below", inverse=True
         ),
         # A large one is a lag of first order.
-        CylinderRow("damping_ratio", (), lower=0.5, upper=8.0, role="shape"),
+        relative("damping_ratio", (), lower=0.5, upper=8.0, role="shape"),
     )
 
     def apply(self, change: Change, element: str, values: Values) -> None:
@@ -372,13 +333,52 @@ class ValveBandwidth(CylinderEffect):
         super().apply(change, element, {**values, "bandwidth_hz": natural})
 
 
+@register_effect
+class SupplyDroop(TableEffect):
+    """Supply pressure falls with the flow that the valves draw."""
+
+    name = "supply_droop"
+    group = "oil and seals"
+    physics = "p_s = p_0 - droop Q_s behind an accumulator, p V^n = constant."
+    source = "HyQ leg parameters (Ledezma 2016): accumulator 0.04 l, 100 bar gas, n = 1.4"
+    excitation = "large flows: fast motion, large openings"
+    order = 1  # takes over the supply pressure of the cylinders
+    rows = (
+        EffectParameter("droop", "Pa s/m^3", upper=3e12, trials=(1e10, 1e11, 5e11)),
+        # Gas of the accumulator at its precharge.
+        EffectParameter.shape("accumulator_volume", "m^3", 4e-5, 1e-6, 1e-3),
+    )
+
+    def elements(self, machine: Machine) -> tuple[str, ...]:
+        """One for the machine, where no cylinder names a supply of its own."""
+        named = any(machine.base.drawn_by.values())
+        return ("supply",) if machine.instances(CYLINDER) and not named else ()
+
+    def apply(self, change: Change, element: str, values: Values) -> None:
+        """Inserts a supply unit that all cylinders draw from."""
+        if values["droop"] <= 0.0:
+            return
+        cylinders = change.machine.instances(CYLINDER)
+        pressure = change.parameter(cylinders[0], "supply_pressure")
+
+        def insert(spec: mujoco.MjSpec) -> None:
+            joints.insert(spec, SUPPLY, element, {"accumulator_volume": 4e-5})
+            for cylinder in cylinders:
+                plugin = spec.actuator(cylinder).plugin
+                plugin.config = {**plugin.config, "supply": element}
+
+        change.edit(("supply", element), insert)
+        change.set_parameter(element, "supply_pressure", pressure)
+        change.set_parameter(element, "accumulator_volume", values["accumulator_volume"])
+        change.set_parameter(element, "compensator_gain", 1.0 / values["droop"])
+        change.set_parameter(element, "pump_flow", 0.1)  # the compensator limits, not the pump
+
+
 # Shapes of laws in which good machines differ, by a trial: calibrated, never named.
 
 _valve(
     "metering_edges",
-    CylinderRow(
-        "edge_exponent", (-0.8, 1.0), tolerance=0.8, lower=1.02, upper=12.0, relative=False
-    ),
+    absolute("edge_exponent", (-0.8, 1.0), tolerance=0.8, lower=1.02, upper=12.0),
     physics="How an edge shuts behind its lap: exponent n of its rounding.",
     source="docs/physics.md",
     excitation="small openings of the valve",
@@ -387,12 +387,10 @@ _valve(
 
 _friction(
     "friction_curve",
-    CylinderRow("stribeck_velocity", (0.5, 2.0), tolerance=0.5, lower=0.1, upper=8.0),
-    CylinderRow(
-        "stribeck_exponent", (-0.7, 1.0), tolerance=0.7, lower=0.3, upper=4.0, relative=False
-    ),
+    relative("stribeck_velocity", (0.5, 2.0), tolerance=0.5, lower=0.1, upper=8.0),
+    absolute("stribeck_exponent", (-0.7, 1.0), tolerance=0.7, lower=0.3, upper=4.0),
     # Twenty times as stiff is rigid, beside whatever is driven.
-    CylinderRow("sigma_0", (0.5, 2.0), tolerance=0.5, lower=0.1, upper=20.0, inverse=True),
+    relative("sigma_0", (0.5, 2.0), tolerance=0.5, lower=0.1, upper=20.0, inverse=True),
     physics=(
         "How friction falls from breakaway to sliding, Stribeck velocity v_s and exponent n, and "
         "how far its bristle gives way before, 1/sigma_0."

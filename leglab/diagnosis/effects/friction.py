@@ -4,8 +4,8 @@ import math
 from dataclasses import replace
 
 from leglab.diagnosis.effects import joints
-from leglab.diagnosis.effects.base import EffectParameter, Values, register_effect
-from leglab.diagnosis.effects.joints import JointEffect, JointRow
+from leglab.diagnosis.effects.base import EffectParameter, Row, Values, register_effect
+from leglab.diagnosis.effects.joints import JointEffect, SizedRow
 from leglab.diagnosis.plant.model import CYLINDER, FRICTION, Change, Machine
 
 # LuGre bristle that is stiff for a joint and stable at 1 ms: 100 Hz, half damped.
@@ -31,11 +31,7 @@ class JointViscousFriction(FrictionEffect):
     physics = "b v: lubricated bearings, grease, eddy currents."
     source = "Armstrong-Helouvry et al. 1994; 10 % between good machines"
     excitation = "fast motion"
-    rows = (JointRow("damping", "{force} s/{length}", (0.02, 0.15), upper=10.0, field="damping"),)
-
-    def apply(self, change: Change, element: str, values: Values) -> None:
-        """Sets MuJoCo's damping."""
-        joints.set_native(change, element, "damping", values["damping"])
+    rows = (SizedRow("damping", "{force} s/{length}", (0.02, 0.15), upper=10.0, field="damping"),)
 
 
 def insert_friction(change: Change, joint: str, effect: str, values: Values) -> None:
@@ -57,15 +53,20 @@ class JointCoulombFriction(FrictionEffect):
     physics = "F_c sgn(v); at rest it holds up to F_c."
     source = "Armstrong-Helouvry et al. 1994"
     excitation = "slow motion in both directions, and rest"
-    rows = (JointRow("coulomb", "{force}", (0.01, 0.08), upper=1.0, field="frictionloss"),)
+    rows = (SizedRow("coulomb", "{force}", (0.01, 0.08), upper=1.0, field="frictionloss"),)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Sets MuJoCo's friction loss, and inserts joint friction for what is beyond it."""
         own = joints.native(change.machine, element, "frictionloss")
-        joints.set_native(change, element, "frictionloss", min(own, values["coulomb"]))
-        more = values["coulomb"] - own
-        if more > 0.0:
+        super().apply(change, element, {"coulomb": min(own, values["coulomb"])})
+        if (more := values["coulomb"] - own) > 0.0:
             insert_friction(change, element, self.name, {"coulomb": more, "static": more})
+
+
+def _stribeck_velocity(machine: Machine, joint: str) -> EffectParameter:
+    limits = (0.05, 0.005, 1.0) if machine.unit(joint) == "rad" else (0.01, 0.001, 0.2)
+    unit = joints.unit_of(machine, joint, "{length}/s")
+    return EffectParameter.shape("stribeck_velocity", unit, *limits)
 
 
 @register_effect
@@ -76,20 +77,11 @@ class JointStiction(FrictionEffect):
     physics = "(F_s - F_c) exp(-|v/v_s|^n) sgn(v), LuGre bristle before sliding."
     source = "Canudas de Wit et al. 1995; n by Armstrong-Helouvry et al. 1994, sect. 2.1.3"
     excitation = "slow motion, reversals and rest"
-    rows = (JointRow("breakaway", "{force}", (0.02, 0.1), upper=1.0),)
-
-    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """Breakaway above Coulomb friction; Stribeck velocity and exponent."""
-        hinge = machine.unit(element) == "rad"
-        nominal, lower, upper = (0.05, 0.005, 1.0) if hinge else (0.01, 0.001, 0.2)
-        unit = joints.unit_of(machine, element, "{length}/s")
-        stribeck = EffectParameter(
-            "stribeck_velocity", unit, nominal=nominal, lower=lower, upper=upper, role="shape"
-        )
-        exponent = EffectParameter(
-            "stribeck_exponent", "1", nominal=2.0, lower=0.5, upper=4.0, role="shape"
-        )
-        return (*super().parameters(machine, element), stribeck, exponent)
+    rows = (
+        SizedRow("breakaway", "{force}", (0.02, 0.1), upper=1.0),
+        _stribeck_velocity,
+        EffectParameter.shape("stribeck_exponent", "1", 2.0, 0.5, 4.0),
+    )
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts joint friction that has a breakaway level only."""
@@ -131,6 +123,14 @@ def _loads(machine: Machine, joint: str) -> tuple[str, ...]:
     return ("actuator",) * driven + ("bias",) * heavy
 
 
+def _viscous(name: str) -> Row:
+    """Viscous friction that is added, or takes off most of the drive's."""
+    row = SizedRow(name, "{force} s/{length}", (0.02, 0.1), upper=10.0)
+    return lambda machine, joint: replace(
+        row(machine, joint), lower=-0.8 * joints.drive_damping(machine, joint)
+    )
+
+
 @register_effect
 class AsymmetricFriction(JointEffect):
     """Friction that differs by direction."""
@@ -147,27 +147,14 @@ class AsymmetricFriction(JointEffect):
         ("coulomb_forward", "coulomb_backward"),
     )
     rows = (
-        JointRow("viscous_forward", "{force} s/{length}", (0.02, 0.1), upper=10.0),
-        JointRow("viscous_backward", "{force} s/{length}", (0.02, 0.1), upper=10.0),
-        JointRow("coulomb_forward", "{force}", (0.01, 0.05), upper=1.0),
-        JointRow("coulomb_backward", "{force}", (0.01, 0.05), upper=1.0),
+        _viscous("viscous_forward"),
+        _viscous("viscous_backward"),
+        SizedRow("coulomb_forward", "{force}", (0.01, 0.05), upper=1.0),
+        SizedRow("coulomb_backward", "{force}", (0.01, 0.05), upper=1.0),
     )
-
-    def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """Added friction of each direction; the viscous one may take off most of the drive's."""
-        least = -0.8 * joints.drive_damping(machine, element)
-        return tuple(
-            replace(parameter, lower=least) if parameter.name.startswith("viscous") else parameter
-            for parameter in super().parameters(machine, element)
-        )
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts joint friction with a mean and a difference."""
-        if not any(values.values()):
-            return
-        found = {}
-        for kind in ("viscous", "coulomb"):
-            forward, backward = values[f"{kind}_forward"], values[f"{kind}_backward"]
-            found[kind] = 0.5 * (forward + backward)
-            found[f"{kind}_difference"] = forward - backward
-        insert_friction(change, element, self.name, {**found, "static": found["coulomb"]})
+        if any(values.values()):
+            found = joints.mean_and_difference(self.by_direction, values)
+            insert_friction(change, element, self.name, {**found, "static": found["coulomb"]})

@@ -48,6 +48,11 @@ class Site:
         return np.array([p.upper for p in self.parameters])
 
     @property
+    def slowest(self) -> float:
+        """Longest delay or lag among all trials [s]; infinite where one is no time."""
+        return max((p.slowest for p in self.parameters if p.trials), default=np.inf)
+
+    @property
     def differences(self) -> np.ndarray:
         """Weights of first less second direction, (pairs `by_direction`, parameters)."""
         names = [p.name for p in self.parameters]
@@ -140,18 +145,13 @@ class Library:
             used = wanted and effect.nameable and effect.name not in excluded
             for element in effect.elements(machine):
                 key = effect.name, element
+                if used:
+                    searched.add(key)
                 if used or key in self.specimen or not effect.nameable:
                     given = effect.parameters(machine, element)
                     parameters = tuple(p.stretched(shortest) for p in given)
                     self.sites[key] = Site(effect, element, parameters, self.specimen.get(key))
-                if used:
-                    searched.add(key)
-        self.too_fast = frozenset(
-            key
-            for key in searched
-            if max((p.slowest for p in self.sites[key].parameters if p.trials), default=np.inf)
-            < shortest
-        )
+        self.too_fast = frozenset(k for k in searched if self.sites[k].slowest < shortest)
         self.searched = frozenset(searched) - self.too_fast
 
     @property
@@ -161,9 +161,8 @@ class Library:
 
     def contains(self, larger: Key, simpler: Key) -> bool:
         """Whether an effect has another, at the same joint, as a special case."""
-        (_, one), (name, other) = larger, simpler
-        joints = (self._driven.get(element, (element,)) for element in (one, other))
-        return name in self.sites[larger].effect.contains and len({j[0] for j in joints}) == 1
+        joints = {self._driven.get(element, (element,))[0] for _, element in (larger, simpler)}
+        return simpler[0] in self.sites[larger].effect.contains and len(joints) == 1
 
     def with_sites(self, sites: Mapping[Key, Site]) -> "Library":
         """The same effects with other parameters."""

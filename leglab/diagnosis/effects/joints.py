@@ -4,16 +4,19 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass
 from functools import lru_cache
+from typing import ClassVar
 
 import mujoco
 import numpy as np
 
-from leglab.diagnosis.effects.base import EffectParameter, TableEffect, Values
+from leglab.diagnosis.effects.base import EffectParameter, Group, TableEffect, Values
 from leglab.diagnosis.plant.model import CYLINDER, Change, Machine
-from leglab.machine.simulation import actuator_moments
 
 # Standard deviation of a native field between good machines, a share of its value.
 _TOLERANCE = 0.1
+
+# Of a joint or actuator.
+Size = Callable[[Machine, str], float]
 
 
 def unit_of(machine: Machine, joint: str, pattern: str) -> str:
@@ -49,24 +52,22 @@ def gravity(machine: Machine, joint: str) -> float:
     return max(found)
 
 
-@lru_cache(maxsize=256)
 def drive_damping(machine: Machine, joint: str) -> float:
     """Viscous friction that acts on a joint [N m s/rad or N s/m]: its own and its cylinders'."""
-    model = machine.base.model
-    data = mujoco.MjData(model)
-    data.qpos[:] = model.qpos0 + 0.1
-    mujoco.mj_forward(model, data)
-    levers = actuator_moments(model, data)[:, model.joint(joint).dofadr[0]]
-    total = native(machine, joint, "damping")
+    total, dof = native(machine, joint, "damping"), machine.base.model.joint(joint).dofadr[0]
     for cylinder in machine.instances(CYLINDER):
-        lever = float(levers[model.actuator(cylinder).id])
+        lever = float(machine.moments[machine.actuators.index(cylinder), dof])
         total += machine.parameter(cylinder, "viscous") * lever**2
     return total
 
 
-def travel(machine: Machine, joint: str) -> float:
-    """Displacement that matters at a joint: 1 rad, or 0.2 m of a slide."""
-    return 1.0 if machine.unit(joint) == "rad" else 0.2
+def on_slide(value: float) -> Size:
+    """A size that is 1 of a hinge, and another of a slide."""
+    return lambda machine, joint: 1.0 if machine.unit(joint) == "rad" else value
+
+
+# Displacement that matters at a joint [rad or m].
+travel = on_slide(0.2)
 
 
 def native(machine: Machine, joint: str, field: str) -> float:
@@ -105,20 +106,29 @@ def insert_on_joint(
         change.set_parameter(name, parameter, value)
 
 
+def mean_and_difference(pairs: tuple[tuple[str, str], ...], values: Values) -> dict[str, float]:
+    """Viscous and Coulomb friction as plugins take it, from pairs by direction, `by_direction`."""
+    found = {}
+    for kind, (one, other) in zip(("viscous", "coulomb"), pairs, strict=True):
+        found[kind] = 0.5 * (values[one] + values[other])
+        found[f"{kind}_difference"] = values[one] - values[other]
+    return found
+
+
 @dataclass(frozen=True)
-class JointRow:
-    """One parameter of an effect on joints; the joint's size decides how far it goes.
+class SizedRow:
+    """One parameter of an effect on joints or actuators; their size decides how far it goes.
 
     Attributes:
-        name: Of the parameter.
-        unit: SI unit, as a pattern of `unit_of`.
-        trials: To screen; shares of the size, added to the joint's own value.
+        name: As in `EffectParameter`.
+        unit: As in `EffectParameter`; of a joint a pattern of `unit_of`.
+        trials: To screen; shares of the size, added to the own value.
         lower: Smallest value in sizes, absolute.
-        upper: Largest value in sizes, added to the joint's own value.
-        size: Of a joint.
-        field: MuJoCo's own field that holds the value, see `native`. Half of it is tried too.
+        upper: Largest value in sizes, added to the own value.
+        size: Of a joint or actuator.
+        field: MuJoCo's field of a joint that holds its own value, see `native`. Half is tried too.
         half_above: Only where the value is above so many sizes.
-        own: Of a joint, its own value where there is no field.
+        own: The own value where there is no field.
     """
 
     name: str
@@ -127,19 +137,19 @@ class JointRow:
     _: KW_ONLY
     lower: float = 0.0
     upper: float
-    size: Callable[[Machine, str], float] = force_scale
+    size: Size = force_scale
     field: str = ""
     half_above: float = 0.0
-    own: Callable[[Machine, str], float] = lambda machine, joint: 0.0
+    own: Size = lambda machine, element: 0.0
 
-    def __call__(self, machine: Machine, joint: str) -> EffectParameter:
-        """The parameter on a joint."""
-        size = self.size(machine, joint)
-        own = native(machine, joint, self.field) if self.field else self.own(machine, joint)
+    def __call__(self, machine: Machine, element: str) -> EffectParameter:
+        """The parameter on a joint or actuator."""
+        size = self.size(machine, element)
+        own = native(machine, element, self.field) if self.field else self.own(machine, element)
         half = (0.5 * own,) if self.field and own > self.half_above * size else ()
         return EffectParameter(
             self.name,
-            unit_of(machine, joint, self.unit),
+            unit_of(machine, element, self.unit) if "{" in self.unit else self.unit,
             nominal=own,
             lower=self.lower * size,
             upper=own + self.upper * size,
@@ -151,6 +161,14 @@ class JointRow:
 class JointEffect(TableEffect):
     """Base of effects on joints."""
 
+    group: ClassVar[Group] = "mechanics"
+
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """All joints."""
         return machine.joints
+
+    def apply(self, change: Change, element: str, values: Values) -> None:
+        """Sets MuJoCo's own fields that rows name."""
+        for row in self.rows:
+            if isinstance(row, SizedRow) and row.field:
+                set_native(change, element, row.field, values[row.name])

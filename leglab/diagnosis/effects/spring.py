@@ -1,4 +1,4 @@
-"""Springs and dampers beside a joint: a spring-damper element, or MuJoCo's own."""
+"""Springs, dampers and forces beside a joint: a spring-damper element, or MuJoCo's own."""
 
 import math
 
@@ -6,7 +6,7 @@ import mujoco
 
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import EffectParameter, Values, register_effect
-from leglab.diagnosis.effects.joints import JointEffect, JointRow
+from leglab.diagnosis.effects.joints import JointEffect, SizedRow
 from leglab.diagnosis.plant.model import SPRING, Change, Machine
 
 # Good springs differ by 2 to 3 % (DIN 2095 grade 2: 5 % of the load at a given length).
@@ -29,7 +29,7 @@ def rest_position(machine: Machine, joint: str) -> float:
 
 def _size(machine: Machine, joint: str, slide: float) -> float:
     """Force that matters, times a factor for slides: they move decimetres instead of radians."""
-    return joints.force_scale(machine, joint) * (1.0 if machine.unit(joint) == "rad" else slide)
+    return joints.force_scale(machine, joint) * joints.on_slide(slide)(machine, joint)
 
 
 def set_spring(change: Change, joint: str, effect: str, parameter: str, value: float) -> None:
@@ -52,7 +52,6 @@ class SpringStiffness(JointEffect):
     """A spring that has tired or was exchanged, or one that the model lacks."""
 
     name = "spring_stiffness"
-    group = "mechanics"
     physics = "-k (q - q_0); with a spring-damper element its k1."
     source = "Hooke; tolerance of coil springs DIN 2095 grade 2"
     excitation = "positions over a range"
@@ -87,7 +86,6 @@ class SpringHardening(JointEffect):
     """A spring that stiffens with its deflection."""
 
     name = "spring_hardening"
-    group = "mechanics"
     physics = "-k3 y^3 (Duffing), with a spring-damper element -k2 y^3 sin^2 y; y = q - q_0."
     source = "Duffing 1918; Folgheraiter, Eq. 23"
     excitation = "large positions on both sides of the rest position"
@@ -119,12 +117,11 @@ class SpringOffset(JointEffect):
     """A spring that rests elsewhere: mounted wrongly, set, or slipped."""
 
     name = "spring_offset"
-    group = "mechanics"
     physics = "-k (q - q_0 - shift)"
     source = "mounting and set of coil springs, some per cent of their travel"
     excitation = "positions over a range, so that it differs from a constant force"
     rows = (
-        JointRow(
+        SizedRow(
             "shift", "{length}", (-0.2, -0.04, 0.04, 0.2), lower=-1.0, upper=1.0, size=joints.travel
         ),
     )
@@ -160,12 +157,11 @@ class QuadraticDamping(JointEffect):
     """A damper whose force grows with the speed squared."""
 
     name = "quadratic_damping"
-    group = "mechanics"
     physics = "-d |v| v: orifice dampers, drag."
     source = "turbulent flow (Bernoulli); Folgheraiter's damper, docs/physics.md"
     excitation = "slow and fast motion, which tell it from viscous friction"
     rows = (
-        JointRow(
+        SizedRow(
             "damping",
             "{force} s^2/{length}^2",
             (0.01, 0.06, 0.3),
@@ -178,3 +174,20 @@ class QuadraticDamping(JointEffect):
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Sets the coefficient of the element that is there, or of a new one."""
         set_spring(change, element, "quadratic_damper", "quadratic_damping", values["damping"])
+
+
+@register_effect
+class ForceOffset(JointEffect):
+    """A constant force on a joint: a cable, a counterweight, a current offset."""
+
+    name = "force_offset"
+    group = "sensing"
+    physics = "constant generalised force"
+    source = "offset of a torque loop, pull of a cable or hose"
+    excitation = "any motion; rest under little friction"
+    rows = (SizedRow("force", "{force}", (-0.1, -0.02, 0.02, 0.1), lower=-2.0, upper=2.0),)
+
+    def apply(self, change: Change, element: str, values: Values) -> None:
+        """Inserts a spring-damper that has nothing but the constant force."""
+        if values["force"]:
+            insert_spring(change, element, "force", {"force_offset": values["force"]})

@@ -155,9 +155,8 @@ class _Entry:
         """Why positions and commands are not there, None if all are."""
         needed = self.machine.columns
         absent = [column for column in needed if column not in recording]
-        for column in absent:
-            if column in reasons:
-                return reasons[column]
+        if told := [reasons[column] for column in absent if column in reasons]:
+            return told[0]
         if absent:
             return (
                 f"no column {', '.join(map(repr, absent))}: the model needs {', '.join(needed)}; "
@@ -177,10 +176,9 @@ class _Entry:
         own = self.recording
         for joint in self.machine.joints:
             column, unit = f"{joint}_position", self.machine.unit(joint)
-            result = unwrapped(own.time, own[column], hinge=unit == "rad")
-            if result is None:
+            if (found := unwrapped(own.time, own[column], hinge=unit == "rad")) is None:
                 continue
-            samples, turn = result.samples, result.turn
+            samples, turn, jumps = found
             if unit == "rad" and abs(turn / 360.0 - 1.0) < DEFAULT.same:
                 why = f"column {column!r} jumps by {turn:.4g}, a turn has 6.283 rad"
                 return f"{why}; is it in degrees? allowed: rad"
@@ -190,7 +188,7 @@ class _Entry:
                 samples = samples + turn * np.rint((middle - np.nanmedian(samples)) / turn)
             self.recording = self.recording.with_columns({column: samples})
             text = f"the encoder begins anew after {turn:.4g} {unit}; unwrapped"
-            self.remarks.append(Remark(text, self.name, f"{column!r} {result.jumps} times"))
+            self.remarks.append(Remark(text, self.name, f"{column!r} {jumps} times"))
         return None
 
     def _position_fault(self, joint: str) -> str | None:
@@ -239,12 +237,13 @@ class _Entry:
 
     def doubts(self, recording: Recording) -> Iterator[Remark]:
         """Remarks on the columns that are used, those of `recording`."""
+        measured = {c: v for c, v in recording.columns.items() if not c.endswith("_command")}
         for column, values in recording.columns.items():
             known = values[np.isfinite(values)]
             if known.size < values.size:
                 text = "samples without a number"
                 yield Remark(text, self.name, f"{column!r} {values.size - known.size}")
-            if not column.endswith("_command") and known.size > 1 and np.ptp(known) == 0.0:
+            if column in measured and known.size > 1 and np.ptp(known) == 0.0:
                 text = "the same in every row, at rest or a sensor that is not connected"
                 yield Remark(text, self.name, f"{column!r} {known[0]:.6g}")
         for actuator in self.machine.actuators:
@@ -256,9 +255,7 @@ class _Entry:
                 text = "a command leaves its range, the model clips it"
                 place = f"'{actuator}_command' beyond [{low:g}, {high:g}] in {outside} samples"
                 yield Remark(text, self.name, place)
-        for column, values in recording.columns.items():
-            if column.endswith("_command"):
-                continue
+        for column, values in measured.items():
             low, high = np.nanmin(values), np.nanmax(values)
             # What rests elsewhere as long is no saturated sensor.
             inside = (values[1:] != low) & (values[1:] != high)

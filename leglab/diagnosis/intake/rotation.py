@@ -1,7 +1,5 @@
 """Encoders that begin anew after a turn: their jumps are found and taken out."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 from leglab.diagnosis.thresholds import DEFAULT
@@ -9,21 +7,9 @@ from leglab.diagnosis.thresholds import DEFAULT
 _TURN = 2.0 * np.pi
 
 
-class Unwrapped(NamedTuple):
-    """A position without jumps.
-
-    Attributes:
-        samples: Shape (n,); NaN stays.
-        turn: Size of a jump, in the unit of the samples.
-        jumps: How many there were.
-    """
-
-    samples: np.ndarray
-    turn: float
-    jumps: int
-
-
-def unwrapped(time: np.ndarray, samples: np.ndarray, *, hinge: bool) -> Unwrapped | None:
+def unwrapped(
+    time: np.ndarray, samples: np.ndarray, *, hinge: bool
+) -> tuple[np.ndarray, float, int] | None:
     """Takes out the jumps of an encoder that begins anew after a full turn.
 
     A jump is a step of more than half of all that the encoder shows, after which the motion goes on
@@ -37,7 +23,8 @@ def unwrapped(time: np.ndarray, samples: np.ndarray, *, hinge: bool) -> Unwrappe
         hinge: Whether 2 pi and its parts are turns; else only what jumps agree on is.
 
     Returns:
-        None where nothing jumps.
+        The samples without jumps, (n,), the size of a turn in their unit, and how many jumps there
+        were; None where nothing jumps.
     """
     good = np.flatnonzero(np.isfinite(samples))
     if good.size < 10:
@@ -62,7 +49,7 @@ def unwrapped(time: np.ndarray, samples: np.ndarray, *, hinge: bool) -> Unwrappe
     turns = np.rint((expected - steps) / turn)
     out = samples.copy()
     out[good[1:]] += turn * np.cumsum(turns)
-    return Unwrapped(samples=out, turn=turn, jumps=int((turns != 0.0).sum()))
+    return out, turn, int((turns != 0.0).sum())
 
 
 def _turn(values: np.ndarray, sizes: np.ndarray, *, hinge: bool) -> float | None:

@@ -26,12 +26,7 @@ class Lately:
         self.found = defaultdict(lambda: deque(maxlen=3))
 
     def get(
-        self,
-        name: str,
-        inputs: Sequence[np.ndarray],
-        follow: Callable[[], T],
-        *,
-        by: object = None,
+        self, name: str, inputs: Sequence[np.ndarray], follow: Callable[[], T], *, by: object = None
     ) -> T:
         """What `follow` gives; it is called only where the inputs, or the model, are new.
 

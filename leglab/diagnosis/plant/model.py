@@ -75,7 +75,8 @@ class Machine:
         base: The model as it is.
         joints: Names of the hinge and slide joints.
         actuators: Names of the actuators.
-        driven: Joints that each actuator moves, by actuator: those of its moment near qpos0.
+        moments: Of the actuators near qpos0, (nu, nv).
+        driven: Joints that each actuator moves, by actuator: those of its moments.
         carried: Command paths and sensor corrections in the file, see `take_out`; variants are
             free of them.
 
@@ -108,9 +109,10 @@ class Machine:
         # A singular qpos0 (a straight linkage) must not hide a moment.
         data.qpos[:] = model.qpos0 + 0.1
         mujoco.mj_forward(model, data)
+        self.moments = actuator_moments(model, data)
         self.driven = {
             name: tuple(self.joints[int(model.dof_jntid[k])] for k in moved(row))
-            for name, row in zip(self.actuators, actuator_moments(model, data), strict=True)
+            for name, row in zip(self.actuators, self.moments, strict=True)
         }
 
     @property

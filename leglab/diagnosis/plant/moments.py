@@ -50,23 +50,18 @@ def forces_at(
         accelerations: Of the motion, (moments, nv), NaN where a joint moves as the model has it;
             None where no lacking forces are asked for.
     """
-    count = len(states)
-    out = {name: np.empty((count, model.nv)) for name in ("lacking", "load", "bias")}
-    out |= {name: np.empty((count, model.nu)) for name in ("length", "speed", "pull")}
-    out["inertia"] = np.empty((count, model.nv, model.nv))
-    wanted = dict(out)
+    joints, actuators = (model.nv,), (model.nu,)
+    shapes = dict.fromkeys(("load", "bias"), joints) | {"inertia": joints + joints}
+    shapes |= dict.fromkeys(("length", "speed", "pull"), actuators)
     if accelerations is None:
-        accelerations = np.zeros((count, model.nv))
-        out["lacking"] = np.empty((0, model.nv))
-        del wanted["lacking"]
-    leglab._native.forces.at_moments(
-        model._address,
-        np.ascontiguousarray(states),
-        np.ascontiguousarray(commands),
-        np.ascontiguousarray(accelerations),
-        wanted,
-    )
-    return MomentForces(**out)
+        accelerations = np.zeros((len(states), model.nv))
+    else:
+        shapes["lacking"] = joints
+    out = {name: np.empty((len(states), *shape)) for name, shape in shapes.items()}
+    states, commands = np.ascontiguousarray(states), np.ascontiguousarray(commands)
+    accelerations = np.ascontiguousarray(accelerations)
+    leglab._native.forces.at_moments(model._address, states, commands, accelerations, out)
+    return MomentForces(**{"lacking": np.empty((0, model.nv)), **out})
 
 
 def states_at(

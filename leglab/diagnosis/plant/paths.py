@@ -6,6 +6,7 @@ replayed model and applied to commands and measured columns, as hypothetical fau
 """
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 
 import mujoco
@@ -41,40 +42,37 @@ def take_out(spec: mujoco.MjSpec) -> tuple[dict[str, list[CommandPath]], dict[st
     Returns:
         What commands met, by actuator, in order, and what undoes the faults of a column.
     """
-    commands: dict[str, list[CommandPath]] = {}
+    commands: defaultdict[str, list[CommandPath]] = defaultdict(list)
     for actuator in spec.actuators:
         if float(actuator.delay) > 0.0:
-            commands.setdefault(actuator.name, []).extend(_functions({"delay": actuator.delay}))
+            commands[actuator.name] += command_path({"delay": actuator.delay})
             actuator.delay, actuator.nsample = 0.0, 0
     for plugin in spec.plugins:
         if plugin.plugin_name == COMMAND_PATH:
             config = dict(plugin.config)
-            commands.setdefault(config["actuator"], []).extend(_functions(config))
+            commands[config["actuator"]] += command_path(config)
             # What acts beside the command is no function of it, and stays.
             kept = ("actuator", "actuator_gain", "servo_dead_band", "max_delay")
             plugin.config = {k: v for k, v in config.items() if k in kept}
-    corrections: dict[str, Corrections] = {}
+    corrections: defaultdict[str, Corrections] = defaultdict(list)
     for joint in spec.joints:
-        for sensor, offset, scale in (
-            *((chamber, PRESSURE_OFFSET, PRESSURE_SCALE) for chamber in CHAMBERS),
-            ("position", ENCODER_OFFSET, ENCODER_SCALE),
-        ):
-            place = {"joint": joint.name, "chamber": sensor}
-            shift = number_of(spec, offset.format(**place), 0.0)
-            factor = number_of(spec, scale.format(**place), 1.0)
-            undone: Corrections = []
-            if shift != 0.0:
-                undone.append((undo_offset(shift), 1.0))
-            if factor != 1.0:
-                undone.append((undo_scale(factor), 1.0 / factor))
-            if undone:
-                corrections[f"{joint.name}_{sensor}"] = undone
+        for sensor in (*CHAMBERS, "position"):
+            offset, scale = numerics(joint.name, sensor)
+            undone = undo(number_of(spec, offset, 0.0), number_of(spec, scale, 1.0))
+            corrections[f"{joint.name}_{sensor}"] += undone
         shown = spec.sensor(delayed_sensor(joint.name))
         if shown is not None and float(shown.delay) > 0.0:
-            undone = corrections.setdefault(f"{joint.name}_position", [])
-            undone.append((undo_delay(float(shown.delay)), 1.0))
+            corrections[f"{joint.name}_position"].append((undo_delay(float(shown.delay)), 1.0))
             shown.delay, shown.nsample = 0.0, 0
-    return commands, corrections
+    return dict(commands), {column: undone for column, undone in corrections.items() if undone}
+
+
+def numerics(joint: str, sensor: str) -> tuple[str, str]:
+    """Names of a sensor's offset and scale: of a joint's "position", or of a chamber."""
+    place = {"joint": joint, "chamber": sensor}
+    if sensor == "position":
+        return ENCODER_OFFSET.format(**place), ENCODER_SCALE.format(**place)
+    return PRESSURE_OFFSET.format(**place), PRESSURE_SCALE.format(**place)
 
 
 def set_number(spec: mujoco.MjSpec, name: str, value: float) -> None:
@@ -92,7 +90,7 @@ def number_of(spec: mujoco.MjSpec, name: str, otherwise: float) -> float:
     return otherwise if numeric is None else float(numeric.data[0])
 
 
-def _functions(config: Mapping[str, str | float]) -> list[CommandPath]:
+def command_path(config: Mapping[str, str | float]) -> list[CommandPath]:
     """Functions that a `leglab.command_path` applies to held commands, in its order."""
     names = ("delay", "bias", "hysteresis", "dead_band", "time_constant")
     delay, bias, width, half_width, time_constant = (float(config.get(n, 0.0)) for n in names)
@@ -112,10 +110,7 @@ def _functions(config: Mapping[str, str | float]) -> list[CommandPath]:
 
 
 def delayed(samples: np.ndarray, delay: float, period: float) -> np.ndarray:
-    """Held samples, shape (n,), that arrive later; between samples by their share of the period.
-
-    The delay is not negative; it and the sampling period are in s.
-    """
+    """Held samples, (n,), later by a delay of at least 0, by shares of a period; both in s."""
     whole, share = divmod(delay / period, 1.0)
     padded = np.concatenate([np.full(int(whole) + 1, samples[0]), samples])
     return (1.0 - share) * padded[1 : 1 + samples.size] + share * padded[: samples.size]
@@ -146,14 +141,14 @@ def lagged(samples: np.ndarray, time_constant: float, period: float) -> np.ndarr
     return samples + (before - samples) * (1.0 - decay) * time_constant / period
 
 
-def undo_offset(offset: float) -> Correction:
-    """Takes an offset off measured samples."""
-    return lambda samples, period: samples - offset
-
-
-def undo_scale(scale: float) -> Correction:
-    """Divides measured samples by a factor."""
-    return lambda samples, period: samples / scale
+def undo(offset: float, scale: float) -> Corrections:
+    """Takes an offset off measured samples, then divides them by a scale; nothing for 0 and 1."""
+    undone: Corrections = []
+    if offset != 0.0:
+        undone.append((lambda samples, period: samples - offset, 1.0))
+    if scale != 1.0:
+        undone.append((lambda samples, period: samples / scale, 1.0 / scale))
+    return undone
 
 
 def undo_delay(delay: float) -> Correction:
