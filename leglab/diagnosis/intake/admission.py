@@ -114,7 +114,7 @@ def _pressures(usable: Mapping[str, "_Entry"], held: tuple[str, ...]) -> frozens
     """Pressure columns to use: the more, the better, yet not at the price of most recordings."""
     total = sum(e.recording.duration for e in usable.values())
     found = frozenset.intersection(*(e.pressures for e in usable.values()))
-    for columns in {e.pressures for e in usable.values()}:
+    for columns in dict.fromkeys(e.pressures for e in usable.values()):
         complete = {n: e for n, e in usable.items() if columns <= e.pressures}
         enough = sum(e.recording.duration for e in complete.values()) >= 0.5 * total
         to_fit = set(complete) - set(held)
