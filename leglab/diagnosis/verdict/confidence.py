@@ -42,17 +42,11 @@ class Judged:
         confidence: Probability that the name is right.
         possible: The same without the part of the recordings that speaks most against it.
         evidence: Probability by evidence alone.
-        apart: Without the worst part.
-        share: Of what is left without it, that it explains.
-        size: Largest departure in trials.
     """
 
     confidence: float
     possible: float
     evidence: float
-    apart: float
-    share: float
-    size: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,38 +154,30 @@ def _effect(
     sound = has & ~np.array([bool(r.ended) for r in rows])
     there = has & ~np.array([key in r.ended for r in rows])
     ways = (0.0 * drive, drive)
-    best = [int(np.argmax(np.where(has, logs + d, -np.inf))) for d in ways]
-    judged = {n: _share(sets, rows[n], key, impostor) for n in set(best)}
-    first = best[0]
+    best = [rows[int(np.argmax(np.where(has, logs + lost, -np.inf)))] for lost in ways]
+    inside = {row: _stands(sets, row, key, impostor) for row in set(best)}
     sure, possible = 1.0, 0.0
-    for n, lost in zip(best, ways, strict=True):
+    for row, lost in zip(best, ways, strict=True):
         share, parts = _shares(logs + lost), _shares(apart + lost[:, None])
-        inside = judged[n][1]
         least = min(float(share[sound].sum()), float(parts[sound].sum(axis=0).min()))
-        sure = min(sure, least * inside)
-        possible = max(possible, least * inside, float(parts[there].sum(axis=0).max()) * inside)
-    ties = _ties(rows, rows[first], key) if sure > NAMED else ()
-    told = Judged(
-        confidence=sure / (1 + len(ties)),
-        possible=possible,
-        evidence=float(_shares(logs)[has].sum()),
-        apart=float(_shares(apart)[sound].sum(axis=0).min()),
-        share=judged[first][0],
-        size=rows[first].size(key),
-    )
-    return told, ties
+        sure = min(sure, least * inside[row])
+        most = max(least, float(parts[there].sum(axis=0).max()))
+        possible = max(possible, most * inside[row])
+    ties = _ties(rows, best[0], key) if sure > NAMED else ()
+    evidence = float(_shares(logs)[has].sum())
+    return Judged(sure / (1 + len(ties)), possible, evidence), ties
 
 
-def _share(sets: Sets, row: Row, key: Key, impostor: tuple[float, float]) -> tuple[float, float]:
-    """The share of what is left without it that an effect of a set explains.
+def _stands(sets: Sets, row: Row, key: Key, impostor: tuple[float, float]) -> float:
+    """Probability that an effect of a set stands for itself and claims what is so.
 
-    And the probability that it stands for itself and claims what is so.
+    By the share that it explains of what is left without it.
     """
     (share, _), *elsewhere = (_explained(sets, *shown) for shown in sets.shown(row, key))
     for explains, acts in elsewhere:
         share -= acts * max(share - explains, 0.0)
     inside = _inside(share, impostor, max(2.0 * math.log(sets.found.level), 1.0))
-    return share, inside * _claimed(row, key)
+    return inside * _claimed(row, key)
 
 
 def _ties(rows: Sequence[Row], first: Row, key: Key) -> tuple[frozenset[Key], ...]:
@@ -204,15 +190,10 @@ def _ties(rows: Sequence[Row], first: Row, key: Key) -> tuple[frozenset[Key], ..
     found: list[frozenset[Key]] = []
     for row in rows:
         new = row.keys - shared
-        if (
-            key in row.keys
-            or row.ended & new
-            or not new
-            or len(row.score.members) > numbers + MORE_NUMBERS
-        ):
-            continue
+        rival = new and key not in row.keys and not row.ended & new
+        simple = len(row.score.members) <= numbers + MORE_NUMBERS
         fits = row.score.fit + row.drive > own - np.log(TIE)
-        if fits and not any(one <= new for one in found):
+        if rival and simple and fits and not any(one <= new for one in found):
             found.append(new)
     return tuple(found)
 
@@ -251,15 +232,12 @@ def impostors(sets: Sets) -> tuple[float, float]:
         share = np.maximum(product[others, b], 0.0) ** 2 / (size[others] * size[b])
         if keys[b] not in best_of or size[b] > best_of[keys[b]][0]:
             best_of[keys[b]] = float(size[b]), float(min(share.max(), 1.0))
-    x = np.array([_logit(share) for _, share in best_of.values()])
+    shares = np.array([share for _, share in best_of.values()])
+    x = np.log((shares + 1e-3) / (1.0 - shares + 1e-3))
     m0, s0, w = IMPOSTOR
     mean = (w * m0 + x.sum()) / (w + x.size)
     variance = w * (s0**2 + (m0 - mean) ** 2) + ((x - mean) ** 2).sum()
     return float(mean), float(np.sqrt(variance / (w + x.size)))
-
-
-def _logit(share: float) -> float:
-    return float(np.log((share + 1e-3) / (1.0 - share + 1e-3)))
 
 
 def _explained(sets: Sets, at: Errors, blocks: np.ndarray) -> tuple[float, float]:
