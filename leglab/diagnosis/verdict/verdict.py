@@ -32,6 +32,7 @@ from leglab.diagnosis.result import (
     ResidualTrace,
     Rivals,
     Verdict,
+    rms,
 )
 from leglab.diagnosis.search.healthy import Specimen
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, searched
@@ -101,8 +102,9 @@ def _lacks_nothing(outcome: Outcome) -> bool:
     problem = outcome.about
     if not problem.held.any():
         return False
-    with_it, without = (problem.noise_levels(h) for h in (outcome.final, outcome.unnamed))
-    after, before = (rms(squares[problem.held]) for squares in (with_it, without))
+    without = problem.noise_levels(outcome.unnamed)
+    before = rms(without[problem.held])
+    after = rms(problem.noise_levels(outcome.final)[problem.held])
     lessens = before - after >= problem.thresholds.explanation_share * max(before - 1.0, ROOM)
     return not lessens and noise_alone(without, problem.replay.recording)
 
@@ -131,10 +133,10 @@ def _told(outcome: Outcome, remarks: Sequence[str], began: float) -> Diagnosis:
     def levels(windows: np.ndarray) -> dict[str, Any]:
         return {name: rms(square[windows]) for name, square in squares.items()}
 
-    owners = ((s.name, problem.replay.recording == i) for i, s in enumerate(problem.series))
+    owners = [problem.replay.recording == i for i in range(len(problem.series))]
     recordings = tuple(
-        RecordingGap(name=name, held_out=bool(problem.held[own].any()), **levels(own))
-        for name, own in owners
+        RecordingGap(name=series.name, held_out=bool(problem.held[own].any()), **levels(own))
+        for series, own in zip(problem.series, owners, strict=True)
     )
     remarks = [*remarks, *notes(problem)]
     remarks += at_limits(problem.library, {key: final[key] for key in outcome.named})
@@ -200,6 +202,9 @@ def _effects(
     limits = problem.thresholds
     unnamed, after, floor = gap.shown
     explained = gap.explained or 0.0
+    verdict = judged.verdict
+    if verdict in ("named", "confusion_set") and explained < limits.explanation_share:
+        verdict = "unexplained"
     effects = []
     for key in outcome.named:
         site = problem.library.sites[key]
@@ -213,11 +218,7 @@ def _effects(
             # A name does not stand while most of the error is left.
             confidence = min(confidence, explained)
         begins = zip(problem.series, outcome.onsets.get(key, ()), strict=False)
-        onsets = [
-            (series.name, *(np.array([ends.mean(), *ends]) - series.time[0]).tolist())
-            for series, ends in begins
-            if np.isfinite(ends).all()
-        ]
+        onsets = [(s.name, s.time[0], ends) for s, ends in begins if np.isfinite(ends).all()]
         estimates = _estimates(outcome, key)
         effects.append(
             NamedEffect(
@@ -225,8 +226,8 @@ def _effects(
                 element=key[1],
                 group=site.effect.group,
                 physics=site.effect.physics,
-                onset=tuple((name, time) for name, time, _, _ in onsets),
-                onset_interval=tuple((name, low, high) for name, _, low, high in onsets),
+                onset=tuple((name, float(ends.mean() - first)) for name, first, ends in onsets),
+                onset_interval=tuple((n, *(ends - first).tolist()) for n, first, ends in onsets),
                 confidence=float(confidence),
                 contribution=float(np.clip(contribution, 0.0, 1.0)),
                 parameters=estimates[: len(site.parameters)],
@@ -235,16 +236,11 @@ def _effects(
                 without=rms(without[problem.judged]),
             )
         )
-    verdict = judged.verdict
-    if verdict in ("named", "confusion_set") and explained < limits.explanation_share:
-        verdict = "unexplained"
     effects.sort(key=lambda e: -e.contribution)
     # Beside a cause that has a name.
     small = limits.smaller_share if judged.named and len(effects) > 1 else 0.0
-    causes, smaller = (
-        tuple(e for e in effects if (e.contribution < small) is less) for less in (False, True)
-    )
-    return verdict, causes, smaller
+    smaller = tuple(e for e in effects if e.contribution < small)
+    return verdict, tuple(e for e in effects if e not in smaller), smaller
 
 
 def _estimates(outcome: Outcome, key: Key) -> tuple[Estimate, ...]:
@@ -266,8 +262,8 @@ def _estimates(outcome: Outcome, key: Key) -> tuple[Estimate, ...]:
     change = told @ ((outcome.final[key] - site.nominal) * strength)
     law = (LAW if outcome.row.level > DEFAULT.explained else 0.0) * change
     half = np.hypot(width * np.sqrt(spread), 1.96 * law)
-    units = {p.name: p.unit for p in parameters}
     rows = [(p.name, p.unit, p.lower, p.upper) for p in parameters]
+    units = {p.name: p.unit for p in parameters}
     for first, second in site.effect.by_direction:
         name = f"{first}_less_{second.rpartition('_')[2]}"
         rows.append((name, units[first], -math.inf, math.inf))
@@ -382,11 +378,6 @@ def _nuisances(outcome: Outcome) -> tuple[Estimate, ...]:
             if p.tolerance > 0.0 and key not in outcome.named:
                 found.append(_estimate(p.name, p.unit, v, nominal, low, high))
     return tuple(found)
-
-
-def rms(squares: np.ndarray) -> float:
-    """Root of the mean of squares; NaN of none."""
-    return float(np.sqrt(squares.mean())) if squares.size else float("nan")
 
 
 def traces(problem: Problem, final: Hypothesis) -> tuple[ResidualTrace, ...]:
