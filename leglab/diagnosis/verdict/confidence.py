@@ -42,11 +42,13 @@ class Judged:
         confidence: Probability that the name is right.
         possible: The same without the part of the recordings that speaks most against it.
         evidence: Probability by evidence alone.
+        ties: Sets without it that the data do not tell apart from it.
     """
 
     confidence: float
     possible: float
     evidence: float
+    ties: tuple[frozenset[Key], ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,12 +78,8 @@ class Judgement:
 
 def judged(sets: Sets) -> Judgement:
     """Judges all sets of a search."""
-    rows = sets.rows
-    impostor = impostors(sets)
-    ties: dict[Key, tuple[frozenset[Key], ...]] = {}
-    effects: dict[Key, Judged] = {}
-    for key in sorted({k for r in rows for k in r.keys}):
-        effects[key], ties[key] = _effect(sets, key, impostor)
+    impostor, keys = impostors(sets), sorted({k for r in sets.rows for k in r.keys})
+    effects = {key: _effect(sets, key, impostor) for key in keys}
 
     def most(measure: str, least: float) -> tuple[Key, ...]:
         above = [k for k, e in effects.items() if getattr(e, measure) > least]
@@ -89,10 +87,10 @@ def judged(sets: Sets) -> Judgement:
 
     named = most("confidence", NAMED)
     confusion = () if named else most("possible", POSSIBLE)
-    tied = [k for k in effects if ties[k]]
+    tied = [k for k, e in effects.items() if e.ties]
     if tied and not named:
         leader = max(tied, key=lambda k: effects[k].evidence)
-        rivals = [k for new in ties[leader] for k in sorted(new)]
+        rivals = [k for new in effects[leader].ties for k in sorted(new)]
         confusion = tuple(dict.fromkeys((leader, *rivals, *confusion)))
     verdict: Verdict = "unexplained"
     if named:
@@ -105,10 +103,7 @@ def judged(sets: Sets) -> Judgement:
 
 
 def _as_healthy(sets: Sets) -> bool:
-    """Whether nothing may be missing: noise, or the errors of the healthy specimen, are left.
-
-    In every recording: one that moves tells more than three that rest.
-    """
+    """Whether nothing may be missing: noise, or the errors of the healthy specimen, are left."""
     whole, fixed = _shares(np.array([r.score.log for r in sets.rows])), sets.fitter.fixed
     for row, own in zip(sets.rows, whole, strict=True):
         if row.keys or own < POSSIBLE:
@@ -116,19 +111,22 @@ def _as_healthy(sets: Sets) -> bool:
         # The specimen as it was, nothing moved: what a day changes may hide a fault.
         errors = sets.found.first.errors if fixed else row.left
         levels = np.sqrt(sets.channel_squares(errors).mean(axis=1))
-        each = [np.median(levels[sets.at.recording == r]) for r in np.unique(sets.at.recording)]
-        return as_before(float(np.median(levels)), float(max(each)), healthy=fixed is not None)
+        return as_before(levels, sets.at.recording, healthy=fixed is not None)
     return False
 
 
-def as_before(middle: float, largest: float, *, healthy: bool) -> bool:
+def as_before(levels: np.ndarray, recording: np.ndarray, *, healthy: bool) -> bool:
     """Whether errors are those of noise, or of the healthy specimen on another day.
 
+    In every recording: one that moves tells more than three that rest.
+
     Args:
-        middle: Of all windows, in noise levels or errors of the healthy specimen.
-        largest: Of the middles of single recordings.
+        levels: Of windows, in noise levels or errors of the healthy specimen, (windows,).
+        recording: Of each window, (windows,).
         healthy: Whether healthy recordings say how far the model misses the specimen.
     """
+    middle = float(np.median(levels))
+    largest = max(float(np.median(levels[recording == r])) for r in np.unique(recording))
     if healthy:
         # Of several recordings the largest departs by two deviations where none is ill.
         return middle <= math.exp(DAY_FACTOR) and largest <= math.exp(2.0 * DAY_FACTOR)
@@ -141,10 +139,8 @@ def _shares(logs: np.ndarray) -> np.ndarray:
     return np.asarray(share / share.sum(axis=0))
 
 
-def _effect(
-    sets: Sets, key: Key, impostor: tuple[float, float]
-) -> tuple[Judged, tuple[frozenset[Key], ...]]:
-    """How sure one effect is, and the sets without it that the data do not tell apart from it."""
+def _effect(sets: Sets, key: Key, impostor: tuple[float, float]) -> Judged:
+    """How sure one effect is."""
     rows = sets.rows
     logs, apart = np.array([r.score.log for r in rows]), np.array([r.apart for r in rows])
     drive = np.array([r.drive for r in rows])
@@ -165,7 +161,7 @@ def _effect(
         possible = max(possible, most * inside[row])
     ties = _ties(rows, best[0], key) if sure > NAMED else ()
     evidence = float(_shares(logs)[has].sum())
-    return Judged(sure / (1 + len(ties)), possible, evidence), ties
+    return Judged(sure / (1 + len(ties)), possible, evidence, ties)
 
 
 def _stands(sets: Sets, row: Row, key: Key, impostor: tuple[float, float]) -> float:

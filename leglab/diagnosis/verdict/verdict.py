@@ -12,7 +12,7 @@ from scipy.stats import t as student
 
 from leglab.base.recording import Recording
 from leglab.base.threads import one_blas_thread
-from leglab.diagnosis.balance.isolation import isolate, sample_places
+from leglab.diagnosis.balance.isolation import bin_motion, isolate
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.intake.admission import admit
 from leglab.diagnosis.intake.recordings import split_held_out
@@ -114,14 +114,13 @@ def _clear_elsewhere(outcome: Outcome) -> bool:
 
     The specimen as it was; without one, a machine of the kind within what machines differ by.
     """
-    problem, recording = outcome.problem, outcome.problem.replay.recording
-    machine = Hypothesis() if outcome.specimen else outcome.baseline
-    levels = np.sqrt(problem.noise_levels(machine) / outcome.floors())
-    each = [np.median(levels[recording == r]) for r in np.unique(recording[problem.held])]
-    if not each:
+    problem = outcome.problem
+    if not problem.held.any():
         return True
-    middle = float(np.median(levels[problem.held]))
-    return as_before(middle, float(max(each)), healthy=outcome.specimen is not None)
+    machine = Hypothesis() if outcome.specimen else outcome.baseline
+    levels = np.sqrt(problem.noise_levels(machine) / outcome.floors())[problem.held]
+    recording = problem.replay.recording[problem.held]
+    return as_before(levels, recording, healthy=outcome.specimen is not None)
 
 
 def _told(outcome: Outcome, remarks: Sequence[str], began: float) -> Diagnosis:
@@ -387,10 +386,10 @@ def traces(problem: Problem, final: Hypothesis) -> tuple[ResidualTrace, ...]:
     # A channel's sample after the step is what a replay predicts.
     measured = replay.measured()[:, :, 1:].reshape((*before.shape, -1)).mean(axis=3)
     rows = []
-    for i, (series, index) in enumerate(zip(problem.series, sample_places(problem), strict=True)):
+    for i, series in enumerate(problem.series):
         own = replay.recording == i
         for k, channel in enumerate(problem.channels):
-            q = series.columns[f"{channel.joint}_position"]
+            index, position, velocity = bin_motion(problem, i, channel.joint)
             a, b = (series.columns.get(f"{channel.joint}_pressure_{c}") for c in "ab")
             rows.append(
                 ResidualTrace(
@@ -398,8 +397,8 @@ def traces(problem: Problem, final: Hypothesis) -> tuple[ResidualTrace, ...]:
                     channel=channel.column,
                     unit="Pa" if channel.chamber else problem.machine.unit(channel.joint),
                     time=series.time[index],
-                    position=q[index],
-                    velocity=np.gradient(q, series.period)[index],
+                    position=position,
+                    velocity=velocity,
                     pressure=None if a is None or b is None else (a - b)[index],
                     before=before[own, k].ravel(),
                     after=after[own, k].ravel(),
