@@ -41,7 +41,7 @@ from leglab.diagnosis.thresholds import BEST_SETS, DEFAULT, LAW, NAMED, ROOM, VI
 from leglab.diagnosis.verdict.confidence import as_before, judged
 from leglab.diagnosis.verdict.experiment import propose
 from leglab.diagnosis.verdict.notes import at_limits, notes
-from leglab.diagnosis.verdict.outcome import Outcome, outcome_of
+from leglab.diagnosis.verdict.outcome import Outcome
 from leglab.diagnosis.verdict.sets import Row, Sets
 from leglab.diagnosis.verdict.whole import whole_recording
 
@@ -86,14 +86,14 @@ def diagnose(
     if healthy:
         remarks += admit(machine, healthy, (), limits).notes
     progress("verdict")
-    outcome = outcome_of(judged(Sets(found)), specimen)
+    outcome = Outcome(judged(Sets(found)), specimen)
     if outcome.judged.verdict == "nothing_missing":
         if not _clear_elsewhere(outcome):
-            outcome = replace(outcome, judged=replace(outcome.judged, verdict="unexplained"))
+            outcome.judged = replace(outcome.judged, verdict="unexplained")
     elif _lacks_nothing(outcome):
         nothing = replace(outcome.judged, verdict="nothing_missing", named=(), confusion=())
-        outcome = outcome_of(nothing, specimen)
-    object.__setattr__(outcome, "result", _told(outcome, remarks, began))
+        outcome = Outcome(nothing, specimen)
+    outcome.result = _told(outcome, remarks, began)
     return outcome.result, outcome
 
 
