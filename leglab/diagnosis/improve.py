@@ -212,6 +212,7 @@ def improve(
         words = _words(*pairs[improved], costs[improved], improved=improved)
     if not improved:
         remainder, sure, pairs[1], squares[1] = None, (), pairs[0], squares[0]
+    unit = problem.machine.unit
     outcome = Improvement(
         improved=improved,
         words=words,
@@ -220,9 +221,7 @@ def improve(
         closed_fraction=closed(*(rms(s[held]) for s in squares)) or 0.0,
         horizon=problem.replay.window,
         recordings=_errors(pairs, squares),
-        units={
-            c.column: "Pa" if c.chamber else problem.machine.unit(c.joint) for c in problem.channels
-        },
+        units={c.column: "Pa" if c.chamber else unit(c.joint) for c in problem.channels},
     )
     better = ImprovedModel(problem=problem, hypothesis=final, remainder=remainder)
     return outcome, better if improved else None

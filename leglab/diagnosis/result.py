@@ -21,8 +21,7 @@ Verdict = Literal["named", "confusion_set", "unexplained", "nothing_missing"]
 class Estimate:
     """A fitted parameter of an effect in SI units, with its value in the model as it was.
 
-    Attributes:
-        interval: 95 % confidence.
+    `interval` is that of 95 % confidence.
     """
 
     name: str

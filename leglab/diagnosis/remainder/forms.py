@@ -335,10 +335,9 @@ def _periodic(
         tried = frequencies[frequencies * span >= repeats]
         costs = np.array([misfit(f, harmonics) for f in tried])
         # Half the frequency with every second harmonic is the same: the highest that does it.
-        near = np.flatnonzero(
-            costs <= costs.min() + limits.worthwhile * max(alone - costs.min(), 0.0)
-        )
-        best = None
+        least = costs.min()
+        near = np.flatnonzero(costs <= least + limits.worthwhile * max(alone - least, 0.0))
+        best = np.inf, chosen, 0.0
         for start in sorted({int(near[-1]), int(np.argmin(costs))}, reverse=True):
             low, high = tried[max(start - 1, 0)], tried[min(start + 1, costs.size - 1)]
             found = minimize_scalar(
@@ -347,9 +346,9 @@ def _periodic(
             )  # fmt: skip
             terms = (*others, fits.sines(own, 1.0 / found.x, harmonics))
             errors = float(fits.errors(terms).sum())
-            if best is None or errors < (1.0 - limits.worthwhile) * best[0]:
+            if errors < (1.0 - limits.worthwhile) * best[0]:
                 best = errors, terms, 1.0 / float(found.x)
-        if best is not None and best[0] <= allowed:
+        if best[0] <= allowed:
             return best[1], best[2]
     return chosen, None
 

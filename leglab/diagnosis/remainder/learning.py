@@ -147,15 +147,12 @@ def _proved(
     rms = [float(np.sqrt(np.mean(s[held]))) for s in (before, after)]
     if not pays(before[held], after[held], limits) or rms[1] >= rms[0]:
         return None
-    final = joined(learned).about(beside)
+    final, unit = joined(learned).about(beside), problem.machine.unit
     cost = float(robust_cost(after, limits.robust_limit).mean())
     return Remainder(
         parts=tuple(part for part, _ in learned),
         hypothesis=beside,
-        described=tuple(
-            describe(part, form.balance.inputs, problem.machine.unit(part.joint))
-            for part, form in learned
-        ),
+        described=tuple(describe(p, f.balance.inputs, unit(p.joint)) for p, f in learned),
         problem=final,
         closed_fraction=closed(*rms) or 0.0,
         memory=cost > limits.explained and has_memory(final, beside),

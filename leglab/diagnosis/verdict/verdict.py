@@ -347,10 +347,8 @@ def _next_experiment(outcome: Outcome) -> Proposal | None:
 def _not_testable(outcome: Outcome) -> tuple[NotTestable, ...]:
     """Effects that the recordings do not show, or that are over between two samples."""
     found, problem = outcome.found, outcome.problem
-    first, u = found.first, found.fitter.at.unknowns
-    evidence = found.fitter.evidence(
-        first, found.ranks[0].evidence.spread, np.ones(len(first.errors)), 1.0, places=[0]
-    )
+    first, spread, u = found.first, found.ranks[0].evidence.spread, found.fitter.at.unknowns
+    evidence = found.fitter.evidence(first, spread, np.ones(len(first.errors)), 1.0, places=[0])
     shown = np.diag(evidence.whole.inner[0, 0]).tolist()
     columns = [(q, 1 + q) for q in range(len(u)) if u.nameable[q]]
     columns += [(q, 1 + len(u) + j) for j, (q, _) in enumerate(first.jumps)]
