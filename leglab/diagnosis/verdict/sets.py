@@ -124,7 +124,7 @@ class Sets:
         return np.asarray((white.reshape(len(white), self.channels, -1) ** 2).mean(axis=2))
 
     def _row(
-        self, evidence: Evidence, members: Sequence[int], ended: frozenset[Key], *, fitted: bool
+        self, evidence: Evidence, members: Sequence[int], ended: Sequence[int], *, fitted: bool
     ) -> Row | None:
         """A set by what replays show.
 
@@ -162,7 +162,7 @@ class Sets:
             rows.append(
                 Row(
                     keys=frozenset(u.keys[q] for q in members),
-                    ended=ended,
+                    ended=frozenset(u.keys[q] for q in ended if q in members),
                     score=replace(score, log=score.log - lost, fit=score.fit - lost),
                     evidence=evidence.with_kappa(evidence.kappa),  # what it worked out is large
                     apart=parts - np.maximum(by_part.sum() + cost - by_part, 0.0),
@@ -189,12 +189,11 @@ class Sets:
 
         best, fitter = self.best, self.fitter
         for r in self.found.ranks:
-            ended = frozenset(u.keys[q] for q in r.fit.ended)
             fit, own = r.fit, r.evidence
             if own.columns is not fit.columns:  # more probable where another set was fitted
-                enter(self._row(own, fit.members, ended, fitted=False))
+                enter(self._row(own, fit.members, fit.ended, fitted=False))
                 own = fitter.evidence(fit.columns, own.spread, best.weight, best.kappa)
-            enter(self._row(own, fit.members, ended, fitted=True))
+            enter(self._row(own, fit.members, fit.ended, fitted=True))
         top = max(row.score.log for row in rows.values())
         for r in self.found.ranks:
             pattern, fit = r.evidence.spread, r.fit
@@ -204,14 +203,13 @@ class Sets:
                     continue
                 self.removed[fit.keys, key] = columns
                 members = tuple(q for q in fit.members if u.keys[q] != key)
-                ended = frozenset(u.keys[q] for q in fit.ended if q in members)
                 rest = fitter.fit(
                     columns, {}, members, pattern, best.weight, best.kappa, renewals=0, beside=True
                 )
                 # What it is without the effect has a pattern of its own.
                 for spread in [pattern] if fitter.fixed else [pattern, rest.spread]:
                     there = fitter.evidence(rest.columns, spread, best.weight, best.kappa)
-                    enter(self._row(there, members, ended, fitted=True))
+                    enter(self._row(there, members, fit.ended, fitted=True))
         for names, row in list(rows.items()):
             if alike := self._alike(row):
                 del rows[names]
