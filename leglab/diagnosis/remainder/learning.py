@@ -16,7 +16,7 @@ from leglab.diagnosis.remainder.forms import Form, choose_form, worthwhile
 from leglab.diagnosis.remainder.part import LearnedLibrary, Part
 from leglab.diagnosis.remainder.words import Described, describe
 from leglab.diagnosis.replay.residual import Problem, robust_cost, robust_weight, thinned
-from leglab.diagnosis.result import closed
+from leglab.diagnosis.result import closed, rms
 from leglab.diagnosis.thresholds import ALIKE, Thresholds
 
 # What is said where the rest is large and no static function of the moment.
@@ -85,8 +85,7 @@ def learn_remainder(
         named: Effects whose values stay; None for all that are not nuisances.
         progress: Called with what is being done.
     """
-    held, sites = problem.held, problem.library.sites
-    least = problem.thresholds.explained
+    held, sites, least = problem.held, problem.library.sites, problem.thresholds.explained
     if not held.any() or problem.window_cost(hypothesis)[held].mean() < least:
         return None
     if named is None:
@@ -144,8 +143,8 @@ def _proved(
         alone = joined(others).noise_levels(beside)
         if not pays(alone[held], after[held], limits):
             learned, after = others, alone
-    rms = [float(np.sqrt(np.mean(s[held]))) for s in (before, after)]
-    if not pays(before[held], after[held], limits) or rms[1] >= rms[0]:
+    levels = rms(before[held]), rms(after[held])
+    if not pays(before[held], after[held], limits) or levels[1] >= levels[0]:
         return None
     final, unit = joined(learned).about(beside), problem.machine.unit
     cost = float(robust_cost(after, limits.robust_limit).mean())
@@ -154,7 +153,7 @@ def _proved(
         hypothesis=beside,
         described=tuple(describe(p, f.balance.inputs, unit(p.joint)) for p, f in learned),
         problem=final,
-        closed_fraction=closed(*rms) or 0.0,
+        closed_fraction=closed(*levels) or 0.0,
         memory=cost > limits.explained and has_memory(final, beside),
     )
 

@@ -9,7 +9,7 @@ turn plays the unknown cause, and the best effect of another kind its impostor.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,55 +51,46 @@ class Judged:
     ties: tuple[frozenset[Key], ...]
 
 
-@dataclass(frozen=True, eq=False)
 class Judgement:
-    """What is said of a search.
+    """What is said of a search, by all its sets.
 
     Attributes:
-        verdict: As of a `Diagnosis`.
+        effects: All effects of all sets.
         named: Effects, surest first.
         confusion: Effects that are not told apart, the most possible first; empty where any is
             named.
-        effects: All effects of all sets.
-        sets: The sets.
+        verdict: As of a `Diagnosis`.
     """
 
-    verdict: Verdict
-    named: tuple[Key, ...]
-    confusion: tuple[Key, ...]
-    effects: Mapping[Key, Judged]
-    sets: Sets
+    def __init__(self, sets: Sets) -> None:
+        impostor, keys = impostors(sets), sorted({k for r in sets.rows for k in r.keys})
+        effects = {key: _effect(sets, key, impostor) for key in keys}
+
+        def most(measure: str, least: float) -> tuple[Key, ...]:
+            above = [k for k, e in effects.items() if getattr(e, measure) > least]
+            return tuple(sorted(above, key=lambda k: -getattr(effects[k], measure)))
+
+        named = most("confidence", NAMED)
+        confusion = () if named else most("possible", POSSIBLE)
+        tied = [k for k, e in effects.items() if e.ties]
+        if tied and not named:
+            leader = max(tied, key=lambda k: effects[k].evidence)
+            rivals = [k for new in effects[leader].ties for k in sorted(new)]
+            confusion = tuple(dict.fromkeys((leader, *rivals, *confusion)))
+        verdict: Verdict = "unexplained"
+        if named:
+            verdict = "named"
+        elif _as_healthy(sets):
+            verdict, confusion = "nothing_missing", ()
+        elif confusion:
+            verdict = "confusion_set"
+        self.sets, self.effects, self.verdict = sets, effects, verdict
+        self.named, self.confusion = named, confusion
 
     @property
     def rows(self) -> list[Row]:
         """Sets, most probable first."""
         return self.sets.rows
-
-
-def judged(sets: Sets) -> Judgement:
-    """Judges all sets of a search."""
-    impostor, keys = impostors(sets), sorted({k for r in sets.rows for k in r.keys})
-    effects = {key: _effect(sets, key, impostor) for key in keys}
-
-    def most(measure: str, least: float) -> tuple[Key, ...]:
-        above = [k for k, e in effects.items() if getattr(e, measure) > least]
-        return tuple(sorted(above, key=lambda k: -getattr(effects[k], measure)))
-
-    named = most("confidence", NAMED)
-    confusion = () if named else most("possible", POSSIBLE)
-    tied = [k for k, e in effects.items() if e.ties]
-    if tied and not named:
-        leader = max(tied, key=lambda k: effects[k].evidence)
-        rivals = [k for new in effects[leader].ties for k in sorted(new)]
-        confusion = tuple(dict.fromkeys((leader, *rivals, *confusion)))
-    verdict: Verdict = "unexplained"
-    if named:
-        verdict = "named"
-    elif _as_healthy(sets):
-        verdict, confusion = "nothing_missing", ()
-    elif confusion:
-        verdict = "confusion_set"
-    return Judgement(verdict, named, confusion, effects, sets)
 
 
 def _as_healthy(sets: Sets) -> bool:

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -38,7 +37,7 @@ from leglab.diagnosis.search.healthy import Specimen
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, searched
 from leglab.diagnosis.search.search import Found
 from leglab.diagnosis.thresholds import BEST_SETS, DEFAULT, LAW, NAMED, ROOM, VISIBLE
-from leglab.diagnosis.verdict.confidence import as_before, judged
+from leglab.diagnosis.verdict.confidence import Judgement, as_before
 from leglab.diagnosis.verdict.experiment import propose
 from leglab.diagnosis.verdict.notes import at_limits, notes
 from leglab.diagnosis.verdict.outcome import Outcome
@@ -86,13 +85,14 @@ def diagnose(
     if healthy:
         remarks += admit(machine, healthy, (), limits).notes
     progress("verdict")
-    outcome = Outcome(judged(Sets(found)), specimen)
-    if outcome.judged.verdict == "nothing_missing":
+    judgement = Judgement(Sets(found))
+    outcome = Outcome(judgement, specimen)
+    if judgement.verdict == "nothing_missing":
         if not _clear_elsewhere(outcome):
-            outcome.judged = replace(outcome.judged, verdict="unexplained")
+            judgement.verdict = "unexplained"
     elif _lacks_nothing(outcome):
-        nothing = replace(outcome.judged, verdict="nothing_missing", named=(), confusion=())
-        outcome = Outcome(nothing, specimen)
+        judgement.verdict, judgement.named, judgement.confusion = "nothing_missing", (), ()
+        outcome = Outcome(judgement, specimen)
     outcome.result = _told(outcome, remarks, began)
     return outcome.result, outcome
 
