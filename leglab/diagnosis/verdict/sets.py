@@ -61,9 +61,6 @@ class Row:
 class Sets:
     """All sets of a search.
 
-    Args:
-        found: The search.
-
     Attributes:
         rows: The sets, most probable first.
         removed: Linearisations of sets without an effect, by the set and the effect.
