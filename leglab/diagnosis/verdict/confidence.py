@@ -60,6 +60,7 @@ class Judgement:
         confusion: Effects that are not told apart, the most possible first; empty where any is
             named.
         verdict: As of a `Diagnosis`.
+        rows: The sets, most probable first.
     """
 
     def __init__(self, sets: Sets) -> None:
@@ -84,13 +85,8 @@ class Judgement:
             verdict, confusion = "nothing_missing", ()
         elif confusion:
             verdict = "confusion_set"
-        self.sets, self.effects, self.verdict = sets, effects, verdict
-        self.named, self.confusion = named, confusion
-
-    @property
-    def rows(self) -> list[Row]:
-        """Sets, most probable first."""
-        return self.sets.rows
+        self.sets, self.rows, self.effects = sets, sets.rows, effects
+        self.verdict, self.named, self.confusion = verdict, named, confusion
 
 
 def _as_healthy(sets: Sets) -> bool:

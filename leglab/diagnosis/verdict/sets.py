@@ -12,7 +12,6 @@ import numpy as np
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.columns import Columns, Errors
 from leglab.diagnosis.likelihood.evidence import Evidence, Score
-from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import inverse_roots, thinned
 from leglab.diagnosis.search.rank import both_ways
 from leglab.diagnosis.search.search import Found
@@ -69,10 +68,8 @@ class Sets:
 
     def __init__(self, found: Found) -> None:
         self.found, self.fitter, self.at = found, found.fitter, found.fitter.at
-        self.unknowns: Unknowns = self.at.unknowns
-        self.best = found.ranks[0].evidence
-        self.size = found.ranks[0].score.size
-        problem = self.at.problem
+        self.unknowns, problem = self.at.unknowns, self.at.problem
+        self.best, self.size = found.ranks[0].evidence, found.ranks[0].score.size
         self.channels = len(problem.channels)
         self._roots = self._whiteners(self.at)
         # Recordings that nobody fitted; they do not tell when something began.
