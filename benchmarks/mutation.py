@@ -46,7 +46,7 @@ FAULTS = {
     ),
     "rivals that fit as well are no ties": (
         "diagnosis.verdict.confidence",
-        "_ties(rows, rows[first], key) if sure > NAMED else ()", "()",
+        "_ties(rows, best[0], key) if sure > NAMED else ()", "()",
         "test_a_weak_drive_of_a_joint_without_a_weight_is_a_joint_that_resists_more",
     ),
     "a name may lack a part of the recordings": (

@@ -12,7 +12,7 @@ from leglab import data
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.cli import main
-from leglab.diagnosis.balance.forces import forces_left
+from leglab.diagnosis.balance.balances import forces_left
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
 from leglab.diagnosis.improve import improved_model
 from leglab.diagnosis.intake.admission import admit

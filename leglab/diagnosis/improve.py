@@ -20,7 +20,7 @@ from leglab.diagnosis.remainder.learning import (
     pays,
 )
 from leglab.diagnosis.replay.residual import Problem, robust_cost
-from leglab.diagnosis.result import NamedEffect, closed
+from leglab.diagnosis.result import NamedEffect, closed, rms
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.verdict.outcome import Outcome
 from leglab.diagnosis.verdict.output import write_model
@@ -101,8 +101,8 @@ class ImprovedModel:
         if self.remainder is None:
             return ()
         problem = self.remainder.problem
-        ends = problem.raw_errors(self.hypothesis)[problem.judged][:, :, -1]
-        return tuple(np.sqrt(np.mean(ends**2, axis=0)).tolist())
+        ends = problem.raw_errors(self.hypothesis)[problem.judged]
+        return tuple(_at_ends(ends))
 
     def write(self, folder: Path) -> Path:
         """Writes DIR/improved.xml."""
@@ -129,17 +129,16 @@ def improved_model(
     An effect without a name is no improvement, however well it fits. A remainder is learned where
     much is left. None where the held-out recordings are not met better than by the model as it was.
     """
-    limits, result = found.problem.thresholds, found.result
+    problem, result = found.problem, found.result
+    limits = problem.thresholds
     told = (*result.effects, *result.smaller)
     named, final = _recalibrated(found, told if result.verdict == "named" else ())
-    problem = better = found.problem
     remainder = None
-    much = result.gap.after > limits.explained
-    much &= (result.gap.explained or 0.0) < 1.0 - limits.smaller_share
-    if result.verdict != "nothing_missing" and much:
+    little = (result.gap.explained or 0.0) < 1.0 - limits.smaller_share
+    if result.verdict != "nothing_missing" and little and result.gap.after > limits.explained:
         remainder = learn_remainder(problem, final, named=named, progress=progress)
-    if remainder:
-        final, better = remainder.hypothesis, remainder.problem
+    better = remainder.problem if remainder else problem
+    final = remainder.hypothesis if remainder else final
     before, after = problem.noise_levels(problem.library.neutral()), better.noise_levels(final)
     if not pays(before[problem.judged], after[problem.judged], limits):
         return None
@@ -197,39 +196,32 @@ def improve(
     else:
         problem, final = set_up(model, recordings, held_out, settings), Hypothesis()
     remainder = learn_remainder(problem, final, named=sure, progress=progress)
-    if remainder:
-        final = remainder.hypothesis
+    final = remainder.hypothesis if remainder else final
     after = remainder.problem if remainder else problem.about(final)
     before = copy(problem)
     before.noise = after.noise
-    pairs = [(before, before.library.neutral()), (after, final)]
+    pairs, held = [(before, before.library.neutral()), (after, final)], problem.held
     squares = [p.noise_levels(h) for p, h in pairs]
-    held = problem.held
-    costs = [robust_cost(s[held], limits.robust_limit) for s in squares]
-    improved = (
-        bool(held.any())
-        and float(costs[0].mean()) >= limits.explained
-        and pays(squares[0][held], squares[1][held], limits)
-    )
+    costs = [float(robust_cost(s[held], limits.robust_limit).mean()) for s in squares]
+    gains = bool(held.any()) and pays(squares[0][held], squares[1][held], limits)
+    improved = gains and costs[0] >= limits.explained
     added = [f"{name} at {element}" for name, element in sure]
     added += [remainder.words] if remainder else []
-    words = "Added: " + "; ".join(added) + "."
+    words = f"Added: {'; '.join(added)}."
     if not (improved and added):
-        words = _words(*pairs[improved], float(costs[improved].mean()), improved=improved)
+        words = _words(*pairs[improved], costs[improved], improved=improved)
     if not improved:
         remainder, sure, pairs[1], squares[1] = None, (), pairs[0], squares[0]
-    rms = [float(np.sqrt(s[held].mean())) for s in squares]
+    unit = problem.machine.unit
     outcome = Improvement(
         improved=improved,
         words=words,
         effects={" at ".join(key): problem.library.sites[key].named(final[key]) for key in sure},
         remainder=remainder.to_json() if remainder else None,
-        closed_fraction=closed(*rms) or 0.0,
+        closed_fraction=closed(*(rms(s[held]) for s in squares)) or 0.0,
         horizon=problem.replay.window,
         recordings=_errors(pairs, squares),
-        units={
-            c.column: "Pa" if c.chamber else problem.machine.unit(c.joint) for c in problem.channels
-        },
+        units={c.column: "Pa" if c.chamber else unit(c.joint) for c in problem.channels},
     )
     better = ImprovedModel(problem=problem, hypothesis=final, remainder=remainder)
     return outcome, better if improved else None
@@ -249,21 +241,26 @@ def _errors(
     pairs: Sequence[tuple[Problem, Hypothesis]], squares: Sequence[np.ndarray]
 ) -> tuple[ReplayError, ...]:
     """Errors of all recordings before and after, with mean squares of their windows."""
-    ends = [problem.raw_errors(hypothesis)[:, :, -1] for problem, hypothesis in pairs]
+    errors = [problem.raw_errors(hypothesis) for problem, hypothesis in pairs]
     problem, out = pairs[0][0], []
+    columns = [channel.column for channel in problem.channels]
     for i, series in enumerate(problem.series):
         own = problem.replay.recording == i
         if not own.any():
             continue
-        before, after = (float(np.sqrt(s[own].mean())) for s in squares)
-        first, last = (np.sqrt(np.mean(e[own] ** 2, axis=0)).tolist() for e in ends)
-        columns = [channel.column for channel in problem.channels]
+        before, after = (rms(s[own]) for s in squares)
+        ends = zip(*(_at_ends(e[own]) for e in errors), strict=True)
         out.append(
             ReplayError(
                 recording=series.name,
                 held_out=bool(problem.held[own].any()),
                 noise_levels=(before, after),
-                at_horizon=dict(zip(columns, zip(first, last, strict=True), strict=True)),
+                at_horizon=dict(zip(columns, ends, strict=True)),
             )
         )
     return tuple(out)
+
+
+def _at_ends(errors: np.ndarray) -> list[float]:
+    """RMS by channel at the end of windows, of errors (windows, channels, bins)."""
+    return np.sqrt(np.mean(errors[:, :, -1] ** 2, axis=0)).tolist()

@@ -21,8 +21,7 @@ Verdict = Literal["named", "confusion_set", "unexplained", "nothing_missing"]
 class Estimate:
     """A fitted parameter of an effect in SI units, with its value in the model as it was.
 
-    Attributes:
-        interval: 95 % confidence.
+    `interval` is that of 95 % confidence.
     """
 
     name: str
@@ -272,14 +271,15 @@ class WholeRecording:
 
     def to_json(self) -> dict[str, Any]:
         """Names, and root mean squares over the recording; None where a simulation blew up."""
-        errors = {
-            "before": self.before - self.measured,
-            "after": self.after - self.measured,
-            "correction_before": self.correction_before,
-            "correction_after": self.correction_after,
+        return {
+            "recording": self.recording,
+            "joint": self.joint,
+            "unit": self.unit,
+            "before": rms((self.before - self.measured) ** 2),
+            "after": rms((self.after - self.measured) ** 2),
+            "correction_before": rms(self.correction_before**2),
+            "correction_after": rms(self.correction_after**2),
         }
-        names = {name: getattr(self, name) for name in ("recording", "joint", "unit")}
-        return names | {name: float(np.sqrt(np.mean(e**2))) for name, e in errors.items()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -367,9 +367,8 @@ class Diagnosis:
             first = (effect.name, effect.element, "smaller" * smaller, f"{effect.confidence:.0%}")
             for p in effect.parameters:
                 interval = "{:.4g} to {:.4g}".format(*p.interval)
-                rows.append(
-                    (*first, p.name, f"{p.value:.4g}", p.unit, interval, f"{p.nominal:.4g}")
-                )
+                told = (p.name, f"{p.value:.4g}", p.unit, interval, f"{p.nominal:.4g}")
+                rows.append((*first, *told))
                 first = ("",) * 4
             if not effect.parameters:
                 rows.append((*first, *("",) * 5))
@@ -406,9 +405,8 @@ class Diagnosis:
         rows: list[tuple[Any, ...]] = []
         for e, smaller in self.all_effects:
             first = (e.name, e.element, smaller, e.confidence)
-            rows += [
-                (*first, p.name, p.value, p.unit, *p.interval, p.nominal) for p in e.parameters
-            ]
+            for p in e.parameters:
+                rows.append((*first, p.name, p.value, p.unit, *p.interval, p.nominal))
         return data_frame(rows, columns=[*names, "lower", "upper", "in_the_model"])
 
     def with_model(self, name: str, learned: str = "", errors: Sequence[float] = ()) -> "Diagnosis":
@@ -431,11 +429,8 @@ class Diagnosis:
             "smaller": [_effect(e) for e in self.smaller],
             "where": [asdict(where) for where in self.where],
             "not_testable": sorted({n.name for n in self.not_testable}),
-            "gap": {
-                **_fields(self.gap, "held_out", "unnamed", "compared"),
-                "closed_fraction": self.gap.closed_fraction,
-                "held_out": self.gap.held_out,
-            },
+            "gap": _fields(self.gap, "held_out", "unnamed", "compared")
+            | {"closed_fraction": self.gap.closed_fraction, "held_out": self.gap.held_out},
             "recordings": [_fields(recording) for recording in self.recordings],
             "remaining": [asdict(one) for one in self.remaining],
             "whole": self.whole and self.whole.to_json(),
@@ -457,6 +452,11 @@ class Diagnosis:
             "model": self.model or None,
         }
         return {key: _plain(value) for key, value in content.items()}
+
+
+def rms(squares: np.ndarray) -> float:
+    """Root of the mean of squares; NaN of none."""
+    return float(np.sqrt(squares.mean())) if squares.size else math.nan
 
 
 def shown_unit(unit: str) -> tuple[float, str]:

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis
-from leglab.diagnosis.plant.model import CHAMBERS, CYLINDER, Change, Measured
+from leglab.diagnosis.plant.model import CHAMBERS, CYLINDER, Change, ForceLeft, Measured
 from leglab.diagnosis.plant.moments import plugin_offset
-from leglab.diagnosis.replay.lacking import lacking_forces
+from leglab.diagnosis.replay.lacking import accelerations, lacking_forces
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.replay.starts import measure, start_states
 from leglab.diagnosis.replay.windows import Cut
@@ -86,8 +86,7 @@ def balances(problem: Problem, hypothesis: Hypothesis) -> tuple[Balance, ...]:
 
 
 def _of_series(problem: Problem, change: Change, cut: Cut, number: int) -> Iterator[Balance]:
-    machine, limits = problem.machine, problem.thresholds
-    model = change.variant.model
+    machine, limits, model = problem.machine, problem.thresholds, change.variant.model
     # Samples lie half a stride to both sides of an odd number of periods apart, two of them in a
     # bin. Noise of windows twice as long as the filter hardly depends on that of their neighbours.
     half = max(1, round(0.25 * limits.bin / cut.series.period))
@@ -137,7 +136,7 @@ def _of_series(problem: Problem, change: Change, cut: Cut, number: int) -> Itera
             "position": found.length[:, index],
             "velocity": found.speed[:, index],
             "load": found.pull[:, index],
-            "command": np.clip(measured.command[cylinder][measured.samples], -1.0, 1.0),
+            "command": np.clip(measured.command[cylinder][rows.ravel()], -1.0, 1.0),
         }
         lacking, gain = _oil(change, measured, states, cylinder, values, half)
         yield Balance(
@@ -162,10 +161,10 @@ def _oil(
     half: int,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rate of pressure A less B beyond the modelled one, and its gain by the spool, (samples,)."""
-    variant, joint = change.variant, change.machine.driven[cylinder][0]
+    variant, joint, k = change.variant, change.machine.driven[cylinder][0], measured.samples
     table = variant.elements[cylinder][1].parameters
     values = {name: change.parameter(cylinder, name) for name in table}
-    model, k = Cylinder(values), measured.samples
+    model = Cylinder(values)
     a, b = (measured.pressure[f"{joint}_{chamber}"] for chamber in CHAMBERS)
     rate = ((a - b)[k + half] - (a - b)[k - half]) / (2 * half * measured.period)
     slot = plugin_offset(variant.model) + variant.slot(cylinder, "spool_position")
@@ -184,3 +183,23 @@ def _oil(
             flows = model.derivative(full, command=spool)
             modelled[row, i] = flows[4] - flows[5]
     return rate - modelled[1], (modelled[2] - modelled[0]) / (2.0 * step)
+
+
+def forces_left(problem: Problem, hypothesis: Hypothesis) -> dict[str, ForceLeft]:
+    """Forces left over inside the fitted windows, by joint: M a + bias less all modelled forces.
+
+    Joints of cylinders whose pressures are not measured are left out: nobody knows their force.
+    """
+    replay, joints = problem.replay, problem.balanced
+    if not joints:
+        return {}
+    change = problem.library.change(hypothesis, replay.machine)
+    dofs = [int(change.variant.model.joint(joint).dofadr[0]) for joint in joints]
+    tables = []
+    for _, at, states in replay.along(change, problem.fitted):
+        q = np.stack([at.position[joint][at.samples] for joint in joints], axis=1)
+        v = np.stack([at.velocity[joint][at.samples] for joint in joints], axis=1)
+        found = lacking_forces(change, at, states, replay.half).lacking[:, dofs]
+        tables.append((q, v, accelerations(change, at, replay.half)[:, dofs], found))
+    joined = [np.concatenate(parts) for parts in zip(*tables, strict=True)]
+    return {joint: ForceLeft(*(x[:, i] for x in joined)) for i, joint in enumerate(joints)}

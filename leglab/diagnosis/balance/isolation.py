@@ -50,11 +50,8 @@ def _motion(problem: Problem) -> list[Where]:
     for k, channel in enumerate(problem.channels):
         if channel.chamber:
             continue
-        parts = []
-        for series, index in zip(problem.series, sample_places(problem), strict=True):
-            q = series.columns[f"{channel.joint}_position"]
-            parts.append((q[index], np.gradient(q, series.period)[index]))
-        position, velocity = (np.concatenate(part) for part in zip(*parts, strict=True))
+        own = [bin_motion(problem, i, channel.joint) for i in range(len(problem.series))]
+        _, position, velocity = (np.concatenate(part) for part in zip(*own, strict=True))
         length = problem.machine.unit(channel.joint)
         states = {"position": (position, length), "velocity": (velocity, f"{length}/s")}
         region = worst_region(errors[:, k].ravel(), states)
@@ -68,14 +65,18 @@ def _motion(problem: Problem) -> list[Where]:
     return found
 
 
-def sample_places(problem: Problem) -> list[np.ndarray]:
-    """Index of the sample in the middle of every bin of the windows, by recording."""
-    replay = problem.replay
+def bin_motion(
+    problem: Problem, recording: int, joint: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Motion of a joint in the middle of every bin of a recording's windows, each (bins,).
+
+    Returns:
+        Number of the sample, position, velocity.
+    """
+    replay, series = problem.replay, problem.series[recording]
     middle = (np.arange(replay.bins) + 0.5) * (replay.samples // replay.bins)
-    found = []
-    for i, series in enumerate(problem.series):
-        start = replay.start[replay.recording == i]
-        first = np.round((start - series.time[0]) / series.period)
-        index = (first[:, None] + middle).astype(int)
-        found.append(np.minimum(index, series.time.size - 1).ravel())
-    return found
+    start = replay.start[replay.recording == recording]
+    first = np.round((start - series.time[0]) / series.period)
+    index = np.minimum((first[:, None] + middle).astype(int), series.time.size - 1).ravel()
+    q = series.columns[f"{joint}_position"]
+    return index, q[index], np.gradient(q, series.period)[index]

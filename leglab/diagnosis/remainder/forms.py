@@ -9,7 +9,7 @@ from scipy.optimize import minimize_scalar
 
 from leglab.diagnosis.balance.balances import Balance
 from leglab.diagnosis.remainder.part import Part, Period
-from leglab.diagnosis.remainder.splines import Blocks, Spline, basis, nearest, roughness
+from leglab.diagnosis.remainder.splines import Spline, basis, nearest, roughness
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
 
@@ -40,24 +40,38 @@ class Term:
         return self.columns.shape[1]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Form:
     """Form of one balance's remainder, with a first estimate.
 
-    Attributes:
+    Args:
+        fits: Of the balance.
         terms: In the order in which they were chosen, sines last; unknowns follow one another.
+        period: Of the sines, about which the last unknown counts; None without sines.
+        gain: Share of the balance's squares that it explains in cross-validation.
+
+    Attributes:
         values: Estimate, (unknowns,).
         precision: Inverse covariance of it, (unknowns, unknowns), smoothness included.
-        gain: Share of the balance's squares that it explains in cross-validation.
-        period: Of the sines, about which the last unknown counts; None without sines.
     """
 
-    balance: Balance
-    terms: tuple[Term, ...]
-    values: np.ndarray
-    precision: np.ndarray
-    gain: float
-    period: float | None = None
+    def __init__(
+        self, fits: "_Fits", terms: tuple[Term, ...], period: float | None, gain: float
+    ) -> None:
+        self.balance, self.period, self.gain = fits.balance, period, gain
+        values = fits.solved(terms)
+        rest = fits.target - fits.design(terms) @ values
+        # Neighbouring windows that err alike count for fewer (Bartlett 1935).
+        memory = _neighbours(rest * np.sqrt(fits.weight), fits.balance)
+        variance = float(fits.weight @ rest**2) / fits.target.size
+        variance *= (1.0 + memory) / max(1.0 - memory, 0.1)
+        if period is not None:
+            *others, own = terms
+            harmonics, waves = (own.count - 1) // 2, values[-own.count :]
+            terms = (*others, fits.sines(own, period, harmonics, waves))
+            values = np.append(values, 0.0)
+        design = fits.design(terms)
+        precision = (design * fits.weight[:, None]).T @ design + fits.penalty(terms)
+        self.terms, self.values, self.precision = terms, values, precision / variance
 
     @property
     def covariance(self) -> np.ndarray:
@@ -115,7 +129,7 @@ def choose_form(
     period = None
     if "position" in [term.variable for term in chosen] and not balance.oil:
         chosen, period = _periodic(fits, chosen, left, limits)
-    return fits.estimated(chosen, period, gain=1.0 - float(left.sum()) / float(null.sum()))
+    return Form(fits, chosen, period, gain=1.0 - float(left.sum()) / float(null.sum()))
 
 
 def _candidates(balance: Balance, driven_by_oil: bool) -> list[Term]:
@@ -179,7 +193,8 @@ class _Fits:
         self.balance, self.target = balance, balance.gained
         # Neighbours within a second err alike.
         second = np.floor(balance.time - balance.time.min()).astype(int)
-        self.block = balance.recording * (second.max() + 1) + second
+        block = balance.recording * (second.max() + 1) + second
+        self.blocks = [np.flatnonzero(block == k) for k in np.unique(block)]
         base = np.ones(self.target.size)
         if balance.oil:  # what opens the valve little says little, and errors grow with the gain
             size = np.abs(balance.gain).mean(axis=1)
@@ -204,17 +219,30 @@ class _Fits:
             blocks.append(size * (term.smoothing * term.penalty + ridge))
         return np.asarray(block_diag(*blocks))
 
-    def sums(self, terms: Sequence[Term]) -> Blocks:
-        """Sums of the terms by block."""
-        return Blocks(self.design(terms), self.target, self.weight, self.block)
+    def sums(self, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray]:
+        """X'WX, (blocks, unknowns, unknowns), and X'Wy, (blocks, unknowns), of the terms."""
+        design = self.design(terms)
+        weighted = design * self.weight[:, None]
+        matrices = np.stack([weighted[r].T @ design[r] for r in self.blocks])
+        return matrices, np.stack([weighted[r].T @ self.target[r] for r in self.blocks])
 
     def solved(self, terms: Sequence[Term]) -> np.ndarray:
         """Values of the unknowns."""
-        return self.sums(terms).solve(self.penalty(terms))
+        return _solved(*self.sums(terms), self.penalty(terms))
 
-    def errors(self, terms: Sequence[Term]) -> np.ndarray:
-        """Squared errors of every block in cross-validation, (blocks,)."""
-        return self.sums(terms).validated(self.penalty(terms))
+    def errors(
+        self, terms: Sequence[Term], sums: tuple[np.ndarray, np.ndarray] | None = None
+    ) -> np.ndarray:
+        """Squared errors of every block under a fit to the other four fifths, (blocks,)."""
+        matrices, rights = sums or self.sums(terms)
+        penalty = self.penalty(terms)
+        out = np.array([self.weight[r] @ self.target[r] ** 2 for r in self.blocks])
+        fold = np.arange(out.size) % 5
+        for k in range(5):
+            own = fold == k
+            x = _solved(matrices[~own], rights[~own], penalty)
+            out[own] += np.einsum("i,bij,j->b", x, matrices[own], x) - 2.0 * rights[own] @ x
+        return np.maximum(out, 0.0)
 
     def smoothed(self, chosen: tuple[Term, ...], new: Term) -> tuple[tuple[Term, ...], np.ndarray]:
         """The terms with a new one's smoothing by cross-validation, and errors of all blocks."""
@@ -223,7 +251,7 @@ class _Fits:
         # Relative to the size of the columns: from none to almost a straight line.
         for smoothing in (10.0 ** np.arange(-7.0, 3.0)).tolist():
             terms = (*chosen, replace(new, smoothing=smoothing))
-            tried.append((terms, sums.validated(self.penalty(terms))))
+            tried.append((terms, self.errors(terms, sums)))
         best = min(tried, key=lambda t: float(t[1].sum()))[1]
         # The smoothest within one standard error of the best (Breiman et al. 1984).
         return next(t for t in reversed(tried) if (t[1] - best).sum() <= _chance(t[1] - best))
@@ -252,29 +280,12 @@ class _Fits:
         none = np.zeros((columns.shape[1],) * 2)
         return replace(own, knots=knots, columns=columns, penalty=none, shape=shape, smoothing=0.0)
 
-    def estimated(self, terms: Sequence[Term], period: float | None, gain: float) -> Form:
-        """Final estimate with its precision."""
-        values = self.solved(terms)
-        rest = self.target - self.design(terms) @ values
-        # Neighbouring windows that err alike count for fewer (Bartlett 1935).
-        memory = _neighbours(rest * np.sqrt(self.weight), self.balance)
-        variance = float(self.weight @ rest**2) / self.target.size
-        variance *= (1.0 + memory) / max(1.0 - memory, 0.1)
-        if period is not None:
-            *others, own = terms
-            harmonics, waves = (own.count - 1) // 2, values[-own.count :]
-            terms = (*others, self.sines(own, period, harmonics, waves))
-            values = np.append(values, 0.0)
-        design = self.design(terms)
-        precision = (design * self.weight[:, None]).T @ design + self.penalty(terms)
-        return Form(
-            balance=self.balance,
-            terms=tuple(terms),
-            values=values,
-            precision=precision / variance,
-            gain=gain,
-            period=period,
-        )
+
+def _solved(matrices: np.ndarray, rights: np.ndarray, penalty: np.ndarray) -> np.ndarray:
+    """Penalised values of the unknowns from the sums of blocks."""
+    matrix = matrices.sum(axis=0) + penalty
+    ridge = 1e-10 * np.trace(matrix) / max(len(matrix), 1) + 1e-300
+    return np.linalg.solve(matrix + ridge * np.eye(len(matrix)), rights.sum(axis=0))
 
 
 def sines(x: np.ndarray, period: float, harmonics: int) -> np.ndarray:
@@ -324,10 +335,9 @@ def _periodic(
         tried = frequencies[frequencies * span >= repeats]
         costs = np.array([misfit(f, harmonics) for f in tried])
         # Half the frequency with every second harmonic is the same: the highest that does it.
-        near = np.flatnonzero(
-            costs <= costs.min() + limits.worthwhile * max(alone - costs.min(), 0.0)
-        )
-        best = None
+        least = costs.min()
+        near = np.flatnonzero(costs <= least + limits.worthwhile * max(alone - least, 0.0))
+        best = np.inf, chosen, 0.0
         for start in sorted({int(near[-1]), int(np.argmin(costs))}, reverse=True):
             low, high = tried[max(start - 1, 0)], tried[min(start + 1, costs.size - 1)]
             found = minimize_scalar(
@@ -336,9 +346,9 @@ def _periodic(
             )  # fmt: skip
             terms = (*others, fits.sines(own, 1.0 / found.x, harmonics))
             errors = float(fits.errors(terms).sum())
-            if best is None or errors < (1.0 - limits.worthwhile) * best[0]:
+            if errors < (1.0 - limits.worthwhile) * best[0]:
                 best = errors, terms, 1.0 / float(found.x)
-        if best is not None and best[0] <= allowed:
+        if best[0] <= allowed:
             return best[1], best[2]
     return chosen, None
 

@@ -87,7 +87,16 @@ class Part:
             for number, value in enumerate(spline.coefficients.tolist()):
                 change.set_parameter(self.name, f"{variable}_{number}", value)
         if "load" in self.terms and not self.oil:
-            change.start(self.name, "load", partial(_load, change.machine, self.joint))
+            change.start(self.name, "load", partial(self._load, change.machine))
+
+    def _load(
+        self, machine: Machine, measured: Measured, variant: Variant, plugin: np.ndarray
+    ) -> np.ndarray:
+        """Actuator force on the joint at window starts, (windows,)."""
+        model, k = variant.model, measured.samples
+        states = states_at(machine, model, measured, k, plugin)
+        found = forces_at(model, states, commands_at(machine, measured, k))
+        return found.load[:, int(model.joint(self.joint).dofadr[0])]
 
     def write(self, spec: mujoco.MjSpec) -> None:
         """Adds its plugin instance to a specification."""
@@ -96,16 +105,6 @@ class Part:
 
 def _numbers(values: np.ndarray) -> str:
     return " ".join(f"{value:.9g}" for value in values.tolist())
-
-
-def _load(
-    machine: Machine, joint: str, measured: Measured, variant: Variant, plugin: np.ndarray
-) -> np.ndarray:
-    """Actuator force on a joint at window starts, (windows,)."""
-    model, k = variant.model, measured.samples
-    states = states_at(machine, model, measured, k, plugin)
-    found = forces_at(model, states, commands_at(machine, measured, k))
-    return found.load[:, int(model.joint(joint).dofadr[0])]
 
 
 class LearnedLibrary(Library):

@@ -1,4 +1,4 @@
-"""Additive cubic B-splines with a smoothness penalty, and what a recording's blocks say of them."""
+"""Additive cubic B-splines with a smoothness penalty."""
 
 from dataclasses import dataclass
 
@@ -54,38 +54,3 @@ def roughness(knots: np.ndarray) -> np.ndarray:
 def nearest(knots: np.ndarray, x: np.ndarray, functions: np.ndarray) -> np.ndarray:
     """Coefficients nearest to functions given at increasing places, (n,) or (n, functions)."""
     return np.asarray(make_lsq_spline(x, functions, clamped(knots), DEGREE).c)
-
-
-class Blocks:
-    """Weighted least squares by blocks of neighbouring samples, for cross-validation.
-
-    Of a design (n, p), with target, weight and number of the block of each sample, each (n,).
-    """
-
-    def __init__(
-        self, design: np.ndarray, target: np.ndarray, weight: np.ndarray, block: np.ndarray
-    ) -> None:
-        rows = [np.flatnonzero(block == k) for k in np.unique(block)]
-        weighted = design * weight[:, None]
-        # X'WX, X'Wy and y'Wy of each block.
-        self._matrices = np.stack([weighted[r].T @ design[r] for r in rows])
-        self._rights = np.stack([weighted[r].T @ target[r] for r in rows])
-        self._squares = np.array([weight[r] @ target[r] ** 2 for r in rows])
-
-    def solve(self, penalty: np.ndarray, keep: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """Penalised coefficients, (p,), from all blocks or those of a mask."""
-        matrix = self._matrices[keep].sum(axis=0) + penalty
-        ridge = 1e-10 * np.trace(matrix) / max(len(matrix), 1) + 1e-300
-        matrix = matrix + ridge * np.eye(len(matrix))
-        return np.linalg.solve(matrix, self._rights[keep].sum(axis=0))
-
-    def validated(self, penalty: np.ndarray) -> np.ndarray:
-        """Squared errors of every block under a fit to the other four fifths, (blocks,)."""
-        fold = np.arange(self._squares.size) % 5
-        out = self._squares.copy()
-        for k in range(5):
-            own = fold == k
-            x = self.solve(penalty, ~own)
-            bent = np.einsum("i,bij,j->b", x, self._matrices[own], x)
-            out[own] += bent - 2.0 * self._rights[own] @ x
-        return np.maximum(out, 0.0)

@@ -7,10 +7,10 @@ from typing import Literal
 import numpy as np
 
 from leglab.diagnosis.remainder.part import Part, Period
-from leglab.diagnosis.remainder.splines import Spline
 from leglab.diagnosis.thresholds import DEFAULT
 
 Parity = Literal["odd", "even", "mixed"]
+Side = Literal["positive", "negative"]
 
 # Less than this share of a thing is hardly there: terms beside larger ones, the other parity of a
 # curve, its other side, or its change in the outer quarters.
@@ -35,7 +35,7 @@ class Shape:
     size: float
     interval: tuple[float, float]
     parity: Parity | None
-    one_sided: Literal["positive", "negative"] | None
+    one_sided: Side | None
     saturating: bool
     rising: bool
     period: Period | None
@@ -61,14 +61,9 @@ class Described:
 
 def describe(part: Part, inputs: Mapping[str, np.ndarray], unit: str) -> Described:
     """Words for a part, with the data that it was learned from and the unit of the joint."""
-    shapes, constant = [], 0.0
-    for variable, spline in part.terms.items():
-        x = inputs[variable].ravel()
-        constant += float(spline(x).mean())
-        low, high = np.quantile(x, (0.01, 0.99)).tolist()
-        period = part.period if variable == "position" else None
-        shapes.append(_shape(variable, spline, low, high, period))
-    shapes.sort(key=lambda s: -s.size)
+    found = [_shape(part, variable, inputs[variable]) for variable in part.terms]
+    shapes = tuple(sorted(found, key=lambda shape: -shape.size))
+    constant = sum(float(spline(inputs[v].ravel()).mean()) for v, spline in part.terms.items())
     force = "1" if part.oil else "N m" if unit == "rad" else "N"
     kind = "torque" if force == "N m" else "force"
     if shapes[0].size < _HARDLY * abs(constant):
@@ -77,16 +72,16 @@ def describe(part: Part, inputs: Mapping[str, np.ndarray], unit: str) -> Describ
     else:
         told = [s for s in shapes if s.size >= _HARDLY * shapes[0].size]
         text = ", and ".join(_sentence(part, shape, kind, force, unit) for shape in told)
-    return Described(
-        element=part.element, unit=force, shapes=tuple(shapes), constant=constant, text=text
-    )
+    return Described(element=part.element, unit=force, shapes=shapes, constant=constant, text=text)
 
 
-def _shape(variable: str, spline: Spline, low: float, high: float, period: Period | None) -> Shape:
+def _shape(part: Part, variable: str, data: np.ndarray) -> Shape:
+    spline = part.terms[variable]
+    low, high = np.quantile(data, (0.01, 0.99)).tolist()
     x = np.linspace(low, high, 401)
     y = spline(x)
     parity: Parity | None = None
-    one_sided: Literal["positive", "negative"] | None = None
+    one_sided: Side | None = None
     reach = min(-low, high)
     if variable != "position" and reach > _HARDLY * max(-low, high):
         arm = np.linspace(0.0, reach, 201)
@@ -107,7 +102,7 @@ def _shape(variable: str, spline: Spline, low: float, high: float, period: Perio
         one_sided=one_sided,
         saturating=bool(outer < _HARDLY * 2.0 * size and inner > size),
         rising=size > 0.0 and bool(np.corrcoef(x, y)[0, 1] > 0.0),
-        period=period,
+        period=part.period if variable == "position" else None,
     )
 
 
@@ -137,10 +132,9 @@ def _sentence(part: Part, shape: Shape, kind: str, force: str, unit: str) -> str
         return f"{thing} that depends on the position{where} {way}, {size}"
     if shape.variable == "velocity" and not part.oil:
         if shape.parity == "odd":
-            than = "less friction than the model has"
-            what = than if shape.rising else "friction that the model lacks"
+            less, more = "less friction than the model has", "friction that the model lacks"
             form = "like dry friction" if shape.saturating else "growing with speed"
-            return f"{what}, {form}{where}, {size}"
+            return f"{less if shape.rising else more}, {form}{where}, {size}"
         if shape.one_sided:
             side = "forward" if shape.one_sided == "positive" else "backward"
             return f"{thing} that acts in {side} motion only{where}, {size}"

@@ -11,7 +11,7 @@ import numpy as np
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.base.threads import threads_allowed
-from leglab.diagnosis.balance.forces import forces_left
+from leglab.diagnosis.balance.balances import forces_left
 from leglab.diagnosis.effects.base import Effect
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key, Library
 from leglab.diagnosis.intake.admission import admit

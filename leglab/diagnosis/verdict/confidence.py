@@ -9,7 +9,7 @@ turn plays the unknown cause, and the best effect of another kind its impostor.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,79 +42,55 @@ class Judged:
         confidence: Probability that the name is right.
         possible: The same without the part of the recordings that speaks most against it.
         evidence: Probability by evidence alone.
-        apart: Without the worst part.
-        share: Of what is left without it, that it explains.
-        size: Largest departure in trials.
+        ties: Sets without it that the data do not tell apart from it.
     """
 
     confidence: float
     possible: float
     evidence: float
-    apart: float
-    share: float
-    size: float
+    ties: tuple[frozenset[Key], ...]
 
 
-@dataclass(frozen=True, eq=False)
 class Judgement:
-    """What is said of a search.
+    """What is said of a search, by all its sets.
 
     Attributes:
-        verdict: As of a `Diagnosis`.
+        effects: All effects of all sets.
         named: Effects, surest first.
         confusion: Effects that are not told apart, the most possible first; empty where any is
             named.
-        effects: All effects of all sets.
-        sets: The sets.
+        verdict: As of a `Diagnosis`.
+        rows: The sets, most probable first.
     """
 
-    verdict: Verdict
-    named: tuple[Key, ...]
-    confusion: tuple[Key, ...]
-    effects: Mapping[Key, Judged]
-    sets: Sets
+    def __init__(self, sets: Sets) -> None:
+        impostor, keys = impostors(sets), sorted({k for r in sets.rows for k in r.keys})
+        effects = {key: _effect(sets, key, impostor) for key in keys}
 
-    @property
-    def rows(self) -> list[Row]:
-        """Sets, most probable first."""
-        return self.sets.rows
+        def most(measure: str, least: float) -> tuple[Key, ...]:
+            above = [k for k, e in effects.items() if getattr(e, measure) > least]
+            return tuple(sorted(above, key=lambda k: -getattr(effects[k], measure)))
 
-
-def judged(sets: Sets) -> Judgement:
-    """Judges all sets of a search."""
-    rows = sets.rows
-    impostor = impostors(sets)
-    ties: dict[Key, tuple[frozenset[Key], ...]] = {}
-    effects: dict[Key, Judged] = {}
-    for key in sorted({k for r in rows for k in r.keys}):
-        effects[key], ties[key] = _effect(sets, key, impostor)
-
-    def most(measure: str, least: float) -> tuple[Key, ...]:
-        above = [k for k, e in effects.items() if getattr(e, measure) > least]
-        return tuple(sorted(above, key=lambda k: -getattr(effects[k], measure)))
-
-    named = most("confidence", NAMED)
-    confusion = () if named else most("possible", POSSIBLE)
-    tied = [k for k in effects if ties[k]]
-    if tied and not named:
-        leader = max(tied, key=lambda k: effects[k].evidence)
-        rivals = [k for new in ties[leader] for k in sorted(new)]
-        confusion = tuple(dict.fromkeys((leader, *rivals, *confusion)))
-    verdict: Verdict = "unexplained"
-    if named:
-        verdict = "named"
-    elif _as_healthy(sets):
-        verdict, confusion = "nothing_missing", ()
-    elif confusion:
-        verdict = "confusion_set"
-    return Judgement(verdict, named, confusion, effects, sets)
+        named = most("confidence", NAMED)
+        confusion = () if named else most("possible", POSSIBLE)
+        tied = [k for k, e in effects.items() if e.ties]
+        if tied and not named:
+            leader = max(tied, key=lambda k: effects[k].evidence)
+            rivals = [k for new in effects[leader].ties for k in sorted(new)]
+            confusion = tuple(dict.fromkeys((leader, *rivals, *confusion)))
+        verdict: Verdict = "unexplained"
+        if named:
+            verdict = "named"
+        elif _as_healthy(sets):
+            verdict, confusion = "nothing_missing", ()
+        elif confusion:
+            verdict = "confusion_set"
+        self.sets, self.rows, self.effects = sets, sets.rows, effects
+        self.verdict, self.named, self.confusion = verdict, named, confusion
 
 
 def _as_healthy(sets: Sets) -> bool:
-    """Whether nothing may be missing: noise, or the errors of the healthy specimen, are left.
-
-    In every recording: one that moves tells more than three that rest.
-    """
+    """Whether nothing may be missing: noise, or the errors of the healthy specimen, are left."""
     whole, fixed = _shares(np.array([r.score.log for r in sets.rows])), sets.fitter.fixed
     for row, own in zip(sets.rows, whole, strict=True):
         if row.keys or own < POSSIBLE:
@@ -122,19 +98,22 @@ def _as_healthy(sets: Sets) -> bool:
         # The specimen as it was, nothing moved: what a day changes may hide a fault.
         errors = sets.found.first.errors if fixed else row.left
         levels = np.sqrt(sets.channel_squares(errors).mean(axis=1))
-        each = [np.median(levels[sets.at.recording == r]) for r in np.unique(sets.at.recording)]
-        return as_before(float(np.median(levels)), float(max(each)), healthy=fixed is not None)
+        return as_before(levels, sets.at.recording, healthy=fixed is not None)
     return False
 
 
-def as_before(middle: float, largest: float, *, healthy: bool) -> bool:
+def as_before(levels: np.ndarray, recording: np.ndarray, *, healthy: bool) -> bool:
     """Whether errors are those of noise, or of the healthy specimen on another day.
 
+    In every recording: one that moves tells more than three that rest.
+
     Args:
-        middle: Of all windows, in noise levels or errors of the healthy specimen.
-        largest: Of the middles of single recordings.
+        levels: Of windows, in noise levels or errors of the healthy specimen, (windows,).
+        recording: Of each window, (windows,).
         healthy: Whether healthy recordings say how far the model misses the specimen.
     """
+    middle = float(np.median(levels))
+    largest = max(float(np.median(levels[recording == r])) for r in np.unique(recording))
     if healthy:
         # Of several recordings the largest departs by two deviations where none is ill.
         return middle <= math.exp(DAY_FACTOR) and largest <= math.exp(2.0 * DAY_FACTOR)
@@ -147,10 +126,8 @@ def _shares(logs: np.ndarray) -> np.ndarray:
     return np.asarray(share / share.sum(axis=0))
 
 
-def _effect(
-    sets: Sets, key: Key, impostor: tuple[float, float]
-) -> tuple[Judged, tuple[frozenset[Key], ...]]:
-    """How sure one effect is, and the sets without it that the data do not tell apart from it."""
+def _effect(sets: Sets, key: Key, impostor: tuple[float, float]) -> Judged:
+    """How sure one effect is."""
     rows = sets.rows
     logs, apart = np.array([r.score.log for r in rows]), np.array([r.apart for r in rows])
     drive = np.array([r.drive for r in rows])
@@ -160,38 +137,30 @@ def _effect(
     sound = has & ~np.array([bool(r.ended) for r in rows])
     there = has & ~np.array([key in r.ended for r in rows])
     ways = (0.0 * drive, drive)
-    best = [int(np.argmax(np.where(has, logs + d, -np.inf))) for d in ways]
-    judged = {n: _share(sets, rows[n], key, impostor) for n in set(best)}
-    first = best[0]
+    best = [rows[int(np.argmax(np.where(has, logs + lost, -np.inf)))] for lost in ways]
+    inside = {row: _stands(sets, row, key, impostor) for row in set(best)}
     sure, possible = 1.0, 0.0
-    for n, lost in zip(best, ways, strict=True):
+    for row, lost in zip(best, ways, strict=True):
         share, parts = _shares(logs + lost), _shares(apart + lost[:, None])
-        inside = judged[n][1]
         least = min(float(share[sound].sum()), float(parts[sound].sum(axis=0).min()))
-        sure = min(sure, least * inside)
-        possible = max(possible, least * inside, float(parts[there].sum(axis=0).max()) * inside)
-    ties = _ties(rows, rows[first], key) if sure > NAMED else ()
-    told = Judged(
-        confidence=sure / (1 + len(ties)),
-        possible=possible,
-        evidence=float(_shares(logs)[has].sum()),
-        apart=float(_shares(apart)[sound].sum(axis=0).min()),
-        share=judged[first][0],
-        size=rows[first].size(key),
-    )
-    return told, ties
+        sure = min(sure, least * inside[row])
+        most = max(least, float(parts[there].sum(axis=0).max()))
+        possible = max(possible, most * inside[row])
+    ties = _ties(rows, best[0], key) if sure > NAMED else ()
+    evidence = float(_shares(logs)[has].sum())
+    return Judged(sure / (1 + len(ties)), possible, evidence, ties)
 
 
-def _share(sets: Sets, row: Row, key: Key, impostor: tuple[float, float]) -> tuple[float, float]:
-    """The share of what is left without it that an effect of a set explains.
+def _stands(sets: Sets, row: Row, key: Key, impostor: tuple[float, float]) -> float:
+    """Probability that an effect of a set stands for itself and claims what is so.
 
-    And the probability that it stands for itself and claims what is so.
+    By the share that it explains of what is left without it.
     """
     (share, _), *elsewhere = (_explained(sets, *shown) for shown in sets.shown(row, key))
     for explains, acts in elsewhere:
         share -= acts * max(share - explains, 0.0)
     inside = _inside(share, impostor, max(2.0 * math.log(sets.found.level), 1.0))
-    return share, inside * _claimed(row, key)
+    return inside * _claimed(row, key)
 
 
 def _ties(rows: Sequence[Row], first: Row, key: Key) -> tuple[frozenset[Key], ...]:
@@ -204,15 +173,10 @@ def _ties(rows: Sequence[Row], first: Row, key: Key) -> tuple[frozenset[Key], ..
     found: list[frozenset[Key]] = []
     for row in rows:
         new = row.keys - shared
-        if (
-            key in row.keys
-            or row.ended & new
-            or not new
-            or len(row.score.members) > numbers + MORE_NUMBERS
-        ):
-            continue
+        rival = new and key not in row.keys and not row.ended & new
+        simple = len(row.score.members) <= numbers + MORE_NUMBERS
         fits = row.score.fit + row.drive > own - np.log(TIE)
-        if fits and not any(one <= new for one in found):
+        if rival and simple and fits and not any(one <= new for one in found):
             found.append(new)
     return tuple(found)
 
@@ -251,15 +215,12 @@ def impostors(sets: Sets) -> tuple[float, float]:
         share = np.maximum(product[others, b], 0.0) ** 2 / (size[others] * size[b])
         if keys[b] not in best_of or size[b] > best_of[keys[b]][0]:
             best_of[keys[b]] = float(size[b]), float(min(share.max(), 1.0))
-    x = np.array([_logit(share) for _, share in best_of.values()])
+    shares = np.array([share for _, share in best_of.values()])
+    x = np.log((shares + 1e-3) / (1.0 - shares + 1e-3))
     m0, s0, w = IMPOSTOR
     mean = (w * m0 + x.sum()) / (w + x.size)
     variance = w * (s0**2 + (m0 - mean) ** 2) + ((x - mean) ** 2).sum()
     return float(mean), float(np.sqrt(variance / (w + x.size)))
-
-
-def _logit(share: float) -> float:
-    return float(np.log((share + 1e-3) / (1.0 - share + 1e-3)))
 
 
 def _explained(sets: Sets, at: Errors, blocks: np.ndarray) -> tuple[float, float]:

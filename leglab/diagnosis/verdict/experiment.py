@@ -41,10 +41,8 @@ def propose(problem: Problem, rivals: dict[str, Hypothesis]) -> Proposal | None:
     speeds = replay.measured()[:, 0, :10]
     calm = int(np.argmin(np.abs(speeds[:, -1] - speeds[:, 0])))
     noise = np.median(problem.sensor_noise, axis=0)[:, None]
-    answers = [
-        replay.respond(problem.library.change(h, problem.machine), calm, np.stack(series))
-        for h in (first, second)
-    ]
+    changes = [problem.library.change(h, problem.machine) for h in (first, second)]
+    answers = [replay.respond(change, calm, np.stack(series)) for change in changes]
     distance = np.nan_to_num((answers[0] - answers[1]) / noise, nan=0.0)
     separation = (np.clip(distance, -1e3, 1e3) ** 2).sum(axis=(1, 2))
     best = int(np.argmax(separation))

@@ -27,22 +27,16 @@ def notes(problem: Problem) -> tuple[str, ...]:
             "no chamber pressures: they were replayed from the commands; faults of mechanism and "
             "hydraulics are told apart by the motion alone, with wider intervals"
         )
-    text = "windows over gaps are skipped"
     lost = {series.name: int((~series.valid).sum()) for series in problem.series}
-    gaps = [
-        Remark(text=text, recording=name, place=f"{count} samples")
-        for name, count in lost.items()
-        if count
-    ]
+    text = "windows over gaps are skipped"
+    gaps = [Remark(text, name, f"{count} samples") for name, count in lost.items() if count]
     return (*found, *merged(gaps, lost))
 
 
 def at_limits(library: Library, values: Mapping[Key, np.ndarray]) -> tuple[str, ...]:
     """A line for every parameter whose fit ended at the smallest or largest value of its effect.
 
-    Args:
-        library: Effects.
-        values: Of the effects that were fitted, each (parameters,).
+    `values` are those of the effects that were fitted, each (parameters,).
     """
     lines = []
     for key, fitted in values.items():
@@ -68,8 +62,8 @@ def touching_share(machine: Machine, series: Sequence[UniformSeries]) -> float:
     touched = []
     for one in series:
         poses = np.stack([one.columns[f"{joint}_position"] for joint in machine.joints], axis=1)
-        # So many poses tell a share.
-        for pose in poses[np.linspace(0, one.time.size - 1, 50).astype(int)]:
+        some = np.linspace(0, one.time.size - 1, 50).astype(int)  # enough for a share
+        for pose in poses[some]:
             data.qpos[places] = pose
             mujoco.mj_fwdPosition(model, data)
             touched.append(data.ncon > 0)

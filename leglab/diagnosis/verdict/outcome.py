@@ -1,7 +1,6 @@
 """A judged search: which hypotheses are told, and how sure their parameters are."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,20 +12,21 @@ from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.result import Diagnosis
 from leglab.diagnosis.search.healthy import Specimen
 from leglab.diagnosis.search.onset import begun
-from leglab.diagnosis.search.search import Found
 from leglab.diagnosis.search.settle import Fit, Fitter
 from leglab.diagnosis.thresholds import ABSENT, RENEWALS
 from leglab.diagnosis.verdict.confidence import Judgement
 from leglab.diagnosis.verdict.sets import Row
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Outcome:
-    """A judged search.
+    """A judged search: what is told of it.
 
-    Attributes:
+    Args:
         judged: Names and confidence.
         specimen: What healthy recordings said; None without any.
+
+    Attributes:
+        problem: Recordings and machine.
         row: The set whose values are told.
         spread: Covariance of all single unknowns there, in trials, (single, single).
         baseline: Nothing missing, all parameters within what machines differ by.
@@ -37,30 +37,40 @@ class Outcome:
         named: Effects that are told, named or in a confusion set.
         onsets: Of effects that begin during a recording, the earliest and the latest time [s] at
             which they can have begun, (recordings, 2), inf where an effect begins in none.
-        result: The verdict as it is told.
+        result: The verdict as it is told; `diagnose` sets it.
     """
 
-    judged: Judgement
-    specimen: Specimen | None
-    row: Row
-    spread: np.ndarray
-    baseline: Hypothesis
-    final: Hypothesis
-    written: Hypothesis
-    about: Problem
-    named: tuple[Key, ...]
-    onsets: Mapping[Key, np.ndarray]
-    result: Diagnosis = field(init=False)
+    result: Diagnosis
 
-    @property
-    def found(self) -> Found:
-        """The search."""
-        return self.judged.sets.found
-
-    @property
-    def problem(self) -> Problem:
-        """Recordings and machine."""
-        return self.judged.sets.at.problem
+    def __init__(self, judged: Judgement, specimen: Specimen | None) -> None:
+        self.judged, self.specimen, self.found = judged, specimen, judged.sets.found
+        names, rows, fitter = judged.named or judged.confusion[:1], judged.rows, judged.sets.fitter
+        self.problem = problem = fitter.at.problem
+        nothing = next(r for r in rows if not r.keys)
+        row = next((r for r in rows if r.keys.issuperset(names) and not r.renamed), rows[0])
+        if judged.verdict == "nothing_missing":
+            row = nothing
+        self.row, self.baseline, self.final = row, nothing.hypothesis, row.hypothesis
+        self.about = problem.about(self.final)
+        self.spread = _scatter(row.evidence, row.score)
+        self.named = tuple(
+            key
+            for name, element in names
+            for key in sorted(problem.library.sites)
+            if key[0] == name and element in (key[1], EVERY)
+        )
+        if specimen is not None:
+            self.written = self.final.only(self.named)
+            if judged.verdict == "nothing_missing" and not self.named:
+                self.final = self.written
+        else:
+            lean, spread = _lean(self.about, fitter, row, self.named)
+            self.written = lean.columns.base
+            if lean.level <= (1.0 + problem.thresholds.smaller_share) * row.level:
+                self.final, self.spread = self.written, spread
+        self.onsets: dict[Key, np.ndarray] = {}
+        if self.found.onsets is not None:
+            self.final, self.onsets = begun(problem, self.final, self.named, self.found.onsets)
 
     def __repr__(self) -> str:
         named = ", ".join(f"{name} at {element}" for name, element in self.named) or "nothing"
@@ -78,47 +88,6 @@ class Outcome:
             return np.ones(problem.replay.windows)
         nearest = np.array(self.specimen.nearest(problem))
         return self.specimen.levels[nearest[problem.replay.recording], 1] ** 2
-
-
-def outcome_of(judgement: Judgement, specimen: Specimen | None) -> Outcome:
-    """What is told of a judged search; its result is still to be set."""
-    names, rows = judgement.named or judgement.confusion[:1], judgement.rows
-    nothing = next(r for r in rows if not r.keys)
-    row = next((r for r in rows if r.keys.issuperset(names) and not r.renamed), rows[0])
-    if judgement.verdict == "nothing_missing":
-        row = nothing
-    fitter, onsets = judgement.sets.fitter, judgement.sets.found.onsets
-    problem, final = fitter.at.problem, row.hypothesis
-    about, spread = problem.about(final), _scatter(row.evidence, row.score)
-    named = tuple(
-        key
-        for name, element in names
-        for key in sorted(problem.library.sites)
-        if key[0] == name and element in (key[1], EVERY)
-    )
-    if specimen is not None:
-        written = final.only(named)
-        final = final if named or judgement.verdict != "nothing_missing" else written
-    else:
-        lean, beside = _lean(about, fitter, row, named)
-        written = lean.columns.base
-        if lean.level <= (1.0 + problem.thresholds.smaller_share) * row.level:
-            final, spread = written, beside
-    between: dict[Key, np.ndarray] = {}
-    if onsets is not None:
-        final, between = begun(problem, final, named, onsets)
-    return Outcome(
-        judged=judgement,
-        specimen=specimen,
-        row=row,
-        spread=spread,
-        baseline=nothing.hypothesis,
-        final=final,
-        written=written,
-        about=about,
-        named=named,
-        onsets=between,
-    )
 
 
 def _lean(

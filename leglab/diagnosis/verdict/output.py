@@ -36,7 +36,12 @@ def write_model(
     """
     machine = problem.machine
     spec = machine.spec()
-    _absolute_files(spec, machine.path.parent)
+    # The patched model lies elsewhere than meshes and textures.
+    for attribute in ("meshdir", "texturedir") if spec.meshes or spec.textures else ():
+        place = str(getattr(spec.compiler, attribute))
+        if not os.path.isabs(place):
+            place = str((machine.path.parent / place).resolve())
+            setattr(spec.compiler, attribute, place)
     change = Library.change(problem.library, hypothesis, machine)
     for _, edit in change.edits:
         edit(spec)
@@ -60,14 +65,6 @@ def write_model(
     return path
 
 
-def _absolute_files(spec: mujoco.MjSpec, folder: Path) -> None:
-    """Makes mesh and texture folders absolute: the patched model lies elsewhere."""
-    for attribute in ("meshdir", "texturedir") if spec.meshes or spec.textures else ():
-        place = str(getattr(spec.compiler, attribute))
-        if not os.path.isabs(place):
-            setattr(spec.compiler, attribute, str((folder / place).resolve()))
-
-
 def summary_tables(result: Diagnosis) -> list[Table]:
     """Verdict, effects and gaps for the terminal."""
     head = Table(title=f"verdict: {result.verdict}", title_justify="left")
@@ -86,7 +83,7 @@ def summary_tables(result: Diagnosis) -> list[Table]:
     gaps = Table(*columns, title=title, title_justify="left")
     for row in result.recordings:
         errors = (f"{error:.2f}" for error in (row.before, row.baseline, row.after))
-        gaps.add_row(row.name, *errors, "held out" if row.held_out else "")
+        gaps.add_row(row.name, *errors, "held out" * row.held_out)
     horizon = f"{result.remaining[0].horizon:.3g} s " if result.remaining else ""
     title = f"error {horizon}after a measured start, held-out recordings"
     left = Table(title=title, title_justify="left")

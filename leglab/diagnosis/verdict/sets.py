@@ -12,7 +12,6 @@ import numpy as np
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.columns import Columns, Errors
 from leglab.diagnosis.likelihood.evidence import Evidence, Score
-from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import inverse_roots, thinned
 from leglab.diagnosis.search.rank import both_ways
 from leglab.diagnosis.search.search import Found
@@ -32,7 +31,6 @@ class Row:
         left: Errors that it leaves, (windows, rows).
         hypothesis: Where it leaves them.
         level: Median of these in noise levels.
-        fitted: Whether the linearisation is where the set itself was fitted by replays.
         renamed: Effects that go by the name of a twin.
         drive: Nats by which it loses in units of the drive, 0 and less.
     """
@@ -45,7 +43,6 @@ class Row:
     left: np.ndarray
     hypothesis: Hypothesis
     level: float
-    fitted: bool = False
     renamed: Mapping[Key, Key] = field(default_factory=dict)
     drive: float = 0.0
 
@@ -63,9 +60,6 @@ class Row:
 class Sets:
     """All sets of a search.
 
-    Args:
-        found: The search.
-
     Attributes:
         rows: The sets, most probable first.
         removed: Linearisations of sets without an effect, by the set and the effect.
@@ -74,10 +68,8 @@ class Sets:
 
     def __init__(self, found: Found) -> None:
         self.found, self.fitter, self.at = found, found.fitter, found.fitter.at
-        self.unknowns: Unknowns = self.at.unknowns
-        self.best = found.ranks[0].evidence
-        self.size = found.ranks[0].score.size
-        problem = self.at.problem
+        self.unknowns, problem = self.at.unknowns, self.at.problem
+        self.best, self.size = found.ranks[0].evidence, found.ranks[0].score.size
         self.channels = len(problem.channels)
         self._roots = self._whiteners(self.at)
         # Recordings that nobody fitted; they do not tell when something began.
@@ -96,85 +88,83 @@ class Sets:
         return at.problem.noise.whitening[at.chosen]
 
     def shown(self, row: Row, key: Key) -> Iterator[tuple[Errors, np.ndarray]]:
-        """Windows, and blocks of their errors with an effect, without, and of the difference.
+        """Windows, and medians of squared errors with an effect, without, and of the difference.
 
         Of the recordings that are fitted, and of those that nobody fitted; (3, recordings,
         channels).
         """
-        at, u = self.elsewhere, self.unknowns
-        with_, without = row.left, self.without(row, key)
-        yield self.at, np.stack([self.blocks(e) for e in (with_, without, without - with_)])
-        if at is None:
-            return
-        places = row.places(key)
-        gone = {row.score.unknowns[i]: -float(row.score.values[i]) for i in places}
-        both = (row.hypothesis, u.moved(row.hypothesis, gone))
-        with_, without = (np.clip(at.at(h), -BLOWN, BLOWN) for h in both)
-        roots = self._whiteners(at)
-        squares = (self._squares(roots, e) for e in (with_, without, without - with_))
-        yield at, np.stack([_middles(square, at.recording) for square in squares])
+        tried = [(self.at, self._roots, row.left, self.without(row, key))]
+        if self.elsewhere is not None:
+            at = self.elsewhere
+            gone = {row.score.unknowns[i]: -float(row.score.values[i]) for i in row.places(key)}
+            both = (row.hypothesis, self.unknowns.moved(row.hypothesis, gone))
+            with_, without = (np.clip(at.at(h), -BLOWN, BLOWN) for h in both)
+            tried.append((at, self._whiteners(at), with_, without))
+        for at, roots, with_, without in tried:
+            squares = (self.channel_squares(e, roots) for e in (with_, without, without - with_))
+            middles = [
+                [np.median(square[at.recording == r], axis=0) for r in np.unique(at.recording)]
+                for square in squares
+            ]
+            yield at, np.array(middles)
 
-    def channel_squares(self, errors: np.ndarray) -> np.ndarray:
-        """Mean squares by window and channel, in noise or errors as healthy."""
-        return self._squares(self._roots, errors)
+    def channel_squares(self, errors: np.ndarray, roots: np.ndarray | None = None) -> np.ndarray:
+        """Mean squares by window and channel, in noise or errors as healthy.
 
-    def blocks(self, errors: np.ndarray) -> np.ndarray:
-        """The same, the median of the windows of each recording, (recordings, channels)."""
-        return _middles(self.channel_squares(errors), self.at.recording)
-
-    def _squares(self, roots: np.ndarray, errors: np.ndarray) -> np.ndarray:
+        `roots` are those of the windows, see `_whiteners`; None for the windows of the search.
+        """
+        roots = self._roots if roots is None else roots
         white = np.einsum("wij,wj->wi", roots, errors[:, : self.at.size])
         return np.asarray((white.reshape(len(white), self.channels, -1) ** 2).mean(axis=2))
 
-    def _row(self, evidence: Evidence, members: Sequence[int], ended: frozenset[Key]) -> Row:
-        chosen = [(q, None) for q in members]
-        score = evidence.score(chosen)
-        left = evidence.left(score)
-        return Row(
-            keys=frozenset(self.unknowns.keys[q] for q in members),
-            ended=ended,
-            score=score,
-            evidence=evidence.with_kappa(evidence.kappa),  # what it has worked out is large
-            apart=np.array([one.log for one in evidence.apart(chosen)]),
-            left=left,
-            hypothesis=self.unknowns.moved(evidence.columns.base, evidence.departures(score)),
-            level=self.fitter.level(left),
-        )
-
-    def _replayed(self, row: Row) -> Row | None:
+    def _row(
+        self, evidence: Evidence, members: Sequence[int], ended: Sequence[int], *, fitted: bool
+    ) -> Row | None:
         """A set by what replays show.
 
-        Where first order leads, or where the linearisation stands: what these err beyond first
-        order counts against the set. None where the first blows up and the second is another set's.
+        Where first order leads or, if the set itself was `fitted` there, where the linearisation
+        stands: what these err beyond first order counts against the set. None where the first
+        blows up and the second is another set's.
         """
-        evidence, score, columns = row.evidence, row.score, row.evidence.columns
-        u, n = self.unknowns, self.unknowns.single
-        precision, _ = evidence.priors.precision(u, evidence.priors.spreads[score.spread])
-        stays = columns.x[:n].copy()
-        for q in score.unknowns:  # members depart as far as the fit did
-            stays[list(u.singles(q))] -= stays[list(u.singles(q))].mean()
-        moves = columns.x[:n] + score.shift
+        u, n, columns = self.unknowns, self.unknowns.single, evidence.columns
+        chosen = [(q, None) for q in members]
+        score = evidence.score(chosen)
+        parts = np.array([one.log for one in evidence.apart(chosen)])
 
         def square(errors: np.ndarray) -> np.ndarray:
             return np.asarray((evidence.white(errors, score) ** 2).sum(axis=1))
 
-        promised, tries = square(row.left), []
-        led = self.at.at(row.hypothesis)
+        promised = square(evidence.left(score))
+        tries = []
+        there = u.moved(columns.base, evidence.departures(score))
+        led = self.at.at(there)
         if np.abs(led).max() <= BLOWN:
-            tries.append((row.hypothesis, led, 0.0))
-        if row.fitted:
+            tries.append((there, led, 0.0))
+        if fitted:
+            precision, _ = evidence.priors.precision(u, evidence.priors.spreads[score.spread])
+            stays = columns.x[:n].copy()
+            for q in score.unknowns:  # members depart as far as the fit did
+                stays[list(u.singles(q))] -= stays[list(u.singles(q))].mean()
+            moves = columns.x[:n] + score.shift
             pull = 0.5 * float(stays @ precision @ stays - moves @ precision @ moves)
             tries.append((columns.base, columns.errors, max(pull, 0.0)))
         rows = []
-        for there, errors, cost in tries:
+        for hypothesis, errors, cost in tries:
             beyond = 0.5 * evidence.kappa * evidence.weight * (square(errors) - promised)
-            by_part = np.array([beyond[evidence.part == r].sum() for r in range(row.apart.size)])
+            by_part = np.array([beyond[evidence.part == r].sum() for r in range(parts.size)])
             lost = max(float(by_part.sum()) + cost, 0.0)
-            apart = row.apart - np.maximum(by_part.sum() + cost - by_part, 0.0)
-            new = replace(score, log=score.log - lost, fit=score.fit - lost)
-            level = self.fitter.level(errors)
-            tried = replace(row, score=new, apart=apart, left=errors, level=level)
-            rows.append(replace(tried, hypothesis=there))
+            rows.append(
+                Row(
+                    keys=frozenset(u.keys[q] for q in members),
+                    ended=frozenset(u.keys[q] for q in ended if q in members),
+                    score=replace(score, log=score.log - lost, fit=score.fit - lost),
+                    evidence=evidence.with_kappa(evidence.kappa),  # what it worked out is large
+                    apart=parts - np.maximum(by_part.sum() + cost - by_part, 0.0),
+                    left=errors,
+                    hypothesis=hypothesis,
+                    level=self.fitter.level(errors),
+                )
+            )
         return max(rows, key=lambda r: r.score.log, default=None)
 
     def _all(self) -> list[Row]:
@@ -191,51 +181,38 @@ class Sets:
             if names not in rows or row.score.log > rows[names].score.log:
                 rows[names] = row
 
-        best = self.best
+        best, fitter = self.best, self.fitter
         for r in self.found.ranks:
-            ended = frozenset(u.keys[q] for q in r.fit.ended)
             fit, own = r.fit, r.evidence
             if own.columns is not fit.columns:  # more probable where another set was fitted
-                enter(self._replayed(self._row(own, fit.members, ended)))
-                own = self.fitter.evidence(fit.columns, own.spread, best.weight, best.kappa)
-            enter(self._replayed(replace(self._row(own, fit.members, ended), fitted=True)))
+                enter(self._row(own, fit.members, fit.ended, fitted=False))
+                own = fitter.evidence(fit.columns, own.spread, best.weight, best.kappa)
+            enter(self._row(own, fit.members, fit.ended, fitted=True))
         top = max(row.score.log for row in rows.values())
         for r in self.found.ranks:
-            for key in r.fit.keys if r.score.log > top - NEAR else ():
-                columns = self.at.without(r.fit.columns, r.fit.members, key)
+            pattern, fit = r.evidence.spread, r.fit
+            for key in fit.keys if r.score.log > top - NEAR else ():
+                columns = self.at.without(fit.columns, fit.members, key)
                 if columns is None:
                     continue
-                self.removed[r.fit.keys, key] = columns
-                members = tuple(q for q in r.fit.members if u.keys[q] != key)
-                rest = self.fitter.fit(
-                    columns,
-                    {},
-                    members,
-                    r.evidence.spread,
-                    best.weight,
-                    best.kappa,
-                    renewals=0,
-                    beside=True,
+                self.removed[fit.keys, key] = columns
+                members = tuple(q for q in fit.members if u.keys[q] != key)
+                rest = fitter.fit(
+                    columns, {}, members, pattern, best.weight, best.kappa, renewals=0, beside=True
                 )
                 # What it is without the effect has a pattern of its own.
-                its = [] if self.fitter.fixed else [rest.spread]
-                for spread in (r.evidence.spread, *its):
-                    there = self.fitter.evidence(rest.columns, spread, best.weight, best.kappa)
-                    ended = frozenset(u.keys[q] for q in r.fit.ended if q in members)
-                    less = replace(self._row(there, members, ended), fitted=True)
-                    enter(self._replayed(less))
+                for spread in [pattern] if fitter.fixed else [pattern, rest.spread]:
+                    there = fitter.evidence(rest.columns, spread, best.weight, best.kappa)
+                    enter(self._row(there, members, fit.ended, fitted=True))
         for names, row in list(rows.items()):
             if alike := self._alike(row):
                 del rows[names]
                 enter(alike)
                 continue
-            for key in row.keys:
-                for twin in sorted(
-                    frozenset[Key]().union(*(p for p in self.at.twins if key in p)) - {key}
-                ):
-                    if twin not in row.keys:  # the same motion by another name
-                        keys = (row.keys - {key}) | {twin}
-                        enter(replace(row, keys=keys, renamed={key: twin}))
+            for key in row.keys:  # the same motion by another name
+                pairs = [pair for pair in self.at.twins if key in pair]
+                for twin in sorted({k for pair in pairs for k in pair} - row.keys):
+                    enter(replace(row, keys=row.keys - {key} | {twin}, renamed={key: twin}))
         return sorted(rows.values(), key=lambda r: -r.score.log)
 
     def _alike(self, row: Row) -> Row | None:
@@ -257,16 +234,12 @@ class Sets:
 
     def without(self, row: Row, key: Key) -> np.ndarray:
         """Errors with an effect taken out and the other members fitted anew; spikes stay."""
-        gone = row.places(key)
-        removed = self.removed.get((row.keys, key))
-        columns = removed or row.evidence.columns
-        errors = row.left
+        gone, removed = row.places(key), self.removed.get((row.keys, key))
+        columns, errors = row.evidence.columns, row.left
         if removed is not None:
-            errors = removed.errors
-        else:
-            for i in gone:
-                moved = columns.tangents[:, :, row.score.unknowns[i]]
-                errors = errors - moved * row.score.values[i]
+            columns, errors = removed, removed.errors
+        for i in gone if removed is None else ():
+            errors = errors - columns.tangents[:, :, row.score.unknowns[i]] * row.score.values[i]
         members = [q for i, q in enumerate(row.score.unknowns) if i not in gone]
         if members:
             tangents = columns.tangents[:, :, members]
@@ -316,8 +289,3 @@ class Sets:
                 influence = 0.5 * float(np.median(np.log(ratio)))
                 lost[i] += count * min(influence + SLACK, 0.0)
         return np.where(blown, lost.min(), lost)
-
-
-def _middles(squares: np.ndarray, recording: np.ndarray) -> np.ndarray:
-    """Medians over the windows of each recording, (recordings, channels)."""
-    return np.stack([np.median(squares[recording == r], axis=0) for r in np.unique(recording)])

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -12,7 +11,7 @@ from scipy.stats import t as student
 
 from leglab.base.recording import Recording
 from leglab.base.threads import one_blas_thread
-from leglab.diagnosis.balance.isolation import isolate, sample_places
+from leglab.diagnosis.balance.isolation import bin_motion, isolate
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.intake.admission import admit
 from leglab.diagnosis.intake.recordings import split_held_out
@@ -32,15 +31,16 @@ from leglab.diagnosis.result import (
     ResidualTrace,
     Rivals,
     Verdict,
+    rms,
 )
 from leglab.diagnosis.search.healthy import Specimen
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, searched
 from leglab.diagnosis.search.search import Found
 from leglab.diagnosis.thresholds import BEST_SETS, DEFAULT, LAW, NAMED, VISIBLE
-from leglab.diagnosis.verdict.confidence import as_before, judged
+from leglab.diagnosis.verdict.confidence import Judgement, as_before
 from leglab.diagnosis.verdict.experiment import propose
 from leglab.diagnosis.verdict.notes import at_limits, notes
-from leglab.diagnosis.verdict.outcome import Outcome, outcome_of
+from leglab.diagnosis.verdict.outcome import Outcome
 from leglab.diagnosis.verdict.sets import Row, Sets
 from leglab.diagnosis.verdict.whole import whole_recording
 
@@ -85,14 +85,15 @@ def diagnose(
     if healthy:
         remarks += admit(machine, healthy, (), limits).notes
     progress("verdict")
-    outcome = outcome_of(judged(Sets(found)), specimen)
-    if outcome.judged.verdict == "nothing_missing":
+    judgement = Judgement(Sets(found))
+    outcome = Outcome(judgement, specimen)
+    if judgement.verdict == "nothing_missing":
         if not _clear_elsewhere(outcome):
-            outcome = replace(outcome, judged=replace(outcome.judged, verdict="unexplained"))
+            judgement.verdict = "unexplained"
     elif _lacks_nothing(outcome):
-        nothing = replace(outcome.judged, verdict="nothing_missing", named=(), confusion=())
-        outcome = outcome_of(nothing, specimen)
-    object.__setattr__(outcome, "result", _told(outcome, remarks, began))
+        judgement.verdict, judgement.named, judgement.confusion = "nothing_missing", (), ()
+        outcome = Outcome(judgement, specimen)
+    outcome.result = _told(outcome, remarks, began)
     return outcome.result, outcome
 
 
@@ -111,14 +112,13 @@ def _clear_elsewhere(outcome: Outcome) -> bool:
 
     The specimen as it was; without one, a machine of the kind within what machines differ by.
     """
-    problem, recording = outcome.problem, outcome.problem.replay.recording
-    machine = Hypothesis() if outcome.specimen else outcome.baseline
-    levels = np.sqrt(problem.noise_levels(machine) / outcome.floors())
-    each = [np.median(levels[recording == r]) for r in np.unique(recording[problem.held])]
-    if not each:
+    problem = outcome.problem
+    if not problem.held.any():
         return True
-    middle = float(np.median(levels[problem.held]))
-    return as_before(middle, float(max(each)), healthy=outcome.specimen is not None)
+    machine = Hypothesis() if outcome.specimen else outcome.baseline
+    levels = np.sqrt(problem.noise_levels(machine) / outcome.floors())[problem.held]
+    recording = problem.replay.recording[problem.held]
+    return as_before(levels, recording, healthy=outcome.specimen is not None)
 
 
 def _told(outcome: Outcome, remarks: Sequence[str], began: float) -> Diagnosis:
@@ -130,10 +130,10 @@ def _told(outcome: Outcome, remarks: Sequence[str], began: float) -> Diagnosis:
     def levels(windows: np.ndarray) -> dict[str, Any]:
         return {name: rms(square[windows]) for name, square in squares.items()}
 
-    owners = ((s.name, problem.replay.recording == i) for i, s in enumerate(problem.series))
+    owners = [problem.replay.recording == i for i in range(len(problem.series))]
     recordings = tuple(
-        RecordingGap(name=name, held_out=bool(problem.held[own].any()), **levels(own))
-        for name, own in owners
+        RecordingGap(name=series.name, held_out=bool(problem.held[own].any()), **levels(own))
+        for series, own in zip(problem.series, owners, strict=True)
     )
     remarks = [*remarks, *notes(problem)]
     remarks += at_limits(problem.library, {key: final[key] for key in outcome.named})
@@ -199,6 +199,9 @@ def _effects(
     limits = problem.thresholds
     unnamed, after, floor = gap.shown
     explained = gap.explained or 0.0
+    verdict = judged.verdict
+    if verdict in ("named", "confusion_set") and explained < limits.explanation_share:
+        verdict = "unexplained"
     effects = []
     for key in outcome.named:
         site = problem.library.sites[key]
@@ -212,11 +215,7 @@ def _effects(
             # A name does not stand while most of the error is left.
             confidence = min(confidence, explained)
         begins = zip(problem.series, outcome.onsets.get(key, ()), strict=False)
-        onsets = [
-            (series.name, *(np.array([ends.mean(), *ends]) - series.time[0]).tolist())
-            for series, ends in begins
-            if np.isfinite(ends).all()
-        ]
+        onsets = [(s.name, s.time[0], ends) for s, ends in begins if np.isfinite(ends).all()]
         estimates = _estimates(outcome, key)
         effects.append(
             NamedEffect(
@@ -224,8 +223,8 @@ def _effects(
                 element=key[1],
                 group=site.effect.group,
                 physics=site.effect.physics,
-                onset=tuple((name, time) for name, time, _, _ in onsets),
-                onset_interval=tuple((name, low, high) for name, _, low, high in onsets),
+                onset=tuple((name, float(ends.mean() - first)) for name, first, ends in onsets),
+                onset_interval=tuple((n, *(ends - first).tolist()) for n, first, ends in onsets),
                 confidence=float(confidence),
                 contribution=float(np.clip(contribution, 0.0, 1.0)),
                 parameters=estimates[: len(site.parameters)],
@@ -234,16 +233,11 @@ def _effects(
                 without=rms(without[problem.judged]),
             )
         )
-    verdict = judged.verdict
-    if verdict in ("named", "confusion_set") and explained < limits.explanation_share:
-        verdict = "unexplained"
     effects.sort(key=lambda e: -e.contribution)
     # Beside a cause that has a name.
     small = limits.smaller_share if judged.named and len(effects) > 1 else 0.0
-    causes, smaller = (
-        tuple(e for e in effects if (e.contribution < small) is less) for less in (False, True)
-    )
-    return verdict, causes, smaller
+    smaller = tuple(e for e in effects if e.contribution < small)
+    return verdict, tuple(e for e in effects if e not in smaller), smaller
 
 
 def _estimates(outcome: Outcome, key: Key) -> tuple[Estimate, ...]:
@@ -265,8 +259,8 @@ def _estimates(outcome: Outcome, key: Key) -> tuple[Estimate, ...]:
     change = told @ ((outcome.final[key] - site.nominal) * strength)
     law = (LAW if outcome.row.level > DEFAULT.explained else 0.0) * change
     half = np.hypot(width * np.sqrt(spread), 1.96 * law)
-    units = {p.name: p.unit for p in parameters}
     rows = [(p.name, p.unit, p.lower, p.upper) for p in parameters]
+    units = {p.name: p.unit for p in parameters}
     for first, second in site.effect.by_direction:
         name = f"{first}_less_{second.rpartition('_')[2]}"
         rows.append((name, units[first], -math.inf, math.inf))
@@ -351,10 +345,8 @@ def _next_experiment(outcome: Outcome) -> Proposal | None:
 def _not_testable(outcome: Outcome) -> tuple[NotTestable, ...]:
     """Effects that the recordings do not show, or that are over between two samples."""
     found, problem = outcome.found, outcome.problem
-    first, u = found.first, found.fitter.at.unknowns
-    evidence = found.fitter.evidence(
-        first, found.ranks[0].evidence.spread, np.ones(len(first.errors)), 1.0, places=[0]
-    )
+    first, spread, u = found.first, found.ranks[0].evidence.spread, found.fitter.at.unknowns
+    evidence = found.fitter.evidence(first, spread, np.ones(len(first.errors)), 1.0, places=[0])
     shown = np.diag(evidence.whole.every(0, 0)).tolist()
     columns = [(q, 1 + q) for q in range(len(u)) if u.nameable[q]]
     columns += [(q, 1 + len(u) + j) for j, (q, _) in enumerate(first.jumps)]
@@ -383,11 +375,6 @@ def _nuisances(outcome: Outcome) -> tuple[Estimate, ...]:
     return tuple(found)
 
 
-def rms(squares: np.ndarray) -> float:
-    """Root of the mean of squares; NaN of none."""
-    return float(np.sqrt(squares.mean())) if squares.size else float("nan")
-
-
 def traces(problem: Problem, final: Hypothesis) -> tuple[ResidualTrace, ...]:
     """Replay errors before and after, of every recording and channel."""
     replay = problem.replay
@@ -395,10 +382,10 @@ def traces(problem: Problem, final: Hypothesis) -> tuple[ResidualTrace, ...]:
     # A channel's sample after the step is what a replay predicts.
     measured = replay.measured()[:, :, 1:].reshape((*before.shape, -1)).mean(axis=3)
     rows = []
-    for i, (series, index) in enumerate(zip(problem.series, sample_places(problem), strict=True)):
+    for i, series in enumerate(problem.series):
         own = replay.recording == i
         for k, channel in enumerate(problem.channels):
-            q = series.columns[f"{channel.joint}_position"]
+            index, position, velocity = bin_motion(problem, i, channel.joint)
             a, b = (series.columns.get(f"{channel.joint}_pressure_{c}") for c in "ab")
             rows.append(
                 ResidualTrace(
@@ -406,8 +393,8 @@ def traces(problem: Problem, final: Hypothesis) -> tuple[ResidualTrace, ...]:
                     channel=channel.column,
                     unit="Pa" if channel.chamber else problem.machine.unit(channel.joint),
                     time=series.time[index],
-                    position=q[index],
-                    velocity=np.gradient(q, series.period)[index],
+                    position=position,
+                    velocity=velocity,
                     pressure=None if a is None or b is None else (a - b)[index],
                     before=before[own, k].ravel(),
                     after=after[own, k].ravel(),

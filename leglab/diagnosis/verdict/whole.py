@@ -50,10 +50,8 @@ def whole_recording(problem: Problem, final: Hypothesis) -> WholeRecording | Non
     owner, levels = problem.replay.recording, problem.noise_levels(Hypothesis())
     judged = np.unique(owner[problem.judged]).tolist()
     recording = max(judged, key=lambda i: float(levels[owner == i].mean()))
-    onset = max((times[recording] for times in final.onsets.values()), default=-np.inf)
-    before, after = (
-        follow(problem, h, recording, after=float(onset)) for h in (Hypothesis(), final)
-    )
+    onset = max((float(times[recording]) for times in final.onsets.values()), default=-np.inf)
+    before, after = (follow(problem, h, recording, after=onset) for h in (Hypothesis(), final))
     machine = problem.machine
     driven = [(joints[0], actuator) for actuator, joints in machine.driven.items() if joints]
     if before is None or after is None or not driven:
