@@ -188,7 +188,7 @@ class Sets:
                 enter(self._row(own, fit.members, fit.ended, fitted=False))
                 own = fitter.evidence(fit.columns, own.spread, best.weight, best.kappa)
             enter(self._row(own, fit.members, fit.ended, fitted=True))
-        top = max(row.score.log for row in rows.values())
+        top, rivals = max(row.score.log for row in rows.values()), set[frozenset[int]]()
         for r in self.found.ranks:
             pattern, fit = r.evidence.spread, r.fit
             for key in fit.keys if r.score.log > top - NEAR else ():
@@ -197,6 +197,10 @@ class Sets:
                     continue
                 self.removed[fit.keys, key] = columns
                 members = tuple(q for q in fit.members if u.keys[q] != key)
+                # What several sets leave is a rival from the most probable of them.
+                if frozenset(members) in rivals:
+                    continue
+                rivals.add(frozenset(members))
                 rest = fitter.fit(
                     columns, {}, members, pattern, best.weight, best.kappa, renewals=0, beside=True
                 )
@@ -266,11 +270,9 @@ class Sets:
         own = size**2 * self.best.spread.replays[at.recording]
         beyond = np.einsum("wij,wji->wi", np.linalg.inv(noise + own), own).clip(0.0, 1.0)
         numbers = beyond.reshape(len(beyond), self.channels, -1).sum(axis=2)
-        points = [row.hypothesis for row in rows]
-        errors = [at.at(point) for point in points]
         lost = np.zeros(len(rows))
         # A set whose replay blows up where first order leads is no better than any other.
-        blown = np.array([np.abs(here).max() > BLOWN for here in errors])
+        blown = np.array([np.abs(row.left).max() > BLOWN for row in rows])
         for actuator in at.problem.machine.actuators:
             change = at.at(Hypothesis(), actuator) - self.found.first.errors
             squares = self.channel_squares(change)
@@ -279,8 +281,8 @@ class Sets:
             before = squares[:, channels].sum(axis=1)
             moving = before > DEFAULT.smaller_share * np.median(before)
             count = self.best.kappa * float(numbers[moving][:, channels].sum())
-            for i, (point, here) in enumerate(zip(points, errors, strict=True)):
-                change = at.at(point, actuator) - here
+            for i, row in enumerate(rows):
+                change = at.at(row.hypothesis, actuator) - row.left
                 if np.abs(change).max() > BLOWN:
                     blown[i] = True
                     continue
