@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from leglab.base.errors import LeglabError
-from leglab.diagnosis.effects.hypothesis import Hypothesis
+from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
+from leglab.diagnosis.effects.spring import rest_position
 from leglab.diagnosis.intake.recordings import read_recordings, split_held_out
+from leglab.diagnosis.likelihood.sizes import shown, sized
 from leglab.diagnosis.plant.model import Machine, moved
 from leglab.diagnosis.replay.windows import channels
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, at_replay_step, set_up
@@ -97,6 +99,24 @@ def test_nothing_is_missing_where_nothing_is_hidden_beside_a_contact():
     recordings = {f"{i}": recording("leg_rail", i, duration=8.0) for i in (1, 2, 3)}
     result, _ = diagnose("leg_rail", recordings, settings=DiagnosisSettings(threads=1))
     assert result.verdict == "nothing_missing"
+
+
+def test_no_spring_is_tried_that_pushes_harder_than_anything_recorded():
+    """A hip that holds a small angle: a spring's force goes by the angle, not by what it moves."""
+    one = recording("leg_rail", 1, duration=2.0)
+    found = problem("leg_rail", {"one": one})
+    seen = shown(found)
+    library = sized(Library(found.machine), found.machine, seen)
+    tried = 0
+    for (name, joint), site in library.sites.items():
+        orders = {"spring_stiffness": 1, "spring_hardening": 3}
+        if name not in orders or found.machine.spring_of(joint):
+            continue
+        bent = one[f"{joint}_position"] - rest_position(found.machine, joint)
+        force = site.parameters[0].trials[-1] * np.abs(bent) ** orders[name]
+        assert force.max() < 0.5 * seen.joints[joint].force
+        tried += 1
+    assert tried >= 4
 
 
 def test_windows_start_at_the_supply_pressure_of_that_moment():
