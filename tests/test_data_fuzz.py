@@ -3,7 +3,7 @@
 import random
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType
 
@@ -90,6 +90,7 @@ def mutate(content, changes):
 
 @settings(max_examples=150, deadline=None)
 @given(changes=mutations)
+@example(changes=[("flip", 228, 30)])  # a line end in the name of a type
 def test_mutated_bags(bag, changes):
     path = bag.with_name("mutated.mcap")
     path.write_bytes(mutate(bag.read_bytes(), changes))

@@ -226,7 +226,7 @@ def test_several_joint_state_topics(tmp_path):
 @pytest.mark.parametrize(
     ("messages", "message"),
     [
-        ([("/u", FLOAT64, 0, {"data": 1})], r"no topic of type .*; found '/u' \(std_msgs/msg/Fl"),
+        ([("/u", FLOAT64, 0, {"data": 1})], r"no topic of type .*; found '/u' \('std_msgs/msg/Fl"),
         ([], "no topic of type sensor_msgs/msg/JointState; found no topic"),
         (joint_messages([0, 2, 1]), "column 'time', row 2: 1e-09 s comes after 2e-09 s"),
         (

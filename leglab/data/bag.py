@@ -46,7 +46,8 @@ class Bag:
     def topics(self) -> str:
         """Returns all topics with their types, for messages."""
         found = {channel.topic: self.kind(channel) for channel in self.channels.values()}
-        return ", ".join(f"{t!r} ({kind})" for t, kind in found.items()) or "no topic"
+        # A type of a damaged file may hold anything, line ends as well.
+        return ", ".join(f"{t!r} ({kind!r})" for t, kind in found.items()) or "no topic"
 
 
 def scan(path: Path) -> Bag:
