@@ -53,10 +53,8 @@ class Thresholds:
     # Samples that a window keeps from the ends of a recording beyond the reach of the longest
     # filter: slopes of what was filtered are differences of neighbours.
     margin_samples: int = 2
-    # Of windows in which no command moves by more than this share of its range, and no channel by
-    # more than so many noise levels, one in so many is kept: the others say the same. Errors that
-    # exceed those of healthy windows by this factor have left the noise.
-    still_command: float = 0.02
+    # Of windows in which no command moves, and no channel by more than so many noise levels, one in
+    # so many is kept: the others say the same.
     still_noise: float = 6.0
     still_every: int = 5
     # Of these, and of windows in which no channel moves by more than this share of its root mean
@@ -108,7 +106,8 @@ class Thresholds:
     # Effects that explain less than this share of the misfit are no explanation.
     explanation_share: float = 0.5
     # What is below this share of another thing is small beside it: an effect that closes less of
-    # the gap, a difference of fits, data beside a prior, a channel that a drive hardly moves.
+    # the gap, a difference of fits or of a drive's influence, data beside a prior, a channel that a
+    # drive hardly moves, forces left over beside the usual ones.
     smaller_share: float = 0.1
     # Strengths of a calibrated specimen that are listed depart by this share of barely noticeable.
     calibration_share: float = 0.25
@@ -191,9 +190,6 @@ COARSE, FINE = (0.3, 0.1), (0.05, 0.02)
 LOUDER = 1.0 + FINE[1]
 # Between these multiples of a jump its secant holds.
 SECANT = (0.4, 2.0)
-# Forces left over vary by this share of their largest variance at least: at rest a joint leaves
-# nothing over, but no force is known to better than a tenth of its usual error.
-LEAST_FORCE = 0.01
 # This share of the log likelihood counts before anything is known: errors go together.
 KAPPA = 0.1
 # Recordings below this number are cut into parts, twice as many in all: fewer say little of how
@@ -249,7 +245,8 @@ DEPTH = 5
 # as many of the first member: one that first order ranks lower hardly leads.
 SCORED = 8
 # So many sets are fitted from the first linearisation whatever they promise, and so many singles;
-# those near the best one are, up to the second number in all.
+# those near the best one are, up to the second number in all. The first number of fits that leave
+# least say how the model errs: with each pattern all sets are scored.
 SURE_FITS, FIRST_FITS = 3, 5
 # So many sets are fitted of what looks at the recordings in another way: beside an exact model, and
 # by the balances of forces, of each number of effects.
@@ -265,8 +262,6 @@ IDLE = (3.0, 0.03)
 # the tangents that it has; of a set that is so many times further behind nothing is hoped for, and
 # an onset must save as much.
 NEAR, BEHIND = 10.0, 3.0
-# So many sets that leave least say how the model errs: with each pattern all sets are scored.
-PATTERNS = 3
 # So many further sets are fitted, for each takes seconds; fewer where so many in a row do not come
 # near the best one.
 FURTHER_FITS, FRUITLESS = 7, 2
@@ -292,8 +287,6 @@ TIE, MORE_NUMBERS = 4.0, 2
 # No law is quite the machine's: within this share of a departure two directions are alike, and
 # sizes may be off.
 LAW = 0.25
-# Good fits differ by this in the logarithm of a drive's influence.
-SLACK = 0.1
 # Errors that differ by less, in noise levels, differ by nothing.
 ROOM = 0.05
 # An onset that is known to less than this [s] is told as a time: a window is hardly longer.

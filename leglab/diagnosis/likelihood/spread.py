@@ -14,7 +14,7 @@ from leglab.diagnosis.likelihood.columns import Errors
 from leglab.diagnosis.plant.model import CYLINDER, Machine
 from leglab.diagnosis.replay.residual import inverse_roots
 from leglab.diagnosis.replay.windows import Channel
-from leglab.diagnosis.thresholds import DEFAULT, LEAST_FORCE
+from leglab.diagnosis.thresholds import DEFAULT
 
 
 def directions_of(machine: Machine, channels: Sequence[Channel]) -> np.ndarray:
@@ -102,7 +102,9 @@ class Spread:
             shape, variance = _pattern(
                 left.reshape(-1, joints, DEFAULT.force_blocks), at.recording, count
             )
-            variance = np.maximum(variance, LEAST_FORCE * variance.max(axis=0) + 1e-12)
+            # At rest a joint leaves nothing over, but no force is known that well.
+            least = DEFAULT.smaller_share**2 * variance.max(axis=0)
+            variance = np.maximum(variance, least + 1e-12)
             for j in range(joints):
                 forces[:, j, :, j, :] = variance[:, j, None, None] * shape[j]
         return cls(

@@ -280,7 +280,7 @@ def _cut(
     travel = np.stack([np.ptp(level[inside], axis=1) for level in levels], axis=1)
     held = np.ones(firsts.size, dtype=bool)
     for command in commands:
-        held &= np.ptp(command[inside], axis=1) <= thresholds.still_command * np.ptp(command)
+        held &= np.ptp(command[inside], axis=1) <= thresholds.same * np.ptp(command)
     levers, touched = _along(machine, series, max(1, round(thresholds.bin / series.period)))
     pushes = Pushes(machine, series)
     cut = Cut(series=series, firsts=firsts, levers=levers, touched=touched, pushes=pushes)

@@ -11,7 +11,7 @@ from leglab.diagnosis.likelihood.evidence import Evidence, Score
 from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.search.settle import Fit, Fitter
-from leglab.diagnosis.thresholds import BEHIND, BEST_SETS, LARGEST_SET, NEAR, PATTERNS, SCORED
+from leglab.diagnosis.thresholds import BEHIND, BEST_SETS, LARGEST_SET, NEAR, SCORED, SURE_FITS
 
 # Memory for products of linearisations that are kept [bytes]: a small part of any computer's.
 _MEMORY = 2e8
@@ -94,7 +94,7 @@ def rank(compared: Compared, fits: Sequence[Fit], kappa: float) -> list[Ranked]:
     makes it most probable, of its own and those of the sets that leave least; and at the point, its
     own or another's, where it does best: a larger set is never worse than one that it holds.
     """
-    near = sorted(fits, key=lambda f: f.level)[:PATTERNS]
+    near = sorted(fits, key=lambda f: f.level)[:SURE_FITS]
     fixed = compared.fitter.fixed
     rows = []
     for fit in fits:

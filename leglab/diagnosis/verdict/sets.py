@@ -15,7 +15,7 @@ from leglab.diagnosis.likelihood.evidence import Evidence, Score
 from leglab.diagnosis.replay.residual import inverse_roots, thinned
 from leglab.diagnosis.search.rank import both_ways
 from leglab.diagnosis.search.search import Found
-from leglab.diagnosis.thresholds import BLOWN, DEFAULT, LAW, NEAR, NO_FAULT, SLACK, WINDOWS
+from leglab.diagnosis.thresholds import BLOWN, DEFAULT, LAW, NEAR, NO_FAULT, WINDOWS
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,5 +289,5 @@ class Sets:
                 after = self.channel_squares(change)[moving][:, channels].sum(axis=1)
                 ratio = np.maximum(after, 1e-24) / before[moving]
                 influence = 0.5 * float(np.median(np.log(ratio)))
-                lost[i] += count * min(influence + SLACK, 0.0)
+                lost[i] += count * min(influence + DEFAULT.smaller_share, 0.0)
         return np.where(blown, lost.min(), lost)

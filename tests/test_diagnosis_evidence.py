@@ -1,0 +1,102 @@
+"""Evidence of sets against one large normal density, and steps against least squares."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from leglab.diagnosis.effects.hypothesis import Hypothesis
+from leglab.diagnosis.likelihood.columns import Errors
+from leglab.diagnosis.likelihood.evidence import Evidence
+from leglab.diagnosis.likelihood.priors import Priors
+from leglab.diagnosis.likelihood.unknowns import Unknowns
+from leglab.diagnosis.replay.residual import thinned
+from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
+from leglab.diagnosis.search.settle import Fitter
+from leglab.diagnosis.thresholds import FINE
+from tests.rigs import PENDULUM, Truth, record
+
+EFFECTS = ("force_offset", "viscous_friction", "payload", "armature", "encoder_offset")
+
+
+@cache
+def evidence():
+    """Of two recordings of a pendulum that has twice its friction, in a dozen windows."""
+    truth = Truth(viscous_factor=2.0)
+    logs = {
+        kind: record(PENDULUM, kind, truth, seed=i, seconds=2.0)
+        for i, kind in enumerate(("multisine", "fast"))
+    }
+    problem = set_up(PENDULUM.model, logs, (), DiagnosisSettings(effects=EFFECTS, threads=1))
+    at = Errors(problem, Unknowns.of(problem.library), thinned(problem.fitted, 12))
+    fitter = Fitter(at, Priors())
+    columns = at.columns(Hypothesis(), step=FINE)
+    spread, _ = fitter.about(columns.errors)
+    weight = np.linspace(0.4, 1.0, len(columns.errors))  # as robust weights may be
+    return Evidence(at, columns, spread, weight, 0.3, fitter.priors)
+
+
+def dense(found, windows, size, deviation):
+    """Log density of the errors of some windows, but for its constant, unknowns integrated out."""
+    n, columns, (factors, logs) = found.unknowns.single, found.columns, whitened(found, size)
+    counts = found.kappa * found.weight
+    roots = np.sqrt(counts)[:, None, None] * factors
+    errors = (roots @ columns.errors[:, :, None])[windows].ravel()
+    tangents = np.concatenate((roots @ columns.tangents[:, :, :n])[windows])
+    precision, _ = found.priors.precision(found.unknowns, deviation)
+    whole = np.eye(errors.size) + tangents @ np.linalg.solve(precision, tangents.T)
+    determinants = np.linalg.slogdet(whole)[1] + (counts * logs)[windows].sum()
+    return -0.5 * (errors @ np.linalg.solve(whole, errors) + determinants)
+
+
+def whitened(found, size):
+    """Inverse roots of the covariances of windows at a size of the model's own error, and logs."""
+    whitening = found.spread.whitening(found.at)
+    factors, logs = whitening.at(size, 1.0)
+    return factors[:, :, None] * whitening.basis, logs
+
+
+@pytest.mark.parametrize("size", [0.0, 0.35, 1.5])
+def test_errors_count_by_the_noise_and_the_models_own_error(size):
+    found = evidence()
+    roots, logs = whitened(found, size)
+    n = found.at.size
+    own = size**2 * found.spread.replays[found.at.recording]
+    for root, covariance in zip(roots[:, :n, :n], found.at.covariance + own, strict=True):
+        np.testing.assert_allclose(root @ covariance @ root.T, np.eye(n), atol=1e-6)
+    if size == 0.0:  # forces say nothing of an exact model
+        np.testing.assert_allclose(logs, np.linalg.slogdet(found.at.covariance)[1], rtol=1e-9)
+        assert not roots[:, n:].any()
+
+
+@pytest.mark.parametrize("left_out", [None, 2])
+def test_evidence_of_nothing_is_that_of_one_normal_density(left_out):
+    """With all parts of the recordings, and without one of them."""
+    found = evidence()
+    windows = np.ones(found.part.size, dtype=bool) if left_out is None else found.part != left_out
+    score = found.score(()) if left_out is None else found.apart(())[left_out]
+    grid = [
+        dense(found, windows, size, deviation) + prior
+        for size, prior in zip(found.priors.sizes, found.priors.log_sizes, strict=True)
+        for deviation in found.priors.spreads
+    ]
+    assert score.log == pytest.approx(np.logaddexp.reduce(grid), rel=1e-8)
+
+
+def test_a_step_meets_the_bend_that_a_replay_showed():
+    """As from a linearisation that has the bend in its errors; and it goes where the fit is."""
+    found = evidence()
+    score = found.score(())
+    bend = 0.1 * np.random.default_rng(1).normal(size=found.columns.errors.shape)
+    bend *= np.abs(found.columns.errors).max()
+    columns = found.columns.__class__(
+        **{**vars(found.columns), "errors": found.columns.errors + bend}
+    )
+    bent = Evidence(found.at, columns, found.spread, found.weight, found.kappa, found.priors)
+    none = np.zeros(0)
+    straight, met, there = (
+        one.step(score, none, 0.0, beyond)[1]
+        for one, beyond in ((found, None), (found, bend), (bent, None))
+    )
+    np.testing.assert_allclose(met, there, rtol=1e-6, atol=1e-9)
+    assert np.abs(met - straight).max() > 0.01
