@@ -202,5 +202,6 @@ def test_seals_of_another_law_are_no_friction_by_direction():
     settings = DiagnosisSettings(threads=1)
     result, _ = diagnose("knee_bench", recorded, held_out=(HELD_OUT,), settings=settings)
     (thick,) = result.effects
+    assert thick.name == "viscous_friction"
     # Cold oil does nearly the same.
-    assert {thick.name, *thick.indistinguishable_from} == {"viscous_friction", "oil_viscosity"}
+    assert set(thick.indistinguishable_from) <= {"oil_viscosity"}

@@ -4,6 +4,7 @@ A force on a joint is small or large beside the forces in the recordings, not be
 bench: a machine of a hundred times the inertia has faults of a hundred times the size.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -200,6 +201,6 @@ def _sized(p: EffectParameter, size: float, seen: Shown) -> EffectParameter:
     trials = sorted(t for t in trials if lower <= t <= upper and t != p.nominal)
     if not trials:
         return p
-    # Loops compute and hold, which models have at once: half a period each, nobody knows where.
-    tolerance = max(p.tolerance, period)
+    # Loops compute and hold, which models have at once: anything within a period to either side.
+    tolerance = max(p.tolerance, period / math.sqrt(3.0))
     return replace(p, lower=lower, upper=upper, trials=tuple(trials), tolerance=tolerance)

@@ -154,6 +154,11 @@ def search(
     removed: dict[tuple[Fit, Key], Columns | None] = {}
     simpler = set[tuple[Fit, Key]]()
     compared, erring = Compared(fitter), fits[0]
+    unexplained = fitter.rms(errors)
+
+    def left(fit: Fit) -> float:
+        return fitter.rms(fit.columns.errors)
+
     while True:
         ranks = rank(compared, fits, kappa)
         least_left = min(ranks, key=lambda r: r.fit.level)
@@ -163,7 +168,7 @@ def search(
             ranks = rank(compared, fits, kappa)
         # Near noise first order is exact: what is behind nothing stays there. What is before it but
         # hardly lessens the errors is not told.
-        if clear and not (ranks[0].fit.members and lessens(as_it_is, least_left.fit.level)):
+        if clear and not (ranks[0].fit.members and lessens(unexplained, min(map(left, fits)))):
             break
         # What may lead is fitted to its end; what is more probable where another set was fitted
         # also from there.

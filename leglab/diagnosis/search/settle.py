@@ -113,6 +113,10 @@ class Fitter:
         """Median error of windows in noise levels of the sensors."""
         return float(np.sqrt(np.median(np.mean(self._white(errors) ** 2, axis=1))))
 
+    def rms(self, errors: np.ndarray) -> float:
+        """Root mean square of errors in noise levels of the sensors: few windows may show it."""
+        return float(np.sqrt(np.mean(self._white(errors) ** 2)))
+
     def explains(self, fit: Fit) -> bool:
         """Whether noise, or errors as the healthy specimen has them, are left."""
         if self.fixed is None:
