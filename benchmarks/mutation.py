@@ -88,7 +88,7 @@ FAULTS = {
     "a name stands while most is left": (
         "diagnosis.verdict.verdict",
         'if verdict in ("named", "confusion_set") and explained < limits.explanation_share:',
-        "if False:", "test_of_two_causes_the_one_that_is_not_told_apart_takes_no_name",
+        "if False:", "test_nothing_is_named_where_nothing_that_is_looked_for_is_there",
     ),
     "intervals are a fifth as wide": (
         "diagnosis.verdict.verdict", "half = np.hypot(", "half = 0.2 * np.hypot(",
