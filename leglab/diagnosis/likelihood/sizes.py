@@ -40,8 +40,8 @@ class Motion:
 
     def of_unit(self, unit: str) -> float:
         """Size of a quantity in a unit; 0 where its dimension says nothing."""
-        all_ = (self.position, self.deflection, self.velocity, self.acceleration)
-        q, y, v, a = (max(s, 1e-12) for s in all_)
+        q, y = max(self.position, 1e-12), max(self.deflection, 1e-12)
+        v, a = max(self.velocity, 1e-12), max(self.acceleration, 1e-12)
         f = self.force
         return {
             "N m": f,

@@ -235,7 +235,8 @@ class Fitter:
                 score = evidence.score([(q, None) for q in members])
             if not first:
                 telling, most = evidence.telling(score), evidence.visible(score)
-            # What damped the step before by one less, the first time and for members alone nothing.
+            # Damping begins one below that of the last step; with fresh tangents, and for members
+            # alone, at none.
             begin = 0 if first or fresh else max(DAMPINGS.index(damping) - 1, 0)
             dampings = DAMPINGS[:1] if first else DAMPINGS[begin:]
             promise, then = self._stepped(evidence, score, point, members, dampings, lower=first)
