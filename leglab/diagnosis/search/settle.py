@@ -326,40 +326,47 @@ class Fitter:
         highest = self.level(point.errors) if lower else np.inf
         before = self._cost(evidence, score, point.errors, point.values, point.spikes)
         single = self.at.unknowns.single
-        values, spikes = evidence.step(score, point.values, 0.0)
-        by = self._by(members, values, spikes, point)
-        errors = point.errors + point.tangents[:, :, :single] @ by
-        promise = 0.5 * (before - self._cost(evidence, score, errors, values, spikes))
-        for damping in dampings if promise >= ENOUGH else ():
-            if damping > 0.0:
-                values, spikes = evidence.step(score, point.values, damping)
-                by = self._by(members, values, spikes, point)
-            best = None
+
+        def step(damping: float, bend: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
+            values, spikes = evidence.step(score, point.values, damping, bend)
+            return values, spikes, self._by(members, values, spikes, point)
+
+        def promised(values: np.ndarray, spikes: np.ndarray, by: np.ndarray) -> float:
+            errors = point.errors + point.tangents[:, :, :single] @ by
+            return 0.5 * (before - self._cost(evidence, score, errors, values, spikes))
+
+        promise = promised(*step(0.0))
+        best, lowest = None, before
+        for damping in dampings:
+            values, spikes, by = step(damping)
+            own = promised(values, spikes, by)
+            if own < ENOUGH:
+                break
             for _ in range(1 + BENDS):
                 moved = self._moved(point, by)
                 errors = self.at.at(moved)
                 after = self._cost(evidence, score, errors, values, spikes)
-                if self.level(errors) > highest:
-                    after = np.inf
-                if best is None or after < best[0]:
-                    best = after, moved, errors, values, spikes
-                if before - after > promise:
+                if after < lowest and self.level(errors) <= highest:
+                    best, lowest = (damping, moved, errors, values, spikes), after
+                if before - after > own:
                     break
                 # What a step showed beyond the tangents, its bend, is there at its end: the next
                 # one meets it (second-order correction; Fletcher 1982).
                 bend = errors - point.errors - point.tangents[:, :, :single] @ by
                 bend[np.abs(errors).max(axis=1) > BLOWN] = 0.0
-                values, spikes = evidence.step(score, point.values, damping, bend)
-                by = self._by(members, values, spikes, point)
-            if best is not None and best[0] < before:
-                after, moved, errors, values, spikes = best
-                x = self.at.unknowns.departures(moved)
-                tangents, off = _broyden(
-                    point.tangents, errors - point.errors, x - point.x, members, single
-                )
-                new = Point(moved, errors, x, values, spikes, tangents)
-                return promise, (damping, 0.5 * (before - after), off, new)
-        return promise, None
+                values, spikes, by = step(damping, bend)
+            # A step that keeps little of its promise is too long (Conn, Gould and Toint 2000).
+            if 0.5 * (before - lowest) > DEFAULT.smaller_share * own:
+                break
+        if best is None:
+            return promise, None
+        damping, moved, errors, values, spikes = best
+        x = self.at.unknowns.departures(moved)
+        tangents, off = _broyden(
+            point.tangents, errors - point.errors, x - point.x, members, single
+        )
+        new = Point(moved, errors, x, values, spikes, tangents)
+        return promise, (damping, 0.5 * (before - lowest), off, new)
 
     def _by(
         self, members: Sequence[int], values: np.ndarray, spikes: np.ndarray, point: Point
