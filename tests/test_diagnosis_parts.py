@@ -159,6 +159,14 @@ def test_made_case_has_four_recordings_and_its_severity(monkeypatch):
     assert severity.value > 150.0
 
 
+@pytest.mark.slow("two whole diagnoses with all effects")
+@pytest.mark.parametrize("number", [1, 2])
+def test_nothing_is_missing_of_a_machine_within_its_tolerances(number):
+    """Viscosity, leakage and friction make up for each other: fits must not stop half way."""
+    result, _ = diagnose("knee_bench", make(Case(kind="null", number=number, effects=()), 9001)[0])
+    assert (result.verdict, result.effects) == ("nothing_missing", ())
+
+
 def outcome(kind, hidden, named, **fields):
     given = {
         "alternatives": ((),) if named else (),

@@ -14,7 +14,7 @@ from leglab.base.threads import threads_allowed
 from leglab.diagnosis.balance.balances import forces_left
 from leglab.diagnosis.effects.base import Effect
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key, Library
-from leglab.diagnosis.intake.admission import admit
+from leglab.diagnosis.intake.admission import Admitted, admit
 from leglab.diagnosis.intake.series import UniformSeries, common_period
 from leglab.diagnosis.likelihood.sizes import Shown, shown, sized
 from leglab.diagnosis.plant.model import Machine
@@ -49,9 +49,6 @@ def set_up(
     recordings: Mapping[str, Recording],
     held_out: Iterable[str],
     settings: DiagnosisSettings,
-    *,
-    specimen: Mapping[Key, np.ndarray] | None = None,
-    beside: Mapping[str, Recording] | None = None,
 ) -> Problem:
     """Builds the fit problem.
 
@@ -60,17 +57,30 @@ def set_up(
         recordings: By name.
         held_out: Names of the recordings that are not fitted.
         settings: Of the diagnosis.
-        specimen: Values of the specimen that was recorded; None for the model's.
-        beside: Further recordings that must be predicted alike: only columns that all share count.
 
     Raises:
         LeglabError: Model or recordings do not fit each other, or are too short.
     """
-    machine, limits = Machine(model), settings.thresholds
-    admitted = admit(machine, recordings, held_out, limits)
-    recordings = admitted.recordings
-    others = admit(machine, beside, (), limits).recordings if beside else {}
-    together = {**recordings, **{f"beside {name}": other for name, other in others.items()}}
+    machine = Machine(model)
+    return _problem(machine, admit(machine, recordings, held_out, settings.thresholds), settings)
+
+
+def _problem(
+    machine: Machine,
+    admitted: Admitted,
+    settings: DiagnosisSettings,
+    *,
+    specimen: Mapping[Key, np.ndarray] | None = None,
+    beside: Mapping[str, Recording] | None = None,
+) -> Problem:
+    """The fit problem of recordings that can be used.
+
+    `specimen` has the values of the machine that was recorded, None for the model's. Recordings
+    `beside` must be predicted alike: only columns that all share count.
+    """
+    recordings, limits = admitted.recordings, settings.thresholds
+    others = {f"beside {name}": other for name, other in (beside or {}).items()}
+    together = {**recordings, **others}
     found = channels(machine, together, limits)
     period = common_period(together, limits)
     machine = at_replay_step(machine, period)
@@ -121,30 +131,35 @@ def searched(
     healthy: Mapping[str, Recording] | None,
     settings: DiagnosisSettings,
     progress: Callable[[str], None],
-) -> tuple[Found, Specimen | None]:
+) -> tuple[Found, Specimen | None, tuple[str, ...]]:
     """Searches recordings for what a model lacks; arguments as of `diagnose`.
 
     Returns:
-        All fitted sets, and what healthy recordings said; None without any.
+        All fitted sets; what healthy recordings said, None without any; remarks on all recordings.
     """
+    machine, limits = Machine(model), settings.thresholds
+    admitted = admit(machine, recordings, held_out, limits)
     if not healthy:
-        problem = set_up(model, recordings, held_out, settings)
+        problem = _problem(machine, admitted, settings)
         problem = _sized(problem, shown(problem))
         progress("looking for an onset")
-        return search(problem, onsets=onset_of(problem), log=progress), None
+        found = search(problem, onsets=onset_of(problem), log=progress)
+        return found, None, admitted.notes
+    earlier = admit(machine, healthy, (), limits)
     # A specimen differs in more than the effects that the user asks for.
     whole = replace(settings, effects=None, excluded=())
-    before = set_up(model, healthy, (), whole, beside=recordings)
-    later = set_up(model, recordings, held_out, whole, beside=healthy)
+    before = _problem(machine, earlier, whole, beside=admitted.recordings)
+    later = _problem(machine, admitted, whole, beside=earlier.recordings)
     seen = Shown.largest([shown(before), shown(later)])
     progress("calibration of the specimen")
     specimen = calibrate(_sized(before, seen), progress)
-    problem = set_up(
-        model, recordings, held_out, settings, specimen=specimen.values, beside=healthy
+    problem = _problem(
+        machine, admitted, settings, specimen=specimen.values, beside=earlier.recordings
     )
     problem = _sized(problem, seen)
     spread = specimen.spread.of_recordings(specimen.nearest(problem))
-    return search(problem, specimen.priors, spread, specimen.kappa, log=progress), specimen
+    found = search(problem, specimen.priors, spread, specimen.kappa, log=progress)
+    return found, specimen, admitted.notes + earlier.notes
 
 
 def _sized(problem: Problem, seen: Shown) -> Problem:

@@ -13,7 +13,6 @@ from leglab.base.recording import Recording
 from leglab.base.threads import one_blas_thread
 from leglab.diagnosis.balance.isolation import bin_motion, isolate
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
-from leglab.diagnosis.intake.admission import admit
 from leglab.diagnosis.intake.recordings import split_held_out
 from leglab.diagnosis.likelihood.unknowns import EVERY
 from leglab.diagnosis.replay.residual import Problem, lessens, noise_alone, whitened
@@ -79,11 +78,7 @@ def diagnose(
     if held_out is None:
         recordings, held_out = split_held_out(model, recordings, (), settings.thresholds)
     held_out = tuple(held_out)
-    found, specimen = searched(model, recordings, held_out, healthy, settings, progress)
-    machine, limits = found.fitter.at.problem.machine, settings.thresholds
-    remarks = admit(machine, recordings, held_out, limits).notes
-    if healthy:
-        remarks += admit(machine, healthy, (), limits).notes
+    found, specimen, remarks = searched(model, recordings, held_out, healthy, settings, progress)
     progress("verdict")
     judgement = Judgement(Sets(found))
     outcome = Outcome(judgement, specimen)
