@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.optimize import lsq_linear
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.likelihood.columns import Errors
@@ -37,13 +38,20 @@ def evidence():
 
 
 def dense(found, windows, size, deviation):
-    """Log density of the errors of some windows, but for its constant, unknowns integrated out."""
-    n, columns, (factors, logs) = found.unknowns.single, found.columns, whitened(found, size)
+    """Log density of the errors of some windows, but for its constant, unknowns integrated out.
+
+    What least squares leave at a bound stands there: no friction is negative.
+    """
+    u, n, columns = found.unknowns, found.unknowns.single, found.columns
+    factors, logs = whitened(found, size)
     counts = found.kappa * found.weight
     roots = np.sqrt(counts)[:, None, None] * factors
     errors = (roots @ columns.errors[:, :, None])[windows].ravel()
     tangents = np.concatenate((roots @ columns.tangents[:, :, :n])[windows])
-    precision, _ = found.priors.precision(found.unknowns, deviation)
+    precision, _ = found.priors.precision(u, deviation)
+    both = np.concatenate([tangents, np.sqrt(precision)]), np.append(-errors, np.zeros(n))
+    moves = lsq_linear(*both, bounds=(u.lower[:n], u.upper[:n])).active_mask == 0
+    tangents, precision = tangents[:, moves], precision[np.ix_(moves, moves)]
     whole = np.eye(errors.size) + tangents @ np.linalg.solve(precision, tangents.T)
     determinants = np.linalg.slogdet(whole)[1] + (counts * logs)[windows].sum()
     return -0.5 * (errors @ np.linalg.solve(whole, errors) + determinants)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis
-from leglab.diagnosis.plant.model import CHAMBERS, CYLINDER, Change, ForceLeft, Measured
+from leglab.diagnosis.plant.model import CHAMBERS, Change, ForceLeft, Measured
 from leglab.diagnosis.plant.moments import plugin_offset
 from leglab.diagnosis.replay.lacking import accelerations, lacking_forces
 from leglab.diagnosis.replay.residual import Problem
@@ -128,7 +128,7 @@ def _of_series(problem: Problem, change: Change, cut: Cut, number: int) -> Itera
             moving=(np.abs(v[rows]) > slow).all(axis=1),
             **common,
         )
-    for cylinder in machine.instances(CYLINDER):
+    for cylinder in machine.cylinders:
         joint, index = machine.driven[cylinder][0], model.actuator(cylinder).id
         if joint not in problem.balanced:
             continue

@@ -7,7 +7,7 @@ import mujoco
 
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import EffectParameter, Row, TableEffect, Values, register_effect
-from leglab.diagnosis.plant.model import CYLINDER, SUPPLY, Change, Machine
+from leglab.diagnosis.plant.model import SUPPLY, Change, Machine
 
 HYQ = "HyQ leg parameters (Ledezma 2016)"
 VALVE = "tolerances of small servovalves (type 30 data sheets)"
@@ -56,7 +56,7 @@ class CylinderEffect(TableEffect):
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """All cylinders."""
-        return machine.instances(CYLINDER)
+        return machine.cylinders
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Shifts the plugin parameters by the difference from nominal."""
@@ -352,13 +352,13 @@ class SupplyDroop(TableEffect):
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """One for the machine, where no cylinder names a supply of its own."""
         named = any(machine.base.drawn_by.values())
-        return ("supply",) if machine.instances(CYLINDER) and not named else ()
+        return ("supply",) if machine.cylinders and not named else ()
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts a supply unit that all cylinders draw from."""
         if values["droop"] <= 0.0:
             return
-        cylinders = change.machine.instances(CYLINDER)
+        cylinders = change.machine.cylinders
         pressure = change.parameter(cylinders[0], "supply_pressure")
 
         def insert(spec: mujoco.MjSpec) -> None:

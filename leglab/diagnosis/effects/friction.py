@@ -6,7 +6,7 @@ from dataclasses import replace
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import EffectParameter, Row, Values, register_effect
 from leglab.diagnosis.effects.joints import JointEffect, SizedRow
-from leglab.diagnosis.plant.model import CYLINDER, FRICTION, Change, Machine
+from leglab.diagnosis.plant.model import FRICTION, Change, Machine
 
 # LuGre bristle that is stiff for a joint and stable at 1 ms: 100 Hz, half damped.
 _BRISTLE = 2.0 * math.pi * 100.0  # rad/s
@@ -19,8 +19,7 @@ class FrictionEffect(JointEffect):
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
         """Joints without a cylinder."""
-        driven = {j for cylinder in machine.instances(CYLINDER) for j in machine.driven[cylinder]}
-        return tuple(joint for joint in machine.joints if joint not in driven)
+        return tuple(joint for joint in machine.joints if joint not in machine.on_cylinders)
 
 
 @register_effect

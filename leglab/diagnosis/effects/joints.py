@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from leglab.diagnosis.effects.base import EffectParameter, Group, TableEffect, Values
-from leglab.diagnosis.plant.model import CYLINDER, Change, Machine
+from leglab.diagnosis.plant.model import Change, Machine
 
 # Standard deviation of a native field between good machines, a share of its value.
 _TOLERANCE = 0.1
@@ -55,7 +55,7 @@ def gravity(machine: Machine, joint: str) -> float:
 def drive_damping(machine: Machine, joint: str) -> float:
     """Viscous friction that acts on a joint [N m s/rad or N s/m]: its own and its cylinders'."""
     total, dof = native(machine, joint, "damping"), machine.base.model.joint(joint).dofadr[0]
-    for cylinder in machine.instances(CYLINDER):
+    for cylinder in machine.cylinders:
         lever = float(machine.moments[machine.actuators.index(cylinder), dof])
         total += machine.parameter(cylinder, "viscous") * lever**2
     return total

@@ -11,7 +11,7 @@ from leglab.base.recording import Recording
 from leglab.diagnosis.intake.remarks import Remark, merged
 from leglab.diagnosis.intake.rotation import unwrapped
 from leglab.diagnosis.intake.series import Clock, UniformSeries, common_period
-from leglab.diagnosis.plant.model import CHAMBERS, CYLINDER, Machine
+from leglab.diagnosis.plant.model import CHAMBERS, Machine
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
 _DEGREES = 180.0 / np.pi
@@ -132,7 +132,7 @@ class _Entry:
     ) -> None:
         known = {
             f"{machine.driven[cylinder][0]}_{chamber}": cylinder
-            for cylinder in machine.instances(CYLINDER)
+            for cylinder in machine.cylinders
             for chamber in CHAMBERS
         }
         unreadable = recording.metadata.get("unreadable")
@@ -271,7 +271,7 @@ class _Entry:
 def _range(machine: Machine, joint: str) -> tuple[float, float] | None:
     """Where a joint can be, None where it has no limit. A piston has a stroke, whatever is said."""
     entry = machine.base.model.joint(joint)
-    on_cylinder = any(joint in machine.driven[c] for c in machine.instances(CYLINDER))
+    on_cylinder = joint in machine.on_cylinders
     lower, upper = (float(x) for x in entry.range)
     if lower < upper and (machine.base.model.jnt_limited[entry.id] or on_cylinder):
         return lower, upper

@@ -22,13 +22,15 @@ from leglab.diagnosis.likelihood.columns import Columns, Errors
 from leglab.diagnosis.likelihood.priors import Priors, log_fault, log_set, slab_curvature
 from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.replay.residual import robust_weight
-from leglab.diagnosis.thresholds import DEFAULT, FAULT_ODDS, FEW_RECORDINGS, SECANT
+from leglab.diagnosis.thresholds import DEFAULT, FAULT_ODDS, FEW_RECORDINGS, FINE, SECANT
 
 # An unknown, and the place of its jump among the columns' jumps; None for its tangent.
 Member = tuple[int, int | None]
 
 # Share of a sum of squares that rounding may take.
 ROUNDING = 1e-14
+# Of its own curvature, for what must not move.
+HELD = 1e8
 
 
 def parts_of(recording: np.ndarray) -> np.ndarray:
@@ -97,24 +99,30 @@ class _Reduced:
     """
 
     def __init__(self, evidence: "Evidence", gram: np.ndarray, log: np.ndarray) -> None:
-        priors, n = evidence.priors, evidence.unknowns.single
+        priors, u, n = evidence.priors, evidence.unknowns, evidence.unknowns.single
         self.gram, self._kappa = gram, evidence.kappa
-        self._now = evidence.columns.x[:n]
+        self._now = now = evidence.columns.x[:n]
         self.base = np.zeros((len(evidence.places), len(priors.spreads)))
         self._precisions = []
         self._roots: dict[tuple[int, int], np.ndarray] = {}
         self._every: dict[tuple[int, int], np.ndarray] = {}
         for o, deviation in enumerate(priors.spreads):
-            precision, log_prior = priors.precision(evidence.unknowns, deviation)
+            precision, log_prior = priors.precision(u, deviation)
             self._precisions.append(precision)
             for k, place in enumerate(evidence.places):
-                matrix = self._kappa * gram[k, 1 : 1 + n, 1 : 1 + n] + precision
+                data = self._kappa * gram[k, : 1 + n, : 1 + n]
+                stays = _held(data, precision, now, u.lower[:n] - now, u.upper[:n] - now)
+                matrix = data[1:, 1:] + precision
+                hold = HELD * stays * np.diag(matrix)
+                prior = (
+                    np.linalg.slogdet(precision + np.diag(hold))[1] if stays.any() else log_prior
+                )
                 # Rounding alone: more would hold a spike where it stands.
                 matrix[np.diag_indices(n)] *= 1.0 + ROUNDING
-                root = np.linalg.cholesky(matrix)
+                root = np.linalg.cholesky(matrix + np.diag(hold))
                 self._roots[k, o] = root
                 self.base[k, o] = (
-                    0.5 * log_prior
+                    0.5 * prior
                     - np.log(np.diag(root)).sum()
                     - 0.5 * self._kappa * log[k]
                     + priors.log_sizes[place]
@@ -529,6 +537,32 @@ class Evidence:
         turned = (vectors[:, keep] / np.sqrt(values[keep])) / root[:, None]
         z = (slopes - slopes.mean(axis=0)) @ turned
         return float((z**2).sum() * count / (count - 1) / keep.sum())
+
+
+def _held(
+    data: np.ndarray, precision: np.ndarray, now: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> np.ndarray:
+    """Mask of the single unknowns that stand at a bound and would pass it: no friction is negative.
+
+    What is far from its prior is a member of the set that was fitted there, and free.
+
+    Args:
+        data: Inner products of errors and tangents, (1 + single, 1 + single).
+        precision: Of the prior, (single, single).
+        now: Departures, (single,).
+        lower: How far down each may go from there.
+        upper: How far up.
+    """
+    near = np.minimum(-lower, upper) < FINE[0]
+    if not near.any():
+        return near
+    free = now**2 * np.diag(precision) > DEFAULT.certain**2
+    own = np.where(free[:, None] | free, 0.0, precision)
+    matrix, slope = data[1:, 1:] + own, data[1:, 0] + own @ now
+    matrix[np.diag_indices_from(matrix)] *= 1.0 + ROUNDING
+    matrix[np.diag_indices_from(matrix)] += ROUNDING
+    step = _bounded(matrix, slope, lower, upper)
+    return near & ((step <= lower) | (step >= upper))
 
 
 def _bounded(

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from leglab.diagnosis.likelihood.columns import Errors
-from leglab.diagnosis.plant.model import CYLINDER, Machine
+from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.replay.residual import inverse_roots
 from leglab.diagnosis.replay.windows import Channel
 from leglab.diagnosis.thresholds import DEFAULT
@@ -24,7 +24,7 @@ def directions_of(machine: Machine, channels: Sequence[Channel]) -> np.ndarray:
     the mechanism decides, and what they have in common, which the valve's edges and the oil decide.
     """
     found = np.eye(len(channels))
-    for cylinder in machine.instances(CYLINDER):
+    for cylinder in machine.cylinders:
         own = sorted((c.chamber or "", k) for k, c in enumerate(channels) if c.cylinder == cylinder)
         chambers = [k for _, k in own]
         if len(chambers) < 2:

@@ -77,6 +77,8 @@ class Machine:
         actuators: Names of the actuators.
         moments: Of the actuators near qpos0, (nu, nv).
         driven: Joints that each actuator moves, by actuator: those of its moments.
+        cylinders: Names of the actuators that are cylinders.
+        on_cylinders: Joints that cylinders move.
         carried: Command paths and sensor corrections in the file, see `take_out`; variants are
             free of them.
 
@@ -114,6 +116,8 @@ class Machine:
             name: tuple(self.joints[int(model.dof_jntid[k])] for k in moved(row))
             for name, row in zip(self.actuators, self.moments, strict=True)
         }
+        self.cylinders = self.instances(CYLINDER)
+        self.on_cylinders = frozenset(j for c in self.cylinders for j in self.driven[c])
 
     @property
     def columns(self) -> tuple[str, ...]:

@@ -11,7 +11,6 @@ import numpy as np
 from leglab.diagnosis.balance.balances import balances
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.unknowns import Unknowns
-from leglab.diagnosis.plant.model import CYLINDER
 from leglab.diagnosis.remainder.forms import Form, choose_form, worthwhile
 from leglab.diagnosis.remainder.part import LearnedLibrary, Part
 from leglab.diagnosis.remainder.words import Described, describe
@@ -115,11 +114,10 @@ def find_forms(problem: Problem, hypothesis: Hypothesis) -> tuple[Form, ...]:
     """Forms of all balances' remainders, by windows of fitted recordings in which joints move."""
     machine, limits = problem.machine, problem.thresholds
     fitted = np.unique(problem.replay.recording[problem.fitted])
-    by_oil = {j for cylinder in machine.instances(CYLINDER) for j in machine.driven[cylinder]}
     forms = (
         choose_form(
             balance.of(balance.moving & np.isin(balance.recording, fitted)),
-            driven_by_oil=balance.joint in by_oil,
+            driven_by_oil=balance.joint in machine.on_cylinders,
             limits=limits,
         )
         for balance in balances(problem, hypothesis)

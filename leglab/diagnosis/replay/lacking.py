@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from leglab.diagnosis.plant.model import CHAMBERS, CYLINDER, Change, Machine, Measured
+from leglab.diagnosis.plant.model import CHAMBERS, Change, Machine, Measured
 from leglab.diagnosis.plant.moments import (
     MomentForces,
     commands_at,
@@ -26,7 +26,7 @@ def balanced_joints(machine: Machine, channels: Sequence[Channel]) -> tuple[str,
     known = {channel.column for channel in channels}
     blind = {
         joint
-        for cylinder in machine.instances(CYLINDER)
+        for cylinder in machine.cylinders
         for joint in machine.driven[cylinder]
         if not {f"{machine.driven[cylinder][0]}_{c}" for c in CHAMBERS} <= known
     }

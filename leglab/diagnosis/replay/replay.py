@@ -11,7 +11,7 @@ from mujoco import rollout
 
 from leglab.base.errors import LeglabError
 from leglab.diagnosis.intake.series import UniformSeries
-from leglab.diagnosis.plant.model import CYLINDER, Change, Machine, Measured, Variant
+from leglab.diagnosis.plant.model import Change, Machine, Measured, Variant
 from leglab.diagnosis.plant.moments import plugin_offset
 from leglab.diagnosis.replay.lacking import balanced_joints, comparable_forces, lacking_forces
 from leglab.diagnosis.replay.starts import (
@@ -117,7 +117,7 @@ class Replay:
         self.window = self.samples * period
         self.rest_time = max(thresholds.rest_time, period)
         chambers = sum(1 for c in channels if c.chamber)
-        self.blind = chambers < 2 * len(machine.instances(CYLINDER))
+        self.blind = chambers < 2 * len(machine.cylinders)
         self._lead = round(thresholds.warm_up / period) if self.blind else 0
         self.sensor_noise = sensor_noise(series, channels)
         self.cuts = cut_all(

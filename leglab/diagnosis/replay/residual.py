@@ -10,7 +10,7 @@ from scipy.signal import savgol_coeffs
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
 from leglab.diagnosis.intake.series import UniformSeries
-from leglab.diagnosis.plant.model import CHAMBERS, CYLINDER, Change, Machine
+from leglab.diagnosis.plant.model import CHAMBERS, Change, Machine
 from leglab.diagnosis.replay.lacking import balanced_joints
 from leglab.diagnosis.replay.replay import Replay
 from leglab.diagnosis.replay.starts import Nudge
@@ -211,7 +211,7 @@ class Problem:
                 spread = limits.start_spread * np.hypot(sigma, replay.at_starts(rough))
                 size = 2e4 if channel.chamber else float(np.median(spread))
                 found.append((Nudge(channel.cylinder or channel.joint, quantity, size), spread))
-        for cylinder in machine.instances(CYLINDER):
+        for cylinder in machine.cylinders:
             for chamber in CHAMBERS if replay.blind else ():
                 spread = np.full(replay.windows, limits.unseen_pressure)
                 found.append((Nudge(cylinder, chamber, 1e5), spread))

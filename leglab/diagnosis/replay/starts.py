@@ -220,7 +220,7 @@ class Instances:
         chosen = np.unique(np.append(np.arange(0, count, 20), count - 1))
         # Only what loads the joint: forces are not computed anew for another friction.
         plugin = np.tile(self.variant.plugin_state, (chosen.size, 1))
-        for cylinder in machine.instances(CYLINDER):
+        for cylinder in machine.cylinders:
             start, table = self.variant.elements[cylinder]
             plugin[:, start : start + len(table.parameters)] = self._parameters(cylinder)
             series = self.pressures(machine.driven[cylinder][0])
@@ -271,7 +271,7 @@ class Instances:
         still: dict[str, tuple[list[_Bristle], np.ndarray]] = {}
         for joint in self.machine.joints:
             acting = self._bristles(joint)
-            driven = any(joint in self.machine.driven[c] for c in self.machine.instances(CYLINDER))
+            driven = joint in self.machine.on_cylinders
             if not acting or (driven and len(self.pressures(joint)) < len(CHAMBERS)):
                 continue
             travel = np.abs(measured.position[joint][samples] - measured.position[joint][back])
@@ -476,7 +476,7 @@ def hidden_slots(change: Change) -> np.ndarray:
     """
     variant = change.variant
     names = (*CHAMBERS, "play_offset", "piston_velocity", "pin_load", "seated_play")
-    cylinders = [(c, name) for c in change.machine.instances(CYLINDER) for name in names]
+    cylinders = [(c, name) for c in change.machine.cylinders for name in names]
     supplies = [(s, name) for s in variant.drawn_by for name in ("pressure", "started")]
     return np.array([variant.slot(*place) for place in (*cylinders, *supplies)], dtype=int)
 
@@ -488,4 +488,4 @@ def plays(machine: Machine, variant: Variant) -> list[int]:
     forces close the plays: the piston's force acts on the joint, not a flank's force in the
     first step of a simulation, which is an artefact.
     """
-    return [variant.slot(cylinder, "play") for cylinder in machine.instances(CYLINDER)]
+    return [variant.slot(cylinder, "play") for cylinder in machine.cylinders]

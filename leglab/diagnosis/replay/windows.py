@@ -12,7 +12,7 @@ from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.diagnosis.intake.series import UniformSeries, common_period, readings_change
 from leglab.diagnosis.plant.lately import Lately
-from leglab.diagnosis.plant.model import CHAMBERS, CYLINDER, Machine
+from leglab.diagnosis.plant.model import CHAMBERS, Machine
 from leglab.diagnosis.replay.pushes import Pushes, poses
 from leglab.diagnosis.thresholds import DEFAULT, UNSEEN_STEP, Thresholds
 from leglab.machine.simulation import actuator_moments
@@ -57,7 +57,7 @@ def channels(
     position = _filter(thresholds.position_filter, period)
     pressure = _filter(thresholds.pressure_filter, period)
     found = [Channel(column=f"{j}_position", joint=j, filter=position) for j in machine.joints]
-    for cylinder in machine.instances(CYLINDER):
+    for cylinder in machine.cylinders:
         joint = machine.driven[cylinder][0]
         found += [
             Channel(column=name, joint=joint, cylinder=cylinder, chamber=chamber, filter=pressure)
@@ -305,7 +305,7 @@ def _along(
     dofs = {joint: int(model.joint(joint).dofadr[0]) for joint in machine.joints}
     lever, there = np.stack(moments), np.repeat(touched, stride, axis=0)[:count]
     levers = {}
-    for cylinder in machine.instances(CYLINDER):
+    for cylinder in machine.cylinders:
         own = lever[:, model.actuator(cylinder).id, dofs[machine.driven[cylinder][0]]]
         levers[cylinder] = np.interp(np.arange(count), np.arange(0, count, stride), own)
     return levers, {joint: there[:, dof] for joint, dof in dofs.items()}

@@ -8,7 +8,7 @@ import numpy as np
 from leglab.diagnosis.effects.hypothesis import Key, Library
 from leglab.diagnosis.intake.remarks import Remark, merged
 from leglab.diagnosis.intake.series import UniformSeries
-from leglab.diagnosis.plant.model import CYLINDER, Machine
+from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.thresholds import DEFAULT
 
@@ -22,7 +22,7 @@ def notes(problem: Problem) -> tuple[str, ...]:
             f"the machine touches something {100 * touching:.0f} % of the time and no sensor tells "
             "with what force: a friction or a force that is named may be the contact's"
         )
-    if problem.machine.instances(CYLINDER) and not any(c.chamber for c in problem.channels):
+    if problem.machine.cylinders and not any(c.chamber for c in problem.channels):
         found.append(
             "no chamber pressures: they were replayed from the commands; faults of mechanism and "
             "hydraulics are told apart by the motion alone, with wider intervals"
