@@ -63,7 +63,7 @@ FAULTS = {
         "sound = has", "test_what_ends_at_its_bound_has_no_name",
     ),
     "all is clear at any error": (
-        "diagnosis.verdict.confidence", "return largest <= DEFAULT.explained", "return True",
+        "diagnosis.verdict.confidence", "return largest**0.5 <= DEFAULT.explained", "return True",
         "test_nothing_is_named_where_nothing_that_is_looked_for_is_there",
     ),
     "all is clear though another set is more probable": (
@@ -71,8 +71,8 @@ FAULTS = {
         "test_what_explains_the_recordings_as_well_stands_beside",
     ),
     "a healthy machine is not all-clear": (
-        "diagnosis.verdict.confidence",
-        "return middle <= math.exp(DAY_FACTOR) and largest <= math.exp(2.0 * DAY_FACTOR)",
+        "diagnosis.search.healthy",
+        "return bool(np.median(ratio) <= limits[0] and largest <= limits[1])",
         "return False",
         "test_a_machine_that_errs_as_it_did_lacks_nothing",
     ),

@@ -36,6 +36,7 @@ class Specimen:
         kappa: 1/design effect.
         levels: Error of each healthy recording in noise levels, before and after calibration,
             (recordings, 2).
+        usual: Median error of its windows after calibration, in noise levels, (recordings,).
     """
 
     problem: Problem
@@ -44,6 +45,7 @@ class Specimen:
     spread: Spread
     kappa: float
     levels: np.ndarray
+    usual: np.ndarray
 
     def nearest(self, problem: Problem) -> list[int]:
         """The healthy recording of the most similar motion to each of others."""
@@ -51,6 +53,19 @@ class Specimen:
         own = np.stack([_motion(s, columns) for s in self.problem.series])
         other = np.stack([_motion(s, columns) for s in problem.series])
         return np.argmin(((other[:, None] - own) ** 2).sum(axis=2), axis=1).tolist()
+
+    def as_it_was(self, problem: Problem) -> bool:
+        """Whether errors in all windows are those of the healthy specimen on another day.
+
+        In every recording: one that moves tells more than three that rest. Nothing is moved for it:
+        what a day changes may hide a fault.
+        """
+        level, recording = problem.noise_levels(Hypothesis()) ** 0.5, problem.replay.recording
+        ratio = level / self.usual[np.array(self.nearest(problem))[recording]]
+        largest = max(float(np.median(ratio[recording == r])) for r in np.unique(recording))
+        # Of several recordings the largest departs by two deviations where none is ill.
+        limits = np.exp([DAY_FACTOR, 2.0 * DAY_FACTOR])
+        return bool(np.median(ratio) <= limits[0] and largest <= limits[1])
 
 
 def _motion(series: UniformSeries, columns: Sequence[str]) -> np.ndarray:
@@ -91,4 +106,5 @@ def calibrate(problem: Problem, log: Callable[[str], None]) -> Specimen:
     squares = [problem.noise_levels(h) for h in (Hypothesis(), values)]
     windows = [problem.replay.recording == i for i in range(len(problem.series))]
     levels = np.sqrt([[square[own].mean() for square in squares] for own in windows])
-    return Specimen(problem, values, priors, evidence.spread, kappa, levels)
+    usual = np.sqrt([np.median(squares[1][own]) for own in windows])
+    return Specimen(problem, values, priors, evidence.spread, kappa, levels, usual)

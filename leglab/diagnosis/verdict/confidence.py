@@ -19,8 +19,8 @@ from leglab.diagnosis.effects.base import all_effects
 from leglab.diagnosis.effects.hypothesis import Key
 from leglab.diagnosis.likelihood.columns import Errors
 from leglab.diagnosis.result import Verdict
+from leglab.diagnosis.search.healthy import Specimen
 from leglab.diagnosis.thresholds import (
-    DAY_FACTOR,
     DEFAULT,
     EDGE,
     IMPOSTOR,
@@ -63,7 +63,7 @@ class Judgement:
         rows: The sets, most probable first.
     """
 
-    def __init__(self, sets: Sets) -> None:
+    def __init__(self, sets: Sets, specimen: Specimen | None) -> None:
         impostor, keys = impostors(sets), sorted({k for r in sets.rows for k in r.keys})
         effects = {key: _effect(sets, key, impostor) for key in keys}
 
@@ -81,7 +81,7 @@ class Judgement:
         verdict: Verdict = "unexplained"
         if named:
             verdict = "named"
-        elif _as_healthy(sets):
+        elif _as_healthy(sets, specimen):
             verdict, confusion = "nothing_missing", ()
         elif confusion:
             verdict = "confusion_set"
@@ -89,35 +89,25 @@ class Judgement:
         self.verdict, self.named, self.confusion = verdict, named, confusion
 
 
-def _as_healthy(sets: Sets) -> bool:
+def _as_healthy(sets: Sets, specimen: Specimen | None) -> bool:
     """Whether nothing may be missing: noise, or the errors of the healthy specimen, are left."""
-    whole, fixed = _shares(np.array([r.score.log for r in sets.rows])), sets.fitter.fixed
+    whole = _shares(np.array([r.score.log for r in sets.rows]))
     for row, own in zip(sets.rows, whole, strict=True):
         if row.keys or own < POSSIBLE:
             continue
-        # The specimen as it was, nothing moved: what a day changes may hide a fault.
-        errors = sets.found.first.errors if fixed else row.left
-        levels = np.sqrt(sets.channel_squares(errors).mean(axis=1))
-        return as_before(levels, sets.at.recording, healthy=fixed is not None)
+        if specimen:
+            return specimen.as_it_was(sets.at.problem)
+        return as_noise(sets.channel_squares(row.left).mean(axis=1), sets.at.recording)
     return False
 
 
-def as_before(levels: np.ndarray, recording: np.ndarray, *, healthy: bool) -> bool:
-    """Whether errors are those of noise, or of the healthy specimen on another day.
+def as_noise(squares: np.ndarray, recording: np.ndarray) -> bool:
+    """Whether errors of every recording are those of noise: one that moves tells more than three.
 
-    In every recording: one that moves tells more than three that rest.
-
-    Args:
-        levels: Of windows, in noise levels or errors of the healthy specimen, (windows,).
-        recording: Of each window, (windows,).
-        healthy: Whether healthy recordings say how far the model misses the specimen.
+    By mean squares of the windows in noise levels, and their recordings, each (windows,).
     """
-    middle = float(np.median(levels))
-    largest = max(float(np.median(levels[recording == r])) for r in np.unique(recording))
-    if healthy:
-        # Of several recordings the largest departs by two deviations where none is ill.
-        return middle <= math.exp(DAY_FACTOR) and largest <= math.exp(2.0 * DAY_FACTOR)
-    return largest <= DEFAULT.explained
+    largest = max(float(np.median(squares[recording == r])) for r in np.unique(recording))
+    return largest**0.5 <= DEFAULT.explained
 
 
 def _shares(logs: np.ndarray) -> np.ndarray:

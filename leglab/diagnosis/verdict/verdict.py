@@ -36,7 +36,7 @@ from leglab.diagnosis.search.healthy import Specimen
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, searched
 from leglab.diagnosis.search.search import Found
 from leglab.diagnosis.thresholds import BEST_SETS, DEFAULT, LAW, NAMED, VISIBLE
-from leglab.diagnosis.verdict.confidence import Judgement, as_before
+from leglab.diagnosis.verdict.confidence import Judgement, as_noise
 from leglab.diagnosis.verdict.experiment import propose
 from leglab.diagnosis.verdict.notes import at_limits, notes
 from leglab.diagnosis.verdict.outcome import Outcome
@@ -80,7 +80,7 @@ def diagnose(
     held_out = tuple(held_out)
     found, specimen, remarks = searched(model, recordings, held_out, healthy, settings, progress)
     progress("verdict")
-    judgement = Judgement(Sets(found))
+    judgement = Judgement(Sets(found), specimen)
     outcome = Outcome(judgement, specimen)
     if judgement.verdict == "nothing_missing":
         if not _clear_elsewhere(outcome):
@@ -103,17 +103,15 @@ def _lacks_nothing(outcome: Outcome) -> bool:
 
 
 def _clear_elsewhere(outcome: Outcome) -> bool:
-    """Whether the model errs as little as it may where nobody fitted.
+    """Whether a machine of the kind, within what machines differ by, is left noise elsewhere.
 
-    The specimen as it was; without one, a machine of the kind within what machines differ by.
+    Where nobody fitted; the specimen as it was has been asked everywhere.
     """
     problem = outcome.problem
-    if not problem.held.any():
+    if outcome.specimen or not problem.held.any():
         return True
-    machine = Hypothesis() if outcome.specimen else outcome.baseline
-    levels = np.sqrt(problem.noise_levels(machine) / outcome.floors())[problem.held]
-    recording = problem.replay.recording[problem.held]
-    return as_before(levels, recording, healthy=outcome.specimen is not None)
+    squares = problem.noise_levels(outcome.baseline)
+    return as_noise(squares[problem.held], problem.replay.recording[problem.held])
 
 
 def _told(outcome: Outcome, remarks: Sequence[str], began: float) -> Diagnosis:
