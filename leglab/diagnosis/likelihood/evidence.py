@@ -562,7 +562,7 @@ def _held(
     matrix[np.diag_indices_from(matrix)] *= 1.0 + ROUNDING
     matrix[np.diag_indices_from(matrix)] += ROUNDING
     step = _bounded(matrix, slope, lower, upper)
-    return near & ((step <= lower) | (step >= upper))
+    return near & ~free & ((step <= lower) | (step >= upper))
 
 
 def _bounded(
