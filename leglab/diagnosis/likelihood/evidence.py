@@ -29,8 +29,9 @@ Member = tuple[int, int | None]
 
 # Share of a sum of squares that rounding may take.
 ROUNDING = 1e-14
-# Of its own curvature, for what must not move.
-HELD = 1e8
+# What must not move is held by so many times its own curvature: half of the digits are left to all
+# that moves.
+HELD = ROUNDING**-0.5
 
 
 def parts_of(recording: np.ndarray) -> np.ndarray:

@@ -102,7 +102,7 @@ def _as_healthy(sets: Sets, specimen: Specimen | None) -> bool:
 
 
 def as_noise(squares: np.ndarray, recording: np.ndarray) -> bool:
-    """Whether errors of every recording are those of noise: one that moves tells more than three.
+    """Whether errors of every recording are those of noise: no recording makes up for another.
 
     By mean squares of the windows in noise levels, and their recordings, each (windows,).
     """
