@@ -156,6 +156,12 @@ def search(
     compared, erring = Compared(fitter), fits[0]
     unexplained = fitter.rms(errors)
 
+    def needed(fit: Fit, there: Evidence) -> bool:
+        """Whether no other fitted set does as well there without some of the members."""
+        less = without_idle(there, there.score([(q, None) for q in fit.members]), 0.0)
+        names = frozenset(u.keys[q] for q in less.unknowns)
+        return names == fit.keys or all(names != f.keys for f in fits)
+
     def left(fit: Fit) -> float:
         return fitter.rms(fit.columns.errors)
 
@@ -187,7 +193,8 @@ def search(
         ]
         most = HOPELESS * least_left.fit.level
         open_ = (r.fit for r in near if not r.fit.finished and r.fit.level < most)
-        begun = next((f for f in open_ if f.keys not in ended), None)
+        fresh = (f for f in open_ if f.keys not in ended)
+        begun = next((f for f in fresh if needed(f, compared.own(f, kappa))), None)
         if begun is not None:
             ended.add(begun.keys)
             # From where it is, or from where what leaves least is: whichever leaves less.
@@ -197,8 +204,12 @@ def search(
             fits.remove(begun)
             continue
         points = {id(f.columns): f for f in fits}
-        pairs = ((r.fit, points[id(r.evidence.columns)]) for r in near if r.gain > NEAR)
-        moved = ((f, p) for f, p in pairs if (f.keys, p.keys) not in again)
+        moved = (
+            (r.fit, point)
+            for r in near
+            for point in [points[id(r.evidence.columns)]]
+            if r.gain > NEAR and (r.fit.keys, point.keys) not in again and needed(r.fit, r.evidence)
+        )
         late, point = next(moved, (None, None))
         if late is not None and point is not None:
             again.add((late.keys, point.keys))
