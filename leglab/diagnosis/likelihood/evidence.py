@@ -8,7 +8,7 @@ over the spread, leave the evidence of a set. Errors go together beyond D: all l
 by 1/design effect (composite likelihood; Pauli, Racugno and Ventura 2011).
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -94,12 +94,20 @@ class _Reduced:
         evidence: Of which linearisation.
         gram: Inner products of all columns, (sizes, columns, columns).
         log: Log determinants of the windows, (sizes,).
+        stays: Which single unknowns are held, by size and spread; None for those of these products.
 
     Attributes:
         base: Log evidence of no member, but for the errors' square, (sizes, spreads).
+        stays: Which single unknowns are held, by size and spread.
     """
 
-    def __init__(self, evidence: "Evidence", gram: np.ndarray, log: np.ndarray) -> None:
+    def __init__(
+        self,
+        evidence: "Evidence",
+        gram: np.ndarray,
+        log: np.ndarray,
+        stays: Mapping[tuple[int, int], np.ndarray] | None = None,
+    ) -> None:
         priors, u, n = evidence.priors, evidence.unknowns, evidence.unknowns.single
         self.gram, self._kappa = gram, evidence.kappa
         self._now = now = evidence.columns.x[:n]
@@ -107,17 +115,19 @@ class _Reduced:
         self._precisions = []
         self._roots: dict[tuple[int, int], np.ndarray] = {}
         self._every: dict[tuple[int, int], np.ndarray] = {}
+        self.stays = dict(stays or {})
+        lower, upper = u.lower[:n] - now, u.upper[:n] - now
         for o, deviation in enumerate(priors.spreads):
             precision, log_prior = priors.precision(u, deviation)
             self._precisions.append(precision)
             for k, place in enumerate(evidence.places):
                 data = self._kappa * gram[k, : 1 + n, : 1 + n]
-                stays = _held(data, precision, now, u.lower[:n] - now, u.upper[:n] - now)
-                matrix = data[1:, 1:] + precision
-                hold = HELD * stays * np.diag(matrix)
-                prior = (
-                    np.linalg.slogdet(precision + np.diag(hold))[1] if stays.any() else log_prior
-                )
+                if stays is None:
+                    self.stays[k, o] = _held(data, precision, now, lower, upper)
+                matrix, prior = data[1:, 1:] + precision, log_prior
+                hold = HELD * self.stays[k, o] * np.diag(matrix)
+                if hold.any():
+                    prior = np.linalg.slogdet(precision + np.diag(hold))[1]
                 # Rounding alone: more would hold a spike where it stands.
                 matrix[np.diag_indices(n)] *= 1.0 + ROUNDING
                 root = np.linalg.cholesky(matrix + np.diag(hold))
@@ -260,7 +270,8 @@ class Evidence:
             gram, log = np.zeros_like(self.gram), np.zeros_like(self.log_covariance)
             for other in parts[:r] + parts[r + 1 :]:
                 gram, log = gram + other[0], log + other[1]
-            found.append(self.score(members, _Reduced(self, gram, log)))
+            # What is held is a matter of the machine: all parts tell it.
+            found.append(self.score(members, _Reduced(self, gram, log, self.whole.stays)))
         return found
 
     @cached_property
