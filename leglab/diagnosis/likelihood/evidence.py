@@ -261,8 +261,8 @@ class Evidence:
     def _jump(self, place: int) -> int:
         return 1 + len(self.unknowns) + place
 
-    def apart(self, members: Sequence[Member]) -> list[Score]:
-        """Evidence of a set without each part of the recordings in turn."""
+    def apart(self, members: Sequence[Member], spread: int | None = None) -> list[Score]:
+        """Evidence of a set without each part of the recordings in turn; `spread` as of `score`."""
         parts = [self._products(self.part == r) for r in range(int(self.part.max()) + 1)]
         found = []
         for r in range(len(parts)):
@@ -271,7 +271,8 @@ class Evidence:
             for other in parts[:r] + parts[r + 1 :]:
                 gram, log = gram + other[0], log + other[1]
             # What is held is a matter of the machine: all parts tell it.
-            found.append(self.score(members, _Reduced(self, gram, log, self.whole.stays)))
+            reduced = _Reduced(self, gram, log, self.whole.stays)
+            found.append(self.score(members, reduced, spread))
         return found
 
     @cached_property
@@ -310,8 +311,19 @@ class Evidence:
             return -np.inf
         return log_set(u, tuple(members))
 
-    def score(self, members: Sequence[Member], reduced: _Reduced | None = None) -> Score:
-        """Evidence of a set."""
+    def score(
+        self,
+        members: Sequence[Member],
+        reduced: _Reduced | None = None,
+        spread: int | None = None,
+    ) -> Score:
+        """Evidence of a set.
+
+        Args:
+            members: The set.
+            reduced: Products; None for those of all parts.
+            spread: Place of the only spread of machines that counts; None for all of them.
+        """
         members = tuple(members)
         own = reduced or self.whole
         u = self.unknowns
@@ -346,6 +358,8 @@ class Evidence:
                 + log_fault(u, np.array([q for q, _ in members]), values).sum(axis=2)
             )
         grid = own.base - 0.5 * square + log_members + self._odds([q for q, _ in members])
+        if spread is not None:
+            grid[:, np.arange(grid.shape[1]) != spread] = -np.inf
         k, o = np.unravel_index(int(np.argmax(grid)), grid.shape)
         step = steps[k, o]
         along = np.zeros(self.gram.shape[1])
@@ -354,7 +368,7 @@ class Evidence:
         return Score(
             members=members,
             log=float(logsumexp(grid)),
-            fit=float(logsumexp(own.base - 0.5 * square)),
+            fit=float(logsumexp(own.base - 0.5 * square, b=np.isfinite(grid))),
             size=self.places[k],
             spread=int(o),
             values=values[k, o],

@@ -141,16 +141,18 @@ def search(
     # order is exact, and nothing is one only what promises more.
     room = NEAR + DEFAULT.smaller_share * worth
     least = nothing.promise if clear else -np.inf
+    fewest = 0 if clear else len(u)
     for names, new in wanted.items():
-        if new.promise < least:
+        if new.promise < least and len(new.members) >= fewest:
             continue
         tried.add(names)
         if run(new, beside=clear).level <= DEFAULT.explained:
             least = max(least, new.promise - room)
+            fewest = min(fewest, len(new.members))
     if not clear:
         run(nothing)
     vain, more, last = 0, 0, frozenset[Key]()
-    again, ended = set[tuple[frozenset[Key], frozenset[Key]]](), set[frozenset[Key]]()
+    again, ended = set[tuple[frozenset[Key], frozenset[Key]]](), set[Fit]()
     removed: dict[tuple[Fit, Key], Columns | None] = {}
     simpler = set[tuple[Fit, Key]]()
     compared, erring = Compared(fitter), fits[0]
@@ -193,14 +195,13 @@ def search(
         ]
         most = HOPELESS * least_left.fit.level
         open_ = (r.fit for r in near if not r.fit.finished and r.fit.level < most)
-        fresh = (f for f in open_ if f.keys not in ended)
+        fresh = (f for f in open_ if f not in ended)
         begun = next((f for f in fresh if needed(f, compared.own(f, kappa))), None)
         if begun is not None:
-            ended.add(begun.keys)
             # From where it is, or from where what leaves least is: whichever leaves less.
             where = [begun, *([least_left.fit] if least_left.fit.finished else [])]
             starts = (_from(fitter, begun, point, kappa) for point in where)
-            run(min(starts, key=begins), beside=True, renewals=RENEWALS)
+            ended.add(run(min(starts, key=begins), beside=True, renewals=RENEWALS))
             fits.remove(begun)
             continue
         points = {id(f.columns): f for f in fits}

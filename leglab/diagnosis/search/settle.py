@@ -257,8 +257,11 @@ class Fitter:
                 # As explanations get better, errors are worth more numbers.
                 kappa = 1.0 / max(evidence.design_effect(score), 1.0)
             if turn + 1 >= STIFF_TURNS and self.level(point.errors) > give_up:
-                given_up = True
-                break
+                there = self.evidence(point.columns, spread, weight, kappa)
+                ahead = self.level(there.left(there.score([(q, None) for q in members])))
+                if ahead > give_up:
+                    given_up = True
+                    break
             if not first and gain < ENOUGH:
                 if fresh or (fine and missed + promise - gain < ENOUGH):
                     finished, unkept = True, promise - gain

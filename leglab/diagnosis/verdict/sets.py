@@ -123,49 +123,52 @@ class Sets:
         """A set by what replays show.
 
         Where first order leads or, if the set itself was `fitted` there, where the linearisation
-        stands: what these err beyond first order counts against the set. None where the first
-        blows up and the second is another set's.
+        stands, with any spread of machines: what these err beyond first order counts against the
+        set. None where the first blows up and the second is another set's.
         """
         u, n, columns = self.unknowns, self.unknowns.single, evidence.columns
         chosen = [(q, None) for q in members]
+        tries: list[tuple[Score, int | None, Hypothesis, np.ndarray, float]] = []
         score = evidence.score(chosen)
-        parts = np.array([one.log for one in evidence.apart(chosen)])
-
-        def square(errors: np.ndarray) -> np.ndarray:
-            return np.asarray((evidence.white(errors, score) ** 2).sum(axis=1))
-
-        promised = square(evidence.left(score))
-        tries = []
         there = u.moved(columns.base, evidence.departures(score))
         led = self.at.at(there)
         if np.abs(led).max() <= BLOWN:
-            tries.append((there, led, 0.0))
-        if fitted:
-            precision, _ = evidence.priors.precision(u, evidence.priors.spreads[score.spread])
+            tries.append((score, None, there, led, 0.0))
+        for spread in range(len(evidence.priors.spreads) if fitted else 0):
+            score = evidence.score(chosen, spread=spread)
+            precision, _ = evidence.priors.precision(u, evidence.priors.spreads[spread])
             stays = columns.x[:n].copy()
             for q in score.unknowns:  # members depart as far as the fit did
                 stays[list(u.singles(q))] -= stays[list(u.singles(q))].mean()
             moves = columns.x[:n] + score.shift
             pull = 0.5 * float(stays @ precision @ stays - moves @ precision @ moves)
-            tries.append((columns.base, columns.errors, max(pull, 0.0)))
-        rows = []
-        for hypothesis, errors, cost in tries:
-            beyond = 0.5 * evidence.kappa * evidence.weight * (square(errors) - promised)
-            by_part = np.array([beyond[evidence.part == r].sum() for r in range(parts.size)])
-            lost = max(float(by_part.sum()) + cost, 0.0)
-            rows.append(
-                Row(
-                    keys=frozenset(u.keys[q] for q in members),
-                    ended=frozenset(u.keys[q] for q in ended if q in members),
-                    score=replace(score, log=score.log - lost, fit=score.fit - lost),
-                    evidence=evidence.with_kappa(evidence.kappa),  # what it worked out is large
-                    apart=parts - np.maximum(by_part.sum() + cost - by_part, 0.0),
-                    left=errors,
-                    hypothesis=hypothesis,
-                    level=self.fitter.level(errors),
-                )
-            )
-        return max(rows, key=lambda r: r.score.log, default=None)
+            tries.append((score, spread, columns.base, columns.errors, max(pull, 0.0)))
+        if not tries:
+            return None
+        beyond = np.array([self._beyond(evidence, one[0], one[3]) for one in tries])
+        losses = np.maximum(beyond.sum(axis=1) + [one[4] for one in tries], 0.0)
+        best = int(np.argmax([one[0].log - lost for one, lost in zip(tries, losses, strict=True)]))
+        score, spread_there, hypothesis, errors, cost = tries[best]
+        lost, all_parts = float(losses[best]), float(beyond[best].sum()) + cost
+        parts = np.array([one.log for one in evidence.apart(chosen, spread_there)])
+        return Row(
+            keys=frozenset(u.keys[q] for q in members),
+            ended=frozenset(u.keys[q] for q in ended if q in members),
+            score=replace(score, log=score.log - lost, fit=score.fit - lost),
+            evidence=evidence.with_kappa(evidence.kappa),  # what it worked out is large
+            apart=parts - np.maximum(all_parts - beyond[best], 0.0),
+            left=errors,
+            hypothesis=hypothesis,
+            level=self.fitter.level(errors),
+        )
+
+    def _beyond(self, evidence: Evidence, score: Score, errors: np.ndarray) -> np.ndarray:
+        """By how much errors are less probable than first order promises, by part [nats]."""
+        squares = [
+            (evidence.white(one, score) ** 2).sum(axis=1) for one in (errors, evidence.left(score))
+        ]
+        lost = 0.5 * evidence.kappa * evidence.weight * (squares[0] - squares[1])
+        return np.bincount(evidence.part, weights=lost)
 
     def _all(self) -> list[Row]:
         """All sets, each where it is most probable, most probable first."""
