@@ -175,9 +175,9 @@ USUAL = 0.5
 ABSENT = 1e-3
 # A shape has this standard deviation, as a share of its range: it lies anywhere in it.
 SHAPE_SPREAD = 0.3
-# A machine of another day departs from its healthy self by such spreads, in smallest trials, and by
-# this share of what good machines differ by: it is the same machine.
-DAY, DAY_TOLERANCES = (0.05, 0.15, 0.4), 0.5
+# A machine of another day departs from its healthy self as good machines do from their model, but
+# by this share of known tolerances: it is the same machine.
+DAY_TOLERANCES = 0.5
 # Its own error is as large as in the healthy recordings but for a factor with this log deviation,
 # and larger while something is missing.
 DAY_SIZES, DAY_FACTOR = (0.7, 1.0, 1.4, 2.0, 3.0, 5.0, 9.0, 16.0), 0.4
@@ -281,9 +281,8 @@ VISIBLE = DEFAULT.certain**2
 NAMED = 0.5
 # A member of a confusion set is surer than this, without some part of the recordings.
 POSSIBLE = 0.3
-# Sets whose fits differ by less than this factor in probability are not told apart by the data,
-# whichever is simpler, if the rival needs no more than so many further numbers.
-TIE, MORE_NUMBERS = 4.0, 2
+# Sets that are less probable by a smaller factor are not told apart by the data.
+TIE = 4.0
 # No law is quite the machine's: within this share of a departure two directions are alike, and
 # sizes may be off.
 LAW = 0.25

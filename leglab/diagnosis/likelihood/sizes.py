@@ -193,6 +193,8 @@ def _sized(p: EffectParameter, size: float, seen: Shown) -> EffectParameter:
     if p.lower >= 0.0:
         lower = p.lower  # what physics forbids stays forbidden
     upper = p.nominal + far if p.upper > p.nominal else p.upper
+    if p.unit in ("rad", "m"):  # a zero or a rest lies anywhere in the joint's travel
+        lower, upper = min(lower, p.lower), max(upper, p.upper)
     trials = [p.nominal + s * t for s in sides for t in steps]
     if p.lower >= 0.0 and p.nominal > 0.0:
         trials = [t for t in trials if t >= p.lower] + [0.5 * p.nominal]

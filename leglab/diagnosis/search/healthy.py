@@ -15,7 +15,6 @@ from leglab.diagnosis.replay.residual import Problem, thinned
 from leglab.diagnosis.search.settle import Fitter
 from leglab.diagnosis.thresholds import (
     COARSE,
-    DAY,
     DAY_FACTOR,
     DAY_SIZES,
     DAY_TOLERANCES,
@@ -97,7 +96,6 @@ def calibrate(problem: Problem, log: Callable[[str], None]) -> Specimen:
     sites = problem.library.sites
     values = Hypothesis({k: first.base.get(k, s.nominal) for k, s in sites.items()})
     priors = Priors(
-        spreads=DAY,
         tolerances=DAY_TOLERANCES,
         covariance=evidence.posterior(score),
         sizes=DAY_SIZES,

@@ -129,7 +129,7 @@ def rank(compared: Compared, fits: Sequence[Fit], kappa: float) -> list[Ranked]:
 def proposal(
     fitter: Fitter,
     ranks: Sequence[Ranked],
-    tried: set[frozenset[Key]],
+    tried: set[frozenset[int]],
     removed: dict[tuple[Fit, Key], Columns | None],
 ) -> Proposal | None:
     """The next set to fit; None where nothing promises to come near the best one.
@@ -140,7 +140,7 @@ def proposal(
     Args:
         fitter: Of the sets.
         ranks: Sets that are fitted.
-        tried: Effects of all sets that have been.
+        tried: Unknowns of all sets that have been.
         removed: Linearisations without an effect, by fit and effect, as far as they are made.
     """
     u = fitter.at.unknowns
@@ -154,7 +154,7 @@ def proposal(
         if simpler is None:
             continue
         names = frozenset(u.keys[q] for q in simpler)
-        once = names | row.fit.keys  # from here
+        once = frozenset(simpler) | frozenset(row.fit.members)  # from here
         if once not in tried and row.fit.level < levels.get(names, np.inf):
             tried.add(once)
             x, fit = row.fit.columns.x, row.fit
@@ -192,7 +192,7 @@ def proposal(
         for one in found
         if one[0] >= top - NEAR
         and 0 < len(one[1]) <= LARGEST_SET
-        and frozenset(u.keys[q] for q in one[1]) not in tried
+        and frozenset(one[1]) not in tried
     ]
     if not found:
         return None

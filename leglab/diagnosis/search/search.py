@@ -136,16 +136,16 @@ def search(
 
     nothing = _of(evidence, evidence.score(()))
     worth = ranked[0].log - nothing.promise
-    tried: set[frozenset[Key]] = {frozenset()}
+    tried: set[frozenset[int]] = {frozenset()}
     # Beside what explains everything only what promises nearly as much is a rival; near noise first
     # order is exact, and nothing is one only what promises more.
     room = NEAR + DEFAULT.smaller_share * worth
     least = nothing.promise if clear else -np.inf
     fewest = 0 if clear else len(u)
-    for names, new in wanted.items():
+    for new in wanted.values():
         if new.promise < least and len(new.members) >= fewest:
             continue
-        tried.add(names)
+        tried.add(frozenset(new.members))
         if run(new, beside=clear).level <= DEFAULT.explained:
             least = max(least, new.promise - room)
             fewest = min(fewest, len(new.members))
@@ -237,7 +237,7 @@ def search(
             continue
         more += 1
         last = _names(u, then)
-        tried.add(last)
+        tried.add(frozenset(then.members))
         run(then)
     return Found(fitter, tuple(ranks), kappa, first, as_it_is, onsets)
 

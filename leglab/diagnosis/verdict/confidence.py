@@ -25,7 +25,6 @@ from leglab.diagnosis.thresholds import (
     EDGE,
     IMPOSTOR,
     LIBRARY_ODDS,
-    MORE_NUMBERS,
     NAMED,
     POSSIBLE,
     TIE,
@@ -154,19 +153,19 @@ def _stands(sets: Sets, row: Row, key: Key, impostor: tuple[float, float]) -> fl
 
 
 def _ties(rows: Sequence[Row], first: Row, key: Key) -> tuple[frozenset[Key], ...]:
-    """Sets without an effect that fit as well as the best one with it, in both ways.
+    """Sets without an effect that are nearly as probable as the best one with it, in both ways.
 
-    A simpler set is more probable, but where the data have no say its name is no finding.
+    What holds the effect as a special case always fits as well, and says nothing against it.
     """
-    own, numbers = first.score.fit + first.drive, len(first.score.members)
-    shared = first.keys - {key}
+    library, shared = first.evidence.unknowns.library, first.keys - {key}
+    least = first.score.log + first.drive - np.log(TIE)
     found: list[frozenset[Key]] = []
     for row in rows:
         new = row.keys - shared
         rival = new and key not in row.keys and not row.ended & new
-        simple = len(row.score.members) <= numbers + MORE_NUMBERS
-        fits = row.score.fit + row.drive > own - np.log(TIE)
-        if rival and simple and fits and not any(one <= new for one in found):
+        near = row.score.log + row.drive > least
+        special = any(library.contains(other, key) for other in new)
+        if rival and near and not special and not any(one <= new for one in found):
             found.append(new)
     return tuple(found)
 
