@@ -281,8 +281,9 @@ VISIBLE = DEFAULT.certain**2
 NAMED = 0.5
 # A member of a confusion set is surer than this, without some part of the recordings.
 POSSIBLE = 0.3
-# Sets that are less probable by a smaller factor are not told apart by the data.
-TIE = 4.0
+# Sets that are less probable by a smaller factor are not told apart by the data. What resists a
+# drive has so many numbers: inertia, dry and viscous friction.
+TIE, RESISTING = 4.0, 3
 # No law is quite the machine's: within this share of a departure two directions are alike, and
 # sizes may be off.
 LAW = 0.25

@@ -20,6 +20,8 @@ from leglab.diagnosis.plant.model import Change
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.thresholds import BLOWN, DEFAULT, LOUDER
 
+# Effect that scales what a drive pushes with.
+DRIVE_GAIN = "actuator_gain"
 # An unknown, and by how much it moves at once, in trials.
 Jump = tuple[int, float]
 
@@ -107,7 +109,7 @@ class Errors:
                 one.
         """
         problem = self.problem
-        gain = ("actuator_gain", louder or "")
+        gain = (DRIVE_GAIN, louder or "")
         scaled = gain in problem.library.sites
         if scaled:
             own = hypothesis.get(gain, problem.library.sites[gain].nominal)

@@ -17,7 +17,7 @@ from scipy.stats import norm
 
 from leglab.diagnosis.effects.base import all_effects
 from leglab.diagnosis.effects.hypothesis import Key
-from leglab.diagnosis.likelihood.columns import Errors
+from leglab.diagnosis.likelihood.columns import DRIVE_GAIN, Errors
 from leglab.diagnosis.result import Verdict
 from leglab.diagnosis.search.healthy import Specimen
 from leglab.diagnosis.thresholds import (
@@ -27,6 +27,7 @@ from leglab.diagnosis.thresholds import (
     LIBRARY_ODDS,
     NAMED,
     POSSIBLE,
+    RESISTING,
     TIE,
     VISIBLE,
 )
@@ -153,17 +154,21 @@ def _stands(sets: Sets, row: Row, key: Key, impostor: tuple[float, float]) -> fl
 
 
 def _ties(rows: Sequence[Row], first: Row, key: Key) -> tuple[frozenset[Key], ...]:
-    """Sets without an effect that are nearly as probable as the best one with it, in both ways.
+    """Sets without an effect that the data do not tell from the best one with it, in both ways.
 
+    They are nearly as probable. A drive that pushes less and a joint that resists more move alike
+    whatever the motion: there a set that fits as well is a rival however simple the other one is.
     What holds the effect as a special case always fits as well, and says nothing against it.
     """
     library, shared = first.evidence.unknowns.library, first.keys - {key}
-    least = first.score.log + first.drive - np.log(TIE)
+    numbers = len(first.score.members) - 1 + RESISTING
     found: list[frozenset[Key]] = []
     for row in rows:
-        new = row.keys - shared
+        new, ahead = row.keys - shared, first.drive - row.drive - np.log(TIE)
         rival = new and key not in row.keys and not row.ended & new
-        near = row.score.log + row.drive > least
+        near = row.score.log > first.score.log + ahead
+        if key[0] == DRIVE_GAIN and len(row.score.members) <= numbers:
+            near |= row.score.fit > first.score.fit + ahead
         special = any(library.contains(other, key) for other in new)
         if rival and near and not special and not any(one <= new for one in found):
             found.append(new)
