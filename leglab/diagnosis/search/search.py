@@ -137,8 +137,8 @@ def search(
     nothing = _of(evidence, evidence.score(()))
     worth = ranked[0].log - nothing.promise
     tried: set[frozenset[int]] = {frozenset()}
-    # Beside what explains everything only what promises nearly as much is a rival; near noise first
-    # order is exact, and nothing is one only what promises more.
+    # Beside what explains everything only what promises nearly as much is a rival, or is simpler:
+    # far from the base first order errs. Near noise it is exact, and a rival promises more.
     room = NEAR + DEFAULT.smaller_share * worth
     least = nothing.promise if clear else -np.inf
     fewest = 0 if clear else len(u)

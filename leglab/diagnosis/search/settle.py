@@ -257,6 +257,7 @@ class Fitter:
                 # As explanations get better, errors are worth more numbers.
                 kappa = 1.0 / max(evidence.design_effect(score), 1.0)
             if turn + 1 >= STIFF_TURNS and self.level(point.errors) > give_up:
+                # Machines depart, and may make up for it.
                 there = self.evidence(point.columns, spread, weight, kappa)
                 ahead = self.level(there.left(there.score([(q, None) for q in members])))
                 if ahead > give_up:
