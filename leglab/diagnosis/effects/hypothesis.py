@@ -162,7 +162,8 @@ class Library:
     def contains(self, larger: Key, simpler: Key) -> bool:
         """Whether an effect has another, at the same joint, as a special case."""
         joints = {self._driven.get(element, (element,))[0] for _, element in (larger, simpler)}
-        return simpler[0] in self.sites[larger].effect.contains and len(joints) == 1
+        known = larger in self.sites and simpler[0] in self.sites[larger].effect.contains
+        return known and len(joints) == 1
 
     def with_sites(self, sites: Mapping[Key, Site]) -> "Library":
         """The same effects with other parameters."""
