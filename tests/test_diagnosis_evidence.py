@@ -77,18 +77,21 @@ def test_errors_count_by_the_noise_and_the_models_own_error(size):
         assert not roots[:, n:].any()
 
 
-@pytest.mark.parametrize("left_out", [None, 2])
-def test_evidence_of_nothing_is_that_of_one_normal_density(left_out):
-    """With all parts of the recordings, and without one of them."""
+@pytest.mark.parametrize(("left_out", "spread"), [(None, None), (2, None), (None, 1), (2, 1)])
+def test_evidence_of_nothing_is_that_of_one_normal_density(left_out, spread):
+    """With all parts of the recordings or without one, with all spreads of machines or one."""
     found = evidence()
     windows = np.ones(found.part.size, dtype=bool) if left_out is None else found.part != left_out
-    score = found.score(()) if left_out is None else found.apart(())[left_out]
+    whole = left_out is None
+    score = found.score((), spread=spread) if whole else found.apart((), spread)[left_out]
+    deviations = found.priors.spreads
     grid = [
         dense(found, windows, size, deviation) + prior
         for size, prior in zip(found.priors.sizes, found.priors.log_sizes, strict=True)
-        for deviation in found.priors.spreads
+        for deviation in (deviations if spread is None else deviations[spread : spread + 1])
     ]
     assert score.log == pytest.approx(np.logaddexp.reduce(grid), rel=1e-8)
+    assert score.fit == pytest.approx(score.log)
 
 
 def test_a_step_meets_the_bend_that_a_replay_showed():
