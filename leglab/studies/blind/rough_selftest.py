@@ -123,8 +123,11 @@ class RoughOutcome:
     @property
     def claims(self) -> tuple[tuple[str, float], ...]:
         """Names with their confidence, in the order of the diagnosis."""
-        effects = self.diagnosis.get("effects", ())
-        return tuple((e["name"], float(e.get("confidence") or 0.0)) for e in effects)
+        return tuple((e["name"], float(e.get("confidence") or 0.0)) for e in self._told)
+
+    @property
+    def _told(self) -> list[dict[str, Any]]:
+        return [*self.diagnosis.get("effects", ()), *self.diagnosis.get("smaller", ())]
 
     @property
     def first(self) -> str:
@@ -137,8 +140,8 @@ class RoughOutcome:
 
     def named(self, effect: str) -> bool:
         """Whether an effect is among the names, or not told apart from one of them."""
-        effects = self.diagnosis.get("effects", ())
-        return any(effect in (e["name"], *e.get("indistinguishable_from", ())) for e in effects)
+        told = self._told
+        return any(effect in (e["name"], *e.get("indistinguishable_from", ())) for e in told)
 
     def wrong(self, confidence: float = DOUBT) -> bool:
         """Whether a name that is not there has more than this confidence, whatever the verdict."""
@@ -161,7 +164,7 @@ class RoughOutcome:
         """For each right name with a known true value: whether its interval holds it."""
         found = []
         for effect, (parameter, value) in zip(self.hidden, self.severities, strict=True):
-            for e in self.diagnosis.get("effects", ()):
+            for e in self._told:
                 estimate = e["parameters"].get(parameter) if e["name"] == effect else None
                 if estimate and None not in estimate["interval"]:
                     low, high = estimate["interval"]

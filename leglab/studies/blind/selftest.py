@@ -101,7 +101,7 @@ class Outcome:
         hidden: Effects that were there.
         severities: "parameter=value" of each.
         verdict: Of the diagnosis.
-        named: Effects that it names, first the one that contributes most.
+        named: Effects that it names, first the one that contributes most; smaller ones as well.
         alternatives: Effects that each is not told apart from.
         confidence: Of each.
         covered: For each parameter whose true value is known: whether its interval holds it.
@@ -217,10 +217,11 @@ def run_case(case: Case, seed: int) -> Outcome:
     result, _ = diagnose(
         MODEL, recordings, held_out=held_out_choice(recordings, Machine(MODEL)), settings=settings
     )
+    told = [effect for effect, _ in result.all_effects]
     covered = [
         p.interval[0] <= hidden.value <= p.interval[1]
         for name, hidden in zip(case.effects, severities, strict=True)
-        for e in result.effects
+        for e in told
         for p in e.parameters
         if (e.name, p.name) == (name, hidden.parameter)
     ]
@@ -230,14 +231,12 @@ def run_case(case: Case, seed: int) -> Outcome:
         hidden=case.effects,
         severities=tuple(f"{s.parameter}={s.value:.4g}" for s in severities),
         verdict=result.verdict,
-        named=tuple(e.name for e in result.effects),
-        alternatives=tuple(e.indistinguishable_from for e in result.effects),
-        confidence=tuple(e.confidence for e in result.effects),
+        named=tuple(e.name for e in told),
+        alternatives=tuple(e.indistinguishable_from for e in told),
+        confidence=tuple(e.confidence for e in told),
         covered=tuple(covered),
-        onsets=tuple(t for e in result.effects for _, t in e.onset),
-        onset_intervals=tuple(
-            (low, high) for e in result.effects for _, low, high in e.onset_interval
-        ),
+        onsets=tuple(t for e in told for _, t in e.onset),
+        onset_intervals=tuple((low, high) for e in told for _, low, high in e.onset_interval),
         before=result.gap.before,
         after=result.gap.after,
         seconds=perf_counter() - began,
