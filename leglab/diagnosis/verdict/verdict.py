@@ -35,7 +35,7 @@ from leglab.diagnosis.result import (
 from leglab.diagnosis.search.healthy import Specimen
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, searched
 from leglab.diagnosis.search.search import Found
-from leglab.diagnosis.thresholds import BEST_SETS, DEFAULT, LAW, NAMED, VISIBLE
+from leglab.diagnosis.thresholds import BEST_SETS, DAY_FACTOR, DEFAULT, LAW, NAMED, VISIBLE
 from leglab.diagnosis.verdict.confidence import Judgement, as_noise
 from leglab.diagnosis.verdict.experiment import propose
 from leglab.diagnosis.verdict.notes import at_limits, notes
@@ -132,14 +132,14 @@ def _told(outcome: Outcome, remarks: Sequence[str], began: float) -> Diagnosis:
     remarks += at_limits(problem.library, {key: final[key] for key in outcome.named})
     held, shown, unnamed, compared = problem.judged, problem.judged, math.nan, None
     if outcome.named:
-        if _hardly_shows(outcome):
+        without = problem.noise_levels(outcome.unnamed)
+        if _hardly_shows(outcome, without, floors):
             # A slow motion that nobody fitted cannot tell what a fast one would show.
             shown = np.ones_like(held)
             remarks.append(
                 "the held-out recordings hardly show what is named: the share explained is that "
                 "over all recordings"
             )
-        without = problem.noise_levels(outcome.unnamed)
         unnamed = rms(without[held])
         compared = rms(without[shown]), levels(shown)["after"], rms(floors[shown])
     gap = Gap(
@@ -172,9 +172,16 @@ def _told(outcome: Outcome, remarks: Sequence[str], began: float) -> Diagnosis:
     )
 
 
-def _hardly_shows(outcome: Outcome) -> bool:
-    """Whether effects move the predictions far less in the windows that are judged than in all."""
+def _hardly_shows(outcome: Outcome, without: np.ndarray, floors: np.ndarray) -> bool:
+    """Whether effects move the predictions far less in the windows that are judged than in all.
+
+    Or errors without the effects are as large there as a healthy specimen's may be on another day.
+    Arguments are mean squares of windows, (windows,).
+    """
     problem = outcome.about
+    healthy = math.exp(DAY_FACTOR) * rms(floors[problem.judged])
+    if outcome.specimen and rms(without[problem.judged]) <= healthy:
+        return True
     change = problem.raw_errors(outcome.unnamed) - problem.raw_errors(outcome.final)
     square = np.mean(whitened(problem.noise.whitening, change) ** 2, axis=1)
     shows = square > max(1.0, problem.thresholds.shown_share * float(np.median(square)))
