@@ -184,7 +184,8 @@ def _sized(p: EffectParameter, size: float, seen: Shown) -> EffectParameter:
     period = seen.period if p.unit == "s" else 0.0
     least = max(TRIALS[0] * size, 2.0 * period)
     steps = [least * t / TRIALS[0] for t in TRIALS]
-    far = size
+    # Forces on a joint, or what they are over, add up to the sum of drive, weight and inertia.
+    far = 3.0 * size if "N" in p.unit or "kg" in p.unit else size
     if p.unit == "s":
         far = min(max(seen.correlation, steps[-1]), LONGEST_DELAY)
         steps = sorted({*(t for t in steps if t < far), TRIALS[-1] * far})
