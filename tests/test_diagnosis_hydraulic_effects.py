@@ -72,6 +72,14 @@ def test_each_direction_of_the_valve_has_its_gain(machine, gains):
         assert after == pytest.approx(gain * before, rel=2e-3)
 
 
+def test_one_gain_of_a_valve_is_a_special_case_of_two_on_the_same_valve(machine):
+    contains = Library(machine).contains
+    assert contains(("valve_gain_asymmetry", VALVE), ("valve_gain", VALVE))
+    assert not contains(("valve_gain", VALVE), ("valve_gain_asymmetry", VALVE))
+    # What all like parts share has no element.
+    assert not contains(("valve_gain_asymmetry", "every"), ("valve_gain", VALVE))
+
+
 @pytest.mark.parametrize("damping", [0.7, 2.0, 5.0])
 def test_a_slow_valve_is_told_by_its_lag(machine, damping):
     """On a slow ramp the spool is 2 zeta / w late, whatever the damping."""

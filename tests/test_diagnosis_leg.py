@@ -119,6 +119,24 @@ def test_no_spring_is_tried_that_pushes_harder_than_anything_recorded():
     assert tried >= 4
 
 
+def test_bounds_reach_what_recordings_allow_and_rests_the_whole_travel():
+    """Friction may take drive, weight and inertia together; a spring may rest beyond the motion."""
+    found = problem("leg_rail", {"one": recording("leg_rail", 1, duration=2.0)})
+    seen = shown(found)
+    given = Library(found.machine)
+    sites = sized(given, found.machine, seen).sites
+    rests = [key for key in sites if key[0] == "spring_offset"]
+    forces = [key for key in sites if key[0] == "force_offset"]
+    assert rests
+    assert forces
+    for key in rests:
+        own, travel = sites[key].parameters[0], given.sites[key].parameters[0]
+        assert (own.lower, own.upper) == (travel.lower, travel.upper)
+    for key in forces:
+        largest = seen.joints[key[1]].force
+        assert sites[key].parameters[0].upper == pytest.approx(3.0 * largest)
+
+
 def test_windows_start_at_the_supply_pressure_of_that_moment():
     """Six valves on one pump: it falls by several bar, which no column of the diagnosis says."""
     one = recording("leg", 1)

@@ -357,9 +357,10 @@ class Evidence:
                 + np.log(np.abs(unit)).sum()
                 + log_fault(u, np.array([q for q, _ in members]), values).sum(axis=2)
             )
-        grid = own.base - 0.5 * square + log_members + self._odds([q for q, _ in members])
+        fits = own.base - 0.5 * square
         if spread is not None:
-            grid[:, np.arange(grid.shape[1]) != spread] = -np.inf
+            fits[:, np.arange(fits.shape[1]) != spread] = -np.inf
+        grid = fits + log_members + self._odds([q for q, _ in members])
         k, o = np.unravel_index(int(np.argmax(grid)), grid.shape)
         step = steps[k, o]
         along = np.zeros(self.gram.shape[1])
@@ -368,7 +369,7 @@ class Evidence:
         return Score(
             members=members,
             log=float(logsumexp(grid)),
-            fit=float(logsumexp(own.base - 0.5 * square, b=np.isfinite(grid))),
+            fit=float(logsumexp(fits)),
             size=self.places[k],
             spread=int(o),
             values=values[k, o],

@@ -19,6 +19,9 @@ from leglab.diagnosis.replay.lacking import accelerations
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.thresholds import LONGEST_DELAY, TOP_QUANTILE, TRIALS
 
+# Of forces on a joint: of the drive, of gravity and the like, of inertia. `Motion` has the largest.
+_KINDS = 3
+
 
 @dataclass(frozen=True)
 class Motion:
@@ -184,8 +187,8 @@ def _sized(p: EffectParameter, size: float, seen: Shown) -> EffectParameter:
     period = seen.period if p.unit == "s" else 0.0
     least = max(TRIALS[0] * size, 2.0 * period)
     steps = [least * t / TRIALS[0] for t in TRIALS]
-    # Forces on a joint, or what they are over, add up to the sum of drive, weight and inertia.
-    far = 3.0 * size if "N" in p.unit or "kg" in p.unit else size
+    # Drive, weight and inertia add up: what takes all of them takes so many times the largest.
+    far = _KINDS * size if p.unit.startswith(("N", "kg")) else size
     if p.unit == "s":
         far = min(max(seen.correlation, steps[-1]), LONGEST_DELAY)
         steps = sorted({*(t for t in steps if t < far), TRIALS[-1] * far})
