@@ -164,7 +164,11 @@ FAULT_ODDS = 0.3
 # Good machines depart from their model by such standard deviations, in smallest trials: nobody
 # knows which. What is noticed is five times what the roughest of them differ by: wider ones take a
 # fault for many small departures.
-SPREADS = (0.05, 0.1, 0.2)
+SPREADS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
+ROUGHEST = 0.2
+# Beside a large fault all else departs further, by this share of it: its law is off by as much as
+# good models leave of the forces of a good machine, 2 to 7 %.
+BESIDE = 0.05
 # The model's own error has such sizes beside what a set leaves: 0 is an exact model.
 SIZES = (0.0, 0.03, 0.1, 0.2, 0.35, 0.6, 1.0, 1.5)
 # Where a tolerance is known it holds at the least spread of all else, and grows with it from half

@@ -137,6 +137,12 @@ class Library:
         shortest: float = 0.0,
     ) -> None:
         self._driven = machine.driven
+        # Of cylinders on their joints [m, or 1 on a slide].
+        self._levers = {
+            cylinder: abs(machine.moment(cylinder, joint))
+            for cylinder in machine.cylinders
+            for joint in machine.driven[cylinder][:1]
+        }
         self.specimen = dict(specimen or {})
         self.sites: dict[Key, Site] = {}
         searched: set[Key] = set()
@@ -164,6 +170,21 @@ class Library:
         joints = {self._driven.get(element, (element,))[0] for _, element in (larger, simpler)}
         known = larger in self.sites and simpler[0] in self.sites[larger].effect.contains
         return known and len(joints) == 1
+
+    def as_simpler(self, larger: tuple[Key, int], simpler: tuple[Key, int]) -> float:
+        """Factor by which a parameter of an effect is one of another that it contains.
+
+        Both as effect and number of the parameter; 0 where the one is not the other. What acts on
+        a joint acts on its cylinder by the lever, and what goes with the speed by its square.
+        """
+        if not self.contains(larger[0], simpler[0]) or larger[0] == simpler[0]:
+            return 0.0
+        units = [self.sites[key].parameters[i].unit for key, i in (larger, simpler)]
+        first, second = (unit.replace("N m", "N").replace("rad", "m") for unit in units)
+        if first != second:
+            return 0.0
+        lever = self._levers.get(simpler[0][1], 1.0) / self._levers.get(larger[0][1], 1.0)
+        return float(lever ** -(2.0 if "s/" in first else 1.0))
 
     def with_sites(self, sites: Mapping[Key, Site]) -> "Library":
         """The same effects with other parameters."""

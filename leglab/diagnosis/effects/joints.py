@@ -54,10 +54,9 @@ def gravity(machine: Machine, joint: str) -> float:
 
 def drive_damping(machine: Machine, joint: str) -> float:
     """Viscous friction that acts on a joint [N m s/rad or N s/m]: its own and its cylinders'."""
-    total, dof = native(machine, joint, "damping"), machine.base.model.joint(joint).dofadr[0]
+    total = native(machine, joint, "damping")
     for cylinder in machine.cylinders:
-        lever = float(machine.moments[machine.actuators.index(cylinder), dof])
-        total += machine.parameter(cylinder, "viscous") * lever**2
+        total += machine.parameter(cylinder, "viscous") * machine.moment(cylinder, joint) ** 2
     return total
 
 

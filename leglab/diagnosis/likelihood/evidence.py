@@ -358,8 +358,10 @@ class Evidence:
                 + log_fault(u, np.array([q for q, _ in members]), values).sum(axis=2)
             )
         fits = own.base - 0.5 * square
+        usual = self.priors.usual(np.abs(values).max(axis=2, initial=0.0))
         if spread is not None:
-            fits[:, np.arange(fits.shape[1]) != spread] = -np.inf
+            usual[:, np.arange(fits.shape[1]) != spread] = False
+        fits[~usual] = -np.inf
         grid = fits + log_members + self._odds([q for q, _ in members])
         k, o = np.unravel_index(int(np.argmax(grid)), grid.shape)
         step = steps[k, o]

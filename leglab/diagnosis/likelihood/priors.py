@@ -8,9 +8,11 @@ from scipy.linalg import cho_factor, cho_solve
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.thresholds import (
     ABSENT,
+    BESIDE,
     FAULT_ODDS,
     FAULT_SIZE,
     NO_FAULT,
+    ROUGHEST,
     SHAPE_SPREAD,
     SIZES,
     SPREADS,
@@ -25,7 +27,7 @@ class Priors:
     Attributes:
         spreads: Standard deviations of good machines about the specimen, in smallest trials, all
             as probable; of parameters with a tolerance, that tolerance, and more on machines that
-            depart more.
+            depart more. Those beyond the roughest machines' hold beside a large fault alone.
         tolerances: Share of the tolerances that counts.
         covariance: Of all single unknowns, by healthy recordings, (single, single); None without.
         sizes: Of the model's own error in its unit size; 0 is an exact model.
@@ -42,6 +44,11 @@ class Priors:
     def calibrated(self) -> bool:
         """Whether healthy recordings say how the specimen was and how far the model misses it."""
         return self.covariance is not None
+
+    def usual(self, largest: np.ndarray | float = 0.0) -> np.ndarray:
+        """Mask of the spreads beside a fault of `largest` trials, (..., spreads)."""
+        most = np.maximum(ROUGHEST, BESIDE * np.asarray(largest))
+        return np.asarray(np.array(self.spreads) <= most)
 
     def precision(self, unknowns: Unknowns, spread: float) -> tuple[np.ndarray, float]:
         """Prior precision of the single unknowns, (single, single), and its log determinant."""

@@ -151,6 +151,11 @@ class Machine:
         """Value of a plugin parameter in the unmodified model."""
         return float(self.base.plugin_state[self.base.slot(element, name)])
 
+    def moment(self, actuator: str, joint: str) -> float:
+        """Of an actuator on a joint near qpos0 [m, or 1 on a slide]."""
+        dof = self.base.model.joint(joint).dofadr[0]
+        return float(self.moments[self.actuators.index(actuator), dof])
+
     def instance_on(self, plugin: str, attribute: str, target: str) -> str | None:
         """Name of a plugin's first instance on a target, a "joint" or "actuator" by `attribute`."""
         of_it = (one for one in self._spec.plugins if one.plugin_name == plugin)

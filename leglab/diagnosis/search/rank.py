@@ -215,19 +215,18 @@ def both_ways(
     Returns:
         Departures of its members; None where the set has no such effect.
     """
-    sites, value = u.library.sites, dict(zip(members, values, strict=True))
+    value = dict(zip(members, values, strict=True))
     for q in members:
         key, place = u.places[q][0]
         for pair in u.effect(q).by_direction:
             both = [i for i in members if u.places[i][0][0] == key and u.name(i) in pair]
             if len(both) < 2 or q not in both:
                 continue
-            unit = sites[key].parameters[place].unit
             mean = float(np.mean([value[i] * u.scale[i] for i in both]))
             for i in range(u.single):
-                other, j = u.places[i][0]
-                alike = other != key and u.library.contains(key, other) and u.nameable[i]
-                if alike and sites[other].parameters[j].unit == unit:
+                if u.effect(i).by_direction or not u.nameable[i]:
+                    continue
+                if factor := u.library.as_simpler((key, place), u.places[i][0]):
                     kept = {m: float(value[m]) for m in members if m not in both}
-                    return {**kept, i: mean / u.scale[i]}
+                    return {**kept, i: kept.get(i, 0.0) + factor * mean / u.scale[i]}
     return None

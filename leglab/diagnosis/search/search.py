@@ -280,7 +280,7 @@ def _wanted(evidence: Evidence, ranked: Sequence[Score]) -> list[Proposal]:
         picked.setdefault(keys(score), score)
     # What leads where the model is exact: its own error, as estimated while something is missing,
     # has that one's shape and hides it.
-    widest = len(evidence.priors.spreads) - 1
+    widest = int(evidence.priors.usual().sum()) - 1
     shift = evidence.whole.follow(0, widest, np.eye(1, evidence.gram.shape[1])[0])
     exact = replace(evidence.score(()), size=evidence.places[0], spread=widest, shift=shift)
     for _, member in evidence.additions(exact)[:EACH_WAY]:

@@ -136,6 +136,8 @@ class Sets:
             tries.append((score, None, there, led, 0.0))
         for spread in range(len(evidence.priors.spreads) if fitted else 0):
             score = evidence.score(chosen, spread=spread)
+            if not np.isfinite(score.log):  # no machine departs so far beside such faults
+                continue
             precision, _ = evidence.priors.precision(u, evidence.priors.spreads[spread])
             stays = columns.x[:n].copy()
             for q in score.unknowns:  # members depart as far as the fit did
