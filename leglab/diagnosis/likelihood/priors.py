@@ -46,8 +46,12 @@ class Priors:
         return self.covariance is not None
 
     def usual(self, largest: np.ndarray | float = 0.0) -> np.ndarray:
-        """Mask of the spreads beside a fault of `largest` trials, (..., spreads)."""
-        most = np.maximum(ROUGHEST, BESIDE * np.asarray(largest))
+        """Mask of the spreads beside a fault of `largest` trials, (..., spreads).
+
+        Without healthy recordings a rough machine would buy its own departures by any large fault.
+        """
+        share = BESIDE if self.calibrated else 0.0
+        most = np.maximum(ROUGHEST, share * np.asarray(largest))
         return np.asarray(np.array(self.spreads) <= most)
 
     def precision(self, unknowns: Unknowns, spread: float) -> tuple[np.ndarray, float]:
