@@ -80,6 +80,29 @@ def test_one_gain_of_a_valve_is_a_special_case_of_two_on_the_same_valve(machine)
     assert not contains(("valve_gain_asymmetry", "every"), ("valve_gain", VALVE))
 
 
+@pytest.mark.parametrize(("simple", "first"), [("viscous_friction", 0), ("coulomb_friction", 2)])
+def test_friction_alike_in_both_directions_of_a_joint_is_that_of_its_cylinder(
+    healthy, simple, first
+):
+    recordings = healthy(lambda plant: None)
+    joint, seal = ("asymmetric_friction", "knee"), (simple, VALVE)
+    effects = joint[0], "viscous_friction", "coulomb_friction"
+    settings = DiagnosisSettings(effects=effects, threads=1)
+    problem = set_up("knee_bench", recordings, (), settings)
+    library = problem.library
+    factor = library.as_simpler((joint, first), (seal, 0))
+    both = np.zeros(4)
+    both[first : first + 2] = 2.0
+    nominal = library.sites[seal].nominal
+    models = Hypothesis(), Hypothesis({joint: both}), Hypothesis({seal: nominal + 2.0 * factor})
+    without, *moved = (problem.raw_errors(h)[:, 0] for h in models)
+    joints, seals = (errors - without for errors in moved)
+    # The lever changes over the stroke.
+    assert float((seals * joints).sum() / (joints**2).sum()) == pytest.approx(1.0, abs=0.25)
+    other = "coulomb_friction" if first == 0 else "viscous_friction"
+    assert library.as_simpler((joint, first), ((other, VALVE), 0)) == 0.0
+
+
 @pytest.mark.parametrize("damping", [0.7, 2.0, 5.0])
 def test_a_slow_valve_is_told_by_its_lag(machine, damping):
     """On a slow ramp the spool is 2 zeta / w late, whatever the damping."""
