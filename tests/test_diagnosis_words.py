@@ -115,6 +115,21 @@ def test_a_sure_effect_is_told_apart_from_one_that_has_rivals(since):
     assert told.endswith(": valve deadband or stiction at knee_valve.")
 
 
+def test_one_cause_of_several_joints_is_told_once():
+    one = diagnosis("confusion_set")
+    legs = tuple(
+        replace(one.effects[0], name="viscous_friction", element=joint)
+        for joint in ("hip", "thigh", "calf")
+    )
+    told = headline(replace(one, effects=legs))
+    assert told.endswith(": viscous friction or stiction at hip, thigh and calf.")
+    sure = dict(facts(replace(one, effects=legs)))["How sure"]
+    assert sure.startswith("Viscous friction at hip ")
+    alone = replace(legs[0], indistinguishable_from=())
+    told = headline(replace(one, effects=(alone,)))
+    assert told.endswith("do not pin down: perhaps viscous friction at hip.")
+
+
 def test_a_constant_force_is_told_with_the_friction_beside_which_it_explains():
     one = diagnosis("confusion_set")
     rivals = ("coulomb_friction", "force_offset", "viscous_friction")

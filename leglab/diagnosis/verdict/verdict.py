@@ -229,7 +229,9 @@ def _effects(
                 contribution=float(np.clip(contribution, 0.0, 1.0)),
                 parameters=estimates[: len(site.parameters)],
                 differences=estimates[len(site.parameters) :],
-                indistinguishable_from=tuple(k[0] for k in judged.confusion if k != key),
+                indistinguishable_from=tuple(
+                    dict.fromkeys(k[0] for k in judged.confusion if k not in (key, told))
+                ),
                 without=rms(without[problem.judged]),
             )
         )

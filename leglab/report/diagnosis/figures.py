@@ -137,7 +137,7 @@ def overlay_picture(result: Diagnosis) -> CaptionedFigure | None:
     return CaptionedFigure(
         name="overlay",
         figure=figure,
-        caption=f"Simulations of {length:g} s from a measured start, driven by the measured "
+        caption=f"Simulations of {length:.3g} s from a measured start, driven by the measured "
         f"command, in recordings{kept}; positions from where the window starts. Worst and median "
         f"are by the error of {readable(channels[0])} at the end. Numbers: error at the end, "
         "before and after.",

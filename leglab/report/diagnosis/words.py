@@ -59,14 +59,19 @@ def headline(result: Diagnosis) -> str:
             return f"Changed since the healthy recordings: {found}."
         return f"The simulation is missing: {found}."
     if result.verdict == "confusion_set":
-        sets, sure = [], []
+        sets, sure = dict[tuple[str, ...], list[str]](), []
         for effect in result.effects:
             if not effect.indistinguishable_from:
                 sure.append(_at(effect))
                 continue
             names = (readable(effect.name), *_alternatives(effect))
-            sets.append(f"{listed(names, 'or')} at {effect.element}")
-        told = "; and ".join(sets)
+            sets.setdefault(tuple(dict.fromkeys(names)), []).append(effect.element)
+        told = "; and ".join(
+            f"{listed(names, 'or')} at {listed(tuple(elements))}"
+            for names, elements in sets.items()
+        )
+        if not sets:  # one that is possible and not probable
+            told, sure = f"perhaps {listed(tuple(sure))}", []
         if since:
             also = f": {listed(tuple(sure))}, and one of these" if sure else ", one of these"
             return f"Changed since the healthy recordings{also}: {told}."
@@ -278,7 +283,7 @@ def _fitted(effect: NamedEffect, nominal: str) -> str:
 
 def _confidence(effect: NamedEffect, *, alone: bool) -> str:
     told = f"{percent(effect.confidence)} that the name is right"
-    return told if alone else f"{readable(effect.name)} {percent(effect.confidence)}"
+    return told if alone else f"{_at(effect)} {percent(effect.confidence)}"
 
 
 def _gap_of(result: Diagnosis) -> str:
