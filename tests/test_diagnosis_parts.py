@@ -333,13 +333,14 @@ def a_gap(**levels):
     return Gap(**given)
 
 
-def test_explained_is_the_share_of_what_the_healthy_machine_did_not_show():
-    assert a_gap(unnamed=10.0, after=4.0, healthy=4.0).explained == 1.0
-    assert a_gap(unnamed=10.0, after=7.0, healthy=4.0).explained == pytest.approx(0.5)
+def test_explained_is_the_share_of_what_noise_or_the_healthy_machine_did_not_show():
     assert a_gap(unnamed=10.0, after=4.0).explained == pytest.approx(6.0 / 9.0)
-    assert a_gap(unnamed=10.0, after=3.0, healthy=4.0).explained == 1.0
-    assert a_gap(unnamed=10.0, after=11.0, healthy=4.0).explained == 0.0
-    assert a_gap(unnamed=4.0, after=4.0, healthy=4.0).explained is None
+    assert a_gap(unnamed=10.0, after=0.9).explained == 1.0
+    assert a_gap(unnamed=10.0, after=11.0).explained == 0.0
+    # Noise levels do not count where errors of the healthy machine do.
+    as_healthy = a_gap(unnamed=10.0, after=9.0, healthy=9.0, compared=(5.0, 2.0, 1.0))
+    assert as_healthy.explained == pytest.approx(0.75)
+    assert a_gap(unnamed=10.0, after=9.0, compared=(1.0, 1.0, 1.0)).explained is None
     assert a_gap(after=4.0).explained is None
 
 

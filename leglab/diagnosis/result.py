@@ -148,8 +148,9 @@ class Gap:
     Attributes:
         healthy: Error that the calibrated specimen had in its healthy recordings; None without any.
         unnamed: Error of the final fit without the named effects; NaN where there are none.
-        compared: As `shown`, over all recordings where those held out hardly show what is named;
-            None for `unnamed`, `after` and what `healthy` or noise gives.
+        compared: As `shown`, in errors that noise and the healthy specimen have, and over all
+            recordings where those held out hardly show what is named; None for `unnamed`, `after`
+            and what noise gives.
     """
 
     metric: str = "normalised replay error"
@@ -165,7 +166,7 @@ class Gap:
     @property
     def shown(self) -> tuple[float, float, float]:
         """Errors without the named effects and with them, and what is no part of the gap."""
-        return self.compared or (self.unnamed, self.after, self.healthy or self.noise_floor)
+        return self.compared or (self.unnamed, self.after, self.noise_floor)
 
     @property
     def explained(self) -> float | None:

@@ -161,6 +161,14 @@ class Problem:
         other.noise = self._noise_model(change, self.replay.error(change).values, fine - errors)
         return other
 
+    def beside(self, own: np.ndarray) -> "Problem":
+        """The same where errors of some covariance count as noise, (recordings, size, size)."""
+        other, recording = copy(self), self.replay.recording
+        noise = self.noise.covariance(np.ones(self.replay.windows, dtype=bool))
+        whitening = inverse_roots(noise + own[recording])
+        other.noise = NoiseModel(defect=self.noise.defect, whitening=whitening)
+        return other
+
     def _noise_model(self, change: Change, reference: np.ndarray, finer: np.ndarray) -> NoiseModel:
         """Noise model about a change.
 

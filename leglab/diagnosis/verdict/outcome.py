@@ -81,6 +81,12 @@ class Outcome:
         """What is left of the told set without the told effects; nothing where none is told."""
         return self.final.without(*self.named) if self.named else Hypothesis()
 
+    @property
+    def compared(self) -> Problem:
+        """The same as `about` where errors as the healthy specimen has them count as noise."""
+        fixed = self.judged.sets.fitter.fixed
+        return self.about.beside(fixed.replays) if fixed else self.about
+
     def floors(self) -> np.ndarray:
         """Mean square that noise, or the healthy specimen, gives in each window, (windows,)."""
         problem = self.problem

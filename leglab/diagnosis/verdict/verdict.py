@@ -130,26 +130,27 @@ def _told(outcome: Outcome, remarks: Sequence[str], began: float) -> Diagnosis:
     )
     remarks = [*remarks, *notes(problem)]
     remarks += at_limits(problem.library, {key: final[key] for key in outcome.named})
-    held, shown, unnamed, compared = problem.judged, problem.judged, math.nan, None
+    held, shown, unnamed, compared = problem.judged, problem.judged, math.nan, outcome.compared
+    shares = None
     if outcome.named:
-        without = problem.noise_levels(outcome.unnamed)
-        if _hardly_shows(outcome, without, floors):
+        unnamed = rms(problem.noise_levels(outcome.unnamed)[held])
+        without = compared.noise_levels(outcome.unnamed)
+        if _hardly_shows(outcome, without):
             # A slow motion that nobody fitted cannot tell what a fast one would show.
             shown = np.ones_like(held)
             remarks.append(
                 "the held-out recordings hardly show what is named: the share explained is that "
                 "over all recordings"
             )
-        unnamed = rms(without[held])
-        compared = rms(without[shown]), levels(shown)["after"], rms(floors[shown])
+        shares = rms(without[shown]), rms(compared.noise_levels(final)[shown]), 1.0
     gap = Gap(
         held_out=tuple(r.name for r in recordings if r.held_out),
         unnamed=unnamed,
-        compared=compared,
+        compared=shares,
         healthy=rms(floors[held]) if outcome.specimen else None,
         **levels(held),
     )
-    verdict, effects, smaller = _effects(outcome, gap, shown)
+    verdict, effects, smaller = _effects(outcome, compared, gap, shown)
     return Diagnosis(
         verdict=verdict,
         effects=effects,
@@ -172,15 +173,14 @@ def _told(outcome: Outcome, remarks: Sequence[str], began: float) -> Diagnosis:
     )
 
 
-def _hardly_shows(outcome: Outcome, without: np.ndarray, floors: np.ndarray) -> bool:
+def _hardly_shows(outcome: Outcome, without: np.ndarray) -> bool:
     """Whether effects move the predictions far less in the windows that are judged than in all.
 
-    Or errors without the effects are as large there as a healthy specimen's may be on another day.
-    Arguments are mean squares of windows, (windows,).
+    Or errors without the effects, `without` (windows,), are as large there as a healthy specimen's
+    may be on another day.
     """
     problem = outcome.about
-    healthy = math.exp(DAY_FACTOR) * rms(floors[problem.judged])
-    if outcome.specimen and rms(without[problem.judged]) <= healthy:
+    if outcome.specimen and rms(without[problem.judged]) <= math.exp(DAY_FACTOR):
         return True
     change = problem.raw_errors(outcome.unnamed) - problem.raw_errors(outcome.final)
     square = np.mean(whitened(problem.noise.whitening, change) ** 2, axis=1)
@@ -189,11 +189,11 @@ def _hardly_shows(outcome: Outcome, without: np.ndarray, floors: np.ndarray) -> 
 
 
 def _effects(
-    outcome: Outcome, gap: Gap, shown: np.ndarray
+    outcome: Outcome, compared: Problem, gap: Gap, shown: np.ndarray
 ) -> tuple[Verdict, tuple[NamedEffect, ...], tuple[NamedEffect, ...]]:
     """Verdict, named effects and smaller differences, the largest contribution first.
 
-    `shown` are the windows that tell what the effects explain.
+    `shown` are the windows that tell what the effects explain, of the problem `compared`.
     """
     judged, problem, final = outcome.judged, outcome.about, outcome.final
     limits = problem.thresholds
@@ -207,8 +207,9 @@ def _effects(
         site = problem.library.sites[key]
         told = key if key in (*judged.named, *judged.confusion) else (key[0], EVERY)
         one = judged.effects[told]
-        without = problem.noise_levels(final.without(key))
-        contribution = (rms(without[shown]) - after) / max(unnamed - floor, 1e-9)
+        contribution = (rms(compared.noise_levels(final.without(key))[shown]) - after) / max(
+            unnamed - floor, 1e-9
+        )
         # Of a set that is not told apart none is surer than not.
         confidence = one.confidence if judged.named else min(one.possible, one.evidence, NAMED)
         if explained < limits.explanation_share:
@@ -232,7 +233,7 @@ def _effects(
                 indistinguishable_from=tuple(
                     dict.fromkeys(k[0] for k in judged.confusion if k not in (key, told))
                 ),
-                without=rms(without[problem.judged]),
+                without=rms(problem.noise_levels(final.without(key))[problem.judged]),
             )
         )
     effects.sort(key=lambda e: -e.contribution)
