@@ -187,9 +187,10 @@ class Library:
         return float(lever ** -(2.0 if "s/" in first else 1.0))
 
     def with_sites(self, sites: Mapping[Key, Site]) -> "Library":
-        """The same effects with other parameters."""
+        """The same effects with other parameters, and other values of the specimen."""
         other = copy(self)
         other.sites = dict(sites)
+        other.specimen = {key: site.own for key, site in sites.items() if site.own is not None}
         return other
 
     def neutral(self) -> Hypothesis:

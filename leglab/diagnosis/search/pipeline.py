@@ -23,7 +23,7 @@ from leglab.diagnosis.replay.windows import channels
 from leglab.diagnosis.search.healthy import Specimen, calibrate
 from leglab.diagnosis.search.onset import onset_of
 from leglab.diagnosis.search.search import Found, search
-from leglab.diagnosis.thresholds import DEFAULT, Thresholds
+from leglab.diagnosis.thresholds import DEFAULT, NO_FAULT, Thresholds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,7 +177,14 @@ def _sized(problem: Problem, seen: Shown) -> Problem:
                 else p
                 for p in site.parameters
             )
-            sites[key] = replace(site, parameters=parameters)
+            own = site.own
+            if own is not None:
+                ours = zip(parameters, own.tolist(), strict=True)
+                if any(p.role == "strength" and p.departure(v, p.nominal) >= NO_FAULT for p, v in ours):
+                    continue
+                # What a specimen hardly has has no shape there.
+                own = np.array([p.nominal for p in parameters])
+            sites[key] = replace(site, parameters=parameters, own=own)
     other = copy(problem)
     other.library = problem.library.with_sites(sites)
     return other
