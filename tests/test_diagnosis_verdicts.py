@@ -186,6 +186,13 @@ CASES = {
     "rough, pulled": replace(OFF, truth=PULLED),
     "rough, as before": replace(OFF, healthy=ROUGH),
     "rough, pulled since": replace(OFF, truth=PULLED, healthy=ROUGH),
+    "toothed since": replace(
+        OFF,
+        effects="cogging force_offset",
+        truth=replace(ROUGH, ripple=(0.4, 0.3, 0.5)),
+        healthy=ROUGH,
+        seconds=6.0,
+    ),
 }
 NAMED = {
     "offset": {"force_offset": ("force", 0.5)},
@@ -542,6 +549,15 @@ def test_what_a_machine_has_had_before_is_no_part_of_the_gap():
     assert since.gap.after > 3.0
     assert since.gap.shown[1] < 1.5
     assert {r[0] for r in since.calibration.recordings} == {HELD_OUT, "stairs"}
+
+
+def test_a_wave_that_came_since_has_its_own_period():
+    """The healthy recordings show no wave, and any period fits that."""
+    (effect,) = told("toothed since").effects
+    assert effect.name == "cogging"
+    assert effect.confidence > 0.8
+    (period,) = (p.value for p in effect.parameters if p.name == "period")
+    assert period == pytest.approx(0.3, rel=0.03)
 
 
 def test_a_machine_that_errs_as_it_did_lacks_nothing():

@@ -179,8 +179,9 @@ def _sized(problem: Problem, seen: Shown) -> Problem:
             )
             own = site.own
             if own is not None:
-                ours = zip(parameters, own.tolist(), strict=True)
-                if any(p.role == "strength" and p.departure(v, p.nominal) >= NO_FAULT for p, v in ours):
+                each = zip(parameters, own.tolist(), strict=True)
+                away = [p.departure(v, p.nominal) for p, v in each if p.role == "strength"]
+                if max(away) >= NO_FAULT:
                     continue
                 # What a specimen hardly has has no shape there.
                 own = np.array([p.nominal for p in parameters])
