@@ -108,12 +108,15 @@ def wave(left: ForceLeft) -> Values | None:
     top = max(grid.tolist(), key=lambda cycles: fitted(cycles)[0])
     near = np.linspace(top - _SPACING, top + _SPACING, 21).tolist()
     cycles = max(near, key=lambda cycles: fitted(cycles, 2)[0])
-    sine, cosine, *second = fitted(cycles, 2)[1].tolist()
+    gain, found = fitted(cycles, 2)
+    sine, cosine, *second = found.tolist()
     size = max(math.hypot(sine, cosine), 1e-300)
     second_sine, second_cosine = np.clip(np.array(second) / size, -1.0, 1.0).tolist()
+    # Beside a cubic about one cycle has any size: as large as the forces show it.
+    shown = min(1.0, math.sqrt(2.0 * max(gain, 0.0) / q.size) / size)
     return {
-        "sine": sine,
-        "cosine": cosine,
+        "sine": shown * sine,
+        "cosine": shown * cosine,
         "period": reach / cycles,
         "second_sine": second_sine,
         "second_cosine": second_cosine,

@@ -1,6 +1,6 @@
 """From recordings to fitted sets of effects: the problem, the specimen, the onset, the search."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, field, replace
@@ -12,7 +12,7 @@ from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.base.threads import threads_allowed
 from leglab.diagnosis.balance.balances import forces_left
-from leglab.diagnosis.effects.base import Effect
+from leglab.diagnosis.effects.base import Effect, EffectParameter
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key, Library
 from leglab.diagnosis.intake.admission import Admitted, admit
 from leglab.diagnosis.intake.series import UniformSeries, common_period
@@ -179,13 +179,18 @@ def _sized(problem: Problem, seen: Shown) -> Problem:
             )
             own = site.own
             if own is not None:
-                each = zip(parameters, own.tolist(), strict=True)
-                away = [p.departure(v, p.nominal) for p, v in each if p.role == "strength"]
-                if max(away) >= NO_FAULT:
+                # What a specimen hardly has takes the shape of what has come.
+                found = np.array([values[p.name] for p in parameters])
+                if _most(parameters, own) >= NO_FAULT or _most(parameters, found) < NO_FAULT:
                     continue
-                # What a specimen hardly has has no shape there.
                 own = np.array([p.nominal for p in parameters])
             sites[key] = replace(site, parameters=parameters, own=own)
     other = copy(problem)
     other.library = problem.library.with_sites(sites)
     return other
+
+
+def _most(parameters: Sequence[EffectParameter], values: np.ndarray) -> float:
+    """By how many smallest trials strengths depart from the model's, at most."""
+    each = zip(parameters, values.tolist(), strict=True)
+    return max(p.departure(v, p.nominal) for p, v in each if p.role == "strength")
