@@ -15,7 +15,7 @@ from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import thinned
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.search.settle import Fitter
-from leglab.diagnosis.thresholds import BESIDE, FINE, ROUGHEST
+from leglab.diagnosis.thresholds import BESIDE, FINE, SPREADS, WIDER
 from tests.rigs import PENDULUM, Truth, record
 
 EFFECTS = ("force_offset", "viscous_friction", "payload", "armature", "encoder_offset")
@@ -85,7 +85,7 @@ def test_evidence_of_nothing_is_that_of_one_normal_density(left_out, spread):
     windows = np.ones(found.part.size, dtype=bool) if left_out is None else found.part != left_out
     whole = left_out is None
     score = found.score((), spread=spread) if whole else found.apart((), spread)[left_out]
-    deviations = [d for d in found.priors.spreads if d <= ROUGHEST]
+    deviations = found.priors.spreads
     grid = [
         dense(found, windows, size, deviation) + prior
         for size, prior in zip(found.priors.sizes, found.priors.log_sizes, strict=True)
@@ -101,7 +101,10 @@ def test_all_else_departs_further_beside_a_large_fault_of_a_known_machine(calibr
     found = evidence()
     u, columns = found.unknowns, found.columns
     q = next(i for i, key in enumerate(u.keys) if key[0] == "force_offset")
-    known = 1e-6 * np.eye(u.single) if calibrated else None
+    priors = found.priors
+    if calibrated:
+        priors = replace(priors, covariance=1e-6 * np.eye(u.single), spreads=SPREADS + WIDER)
+    assert priors.spreads == (SPREADS + WIDER if calibrated else SPREADS)
     for size in (1.0, 40.0):
         errors = columns.errors - size * columns.tangents[:, :, q]
         faulty = Evidence(
@@ -110,13 +113,13 @@ def test_all_else_departs_further_beside_a_large_fault_of_a_known_machine(calibr
             found.spread,
             found.weight,
             found.kappa,
-            replace(found.priors, covariance=known),
+            priors,
         )
-        widest = max(ROUGHEST, BESIDE * size if calibrated else 0.0)
-        for place, spread in enumerate(found.priors.spreads):
+        widest = max(SPREADS[-1], BESIDE * size)
+        for place, spread in enumerate(priors.spreads):
             counts = np.isfinite(faulty.score([(q, None)], spread=place).log)
             assert counts == (spread <= widest)
-        assert not np.isfinite(faulty.score((), spread=len(found.priors.spreads) - 1).log)
+        assert np.isfinite(faulty.score((), spread=len(priors.spreads) - 1).log) != calibrated
 
 
 def test_a_step_meets_the_bend_that_a_replay_showed():

@@ -136,6 +136,8 @@ DEFAULT = Thresholds()
 # machine unexplained, so that less than 2 % is no fault that a user would notice. The others are
 # each some four times as large: a secant holds to twice its jump and down to 0.4 of it.
 TRIALS = (0.02, 0.08, 0.3)
+# Drive, weight and inertia add up: a force that takes all of them is so many times the largest.
+KINDS_OF_FORCE = 3.0
 # Largest values are quantiles: one bad sample is no size.
 TOP_QUANTILE = 0.99
 # Delays and lags are shares of the time in which commands change by their own size, up to that in
@@ -164,11 +166,11 @@ FAULT_ODDS = 0.3
 # Good machines depart from their model by such standard deviations, in smallest trials: nobody
 # knows which. What is noticed is five times what the roughest of them differ by: wider ones take a
 # fault for many small departures.
-SPREADS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
-ROUGHEST = 0.2
-# Beside a large fault all else departs further, by this share of it: its law is off by as much as
-# good models leave of the forces of a good machine, 2 to 7 %.
-BESIDE = 0.05
+SPREADS = (0.05, 0.1, 0.2)
+# Beside a large fault of a machine with healthy recordings all else departs further, by this share
+# of it at most: its law is off by as much as good models leave of the forces of a good machine, 2
+# to 7 %. Each spread is twice the one before, up to a fault as large as all recorded forces.
+BESIDE, WIDER = 0.05, (0.4, 0.8, 1.6)
 # The model's own error has such sizes beside what a set leaves: 0 is an exact model.
 SIZES = (0.0, 0.03, 0.1, 0.2, 0.35, 0.6, 1.0, 1.5)
 # Where a tolerance is known it holds at the least spread of all else, and grows with it from half

@@ -12,7 +12,6 @@ from leglab.diagnosis.thresholds import (
     FAULT_ODDS,
     FAULT_SIZE,
     NO_FAULT,
-    ROUGHEST,
     SHAPE_SPREAD,
     SIZES,
     SPREADS,
@@ -27,7 +26,9 @@ class Priors:
     Attributes:
         spreads: Standard deviations of good machines about the specimen, in smallest trials, all
             as probable; of parameters with a tolerance, that tolerance, and more on machines that
-            depart more. Those beyond the roughest machines' hold beside a large fault alone.
+            depart more. Those beyond the roughest machines' hold beside a large fault alone, and
+            without healthy recordings there are none: a rough machine would buy its own departures
+            by any large fault.
         tolerances: Share of the tolerances that counts.
         covariance: Of all single unknowns, by healthy recordings, (single, single); None without.
         sizes: Of the model's own error in its unit size; 0 is an exact model.
@@ -46,12 +47,8 @@ class Priors:
         return self.covariance is not None
 
     def usual(self, largest: np.ndarray | float = 0.0) -> np.ndarray:
-        """Mask of the spreads beside a fault of `largest` trials, (..., spreads).
-
-        Without healthy recordings a rough machine would buy its own departures by any large fault.
-        """
-        share = BESIDE if self.calibrated else 0.0
-        most = np.maximum(ROUGHEST, share * np.asarray(largest))
+        """Mask of the spreads beside a fault of `largest` trials, (..., spreads)."""
+        most = np.maximum(SPREADS[-1], BESIDE * np.asarray(largest))
         return np.asarray(np.array(self.spreads) <= most)
 
     def precision(self, unknowns: Unknowns, spread: float) -> tuple[np.ndarray, float]:

@@ -17,10 +17,7 @@ from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.plant.moments import commands_at, forces_at
 from leglab.diagnosis.replay.lacking import accelerations
 from leglab.diagnosis.replay.residual import Problem
-from leglab.diagnosis.thresholds import LONGEST_DELAY, TOP_QUANTILE, TRIALS
-
-# Of forces on a joint: of the drive, of gravity and the like, of inertia. `Motion` has the largest.
-_KINDS = 3
+from leglab.diagnosis.thresholds import KINDS_OF_FORCE, LONGEST_DELAY, TOP_QUANTILE, TRIALS
 
 
 @dataclass(frozen=True)
@@ -187,8 +184,7 @@ def _sized(p: EffectParameter, size: float, seen: Shown) -> EffectParameter:
     period = seen.period if p.unit == "s" else 0.0
     least = max(TRIALS[0] * size, 2.0 * period)
     steps = [least * t / TRIALS[0] for t in TRIALS]
-    # Drive, weight and inertia add up: what takes all of them takes so many times the largest.
-    far = _KINDS * size if p.unit.startswith(("N", "kg")) else size
+    far = KINDS_OF_FORCE * size if p.unit.startswith(("N", "kg")) else size
     if p.unit == "s":
         far = min(max(seen.correlation, steps[-1]), LONGEST_DELAY)
         steps = sorted({*(t for t in steps if t < far), TRIALS[-1] * far})

@@ -19,6 +19,8 @@ from leglab.diagnosis.thresholds import (
     DAY_SIZES,
     DAY_TOLERANCES,
     KAPPA,
+    SPREADS,
+    WIDER,
     WINDOWS,
 )
 
@@ -96,6 +98,7 @@ def calibrate(problem: Problem, log: Callable[[str], None]) -> Specimen:
     sites = problem.library.sites
     values = Hypothesis({k: first.base.get(k, s.nominal) for k, s in sites.items()})
     priors = Priors(
+        spreads=SPREADS + WIDER,
         tolerances=DAY_TOLERANCES,
         covariance=evidence.posterior(score),
         sizes=DAY_SIZES,

@@ -1,6 +1,7 @@
 """A judged search: which hypotheses are told, and how sure their parameters are."""
 
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -81,7 +82,7 @@ class Outcome:
         """What is left of the told set without the told effects; nothing where none is told."""
         return self.final.without(*self.named) if self.named else Hypothesis()
 
-    @property
+    @cached_property
     def compared(self) -> Problem:
         """The same as `about` where errors as the healthy specimen has them count as noise."""
         fixed = self.judged.sets.fitter.fixed

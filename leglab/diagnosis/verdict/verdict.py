@@ -130,11 +130,10 @@ def _told(outcome: Outcome, remarks: Sequence[str], began: float) -> Diagnosis:
     )
     remarks = [*remarks, *notes(problem)]
     remarks += at_limits(problem.library, {key: final[key] for key in outcome.named})
-    held, shown, unnamed, compared = problem.judged, problem.judged, math.nan, outcome.compared
-    shares = None
+    held, shown, unnamed, compared = problem.judged, problem.judged, math.nan, None
     if outcome.named:
         unnamed = rms(problem.noise_levels(outcome.unnamed)[held])
-        without = compared.noise_levels(outcome.unnamed)
+        without, with_it = map(outcome.compared.noise_levels, (outcome.unnamed, final))
         if _hardly_shows(outcome, without):
             # A slow motion that nobody fitted cannot tell what a fast one would show.
             shown = np.ones_like(held)
@@ -142,15 +141,15 @@ def _told(outcome: Outcome, remarks: Sequence[str], began: float) -> Diagnosis:
                 "the held-out recordings hardly show what is named: the share explained is that "
                 "over all recordings"
             )
-        shares = rms(without[shown]), rms(compared.noise_levels(final)[shown]), 1.0
+        compared = rms(without[shown]), rms(with_it[shown]), 1.0
     gap = Gap(
         held_out=tuple(r.name for r in recordings if r.held_out),
         unnamed=unnamed,
-        compared=shares,
+        compared=compared,
         healthy=rms(floors[held]) if outcome.specimen else None,
         **levels(held),
     )
-    verdict, effects, smaller = _effects(outcome, compared, gap, shown)
+    verdict, effects, smaller = _effects(outcome, gap, shown)
     return Diagnosis(
         verdict=verdict,
         effects=effects,
@@ -189,11 +188,11 @@ def _hardly_shows(outcome: Outcome, without: np.ndarray) -> bool:
 
 
 def _effects(
-    outcome: Outcome, compared: Problem, gap: Gap, shown: np.ndarray
+    outcome: Outcome, gap: Gap, shown: np.ndarray
 ) -> tuple[Verdict, tuple[NamedEffect, ...], tuple[NamedEffect, ...]]:
     """Verdict, named effects and smaller differences, the largest contribution first.
 
-    `shown` are the windows that tell what the effects explain, of the problem `compared`.
+    `shown` are the windows that tell what the effects explain.
     """
     judged, problem, final = outcome.judged, outcome.about, outcome.final
     limits = problem.thresholds
@@ -207,9 +206,9 @@ def _effects(
         site = problem.library.sites[key]
         told = key if key in (*judged.named, *judged.confusion) else (key[0], EVERY)
         one = judged.effects[told]
-        contribution = (rms(compared.noise_levels(final.without(key))[shown]) - after) / max(
-            unnamed - floor, 1e-9
-        )
+        gone = final.without(key)
+        without = rms(outcome.compared.noise_levels(gone)[shown])
+        contribution = (without - after) / max(unnamed - floor, 1e-9)
         # Of a set that is not told apart none is surer than not.
         confidence = one.confidence if judged.named else min(one.possible, one.evidence, NAMED)
         if explained < limits.explanation_share:
@@ -233,7 +232,7 @@ def _effects(
                 indistinguishable_from=tuple(
                     dict.fromkeys(k[0] for k in judged.confusion if k not in (key, told))
                 ),
-                without=rms(problem.noise_levels(final.without(key))[problem.judged]),
+                without=rms(problem.noise_levels(gone)[problem.judged]),
             )
         )
     effects.sort(key=lambda e: -e.contribution)

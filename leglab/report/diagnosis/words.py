@@ -70,8 +70,9 @@ def headline(result: Diagnosis) -> str:
             f"{listed(names, 'or')} at {listed(tuple(elements))}"
             for names, elements in sets.items()
         )
-        if not sets:  # one that is possible and not probable
-            told, sure = f"perhaps {listed(tuple(sure))}", []
+        if not sets:  # possible and not probable
+            start = "Something has changed" if since else "Something is missing"
+            return f"{start} that these recordings do not pin down: perhaps {listed(tuple(sure))}."
         if since:
             also = f": {listed(tuple(sure))}, and one of these" if sure else ", one of these"
             return f"Changed since the healthy recordings{also}: {told}."
