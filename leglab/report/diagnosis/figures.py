@@ -119,7 +119,7 @@ def overlay_picture(result: Diagnosis) -> CaptionedFigure | None:
                 axes, window = grid[row, column], windows[place][channel]
                 told.append(_draw_overlay(axes, window, first=column == 0))
                 if row == 0:
-                    name = short(window.recording, 18)
+                    name = short(window.recording, 14)
                     axes.set_title(f"{title}\n{name}, {window.time[0]:.1f} s", fontsize=9)
             if len(channels) < rows:
                 _draw_window_error(grid[-1, column], windows[place][channels[0]], first=not column)
