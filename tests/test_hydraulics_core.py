@@ -49,6 +49,8 @@ def random_case(rng):
         "bandwidth_hz": span(20, 400),
         "damping_ratio": span(0.3, 2),
         "lap": span(-0.05, 0.05),
+        "lap_difference_tank": rng.choice([0.0, span(-0.02, 0.02)]),
+        "lap_difference_chambers": rng.choice([0.0, span(-0.02, 0.02)]),
         "edge_rounding": span(0, 0.05),
         "edge_exponent": rng.choice([2.0, span(1.05, 8)]),
         "null_bias": span(-0.1, 0.1),

@@ -92,13 +92,18 @@ def terms(p, y, *, command, supply_pressure, mass, load, ideal_valve=False, bloc
     k = p["rated_flow"] / math.sqrt(p["rated_pressure_drop"] / 2)
     forward = k * (1 + p["flow_asymmetry"])
     backward = k * (1 - p["flow_asymmetry"])
-    edge = [p[f] for f in ("lap", "edge_rounding", "edge_exponent")]
-    w_forward, w_backward = opening(s, *edge), opening(-s, *edge)
     cr = p["laminar_transition_pressure"]
-    q_pa = orifice(forward, w_forward, ps - pa, cr)
-    q_at = orifice(backward, w_backward, pa - pt, cr)
-    q_pb = orifice(backward, w_backward, ps - pb, cr)
-    q_bt = orifice(forward, w_forward, pb - pt, cr)
+
+    def flow(gain, spool, tank, chamber, dp):
+        lap = p["lap"] + 0.5 * (
+            tank * p["lap_difference_tank"] + chamber * p["lap_difference_chambers"]
+        )
+        return orifice(gain, opening(spool, lap, p["edge_rounding"], p["edge_exponent"]), dp, cr)
+
+    q_pa = flow(forward, s, -1, 1, ps - pa)
+    q_at = flow(backward, -s, 1, 1, pa - pt)
+    q_pb = flow(backward, -s, -1, -1, ps - pb)
+    q_bt = flow(forward, s, 1, -1, pb - pt)
 
     volume_a = p["dead_volume_a"] + area_a * x
     volume_b = p["dead_volume_b"] + area_b * (p["stroke"] - x)

@@ -90,6 +90,8 @@ inline constexpr double kRequired = __builtin_nan("");
   X(bandwidth_hz, "Hz", 250.0, 0.0, 1e4, false, "natural frequency of the spool [V]")              \
   X(damping_ratio, "1", 0.7, 0.0, 10.0, false, "damping ratio of the spool [V]")                   \
   X(lap, "1", 0.02, -0.5, 0.9, true, "overlap of each metering edge, of full spool travel")        \
+  X(lap_difference_tank, "1", 0.0, -0.5, 0.5, true, "overlap of the edges to the tank less those to the supply") \
+  X(lap_difference_chambers, "1", 0.0, -0.5, 0.5, true, "overlap of A's edges less B's")           \
   X(edge_rounding, "1", 0.0216, 0.0, 0.5, true, "eps: null leak 0.28 l/min at 210 bar [V]")        \
   X(edge_exponent, "1", 2.0, 1.0, 20.0, true, "n of the rounding: how soon an edge shuts behind its lap") \
   X(null_bias, "1", 0.0, -1.0, 1.0, true, "null shift, added to the command")                      \

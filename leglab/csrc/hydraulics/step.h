@@ -32,10 +32,16 @@ struct Edges {
   double opening[4];  // K w of P -> A, A -> T, P -> B, B -> T
 
   static Edges at(const CylinderParameters& p, const CylinderCoefficients& c, double spool) {
-    const EdgeShape edge{p.lap_, p.edge_rounding_, p.edge_exponent_};
-    const double forward = c.gain_positive * edge.opening(spool);
-    const double backward = c.gain_negative * edge.opening(-spool);
-    return {{forward, backward, backward, forward}};
+    const auto opening = [&](double gain, double to, double lap) {
+      return gain * EdgeShape{lap, p.edge_rounding_, p.edge_exponent_}.opening(to);
+    };
+    const double tank = 0.5 * p.lap_difference_tank_, a = 0.5 * p.lap_difference_chambers_;
+    const double from_supply_a = opening(c.gain_positive, spool, p.lap_ - tank + a);
+    const double to_tank_a = opening(c.gain_negative, -spool, p.lap_ + tank + a);
+    if (tank == 0.0 && a == 0.0)  // the usual valve takes half as long
+      return {{from_supply_a, to_tank_a, to_tank_a, from_supply_a}};
+    return {{from_supply_a, to_tank_a, opening(c.gain_negative, -spool, p.lap_ - tank - a),
+             opening(c.gain_positive, spool, p.lap_ + tank - a)}};
   }
 
   static Edges between(const Edges& one, const Edges& other) {
