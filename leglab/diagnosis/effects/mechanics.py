@@ -1,6 +1,7 @@
 """Inertia of drives, payloads and the attitude of the base."""
 
 import math
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -59,14 +60,22 @@ class Payload(Effect):
         """Mass and distance."""
         body = machine.base.model.body(element)
         own, reach = float(body.mass[0]), float((body.ipos**2).sum() ** 0.5)
-        mass = EffectParameter("mass", "kg", upper=5.0 * own, trials=(0.05 * own, 0.4 * own))
+        # Links are lighter than drawn as often as heavier; a fault is a load.
+        mass = EffectParameter(
+            "mass",
+            "kg",
+            lower=-0.1 * own,
+            upper=5.0 * own,
+            trials=(0.05 * own, 0.4 * own),
+            faults="above",
+        )
         if reach == 0.0:  # nowhere along the line: at the centre itself
             return (mass,)
         limits = 1.5 * reach, 0.1 * reach, 3.0 * reach
         return mass, EffectParameter.shape("distance", "m", *limits)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Adds a body with the mass; the model is compiled anew for every value."""
+        """Adds a body with the mass, or takes a small one off; compiled anew for every value."""
         mass, distance = values["mass"], values.get("distance", 0.0)
         if mass == 0.0:
             return
@@ -75,6 +84,9 @@ class Payload(Effect):
         position = centre * (distance / reach) if reach > 0.0 else centre
 
         def add(spec: mujoco.MjSpec) -> None:
+            if mass < 0.0:
+                _lighten(spec.body(element), change.machine.base.model.body(element), mass, position)
+                return
             load = spec.body(element).add_body(name=f"{element}_payload", pos=position)
             load.mass = mass
             load.ipos = [0.0, 0.0, 0.0]  # left alone, MuJoCo puts the body's position here again
@@ -82,6 +94,23 @@ class Payload(Effect):
             load.explicitinertial = True
 
         change.edit(("payload", element, mass, distance), add)
+
+
+def _lighten(body: mujoco.MjsBody, own: Any, mass: float, position: np.ndarray) -> None:
+    """Adds a negative point mass to a body of mass, centre and inertia `own`."""
+    total = own.mass[0] + mass
+    centre = (own.mass[0] * own.ipos + mass * position) / total
+    axes = np.zeros(9)
+    mujoco.mju_quat2Mat(axes, own.iquat)
+    turned = axes.reshape(3, 3)
+    inertia = turned @ np.diag(own.inertia) @ turned.T
+    for point, weight in ((own.ipos, own.mass[0]), (position, mass)):  # Steiner
+        away = point - centre
+        inertia += weight * (away @ away * np.eye(3) - np.outer(away, away))
+    moments, quaternion = np.zeros(3), np.zeros(4)
+    mujoco.mju_eig3(moments, axes, quaternion, inertia.ravel())
+    body.mass, body.ipos, body.iquat, body.inertia = total, centre, quaternion, moments
+    body.explicitinertial = True
 
 
 @register_effect

@@ -191,7 +191,8 @@ def search(
         near = [
             r
             for r in ranks
-            if r.score.log > top - behind or (r.fit.level <= noise and len(r.fit.members) <= small)
+            if r.score.log + r.fit.gained > top - behind
+            or (r.fit.level <= noise and len(r.fit.members) <= small)
         ]
         most = HOPELESS * least_left.fit.level
         open_ = (r.fit for r in near if not r.fit.finished and r.fit.level < most)

@@ -52,6 +52,7 @@ class Fit:
         ended: Members that ended at a bound.
         finished: Whether another turn would gain nothing.
         unkept: What tangents promise where it ended, and no replay keeps [nats].
+        gained: What its turns have gained where it is not finished [nats]: it may gain as much.
     """
 
     members: tuple[int, ...]
@@ -64,6 +65,7 @@ class Fit:
     ended: tuple[int, ...]
     finished: bool
     unkept: float
+    gained: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +205,7 @@ class Fitter:
         # By so much tangents have missed what replays showed since they were taken [nats].
         missed, off = 0.0, _beyond(columns, point)
         slow = given_up = finished = False
-        unkept = damping = 0.0
+        unkept = damping = gained = 0.0
         fine = columns.fine
         telling = most = None
         renewed, taken = 0, columns.x
@@ -254,6 +256,7 @@ class Fitter:
             spread = self.own_spread(point.errors)
             weight = self.weights(point.errors, spread, score.size)
             if not first:
+                gained += gain
                 # As explanations get better, errors are worth more numbers.
                 kappa = 1.0 / max(evidence.design_effect(score), 1.0)
             if turn + 1 >= STIFF_TURNS and self.level(point.errors) > give_up:
@@ -282,6 +285,7 @@ class Fitter:
             ended=self._ended(members, point.x, score.values),
             finished=finished or given_up,
             unkept=max(unkept, 0.0),
+            gained=0.0 if finished or given_up else gained,
         )
 
     def _point(
