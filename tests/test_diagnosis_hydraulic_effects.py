@@ -1,5 +1,6 @@
 """Effects on cylinders, valves and pressure sensors: against closed forms, and replayed."""
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -9,6 +10,7 @@ from leglab.diagnosis.replay import starts
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.machine.cylinder import Cylinder
 from leglab.machine.parameters import State
+from leglab.machine.simulation import actuator_moments
 from leglab.studies.blind.faulty_bench import NOMINAL, FaultyBench, references
 
 VALVE = "knee_valve"
@@ -244,3 +246,40 @@ def test_a_play_passes_the_forces_of_its_piston_on(healthy):
     )
     assert np.median(np.abs(tight)) < 0.5  # N m, of some 30
     np.testing.assert_allclose(loose, tight, atol=1e-9)
+
+
+def test_anchors_give_length_and_lever_by_the_law_of_cosines(machine):
+    """No other test moves them: a turn of the wrong sign would be calibrated away."""
+    fixed, moving, turn = 1.01, 0.98, 0.03
+    change = Library(machine).change({("anchors", VALVE): np.array([fixed, moving, turn])}, machine)
+    model = change.variant.model
+    data = mujoco.MjData(model)
+    base, rod = np.array([-0.045, 0.3]), np.array([-0.045, -0.02])  # x, z about the knee
+    a, b = fixed * np.hypot(*base), moving * np.hypot(*rod)
+    between = np.arctan2(*base) - np.arctan2(*rod)
+    for angle in (0.2, 0.9, 1.6):
+        data.qpos[:] = angle
+        mujoco.mj_forward(model, data)
+        turned = between - (angle + turn)
+        length = np.sqrt(a**2 + b**2 - 2.0 * a * b * np.cos(turned))
+        assert data.actuator_length[0] == pytest.approx(length, rel=1e-12)
+        lever = -a * b * np.sin(turned) / length
+        assert actuator_moments(model, data)[0, 0] == pytest.approx(lever, rel=1e-9)
+
+
+def test_a_lighter_link_loses_what_a_load_adds(machine):
+    """MuJoCo has no negative mass: the link's own inertia takes it."""
+
+    def dynamics(mass):
+        change = Library(machine).change({("payload", "shank"): np.array([mass, 0.3])}, machine)
+        model = change.variant.model
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:] = 0.7, 1.0
+        mujoco.mj_forward(model, data)
+        inertia = np.zeros((1, 1))
+        mujoco.mj_fullM(model, data, inertia)
+        return np.array([inertia[0, 0], data.qfrc_bias[0]])
+
+    before, loaded, lighter = (dynamics(mass) for mass in (0.0, 0.2, -0.2))
+    assert loaded[0] - before[0] == pytest.approx(0.2 * 0.3**2, rel=1e-4)
+    np.testing.assert_allclose(lighter - before, before - loaded, rtol=1e-4)

@@ -214,8 +214,10 @@ def test_seals_of_another_law_are_no_friction_by_direction():
 
 def test_edges_ground_apart_and_a_return_line_under_pressure_are_no_fault_of_sensors():
     """They set the level of both pressures, of which offsets of their sensors had been made."""
-    edges = dict(lap_pa=0.018, lap_at=0.022, lap_pb=0.0185, lap_bt=0.0215, tank_pressure=1.5e5)
-    bench = replace(exact_specimen(3).changed(**edges), position_noise=6e-5, pressure_noise=5e4)
+    bench = exact_specimen(3).changed(
+        lap_pa=0.018, lap_at=0.022, lap_pb=0.0185, lap_bt=0.0215, tank_pressure=1.5e5
+    )
+    bench = replace(bench, position_noise=6e-5, pressure_noise=5e4)
     rng = np.random.default_rng(22)
     recorded = record_bench(bench, None, references(rng, 6.0), rng)
     settings = DiagnosisSettings(threads=1)

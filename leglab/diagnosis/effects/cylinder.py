@@ -4,7 +4,6 @@ from functools import partial
 from typing import Any
 
 import mujoco
-import numpy as np
 
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import EffectParameter, Row, TableEffect, Values, register_effect
@@ -385,7 +384,7 @@ _valve(
         for of in ("tank", "chambers")
     ),
     physics=(
-        "How an edge shuts behind its lap, exponent n of its rounding, and how the laps of the four "
+        "How an edge shuts behind its lap, exponent n of its rounding, and how laps of the four "
         "edges differ, which sets the level of both pressures."
     ),
     source=f"docs/physics.md; {VALVE}: edges are ground to 2 um of a stroke of 0.5 mm",
@@ -410,88 +409,6 @@ _oil(
     excitation="large flows to the tank",
     nameable=False,
 )
-
-
-@register_effect
-class Anchors(CylinderEffect):
-    """Where a cylinder is mounted: distances of its anchors from the joint, and their angle."""
-
-    name = "anchors"
-    group = "mechanics"
-    physics = (
-        "Distances of the cylinder's fixed and moving anchor from the joint, as factors, and a turn "
-        "of the moving one about it: lever and length at every angle."
-    )
-    source = "general tolerances of machined parts, ISO 2768-1 m: 0.3 mm on 50 mm, of several parts"
-    excitation = "a wide range of positions under load"
-    nameable = False
-    rows = tuple(
-        EffectParameter(
-            name, unit, nominal=own, lower=own - 0.1, upper=own + 0.1,
-            trials=(own - 0.02, own + 0.02), tolerance=0.005,
-        )
-        for name, unit, own in (
-            ("fixed_distance", "1", 1.0),
-            ("moving_distance", "1", 1.0),
-            ("moving_angle", "rad", 0.0),
-        )
-    )  # fmt: skip
-
-    def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Cylinders between two sites, of which one moves with the joint."""
-        return tuple(c for c in machine.cylinders if _anchors(machine, c))
-
-    def apply(self, change: Change, element: str, values: Values) -> None:
-        """Moves the sites; the model is compiled anew for every value."""
-        if values == {p.name: p.nominal for p in self.rows}:
-            return
-        fixed, moving = _anchors(change.machine, element)
-        moves = {
-            fixed[0]: (values["fixed_distance"] - 1.0) * fixed[1],
-            moving[0]: (values["moving_distance"] - 1.0) * moving[1]
-            + values["moving_angle"] * moving[2],
-        }
-
-        def edit(spec: mujoco.MjSpec) -> None:
-            for site, by in moves.items():
-                spec.site(site).pos = spec.site(site).pos + by
-
-        change.edit(("anchors", element, *values.values()), edit)
-
-
-# Name of a site, its distance from a joint's axis, and how it moves where the joint turns.
-_Anchor = tuple[str, np.ndarray, np.ndarray]
-
-
-def _anchors(machine: Machine, cylinder: str) -> tuple[_Anchor, ...]:
-    """A cylinder's fixed and moving anchor in their bodies' frames; () of another transmission."""
-    model, joints_moved = machine.base.model, machine.driven[cylinder]
-    actuator = model.actuator(cylinder)
-    tendon = int(actuator.trnid[0])
-    if int(actuator.trntype[0]) != int(mujoco.mjtTrn.mjTRN_TENDON) or len(joints_moved) != 1:
-        return ()
-    first, count = int(model.tendon_adr[tendon]), int(model.tendon_num[tendon])
-    kinds = model.wrap_type[first : first + count]
-    joint = model.joint(joints_moved[0])
-    hinge = int(joint.type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE)
-    if count != 2 or (kinds != int(mujoco.mjtWrap.mjWRAP_SITE)).any() or not hinge:
-        return ()
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    anchor, axis = data.xanchor[joint.id], data.xaxis[joint.id]
-    found = []
-    for site in model.wrap_objid[first : first + count]:
-        body = int(model.site_bodyid[site])
-        turned = data.xmat[body].reshape(3, 3)
-        away = data.site_xpos[site] - anchor
-        away = away - axis * (axis @ away)
-        one = model.site(site).name, turned.T @ away, turned.T @ np.cross(axis, away)
-        while body and body != int(joint.bodyid[0]):
-            body = int(model.body_parentid[body])
-        found.append((body != 0, one))
-    found.sort(key=lambda one: one[0])
-    return tuple(one for _, one in found) if [m for m, _ in found] == [False, True] else ()
-
 
 _friction(
     "friction_curve",

@@ -79,13 +79,14 @@ class Payload(Effect):
         mass, distance = values["mass"], values.get("distance", 0.0)
         if mass == 0.0:
             return
-        centre = change.machine.base.model.body(element).ipos
+        own = change.machine.base.model.body(element)
+        centre = own.ipos
         reach = float((centre @ centre) ** 0.5)
         position = centre * (distance / reach) if reach > 0.0 else centre
 
         def add(spec: mujoco.MjSpec) -> None:
             if mass < 0.0:
-                _lighten(spec.body(element), change.machine.base.model.body(element), mass, position)
+                _lighten(spec.body(element), own, mass, position)
                 return
             load = spec.body(element).add_body(name=f"{element}_payload", pos=position)
             load.mass = mass
