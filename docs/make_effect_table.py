@@ -25,7 +25,7 @@ def markdown_table() -> str:
         lines += ["| name | physics | shown by | source |", "|---|---|---|---|"]
         lines += [_row(effect) for effect in effects]
     lines += ["", "## Calibrated, never named", ""]
-    lines += ["Laws whose shape differs between good machines; healthy recordings tell it.", ""]
+    lines += ["What good machines differ in beside the above: shapes of laws, and where parts are mounted.", ""]
     lines += ["| name | physics | shown by | source |", "|---|---|---|---|"]
     lines += [_row(effect) for effect in known if not effect.nameable]
     return "\n".join(lines) + "\n"
