@@ -163,14 +163,14 @@ NO_FAULT = 0.5
 # Odds of one more are below even: of a fault somewhere in the library beside those that are there,
 # and of a further parameter of an effect that is there.
 FAULT_ODDS = 0.3
-# Good machines depart from their model by such standard deviations, in smallest trials: nobody
-# knows which. What is noticed is five times what the roughest of them differ by: wider ones take a
-# fault for many small departures.
-SPREADS = (0.05, 0.1, 0.2)
+# Good machines depart from their model by such standard deviations, in smallest trials, each twice
+# the one before: nobody knows which. Of the roughest one unknown in five departs by what would be
+# noticed as a fault; wider ones take a fault for many small departures.
+SPREADS = (0.05, 0.1, 0.2, 0.4)
 # Beside a large fault of a machine with healthy recordings all else departs further, by this share
 # of it at most: its law is off by as much as good models leave of the forces of a good machine, 2
-# to 7 %. Each spread is twice the one before, up to a fault as large as all recorded forces.
-BESIDE, WIDER = 0.05, (0.4, 0.8, 1.6)
+# to 7 %. Up to a fault as large as all recorded forces.
+BESIDE, WIDER = 0.05, (0.8, 1.6)
 # The model's own error has such sizes beside what a set leaves: 0 is an exact model.
 SIZES = (0.0, 0.03, 0.1, 0.2, 0.35, 0.6, 1.0, 1.5)
 # Where a tolerance is known it holds at the least spread of all else, and grows with it from half
