@@ -25,7 +25,8 @@ def markdown_table() -> str:
         lines += ["| name | physics | shown by | source |", "|---|---|---|---|"]
         lines += [_row(effect) for effect in effects]
     lines += ["", "## Calibrated, never named", ""]
-    lines += ["What good machines differ in beside the above: shapes of laws, and where parts are mounted.", ""]
+    shapes = "What good machines differ in beside the above: shapes of laws, and mountings."
+    lines += [shapes, ""]
     lines += ["| name | physics | shown by | source |", "|---|---|---|---|"]
     lines += [_row(effect) for effect in known if not effect.nameable]
     return "\n".join(lines) + "\n"
