@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from leglab.diagnosis.effects.base import EffectParameter
+from leglab.diagnosis.effects.command import position_servos
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
 from leglab.diagnosis.effects.spring import rest_position
 from leglab.diagnosis.plant.model import Machine
@@ -71,7 +72,8 @@ class Shown:
 
     Attributes:
         joints: By joint.
-        commands: Half the range of each command, by actuator.
+        commands: Half the range of what each actuator acts on, by actuator: its command, or of a
+            position servo the error of its position.
         period: Sampling period [s].
         change: Shortest time in which a command changes by its size, rms u / rms du/dt [s].
         correlation: Longest time at which a command's autocorrelation falls to a half [s].
@@ -106,6 +108,7 @@ def shown(problem: Problem) -> Shown:
     dofs = [int(model.joint(j).dofadr[0]) for j in machine.joints]
     rows: dict[str, list[np.ndarray]] = {j: [] for j in machine.joints}
     commands: dict[str, list[np.ndarray]] = {a: [] for a in machine.actuators}
+    errors: dict[str, list[np.ndarray]] = {a: [] for a in position_servos(machine)}
     longest = 0.0
     for _, measured, states in replay.along(change, problem.fitted):
         samples = measured.samples
@@ -121,6 +124,9 @@ def shown(problem: Problem) -> Shown:
         for a in machine.actuators:
             commands[a].append(measured.command[a])
             longest = max(longest, correlation_time(measured.command[a], measured.period))
+        for a, rest in errors.items():
+            gear = float(model.actuator(a).gear[0])
+            rest.append(measured.command[a] - gear * measured.position[machine.driven[a][0]])
     joints = {}
     for j, parts in rows.items():
         x = np.concatenate(parts)
@@ -129,7 +135,7 @@ def shown(problem: Problem) -> Shown:
         joints[j] = Motion(0.5 * float(np.ptp(ends)), *tops)
     half = {
         a: 0.5 * float(np.ptp(np.quantile(np.concatenate(c), [1.0 - TOP_QUANTILE, TOP_QUANTILE])))
-        for a, c in commands.items()
+        for a, c in (commands | errors).items()
     }
     period = problem.series[0].period
     shortest = min((change_time(c, period) for c in commands.values()), default=0.0)

@@ -106,7 +106,8 @@ def rank(compared: Compared, fits: Sequence[Fit], kappa: float) -> list[Ranked]:
         spreads = list(dict.fromkeys([own, *others]))
         tries = [(fit, spread) for spread in spreads]
         tries += [
-            (other, fixed or other.spread)
+            (other, spread)
+            for spread in spreads
             for other in near
             if other is not fit
             and other.level <= fit.level

@@ -117,14 +117,11 @@ class Sets:
         white = np.einsum("wij,wj->wi", roots, errors[:, : self.at.size])
         return np.asarray((white.reshape(len(white), self.channels, -1) ** 2).mean(axis=2))
 
-    def _row(
-        self, evidence: Evidence, members: Sequence[int], ended: Sequence[int], *, fitted: bool
-    ) -> Row | None:
+    def _row(self, evidence: Evidence, members: Sequence[int], ended: Sequence[int]) -> Row:
         """A set by what replays show.
 
-        Where first order leads or, if the set itself was `fitted` there, where the linearisation
-        stands, with any spread of machines: what these err beyond first order counts against the
-        set. None where the first blows up and the second is another set's.
+        Where first order leads or where the linearisation stands, whoever was fitted there, with
+        any spread of machines: what these err beyond first order counts against the set.
         """
         u, n, columns = self.unknowns, self.unknowns.single, evidence.columns
         chosen = [(q, None) for q in members]
@@ -134,7 +131,7 @@ class Sets:
         led = self.at.at(there)
         if np.abs(led).max() <= BLOWN:
             tries.append((score, None, there, led, 0.0))
-        for spread in range(len(evidence.priors.spreads) if fitted else 0):
+        for spread in range(len(evidence.priors.spreads)):
             score = evidence.score(chosen, spread=spread)
             if not np.isfinite(score.log):  # no machine departs so far beside such faults
                 continue
@@ -145,8 +142,6 @@ class Sets:
             moves = columns.x[:n] + score.shift
             pull = 0.5 * float(stays @ precision @ stays - moves @ precision @ moves)
             tries.append((score, spread, columns.base, columns.errors, max(pull, 0.0)))
-        if not tries:
-            return None
         beyond = np.array([self._beyond(evidence, one[0], one[3]) for one in tries])
         losses = np.maximum(beyond.sum(axis=1) + [one[4] for one in tries], 0.0)
         best = int(np.argmax([one[0].log - lost for one, lost in zip(tries, losses, strict=True)]))
@@ -177,9 +172,7 @@ class Sets:
         u = self.unknowns
         rows: dict[tuple[frozenset[Key], bool], Row] = {}
 
-        def enter(row: Row | None) -> None:
-            if row is None:
-                return
+        def enter(row: Row) -> None:
             # What nobody would notice is no fault: such a set is the one without it.
             row = replace(row, keys=frozenset(k for k in row.keys if row.size(k) >= NO_FAULT))
             names = row.keys, bool(row.renamed)
@@ -190,9 +183,9 @@ class Sets:
         for r in self.found.ranks:
             fit, own = r.fit, r.evidence
             if own.columns is not fit.columns:  # more probable where another set was fitted
-                enter(self._row(own, fit.members, fit.ended, fitted=False))
+                enter(self._row(own, fit.members, fit.ended))
                 own = fitter.evidence(fit.columns, own.spread, best.weight, best.kappa)
-            enter(self._row(own, fit.members, fit.ended, fitted=True))
+            enter(self._row(own, fit.members, fit.ended))
         top, rivals = max(row.score.log for row in rows.values()), set[frozenset[int]]()
         for r in self.found.ranks:
             pattern, fit = r.evidence.spread, r.fit
@@ -212,7 +205,7 @@ class Sets:
                 # What it is without the effect has a pattern of its own.
                 for spread in [pattern] if fitter.fixed else [pattern, rest.spread]:
                     there = fitter.evidence(rest.columns, spread, best.weight, best.kappa)
-                    enter(self._row(there, members, fit.ended, fitted=True))
+                    enter(self._row(there, members, fit.ended))
         for names, row in list(rows.items()):
             if alike := self._alike(row):
                 del rows[names]
