@@ -57,8 +57,8 @@ class Judgement:
     Attributes:
         effects: All effects of all sets.
         named: Effects, surest first.
-        confusion: Effects that are not told apart, the most possible first; empty where any is
-            named.
+        confusion: Effects that are not told apart, the most probable by all recordings first;
+            empty where any is named.
         verdict: As of a `Diagnosis`.
         rows: The sets, most probable first.
     """
@@ -67,12 +67,12 @@ class Judgement:
         impostor, keys = impostors(sets), sorted({k for r in sets.rows for k in r.keys})
         effects = {key: _effect(sets, key, impostor) for key in keys}
 
-        def most(measure: str, least: float) -> tuple[Key, ...]:
+        def most(measure: str, least: float, order: str) -> tuple[Key, ...]:
             above = [k for k, e in effects.items() if getattr(e, measure) > least]
-            return tuple(sorted(above, key=lambda k: -getattr(effects[k], measure)))
+            return tuple(sorted(above, key=lambda k: -getattr(effects[k], order)))
 
-        named = most("confidence", NAMED)
-        confusion = () if named else most("possible", POSSIBLE)
+        named = most("confidence", NAMED, "confidence")
+        confusion = () if named else most("possible", POSSIBLE, "evidence")
         tied = [k for k, e in effects.items() if e.ties]
         if tied and not named:
             leader = max(tied, key=lambda k: effects[k].evidence)
