@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
+from leglab.diagnosis.likelihood.sizes import Motion, Shown, sized
 from leglab.diagnosis.plant.model import Machine, Measured
 from leglab.diagnosis.replay import starts
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
@@ -267,9 +268,7 @@ def test_anchors_give_length_and_lever_by_the_law_of_cosines(machine):
         assert actuator_moments(model, data)[0, 0] == pytest.approx(lever, rel=1e-9)
 
 
-def test_a_lighter_link_loses_what_a_load_adds(machine):
-    """MuJoCo has no negative mass: the link's own inertia takes it."""
-
+def test_a_lighter_link_has_its_shape_and_another_density(machine):
     def dynamics(mass):
         change = Library(machine).change({("payload", "shank"): np.array([mass, 0.3])}, machine)
         model = change.variant.model
@@ -278,8 +277,32 @@ def test_a_lighter_link_loses_what_a_load_adds(machine):
         mujoco.mj_forward(model, data)
         inertia = np.zeros((1, 1))
         mujoco.mj_fullM(model, data, inertia)
-        return np.array([inertia[0, 0], data.qfrc_bias[0]])
+        return np.array([inertia[0, 0] - model.dof_armature[0], data.qfrc_bias[0]])
 
     before, loaded, lighter = (dynamics(mass) for mass in (0.0, 0.2, -0.2))
     assert loaded[0] - before[0] == pytest.approx(0.2 * 0.3**2, rel=1e-4)
-    np.testing.assert_allclose(lighter - before, before - loaded, rtol=1e-4)
+    share = 0.2 / machine.base.model.body("shank").mass[0]
+    np.testing.assert_allclose(lighter, (1.0 - share) * before, rtol=1e-9)
+
+
+def test_a_light_thin_rod_on_a_slide_of_its_name_may_be_a_tenth_lighter(tmp_path):
+    """A point taken off it would leave an inertia that no body has, and by the motion of its joint
+    it had been lighter than nothing."""
+    spec = mujoco.MjSpec()
+    body = spec.worldbody.add_body(name="rod", pos=[0.0, 0.0, 1.0])
+    body.add_joint(name="rod", type=mujoco.mjtJoint.mjJNT_SLIDE)
+    body.mass, body.ipos = 1e-3, [0.0, 0.0, -0.1]
+    body.fullinertia = [1e-9, 1e-9, 1e-12, 0.0, 0.0, 0.0]
+    body.explicitinertial = True
+    spec.add_actuator(name="push", target="rod", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    spec.compile()
+    path = tmp_path / "rod.xml"
+    path.write_text(spec.to_xml())
+    rod = Machine(path)
+    strong = Motion(position=0.5, deflection=0.5, velocity=1.0, acceleration=0.1, force=1e3)
+    seen = Shown({"rod": strong}, {"push": 1.0}, period=1e-3, change=0.1, correlation=0.3)
+    library = sized(Library(rod), rod, seen)
+    lightest = library.sites["payload", "rod"].lower[0]
+    assert lightest == pytest.approx(-1e-4)
+    change = library.change({("payload", "rod"): np.array([lightest, 0.15])}, rod)
+    assert change.variant.model.body("rod").mass[0] == pytest.approx(9e-4)

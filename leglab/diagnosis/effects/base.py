@@ -122,6 +122,7 @@ class Effect(ABC):
         gradual: Whether a little of it changes little; not so where it inserts a moving part.
         nameable: Whether a diagnosis looks for it. What is not, the shape of a law in which good
             machines differ, is fitted on machines that differ from their model everywhere.
+        on_bodies: Whether its elements are bodies: their names may be those of joints.
         contains: Simpler effects that are special cases of it: named instead of it where one at
             the same joint does as well.
         by_direction: Pairs of parameters, one a direction. On a machine whose laws are not the
@@ -136,6 +137,7 @@ class Effect(ABC):
     order: ClassVar[int] = 0
     gradual: ClassVar[bool] = True
     nameable: ClassVar[bool] = True
+    on_bodies: ClassVar[bool] = False
     contains: ClassVar[tuple[str, ...]] = ()
     by_direction: ClassVar[tuple[tuple[str, str], ...]] = ()
 

@@ -1,7 +1,6 @@
 """Inertia of drives, payloads and the attitude of the base."""
 
 import math
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -43,7 +42,11 @@ class Payload(Effect):
 
     name = "payload"
     group = "mechanics"
-    physics = "Point mass m at a distance r along the line from the joint to the body's centre."
+    on_bodies = True
+    physics = (
+        "Point mass m at a distance r along the line from the joint to the body's centre; less is "
+        "a body of the same shape and another density."
+    )
     source = "mechanics; bounds: tools and loads of a leg of 5 to 80 kg"
     excitation = "positions away from the balance point; speed changes separate m r from m r^2"
 
@@ -75,7 +78,7 @@ class Payload(Effect):
         return mass, EffectParameter.shape("distance", "m", *limits)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Adds a body with the mass, or takes a small one off; compiled anew for every value."""
+        """Adds a body with the mass, or takes it from the body; compiled anew for every value."""
         mass, distance = values["mass"], values.get("distance", 0.0)
         if mass == 0.0:
             return
@@ -86,7 +89,10 @@ class Payload(Effect):
 
         def add(spec: mujoco.MjSpec) -> None:
             if mass < 0.0:
-                _lighten(spec.body(element), own, mass, position)
+                body, share = spec.body(element), 1.0 + mass / own.mass[0]
+                body.mass, body.inertia = share * own.mass[0], share * own.inertia
+                body.ipos, body.iquat, body.explicitinertial = own.ipos, own.iquat, True
+                body.fullinertia = np.full(6, np.nan)
                 return
             load = spec.body(element).add_body(name=f"{element}_payload", pos=position)
             load.mass = mass
@@ -95,23 +101,6 @@ class Payload(Effect):
             load.explicitinertial = True
 
         change.edit(("payload", element, mass, distance), add)
-
-
-def _lighten(body: mujoco.MjsBody, own: Any, mass: float, position: np.ndarray) -> None:
-    """Adds a negative point mass to a body of mass, centre and inertia `own`."""
-    total = own.mass[0] + mass
-    centre = (own.mass[0] * own.ipos + mass * position) / total
-    axes = np.zeros(9)
-    mujoco.mju_quat2Mat(axes, own.iquat)
-    turned = axes.reshape(3, 3)
-    inertia = turned @ np.diag(own.inertia) @ turned.T
-    for point, weight in ((own.ipos, own.mass[0]), (position, mass)):  # Steiner
-        away = point - centre
-        inertia += weight * (away @ away * np.eye(3) - np.outer(away, away))
-    moments, quaternion = np.zeros(3), np.zeros(4)
-    mujoco.mju_eig3(moments, axes, quaternion, inertia.ravel())
-    body.mass, body.ipos, body.iquat, body.inertia = total, centre, quaternion, moments
-    body.explicitinertial = True
 
 
 @register_effect

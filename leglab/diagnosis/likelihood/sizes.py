@@ -164,11 +164,9 @@ def sized(library: Library, machine: Machine, seen: Shown) -> Library:
     """The library with trials and bounds that fit what was recorded."""
     sites = {}
     for key, site in library.sites.items():
+        joint = None if site.effect.on_bodies else seen.joints.get(site.element)
         command = seen.commands.get(site.element)
-        parameters = tuple(
-            _sized(p, _size(p, seen.joints.get(site.element), command, seen), seen)
-            for p in site.parameters
-        )
+        parameters = tuple(_sized(p, _size(p, joint, command, seen), seen) for p in site.parameters)
         sites[key] = replace(site, parameters=parameters)
     return library.with_sites(sites)
 
