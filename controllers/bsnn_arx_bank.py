@@ -1,13 +1,24 @@
 """The adaptive feed-forward with a bank of faults: names what broke first, then learns the rest."""
 
+import os
+from collections import deque
+
 import numpy as np
 from pydantic import Field
 
 from leglab.base.errors import LeglabError
 from leglab.control import ControllerSetup, Measurement, ReferencePoint, register_controller
-from leglab.control.feedforward.fault_monitor import Event, FaultMonitor, MonitorConfiguration
+from leglab.control.feedforward.fault_monitor import (
+    Event,
+    FaultMonitor,
+    MonitorConfiguration,
+    Proposal,
+)
 from leglab.control.feedforward.health import HealthConfiguration, HealthMonitor, Trend
 from leglab.controllers.bsnn_arx import AdaptiveConfiguration, AdaptiveController
+
+# A map with less than this share of what is used has lost.
+_GONE = 1e-3
 
 
 class BankConfiguration(AdaptiveConfiguration):
@@ -73,6 +84,8 @@ class BankController(AdaptiveController):
         self._told = 0
         self.adaptation.keep(2 * self._config.monitor.block)
         self._stopped = False
+        self._proposed: dict[tuple[str, str], tuple[int, np.ndarray]] = {}
+        self._recent: deque[np.ndarray] = deque(maxlen=int(os.environ.get("NB","4")))
 
     def freeze(self) -> None:
         """Stops adapting until the next `reset`."""
@@ -89,18 +102,47 @@ class BankController(AdaptiveController):
         learner = self.adaptation.learner
         parameters = np.atleast_2d(learner.parameters)
         samples = self.adaptation.kept()
-        advice = self.monitor.take(time, samples, parameters)
+        self._recent.append(samples)
+        proposals = self.monitor.take(time, samples, parameters)
         self._follow(time, samples, parameters)
-        if advice is None or not self._corrects:
+        if not self._corrects:
             return
-        if advice.parameters is not None:
-            learner.parameters = advice.parameters.reshape(learner.parameters.shape)
-            self.adaptation.trust()
-        for joint in np.flatnonzero(np.isfinite(advice.gain)):
-            opened = self._config.change_gain * max(float(advice.gain[joint]), 1e-9)
+        if not self.monitor.busy:
+            self.adaptation.settle()
+            self._proposed.clear()
+        for proposal in proposals or ():
+            self._propose(proposal)
+
+    def _propose(self, proposal: Proposal) -> None:
+        """Lets a map learn beside the others, or moves the one that the fault has already."""
+        adaptation = self.adaptation
+        if proposal.key in self._proposed:
+            number, last = self._proposed[proposal.key]
+            # One that predicts badly is not asked again.
+            if adaptation.shares()[1 + number] > _GONE:
+                moved = proposal.parameters - last
+                learner = adaptation.contenders[number]
+                now = learner.parameters.reshape(moved.shape) + moved
+                adaptation.revise(number, moved, self._error(now))
+                self._proposed[proposal.key] = number, proposal.parameters
+            return
+        learner = adaptation.learner.copy()
+        learner.parameters = proposal.parameters.reshape(learner.parameters.shape)
+        for joint in range(len(proposal.gain)):
             # An alarm of the learner's own would open what a name has just closed.
-            learner.hold_alarm(int(joint))
-            learner.set_gain(opened * np.eye(parameters.shape[1]), int(joint))
+            learner.hold_alarm(joint)
+            if np.isfinite(proposal.gain[joint]):
+                opened = self._config.change_gain * max(float(proposal.gain[joint]), 1e-9)
+                learner.set_gain(opened * np.eye(proposal.parameters.shape[1]), joint)
+        self._proposed[proposal.key] = len(adaptation.contenders), proposal.parameters
+        adaptation.propose(learner, proposal.odds, self._error(proposal.parameters))
+
+    def _error(self, parameters: np.ndarray) -> float:
+        """Mean squared error of a map on the latest samples over that of the learned one."""
+        samples = np.concatenate(self._recent)
+        regressor, found = samples[..., :-3], samples[..., -3]
+        error = np.where(samples[..., -1] > 0, found - (regressor * parameters).sum(axis=2), 0.0)
+        return float((error**2).sum() / max((samples[..., -2] ** 2).sum(), 1e-300))
 
     def _follow(self, time: float, samples: np.ndarray, parameters: np.ndarray) -> None:
         """Slow wear is followed between changes at once."""

@@ -1,6 +1,7 @@
 """Learns the inverse map while the machine moves, and gives the feed-forward from it, safely."""
 
 import math
+import os
 from collections.abc import Mapping
 from typing import Literal
 
@@ -13,7 +14,7 @@ from leglab.control import Measurement, ReferencePoint
 from leglab.control.feedforward.inverse_map import ACCELERATION, JERK, InverseMap
 from leglab.control.feedforward.motion import smoothing_kernel
 from leglab.control.feedforward.valve_table import ValveTable
-from leglab.identification import ChangeDetection, Rls
+from leglab.identification import ChangeDetection, Rls, SplineNarx
 
 # What a period reports, in the order of the core's rows behind the command.
 _REPORTED = ("feedforward", "feedback", "model_error", "fallback")
@@ -35,6 +36,9 @@ _PROOF_TIME, _PROOF_HORIZON, _PROOF_DOUBT = 0.15, 0.02, 0.06
 
 # What the slow and the learned map differ by without being held to it [share of full speed].
 _PROOF_NOISE = 0.0005
+
+# Maps beside each other are compared over this time [s], which has so many independent errors.
+_CONTEST_TIME, _CONTEST_ERRORS = 0.08, 4.0
 
 
 class LearningConfiguration(Configuration):
@@ -184,6 +188,9 @@ class AdaptiveFeedforward:
                 "proof_horizon": _PROOF_HORIZON,
                 "proof_doubt": _PROOF_DOUBT,
                 "proof_noise": _PROOF_NOISE,
+                "contest_time": float(os.environ.get("CT", _CONTEST_TIME)),
+                "contest_errors": float(os.environ.get("CE", _CONTEST_ERRORS)),
+                "contest_floor": config.noise**2,
                 "centre": (table.start + table.end) / 2,
                 "half_range": width / 2,
                 "acceleration": ACCELERATION,
@@ -208,7 +215,7 @@ class AdaptiveFeedforward:
 
     def reset(self) -> None:
         """Forgets everything learned: the feed-forward is the calibration's."""
-        self.learner = self._map.learner()
+        self.learner, self.contenders = self._map.learner(), list[SplineNarx]()
         self.loads = None if self._load_map is None else self._load_map.learner()
         self._core.reset(self.learner._bank, None if self.loads is None else self.loads._bank)
         self._core.keep(0)
@@ -218,9 +225,35 @@ class AdaptiveFeedforward:
         """Stops learning until the next `reset`."""
         self._core.freeze()
 
-    def trust(self) -> None:
-        """Uses the learner's parameters as they are now: the caller knows that they are right."""
-        self._core.trust()
+    def propose(self, learner: SplineNarx, odds: float, error: float) -> None:
+        """Lets another map learn beside `learner`, and uses it by how well it predicts.
+
+        Args:
+            learner: The map, of `learner`'s structure.
+            odds: Of this map against `learner` before either has predicted.
+            error: Mean squared error that it would have made lately, over that of `learner`.
+        """
+        self._core.propose(learner._bank, math.log(odds), error)
+        self.contenders.append(learner)
+
+    def revise(self, contender: int, shift: np.ndarray, error: float) -> None:
+        """Moves the parameters of a contender by (joints, parameters); `error` as of `propose`."""
+        learner = self.contenders[contender]
+        learner.parameters = learner.parameters + shift.reshape(learner.parameters.shape)
+        self._core.revise(contender, error)
+
+    def shares(self) -> np.ndarray:
+        """Share of `learner` in the map in use, and of each contender, (1 + contenders,)."""
+        return np.array(self._core.shares())
+
+    def settle(self) -> None:
+        """Goes on with the map that has the largest share."""
+        best = int(np.argmax(self.shares()))
+        if best > 0:
+            self.learner._bank.set_state(self.contenders[best - 1]._bank.state())
+        if self.contenders:
+            self._core.settle(best)
+            self.contenders = []
 
     def keep(self, samples: int) -> None:
         """Keeps learned samples from now on, so many at most, for `kept`; `reset` ends it."""

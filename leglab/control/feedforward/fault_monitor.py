@@ -11,6 +11,7 @@ is said, and what stands, is decided here.
 """
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, NamedTuple
@@ -18,7 +19,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from leglab._native.monitor import Monitor
+from leglab._native.monitor import Moments, Monitor
 from leglab.base.errors import LeglabError
 from leglab.base.settings import Configuration
 from leglab.control.feedforward.fault_bank import (
@@ -55,7 +56,11 @@ _HIT = 2.0
 # nothing explains is told [1], how long after its onset, and over what time [s].
 _UNEXPLAINED, _PATIENCE, _RECENT = 10.0, 1.3, 0.65
 
-# A name that comes later corrects nothing: the learner has found its own way by then [s].
+# So many faults are proposed at a look; the share of the squared error that one leaves counts by
+# this power in its odds.
+_CONTENDERS, _ODDS = 3, float(os.environ.get("OD", 2.0))
+
+# What comes later corrects nothing: the learner has found its own way by then [s].
 _LATE = 1.0
 
 
@@ -158,16 +163,20 @@ class Event:
     withdrawn: float | None = None
 
 
-class Advice(NamedTuple):
-    """What is to be done with the learner.
+class Proposal(NamedTuple):
+    """A map that a change may have led to.
 
     Attributes:
-        parameters: To be set, (joints, parameters); None leaves them.
+        key: Fault and element.
+        parameters: Of the map, (joints, parameters).
         gain: Gain to be opened, as a share of the one on a change, (joints,); NaN leaves it.
+        odds: Of this map against one that learns without knowing of the fault.
     """
 
-    parameters: np.ndarray | None
+    key: tuple[str, str]
+    parameters: np.ndarray
     gain: np.ndarray
+    odds: float
 
 
 @dataclass(eq=False, kw_only=True)
@@ -181,11 +190,9 @@ class _Case:
     # Times of looks, and until then squared errors of the map before the change and samples, each
     # (joints,).
     errors: list[tuple[float, np.ndarray, np.ndarray]] = field(default_factory=list)
-    shift: np.ndarray | None = None
     size: float = 0.0
     key: tuple[str, str] | None = None
     event: Event | None = None
-    hit: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
 
 
 class FaultMonitor:
@@ -253,17 +260,19 @@ class FaultMonitor:
         """Whether a change was noticed whose samples are being collected."""
         return self._case is not None
 
-    def take(self, time: float, samples: np.ndarray, parameters: np.ndarray) -> Advice | None:
+    def take(
+        self, time: float, samples: np.ndarray, parameters: np.ndarray
+    ) -> list[Proposal] | None:
         """Takes a block of learned samples.
 
         Args:
             time: Of the last one [s].
             samples: As `AdaptiveFeedforward.kept`, (n, joints, parameters + 3); at most twice
                 `block`.
-            parameters: The learner's now, (joints, parameters).
+            parameters: Of the map that learns without knowing of a fault, (joints, parameters).
 
         Returns:
-            What to do with the learner; None for nothing.
+            Maps that the change may have led to, by what is known now; None where nothing new is.
 
         Raises:
             ValueError: Arrays have other shapes.
@@ -274,19 +283,22 @@ class FaultMonitor:
             base = self._core.base()
             bank = self._standings.bank(base, self._core.regressors_before())
             self._case = _Case(onset=self._core.onset, base=base, bank=bank)
-            return self._act(self._case, time, parameters)
-        return None if self._case is None else self._follow(self._case, time, parameters)
-
-    def _follow(self, case: _Case, time: float, now: np.ndarray) -> Advice | None:
+        case = self._case
+        if case is None:
+            return None
         named = case.event and case.event.withdrawn is None and case.event.names[-1].time
-        if case.look >= len(_LOOKS) or (named and time > named + _STEADY):
+        if not opens and (case.look >= len(_LOOKS) or (named and time > named + _STEADY)):
             self._close(case)
             self._case = None
             self._core.close(self._config.slow_window)
             if case.event is None or case.event.withdrawn is not None:
                 self._tell(None)
             return None
-        return self._act(case, time, now)
+        if time < case.onset + _LOOKS[case.look]:
+            return None
+        while case.look < len(_LOOKS) and time >= case.onset + _LOOKS[case.look]:
+            case.look += 1
+        return self._decide(case, time)
 
     def _close(self, case: _Case) -> None:
         """Remembers what was told last, for a machine that is changed again."""
@@ -306,64 +318,65 @@ class FaultMonitor:
         )
         self._standings.add(change)
 
-    def _act(self, case: _Case, time: float, now: np.ndarray) -> Advice | None:
-        """A decision, where one is due."""
-        gain = np.full(len(self._joints), np.nan)
-        parameters = None
-        if time >= case.onset + _LOOKS[case.look]:
-            while case.look < len(_LOOKS) and time >= case.onset + _LOOKS[case.look]:
-                case.look += 1
-            parameters = self._decide(case, time, now, gain)
-        if parameters is None and np.isnan(gain).all():
-            return None
-        return Advice(parameters, gain)
-
-    def _decide(
-        self, case: _Case, time: float, now: np.ndarray, gain: np.ndarray
-    ) -> np.ndarray | None:
-        """Asks the bank; parameters to be set, or None. Sets `gain` where it is to be changed."""
+    def _decide(self, case: _Case, time: float) -> list[Proposal]:
+        """Asks the bank, says what stands out, and proposes what may be."""
         config, bank = self._config, case.bank
         self._core.begin_look(bank.core)
         self._core.look()
-        best, size, spread, cost, without, noise, chance = self._core.finding()
-        moments, normal = self._core.seen(), self._core.normal()
-        power, count = moments.power, np.maximum(moments.count, 1.0)
-        case.errors.append((time, power, moments.count))
-        explained = explained_share(cost, without, noise)
-        key, curve = bank.keys[bank.group[best]], bank.curves[best]
+        without, noise, sizes, spreads, costs, chances = self._core.finding()
+        moments = self._core.seen()
+        case.errors.append((time, moments.power, moments.count))
+        best = int(np.argmin(costs))
         age = time - case.onset
+        key, curve = bank.keys[bank.group[best]], bank.curves[best]
+        explained = explained_share(costs[best], without, noise)
+        evidence = (without - costs[best]) / (2 * config.correlation)
         share = config.kept if key == case.key else np.interp(age, _GROWN, config.explained)
-        evidence = (without - cost) / (2 * config.correlation)
-        stands_out = (
+        if (
             explained >= share * curve.explains
-            and chance >= config.confidence
-            and evidence >= np.interp(age, _GROWN, config.evidence)
-        )
-        if stands_out:
-            case.size = size
-            shift = curve.shift(case.size)
-            if evidence >= np.interp(age, _PROVEN, config.proof):
-                self._name(case, time, curve, size, spread, chance, explained)
-            if key == case.key and case.shift is not None:
-                parameters = now + shift - case.shift
-            else:
-                parameters = case.base + shift
-                left = moments.about(shift).power / np.maximum(power, 1e-300)
-                case.hit = power / count > _HIT * normal
-                gain[case.hit] = config.open_share * np.minimum(left[case.hit], 1.0)
-            if case.shift is None and time > case.onset + _LATE:
-                gain[:] = np.nan
-                case.key = key
-                return None
-            case.key, case.shift = key, shift
-            return parameters
-        if case.key is not None and explained < config.kept * curve.explains:
-            return self._withdraw(case, time, now, gain)
-        if case.key is None and time >= case.onset + _PATIENCE:
+            and chances[bank.group[best]] >= config.confidence
+            and evidence >= np.interp(age, _PROVEN, config.proof)
+        ):
+            case.key, case.size = key, float(sizes[best])
+            chance = float(chances[bank.group[best]])
+            self._name(case, time, curve, case.size, float(spreads[best]), chance, explained)
+        elif case.key is not None and explained < config.kept * curve.explains:
+            self._withdraw(case, time)
+        elif case.key is None and time >= case.onset + _PATIENCE:
             joints = self._still_off(case, time)
             if joints.any():
                 self._unknown(case, time, joints, explained)
-        return None
+        if age > _LATE:
+            return []
+        return self._proposals(case, moments, sizes, costs, chances, without, noise)
+
+    def _proposals(
+        self,
+        case: _Case,
+        moments: Moments,
+        sizes: np.ndarray,
+        costs: np.ndarray,
+        chances: np.ndarray,
+        without: float,
+        noise: float,
+    ) -> list[Proposal]:
+        """The most likely faults, each as the map that it makes."""
+        config, bank = self._config, case.bank
+        hit = moments.power / np.maximum(moments.count, 1.0) > _HIT * self._core.normal()
+        found: list[Proposal] = []
+        for key in np.argsort(-chances)[:_CONTENDERS]:
+            curves = np.flatnonzero(bank.group == key)
+            curve = int(curves[np.argmin(costs[curves])])
+            evidence = (without - costs[curve]) / (2 * config.correlation)
+            left = 1.0 - explained_share(costs[curve], without, noise)
+            odds = float(chances[key]) * (1.0 / max(left, config.discrepancy**2)) ** _ODDS
+            if evidence < config.evidence[1] or odds < 1.0:
+                continue
+            shift = bank.curves[curve].shift(float(sizes[curve]))
+            rest = moments.about(shift).power / np.maximum(moments.power, 1e-300)
+            gain = np.where(hit, config.open_share * np.minimum(rest, 1.0), np.nan)
+            found.append(Proposal(bank.keys[key], case.base + shift, gain, odds))
+        return found
 
     def _still_off(self, case: _Case, time: float) -> np.ndarray:
         """Joints of which the map before the change predicts badly now, (joints,).
@@ -376,18 +389,11 @@ class FaultMonitor:
             power, count = power - earlier[-1][1], count - earlier[-1][2]
         return power / np.maximum(count, 1.0) > _UNEXPLAINED * self._core.normal()
 
-    def _withdraw(
-        self, case: _Case, time: float, now: np.ndarray, gain: np.ndarray
-    ) -> np.ndarray | None:
-        parameters: np.ndarray | None = None
-        if case.shift is not None:
-            parameters = now - case.shift
-            gain[case.hit] = 1.0
-        case.key = case.shift = None
+    def _withdraw(self, case: _Case, time: float) -> None:
+        case.key = None
         if case.event is not None:
             case.event.withdrawn = time
         self._tell(None)
-        return parameters
 
     def _name(
         self,

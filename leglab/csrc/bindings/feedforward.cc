@@ -97,6 +97,7 @@ ff::AdaptiveSettings read_adaptive(const nb::dict& settings) {
   LEGLAB_READ_3(trust_time, margin, noise)
   LEGLAB_READ_3(settle_time, proof_time, proof_horizon)
   LEGLAB_READ_2(proof_doubt, proof_noise)
+  LEGLAB_READ_3(contest_time, contest_errors, contest_floor)
   LEGLAB_READ_3(learn_lower, learn_upper, bandwidth)
   LEGLAB_READ_2(position_gain, velocity_gain)
   return out;
@@ -155,7 +156,12 @@ class Feedforward {
   }
 
   void freeze() { core_.freeze(); }
-  void trust() { core_.trust(); }
+  void propose(SplineNarxBank64& bank, double odds, double error) {
+    core_.propose(learners(bank), odds, error);
+  }
+  void revise(int contender, double error) { core_.revise(contender, error); }
+  void settle(int winner) { core_.settle(winner); }
+  std::vector<double> shares() const { return core_.shares(); }
 
   void keep(int samples) { core_.keep(samples); }
   int kept() const { return core_.kept(); }
@@ -207,7 +213,11 @@ void bind_feedforward(nb::module_& module) {
       .def("kept", &Feedforward::kept)
       .def("take_kept", &Feedforward::take_kept)
       .def("freeze", &Feedforward::freeze)
-      .def("trust", &Feedforward::trust);
+      .def("propose", &Feedforward::propose, nb::arg("bank"), nb::arg("odds"), nb::arg("error"),
+           nb::keep_alive<1, 2>())
+      .def("revise", &Feedforward::revise, nb::arg("contender"), nb::arg("error"))
+      .def("settle", &Feedforward::settle, nb::arg("winner"))
+      .def("shares", &Feedforward::shares);
   nb::class_<ValveMaps>(module, "ValveMaps")
       .def(nb::init<nb::dict>(), nb::arg("parts"))
       .def("command", &ValveMaps::command);

@@ -246,12 +246,18 @@ class FaultMonitor {
     return core_.look(curves);
   }
 
-  // Curve, size, spread, cost, cost without, that of noise, chance.
-  std::tuple<int, double, double, double, double, double, double> finding() {
+  // Cost without any fault and that of noise; sizes, spreads and costs of all curves, and chances of
+  // all keys.
+  nb::tuple finding() {
     if (!look(0)) throw nb::value_error("the look is not done");
     const mon::Finding found = core_.finding();
-    return {found.curve,   found.size,  found.spread, found.cost,
-            found.without, found.noise, found.chance};
+    const std::size_t curves = std::size_t(core_.fit().curves());
+    const auto of = [](const double* values, std::size_t count) {
+      return array_of({values, values + count}, {count});
+    };
+    return nb::make_tuple(found.without, found.noise, of(core_.fit().size(), curves),
+                          of(core_.fit().spread(), curves), of(core_.fit().cost(), curves),
+                          of(core_.chance(), std::size_t(core_.keys())));
   }
 
  private:

@@ -108,9 +108,31 @@ nb::object rest(const nb::dict& values, double angle) {
   return array({y.begin(), y.end()});
 }
 
+// A bench that a closed loop steps from outside.
+class Plant {
+ public:
+  Plant(const nb::dict& values, double step) : core_(parameters(values), step) {
+    if (!(step > 0.0)) throw nb::value_error("the step must be positive");
+  }
+  void start(double angle) { core_.start(angle); }
+  void change(const nb::dict& values) { core_.change(parameters(values)); }
+  double advance(double command, int steps) {
+    core_.advance(command, steps);
+    return core_.seen(0.0);
+  }
+
+ private:
+  studies::RoughPlant core_;
+};
+
 }  // namespace
 
 NB_MODULE(rough_bench, module) {
+  nb::class_<Plant>(module, "Plant")
+      .def(nb::init<nb::dict, double>(), nb::arg("parameters"), nb::arg("step"))
+      .def("start", &Plant::start, nb::arg("angle"))
+      .def("change", &Plant::change, nb::arg("parameters"))
+      .def("advance", &Plant::advance, nb::arg("command"), nb::arg("steps"));
   module.def("nominal", &nominal);
   module.def("follow", &follow, nb::arg("parameters"), nb::arg("reference"),
              nb::arg("position_noise"), nb::arg("noise_a"), nb::arg("noise_b"), nb::arg("period"),

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <vector>
 
+#include "feedforward/contenders.h"
 #include "feedforward/inverse_map.h"
 #include "feedforward/motion.h"
 #include "feedforward/pressure_valve.h"
@@ -33,6 +34,9 @@ struct AdaptiveSettings {
   double proof_horizon = 0.0;   // from one snapshot of what was learned to the next [s]
   double proof_doubt = 0.0;     // see ProofSettings
   double proof_noise = 0.0;     // predictions that differ by less need no proof [share of full speed]
+  double contest_time = 0.0;    // time constant of the errors of maps beside each other [s]
+  double contest_errors = 0.0;  // see ContenderSettings
+  double contest_floor = 0.0;   // squared error of a joint that is noise [share of full speed squared]
   std::vector<double> learn_lower, learn_upper;  // positions between which it learns [rad]
   std::vector<double> bandwidth;                 // crossover of the feedback loops [rad/s]
   std::vector<double> position_gain, velocity_gain;  // [1/rad], [s/rad], with the valve's sign
@@ -71,7 +75,8 @@ class AdaptiveFeedforward {
                       ReferenceMotion reference, std::vector<ValveTable> tables,
                       std::vector<PressureValve> valves = {})
       : settings_(std::move(settings)), map_(std::move(map)), window_(std::move(window)),
-        reference_(std::move(reference)), tables_(std::move(tables)), valves_(std::move(valves)) {
+        reference_(std::move(reference)), tables_(std::move(tables)), valves_(std::move(valves)),
+        contenders_(contest()) {
     const std::size_t n = tables_.size();
     motion_.resize(4 * n);
     feedforward_ = error_ = sent_ = flow_ = learned_ = calibrated_ = std::vector<double>(n);
@@ -93,14 +98,28 @@ class AdaptiveFeedforward {
     }
     proofs_.clear();
     for (const Learner* learner : learners_) proofs_.emplace_back(proof(), learner->parameters());
+    contenders_.clear();
     count_ = 0;
     frozen_ = false;
   }
 
-  // Uses the learned parameters of all joints as they are now: the caller knows that they are right.
-  void trust() {
-    for (std::size_t j = 0; j < proofs_.size(); ++j) proofs_[j].trust(learners_[j]->rls().theta());
+  // Another map beside the one that is learned, with the log odds that it is the better one; it
+  // learns and is used by how well it predicts, until `reset` or `settle`.
+  void propose(std::vector<Learner*> learners, double odds, double error) {
+    contenders_.add(std::move(learners), proof(), odds, error);
   }
+
+  // The caller has set a contender's parameters.
+  void revise(int contender, double error) { contenders_.revise(contender, error); }
+
+  // No contender is left; the caller has copied the one that won, counted from 1, or none, 0.
+  void settle(int winner) {
+    if (winner > 0) proofs_ = contenders_.proofs(winner - 1);
+    contenders_.clear();
+  }
+
+  // Share of the map without a contender in what is used, and of each contender.
+  const std::vector<double>& shares() const { return contenders_.weight(); }
 
   // Nothing is learned from now on, until `reset`.
   void freeze() { frozen_ = true; }
@@ -178,7 +197,14 @@ class AdaptiveFeedforward {
   // Flow beyond that of the motion itself for the inputs, as a share of full speed.
   double excess(std::size_t j) {
     const double learned = learners_[j]->peek(inputs_);
-    return proofs_[j].used(count_, learners_[j]->regressor(), learned);
+    const double own = proofs_[j].used(count_, learners_[j]->regressor(), learned);
+    return contenders_.any() ? contenders_.used(j, inputs_, count_, own) : own;
+  }
+
+  ContenderSettings contest() const {
+    const double sample = settings_.interval * settings_.control_period;
+    return {std::min(1.0, sample / settings_.contest_time), settings_.contest_errors,
+            settings_.contest_floor * double(tables_.size())};
   }
 
   ProofSettings proof() const {
@@ -255,6 +281,7 @@ class AdaptiveFeedforward {
       window_.middle_pressures(middle_a_.data(), middle_b_.data(), middle_command_.data());
     }
     for (int j = 0; j < map_.joints(); ++j) learn_joint(j);
+    contenders_.judge();
     if (kept_ < capacity_) ++kept_;
   }
 
@@ -286,6 +313,7 @@ class AdaptiveFeedforward {
     if (learners_[j]->state().learned > learned) {
       proofs_[j].take(count_, excess, learners_[j]->rls().theta());
     }
+    contenders_.take(j, inputs_, excess, usable, error_[j], count_);
     if (kept_ < capacity_) keep_sample(j, excess, usable);
   }
 
@@ -342,6 +370,7 @@ class AdaptiveFeedforward {
   std::vector<PressureValve> valves_;  // none without pressures
   std::vector<Learner*> learners_, load_learners_;
   std::vector<Proof> proofs_;
+  Contenders<Learner> contenders_;
   std::vector<double> motion_, feedforward_, error_, sent_, flow_, learned_, calibrated_;
   // What the excess in use adds to the tracking error, and what the one not in use would [rad].
   std::vector<double> applied_, withheld_;

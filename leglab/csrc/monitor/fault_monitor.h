@@ -116,6 +116,10 @@ class FaultMonitor {
   // Fits so many curves more; true once all are fitted.
   bool look(int curves) { return fit_.advance(curves); }
 
+  const FaultFit<Shift>& fit() const { return fit_; }            // of the look
+  const double* chance() const { return chances_.data(); }       // after `finding`, (keys)
+  int keys() const { return keys_; }
+
   // The result of a look that is done.
   Finding finding() {
     const int best = fit_.best();

@@ -314,11 +314,60 @@ struct RoughTrace {
   std::vector<double> position, command, pressure_a, pressure_b;
 };
 
+// The bench between samples: commands that reach the valve late, its hysteresis, and its encoder.
+class RoughPlant {
+ public:
+  RoughPlant(const RoughParameters& p, double step) : equations_(p), step_(step) {}
+
+  const RoughParameters& parameters() const { return equations_.parameters(); }
+  const RoughVector& state() const { return y_; }
+
+  // Rests where the encoder shows this angle.
+  void start(double angle) {
+    y_ = equations_.rest((angle - parameters().encoder_offset) / parameters().encoder_scale);
+    angles_.assign(1, y_[kAngle]);
+    commands_.clear();
+    behind_ = 0.0;
+  }
+
+  // Is another bench from now on.
+  void change(const RoughParameters& p) { equations_ = RoughEquations(p); }
+
+  void advance(double command, int steps) {
+    const RoughParameters& p = parameters();
+    const std::size_t late = std::size_t(std::lround(p.command_delay / step_));
+    for (int i = 0; i < steps; ++i) {
+      const std::size_t now = commands_.size();
+      commands_.push_back(command);
+      const double u = commands_[now < late ? 0 : now - late];
+      behind_ = std::clamp(behind_, u - 0.5 * p.hysteresis, u + 0.5 * p.hysteresis);
+      y_ = equations_.step(double(now) * step_, y_, behind_, step_);
+      angles_.push_back(y_[kAngle]);
+    }
+  }
+
+  // What the encoder shows now.
+  double seen(double noise) const {
+    const RoughParameters& p = parameters();
+    const std::size_t late = static_cast<std::size_t>(std::lround(p.encoder_delay / step_));
+    const double angle = angles_[angles_.size() - 1 - std::min(late, angles_.size() - 1)];
+    const double value = p.encoder_scale * angle + p.encoder_offset + noise;
+    const double count = 2.0 * M_PI / p.encoder_counts;
+    return p.encoder_counts > 0.0 ? std::rint(value / count) * count : value;
+  }
+
+ private:
+  RoughEquations equations_;
+  double step_, behind_ = 0.0;
+  RoughVector y_{};
+  std::vector<double> angles_, commands_;  // at every step
+};
+
 // Follows a reference (or plays a command) from rest, and records. Noise: one value a sample.
 class RoughRun {
  public:
   RoughRun(const RoughParameters& p, double period, int steps)
-      : equations_(p), period_(period), steps_(steps), h_(period / steps) {}
+      : plant_(p, period / steps), period_(period), steps_(steps) {}
 
   RoughTrace follow(const double* reference, const double* position_noise, const double* noise_a,
                     const double* noise_b, std::size_t count) {
@@ -334,60 +383,32 @@ class RoughRun {
  private:
   RoughTrace run(const double* reference, const double* played, const double* position_noise,
                  const double* noise_a, const double* noise_b, std::size_t count) {
-    const RoughParameters& p = equations_.parameters();
-    y_ = equations_.rest((reference[0] - p.encoder_offset) / p.encoder_scale);
-    angles_.assign(1, y_[kAngle]);
-    commands_.clear();
-    behind_ = 0.0;
+    const RoughParameters& p = plant_.parameters();
+    plant_.start(reference[0]);
     const int settling = static_cast<int>(std::lround(1.0 / period_));
-    for (int k = 0; k < settling; ++k) period(-p.loop_gain * (reference[0] - seen(0.0)));
+    for (int k = 0; k < settling; ++k) {
+      plant_.advance(-p.loop_gain * (reference[0] - plant_.seen(0.0)), steps_);
+    }
     RoughTrace trace;
     for (std::size_t k = 0; k < count; ++k) {
-      const double measured = seen(position_noise[k]);
+      const double measured = plant_.seen(position_noise[k]);
       const std::size_t after = std::min(k + 1, count - 1), before = k > 0 ? k - 1 : 0;
       const double rate = (reference[after] - reference[before]) / (double(after - before) * period_);
       const double wanted = -p.loop_gain * (reference[k] - measured) - p.feedforward * rate;
       const double command = played ? played[k] : std::clamp(wanted, -1.0, 1.0);
+      const RoughVector& y = plant_.state();
       trace.position.push_back(measured);
       trace.command.push_back(command);
-      trace.pressure_a.push_back(p.pressure_scale_a * y_[kA] + p.pressure_offset_a + noise_a[k]);
-      trace.pressure_b.push_back(p.pressure_scale_b * y_[kB] + p.pressure_offset_b + noise_b[k]);
-      period(command);
+      trace.pressure_a.push_back(p.pressure_scale_a * y[kA] + p.pressure_offset_a + noise_a[k]);
+      trace.pressure_b.push_back(p.pressure_scale_b * y[kB] + p.pressure_offset_b + noise_b[k]);
+      plant_.advance(command, steps_);
     }
     return trace;
   }
 
-  // What the encoder shows now.
-  double seen(double noise) const {
-    const RoughParameters& p = equations_.parameters();
-    const std::size_t late = static_cast<std::size_t>(std::lround(p.encoder_delay / h_));
-    const double angle = angles_[angles_.size() - 1 - std::min(late, angles_.size() - 1)];
-    const double value = p.encoder_scale * angle + p.encoder_offset + noise;
-    const double count = 2.0 * M_PI / p.encoder_counts;
-    return p.encoder_counts > 0.0 ? std::rint(value / count) * count : value;
-  }
-
-  // One sampling period; commands reach the valve late.
-  void period(double command) {
-    const RoughParameters& p = equations_.parameters();
-    commands_.push_back(command);
-    const long late = std::lround(p.command_delay / h_);
-    const long now = long(commands_.size() - 1) * steps_;
-    for (int i = 0; i < steps_; ++i) {
-      const long arrived = std::max((now + i - late) / steps_, 0L);
-      const double u = commands_[now + i < late ? 0 : std::size_t(arrived)];
-      behind_ = std::clamp(behind_, u - 0.5 * p.hysteresis, u + 0.5 * p.hysteresis);
-      y_ = equations_.step(double(now + i) * h_, y_, behind_, h_);
-      angles_.push_back(y_[kAngle]);
-    }
-  }
-
-  RoughEquations equations_;
+  RoughPlant plant_;
   double period_;
   int steps_;
-  double h_, behind_ = 0.0;
-  RoughVector y_{};
-  std::vector<double> angles_, commands_;
 };
 
 }  // namespace leglab::studies

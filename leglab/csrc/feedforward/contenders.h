@@ -1,0 +1,127 @@
+// Maps that a change may have led to, learned beside the one that knows nothing of it.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "feedforward/proof.h"
+
+namespace leglab::feedforward {
+
+struct ContenderSettings {
+  double forget = 1.0;   // share by which mean squared errors move at a sample
+  double errors = 0.0;   // independent errors that such a mean has
+  double floor = 0.0;    // mean squared error that is noise
+};
+
+// Bayesian model averaging (Hoeting et al. 1999) of maps that are linear in their parameters: each
+// predicts every sample before it learns it, and counts by the likelihood of its errors, whose
+// variance nobody knows: odds mean^(-errors/2). A map that predicts badly has gone within a few
+// samples; one that comes to be right has its way back.
+template <class Learner>
+class Contenders {
+ public:
+  explicit Contenders(const ContenderSettings& settings) : settings_(settings) {}
+
+  // Forgets all but the map that knows nothing.
+  void clear() {
+    others_.clear();
+    weight_.assign(1, 1.0);
+    error_.assign(1, 0.0);
+    sum_.assign(1, 0.0);
+  }
+
+  bool any() const { return !others_.empty(); }
+  const std::vector<double>& weight() const { return weight_; }
+
+  // With log odds, and the mean squared error that it would have made until now over that of the map
+  // without it.
+  void add(std::vector<Learner*> learners, const ProofSettings& proof, double odds, double error) {
+    Other other{std::move(learners), {}, odds};
+    for (const Learner* learner : other.learners) other.proofs.emplace_back(proof, learner->parameters());
+    others_.push_back(std::move(other));
+    error_.push_back(error * error_[0]);
+    sum_.push_back(0.0);
+    weight_.push_back(0.0);
+    trust(int(others_.size()) - 1);
+    weigh();
+  }
+
+  const std::vector<Proof>& proofs(int which) const { return others_[std::size_t(which)].proofs; }
+
+  // A contender has other parameters now; `error` as of `add`.
+  void revise(int which, double error) {
+    error_[std::size_t(which) + 1] = error * error_[0];
+    trust(which);
+    weigh();
+  }
+
+ private:
+  void trust(int which) {
+    Other& other = others_[std::size_t(which)];
+    for (std::size_t j = 0; j < other.proofs.size(); ++j) {
+      other.proofs[j].trust(other.learners[j]->rls().theta());
+    }
+  }
+
+ public:
+  // Prediction of a joint by all, `own` that of the map without a contender.
+  double used(std::size_t j, const double* inputs, long period, double own) {
+    double sum = weight_[0] * own;
+    for (std::size_t k = 0; k < others_.size(); ++k) {
+      Learner& learner = *others_[k].learners[j];
+      const double predicted = learner.peek(inputs);
+      sum += weight_[k + 1] * others_[k].proofs[j].used(period, learner.regressor(), predicted);
+    }
+    return sum;
+  }
+
+  // A sample of a joint, and the error of the map without a contender.
+  void take(std::size_t j, const double* inputs, double found, bool usable, double own, long period) {
+    sum_[0] += own * own;
+    for (std::size_t k = 0; k < others_.size(); ++k) {
+      Learner& learner = *others_[k].learners[j];
+      const auto learned = learner.state().learned;
+      const double error = found - learner.update(inputs, found, usable);
+      if (learner.state().learned == learned) continue;
+      sum_[k + 1] += error * error;
+      others_[k].proofs[j].take(period, found, learner.rls().theta());
+    }
+  }
+
+  // All joints of a sample have been taken.
+  void judge() {
+    for (std::size_t k = 0; k < sum_.size(); ++k) {
+      error_[k] += settings_.forget * (sum_[k] - error_[k]);
+      sum_[k] = 0.0;
+    }
+    weigh();
+  }
+
+ private:
+  struct Other {
+    std::vector<Learner*> learners;
+    std::vector<Proof> proofs;
+    double odds;
+  };
+
+  void weigh() {
+    double most = 0.0;
+    for (std::size_t k = 0; k < weight_.size(); ++k) {
+      const double odds = k > 0 ? others_[k - 1].odds : 0.0;
+      weight_[k] = odds - 0.5 * settings_.errors *
+                              std::log((error_[k] + settings_.floor) / (error_[0] + settings_.floor));
+      most = std::max(most, weight_[k]);
+    }
+    double sum = 0.0;
+    for (double& weight : weight_) sum += weight = std::exp(weight - most);
+    for (double& weight : weight_) weight /= sum;
+  }
+
+  ContenderSettings settings_;
+  std::vector<Other> others_;
+  std::vector<double> weight_, error_, sum_;  // of the map without a contender, and of each
+};
+
+}  // namespace leglab::feedforward
