@@ -13,12 +13,13 @@ struct ContenderSettings {
   double forget = 1.0;   // share by which mean squared errors move at a sample
   double errors = 0.0;   // independent errors that such a mean has
   double floor = 0.0;    // mean squared error that is noise
+  double window = 0.05;  // share of the best one's odds below which one is out
 };
 
 // Bayesian model averaging (Hoeting et al. 1999) of maps that are linear in their parameters: each
 // predicts every sample before it learns it, and counts by the likelihood of its errors, whose
-// variance nobody knows: odds mean^(-errors/2). A map that predicts badly has gone within a few
-// samples; one that comes to be right has its way back.
+// variance nobody knows: odds mean^(-errors/2). One that falls out of Occam's window (Madigan and
+// Raftery 1994) is out for good: it learns as well, and would come back where the motion is easy.
 template <class Learner>
 class Contenders {
  public:
@@ -70,6 +71,7 @@ class Contenders {
   double used(std::size_t j, const double* inputs, long period, double own) {
     double sum = weight_[0] * own;
     for (std::size_t k = 0; k < others_.size(); ++k) {
+      if (others_[k].out) continue;
       Learner& learner = *others_[k].learners[j];
       const double predicted = learner.peek(inputs);
       sum += weight_[k + 1] * others_[k].proofs[j].used(period, learner.regressor(), predicted);
@@ -81,6 +83,7 @@ class Contenders {
   void take(std::size_t j, const double* inputs, double found, bool usable, double own, long period) {
     sum_[0] += own * own;
     for (std::size_t k = 0; k < others_.size(); ++k) {
+      if (others_[k].out) continue;
       Learner& learner = *others_[k].learners[j];
       const auto learned = learner.state().learned;
       const double error = found - learner.update(inputs, found, usable);
@@ -104,6 +107,7 @@ class Contenders {
     std::vector<Learner*> learners;
     std::vector<Proof> proofs;
     double odds;
+    bool out = false;
   };
 
   void weigh() {
@@ -112,10 +116,14 @@ class Contenders {
       const double odds = k > 0 ? others_[k - 1].odds : 0.0;
       weight_[k] = odds - 0.5 * settings_.errors *
                               std::log((error_[k] + settings_.floor) / (error_[0] + settings_.floor));
-      most = std::max(most, weight_[k]);
+      if (k == 0 || !others_[k - 1].out) most = std::max(most, weight_[k]);
     }
     double sum = 0.0;
-    for (double& weight : weight_) sum += weight = std::exp(weight - most);
+    for (std::size_t k = 0; k < weight_.size(); ++k) {
+      const double share = std::exp(weight_[k] - most);
+      if (k > 0) others_[k - 1].out |= share < settings_.window;
+      sum += weight_[k] = k > 0 && others_[k - 1].out ? 0.0 : share;
+    }
     for (double& weight : weight_) weight /= sum;
   }
 
